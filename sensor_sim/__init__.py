@@ -1,0 +1,1 @@
+"""Display frames and TOD curves from a sensor's parameters."""
