@@ -1,0 +1,336 @@
+"""The model observer: a Laplacian pyramid, noise on every neuron, correlation with four templates.
+
+Everything from contrast to scores is linear, so the pyramid and the templates fold into one weight image an
+answer (`Readout`), and the noise on thousands of neurons into the covariance of four scores. The literal path
+(`PyramidObserver.respond`) is the definition the folded one is held against.
+
+Hogervorst et al. 2001, section 4.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any, ClassVar, Protocol, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from todframes.errors import SettingsError
+from todframes.pyramid import LaplacianPyramid
+from todframes.retina import RetinaGrid
+from todframes.stimulus import ORIENTATIONS, Centre, Orientation, coverage
+
+FloatArray = NDArray[np.float64]
+
+UNIFORM_EXCESS_KURTOSIS = -1.2
+
+
+def inner_product(a: FloatArray, b: FloatArray) -> float:
+    """Sum of products of two arrays of one shape.
+
+    Not by BLAS, whose threads wait for each other a hundred times longer than the sum takes when other
+    threads keep the processors busy.
+    """
+    return float(np.einsum("ij,ij->", a, b))
+
+
+@dataclass(frozen=True, slots=True)
+class Stimulus:
+    """What the observer knows of a trial beforehand: all but the orientation.
+
+    `size_mrad` is √(area) as displayed, `polarity` 1 for brighter and -1 for darker than the background.
+    """
+
+    size_mrad: float
+    polarity: int = 1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Readout:
+    """A linear observer of one stimulus: the weight of each retina sample in each of the four scores.
+
+    The four templates are nearly alike, so they are kept as their mean and the deviations from it, and the
+    noise covariance is formed from deviations: no digit is lost to what all four have in common.
+
+    Attributes
+    ----------
+    grid : RetinaGrid
+    common : ndarray, shape (side, side)
+        Weights that all four scores share.
+    deviations : ndarray, shape (4, side, side)
+        Weights of each score less `common`, in the order of `ORIENTATIONS`.
+    noise_covariance : ndarray, shape (4, 4)
+        Of the internal noise on the four scores less the noise they share.
+    excess_kurtosis : float
+        Of the summed noise on the difference of two scores: the one farthest from the Gaussian's 0.
+    """
+
+    grid: RetinaGrid
+    common: FloatArray
+    deviations: FloatArray
+    noise_covariance: FloatArray
+    excess_kurtosis: float
+
+    def scores(self, contrast: FloatArray) -> FloatArray:
+        """Noise-free inner products of a retina image, shape (side, side), with the four templates: (4,)."""
+        return self.score_deviations(contrast) + inner_product(self.common, contrast)
+
+    def score_deviations(self, contrast: FloatArray) -> FloatArray:
+        """The scores less their mean, all that the decision needs, with all digits: (4,)."""
+        return np.asarray(self.deviations.reshape(4, -1) @ contrast.reshape(-1))
+
+    @property
+    def non_gaussian_bound(self) -> float:
+        """Bound on the error in P(correct) from taking the summed noise as Gaussian, to first order.
+
+        The first Edgeworth term of one score difference is κ/24 · He₃(x) φ(x), at most 0.5506 |κ| / 24; three
+        differences decide.
+        """
+        return 3.0 * 0.5506 / 24.0 * abs(self.excess_kurtosis)
+
+
+class Observer(Protocol):
+    """What an observer must offer; register the class under the entry-point group `todframes.observers`.
+
+    The class is called with one argument, an instance of its `settings_type`, a frozen dataclass whose fields
+    are the names that users set. `centre` says which point of the triangle the grid's middle lies on and
+    `position_jitter_samples` how far, at most, it is displaced along x and y in each trial.
+    """
+
+    settings_type: ClassVar[type[Any]]
+
+    @property
+    def centre(self) -> Centre:
+        """Point of the triangle on which the retina grid is centred."""
+
+    @property
+    def position_jitter_samples(self) -> float:
+        """Half the width of the uniform displacement of the grid, in retina samples."""
+
+    def grid(self, stimulus: Stimulus) -> RetinaGrid:
+        """The retina samples it looks at."""
+
+    def readout(self, stimulus: Stimulus) -> Readout | None:
+        """Its weights and noise, or None if it is not linear and can only `respond`."""
+
+    def respond(self, contrast: FloatArray, stimulus: Stimulus, rng: np.random.Generator) -> Orientation:
+        """One answer to a retina image of shape (side, side), its internal noise drawn from `rng`."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PyramidSettings:
+    """Settings of the paper's observer; every ambiguity of the paper is one of them.
+
+    Attributes
+    ----------
+    centre : {"centroid", "bounding_box"}
+        What the four templates have in common, and what lies on the grid's middle.
+    retina_pitch_mrad : float
+        Visual angle of a retina sample.
+    position_jitter_samples : float
+        The grid is displaced by up to this many samples along x and y in each trial; 0: never.
+    kernel_a : float
+        Centre weight of the pyramid's kernel; 0.375 is [1 4 6 4 1]/16.
+    levels : int or None
+        Pyramid bands. None: enough for the triangle, at least 4, so that further bands and a wider field
+        move thresholds by less than 1e-5 of their value. The grid's side is 4 · 2^levels + 1.
+    include_residual : bool
+        Whether the low-pass residual takes part in the correlation.
+    band_gain : float
+        Gain of each band over the next finer one.
+    template_blur_samples : float
+        Standard deviation of the Gaussian that blurs the templates, in retina samples.
+    internal_noise : float
+        Full width of the uniform noise on each neuron.
+    internal_noise_sd : float or None
+        Its standard deviation, instead of internal_noise / √12.
+
+    Raises
+    ------
+    SettingsError
+        If a value is out of its range.
+    """
+
+    centre: Centre = "centroid"
+    retina_pitch_mrad: float = 0.153
+    position_jitter_samples: float = 0.5
+    kernel_a: float = 0.375
+    levels: int | None = None
+    include_residual: bool = False
+    band_gain: float = 1.0
+    template_blur_samples: float = 1.2
+    internal_noise: float = 0.5
+    internal_noise_sd: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.centre not in get_args(Centre):
+            raise SettingsError(f"centre: found {self.centre!r}, expected one of {', '.join(get_args(Centre))}")
+        for name in ("retina_pitch_mrad", "band_gain"):
+            _check(name, getattr(self, name), at_least=0.0, strictly=True)
+        for name in ("position_jitter_samples", "template_blur_samples", "internal_noise"):
+            _check(name, getattr(self, name), at_least=0.0)
+        if self.internal_noise_sd is not None:
+            _check("internal_noise_sd", self.internal_noise_sd, at_least=0.0)
+        if not 0.0 <= self.kernel_a <= 1.0:
+            raise SettingsError(f"kernel_a: found {self.kernel_a!r}, expected a number in [0, 1]")
+        if self.levels is not None and not 1 <= self.levels <= 12:
+            raise SettingsError(f"levels: found {self.levels!r}, expected a whole number from 1 to 12")
+
+    @property
+    def noise_sd(self) -> float:
+        """Standard deviation of the noise on each neuron."""
+        if self.internal_noise_sd is not None:
+            return self.internal_noise_sd
+        return self.internal_noise / math.sqrt(12.0)
+
+
+def _check(name: str, value: float, *, at_least: float, strictly: bool = False) -> None:
+    if not math.isfinite(value) or value < at_least or (strictly and value == at_least):
+        sign = ">" if strictly else ">="
+        raise SettingsError(f"{name}: found {value!r}, expected a finite number {sign} {at_least:g}")
+
+
+Bands = tuple[FloatArray, ...]
+
+
+class PyramidObserver:
+    """The paper's observer.
+
+    Parameters
+    ----------
+    settings : PyramidSettings
+
+    Hogervorst et al. 2001, section 4.
+    """
+
+    settings_type: ClassVar[type[PyramidSettings]] = PyramidSettings
+
+    def __init__(self, settings: PyramidSettings | None = None) -> None:
+        self.settings = settings if settings is not None else PyramidSettings()
+        # Per observer, not per class: a cache on the method would keep every observer alive.
+        self.templates = lru_cache(maxsize=4)(self._templates)
+        self.readout = lru_cache(maxsize=4)(self._readout)
+
+    @property
+    def centre(self) -> Centre:
+        """Point of the triangle on which the retina grid is centred."""
+        return self.settings.centre
+
+    @property
+    def position_jitter_samples(self) -> float:
+        """Half the width of the uniform displacement of the grid, in retina samples."""
+        return self.settings.position_jitter_samples
+
+    def grid(self, stimulus: Stimulus) -> RetinaGrid:
+        """The retina samples it looks at: side 4 · 2^levels + 1, about four times the triangle's size.
+
+        The coarsest band's samples are as far apart as 0.9 sizes or more, and not nearer than 16 samples,
+        which keeps what is left out below 1e-5 of the threshold.
+        """
+        levels = self.settings.levels
+        if levels is None:
+            size = stimulus.size_mrad / self.settings.retina_pitch_mrad
+            levels = max(4, math.ceil(math.log2(0.9 * size)))
+            if levels > 12:
+                raise SettingsError(
+                    f"retina_pitch_mrad: a triangle of {stimulus.size_mrad:g} mrad is {size:g} retina samples, "
+                    f"expected at most {2**12 / 0.9:.0f}"
+                )
+        return RetinaGrid(4 * 2**levels + 1, self.settings.retina_pitch_mrad)
+
+    def activity(self, contrast: FloatArray) -> Bands:
+        """Noise-free activity of all neurons, finest band first, for a retina image of shape (side, side)."""
+        settings = self.settings
+        levels = (contrast.shape[0] - 1).bit_length() - 3  # side = 4 · 2^levels + 1
+        bands = LaplacianPyramid(levels, settings.kernel_a).build(contrast)
+        if not settings.include_residual:
+            bands.pop()
+        return tuple(settings.band_gain**k * band for k, band in enumerate(bands))
+
+    def _templates(self, stimulus: Stimulus) -> tuple[Bands, ...]:
+        """Expected activity for each orientation, in the order of `ORIENTATIONS`.
+
+        The grid's middle is every band's middle, so the activity of a turned triangle is the turned activity.
+        """
+        from scipy.ndimage import gaussian_filter
+
+        grid = self.grid(stimulus)
+        upright = coverage(
+            (grid.side, grid.side),
+            size_px=stimulus.size_mrad / grid.pitch_mrad,
+            x_px=grid.side // 2,
+            y_px=grid.side // 2,
+            orientation=Orientation.UP,
+            centre=self.centre,
+        )
+        # Cut at 8 standard deviations, where the kernel is 1e-14 of its middle.
+        blurred = gaussian_filter(upright, self.settings.template_blur_samples, mode="mirror", truncate=8.0)
+        activity = self.activity(stimulus.polarity * blurred)
+        return tuple(
+            tuple(np.ascontiguousarray(np.rot90(band, -orientation.quarter_turns)) for band in activity)
+            for orientation in ORIENTATIONS
+        )
+
+    def _readout(self, stimulus: Stimulus) -> Readout:
+        """Pyramid and templates folded onto the retina: A_k = Lᵀ t_k."""
+        grid, templates = self.grid(stimulus), self.templates(stimulus)
+        common = [np.mean(band, axis=0) for band in zip(*templates, strict=True)]
+        upright = [band - mean for band, mean in zip(templates[0], common, strict=True)]
+        folded = self._fold(upright, grid)
+        deviations = np.stack([np.rot90(folded, -k) for k in range(4)])
+        return Readout(
+            grid=grid,
+            common=self._fold(common, grid),
+            deviations=deviations,
+            noise_covariance=self.settings.noise_sd**2 * _overlaps(upright),
+            excess_kurtosis=UNIFORM_EXCESS_KURTOSIS * _participation(upright),
+        )
+
+    def _fold(self, bands: Sequence[FloatArray], grid: RetinaGrid) -> FloatArray:
+        settings = self.settings
+        weights = [settings.band_gain**k * band for k, band in enumerate(bands)]
+        levels = len(bands) - settings.include_residual
+        if not settings.include_residual:
+            weights.append(np.zeros((grid.side // 2**levels + 1,) * 2))
+        return LaplacianPyramid(levels, settings.kernel_a).adjoint(weights)
+
+    def literal_scores(
+        self, contrast: FloatArray, stimulus: Stimulus, rng: np.random.Generator | None = None
+    ) -> FloatArray:
+        """The four scores as the paper computes them, with noise on every neuron if `rng` is given: (4,)."""
+        activity = self.activity(contrast)
+        if rng is not None:
+            half_width = self.settings.noise_sd * math.sqrt(3.0)
+            activity = tuple(band + rng.uniform(-half_width, half_width, band.shape) for band in activity)
+        return np.array(
+            [
+                sum(inner_product(expected, band) for expected, band in zip(template, activity, strict=True))
+                for template in self.templates(stimulus)
+            ]
+        )
+
+    def respond(self, contrast: FloatArray, stimulus: Stimulus, rng: np.random.Generator) -> Orientation:
+        """One answer: the largest score, ties at random."""
+        scores = self.literal_scores(contrast, stimulus, rng)
+        return ORIENTATIONS[int(rng.choice(np.flatnonzero(scores == scores.max())))]
+
+
+def _overlaps(upright: Sequence[FloatArray]) -> FloatArray:
+    """Inner products of the four template deviations, a circulant matrix by symmetry."""
+    same, beside, opposite = (sum(inner_product(band, np.rot90(band, -k)) for band in upright) for k in range(3))
+    row = [same, beside, opposite, beside]
+    return np.array([np.roll(row, k) for k in range(4)])
+
+
+def _participation(upright: Sequence[FloatArray]) -> float:
+    """Σw⁴ / (Σw²)² of the weights of a score difference, the larger of the two kinds."""
+    largest = 0.0
+    for turns in (1, 2):
+        squares = np.concatenate([np.square(band - np.rot90(band, -turns)).ravel() for band in upright])
+        total = squares.sum()
+        if total > 0.0:
+            largest = max(largest, float(np.square(squares / total).sum()))
+    return largest

@@ -1,0 +1,115 @@
+"""The Laplacian pyramid of Burt & Adelson (1983), its inverse and its adjoint, for any size."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from todframes.errors import SettingsError
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class LaplacianPyramid:
+    """Band-pass images of halving resolution, the finest first, and the low-pass residual last.
+
+    Parameters
+    ----------
+    levels : int
+        Number of bands, >= 0.
+    kernel_a : float
+        Centre weight of the generating kernel [1/4 - a/2, 1/4, a, 1/4, 1/4 - a/2]; 0.375 is [1 4 6 4 1]/16.
+        Borders are mirrored about the outermost sample (reflect-101).
+
+    Raises
+    ------
+    SettingsError
+        If `levels` is negative or `kernel_a` is outside of [0, 1].
+
+    Burt & Adelson 1983, eqs. 1-8.
+    """
+
+    levels: int
+    kernel_a: float = 0.375
+
+    def __post_init__(self) -> None:
+        if self.levels < 0:
+            raise SettingsError(f"levels: found {self.levels}, expected a number >= 0")
+        if not 0.0 <= self.kernel_a <= 1.0:
+            raise SettingsError(f"kernel_a: found {self.kernel_a!r}, expected a number in [0, 1]")
+
+    def build(self, image: FloatArray) -> list[FloatArray]:
+        """Bands 0 ... levels - 1 and the residual of an image of any shape (rows, columns)."""
+        bands = []
+        for _ in range(self.levels):
+            reduced = self.reduce(image)
+            bands.append(image - self.expand(reduced, image.shape))
+            image = reduced
+        return [*bands, image.copy()]
+
+    def collapse(self, bands: Sequence[FloatArray]) -> FloatArray:
+        """The image whose bands and residual these are: the inverse of `build`."""
+        image = bands[-1]
+        for band in reversed(bands[:-1]):
+            image = band + self.expand(image, band.shape)
+        return np.array(image)
+
+    def adjoint(self, bands: Sequence[FloatArray]) -> FloatArray:
+        """The image Lᵀy with ⟨y, Lx⟩ = ⟨Lᵀy, x⟩ for every image x, L being `build`."""
+        image = bands[-1]
+        for band in reversed(bands[:-1]):
+            image = band + self._reduce_adjoint(image - self._expand_adjoint(band), band.shape)
+        return np.array(image)
+
+    def reduce(self, image: FloatArray) -> FloatArray:
+        """Low-pass filter and keep every second sample: (n + 1) // 2 along each axis (REDUCE)."""
+        if self.kernel_a == 0.375:
+            # The same sums at a fifth of the time: only the samples that stay are computed.
+            return np.asarray(cv2.pyrDown(image, borderType=cv2.BORDER_REFLECT_101))
+        return self._filter(image)[::2, ::2]
+
+    def expand(self, image: FloatArray, shape: tuple[int, ...]) -> FloatArray:
+        """Put samples on the even places of `shape` and interpolate the others (EXPAND)."""
+        return self._filter(_spread(image, shape), gain=2.0)
+
+    def _reduce_adjoint(self, image: FloatArray, shape: tuple[int, ...]) -> FloatArray:
+        return self._filter_adjoint(_spread(image, shape))
+
+    def _expand_adjoint(self, image: FloatArray) -> FloatArray:
+        return self._filter_adjoint(image, gain=2.0)[::2, ::2]
+
+    def _filter(self, image: FloatArray, gain: float = 1.0) -> FloatArray:
+        tail = 0.25 - self.kernel_a / 2.0
+        kernel = np.array([tail, 0.25, self.kernel_a, 0.25, tail])
+        # The gain makes up for the zeros between samples; along an axis of one sample there are none.
+        along_y, along_x = (kernel * (gain if length > 1 else 1.0) for length in image.shape)
+        # cv2.pyrUp is wrong in the last row and column of odd sizes; a plain separable filter is exact.
+        filtered = cv2.sepFilter2D(image, cv2.CV_64F, along_x, along_y, borderType=cv2.BORDER_REFLECT_101)
+        return np.asarray(filtered)
+
+    def _filter_adjoint(self, image: FloatArray, gain: float = 1.0) -> FloatArray:
+        """The mirrored filter is symmetric under weights of one half on the outermost samples.
+
+        With D those weights, D F = Fᵀ D, hence Fᵀ = D F D⁻¹.
+        """
+        return _weigh_border(self._filter(_weigh_border(image, 2.0), gain), 0.5)
+
+
+def _spread(image: FloatArray, shape: tuple[int, ...]) -> FloatArray:
+    spread = np.zeros(shape)
+    spread[::2, ::2] = image
+    return spread
+
+
+def _weigh_border(image: FloatArray, weight: float) -> FloatArray:
+    weighted = image.copy()
+    for axis in (0, 1):
+        if weighted.shape[axis] > 1:
+            lines = np.moveaxis(weighted, axis, 0)
+            lines[[0, -1]] *= weight
+    return weighted

@@ -1,0 +1,133 @@
+"""From display pixels to retina samples by exact area overlap."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from todframes.errors import SettingsError
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class RetinaGrid:
+    """A square grid of retina samples with one in its middle, the place the observer looks at.
+
+    `side` is odd; `pitch_mrad` is the visual angle from one sample to the next and the width of each.
+    """
+
+    side: int
+    pitch_mrad: float
+
+    def __post_init__(self) -> None:
+        if self.side < 1 or self.side % 2 == 0:
+            raise SettingsError(f"side: found {self.side}, expected an odd number >= 1")
+        if not (np.isfinite(self.pitch_mrad) and self.pitch_mrad > 0):
+            raise SettingsError(f"pitch_mrad: found {self.pitch_mrad!r}, expected a finite number > 0")
+
+    @property
+    def width_mrad(self) -> float:
+        """Visual angle of the whole grid, outer edge to outer edge."""
+        return self.side * self.pitch_mrad
+
+    def pixel_range(self, *, centre_px: float, pixel_pitch_mrad: float, n_pixels: int) -> tuple[int, int]:
+        """Display pixels, half-open, that the grid touches when its middle lies at `centre_px`.
+
+        Pixels outside of [0, n_pixels) do not exist and are left out; the range is empty when all are.
+        """
+        half_px = self.width_mrad / pixel_pitch_mrad / 2.0
+        first = min(max(np.floor(centre_px - half_px + 0.5), 0.0), n_pixels)
+        stop = min(max(np.ceil(centre_px + half_px + 0.5), first), n_pixels)
+        return int(first), int(stop)
+
+
+def overlap_matrix(
+    grid: RetinaGrid, *, centre_px: float, pixel_pitch_mrad: float, first_pixel: int, n_pixels: int
+) -> csr_array:
+    """Share of each retina sample's width that lies on each display pixel, along one axis.
+
+    Both grids' boundaries are merged; each piece between two neighbours lies on one pixel and in one sample,
+    so the pieces of a pixel inside the grid add up to its width, and those of a sample inside the display to
+    one.
+
+    Parameters
+    ----------
+    grid : RetinaGrid
+    centre_px : float
+        Where the middle of the grid lies, in display pixels of the whole frame.
+    pixel_pitch_mrad : float
+        Visual angle of a display pixel, > 0.
+    first_pixel, n_pixels : int
+        The columns of the matrix: pixels first_pixel ... first_pixel + n_pixels - 1 of the frame.
+
+    Returns
+    -------
+    sparse array, shape (grid.side, n_pixels)
+        Rows sum to the share of the sample that lies on these pixels.
+    """
+    from scipy.sparse import csr_array
+
+    samples_per_pixel = pixel_pitch_mrad / grid.pitch_mrad
+    # In retina samples, the outer edge of the first sample at 0.
+    pixel_edges = (first_pixel - 0.5 - centre_px + np.arange(n_pixels + 1)) * samples_per_pixel + grid.side / 2.0
+    inner = pixel_edges[(pixel_edges > 0.0) & (pixel_edges < grid.side)]
+    edges = np.sort(np.concatenate([np.arange(grid.side + 1.0), inner]))
+    length = np.diff(edges)
+    middle = (edges[1:] + edges[:-1]) / 2.0
+    sample = np.minimum(middle.astype(np.intp), grid.side - 1)
+    pixel = np.searchsorted(pixel_edges, middle) - 1
+    inside = (pixel >= 0) & (pixel < n_pixels) & (length > 0.0)
+    row_start = np.searchsorted(sample[inside], np.arange(grid.side + 1))
+    return csr_array((length[inside], pixel[inside], row_start), shape=(grid.side, n_pixels))
+
+
+def resample(
+    contrast: FloatArray,
+    grid: RetinaGrid,
+    *,
+    x_px: float,
+    y_px: float,
+    pixel_pitch_mrad: float,
+    first_row: int = 0,
+    first_column: int = 0,
+) -> FloatArray:
+    """Mean contrast over each retina sample's own area, the display taken as piecewise constant.
+
+    Parameters
+    ----------
+    contrast : ndarray, shape (rows, columns)
+        Part of a frame whose first pixel is (first_row, first_column); elsewhere the contrast is 0.
+    grid : RetinaGrid
+    x_px, y_px : float
+        Where the middle of the grid lies on the frame.
+    pixel_pitch_mrad : float
+        Visual angle of a display pixel, > 0.
+
+    Returns
+    -------
+    ndarray, shape (grid.side, grid.side)
+
+    Hogervorst et al. 2001, section 4.1.
+    """
+    rows = overlap_matrix(
+        grid,
+        centre_px=y_px,
+        pixel_pitch_mrad=pixel_pitch_mrad,
+        first_pixel=first_row,
+        n_pixels=contrast.shape[0],
+    )
+    columns = overlap_matrix(
+        grid,
+        centre_px=x_px,
+        pixel_pitch_mrad=pixel_pitch_mrad,
+        first_pixel=first_column,
+        n_pixels=contrast.shape[1],
+    )
+    return np.asarray((columns @ (rows @ contrast).T).T)
