@@ -81,7 +81,7 @@ def vertices(
     corners = np.array([[0.0, -below_apex], [half_side, height - below_apex], [-half_side, height - below_apex]])
     for _ in range(orientation.quarter_turns):
         corners = np.column_stack([-corners[:, 1], corners[:, 0]])
-    return corners + np.array([x, y])
+    return np.asarray(corners + np.array([x, y]))
 
 
 def coverage(
