@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +14,7 @@ import numpy as np
 from todframes.display import Display, LuminanceTable
 from todframes.errors import DataError, SettingsError
 from todframes.readout import Stimulus
-from todframes.settings import check_keys, from_table, read_text, read_toml
+from todframes.settings import check_keys, from_table, number, number_or_text, read_text, read_toml
 from todframes.stimulus import ORIENTATIONS, Orientation
 
 SCHEMA = 1
@@ -124,7 +123,9 @@ def _read_lut(path: Path) -> LuminanceTable:
     missing = [name for name in columns if name not in (reader.fieldnames or ())]
     if missing:
         raise DataError(f"{path}: column {missing[0]} is missing")
-    rows = [[_number(row, name, f"{path}, line {reader.line_num}") for name in columns] for row in reader]
+    rows = [
+        [number(row[name] or "", f"{path}, line {reader.line_num}: {name}") for name in columns] for row in reader
+    ]
     code, luminance = np.array(rows, dtype=np.float64).reshape(-1, 2).T
     try:
         return LuminanceTable(code, luminance)
@@ -149,11 +150,11 @@ class _Manifest:
         seen: dict[str, int] = {}
         try:
             self._check_columns(reader.fieldnames or ())
-            for number, row in enumerate(reader):
+            for row_number, row in enumerate(reader):
                 where = f"{self.path}, line {reader.line_num}"
                 name = (row.get("trial") or row.get("frame") or "").strip()
                 try:
-                    trial = self._trial(row, where, seen, reader.line_num, number=number)
+                    trial = self._trial(row, where, seen, reader.line_num, row_number)
                     if name in trials:
                         trial = _joined(trials[name], trial, where)
                     trials[name] = trial
@@ -175,7 +176,9 @@ class _Manifest:
         if ("x_px" in found) != ("y_px" in found):
             raise DataError(f"{self.path}: found one of the columns x_px and y_px, expected both or none")
 
-    def _trial(self, row: Mapping[str, Any], where: str, seen: dict[str, int], line: int, *, number: int) -> Trial:
+    def _trial(
+        self, row: Mapping[str, Any], where: str, seen: dict[str, int], line: int, row_number: int
+    ) -> Trial:
         if None in row or None in row.values():
             raise DataError(f"{where}: found more or fewer fields than the header has")
         frame = self._frame_path(row["frame"].strip(), where)
@@ -187,19 +190,26 @@ class _Manifest:
         polarity = (row.get("polarity") or "1").strip()
         if polarity not in ("1", "+1", "-1"):
             raise DataError(f"{where}: polarity: found {polarity!r}, expected 1 or -1")
-        place = [_number(row, name, where) if (row.get(name) or "").strip() else None for name in ("x_px", "y_px")]
+        place = [
+            number(row[name], f"{where}: {name}") if (row.get(name) or "").strip() else None
+            for name in ("x_px", "y_px")
+        ]
         if place.count(None) == 1:
             raise DataError(f"{where}: found one of x_px and y_px, expected both or none")
-        background = _number(row, BACKGROUND_COLUMN, where, positive=True) if self.needs_background else None
+        background = (
+            number(row[BACKGROUND_COLUMN], f"{where}: {BACKGROUND_COLUMN}", positive=True)
+            if self.needs_background
+            else None
+        )
         sha256 = (row.get("sha256") or "").strip().lower() or None
         return Trial(
-            number=number,
+            number=row_number,
             name=(row.get("trial") or "").strip() or frame,
             frames=(FrameReference(frame, sha256, background),),
             orientation=Orientation(orientation),
-            stimulus=Stimulus(_number(row, "size_mrad", where, positive=True), int(polarity)),
-            level=_number(row, self.experiment.level, where, positive=True),
-            group=tuple(_number_or_text(row[name].strip()) for name in self.experiment.group_by),
+            stimulus=Stimulus(number(row["size_mrad"], f"{where}: size_mrad", positive=True), int(polarity)),
+            level=number(row[self.experiment.level], f"{where}: {self.experiment.level}", positive=True),
+            group=tuple(number_or_text(row[name]) for name in self.experiment.group_by),
             x_px=place[0],
             y_px=place[1],
         )
@@ -218,22 +228,3 @@ def _joined(first: Trial, other: Trial, where: str) -> Trial:
         names = [name for name in Trial._fields[3:] if getattr(first, name) != getattr(other, name)]
         raise DataError(f"{where}: {names[0]} is not that of the other frames of trial {first.name!r}")
     return first._replace(frames=first.frames + other.frames)
-
-
-def _number(row: Mapping[str, str], name: str, where: str, *, positive: bool = False) -> float:
-    text = row[name].strip()
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value) or (positive and value <= 0):
-        raise DataError(f"{where}: {name}: found {text!r}, expected a finite number{' > 0' if positive else ''}")
-    return value
-
-
-def _number_or_text(text: str) -> float | str:
-    try:
-        value = float(text)
-    except ValueError:
-        return text
-    return value if math.isfinite(value) else text

@@ -31,3 +31,9 @@ class SettingsError(TodframesError, ValueError):
     """A setting, option or argument is not what it should be."""
 
     exit_status = 2
+
+
+class OutputError(TodframesError, OSError):
+    """Results cannot be written where they were asked for."""
+
+    exit_status = 2

@@ -1,8 +1,9 @@
-"""Tables of settings, from TOML or the command line, to frozen dataclasses."""
+"""What users write, as values: text files, TOML tables to frozen dataclasses, fields of CSV files."""
 
 from __future__ import annotations
 
 import difflib
+import math
 import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import MISSING, fields
@@ -106,3 +107,30 @@ def _convert(value: object, kind: Any, where: str) -> object:
     except msgspec.ValidationError as error:
         problem = str(error).split(" - at ")[0].replace("`", "")
         raise SettingsError(f"{where}: found {value!r} ({problem[0].lower()}{problem[1:]})") from None
+
+
+def number(text: str, where: str, *, positive: bool = False) -> float:
+    """A finite number from a field of a CSV file.
+
+    Raises
+    ------
+    DataError
+        If it is not one, or not above zero where it must be; `where` names file, line and column.
+    """
+    text = text.strip()
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value) or (positive and value <= 0):
+        raise DataError(f"{where}: found {text!r}, expected a finite number{' > 0' if positive else ''}")
+    return value
+
+
+def number_or_text(text: str) -> float | str:
+    """A group's value: a number if it reads as a finite one."""
+    try:
+        value = float(text)
+    except ValueError:
+        return text.strip()
+    return value if math.isfinite(value) else text.strip()

@@ -1,0 +1,123 @@
+"""Makes the sample datasets in this folder again, byte for byte: python sample_frames/make_samples.py [FOLDER]."""
+
+from __future__ import annotations
+
+import csv
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from todframes.display import Display
+from todframes.frames import frame_sha256, write_frame
+from todframes.stimulus import ORIENTATIONS, coverage
+
+REPETITIONS = 3
+
+NAKED_EYE_TOML = """\
+schema = 1
+
+[display]
+eotf = "linear"                  # EXR already in cd/m²
+white_luminance_cd_m2 = 1.0
+pixel_pitch_mm = 0.25
+viewing_distance_mm = 8000.0
+background_luminance_cd_m2 = 22.0
+
+[experiment]
+level = "contrast"
+group_by = ["size_mrad"]
+"""
+
+GRABBED_TOML = """\
+schema = 1
+
+[display]
+eotf = "srgb"
+white_luminance_cd_m2 = 120.0
+black_luminance_cd_m2 = 0.3
+pixel_pitch_mrad = 0.42
+background_luminance_cd_m2 = "border"
+
+[experiment]
+level = "contrast"
+group_by = ["size_mrad"]
+"""
+
+
+def naked_eye(folder: Path) -> None:
+    """The paper's first experiment: triangles of both polarities on 22 cd/m² at 8 m, 32-bit EXR in cd/m²."""
+    side, background = 160, 22.0
+    pitch_mrad = Display(
+        eotf="linear", background_luminance_cd_m2=background, pixel_pitch_mm=0.25, viewing_distance_mm=8000.0
+    ).pitch_mrad
+    rows = []
+    rng = np.random.default_rng(2001)
+    for size_mrad, middle in ((0.6, 0.31), (0.9, 0.17), (1.4, 0.107), (2.4, 0.07)):
+        for contrast in middle * 2.0 ** (np.arange(-3, 4) / 3.0):
+            for orientation in ORIENTATIONS:
+                for repetition in range(REPETITIONS):
+                    polarity = 1 if rng.random() < 0.5 else -1
+                    x, y = (side - 1) / 2 + rng.uniform(-0.5, 0.5, 2)
+                    triangle = coverage(
+                        (side, side), size_px=size_mrad / pitch_mrad, x_px=x, y_px=y, orientation=orientation
+                    )
+                    level = float(f"{contrast:.4g}")
+                    name = f"frames/s{size_mrad}_c{level}_{orientation}_{repetition}.exr"
+                    luminance = background * (1.0 + polarity * level * triangle)
+                    rows.append([name, orientation.value, size_mrad, level, polarity, f"{x:.6f}", f"{y:.6f}"])
+                    _write(folder / name, luminance, "float")
+    _write_manifest(folder, NAKED_EYE_TOML, ["polarity", "x_px", "y_px"], rows)
+
+
+def grabbed_8bit(folder: Path) -> None:
+    """Frames as a grabber takes them from an office display: 8-bit sRGB code values, noise, rounding."""
+    side, grey, pitch_mrad = 64, 118, 0.42
+    display = Display(
+        eotf="srgb",
+        white_luminance_cd_m2=120.0,
+        black_luminance_cd_m2=0.3,
+        pixel_pitch_mrad=pitch_mrad,
+        background_luminance_cd_m2="border",
+    )
+    steps = np.array([1, 2, 3, 4, 6, 8, 12])
+    codes = np.concatenate([[grey], grey + steps])
+    luminance = display.luminance(codes.reshape(-1, 1, 1) / 255.0).ravel()
+    contrasts = luminance[1:] / luminance[0] - 1.0
+    rows = []
+    rng = np.random.default_rng(8)
+    for size_mrad, first in ((1.5, 1), (2.5, 0), (4.0, 0), (7.0, 0)):
+        for step, contrast in list(zip(steps, contrasts, strict=True))[first : first + 6]:
+            for orientation in ORIENTATIONS:
+                for repetition in range(REPETITIONS):
+                    triangle = coverage(
+                        (side, side),
+                        size_px=size_mrad / pitch_mrad,
+                        x_px=(side - 1) / 2,
+                        y_px=(side - 1) / 2,
+                        orientation=orientation,
+                    )
+                    code = np.rint(grey + step * triangle + rng.normal(0.0, 0.4, triangle.shape))
+                    name = f"frames/s{size_mrad}_d{step}_{orientation}_{repetition}.png"
+                    rows.append([name, orientation.value, size_mrad, f"{contrast:.6g}"])
+                    _write(folder / name, np.repeat(code[..., None] / 255.0, 3, axis=2), "uint8")
+    _write_manifest(folder, GRABBED_TOML, [], rows)
+
+
+def _write(path: Path, values: np.ndarray, pixel_type: str) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_frame(path, values, pixel_type=pixel_type, attributes={"todframes:origin": "sample_frames/make_samples.py"})
+
+
+def _write_manifest(folder: Path, settings: str, columns: list[str], rows: list[list]) -> None:
+    (folder / "dataset.toml").write_text(settings, encoding="utf-8")
+    with (folder / "manifest.csv").open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(["frame", "orientation", "size_mrad", "contrast", *columns, "sha256"])
+        writer.writerows([*row, frame_sha256(folder / row[0])] for row in rows)
+
+
+if __name__ == "__main__":
+    target = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).parent
+    naked_eye(target / "naked_eye")
+    grabbed_8bit(target / "grabbed_8bit")

@@ -1,0 +1,374 @@
+"""The psychometric fit against closed forms, symmetries, brute force and simulated experiments."""
+
+from __future__ import annotations
+
+import math
+import subprocess
+import sys
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import optimize
+from scipy.special import xlogy
+
+from todframes.errors import DataError, SettingsError
+from todframes.psychometric import FitSettings, PsychometricFit, fit_counts, fit_trials, weibull, weibull_level
+
+POINT = FitSettings(resamples=0)
+LEVELS = np.geomspace(0.5, 2.0, 7)
+
+
+def generator(seed: int = 0) -> np.random.Generator:
+    return np.random.default_rng(seed)
+
+
+def counts(n_correct, n_trials=30, level=LEVELS, fit_settings=POINT) -> PsychometricFit:
+    n = np.broadcast_to(n_trials, np.shape(level))
+    return fit_counts(level, n_correct, n, settings=fit_settings, rng=generator())
+
+
+def alpha_of(threshold: float, *, beta: float, lapse_rate: float) -> float:
+    """The α that puts the raw 75 % point of a 4AFC curve at `threshold` (reference: x75, paper eq. 3)."""
+    return threshold / math.log2((1 - lapse_rate - 0.25) / (0.25 - lapse_rate)) ** (1 / beta)
+
+
+# The curve
+
+
+@pytest.mark.parametrize(("lapse_rate", "expected"), [(0.0, 0.625), (0.01, 0.62), (0.02, 0.615)])
+def test_half_of_the_span_is_reached_at_alpha(lapse_rate, expected):
+    assert weibull(0.7, alpha=0.7, beta=3.1, guess_rate=0.25, lapse_rate=lapse_rate) == pytest.approx(expected)
+
+
+def test_curve_runs_from_guess_rate_to_one_minus_lapse_rate():
+    ends = weibull([0.0, 1e300], alpha=1.0, beta=5.0, guess_rate=0.25, lapse_rate=0.02)
+    np.testing.assert_allclose(ends, [0.25, 0.98], rtol=1e-15)
+    inverse = weibull_level([0.1, 0.25, 0.98, 1.0], alpha=1.0, beta=5.0, guess_rate=0.25, lapse_rate=0.02)
+    np.testing.assert_array_equal(inverse, [0.0, 0.0, math.inf, math.inf])
+
+
+@given(
+    st.floats(1e-6, 1e6), st.floats(0.05, 50.0), st.floats(0.0, 0.5), st.floats(0.0, 0.05), st.floats(0.05, 0.95)
+)
+def test_level_is_the_inverse_of_the_curve(alpha, beta, guess_rate, lapse_rate, share):
+    curve = {"alpha": alpha, "beta": beta, "guess_rate": guess_rate, "lapse_rate": lapse_rate}
+    p_correct = guess_rate + share * (1 - lapse_rate - guess_rate)
+    # p is well conditioned in the level's exponent, so the round trip costs some ten roundings of 1.
+    assert weibull(weibull_level(p_correct, **curve), **curve) == pytest.approx(p_correct, abs=1e-12)
+
+
+# The fit
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.floats(0.6, 1.4), st.floats(0.8, 6.0), st.floats(0.0, 0.05), st.floats(0.31, 0.9), st.floats(1e-5, 1e5))
+def test_exact_probabilities_give_back_their_curve(threshold, beta, lapse_rate, p_correct, unit):
+    alpha = alpha_of(threshold, beta=beta, lapse_rate=lapse_rate)
+    level = weibull_level([0.3, 0.4, 0.5, 0.6, 0.75, 0.85, 0.94, 0.9499], alpha=alpha, beta=beta,
+                          guess_rate=0.25, lapse_rate=lapse_rate)  # fmt: skip
+    p = weibull(level, alpha=alpha, beta=beta, guess_rate=0.25, lapse_rate=lapse_rate)
+    fit = fit_trials(level * unit, p, settings=replace(POINT, p_correct=p_correct), rng=generator())
+    expected = weibull_level(p_correct, alpha=alpha, beta=beta, guess_rate=0.25, lapse_rate=lapse_rate)
+    assert fit.status == "ok"
+    assert fit.threshold == pytest.approx(unit * expected, rel=1e-6)
+    assert fit.alpha == pytest.approx(unit * alpha, rel=1e-6)
+    assert fit.beta == pytest.approx(beta, rel=1e-6)
+    assert fit.delta == pytest.approx(lapse_rate, abs=1e-6)
+
+
+def test_fixed_lapse_rate_is_kept():
+    p = weibull(LEVELS, alpha=0.9, beta=2.0, guess_rate=0.25, lapse_rate=0.08)
+    fit = fit_trials(LEVELS, p, settings=replace(POINT, lapse_rate=0.08), rng=generator())
+    assert fit.delta == 0.08
+    assert (fit.alpha, fit.beta) == pytest.approx((0.9, 2.0), rel=1e-6)
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.lists(st.integers(0, 30), min_size=7, max_size=7), st.floats(1e-8, 1e8))
+def test_threshold_scales_with_the_levels(n_correct, factor):
+    fit = counts(n_correct)
+    scaled = counts(n_correct, level=LEVELS * factor)
+    assert scaled.status == fit.status
+    if fit.threshold is not None:
+        assert scaled.threshold == pytest.approx(factor * fit.threshold, rel=1e-9)
+
+
+def test_order_and_split_of_the_trials_do_not_matter():
+    fit = counts([8, 12, 13, 18, 24, 28, 30], fit_settings=FitSettings(resamples=200))
+    level, right = np.repeat(LEVELS, 2)[::-1], [20, 10, 19, 9, 18, 6, 12, 6, 10, 3, 6, 6, 8, 0]
+    split = fit_counts(level, right, np.tile([20, 10], 7), settings=FitSettings(resamples=200), rng=generator())
+    assert split == fit
+    answers = np.concatenate([np.arange(30) < k for k in (8, 12, 13, 18, 24, 28, 30)])
+    shuffle = generator(3).permutation(answers.size)
+    trials = fit_trials(
+        np.repeat(LEVELS, 30)[shuffle], answers[shuffle], settings=FitSettings(resamples=200), rng=generator()
+    )
+    assert trials == fit
+
+
+def loglik(parameters, level, n_correct, n_trials) -> float:
+    ln_alpha, ln_beta, lapse_rate = parameters
+    p = weibull(level, alpha=math.exp(ln_alpha), beta=math.exp(ln_beta), guess_rate=0.25, lapse_rate=lapse_rate)
+    return float(np.sum(xlogy(n_correct, p) + xlogy(n_trials - n_correct, 1 - np.minimum(p, 1 - 1e-16))))
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_no_curve_of_a_brute_force_search_is_more_likely(seed):
+    rng = generator(seed)
+    level = np.sort(rng.uniform(0.2, 3.0, rng.integers(3, 9)))
+    n_trials = rng.integers(1, 40, level.size)
+    p = weibull(level, alpha=1.0, beta=rng.uniform(0.7, 8.0), guess_rate=0.25, lapse_rate=rng.choice([0, 0.05]))
+    n_correct = rng.binomial(n_trials, p)
+    fit = counts(n_correct, n_trials, level)
+    if fit.alpha is None:
+        pytest.skip("flat: no curve to compare")
+    bounds = [(math.log(0.05), math.log(12.0)), (math.log(0.01), math.log(1000.0)), (0.0, 0.05)]
+    grid = [np.linspace(low, high, k) for (low, high), k in zip(bounds, (40, 25, 4), strict=True)]
+    starts = np.stack(np.meshgrid(*grid), axis=-1).reshape(-1, 3)
+    scores = [loglik(start, level, n_correct, n_trials) for start in starts]
+    searches = [
+        optimize.minimize(lambda q: -loglik(q, level, n_correct, n_trials), starts[k], method="Nelder-Mead",
+                          bounds=bounds, options={"xatol": 1e-7, "fatol": 1e-9})
+        for k in np.argsort(scores)[-3:]
+    ]  # fmt: skip
+    reached = loglik((math.log(fit.alpha), math.log(fit.beta), fit.delta), level, n_correct, n_trials)
+    # fatol is 1e-9; a likelihood that rises for ever with the slope is followed to within 1e-6 of its limit.
+    assert reached >= max(-search.fun for search in searches) - 1e-6
+
+
+# Extremes
+
+
+@pytest.mark.parametrize(
+    ("n_correct", "status"),
+    [
+        ([30] * 7, "always_exceeded"),
+        ([29, 30, 30, 30, 30, 30, 30], "always_exceeded"),
+        ([0] * 7, "never_reached"),
+        ([8, 7, 8, 7, 8, 7, 8], "never_reached"),
+        ([8, 7, 8, 7, 8, 7, 9], "never_reached"),
+        ([20] * 7, "never_reached"),
+        ([24] * 7, "always_exceeded"),
+        ([20, 18, 16, 14, 12, 10, 8], "never_reached"),
+        ([30, 29, 28, 27, 26, 25, 24], "always_exceeded"),
+        ([7, 8, 9, 10, 13, 16, 20], "extrapolated"),
+        ([25, 27, 28, 29, 30, 30, 30], "extrapolated"),
+        ([8, 9, 12, 20, 25, 29, 30], "ok"),
+        ([8, 14, 9, 20, 18, 29, 27], "ok"),
+    ],
+)
+def test_status(n_correct, status):
+    fit = counts(n_correct, fit_settings=FitSettings(resamples=100))
+    assert fit.status == status
+    assert (fit.threshold is None) == (fit.threshold_ci95 is None) == (status not in ("ok", "extrapolated"))
+    if status == "extrapolated":
+        assert not LEVELS[0] <= fit.threshold <= LEVELS[-1]
+        assert LEVELS[0] / 2 <= fit.threshold <= LEVELS[-1] * 2
+
+
+def test_criterion_above_the_lapse_ceiling_is_never_reached():
+    p = weibull(LEVELS, alpha=0.8, beta=4.0, guess_rate=0.25, lapse_rate=0.04)
+    fit = fit_trials(LEVELS, p, settings=replace(POINT, p_correct=0.97), rng=generator())
+    assert (fit.status, fit.threshold) == ("never_reached", None)
+    assert fit.delta == pytest.approx(0.04, abs=1e-6)
+
+
+def test_one_level_is_too_few():
+    fit = counts([10, 20], level=[1.0, 1.0])
+    assert fit.status == "too_few_levels"
+    assert (fit.threshold, fit.threshold_ci95, fit.alpha, fit.beta, fit.delta) == (None,) * 5
+    assert [(point.level, point.n_trials, point.p_correct) for point in fit.points] == [(1.0, 60, 0.5)]
+
+
+def test_perfect_separation_leaves_the_threshold_anywhere_in_the_gap():
+    fit = counts([8, 7, 7, 30, 30, 30, 30], fit_settings=FitSettings())
+    # By symmetry the middle of the gap in ln level; β = 1000 moves the 75 % point off α by ln(log2 3)/1000.
+    assert fit.threshold == pytest.approx(math.sqrt(LEVELS[2] * LEVELS[3]), rel=0.02)
+    low, high = fit.threshold_ci95
+    assert low <= LEVELS[2] * (1 + 1e-12)
+    assert high >= LEVELS[3] * (1 - 1e-12)
+
+
+@pytest.mark.parametrize("beta", [1e-2, 0.1, 1.0, 10.0, 100.0, 1000.0])
+def test_slopes_from_nearly_flat_to_a_step(beta):
+    level = np.concatenate([np.geomspace(1e-6, 1e6, 13), weibull_level([0.4, 0.6, 0.9], alpha=3.0, beta=beta,
+                            guess_rate=0.25, lapse_rate=0.0)])  # fmt: skip
+    p = weibull(level, alpha=3.0, beta=beta, guess_rate=0.25, lapse_rate=0.0)
+    fit = fit_trials(level, p, settings=replace(POINT, p_correct=0.7), rng=generator())
+    expected = weibull_level(0.7, alpha=3.0, beta=beta, guess_rate=0.25, lapse_rate=0.0)
+    assert fit.status == "ok"
+    # p is known to 1e-16 and the fit stops within 1e-20 of the likelihood's top: ln p to 1e-9, ln x to 1e-9/β.
+    assert fit.threshold == pytest.approx(expected, rel=1e-6 / min(beta, 1.0))
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.data())
+def test_any_answers_give_a_threshold_or_a_reason(data):
+    level = data.draw(st.lists(st.floats(1e-6, 1e6), min_size=1, max_size=8))
+    n_trials = [data.draw(st.sampled_from([1, 2, 30, 10**6])) for _ in level]
+    n_correct = [data.draw(st.integers(0, n)) for n in n_trials]
+    lapse_rate = data.draw(st.sampled_from([None, 0.0, 0.02]))
+    chosen = FitSettings(resamples=40, lapse_rate=lapse_rate, guess_rate=data.draw(st.sampled_from([0.0, 0.25])))
+    for fit in (
+        fit_counts(level, n_correct, n_trials, settings=chosen, rng=generator()),
+        fit_trials(level, np.array(n_correct) / n_trials, settings=chosen, rng=generator()),
+    ):
+        numbers = [fit.threshold, fit.alpha, fit.beta, fit.delta, *(fit.threshold_ci95 or ())]
+        assert all(math.isfinite(number) for number in numbers if number is not None)
+        assert (fit.threshold is not None) == (fit.status in ("ok", "extrapolated"))
+        if fit.threshold is not None:
+            low, high = fit.threshold_ci95
+            assert (low is None or low <= fit.threshold * (1 + 1e-12)) and (
+                high is None or high >= fit.threshold * (1 - 1e-12)
+            )
+
+
+def test_a_million_trials_a_level_are_not_expanded():
+    n_correct = np.array([250_000, 262_000, 331_000, 520_000, 760_000, 930_000, 990_000])
+    started = time.perf_counter()
+    fit = counts(n_correct, 10**6, fit_settings=FitSettings())
+    # 2000 × 7 million answers would take minutes and 14 GB.
+    assert time.perf_counter() - started < 5
+    assert fit.n_trials == 7_000_000
+    small = counts(n_correct // 10_000, 100, fit_settings=FitSettings())
+    widths = [math.log(high / low) for low, high in (fit.threshold_ci95, small.threshold_ci95)]
+    # Widths fall as 1/√n, here by 100; the bound of δ and the rounding of the counts may change them by 30 %.
+    assert widths[1] / widths[0] == pytest.approx(100, rel=0.3)
+
+
+# The interval
+
+
+def covered(fit: PsychometricFit, truth: float) -> bool:
+    low, high = fit.threshold_ci95
+    return (low is None or low <= truth) and (high is None or truth <= high)
+
+
+# Of 300 intervals that hold the truth with probability 0.95, the share that does has an SD of √(.95·.05/300) = 1.26 %:
+# 92 to 98 % is 2.4 SD either way. The seeds are fixed, so the tests do not flicker.
+
+
+@pytest.mark.parametrize(
+    ("beta", "lapse_rate", "level"),
+    [
+        (1.5, 0.0, np.geomspace(0.4, 2.0, 7)),
+        (2.0, 0.02, np.geomspace(0.5, 2.0, 7)),
+        (3.0, 0.0, np.geomspace(0.6, 1.6, 7)),
+        (4.0, 0.02, np.linspace(0.4, 1.6, 7)),
+    ],
+)
+def test_interval_of_answers_holds_the_threshold_as_often_as_stated(beta, lapse_rate, level):
+    alpha = alpha_of(1.0, beta=beta, lapse_rate=lapse_rate)
+    p = weibull(level, alpha=alpha, beta=beta, guess_rate=0.25, lapse_rate=lapse_rate)
+    rng = generator(17)
+    fits = [
+        fit_counts(level, rng.binomial(30, p), [30] * 7, settings=FitSettings(resamples=400), rng=rng)
+        for _ in range(300)
+    ]
+    assert all(fit.status == "ok" for fit in fits)
+    assert 0.92 <= np.mean([covered(fit, 1.0) for fit in fits]) <= 0.98
+
+
+@pytest.mark.parametrize("n_trials", [1, 30])
+def test_interval_of_probabilities_holds_the_threshold_as_often_as_stated(n_trials):
+    level = np.repeat(np.geomspace(0.5, 2.0, 7 if n_trials > 1 else 40), n_trials)
+    alpha = alpha_of(1.0, beta=2.0, lapse_rate=0.0)
+    p = weibull(level, alpha=alpha, beta=2.0, guess_rate=0.25, lapse_rate=0.0)
+    rng = generator(5)
+    fits = [
+        fit_trials(level, rng.beta(20 * p, 20 * (1 - p)), settings=FitSettings(resamples=300), rng=rng)
+        for _ in range(300)
+    ]
+    assert 0.92 <= np.mean([covered(fit, 1.0) for fit in fits]) <= 0.98
+
+
+def test_interval_of_probabilities_shows_their_spread_only():
+    p = weibull(LEVELS, alpha=0.9, beta=2.0, guess_rate=0.25, lapse_rate=0.0)
+    level = np.repeat(LEVELS, 10)
+    alike = fit_trials(level, np.repeat(p, 10), rng=generator())
+    assert alike.threshold_ci95 == pytest.approx((alike.threshold,) * 2, rel=1e-6)
+    spread = generator(1).choice([-0.02, 0.02], level.size)
+    some = fit_trials(level, np.repeat(p, 10) + spread * (1 - np.repeat(p, 10)), rng=generator())
+    answers = fit_trials(level, generator(2).random(level.size) < np.repeat(p, 10), rng=generator())
+    widths = [math.log(fit.threshold_ci95[1] / fit.threshold_ci95[0]) for fit in (some, answers)]
+    assert 0 < widths[0] < widths[1] / 5
+
+
+def test_a_bound_the_data_do_not_give_is_none():
+    fit = counts([7, 8, 9, 9, 12, 14, 24], 30, fit_settings=FitSettings())
+    assert fit.status == "ok"
+    assert fit.threshold_ci95[0] is not None
+    fit = counts([1, 0, 1], 1, level=[1.0, 2.0, 3.0], fit_settings=FitSettings())
+    assert fit.threshold_ci95 is None or None in fit.threshold_ci95
+
+
+def test_interval_is_random_through_its_generator_only():
+    fits = [
+        fit_counts(LEVELS, [8, 12, 13, 18, 24, 28, 30], [30] * 7, settings=FitSettings(resamples=99), rng=generator(seed))
+        for seed in (1, 1, 2)
+    ]  # fmt: skip
+    assert fits[0] == fits[1]
+    assert fits[0].threshold == fits[2].threshold
+    assert fits[0].threshold_ci95 != fits[2].threshold_ci95
+    assert counts([8, 12, 13, 18, 24, 28, 30]).threshold_ci95 is None
+
+
+# Bad input
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"guess_rate": 1.0}, r"guess_rate: found 1.0, expected 0 <= guess_rate < 1"),
+        ({"guess_rate": math.nan}, r"guess_rate: found nan"),
+        ({"guess_rate": "a"}, r"guess_rate: found 'a', expected a number"),
+        ({"lapse_rate": 0.75}, r"lapse_rate: found 0.75, expected 0 to below 1 - guess_rate = 0.75"),
+        ({"lapse_rate_max": -0.1}, r"lapse_rate_max: found -0.1"),
+        ({"p_correct": 0.25}, r"p_correct: found 0.25, expected strictly between guess_rate = 0.25"),
+        ({"p_correct": 0.98, "lapse_rate": 0.02}, r"p_correct: found 0.98, expected .* 1 - lapse_rate = 0.98"),
+        ({"resamples": 10}, r"resamples: found 10, expected 0 \(no interval\) or at least 40"),
+        ({"resamples": 100.0}, r"resamples: found 100.0, expected a whole number"),
+        ({"resamples": True}, r"resamples: found True, expected a whole number"),
+    ],
+)
+def test_settings_are_checked_when_made(changes, message):
+    with pytest.raises(SettingsError, match=message):
+        FitSettings(**changes)
+
+
+@pytest.mark.parametrize(
+    ("level", "n_correct", "n_trials", "message"),
+    [
+        ([0.0, 1.0], [1, 1], [2, 2], r"level, element 0: found 0, expected a finite number > 0"),
+        ([1.0, math.inf], [1, 1], [2, 2], r"level, element 1: found inf"),
+        ([1.0, 2.0], [1.5, 1], [2, 2], r"n_correct, element 0: found 1.5, expected a whole number >= 0"),
+        ([1.0, 2.0], [1, -1], [2, 2], r"n_correct, element 1: found -1, expected a whole number >= 0"),
+        ([1.0, 2.0], [1, 3], [2, 2], r"n_correct, element 1: found 3, expected at most n_trials"),
+        ([1.0, 2.0], [0, 0], [2, 0], r"n_trials, element 1: found 0, expected a whole number >= 1"),
+        ([1.0, 2.0], [0, 0], [2, math.nan], r"n_trials, element 1: found nan"),
+        ([1.0, 2.0], [0], [2, 2], r"found shapes level \(2,\) and n_correct \(1,\)"),
+        ([], [], [], r"expected one element each per row, and at least one row"),
+    ],
+)
+def test_counts_are_checked(level, n_correct, n_trials, message):
+    with pytest.raises(DataError, match=message):
+        fit_counts(level, n_correct, n_trials, rng=generator())
+
+
+@pytest.mark.parametrize(("p", "message"), [(1.1, r"element 1: found 1.1, expected a number in \[0, 1\]"),
+                                            (math.nan, r"p_correct, element 1: found nan")])  # fmt: skip
+def test_trials_are_checked(p, message):
+    with pytest.raises(DataError, match=message):
+        fit_trials([1.0, 2.0], [0.5, p], rng=generator())
+
+
+def test_import_does_not_load_the_slow_parts_of_scipy():
+    program = (
+        "import sys, todframes.psychometric; print(sorted({'scipy.optimize', 'scipy.stats'} & set(sys.modules)))"
+    )
+    loaded = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True).stdout
+    assert loaded.strip() == "[]"

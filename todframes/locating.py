@@ -1,0 +1,227 @@
+"""Where the triangle is, when nobody wrote it down: a position common to all frames of a group."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from todframes.dataset import Dataset, Trial
+from todframes.errors import DataError, FrameError
+from todframes.frames import FrameFile
+from todframes.readout import Stimulus
+from todframes.stimulus import ORIENTATIONS, Orientation, coverage
+from todframes.viewing import read_contrast
+
+FloatArray = NDArray[np.float64]
+Group = tuple[float | str, ...]
+
+LEAST_PEAK = 6.0
+"""Height a peak of the correlation must have over its surroundings, in their standard deviations."""
+
+
+class Location(NamedTuple):
+    """Where the centroids of a group's triangles were found, and the standard error along either axis."""
+
+    group: Group
+    x_px: float
+    y_px: float
+    standard_error_px: float
+
+
+class _Mean:
+    """Mean of images of one shape, added one by one."""
+
+    def __init__(self, image: FloatArray) -> None:
+        self.total = image.copy()
+        self.count = 1
+
+    def add(self, image: FloatArray) -> None:
+        self.total += image
+        self.count += 1
+
+
+def locate_triangles(
+    dataset: Dataset, *, skip_bad_frames: bool = False, progress: Callable[[int], None] | None = None
+) -> tuple[Dataset, tuple[Location, ...]]:
+    """Find the position that the frames of each group have in common, for trials that have none.
+
+    Frames are averaged by orientation. What all orientations share (bezel, overlay, shading, fixed pattern) is
+    the mean of these averages and is taken off; what is left is correlated with the differences of the
+    triangles, first on whole pixels, then with exact coverage between them.
+
+    Returns
+    -------
+    Dataset
+        The same with `x_px` and `y_px` set where they were missing.
+    tuple of Location
+        One for each group with such trials.
+
+    Raises
+    ------
+    DataError
+        If no triangle stands out, or the frames of a group differ in size.
+    FrameError
+        If a frame cannot be read, unless bad ones are to be skipped (scoring lists them).
+    """
+    groups: dict[Group, list[Trial]] = {}
+    for trial in dataset.trials:
+        if trial.x_px is None:
+            groups.setdefault(trial.group, []).append(trial)
+    locations = {}
+    for group, trials in groups.items():
+        means = _means(dataset, trials, skip_bad_frames, progress)
+        if means:
+            locations[group] = _locate(dataset, group, means)
+    trials = tuple(
+        trial._replace(x_px=locations[trial.group].x_px, y_px=locations[trial.group].y_px)
+        if trial.x_px is None and trial.group in locations
+        else trial
+        for trial in dataset.trials
+    )
+    return Dataset(dataset.path, dataset.display, dataset.experiment, trials, dataset.bad_rows), tuple(
+        locations.values()
+    )
+
+
+Means = dict[Stimulus, dict[Orientation, FloatArray]]
+
+
+def _means(
+    dataset: Dataset, trials: Iterable[Trial], skip_bad_frames: bool, progress: Callable[[int], None] | None
+) -> Means:
+    """Mean contrast of each stimulus and orientation."""
+    sums: dict[tuple[Stimulus, Orientation], _Mean] = {}
+    shape: tuple[int, ...] | None = None
+    for trial in trials:
+        for frame in trial.frames:
+            path = dataset.frame_path(frame)
+            try:
+                with FrameFile(path) as file:
+                    patch = read_contrast(file, dataset.display, frame)
+                    header = file.header
+            except FrameError:
+                if skip_bad_frames:
+                    continue
+                raise
+            if (patch.row, patch.column, *patch.contrast.shape) != (0, 0, header.height, header.width):
+                raise FrameError(path, "has no pixels in part of the frame; its triangle cannot be located")
+            if shape not in (None, patch.contrast.shape):
+                raise FrameError(
+                    path, f"found {patch.contrast.shape} pixels, expected {shape} as in the group's other frames"
+                )
+            shape = patch.contrast.shape
+            key = (trial.stimulus, trial.orientation)
+            if key in sums:
+                sums[key].add(patch.contrast)
+            else:
+                sums[key] = _Mean(patch.contrast)
+        if progress is not None:
+            progress(1)
+    means: Means = {}
+    for (stimulus, orientation), mean in sums.items():
+        means.setdefault(stimulus, {})[orientation] = mean.total / mean.count
+    return means
+
+
+class _Matcher:
+    """Correlation of orientation differences in the frames with those of triangles at any place."""
+
+    def __init__(self, means: Means, pixel_pitch_mrad: float) -> None:
+        self.means = {stimulus: _less_common(images) for stimulus, images in means.items()}
+        self.pitch = pixel_pitch_mrad
+        self.shape = next(iter(next(iter(means.values())).values())).shape
+        self.largest_px = max(stimulus.size_mrad for stimulus in means) / pixel_pitch_mrad
+
+    def templates(self, stimulus: Stimulus, x: float, y: float, shape: tuple[int, int]) -> FloatArray:
+        """Triangle differences of unit energy, shape (orientation, rows, columns)."""
+        size_px = stimulus.size_mrad / self.pitch
+        triangles = {
+            orientation: stimulus.polarity
+            * coverage(shape, size_px=size_px, x_px=x, y_px=y, orientation=orientation)
+            for orientation in self.means[stimulus]
+        }
+        stack = np.array(list(_less_common(triangles).values()))
+        return np.asarray(stack / np.sqrt(np.square(stack).sum()))
+
+    def on_whole_pixels(self) -> FloatArray:
+        """Correlation with the centroid on each pixel, shape of a frame; wraps around at its edges."""
+        total = np.zeros(self.shape)
+        for stimulus, images in self.means.items():
+            templates = self.templates(stimulus, self.shape[1] // 2, self.shape[0] // 2, self.shape)
+            for image, template in zip(images.values(), templates, strict=True):
+                spectrum = np.fft.rfft2(image) * np.conj(np.fft.rfft2(template))
+                total += np.fft.fftshift(np.fft.irfft2(spectrum, self.shape))
+        return total
+
+    def at(self, x: float, y: float) -> float:
+        """Correlation with the centroid at (x, y), by exact coverage."""
+        return sum(float(np.einsum("oij,oij->", images, templates)) for images, templates in self._around(x, y))
+
+    def standard_error_px(self, x: float, y: float) -> float:
+        """Of x or y, from what the best triangle leaves unexplained around it, taken as white noise."""
+        step = 0.25
+        unexplained, steepness, n_pixels = 0.0, 0.0, 0
+        for (images, best), (_, left), (_, right) in zip(
+            self._around(x, y), self._around(x - step, y, x, y), self._around(x + step, y, x, y), strict=True
+        ):
+            amplitude = float(np.einsum("oij,oij->", images, best))
+            unexplained += float(np.square(images - amplitude * best).sum())
+            n_pixels += images.size - images[0].size
+            steepness += float(np.square(amplitude * (right - left) / (2.0 * step)).sum())
+        return float(np.sqrt(unexplained / max(n_pixels, 1) / steepness)) if steepness > 0 else np.inf
+
+    def _around(
+        self, x: float, y: float, window_x: float | None = None, window_y: float | None = None
+    ) -> Iterable[tuple[FloatArray, FloatArray]]:
+        """Frames and templates in a window about a place, for each stimulus."""
+        reach = int(np.ceil(self.largest_px)) + 2
+        middle_x = round(x if window_x is None else window_x)
+        middle_y = round(y if window_y is None else window_y)
+        rows = slice(max(middle_y - reach, 0), middle_y + reach + 1)
+        columns = slice(max(middle_x - reach, 0), middle_x + reach + 1)
+        for stimulus, images in self.means.items():
+            part = np.array([image[rows, columns] for image in images.values()])
+            yield part, self.templates(stimulus, x - columns.start, y - rows.start, part.shape[1:])
+
+
+def _less_common(images: dict[Orientation, FloatArray]) -> dict[Orientation, FloatArray]:
+    """Each image less the mean of all; a single orientation only loses its mean level."""
+    common = np.mean(list(images.values()), axis=0) if len(images) > 1 else next(iter(images.values())).mean()
+    return {orientation: images[orientation] - common for orientation in ORIENTATIONS if orientation in images}
+
+
+def _locate(dataset: Dataset, group: Group, means: Means) -> Location:
+    from scipy.optimize import minimize
+
+    matcher = _Matcher(means, dataset.display.pitch_mrad)
+    correlation = matcher.on_whole_pixels()
+    rows, columns = matcher.shape
+    # The centroid is nowhere nearer to an edge than a third of the height, 0.439 sizes.
+    edge = int(np.ceil(0.4386 * matcher.largest_px - 0.5))
+    if 2 * edge >= min(rows, columns):
+        raise DataError(f"{dataset.path}: frames of {columns} × {rows} pixels are smaller than the triangle")
+    inside = correlation[edge : rows - edge, edge : columns - edge]
+    row, column = np.unravel_index(inside.argmax(), inside.shape)
+    spread = 1.4826 * float(np.median(np.abs(inside - np.median(inside))))
+    name = ", ".join(f"{key} {value}" for key, value in zip(dataset.experiment.group_by, group, strict=True))
+    if inside.max() <= 0.0 or inside.max() - np.median(inside) < LEAST_PEAK * spread:
+        raise DataError(
+            f"{dataset.path}: no triangle stands out in the frames of {name or 'the dataset'}; "
+            "expected x_px and y_px in the manifest"
+        )
+    start = np.array([column + edge, row + edge], dtype=np.float64)
+    found = minimize(
+        lambda place: -matcher.at(place[0], place[1]),
+        start,
+        method="Nelder-Mead",
+        options={
+            "initial_simplex": start + np.array([[0, 0], [0.5, 0], [0, 0.5]]),
+            "xatol": 1e-4,
+            "fatol": np.inf,
+        },
+    )
+    x, y = (float(value) for value in found.x)
+    return Location(group, x, y, matcher.standard_error_px(x, y))

@@ -1,0 +1,163 @@
+"""Thresholds of the naked eye: the triangle itself on the retina, with no display and no frames between.
+
+Hogervorst et al. 2001, section 7.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from functools import lru_cache
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from todframes.decision import answer_probabilities
+from todframes.errors import SettingsError
+from todframes.readout import Observer, Readout, Stimulus
+from todframes.stimulus import ORIENTATIONS, coverage
+
+FloatArray = NDArray[np.float64]
+
+NODES, CHECK_NODES = 8, 6
+"""Gauss–Legendre displacements along each axis: for the result, and for the estimate of its error."""
+CONTRAST_RANGE = (1e-12, 1e12)
+SIZE_RANGE_SAMPLES = (1e-2, 1e3)
+
+
+class Threshold(NamedTuple):
+    """A threshold, or why there is none.
+
+    `threshold` is in the unit of what was varied; `numerical_error` is how much it moved when the position was
+    averaged over fewer displacements.
+    """
+
+    status: Literal["ok", "never_reached", "always_exceeded"]
+    threshold: float | None
+    numerical_error: float | None
+
+
+def proportion_correct(observer: Observer, *, size_mrad: float, contrast: float, nodes: int = NODES) -> float:
+    """P(correct) for a triangle seen directly, averaged over orientation and displacement.
+
+    Parameters
+    ----------
+    observer : Observer
+        A linear one.
+    size_mrad, contrast : float
+        √(area), > 0, and Weber contrast, > 0.
+    nodes : int
+        Gauss–Legendre displacements along each axis.
+
+    Raises
+    ------
+    SettingsError
+        If the observer is not linear, or a value is out of range.
+    """
+    readout, deviations, weights = _responses(observer, size_mrad, nodes)
+    return _proportion_correct(contrast, readout, deviations, weights)
+
+
+def contrast_threshold(observer: Observer, *, size_mrad: float, p_correct: float = 0.75) -> Threshold:
+    """The Weber contrast at which a triangle of a size is answered right with probability `p_correct`.
+
+    Raises
+    ------
+    SettingsError
+        If the observer is not linear, or a value is out of range.
+    """
+
+    def threshold(nodes: int) -> Threshold:
+        response = _responses(observer, size_mrad, nodes)
+        return _crossing(lambda contrast: _proportion_correct(contrast, *response), p_correct, CONTRAST_RANGE, 1.0)
+
+    return _with_error(threshold)
+
+
+def acuity(observer: Observer, *, contrast: float = 1.0, p_correct: float = 0.75) -> Threshold:
+    """The size in mrad at which a triangle of a contrast is answered right with probability `p_correct`.
+
+    Raises
+    ------
+    SettingsError
+        If the observer is not linear, or a value is out of range.
+    """
+    pitch = observer.grid(Stimulus(1.0)).pitch_mrad
+    sizes = (SIZE_RANGE_SAMPLES[0] * pitch, SIZE_RANGE_SAMPLES[1] * pitch)
+
+    def threshold(nodes: int) -> Threshold:
+        return _crossing(
+            lambda size: proportion_correct(observer, size_mrad=size, contrast=contrast, nodes=nodes),
+            p_correct,
+            sizes,
+            4.0 * pitch,
+        )
+
+    return _with_error(threshold)
+
+
+def _with_error(threshold: Callable[[int], Threshold]) -> Threshold:
+    result, check = threshold(NODES), threshold(CHECK_NODES)
+    if result.threshold is None or check.threshold is None:
+        return result
+    return result._replace(numerical_error=abs(result.threshold - check.threshold))
+
+
+def _responses(observer: Observer, size_mrad: float, nodes: int) -> tuple[Readout, FloatArray, FloatArray]:
+    """Readout, score deviations at contrast 1, shape (orientation, node, 4), and the nodes' weights."""
+    if not (math.isfinite(size_mrad) and size_mrad > 0):
+        raise SettingsError(f"size_mrad: found {size_mrad!r}, expected a finite number > 0")
+    readout = observer.readout(Stimulus(size_mrad))
+    if readout is None:
+        raise SettingsError("observer: it is not linear; its naked-eye threshold cannot be computed")
+    side, pitch = readout.grid.side, readout.grid.pitch_mrad
+    jitter = observer.position_jitter_samples
+    places, weights = np.polynomial.legendre.leggauss(nodes if jitter > 0 else 1)
+    deviations = [
+        [
+            readout.score_deviations(
+                np.ascontiguousarray(
+                    coverage(
+                        (side, side),
+                        size_px=size_mrad / pitch,
+                        x_px=side // 2 + jitter * dx,
+                        y_px=side // 2 + jitter * dy,
+                        orientation=orientation,
+                        centre=observer.centre,
+                    )
+                )
+            )
+            for dy in places
+            for dx in places
+        ]
+        for orientation in ORIENTATIONS
+    ]
+    return readout, np.array(deviations), np.outer(weights, weights).ravel() / 4.0
+
+
+def _proportion_correct(contrast: float, readout: Readout, deviations: FloatArray, weights: FloatArray) -> float:
+    if not (math.isfinite(contrast) and contrast > 0):
+        raise SettingsError(f"contrast: found {contrast!r}, expected a finite number > 0")
+    answers = answer_probabilities(contrast * deviations, readout.noise_covariance)
+    correct = np.stack([answers[k, :, k] for k in range(4)])
+    return float((correct @ weights).mean())
+
+
+def _crossing(
+    proportion: Callable[[float], float], p_correct: float, bounds: tuple[float, float], start: float
+) -> Threshold:
+    """Where a rising curve passes `p_correct`, searched on a logarithmic scale outwards from `start`."""
+    from scipy.optimize import brentq
+
+    excess = lru_cache(maxsize=None)(lambda log_x: proportion(math.exp(log_x)) - p_correct)
+    low = high = math.log(start)
+    while excess(low) > 0:
+        high, low = low, low - math.log(4.0)
+        if low < math.log(bounds[0]):
+            return Threshold("always_exceeded", None, None)
+    while excess(high) <= 0:
+        low, high = high, high + math.log(4.0)
+        if high > math.log(bounds[1]):
+            return Threshold("never_reached", None, None)
+    return Threshold("ok", math.exp(brentq(excess, low, high, xtol=1e-7, rtol=1e-7)), 0.0)

@@ -1,0 +1,256 @@
+"""Dataset × observer → scored trials → one psychometric fit a group: a TOD curve."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from todframes.dataset import Dataset, Skipped, Trial
+from todframes.decision import answer_probabilities
+from todframes.errors import DataError, FrameError, SettingsError
+from todframes.psychometric import FitSettings, PsychometricFit, fit_trials
+from todframes.readout import Observer, Stimulus
+from todframes.viewing import view_trial
+
+FloatArray = NDArray[np.float64]
+Decisions = Literal["expected", "sampled"]
+
+TRIALS_PER_TASK = 16
+NO_ANSWER = -1
+# First element of the spawn keys of random streams, so that no trial shares one with a fit.
+TRIAL_STREAMS, FIT_STREAMS = 0, 1
+
+
+@dataclass(frozen=True, slots=True)
+class GroupFit:
+    """The psychometric fit of the trials that share the values of the `group_by` columns.
+
+    `non_gaussian_bound` bounds the error in P(correct) from taking the summed internal noise as Gaussian; 0 where
+    answers were drawn with noise on every neuron.
+    """
+
+    group: tuple[float | str, ...]
+    fit: PsychometricFit
+    non_gaussian_bound: float
+
+
+@dataclass(frozen=True, slots=True)
+class ScoredDataset:
+    """Scores of every trial that could be read, and the fits.
+
+    Attributes
+    ----------
+    trials : tuple of Trial
+        In the order of the manifest, as are the rows of the arrays.
+    displacement_samples : ndarray, shape (n, 2)
+        Of the retina grid along x and y, in retina samples.
+    scores, probabilities : ndarray, shape (n, 4)
+        Noise-free inner products with the templates and the probability of each answer, in the order of
+        `ORIENTATIONS`; NaN where the observer is not linear.
+    answers : ndarray of int, shape (n,)
+        Answer drawn, or the most probable one; an index into `ORIENTATIONS`.
+    p_correct : ndarray, shape (n,)
+        Probability of the correct answer; 1 or 0 where an answer was drawn.
+    fits : tuple of GroupFit
+    skipped : tuple of Skipped
+    n_negative : int
+        Display pixels with a luminance below zero, among those read.
+    """
+
+    trials: tuple[Trial, ...]
+    displacement_samples: FloatArray
+    scores: FloatArray
+    probabilities: FloatArray
+    answers: NDArray[np.intp]
+    p_correct: FloatArray
+    fits: tuple[GroupFit, ...]
+    skipped: tuple[Skipped, ...]
+    n_negative: int
+
+
+def score_dataset(
+    dataset: Dataset,
+    observer: Observer,
+    *,
+    decisions: Decisions = "expected",
+    seed: int = 1,
+    fit_settings: FitSettings | None = None,
+    skip_bad_frames: bool = False,
+    workers: int = 1,
+    progress: Callable[[int], None] | None = None,
+) -> ScoredDataset:
+    """Show every trial to the observer and fit a psychometric function to each group.
+
+    The result depends on the seed alone: each trial has its own random stream, whatever the order or the number
+    of workers.
+
+    Parameters
+    ----------
+    decisions : {"expected", "sampled"}
+        Probability of a correct answer under the internal noise, or one answer drawn a trial with noise on every
+        neuron, as the paper does.
+    skip_bad_frames : bool
+        Go on without trials that cannot be read and list them, instead of raising the first error.
+    workers : int
+        Threads that read and score.
+    progress : callable
+        Told the number of trials done, whenever some are.
+
+    Raises
+    ------
+    FrameError, DataError
+        The first thing wrong with a row or frame, unless bad ones are skipped.
+    SettingsError
+        If decisions are "expected" and the observer is not linear.
+    """
+    if dataset.bad_rows and not skip_bad_frames:
+        raise DataError(dataset.bad_rows[0].error)
+    # Trials of one stimulus together, so that few readouts are held at a time.
+    order = sorted(dataset.trials, key=lambda trial: (trial.stimulus.size_mrad, trial.stimulus.polarity))
+    tasks = [order[start : start + TRIALS_PER_TASK] for start in range(0, len(order), TRIALS_PER_TASK)]
+    job = _Scorer(dataset, observer, decisions, seed, skip_bad_frames)
+    seen: list[_Seen] = []
+    skipped = list(dataset.bad_rows)
+    for task_seen, task_skipped in _map(job, tasks, workers):
+        seen += task_seen
+        skipped += task_skipped
+        if progress is not None:
+            progress(len(task_seen) + len(task_skipped))
+    seen.sort(key=lambda one: one.trial.number)
+    if not seen:
+        raise DataError(f"{dataset.path}: none of its frames can be scored")
+    return _assemble(seen, skipped, observer, decisions, seed, fit_settings or FitSettings())
+
+
+class _Seen(NamedTuple):
+    """A scored trial, before decisions are worked out for all of them together."""
+
+    trial: Trial
+    displacement: tuple[float, float]
+    scores: FloatArray
+    deviations: FloatArray
+    answer: int
+    n_negative: int
+
+
+class _Scorer(NamedTuple):
+    """Scores a few trials; holds nothing that changes, so threads share it."""
+
+    dataset: Dataset
+    observer: Observer
+    decisions: Decisions
+    seed: int
+    skip_bad_frames: bool
+
+    def __call__(self, trials: list[Trial]) -> tuple[list[_Seen], list[Skipped]]:
+        seen, skipped = [], []
+        for trial in trials:
+            try:
+                seen.append(self._score(trial))
+            except FrameError as error:
+                if not self.skip_bad_frames:
+                    raise
+                skipped.append(Skipped(error.path.relative_to(self.dataset.path).as_posix(), str(error)))
+        return seen, skipped
+
+    def _score(self, trial: Trial) -> _Seen:
+        rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(TRIAL_STREAMS, trial.number)))
+        jitter = self.observer.position_jitter_samples
+        dx, dy = (float(d) for d in rng.uniform(-jitter, jitter, 2))
+        view = view_trial(self.dataset, trial, self.observer, (dx, dy))
+        readout = self.observer.readout(trial.stimulus)
+        scores = deviations = np.full(4, np.nan)
+        if readout is not None:
+            scores, deviations = readout.scores(view.contrast), readout.score_deviations(view.contrast)
+        elif self.decisions == "expected":
+            raise SettingsError("decisions: found 'expected', but this observer is not linear; expected 'sampled'")
+        answer = NO_ANSWER
+        if self.decisions == "sampled":
+            answer = self.observer.respond(view.contrast, trial.stimulus, rng).quarter_turns
+        return _Seen(trial, (dx, dy), scores, deviations, answer, view.n_negative)
+
+
+def _map(job: _Scorer, tasks: list[list[Trial]], workers: int) -> Iterator[tuple[list[_Seen], list[Skipped]]]:
+    if workers == 1:
+        yield from map(job, tasks)
+        return
+    # Threads: decoding releases the interpreter lock, and no worker process can die and take results along.
+    with ThreadPoolExecutor(workers) as pool:
+        try:
+            yield from pool.map(job, tasks)
+        except BaseException:
+            pool.shutdown(wait=True, cancel_futures=True)
+            raise
+
+
+def _assemble(
+    seen: list[_Seen],
+    skipped: list[Skipped],
+    observer: Observer,
+    decisions: Decisions,
+    seed: int,
+    fit_settings: FitSettings,
+) -> ScoredDataset:
+    trials = tuple(one.trial for one in seen)
+    probabilities, bounds = _decide(seen, observer)
+    correct = np.array([trial.orientation.quarter_turns for trial in trials])
+    if decisions == "sampled":
+        answers = np.array([one.answer for one in seen])
+        p_correct = (answers == correct).astype(np.float64)
+        bounds[:] = 0.0
+    else:
+        answers = probabilities.argmax(axis=1)
+        p_correct = probabilities[np.arange(len(seen)), correct]
+    return ScoredDataset(
+        trials=trials,
+        displacement_samples=np.array([one.displacement for one in seen]),
+        scores=np.array([one.scores for one in seen]),
+        probabilities=probabilities,
+        answers=answers,
+        p_correct=p_correct,
+        fits=_fit_groups(trials, p_correct, bounds, seed, fit_settings),
+        skipped=tuple(skipped),
+        n_negative=sum(one.n_negative for one in seen),
+    )
+
+
+def _decide(seen: list[_Seen], observer: Observer) -> tuple[FloatArray, FloatArray]:
+    """Probability of each answer, and the bound on its error from noise that is not Gaussian, of each trial."""
+    probabilities = np.full((len(seen), 4), np.nan)
+    bounds = np.zeros(len(seen))
+    places: dict[Stimulus, list[int]] = {}
+    for place, one in enumerate(seen):
+        places.setdefault(one.trial.stimulus, []).append(place)
+    for stimulus, these in places.items():
+        readout = observer.readout(stimulus)
+        if readout is not None:
+            deviations = np.array([seen[place].deviations for place in these])
+            probabilities[these] = answer_probabilities(deviations, readout.noise_covariance)
+            bounds[these] = readout.non_gaussian_bound
+    return probabilities, bounds
+
+
+def _fit_groups(
+    trials: tuple[Trial, ...],
+    p_correct: FloatArray,
+    bounds: FloatArray,
+    seed: int,
+    fit_settings: FitSettings,
+) -> tuple[GroupFit, ...]:
+    places: dict[tuple[float | str, ...], list[int]] = {}
+    for place, trial in enumerate(trials):
+        places.setdefault(trial.group, []).append(place)
+    level = np.array([trial.level for trial in trials])
+    fits = []
+    # Numbers before texts, each in their order.
+    for number, group in enumerate(sorted(places, key=lambda g: [(isinstance(v, str), v) for v in g])):
+        these = places[group]
+        rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(FIT_STREAMS, number)))
+        fit = fit_trials(level[these], p_correct[these], settings=fit_settings, rng=rng)
+        fits.append(GroupFit(group, fit, float(bounds[these].max())))
+    return tuple(fits)

@@ -1,0 +1,185 @@
+"""From a trial's files to the one retina image that the observer sees."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from todframes.dataset import Dataset, FrameReference, Trial
+from todframes.display import Display, border_mean, weber_contrast
+from todframes.errors import DataError, FrameError
+from todframes.frames import FrameFile, FrameHeader, frame_sha256
+from todframes.readout import Observer
+from todframes.retina import resample
+from todframes.stimulus import bounding_box_offset, vertices
+
+FloatArray = NDArray[np.float64]
+
+
+class View(NamedTuple):
+    """What an observer sees in a trial.
+
+    `contrast` has shape (side, side) of the observer's grid; `n_negative` counts display pixels with a luminance
+    below zero among those that were read.
+    """
+
+    contrast: FloatArray
+    n_negative: int
+
+
+class Patch(NamedTuple):
+    """Contrast of a rectangle of a frame; `row` and `column` are where its first pixel lies in the frame."""
+
+    contrast: FloatArray
+    row: int
+    column: int
+    n_negative: int
+
+
+def view_trial(
+    dataset: Dataset, trial: Trial, observer: Observer, displacement_samples: tuple[float, float] = (0.0, 0.0)
+) -> View:
+    """Read a trial's frames and average them in contrast on the retina.
+
+    Parameters
+    ----------
+    displacement_samples : (float, float)
+        By how much the retina grid is displaced along x and y, in retina samples.
+
+    Raises
+    ------
+    FrameError
+        If a frame cannot be used, or the triangle does not lie on it.
+    """
+    total: FloatArray | None = None
+    n_negative = 0
+    for frame in trial.frames:
+        contrast, negative = _view_frame(dataset, trial, frame, observer, displacement_samples)
+        total = contrast if total is None else total + contrast
+        n_negative += negative
+    assert total is not None
+    return View(total / len(trial.frames), n_negative)
+
+
+def _view_frame(
+    dataset: Dataset,
+    trial: Trial,
+    frame: FrameReference,
+    observer: Observer,
+    displacement_samples: tuple[float, float],
+) -> tuple[FloatArray, int]:
+    grid = observer.grid(trial.stimulus)
+    pixel_pitch = dataset.display.pitch_mrad
+    path = dataset.frame_path(frame)
+    check_sha256(dataset, frame)
+    with FrameFile(path) as file:
+        x, y = triangle_position(trial, file.header)
+        _check_on_frame(path, trial, file.header, pixel_pitch)
+        if observer.centre == "bounding_box":
+            dx, dy = bounding_box_offset(trial.orientation)
+            size_px = trial.stimulus.size_mrad / pixel_pitch
+            x, y = x + dx * size_px, y + dy * size_px
+        x += displacement_samples[0] * grid.pitch_mrad / pixel_pitch
+        y += displacement_samples[1] * grid.pitch_mrad / pixel_pitch
+        rows = grid.pixel_range(centre_px=y, pixel_pitch_mrad=pixel_pitch, n_pixels=file.header.height)
+        columns = grid.pixel_range(centre_px=x, pixel_pitch_mrad=pixel_pitch, n_pixels=file.header.width)
+        patch = read_contrast(file, dataset.display, frame, rows, columns)
+    contrast = resample(
+        patch.contrast,
+        grid,
+        x_px=x,
+        y_px=y,
+        pixel_pitch_mrad=pixel_pitch,
+        first_row=patch.row,
+        first_column=patch.column,
+    )
+    return contrast, patch.n_negative
+
+
+def check_sha256(dataset: Dataset, frame: FrameReference) -> None:
+    """Raise FrameError if the manifest gives a checksum and the file has another."""
+    if frame.sha256 is not None:
+        path = dataset.frame_path(frame)
+        found = frame_sha256(path)
+        if found != frame.sha256:
+            raise FrameError(path, f"sha256 is {found}, the manifest says {frame.sha256}")
+
+
+def triangle_position(trial: Trial, header: FrameHeader) -> tuple[float, float]:
+    """(x, y) of the triangle's centroid in pixels: the manifest's, or the frame's centre."""
+    if trial.x_px is None or trial.y_px is None:
+        return (header.width - 1) / 2.0, (header.height - 1) / 2.0
+    return trial.x_px, trial.y_px
+
+
+def read_contrast(
+    file: FrameFile,
+    display: Display,
+    frame: FrameReference,
+    rows: tuple[int, int] | None = None,
+    columns: tuple[int, int] | None = None,
+) -> Patch:
+    """Contrast of a range of rows and columns of an open frame, all of them by default.
+
+    Only the rows asked for are decoded, unless the background is a mean over the frame.
+
+    Raises
+    ------
+    FrameError
+        If the pixels cannot be read or their luminance or the background is not usable.
+    """
+    rule = display.background_luminance_cd_m2
+    whole = rule in ("border", "frame_mean")
+    part = file.read() if whole else file.read(rows=rows, columns=columns)
+    try:
+        luminance = display.luminance(part.values)
+        if rule == "border":
+            background = border_mean(luminance)
+        elif rule == "frame_mean":
+            background = float(luminance.mean())
+        else:
+            background = frame.background_luminance_cd_m2 if rule == "column" else float(rule)
+        contrast = weber_contrast(luminance, background)
+    except DataError as error:
+        raise FrameError(file.path, str(error)) from None
+    n_negative = int(np.count_nonzero(luminance < 0.0))
+    return Patch(contrast, part.first_row, part.first_column, n_negative)
+
+
+def _check_on_frame(path: Path, trial: Trial, header: FrameHeader, pixel_pitch_mrad: float) -> None:
+    """The whole triangle must lie on pixels that the file has."""
+    x, y = triangle_position(trial, header)
+    size_px = trial.stimulus.size_mrad / pixel_pitch_mrad
+    corners = vertices(size=size_px, orientation=trial.orientation, x=x, y=y)
+    (left, top), (right, bottom) = corners.min(axis=0), corners.max(axis=0)
+    first_x, first_y = header.first_column - 0.5, header.first_row - 0.5
+    last_x, last_y = first_x + header.n_columns, first_y + header.n_rows
+    if right - left > header.n_columns or bottom - top > header.n_rows:
+        raise FrameError(
+            path,
+            f"the frame has {header.n_columns} × {header.n_rows} pixels, smaller than the triangle of "
+            f"{trial.stimulus.size_mrad:g} mrad ({right - left:.1f} × {bottom - top:.1f} pixels)",
+        )
+    if left < first_x or right > last_x or top < first_y or bottom > last_y:
+        raise FrameError(
+            path,
+            f"the triangle reaches from ({left:.1f}, {top:.1f}) to ({right:.1f}, {bottom:.1f}) px, off the frame "
+            f"({first_x:.1f}, {first_y:.1f}) to ({last_x:.1f}, {last_y:.1f}) px",
+        )
+
+
+def frame_problems(dataset: Dataset, trial: Trial) -> Iterator[FrameError]:
+    """What is wrong with the frames of a trial, every pixel of them looked at."""
+    for frame in trial.frames:
+        path = dataset.frame_path(frame)
+        try:
+            check_sha256(dataset, frame)
+            with FrameFile(path) as file:
+                _check_on_frame(path, trial, file.header, dataset.display.pitch_mrad)
+                read_contrast(file, dataset.display, frame)
+        except FrameError as error:
+            yield error
