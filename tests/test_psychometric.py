@@ -248,17 +248,16 @@ def covered(fit: PsychometricFit, truth: float) -> bool:
     return (low is None or low <= truth) and (high is None or truth <= high)
 
 
-# Of 300 intervals that hold the truth with probability 0.95, the share that does has an SD of √(.95·.05/300) = 1.26 %:
-# 92 to 98 % is 2.4 SD either way. The seeds are fixed, so the tests do not flicker.
+# Of 300 intervals that each hold the truth with probability 0.95, the share that does has an SD of
+# √(.95·.05/300) = 1.26 %: 92 to 98 % is 2.4 SD either way. The seeds are fixed, so the tests do not flicker.
 
 
 @pytest.mark.parametrize(
     ("beta", "lapse_rate", "level"),
     [
         (1.5, 0.0, np.geomspace(0.4, 2.0, 7)),
-        (2.0, 0.02, np.geomspace(0.5, 2.0, 7)),
-        (3.0, 0.0, np.geomspace(0.6, 1.6, 7)),
-        (4.0, 0.02, np.linspace(0.4, 1.6, 7)),
+        (2.0, 0.02, np.linspace(0.4, 1.6, 7)),
+        (4.0, 0.0, np.geomspace(0.6, 1.6, 7)),
     ],
 )
 def test_interval_of_answers_holds_the_threshold_as_often_as_stated(beta, lapse_rate, level):
@@ -266,7 +265,7 @@ def test_interval_of_answers_holds_the_threshold_as_often_as_stated(beta, lapse_
     p = weibull(level, alpha=alpha, beta=beta, guess_rate=0.25, lapse_rate=lapse_rate)
     rng = generator(17)
     fits = [
-        fit_counts(level, rng.binomial(30, p), [30] * 7, settings=FitSettings(resamples=400), rng=rng)
+        fit_counts(level, rng.binomial(30, p), [30] * 7, settings=FitSettings(resamples=250), rng=rng)
         for _ in range(300)
     ]
     assert all(fit.status == "ok" for fit in fits)
@@ -275,12 +274,12 @@ def test_interval_of_answers_holds_the_threshold_as_often_as_stated(beta, lapse_
 
 @pytest.mark.parametrize("n_trials", [1, 30])
 def test_interval_of_probabilities_holds_the_threshold_as_often_as_stated(n_trials):
-    level = np.repeat(np.geomspace(0.5, 2.0, 7 if n_trials > 1 else 40), n_trials)
+    level = np.repeat(np.geomspace(0.5, 2.0, 7 if n_trials > 1 else 20), n_trials)
     alpha = alpha_of(1.0, beta=2.0, lapse_rate=0.0)
     p = weibull(level, alpha=alpha, beta=2.0, guess_rate=0.25, lapse_rate=0.0)
     rng = generator(5)
     fits = [
-        fit_trials(level, rng.beta(20 * p, 20 * (1 - p)), settings=FitSettings(resamples=300), rng=rng)
+        fit_trials(level, rng.beta(20 * p, 20 * (1 - p)), settings=FitSettings(resamples=250), rng=rng)
         for _ in range(300)
     ]
     assert 0.92 <= np.mean([covered(fit, 1.0) for fit in fits]) <= 0.98
@@ -307,10 +306,8 @@ def test_a_bound_the_data_do_not_give_is_none():
 
 
 def test_interval_is_random_through_its_generator_only():
-    fits = [
-        fit_counts(LEVELS, [8, 12, 13, 18, 24, 28, 30], [30] * 7, settings=FitSettings(resamples=99), rng=generator(seed))
-        for seed in (1, 1, 2)
-    ]  # fmt: skip
+    data, chosen = (LEVELS, [8, 12, 13, 18, 24, 28, 30], [30] * 7), FitSettings(resamples=99)
+    fits = [fit_counts(*data, settings=chosen, rng=generator(seed)) for seed in (1, 1, 2)]
     assert fits[0] == fits[1]
     assert fits[0].threshold == fits[2].threshold
     assert fits[0].threshold_ci95 != fits[2].threshold_ci95

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -75,15 +76,13 @@ def locate_triangles(
         means = _means(dataset, trials, skip_bad_frames, progress)
         if means:
             locations[group] = _locate(dataset, group, means)
-    trials = tuple(
+    placed = tuple(
         trial._replace(x_px=locations[trial.group].x_px, y_px=locations[trial.group].y_px)
         if trial.x_px is None and trial.group in locations
         else trial
         for trial in dataset.trials
     )
-    return Dataset(dataset.path, dataset.display, dataset.experiment, trials, dataset.bad_rows), tuple(
-        locations.values()
-    )
+    return replace(dataset, trials=placed), tuple(locations.values())
 
 
 Means = dict[Stimulus, dict[Orientation, FloatArray]]

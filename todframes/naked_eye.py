@@ -20,8 +20,10 @@ from todframes.stimulus import ORIENTATIONS, coverage
 
 FloatArray = NDArray[np.float64]
 
-NODES, CHECK_NODES = 8, 6
-"""Gauss–Legendre displacements along each axis: for the result, and for the estimate of its error."""
+NODES = (6, 8, 12, 16, 24, 32, 48)
+"""Gauss–Legendre displacements along each axis: more and more, until the threshold moves no further."""
+TOLERANCE = 2e-4
+"""Relative change of a threshold that ends this."""
 CONTRAST_RANGE = (1e-12, 1e12)
 SIZE_RANGE_SAMPLES = (1e-2, 1e3)
 
@@ -29,8 +31,8 @@ SIZE_RANGE_SAMPLES = (1e-2, 1e3)
 class Threshold(NamedTuple):
     """A threshold, or why there is none.
 
-    `threshold` is in the unit of what was varied; `numerical_error` is how much it moved when the position was
-    averaged over fewer displacements.
+    `threshold` is in the unit of what was varied; `numerical_error` is how much it moved when the number of
+    displacements that it is averaged over last grew.
     """
 
     status: Literal["ok", "never_reached", "always_exceeded"]
@@ -38,7 +40,7 @@ class Threshold(NamedTuple):
     numerical_error: float | None
 
 
-def proportion_correct(observer: Observer, *, size_mrad: float, contrast: float, nodes: int = NODES) -> float:
+def proportion_correct(observer: Observer, *, size_mrad: float, contrast: float, nodes: int = 16) -> float:
     """P(correct) for a triangle seen directly, averaged over orientation and displacement.
 
     Parameters
@@ -72,7 +74,7 @@ def contrast_threshold(observer: Observer, *, size_mrad: float, p_correct: float
         response = _responses(observer, size_mrad, nodes)
         return _crossing(lambda contrast: _proportion_correct(contrast, *response), p_correct, CONTRAST_RANGE, 1.0)
 
-    return _with_error(threshold)
+    return _refined(threshold)
 
 
 def acuity(observer: Observer, *, contrast: float = 1.0, p_correct: float = 0.75) -> Threshold:
@@ -94,14 +96,22 @@ def acuity(observer: Observer, *, contrast: float = 1.0, p_correct: float = 0.75
             4.0 * pitch,
         )
 
-    return _with_error(threshold)
+    return _refined(threshold)
 
 
-def _with_error(threshold: Callable[[int], Threshold]) -> Threshold:
-    result, check = threshold(NODES), threshold(CHECK_NODES)
-    if result.threshold is None or check.threshold is None:
-        return result
-    return result._replace(numerical_error=abs(result.threshold - check.threshold))
+def _refined(threshold: Callable[[int], Threshold]) -> Threshold:
+    """A threshold with as many displacements as it needs."""
+    result = threshold(NODES[0])
+    for nodes in NODES[1:]:
+        before, result = result, threshold(nodes)
+        if before.threshold is not None and result.threshold is not None:
+            change = abs(result.threshold - before.threshold)
+            result = result._replace(numerical_error=change)
+            if change <= TOLERANCE * before.threshold:
+                break
+        elif before.status == result.status:
+            break
+    return result
 
 
 def _responses(observer: Observer, size_mrad: float, nodes: int) -> tuple[Readout, FloatArray, FloatArray]:

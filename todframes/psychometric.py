@@ -25,9 +25,11 @@ MIN_RESAMPLES = 40
 _LN_LN2 = math.log(math.log(2.0))
 _CHI2_95 = 3.841458820694124
 _BATCH_ELEMENTS = 1 << 20
+# OpenBLAS starts threads for larger products; on a busy machine their waiting costs more than they save.
+_SINGLE_THREAD_PRODUCT = 1 << 18
 _CURVE_TRIALS = 5
 _PLUS_TRIALS = 4
-_NOMINAL_Z = 2.053748910631823
+_Z_95 = 1.959963984540054
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -153,7 +155,7 @@ class _Model:
     def derivatives(self, theta: Array, answers: Array) -> tuple[Array, Array, Array]:
         """Log-likelihood, score and Fisher information of each row of `answers` under its row of `theta`."""
         right, wrong, jacobian = self.curves(theta, self.z)
-        loglik = (answers * np.log(right) + (1 - answers) * np.log(wrong)) @ self.n_trials
+        loglik = np.einsum("bl,l->b", answers * np.log(right) + (1 - answers) * np.log(wrong), self.n_trials)
         residual = self.n_trials * (answers / right - (1 - answers) / wrong)
         score = np.einsum("bl,jbl->bj", residual, jacobian)
         weighted = (self.n_trials / (right * wrong)) * jacobian
@@ -208,8 +210,8 @@ class _Model:
         gradient = np.array([1, -math.log(ratio / math.log(2)) / slope, (1 / left - 1 / span) / ratio / slope])
         free = (theta > self.lower) & (theta < self.upper)
         information = (jacobian[free] * (self.n_trials / (right * wrong))) @ jacobian[free].T
-        inverse: Array = np.linalg.pinv(information, hermitian=True)
-        return right, gradient[free] @ inverse @ jacobian[free] / (right * wrong)
+        weight: Array = gradient[free] @ np.linalg.pinv(information, hermitian=True) @ jacobian[free]
+        return right, weight / (right * wrong)
 
     def starts(self) -> Array:
         """A coarse grid of curves, (slope, curve, parameter), steep ones first: the first of equals is taken."""
@@ -221,38 +223,42 @@ class _Model:
         grid = np.stack([place - offset / slope, np.log(slope), lapse_rate], axis=-1)
         return grid.reshape(len(grid), -1, 3)
 
-    def grid_loglik(self, grid: Array, answers: Array) -> Array:
-        """Log-likelihood of each row of `answers`, (row, curve), on at most 64 pools of neighbouring levels."""
+    def grid_terms(self, grid: Array, answers: Array) -> tuple[Array, Array, Array]:
+        """Trials right, (row, pool), and the weight and constant that make them a log-likelihood of each curve.
+
+        At most 64 pools of neighbouring levels keep this small for any number of levels.
+        """
         first = np.unique(np.linspace(0, len(self.z), 65)[:-1].astype(np.intp))
         n_trials = np.add.reduceat(self.n_trials, first)
         z = np.add.reduceat(self.n_trials * self.z, first) / n_trials
         right, wrong, _ = self.curves(grid, z)
         n_right = np.add.reduceat(answers * self.n_trials, first, axis=1)
         tie_break = 1e-9 * n_trials.sum() * np.linspace(0, 1, len(grid))
-        return n_right @ np.log(right / wrong).T + (np.log(wrong) @ n_trials - tie_break)
+        return n_right, np.log(right / wrong).T, np.log(wrong) @ n_trials - tie_break
 
     def fit_one(self, answers: Array) -> tuple[Array, float]:
-        """The best of the climbs from the best start of each slope."""
+        """The best of the climbs from the best start of each slope, and its log-likelihood."""
         grid = self.starts()
-        loglik = self.grid_loglik(grid.reshape(-1, 3), answers[None]).reshape(grid.shape[:2])
+        n_right, weight, constant = self.grid_terms(grid.reshape(-1, 3), answers[None])
+        loglik = (n_right @ weight + constant).reshape(grid.shape[:2])
         best = loglik.argmax(axis=1)
-        order = np.argsort(-np.take_along_axis(loglik, best[:, None], axis=1)[:, 0])
+        order = np.argsort(-loglik.max(axis=1))
         n_trials = self.n_trials.sum()
-        tops, heights = self.climb(
-            grid[order, best[order]], np.tile(answers, (len(grid), 1)), tolerance=1e-20 * n_trials
-        )
+        repeated = np.tile(answers, (len(grid), 1))
+        tops, heights = self.climb(grid[order, best[order]], repeated, tolerance=1e-20 * n_trials)
         first = int(np.argmax(heights >= heights.max() - 1e-10 * n_trials))
         return tops[first], float(heights[first])
 
     def fit_many(self, answers: Array) -> Array:
-        """One curve for each row of `answers`, precise to a small part of its standard error."""
+        """One curve for each row of `answers`, to about √tolerance = 1 % of a standard error."""
         grid = self.starts().reshape(-1, 3)
-        size = max(1, _BATCH_ELEMENTS // max(len(grid), len(self.z)))
-        curves = []
-        for batch in np.split(answers, range(size, len(answers), size)):
-            start = grid[self.grid_loglik(grid, batch).argmax(axis=1)]
-            curves.append(self.climb(start, batch, tolerance=1e-6)[0])
-        return np.concatenate(curves)
+        n_right, weight, constant = self.grid_terms(grid, answers)
+        rows = max(1, _SINGLE_THREAD_PRODUCT // weight.size)
+        batches = np.split(n_right, range(rows, len(answers), rows))
+        start = grid[np.concatenate([(batch @ weight + constant).argmax(axis=1) for batch in batches])]
+        cuts = range(_BATCH_ELEMENTS // len(self.z) + 1, len(answers), _BATCH_ELEMENTS // len(self.z) + 1)
+        parts = zip(np.split(start, cuts), np.split(answers, cuts), strict=True)
+        return np.concatenate([self.climb(*part, tolerance=1e-4)[0] for part in parts])
 
 
 @dataclass(frozen=True, slots=True)
@@ -276,7 +282,8 @@ class _Observed:
         n, n_parameters = self.n_trials.sum(), 3
         if self.trials is None or n <= n_parameters:
             return 1.0
-        share = (self.n_trials * self.moments(fitted)[0]).sum() / (self.n_trials * fitted * (1 - fitted)).sum()
+        most = (self.n_trials * fitted * (1 - fitted)).sum()
+        share = (self.n_trials * self.moments(fitted)[0]).sum() / max(most, 1e-300)
         return float(np.clip(share * n / (n - n_parameters), 1e-12, 1 - 1e-6))
 
     def resample(self, fitted: Array, guess_rate: float, size: int, rng: np.random.Generator) -> Array:
@@ -444,9 +451,8 @@ def _status(model: _Model, theta: Array, ln_threshold: float) -> Status:
 def _interval(
     model: _Model, theta: Array, loglik: float, observed: _Observed, resamples: int, rng: np.random.Generator
 ) -> tuple[float, float]:
-    """Bounds of ln x_c by BCa (Efron 1987), with the acceleration of several samples (Davison & Hinkley 1997, 5.3).
+    """Bounds of ln x_c by BCa (Efron 1987), acceleration as for several samples (Davison & Hinkley 1997, 5.3).
 
-    Nominally 96 %, a calibration (Loh 1987): with δ at its bound, a nominal 95 % holds the truth 94 % of the time.
     Where a step anywhere between two levels is as likely as the curve (likelihood ratio), the interval spans them.
     """
     right, weight = model.influence(theta)
@@ -459,7 +465,7 @@ def _interval(
     variance = (observed.n_trials * relative**2 * second).sum()
     skew = (observed.n_trials * relative**3 * third).sum()
     acceleration = np.clip(skew / max(6 * variance**1.5, 1e-300), -0.1, 0.1)
-    tails = bias + _NOMINAL_Z * np.array([-1.0, 1.0])
+    tails = bias + _Z_95 * np.array([-1.0, 1.0])
     ranks = ndtr(bias + tails / np.maximum(1 - acceleration * tails, 0.1)) * (resamples + 1)
     draws.sort()
     low = min(draws[max(math.floor(ranks[0]) - 1, 0)], estimate)

@@ -6,7 +6,6 @@ the noise on all its neurons reaches the decision as one four-vector. One that i
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, ClassVar, Protocol, cast
 
@@ -97,6 +96,8 @@ class Observer(Protocol):
 
     settings_type: ClassVar[type[Any]]
 
+    def __init__(self, settings: Any) -> None: ...
+
     @property
     def centre(self) -> Centre:
         """Point of the triangle on which the retina grid is centred."""
@@ -115,7 +116,7 @@ class Observer(Protocol):
         """One answer to a retina image of shape (side, side), its internal noise drawn from `rng`."""
 
 
-def find_observer(name: str) -> Callable[[Any], Observer]:
+def find_observer(name: str) -> type[Observer]:
     """The observer class registered under a name in the entry-point group `todframes.observers`.
 
     Raises
@@ -128,6 +129,6 @@ def find_observer(name: str) -> Callable[[Any], Observer]:
     found = {entry.name: entry for entry in entry_points(group=ENTRY_POINT_GROUP)}
     check_keys([name], found, "observer")
     try:
-        return cast("Callable[[Any], Observer]", found[name].load())
+        return cast("type[Observer]", found[name].load())
     except (ImportError, AttributeError) as error:
         raise SettingsError(f"observer: {name!r} cannot be loaded ({error})") from None

@@ -7,7 +7,7 @@ import io
 import os
 import shutil
 import tempfile
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,14 +16,11 @@ import msgspec
 
 from todframes import __version__
 from todframes.errors import OutputError
-from todframes.psychometric import PsychometricFit, weibull
+from todframes.psychometric import PsychometricFit
 from todframes.scoring import ScoredDataset
 from todframes.stimulus import ORIENTATIONS
 
 if TYPE_CHECKING:
-    import numpy as np
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
     from rich.table import Table
 
 Json = dict[str, Any]
@@ -34,6 +31,38 @@ SCHEMA = 1
 def fit_object(group: Mapping[str, float | str], level: str, fit: PsychometricFit) -> Json:
     """A fit as it stands in `result.json`."""
     return {"group": dict(group), "level": level, **msgspec.to_builtins(fit)}
+
+
+def computed_threshold_object(
+    group: Mapping[str, float | str],
+    level: str,
+    p_correct: float,
+    status: str,
+    threshold: float | None,
+    numerical_error: float | None,
+) -> Json:
+    """A threshold that was computed, not fitted, as it stands in `result.json`: no trials and no curve."""
+    return {
+        "group": dict(group),
+        "level": level,
+        "status": status,
+        "threshold": threshold,
+        "threshold_ci95": None,
+        "threshold_numerical_error": numerical_error,
+        "p_correct": p_correct,
+        **dict.fromkeys(("alpha", "beta", "gamma", "delta")),
+        "n_trials": 0,
+        "points": [],
+    }
+
+
+def closing_line(result: Json) -> str:
+    """Run time, and what the thresholds leave out, in a line."""
+    line = f"{result['run_time_s']:.2f} s"
+    bound = max((fit.get("p_correct_error_bound") or 0.0 for fit in result["fits"]), default=0.0)
+    if bound:
+        line += f"; P(correct) within {bound:.1g}: the summed internal noise is taken as Gaussian"
+    return line
 
 
 def result_object(
@@ -120,13 +149,6 @@ def output_folder(path: Path) -> Iterator[Path]:
             shutil.rmtree(staging, ignore_errors=True)
 
 
-def group_label(group: Mapping[str, float | str]) -> str:
-    """A group in a few words."""
-    return ", ".join(
-        f"{name} {value:g}" if isinstance(value, float) else f"{name} {value}" for name, value in group.items()
-    )
-
-
 def number(value: float | None, digits: int = 4) -> str:
     """A number for a person: so many significant digits, a dash where there is none."""
     return "–" if value is None else f"{value:.{digits}g}"
@@ -142,20 +164,21 @@ def interval(bounds: Sequence[float | None] | None) -> str:
 
 def threshold_table(result: Json, title: str) -> Table:
     """The thresholds of a result as a table for the terminal."""
+    from rich.box import SIMPLE_HEAD
     from rich.table import Table
 
     fits = result["fits"]
-    table = Table(title=title, title_justify="left", title_style="bold")
+    table = Table(title=title, title_justify="left", title_style="bold", box=SIMPLE_HEAD)
     names = list(fits[0]["group"]) if fits else []
     for name in names:
-        table.add_column(name, justify="right")
+        table.add_column(name, justify="right", no_wrap=True)
     level = fits[0]["level"] if fits else "level"
     numerical = any("threshold_numerical_error" in fit for fit in fits)
     headers = [f"threshold {level}", "numerical error" if numerical else "95 % interval", "status"]
     if not numerical:
         headers += ["α", "β", "δ", "trials"]
     for header in headers:
-        table.add_column(header, justify="left" if header == "status" else "right")
+        table.add_column(header, justify="left" if header == "status" else "right", no_wrap=True)
     for fit in fits:
         cells = [number(value) if isinstance(value, float) else str(value) for value in fit["group"].values()]
         cells.append(number(fit["threshold"]))
@@ -169,129 +192,9 @@ def threshold_table(result: Json, title: str) -> Table:
     return table
 
 
-def plots(result: Json) -> dict[str, bytes]:
-    """PNG pictures of a result by file name: the psychometric functions, and the TOD curve if there is one."""
-    from matplotlib import use
-
-    use("agg")
-    pictures = {"psychometric.png": _png(_psychometric_figure(result["fits"]))}
-    sizes = _size_column(result["fits"])
-    if sizes is not None:
-        pictures["tod_curve.png"] = _png(_tod_figure(result["fits"], sizes))
-    return pictures
-
-
-def _size_column(fits: Sequence[Json]) -> str | None:
-    """The one group column that is a size, if it has at least two values with a threshold."""
-    names = [name for name in (fits[0]["group"] if fits else {}) if name.startswith("size_")]
-    if len(names) != 1 or len(fits[0]["group"]) != 1:
-        return None
-    known = [fit for fit in fits if fit["threshold"] is not None and isinstance(fit["group"][names[0]], float)]
-    return names[0] if len(known) >= 2 else None
-
-
-def _png(figure: Figure) -> bytes:
-    buffer = io.BytesIO()
-    # No software version among the attributes: the same result gives the same bytes.
-    figure.savefig(buffer, format="png", dpi=144, metadata={"Software": None})
-    return buffer.getvalue()
-
-
-def _figure() -> tuple[Figure, Axes]:
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(6.4, 4.8), layout="constrained")
-    axes = figure.add_subplot()
-    axes.grid(True, which="both", alpha=0.25)
-    return figure, axes
-
-
-def _tod_figure(fits: Sequence[Json], size_name: str) -> Figure:
-    figure, axes = _figure()
-    unit = size_name.removeprefix("size_")
-    known = [fit for fit in fits if fit["threshold"] is not None]
-    inverse = [1.0 / fit["group"][size_name] for fit in known]
-    threshold = [fit["threshold"] for fit in known]
-    axes.plot(inverse, threshold, "-", color="C0", lw=1.2, zorder=1)
-    for fit, x in zip(known, inverse, strict=True):
-        low, high = (fit.get("threshold_ci95") or (None, None))[:2]
-        if low is not None and high is not None:
-            axes.plot([x, x], [low, high], "-_", color="C0", lw=1.2)
-        face = "C0" if fit["status"] == "ok" else "white"
-        axes.plot(x, fit["threshold"], "o", color="C0", markerfacecolor=face)
-    axes.set(
-        xscale="log",
-        yscale="log",
-        xlabel=f"1 / size ({unit}⁻¹)",
-        ylabel=f"threshold {fits[0]['level']}",
-        title=f"TOD curve ({100 * fits[0]['p_correct']:g} % correct)",
-    )
-    _plain_ticks(axes, inverse, threshold)
-    top = axes.secondary_xaxis("top", functions=(_inverse, _inverse))
-    top.set_xlabel(f"size ({unit})")
-    top.set_xticks([1.0 / x for x in inverse], [f"{1.0 / x:g}" for x in inverse])
-    top.minorticks_off()
-    return figure
-
-
-def _inverse(x: np.ndarray) -> np.ndarray:
-    import numpy as np
-
-    return 1.0 / np.maximum(x, 1e-300)
-
-
-def _plain_ticks(axes: Axes, x: Sequence[float], y: Sequence[float]) -> None:
-    """Plain numbers at 1, 2, 5 of each decade while there are few decades."""
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
-
-    for axis, values in ((axes.xaxis, x), (axes.yaxis, y)):
-        if max(values) / min(values) < 1e4:
-            axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-            axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-            axis.set_minor_formatter(NullFormatter())
-
-
-def _psychometric_figure(fits: Sequence[Json]) -> Figure:
-    import matplotlib as mpl
-    import numpy as np
-
-    figure, axes = _figure()
-    colours = mpl.colormaps["viridis"](np.linspace(0.0, 0.9, max(len(fits), 2)))
-    levels = [point["level"] for fit in fits for point in fit["points"]]
-    for fit, colour in zip(fits, colours, strict=False):
-        x = [point["level"] for point in fit["points"]]
-        trials = [point["n_trials"] for point in fit["points"]]
-        axes.scatter(
-            x,
-            [point["p_correct"] for point in fit["points"]],
-            s=[18.0 if len(set(trials)) == 1 else 8.0 + 30.0 * n / max(trials) for n in trials],
-            color=colour,
-            label=group_label(fit["group"]) or "all trials",
-        )
-        if fit["alpha"] is not None:
-            curve = np.geomspace(min(x), max(x), 200)
-            parameters = {name: fit[name] for name in ("alpha", "beta")}
-            p = weibull(curve, **parameters, guess_rate=fit["gamma"], lapse_rate=fit["delta"])
-            axes.plot(curve, p, color=colour, lw=1.2)
-    for height, style in ((fits[0]["p_correct"], "--"), (fits[0]["gamma"], ":")):
-        axes.axhline(height, color="0.4", ls=style, lw=0.8)
-    axes.set(
-        xscale="log",
-        ylim=(0.0, 1.02),
-        xlabel=fits[0]["level"],
-        ylabel="proportion correct",
-        title="Psychometric functions",
-    )
-    if min(levels) < max(levels):
-        _plain_ticks(axes, levels, [1.0, 1e9])
-    if len(fits) <= 12:
-        axes.legend(fontsize="small")
-    return figure
-
-
-def write_all(folder: Path, files: Iterable[tuple[str, bytes]]) -> None:
-    """Write files into a folder, each on disk before the next."""
-    for name, content in files:
+def write_files(folder: Path, files: Mapping[str, bytes]) -> None:
+    """Write files into a folder, each safely on disk before the next."""
+    for name, content in files.items():
         with (folder / name).open("wb") as file:
             file.write(content)
             file.flush()

@@ -138,7 +138,8 @@ class _Seen(NamedTuple):
     n_negative: int
 
 
-class _Scorer(NamedTuple):
+@dataclass(frozen=True, slots=True)
+class _Scorer:
     """Scores a few trials; holds nothing that changes, so threads share it."""
 
     dataset: Dataset

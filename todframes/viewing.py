@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from todframes.dataset import Dataset, FrameReference, Trial
-from todframes.display import Display, border_mean, weber_contrast
+from todframes.display import BackgroundRule, Display, border_mean, weber_contrast
 from todframes.errors import DataError, FrameError
 from todframes.frames import FrameFile, FrameHeader, frame_sha256
 from todframes.readout import Observer
@@ -137,17 +137,22 @@ def read_contrast(
     part = file.read() if whole else file.read(rows=rows, columns=columns)
     try:
         luminance = display.luminance(part.values)
-        if rule == "border":
-            background = border_mean(luminance)
-        elif rule == "frame_mean":
-            background = float(luminance.mean())
-        else:
-            background = frame.background_luminance_cd_m2 if rule == "column" else float(rule)
-        contrast = weber_contrast(luminance, background)
+        contrast = weber_contrast(luminance, _background(rule, luminance, frame))
     except DataError as error:
         raise FrameError(file.path, str(error)) from None
     n_negative = int(np.count_nonzero(luminance < 0.0))
     return Patch(contrast, part.first_row, part.first_column, n_negative)
+
+
+def _background(rule: float | BackgroundRule, luminance: FloatArray, frame: FrameReference) -> float:
+    if rule == "border":
+        return border_mean(luminance)
+    if rule == "frame_mean":
+        return float(luminance.mean())
+    if rule == "column":
+        assert frame.background_luminance_cd_m2 is not None  # the manifest was checked for it
+        return frame.background_luminance_cd_m2
+    return rule
 
 
 def _check_on_frame(path: Path, trial: Trial, header: FrameHeader, pixel_pitch_mrad: float) -> None:

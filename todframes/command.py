@@ -1,0 +1,186 @@
+"""What the commands share: options, settings from all the places they come from, progress, results."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import click
+
+from todframes.errors import SettingsError, TodframesError
+
+if TYPE_CHECKING:
+    from todframes.psychometric import FitSettings
+    from todframes.readout import Observer
+    from todframes.report import Json
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+INTERRUPTED = 130
+
+
+def options(*decorators: Callable[[F], F]) -> Callable[[F], F]:
+    """Several options as one decorator, in the order in which `--help` shows them."""
+
+    def decorate(function: F) -> F:
+        for decorator in reversed(decorators):
+            function = decorator(function)
+        return function
+
+    return decorate
+
+
+json_option = click.option("--json", "as_json", is_flag=True, help="Print one JSON object on standard output.")
+p_correct_option = click.option(
+    "--p-correct", type=float, metavar="P", help="Raw proportion correct at threshold.  [default: 0.75]"
+)
+seed_option = click.option(
+    "--seed", type=click.IntRange(0), default=1, show_default=True, help="Seed of all random draws."
+)
+set_option = click.option(
+    "--set", "assignments", multiple=True, metavar="NAME=VALUE", help="Any setting by name; repeatable."
+)
+observer_options = options(
+    click.option("--observer", "observer_name", default="pyramid", show_default=True, help="Observer, by name."),
+    click.option(
+        "--internal-noise", type=float, metavar="N", help="Full width of each neuron's noise.  [default: 0.5]"
+    ),
+    p_correct_option,
+    set_option,
+    click.option("--observer-settings", type=click.Path(path_type=Path), help="TOML file with settings."),
+)
+
+
+def make_observer(
+    observer_name: str,
+    internal_noise: float | None,
+    p_correct: float | None,
+    assignments: Sequence[str],
+    observer_settings: Path | None,
+) -> tuple[Observer, FitSettings, Json]:
+    """Observer, fit settings and both as JSON, from `observer_options`.
+
+    An option of its own goes before `--set`, and that before the file.
+
+    Raises
+    ------
+    SettingsError
+        If there is no such observer or setting, or a value is refused.
+    """
+    from dataclasses import asdict, fields
+
+    from todframes.psychometric import FitSettings
+    from todframes.readout import find_observer
+    from todframes.settings import check_keys, from_table, read_toml
+
+    where, table = "settings", {}
+    if observer_settings is not None:
+        where, table = str(observer_settings), read_toml(observer_settings)
+    table |= assigned(assignments)
+    for name, value in (("internal_noise", internal_noise), ("p_correct", p_correct)):
+        if value is not None:
+            table[name] = value
+    kind = find_observer(observer_name)
+    of_observer = [field.name for field in fields(kind.settings_type)]
+    of_fit = [field.name for field in fields(FitSettings)]
+    check_keys(table, of_observer + of_fit, where)
+    settings = from_table({k: v for k, v in table.items() if k in of_observer}, kind.settings_type, where)
+    fit_settings = from_table({k: v for k, v in table.items() if k in of_fit}, FitSettings, where)
+    described = {"observer": observer_name, **asdict(settings), **asdict(fit_settings)}
+    return kind(settings), fit_settings, described
+
+
+def assigned(assignments: Sequence[str]) -> dict[str, Any]:
+    """Values of `--set NAME=VALUE`: read as TOML where they are, as text where not.
+
+    Raises
+    ------
+    SettingsError
+        If an assignment has no name or no equals sign.
+    """
+    import tomllib
+
+    table: dict[str, Any] = {}
+    for assignment in assignments:
+        name, equals, text = assignment.partition("=")
+        if not equals or not name.strip():
+            raise SettingsError(f"--set: found {assignment!r}, expected NAME=VALUE")
+        try:
+            value = tomllib.loads(f"value = {text}")["value"]
+        except tomllib.TOMLDecodeError:
+            value = text.strip()
+        table[name.strip()] = value
+    return table
+
+
+def numbers(text: str, option: str) -> list[float]:
+    """Numbers with commas between them.
+
+    Raises
+    ------
+    SettingsError
+        If they are not.
+    """
+    try:
+        return [float(part) for part in text.split(",")]
+    except ValueError:
+        raise SettingsError(f"{option}: found {text!r}, expected numbers with commas between them") from None
+
+
+def print_result(result: Json, title: str, *, as_json: bool) -> None:
+    """A result on standard output: one JSON object, or a table."""
+    from todframes import report
+
+    if as_json:
+        click.echo(report.encode(result), nl=False)
+        return
+    from rich.console import Console
+
+    table = report.threshold_table(result, title)
+    # A table that is wider than the terminal is better than one whose numbers are cut.
+    needed = Console(width=1000).measure(table).maximum
+    Console(width=max(Console().width, needed)).print(table)
+
+
+def say(text: str) -> None:
+    """A remark, on standard error."""
+    click.echo(text, err=True)
+
+
+@contextmanager
+def progress(task: str, total: int, *, quiet: bool = False) -> Iterator[Callable[[int], None]]:
+    """A progress bar on standard error, on a terminal only; yields what takes the number of things done."""
+    if quiet or not sys.stderr.isatty():
+        yield lambda _: None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        running = bar.add_task(task, total=total)
+        yield lambda done: bar.advance(running, done)
+
+
+def run(command: click.Command, arguments: Sequence[str] | None) -> int:
+    """Run a command line; its exit status: 0 done, 1 bad data, 2 bad usage or settings.
+
+    Every failure that a user can cause is one line on standard error.
+    """
+    try:
+        status = command.main(arguments, standalone_mode=False)
+        return status if isinstance(status, int) else 0
+    except TodframesError as error:
+        return _fail(str(error), error.exit_status)
+    except click.ClickException as error:
+        return _fail(error.format_message(), 2)
+    except (click.Abort, KeyboardInterrupt):
+        return _fail("interrupted, nothing was written", INTERRUPTED)
+
+
+def _fail(message: str, status: int) -> int:
+    say("error: " + " ".join(message.split()))
+    return status
