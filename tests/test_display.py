@@ -1,0 +1,176 @@
+"""Code values to luminance: standards' own figures, and the viewing geometry."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from todframes.display import (
+    Display,
+    LuminanceTable,
+    border_mean,
+    bt1886_luminance,
+    srgb_to_linear,
+    weber_contrast,
+)
+from todframes.errors import DataError, SettingsError
+
+
+def display(**changes: object) -> Display:
+    given = {
+        "eotf": "linear",
+        "white_luminance_cd_m2": 100.0,
+        "black_luminance_cd_m2": 2.0,
+        "pixel_pitch_mrad": 0.7,
+        "background_luminance_cd_m2": 50.0,
+    }
+    return Display(**(given | changes))  # type: ignore[arg-type]
+
+
+def grey(*codes: float) -> np.ndarray:
+    return np.array(codes).reshape(1, -1, 1)
+
+
+def test_srgb_at_figures_of_the_standard() -> None:
+    # IEC 61966-2-1: the linear piece, where the two meet (0.04045 / 12.92), code 128 of 255, and both ends.
+    found = srgb_to_linear(np.array([0.0, 0.02, 0.04045, 128 / 255, 1.0]))
+    assert np.allclose(found, [0.0, 0.02 / 12.92, 0.0031308, 0.2158605, 1.0], atol=5e-8)
+
+
+def test_srgb_is_continuous_at_its_joint() -> None:
+    below, above = srgb_to_linear(np.array([0.04045, np.nextafter(0.04045, 1)]))
+    # The standard's rounded constants leave a step of 2e-8.
+    assert abs(above - below) < 1e-7
+
+
+def test_bt1886_without_black_is_a_power() -> None:
+    code = np.linspace(0, 1, 11)
+    found = bt1886_luminance(code, white_luminance_cd_m2=100.0, black_luminance_cd_m2=0.0)
+    assert np.allclose(found, 100.0 * code**2.4, rtol=1e-13)
+
+
+def test_bt1886_with_black_meets_both_ends_and_its_own_form() -> None:
+    """L = a max(V + b, 0)^2.4 with a and b as Annex 1 of the recommendation gives them."""
+    white, black = 80.0, 0.5
+    a = (white ** (1 / 2.4) - black ** (1 / 2.4)) ** 2.4
+    b = black ** (1 / 2.4) / (white ** (1 / 2.4) - black ** (1 / 2.4))
+    code = np.linspace(0, 1, 21)
+    found = bt1886_luminance(code, white_luminance_cd_m2=white, black_luminance_cd_m2=black)
+    assert np.allclose(found, a * (code + b) ** 2.4, rtol=1e-13)
+    assert np.allclose(found[[0, -1]], [black, white], rtol=1e-13)
+
+
+@pytest.mark.parametrize("changes", [{}, {"eotf": "srgb"}, {"eotf": "bt1886"}, {"eotf": "gamma", "gamma": 2.2}])
+def test_black_and_white_come_out_as_given(changes: dict[str, object]) -> None:
+    assert np.allclose(display(**changes).luminance(grey(0.0, 1.0)), [[2.0, 100.0]], rtol=1e-13)
+
+
+def test_gamma() -> None:
+    found = display(eotf="gamma", gamma=2.0, black_luminance_cd_m2=0.0).luminance(grey(0.5))
+    assert found == pytest.approx(25.0)
+
+
+def test_linear_goes_beyond_black_and_white() -> None:
+    assert np.allclose(display(white_luminance_cd_m2=12.0).luminance(grey(-1.0, 3.0)), [[-8.0, 32.0]])
+
+
+def test_lut_is_absolute_and_linear_in_between() -> None:
+    table = LuminanceTable(np.array([0.0, 0.5, 1.0]), np.array([1.0, 10.0, 50.0]))
+    found = display(eotf="lut", lut=table).luminance(grey(0.0, 0.25, 0.5, 0.75, 1.0))
+    assert np.allclose(found, [[1.0, 5.5, 10.0, 30.0, 50.0]], rtol=1e-15)
+
+
+def test_colour_is_weighed_after_linearisation() -> None:
+    pure = display(eotf="srgb", black_luminance_cd_m2=0.0).luminance(np.eye(3)[None])
+    assert np.allclose(pure, [[21.26, 71.52, 7.22]], rtol=1e-13)
+    code = np.array([[[0.5, 0.25, 0.75]]])
+    weighed = 100.0 * srgb_to_linear(code) @ [0.2126, 0.7152, 0.0722]
+    assert np.allclose(display(eotf="srgb", black_luminance_cd_m2=0.0).luminance(code), weighed, rtol=1e-13)
+
+
+def test_grey_colour_is_as_bright_as_one_channel() -> None:
+    one = display(eotf="bt1886").luminance(grey(0.3))
+    assert np.allclose(display(eotf="bt1886").luminance(np.full((1, 1, 3), 0.3)), one, rtol=1e-13)
+
+
+@pytest.mark.parametrize("eotf", ["srgb", "bt1886"])
+@pytest.mark.parametrize("code", [-0.01, 1.01])
+def test_code_values_that_no_transfer_function_is_defined_for(eotf: str, code: float) -> None:
+    with pytest.raises(DataError, match=r"code values run from .* expected 0 to 1"):
+        display(eotf=eotf).luminance(grey(0.5, code))
+
+
+def test_lut_is_not_extrapolated() -> None:
+    table = LuminanceTable(np.array([0.1, 0.9]), np.array([1.0, 50.0]))
+    with pytest.raises(DataError, match=r"expected 0\.1 to 0\.9"):
+        display(eotf="lut", lut=table).luminance(grey(0.05))
+
+
+def test_geometry() -> None:
+    found = display(pixel_pitch_mrad=None, pixel_pitch_mm=0.25, viewing_distance_mm=350.0).pitch_mrad
+    assert found == pytest.approx(1000.0 * 2.0 * math.atan2(0.125, 350.0), rel=1e-15)
+    assert found == pytest.approx(0.25 / 350.0 * 1000.0, rel=1e-7)  # small angle
+
+
+def test_geometry_given_in_both_ways() -> None:
+    lengths = {"pixel_pitch_mm": 0.25, "viewing_distance_mm": 350.0}
+    assert display(pixel_pitch_mrad=0.7143, **lengths).pitch_mrad == 0.7143
+    with pytest.raises(SettingsError, match=r"pixel_pitch_mrad: found 0\.7, but .* give 0\.714286"):
+        display(**lengths)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"eotf": "rec709"}, "eotf: found 'rec709', expected one of linear, srgb"),
+        ({"white_luminance_cd_m2": 0.0}, "white_luminance_cd_m2: found 0.0"),
+        ({"white_luminance_cd_m2": math.nan}, "white_luminance_cd_m2: found nan"),
+        ({"black_luminance_cd_m2": 100.0}, "black_luminance_cd_m2: found 100.0"),
+        ({"black_luminance_cd_m2": -1.0}, "black_luminance_cd_m2: found -1.0"),
+        ({"pixel_pitch_mrad": 0.0}, "pixel_pitch_mrad: found 0.0"),
+        ({"pixel_pitch_mrad": None}, "pixel_pitch_mrad: is missing"),
+        ({"pixel_pitch_mm": 0.25}, "pixel_pitch_mm and viewing_distance_mm: found one"),
+        ({"background_luminance_cd_m2": 0.0}, "background_luminance_cd_m2: found 0.0"),
+        ({"background_luminance_cd_m2": "edge"}, "background_luminance_cd_m2: found 'edge'"),
+        ({"eotf": "gamma"}, "gamma: is missing"),
+        ({"gamma": 2.2}, "gamma: is given but not used"),
+        ({"eotf": "lut"}, "lut: is missing"),
+    ],
+)
+def test_bad_settings(changes: dict[str, object], message: str) -> None:
+    with pytest.raises(SettingsError, match=message):
+        display(**changes)
+
+
+@pytest.mark.parametrize(
+    ("code", "luminance", "message"),
+    [
+        ([0.0], [1.0], "found 1 rows"),
+        ([0.0, 0.0], [1.0, 2.0], "does not rise"),
+        ([0.0, 255.0], [1.0, 2.0], "runs from 0 to 255"),
+        ([0.0, 1.0], [-1.0, 2.0], "luminance_cd_m2 -1"),
+        ([0.0, 1.0], [1.0, math.nan], "not finite"),
+    ],
+)
+def test_bad_lut(code: list[float], luminance: list[float], message: str) -> None:
+    with pytest.raises(SettingsError, match=message):
+        LuminanceTable(np.array(code), np.array(luminance))
+
+
+def test_border_is_the_outermost_ring() -> None:
+    luminance = np.zeros((4, 5))
+    luminance[0, 0], luminance[-1, 2], luminance[1:-1, 1:-1] = 7.0, 14.0, 1e6
+    assert border_mean(luminance) == pytest.approx(21.0 / 14.0)
+    assert border_mean(np.array([[2.0, 4.0]])) == pytest.approx(3.0)
+
+
+def test_contrast_is_signed() -> None:
+    assert np.allclose(weber_contrast(np.array([0.0, 50.0, 75.0]), 50.0), [-1.0, 0.0, 0.5])
+
+
+@pytest.mark.parametrize("background", [0.0, -3.0, math.nan])
+def test_bad_background(background: float) -> None:
+    with pytest.raises(DataError, match="background luminance is"):
+        weber_contrast(np.ones(3), background)

@@ -1,0 +1,302 @@
+"""The observer: folded against literal, symmetry, and the published naked-eye figures."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from todframes.decision import answer_probabilities
+from todframes.errors import SettingsError
+from todframes.naked_eye import acuity, contrast_threshold, proportion_correct
+from todframes.observer import PyramidObserver, PyramidSettings
+from todframes.readout import ENTRY_POINT_GROUP, Observer, Stimulus, find_observer
+from todframes.retina import RetinaGrid
+from todframes.stimulus import ORIENTATIONS, Orientation, coverage
+
+
+def registered() -> list[str]:
+    from importlib.metadata import entry_points
+
+    return sorted({entry.name for entry in entry_points(group=ENTRY_POINT_GROUP)})
+
+
+VARIANTS = [
+    {},
+    {"kernel_a": 0.4},
+    {"include_residual": True},
+    {"band_gain": 2.0},
+    {"centre": "bounding_box"},
+    {"template_blur_samples": 0.0},
+    {"levels": 5, "internal_noise_sd": 0.3},
+]
+
+
+def triangle_on(grid: RetinaGrid, size_mrad: float, orientation: Orientation, dx: float = 0.0) -> np.ndarray:
+    image = coverage(
+        (grid.side, grid.side),
+        size_px=size_mrad / grid.pitch_mrad,
+        x_px=grid.side // 2 + dx,
+        y_px=grid.side // 2,
+        orientation=orientation,
+    )
+    return np.ascontiguousarray(image)
+
+
+@pytest.fixture(scope="module")
+def observer() -> PyramidObserver:
+    return PyramidObserver()
+
+
+# One contract for every observer that is registered.
+
+
+@pytest.fixture(params=registered())
+def any_observer(request: pytest.FixtureRequest) -> Observer:
+    kind = find_observer(request.param)
+    return kind(kind.settings_type())
+
+
+def test_settings_are_a_frozen_dataclass(any_observer: Observer) -> None:
+    kind = type(any_observer).settings_type
+    assert dataclasses.is_dataclass(kind)
+    assert kind.__dataclass_params__.frozen
+
+
+def test_grid_has_a_middle_and_holds_the_triangle(any_observer: Observer) -> None:
+    for size in (0.05, 1.0, 20.0):
+        grid = any_observer.grid(Stimulus(size))
+        assert grid.side % 2 == 1
+        assert grid.width_mrad > 2 * 0.8774 * size  # the apex, 2/3 of the height from the middle, both ways
+
+
+def test_readout_is_consistent(any_observer: Observer) -> None:
+    readout = any_observer.readout(Stimulus(1.0))
+    if readout is None:
+        pytest.skip("not linear")
+    side = readout.grid.side
+    assert readout.deviations.shape == (4, side, side)
+    covariance = readout.noise_covariance
+    assert np.array_equal(covariance, covariance.T)
+    # Deviations from the mean of the four: they and their noise sum to nothing.
+    scale = np.abs(readout.deviations).max()
+    assert np.abs(readout.deviations.sum(axis=0)).max() < 1e-12 * scale
+    assert np.abs(covariance.sum(axis=0)).max() < 1e-12 * covariance.max()
+    assert np.linalg.eigvalsh(covariance).min() > -1e-12 * covariance.max()
+
+
+def test_answers_are_right_when_the_triangle_is_plain(any_observer: Observer) -> None:
+    for polarity in (1, -1):
+        stimulus = Stimulus(2.0, polarity)
+        grid = any_observer.grid(stimulus)
+        for orientation in ORIENTATIONS:
+            seen = 1e4 * polarity * triangle_on(grid, 2.0, orientation)
+            assert any_observer.respond(seen, stimulus, np.random.default_rng(1)) is orientation
+
+
+def test_answers_depend_on_the_generator_alone(any_observer: Observer) -> None:
+    stimulus = Stimulus(1.0)
+    seen = 0.1 * triangle_on(any_observer.grid(stimulus), 1.0, Orientation.UP)
+    runs = [
+        [any_observer.respond(seen, stimulus, rng) for _ in range(20)]
+        for rng in (np.random.default_rng(5), np.random.default_rng(5))
+    ]
+    assert runs[0] == runs[1]
+    assert len(set(runs[0])) > 1
+
+
+# The pyramid observer itself.
+
+
+@pytest.mark.parametrize("variant", VARIANTS, ids=str)
+@pytest.mark.parametrize("size_mrad", [0.3, 2.0])
+def test_folded_scores_are_the_literal_ones(variant: dict, size_mrad: float) -> None:
+    observer = PyramidObserver(PyramidSettings(**variant))
+    stimulus = Stimulus(size_mrad, -1)
+    readout = observer.readout(stimulus)
+    image = np.random.default_rng(0).normal(size=(readout.grid.side,) * 2)
+    literal = observer.literal_scores(image, stimulus)
+    # Sums of some 1e4 products rounded to 1e-16 of unit-variance neurons.
+    assert np.allclose(readout.scores(image), literal, rtol=0.0, atol=1e-10 * max(1.0, np.abs(literal).max()))
+    assert np.allclose(readout.score_deviations(image), literal - literal.mean(), rtol=0.0, atol=1e-10)
+
+
+@pytest.mark.parametrize("variant", VARIANTS, ids=str)
+def test_noise_covariance_is_that_of_noise_through_the_literal_path(variant: dict) -> None:
+    """⟨t_j, t_k⟩ of the templates' deviations, from the bands themselves."""
+    observer = PyramidObserver(PyramidSettings(**variant))
+    templates = [
+        np.concatenate([band.ravel() for band in template]) for template in observer.templates(Stimulus(0.8))
+    ]
+    deviations = np.array(templates) - np.mean(templates, axis=0)
+    expected = observer.settings.noise_sd**2 * deviations @ deviations.T
+    found = observer.readout(Stimulus(0.8)).noise_covariance
+    assert np.allclose(found, expected, rtol=0.0, atol=1e-12 * expected.max())
+
+
+@settings(max_examples=20, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_a_quarter_turn_permutes_the_scores(observer: PyramidObserver, seed: int) -> None:
+    readout = observer.readout(Stimulus(1.0))
+    image = np.random.default_rng(seed).normal(size=(readout.grid.side,) * 2)
+    scores = readout.scores(image)
+    for turns in range(1, 4):
+        turned = readout.scores(np.rot90(image, -turns).copy())
+        assert np.allclose(turned, np.roll(scores, turns), rtol=0.0, atol=1e-12)
+
+
+def test_a_uniform_field_tells_nothing(observer: PyramidObserver) -> None:
+    readout = observer.readout(Stimulus(1.0))
+    uniform = np.full((readout.grid.side,) * 2, 0.37)
+    # Bands do not respond to a uniform field, so the scores are zero up to rounding.
+    assert np.allclose(readout.scores(uniform), 0.0, atol=1e-13)
+    probabilities = answer_probabilities(readout.score_deviations(uniform), readout.noise_covariance)
+    assert np.allclose(probabilities, 0.25, atol=1e-9)
+
+
+def test_a_constant_added_changes_nothing(observer: PyramidObserver) -> None:
+    readout = observer.readout(Stimulus(1.0))
+    image = np.random.default_rng(2).normal(size=(readout.grid.side,) * 2)
+    assert np.allclose(readout.scores(image + 5.0), readout.scores(image), rtol=0.0, atol=1e-12)
+
+
+def test_polarity_and_noise_scale() -> None:
+    dark = PyramidObserver().readout(Stimulus(1.0, -1))
+    bright = PyramidObserver().readout(Stimulus(1.0, 1))
+    assert np.array_equal(dark.deviations, -bright.deviations)
+    assert np.array_equal(dark.noise_covariance, bright.noise_covariance)
+    loud = PyramidObserver(PyramidSettings(internal_noise=1.0)).readout(Stimulus(1.0))
+    assert np.allclose(loud.noise_covariance, 4.0 * bright.noise_covariance, rtol=1e-14)
+    direct = PyramidObserver(PyramidSettings(internal_noise_sd=0.5 / np.sqrt(12))).readout(Stimulus(1.0))
+    assert np.allclose(direct.noise_covariance, bright.noise_covariance, rtol=1e-14)
+
+
+def test_more_bands_and_a_wider_field_change_nothing_that_matters() -> None:
+    """What PyramidObserver.grid leaves out, against two octaves more, at the worst sizes for its rule."""
+    for samples in (2.0, 17.5, 35.0):
+        size = samples * 0.153
+        chosen = PyramidObserver().grid(Stimulus(size)).side
+        wide = PyramidSettings(levels=(chosen - 1).bit_length() - 1)
+        few = contrast_threshold(PyramidObserver(), size_mrad=size).threshold
+        many = contrast_threshold(PyramidObserver(wide), size_mrad=size).threshold
+        assert few == pytest.approx(many, rel=1e-5)
+
+
+N_DRAWS = 100_000
+
+
+@pytest.fixture(scope="module")
+def drawn_noise(observer: PyramidObserver) -> np.ndarray:
+    """Scores of the noise alone: uniform on every neuron, through the four templates, shape (draw, 4)."""
+    templates = np.array([np.concatenate([b.ravel() for b in t]) for t in observer.templates(Stimulus(1.0))])
+    half_width, rng = observer.settings.internal_noise / 2.0, np.random.default_rng(11)
+    draws = [rng.uniform(-half_width, half_width, (500, templates.shape[1])) @ templates.T for _ in range(200)]
+    return np.concatenate(draws)
+
+
+@pytest.mark.parametrize("contrast", [0.03, 0.08, 0.14, 0.2, 0.28])
+def test_literal_monte_carlo_agrees_with_the_closed_form(
+    observer: PyramidObserver, drawn_noise: np.ndarray, contrast: float
+) -> None:
+    """10⁵ draws a point, from P near 0.3 to 0.98: scores of the bands plus those of the noise, the largest wins."""
+    stimulus = Stimulus(1.0)
+    readout = observer.readout(stimulus)
+    seen = contrast * triangle_on(readout.grid, 1.0, Orientation.UP, dx=0.2)
+    expected = answer_probabilities(readout.score_deviations(seen), readout.noise_covariance)[0]
+    assert 0.3 < expected < 0.99
+    answers = (observer.literal_scores(seen, stimulus) + drawn_noise).argmax(axis=1)
+    standard_error = np.sqrt(expected * (1.0 - expected) / N_DRAWS)
+    assert abs((answers == 0).mean() - expected) < 4.0 * standard_error + readout.non_gaussian_bound
+
+
+def test_literal_noise_is_on_every_neuron(observer: PyramidObserver) -> None:
+    """Scores with noise less scores without are the templates' inner products with the same uniform draws."""
+    stimulus, half_width = Stimulus(1.0), observer.settings.internal_noise / 2.0
+    side = observer.grid(stimulus).side
+    seen = np.random.default_rng(0).normal(size=(side, side))
+    noisy = observer.literal_scores(seen, stimulus, np.random.default_rng(3))
+    templates = np.array([np.concatenate([b.ravel() for b in t]) for t in observer.templates(stimulus)])
+    noise = np.random.default_rng(3).uniform(-half_width, half_width, templates.shape[1])
+    assert np.allclose(noisy - observer.literal_scores(seen, stimulus), templates @ noise, rtol=0.0, atol=1e-12)
+
+
+# Published figures.
+
+
+def test_naked_eye_at_one_mrad() -> None:
+    """0.1462 at internal noise 0.5 by brute force in independent code; asked for within 0.5 %."""
+    found = contrast_threshold(PyramidObserver(), size_mrad=1.0)
+    assert found.status == "ok"
+    assert found.threshold == pytest.approx(0.1462, rel=0.005)
+    assert found.numerical_error < 0.001 * found.threshold
+
+
+def test_retina_nyquist() -> None:
+    """0.153 mrad: 57.04 cycles a degree, the paper says 57."""
+    per_degree = np.radians(1.0) * 1000.0 / (2.0 * PyramidSettings().retina_pitch_mrad)
+    assert per_degree == pytest.approx(57.04, abs=0.005)
+
+
+def test_acuity_inverts_the_contrast_threshold() -> None:
+    observer = PyramidObserver()
+    contrast = contrast_threshold(observer, size_mrad=0.7).threshold
+    assert acuity(observer, contrast=contrast).threshold == pytest.approx(0.7, rel=1e-3)
+
+
+def test_threshold_follows_noise() -> None:
+    """Signal and internal noise scaled together change nothing."""
+    quiet = contrast_threshold(PyramidObserver(PyramidSettings(internal_noise=0.25)), size_mrad=1.5)
+    loud = contrast_threshold(PyramidObserver(), size_mrad=1.5)
+    assert quiet.threshold * 2.0 == pytest.approx(loud.threshold, rel=1e-6)
+
+
+def test_criterion_is_met_at_the_threshold() -> None:
+    found = contrast_threshold(PyramidObserver(), size_mrad=1.0, p_correct=0.9)
+    at = proportion_correct(PyramidObserver(), size_mrad=1.0, contrast=found.threshold, nodes=32)
+    assert at == pytest.approx(0.9, abs=5e-4)
+
+
+def test_no_threshold_where_there_is_none() -> None:
+    assert contrast_threshold(PyramidObserver(PyramidSettings(internal_noise=0.0)), size_mrad=5.0) == (
+        "always_exceeded",
+        None,
+        None,
+    )
+    # Displaced by up to half a sample, a triangle of a hundredth of one is lost whatever its contrast.
+    assert contrast_threshold(PyramidObserver(), size_mrad=0.0015).status == "never_reached"
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"centre": "apex"}, "centre: found 'apex'"),
+        ({"retina_pitch_mrad": 0.0}, "retina_pitch_mrad: found 0.0, expected a finite number > 0"),
+        ({"internal_noise": -1.0}, "internal_noise: found -1.0, expected a finite number >= 0"),
+        ({"internal_noise_sd": np.nan}, "internal_noise_sd: found nan"),
+        ({"kernel_a": 2.0}, "kernel_a: found 2.0"),
+        ({"levels": 0}, "levels: found 0"),
+        ({"position_jitter_samples": np.inf}, "position_jitter_samples: found inf"),
+    ],
+)
+def test_bad_settings(changes: dict, message: str) -> None:
+    with pytest.raises(SettingsError, match=message):
+        PyramidSettings(**changes)
+
+
+def test_too_large_a_triangle_says_so() -> None:
+    with pytest.raises(SettingsError, match=r"a triangle of 1000 mrad is 6535\.95 retina samples"):
+        PyramidObserver().grid(Stimulus(1000.0))
+
+
+def test_unknown_observer_names_the_nearest() -> None:
+    with pytest.raises(SettingsError, match="unknown key 'piramid'; the nearest valid one is 'pyramid'"):
+        find_observer("piramid")
+
+
+@pytest.mark.parametrize("size", [0.0, -1.0, np.nan])
+def test_naked_eye_bad_size(size: float) -> None:
+    with pytest.raises(SettingsError, match="size_mrad: found"):
+        contrast_threshold(PyramidObserver(), size_mrad=size)
