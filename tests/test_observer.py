@@ -201,7 +201,7 @@ def drawn_noise(observer: PyramidObserver) -> np.ndarray:
 def test_literal_monte_carlo_agrees_with_the_closed_form(
     observer: PyramidObserver, drawn_noise: np.ndarray, contrast: float
 ) -> None:
-    """10⁵ draws a point, from P near 0.3 to 0.98: scores of the bands plus those of the noise, the largest wins."""
+    """10⁵ draws a point, P from 0.3 to 0.98: scores of the bands plus those of the noise, the largest wins."""
     stimulus = Stimulus(1.0)
     readout = observer.readout(stimulus)
     seen = contrast * triangle_on(readout.grid, 1.0, Orientation.UP, dx=0.2)

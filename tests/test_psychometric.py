@@ -265,7 +265,7 @@ def test_interval_of_answers_holds_the_threshold_as_often_as_stated(beta, lapse_
     p = weibull(level, alpha=alpha, beta=beta, guess_rate=0.25, lapse_rate=lapse_rate)
     rng = generator(17)
     fits = [
-        fit_counts(level, rng.binomial(30, p), [30] * 7, settings=FitSettings(resamples=250), rng=rng)
+        fit_counts(level, rng.binomial(30, p), [30] * 7, settings=FitSettings(resamples=200), rng=rng)
         for _ in range(300)
     ]
     assert all(fit.status == "ok" for fit in fits)
@@ -274,12 +274,12 @@ def test_interval_of_answers_holds_the_threshold_as_often_as_stated(beta, lapse_
 
 @pytest.mark.parametrize("n_trials", [1, 30])
 def test_interval_of_probabilities_holds_the_threshold_as_often_as_stated(n_trials):
-    level = np.repeat(np.geomspace(0.5, 2.0, 7 if n_trials > 1 else 20), n_trials)
+    level = np.repeat(np.geomspace(0.5, 2.0, 7 if n_trials > 1 else 12), n_trials)
     alpha = alpha_of(1.0, beta=2.0, lapse_rate=0.0)
     p = weibull(level, alpha=alpha, beta=2.0, guess_rate=0.25, lapse_rate=0.0)
     rng = generator(5)
     fits = [
-        fit_trials(level, rng.beta(20 * p, 20 * (1 - p)), settings=FitSettings(resamples=250), rng=rng)
+        fit_trials(level, rng.beta(20 * p, 20 * (1 - p)), settings=FitSettings(resamples=200), rng=rng)
         for _ in range(300)
     ]
     assert 0.92 <= np.mean([covered(fit, 1.0) for fit in fits]) <= 0.98

@@ -279,14 +279,16 @@ def write_frame(
     try:
         temporary.touch(exist_ok=False)
         _write(temporary, stored, pixel_type, compression, attributes)
-        kept = read_header(temporary).attributes
+        with FrameFile(temporary) as file:
+            kept = file.header.attributes
+            file.read()  # a disk that fills up with the last bytes of an EXR is not reported
         lost = [name for name, text in attributes.items() if kept.get(name) != text]
         if lost:
             like = "a name such as 'todframes:seed' and a text that is not empty and without NUL"
             raise SettingsError(f"{path}: {suffix} does not keep attribute {lost[0]!r} as it is, expected {like}")
         temporary.replace(path)
     except FrameError as error:
-        raise FrameError(path, error.problem) from None
+        raise FrameError(path, f"cannot be written: {error.problem}") from None
     except OSError as error:
         raise FrameError(path, f"cannot be written: {error.strerror}") from None
     finally:
@@ -309,7 +311,7 @@ def _write(
     output = oiio.ImageOutput.create(str(path))
     written = output is not None and output.open(str(path), spec) and output.write_image(stored)
     if output is None or not output.close() or not written or output.has_error:
-        raise FrameError(path, f"cannot be written: {_reason(output)}")
+        raise FrameError(path, _reason(output))
 
 
 def _to_stored(path: Path, values: ArrayLike, pixel_type: PixelType) -> NDArray[Any]:

@@ -108,9 +108,8 @@ def _means(
             if (patch.row, patch.column, *patch.contrast.shape) != (0, 0, header.height, header.width):
                 raise FrameError(path, "has no pixels in part of the frame; its triangle cannot be located")
             if shape not in (None, patch.contrast.shape):
-                raise FrameError(
-                    path, f"found {patch.contrast.shape} pixels, expected {shape} as in the group's other frames"
-                )
+                found, expected = _size(patch.contrast.shape), _size(shape)
+                raise FrameError(path, f"found {found} pixels, expected {expected} as in the group's other frames")
             shape = patch.contrast.shape
             key = (trial.stimulus, trial.orientation)
             if key in sums:
@@ -123,6 +122,11 @@ def _means(
     for (stimulus, orientation), mean in sums.items():
         means.setdefault(stimulus, {})[orientation] = mean.total / mean.count
     return means
+
+
+def _size(shape: tuple[int, ...]) -> str:
+    """Columns × rows."""
+    return f"{shape[1]} × {shape[0]}"
 
 
 class _Matcher:

@@ -2,6 +2,9 @@
 
 Hogervorst et al. 2001, eq. 3: p(x) = (1 − δ) − (1 − δ − γ)·2^−(x/α)^β. The threshold is the level at a raw
 proportion correct, x_c = α·log2((1 − δ − γ)/(1 − δ − c))^(1/β); α itself is not the 75 % point.
+
+The fit maximises Σ p_i ln p(x_i) + (1 − p_i) ln(1 − p(x_i)) over α, β in 1e-2 … 1e3 and δ. In ln x the curve is a
+complementary log-log model, ln(ln 2) + β·(ln x − ln α), with a guess and a lapse rate.
 """
 
 from __future__ import annotations
@@ -92,7 +95,8 @@ class PsychometricFit:
         `never_reached`, `always_exceeded`: the threshold lies farther up or down than that, or the curve is no
         more likely than a flat line at the mean proportion, which is below or not below the criterion.
         `too_few_levels`: fewer than two distinct levels.
-        Only `ok` and `extrapolated` have a threshold and an interval; `too_few_levels` has no curve either.
+        Only `ok` and `extrapolated` have a threshold and an interval. With a flat line or too few levels there is
+        no curve either: `alpha`, `beta` and `delta` are None.
     threshold_ci95
         A bound is None where the data do not determine it: it is infinite or more than a factor of 2 outside the
         levels. None altogether without a threshold or with `resamples=0`.
@@ -129,7 +133,9 @@ def weibull_level(
 
 @dataclass(frozen=True, slots=True)
 class _Model:
-    """The curve's design: `z` is ln level about `centre`; parameters are (ln α − centre, ln β, δ)."""
+    """What a curve is fitted to, but for the answers. `z` is ln level about its centre, the parameters `theta` are
+    (ln α about the same centre, ln β, δ), within `lower` and `upper`.
+    """
 
     z: Array
     n_trials: Array
@@ -170,7 +176,7 @@ class _Model:
         ln_log2 = np.log(np.log2(span / np.where(reached, left, span / 2)))
         return np.where(reached, location + ln_log2 / np.exp(ln_slope), np.inf)
 
-    def climb(self, theta: Array, answers: Array, *, tolerance: float) -> tuple[Array, Array]:
+    def climb(self, theta: Array, answers: Array, *, tolerance: float, steps: int) -> tuple[Array, Array]:
         """Maximise the likelihood of each row of `answers` from its row of `theta`: all rows at once.
 
         Levenberg-damped Fisher scoring; a parameter at a bound that its score pushes against stands still
@@ -180,7 +186,7 @@ class _Model:
         rows, diagonal = np.arange(len(theta)), np.arange(3)
         loglik, score, information = self.derivatives(theta, answers)
         damping = np.full(len(theta), 1e-3)
-        for _ in range(60):
+        for _ in range(steps):
             held = ((theta <= self.lower) & (score < 0)) | ((theta >= self.upper) & (score > 0))
             push = np.where(held, 0.0, score)
             matrix = np.where(held[:, :, None] | held[:, None, :], 0.0, information)
@@ -218,8 +224,8 @@ class _Model:
         z = np.quantile(self.z, np.linspace(0, 1, min(len(self.z), 12)))
         slope = np.array([1000.0, 100.0, 20.0, 8.0, 4.0, 2.0, 1.0, 0.4, 0.1, 0.01])
         parts = (slope, np.concatenate([(z[1:] + z[:-1]) / 2, z]), np.array([0.0, -2.0, 1.5]))
-        ends = np.unique([self.lower[2], self.upper[2]])
-        slope, place, offset, lapse_rate = np.meshgrid(*parts, ends, indexing="ij")
+        lapse_rates = np.unique(np.linspace(self.lower[2], self.upper[2], 3))
+        slope, place, offset, lapse_rate = np.meshgrid(*parts, lapse_rates, indexing="ij")
         grid = np.stack([place - offset / slope, np.log(slope), lapse_rate], axis=-1)
         return grid.reshape(len(grid), -1, 3)
 
@@ -234,31 +240,41 @@ class _Model:
         right, wrong, _ = self.curves(grid, z)
         n_right = np.add.reduceat(answers * self.n_trials, first, axis=1)
         tie_break = 1e-9 * n_trials.sum() * np.linspace(0, 1, len(grid))
-        return n_right, np.log(right / wrong).T, np.log(wrong) @ n_trials - tie_break
+        return n_right, np.log(right / wrong).T, np.einsum("gl,l->g", np.log(wrong), n_trials) - tie_break
 
     def fit_one(self, answers: Array) -> tuple[Array, float]:
         """The best of the climbs from the best start of each slope, and its log-likelihood."""
         grid = self.starts()
         n_right, weight, constant = self.grid_terms(grid.reshape(-1, 3), answers[None])
-        loglik = (n_right @ weight + constant).reshape(grid.shape[:2])
+        loglik = (np.einsum("bl,lg->g", n_right, weight) + constant).reshape(grid.shape[:2])
         best = loglik.argmax(axis=1)
         order = np.argsort(-loglik.max(axis=1))
         n_trials = self.n_trials.sum()
         repeated = np.tile(answers, (len(grid), 1))
-        tops, heights = self.climb(grid[order, best[order]], repeated, tolerance=1e-20 * n_trials)
+        tops, heights = self.climb(grid[order, best[order]], repeated, tolerance=1e-20 * n_trials, steps=60)
         first = int(np.argmax(heights >= heights.max() - 1e-10 * n_trials))
         return tops[first], float(heights[first])
 
     def fit_many(self, answers: Array) -> Array:
-        """One curve for each row of `answers`, to about √tolerance = 1 % of a standard error."""
-        grid = self.starts().reshape(-1, 3)
+        """One curve for each row of `answers`, to about √tolerance = 1 % of a standard error.
+
+        The likelihood may have a second top where the curve is a step, so each row climbs from two starts.
+        """
+        grid, curves = self.starts(), []
+        size = _BATCH_ELEMENTS // len(self.z) + 1
+        for batch in np.split(answers, range(size, len(answers), size)):
+            steep, steep_loglik = self.climb_from_best(grid[:4].reshape(-1, 3), batch)
+            shallow, shallow_loglik = self.climb_from_best(grid[4:].reshape(-1, 3), batch)
+            curves.append(np.where((steep_loglik >= shallow_loglik - 1e-9)[:, None], steep, shallow))
+        return np.concatenate(curves)
+
+    def climb_from_best(self, grid: Array, answers: Array) -> tuple[Array, Array]:
+        """`climb` each row of `answers` from its most likely curve of `grid`."""
         n_right, weight, constant = self.grid_terms(grid, answers)
         rows = max(1, _SINGLE_THREAD_PRODUCT // weight.size)
         batches = np.split(n_right, range(rows, len(answers), rows))
-        start = grid[np.concatenate([(batch @ weight + constant).argmax(axis=1) for batch in batches])]
-        cuts = range(_BATCH_ELEMENTS // len(self.z) + 1, len(answers), _BATCH_ELEMENTS // len(self.z) + 1)
-        parts = zip(np.split(start, cuts), np.split(answers, cuts), strict=True)
-        return np.concatenate([self.climb(*part, tolerance=1e-4)[0] for part in parts])
+        best = np.concatenate([(batch @ weight + constant).argmax(axis=1) for batch in batches])
+        return self.climb(grid[best], answers, tolerance=1e-4, steps=25)
 
 
 @dataclass(frozen=True, slots=True)
@@ -299,11 +315,13 @@ class _Observed:
         for level, answers in enumerate(self.trials):
             if len(answers) > 1:
                 picks = rng.integers(len(answers), size=(size, len(answers) - 1))
-                drawn[:, level] = answers[picks].mean(axis=1)
+                spread = answers[picks].mean(axis=1) - answers.mean()
+                freedom = len(answers) - 1
+                drawn[:, level] = answers.mean() + spread * np.sqrt(freedom / rng.chisquare(freedom, size))
             else:
                 p = np.clip(fitted[level], 1e-9, 1 - 1e-9)
                 drawn[:, level] = rng.beta(p * (1 / share - 1), (1 - p) * (1 / share - 1))
-        return drawn
+        return np.clip(drawn, 0.0, 1.0)
 
 
 def fit_trials(
@@ -324,9 +342,10 @@ def fit_trials(
         0 or 1, the fit and its interval are those of `fit_counts`.
 
     The interval of probabilities resamples the trials within each level, n − 1 of n, which makes their variance
-    unbiased (McCarthy & Snowden 1985). The spread of a level with a single trial is not known: it takes that of
-    all residuals about the curve, as a share of p(1 − p) (McCullagh & Nelder 1989, chapter 9), in a beta
-    distribution; with three trials or fewer all of p(1 − p), the most that answers in [0, 1] can have.
+    unbiased (McCarthy & Snowden 1985), and stretches each deviation by √((n − 1)/χ²), because that variance is
+    itself an estimate (Student 1908). The spread of a level with a single trial is not known: it takes that of all
+    residuals about the curve, as a share of p(1 − p) (McCullagh & Nelder 1989, chapter 9), in a beta distribution;
+    with three trials or fewer in all, the whole of p(1 − p), the most that answers in [0, 1] can have.
     """
     x, p = np.asarray(level, dtype=np.float64), np.asarray(p_correct, dtype=np.float64)
     _check_levels(x, "p_correct", p)

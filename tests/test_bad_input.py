@@ -1,0 +1,1137 @@
+"""Bad input at the command line: one line that says what is wrong and where, a status, and nothing half-written.
+
+Contract, section 5. Each case spoils a good dataset in one way; `wanted` are patterns for what the line must say.
+"""
+
+import errno
+import json
+import os
+import re
+import shutil
+import signal
+import struct
+import subprocess
+import sys
+import time
+import zlib
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from todframes import cli, report
+from todframes.command import run
+from todframes.frames import write_frame
+
+BAD_DATA, BAD_SETTINGS, INTERRUPTED = 1, 2, 130
+BAD = 1
+"""Number of the row that is spoilt; the manifest has the header in line 1."""
+BAD_LINE = "line 3"
+
+COMMAND = (sys.executable, "-c", "from todframes.cli import main; main()")
+
+
+@pytest.fixture
+def todframes(capfd):
+    """Runs a command line; status, standard output, lines of standard error.
+
+    Of the file descriptors, as image libraries write to those.
+    """
+
+    def command_line(*arguments):
+        capfd.readouterr()
+        status = run(cli.cli, [str(argument) for argument in arguments])
+        out, err = capfd.readouterr()
+        return status, out, err.splitlines()
+
+    return command_line
+
+
+@pytest.fixture
+def fails(todframes, tmp_path):
+    """Runs a command line that must fail as the contract says, with a line that has all the patterns."""
+
+    def command_line(*arguments, status, wanted):
+        before = tree(tmp_path)
+        found, out, errors = todframes(*arguments)
+        assert len(errors) == 1, errors
+        assert_says(errors[0], wanted)
+        assert errors[0].startswith("error: ")
+        assert out == ""
+        assert found == status, errors
+        assert tree(tmp_path) == before
+
+    return command_line
+
+
+def assert_says(line, wanted):
+    missing = [pattern for pattern in wanted if not re.search(pattern, line)]
+    assert not missing, f"{line!r} lacks {missing}"
+
+
+def tree(folder):
+    return {path: path.is_dir() or path.lstat().st_mtime_ns for path in folder.rglob("*")}
+
+
+# Frames -------------------------------------------------------------------------------------------------------
+
+
+def png_chunk(kind, content):
+    return struct.pack(">I", len(content)) + kind + content + struct.pack(">I", zlib.crc32(kind + content))
+
+
+def png(width, height, *chunks):
+    """An 8-bit grey PNG of any declared size around the given chunks."""
+    header = png_chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 0, 0, 0, 0))
+    return b"\x89PNG\r\n\x1a\n" + header + b"".join(chunks) + png_chunk(b"IEND", b"")
+
+
+def zeros_deflated(n_mib):
+    """A zlib stream of so many MiB of zeros, without deflating more than one."""
+    deflater = zlib.compressobj(9, wbits=-15)
+    block = deflater.compress(bytes(2**20)) + deflater.flush(zlib.Z_FULL_FLUSH)
+    adler32 = (n_mib * 2**20 % 65521) << 16 | 1
+    return b"\x78\x01" + block * n_mib + b"\x03\x00" + struct.pack(">I", adler32)
+
+
+def exr_window(path, width, height):
+    """Changes the declared size of an EXR, both windows."""
+    content = bytearray(path.read_bytes())
+    for name in (b"dataWindow", b"displayWindow"):
+        place = content.index(name + b"\0box2i\0") + len(name) + len("\0box2i\0") + 4
+        content[place : place + 16] = struct.pack("<4i", 0, 0, width - 1, height - 1)
+    path.write_bytes(content)
+
+
+def flip(path, place):
+    content = bytearray(path.read_bytes())
+    content[place] ^= 0x10
+    path.write_bytes(content)
+
+
+def flip_exr_header(path):
+    flip(path, path.read_bytes().index(b"compression\0") + len(b"compression\0com"))
+
+
+def flip_middle(path):
+    flip(path, path.stat().st_size * 2 // 3)
+
+
+def truncate(path):
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+
+
+def with_pixel(value):
+    def spoil(path):
+        """Half floats without compression, so that their bytes can be set."""
+        pixels = np.full((48, 48), 50.0)
+        pixels[20, 30] = 51.0
+        write_frame(path, pixels, compression="none")
+        content = path.read_bytes()
+        assert content.count(np.float16(51.0).tobytes()) == 1
+        path.write_bytes(content.replace(np.float16(51.0).tobytes(), np.float16(value).tobytes()))
+
+    return spoil
+
+
+def replaced_by_folder(path):
+    path.unlink()
+    path.mkdir()
+
+
+def replaced_by_pipe(path):
+    path.unlink()
+    os.mkfifo(path)
+
+
+@dataclass(frozen=True)
+class Spoilt:
+    """A dataset with one bad frame: how, and what the error must say besides the file's name."""
+
+    spoil: Callable
+    wanted: tuple
+    suffix: str = ".exr"
+    display: tuple = ()
+
+    def of(self, make_dataset):
+        dataset = make_dataset(suffix=self.suffix, display=dict(self.display))
+        self.spoil(dataset.frame(BAD))
+        return dataset
+
+
+FRAMES = {
+    "missing": Spoilt(Path.unlink, ("No such file",)),
+    "folder": Spoilt(replaced_by_folder, ("folder", "expected")),
+    "pipe": Spoilt(replaced_by_pipe, ("device", "expected")),
+    "empty": Spoilt(lambda path: path.write_bytes(b""), ("empty", "EXR or PNG")),
+    "text named png": Spoilt(lambda path: path.write_text("contrast,level\n"), ("starts with", "PNG"), ".png"),
+    "jpeg": Spoilt(lambda path: path.write_bytes(b"\xff\xd8\xff\xe0" + bytes(99)), ("starts with", "EXR or PNG")),
+    "exr magic only": Spoilt(lambda path: path.write_bytes(b"\x76\x2f\x31\x01"), ("cannot be opened",)),
+    "exr truncated": Spoilt(truncate, (r"cannot be (opened|decoded)",)),
+    "exr header flipped": Spoilt(flip_exr_header, ("cannot be opened",)),
+    "exr data flipped": Spoilt(flip_middle, ("rows .* cannot be decoded",)),
+    "exr declares 60000": Spoilt(lambda path: exr_window(path, 60_000, 60_000), ("60000", "32768")),
+    "exr declares too many bytes": Spoilt(lambda path: exr_window(path, 30_000, 30_000), (r"\d MB|image size",)),
+    "exr declares a negative size": Spoilt(lambda path: exr_window(path, -5, 10), ("cannot be opened|found",)),
+    "png truncated": Spoilt(truncate, ("truncated",), ".png"),
+    "png flipped": Spoilt(flip_middle, ("damaged",), ".png"),
+    "png declares 60000": Spoilt(
+        lambda path: path.write_bytes(png(60_000, 60_000, png_chunk(b"IDAT", zeros_deflated(1)))),
+        ("60000", "32768"),
+        ".png",
+    ),
+    "png bomb, 400 MB of pixels": Spoilt(
+        lambda path: path.write_bytes(png(20_000, 20_000, png_chunk(b"IDAT", zeros_deflated(382)))),
+        (r"\d MB|image size", "256"),
+        ".png",
+    ),
+    "png lacks rows": Spoilt(
+        lambda path: path.write_bytes(png(48, 48, png_chunk(b"IDAT", zlib.compress(bytes(49 * 20))))),
+        ("cannot be (opened|decoded)",),
+        ".png",
+    ),
+    "nan": Spoilt(with_pixel(np.nan), ("1 pixels are NaN or infinite", "row 20, column 30")),
+    "infinite": Spoilt(with_pixel(np.inf), ("1 pixels are NaN or infinite", "row 20, column 30")),
+    "minus infinite": Spoilt(with_pixel(-np.inf), ("1 pixels are NaN or infinite", "row 20, column 30")),
+    "black border": Spoilt(
+        lambda path: write_frame(path, np.zeros((48, 48))),
+        ("background luminance is 0", "expected > 0"),
+        display=(("background_luminance_cd_m2", "border"),),
+    ),
+    "negative mean": Spoilt(
+        lambda path: write_frame(path, np.full((48, 48), -2.0)),
+        ("background luminance is -2", "expected > 0"),
+        display=(("background_luminance_cd_m2", "frame_mean"),),
+    ),
+    "smaller than the triangle": Spoilt(
+        lambda path: write_frame(path, np.full((5, 6), 50.0)),
+        ("6 × 5 pixels", "smaller than the triangle", "2 mrad"),
+    ),
+    "one pixel": Spoilt(lambda path: write_frame(path, np.full((1, 1), 50.0)), ("1 × 1 pixels", "smaller")),
+    "srgb beyond 1": Spoilt(
+        lambda path: write_frame(path, np.full((48, 48), 1.5)),
+        ("code values run from 1.5 to 1.5", "expected 0 to 1", "srgb"),
+        display=(("eotf", "srgb"),),
+    ),
+    "srgb below 0": Spoilt(
+        lambda path: write_frame(path, np.full((48, 48), -0.5)),
+        ("code values run from -0.5", "expected 0 to 1", "srgb"),
+        display=(("eotf", "srgb"),),
+    ),
+}
+frame_cases = pytest.mark.parametrize("case", FRAMES.values(), ids=FRAMES.keys())
+
+
+def make_good_for(case, dataset):
+    """Frames of the other rows in the range of the transfer function of the case."""
+    if dict(case.display).get("eotf") == "srgb":
+        for row in set(range(len(dataset.rows))) - {BAD}:
+            write_frame(dataset.frame(row), np.full((48, 48), 0.5))
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+@frame_cases
+def test_bad_frame_stops_score(case, workers, make_dataset, fails, tmp_path):
+    dataset = case.of(make_dataset)
+    make_good_for(case, dataset)
+    fails(
+        "score", dataset.path, "-o", tmp_path / "out", "--workers", workers,
+        status=BAD_DATA, wanted=(re.escape(str(dataset.frame(BAD))), *case.wanted),
+    )  # fmt: skip
+
+
+@frame_cases
+def test_bad_frame_is_skipped_and_listed(case, make_dataset, todframes):
+    dataset = case.of(make_dataset)
+    make_good_for(case, dataset)
+    assert_skipped(dataset, [BAD], case.wanted, todframes)
+
+
+@frame_cases
+def test_bad_frame_is_found_by_validate(case, make_dataset, todframes):
+    dataset = case.of(make_dataset)
+    make_good_for(case, dataset)
+    assert_validate_finds(dataset, [(re.escape(str(dataset.frame(BAD))), *case.wanted)], todframes)
+
+
+def assert_skipped(dataset, bad, wanted, todframes):
+    """`--on-error skip` scores the rest, and lists the bad rows in JSON and on standard error."""
+    status, out, errors = todframes(
+        "score", dataset.path, "--on-error", "skip", "--json", "--set", "resamples=0"
+    )  # fmt: skip
+    assert status == 0, errors
+    result = json.loads(out)
+    assert [one["frame"] for one in result["skipped"]] == [dataset.rows[row]["frame"] for row in bad]
+    for one in result["skipped"]:
+        assert_says(one["error"], wanted)
+        assert "\n" not in one["error"]
+        assert f"skipped: {one['error']}" in errors
+    assert sum(fit["n_trials"] for fit in result["fits"]) == len(dataset.rows) - len(bad)
+    assert len([line for line in errors if not line.startswith("note: ")]) == len(bad)
+
+
+def assert_validate_finds(dataset, problems, todframes):
+    """A line a problem, in any order, then how many there are."""
+    status, out, errors = todframes("validate", dataset.path)
+    assert status == BAD_DATA
+    assert out == ""
+    assert len(errors) == len(problems) + 1, errors
+    for wanted in problems:
+        assert any(all(re.search(pattern, line) for pattern in wanted) for line in errors[:-1]), (wanted, errors)
+    assert_says(errors[-1], (re.escape(str(dataset.path)), rf"\b{len(problems)} problem"))
+
+
+def test_wrong_sha256(make_dataset, fails, todframes):
+    dataset = make_dataset(row_changes={BAD: {"sha256": "0" * 64}})
+    wanted = ("sha256", "0{64}", "[0-9a-f]{64}")
+    fails("score", dataset.path, status=BAD_DATA, wanted=(re.escape(str(dataset.frame(BAD))), *wanted))
+    assert_skipped(dataset, [BAD], wanted, todframes)
+    assert_validate_finds(dataset, [wanted], todframes)
+
+
+@pytest.mark.parametrize("spoil", [Path.unlink, replaced_by_folder, replaced_by_pipe], ids=lambda f: f.__name__)
+def test_checksum_of_what_is_no_file(spoil, make_dataset, fails):
+    """A pipe that nobody writes to must not be waited for."""
+    dataset = make_dataset(row_changes={BAD: {"sha256": "0" * 64}})
+    spoil(dataset.frame(BAD))
+    signal.alarm(5)
+    try:
+        fails("score", dataset.path, status=BAD_DATA, wanted=(re.escape(str(dataset.frame(BAD))),))
+    finally:
+        signal.alarm(0)
+
+
+def test_text_bomb_in_a_png_is_not_inflated(make_dataset, todframes):
+    """Comments of 400 MB in 400 kB: read without them, or refused in a line."""
+    dataset = make_dataset(suffix=".png")
+    bomb = png_chunk(b"zTXt", b"Comment\0\0" + zeros_deflated(400))
+    pixels = png_chunk(b"IDAT", zlib.compress((b"\0" + bytes([128] * 48)) * 48))
+    dataset.frame(BAD).write_bytes(png(48, 48, bomb, pixels))
+    before = peak_memory_mib()
+    status, _, errors = todframes("score", dataset.path, "--json", "--quiet")
+    assert peak_memory_mib() < before + 200
+    assert (status, errors) == (0, []) or (status == BAD_DATA and len(errors) == 1), errors
+
+
+def peak_memory_mib():
+    import resource
+
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+
+
+def test_every_skipped_frame_is_listed_in_the_written_result(make_dataset, todframes, tmp_path):
+    dataset = make_dataset(row_changes={2: {"orientation": "north"}})
+    dataset.frame(BAD).write_bytes(b"")
+    status, out, _ = todframes("score", dataset.path, "-o", tmp_path / "out", "--on-error", "skip", "--json")
+    assert status == 0
+    written = json.loads((tmp_path / "out" / "result.json").read_text())
+    assert written == json.loads(out)
+    assert {one["frame"] for one in written["skipped"]} == {dataset.rows[row]["frame"] for row in (BAD, 2)}
+    scored = (tmp_path / "out" / "scores.csv").read_text().splitlines()
+    assert len(scored) == 1 + len(dataset.rows) - 2
+
+
+def test_nothing_left_after_skipping(make_dataset, fails, tmp_path):
+    dataset = make_dataset()
+    for row in range(len(dataset.rows)):
+        dataset.frame(row).unlink()
+    fails(
+        "score", dataset.path, "--on-error", "skip", "-o", tmp_path / "out",
+        status=BAD_DATA, wanted=(re.escape(str(dataset.path)), "none of its frames"),
+    )  # fmt: skip
+
+
+def test_validate_lists_all_problems(make_dataset, todframes):
+    dataset = make_dataset(row_changes={0: {"orientation": "north"}, 3: {"size_mrad": "-1"}})
+    dataset.frame(1).unlink()
+    truncate(dataset.frame(2))
+    assert_validate_finds(
+        dataset,
+        [
+            ("line 2", "north"),
+            ("line 5", "size_mrad"),
+            (re.escape(str(dataset.frame(1))),),
+            (re.escape(str(dataset.frame(2))),),
+        ],
+        todframes,
+    )
+
+
+def test_validate_looks_at_all_frames_of_a_trial_with_a_bad_row(make_dataset, todframes):
+    dataset = make_dataset(repeats=2, row_changes={BAD: {"orientation": "north"}})
+    for number, row in enumerate(dataset.rows):
+        row["trial"] = f"trial {number // 2}"
+    dataset.save()
+    dataset.frame(0).unlink()
+    assert_validate_finds(
+        dataset, [(BAD_LINE, "north"), (re.escape(str(dataset.frame(0))), "No such file")], todframes
+    )
+
+
+def test_validate_good_dataset(make_dataset, todframes):
+    status, out, errors = todframes("validate", make_dataset().path)
+    assert (status, errors) == (0, [])
+    assert "8 frames" in out
+
+
+# Rows of the manifest -----------------------------------------------------------------------------------------
+
+ROWS = {
+    "orientation unknown": ({"orientation": "north"}, ("orientation", "'north'", "up, right, down or left")),
+    "orientation empty": ({"orientation": ""}, ("orientation", "''", "up, right, down or left")),
+    "size zero": ({"size_mrad": "0"}, ("size_mrad", "'0'", "> 0")),
+    "size negative": ({"size_mrad": "-1"}, ("size_mrad", "'-1'", "> 0")),
+    "size text": ({"size_mrad": "two"}, ("size_mrad", "'two'", "number")),
+    "size empty": ({"size_mrad": ""}, ("size_mrad", "''", "number")),
+    "size nan": ({"size_mrad": "nan"}, ("size_mrad", "'nan'", "finite")),
+    "size infinite": ({"size_mrad": "inf"}, ("size_mrad", "'inf'", "finite")),
+    "size with decimal comma": ({"size_mrad": "2,0"}, ("size_mrad", "'2,0'", "number")),
+    "size with underscore": ({"size_mrad": "1_0"}, ("size_mrad", "'1_0'", "number")),
+    "level zero": ({"contrast": "0"}, ("contrast", "'0'", "> 0")),
+    "level negative": ({"contrast": "-0.1"}, ("contrast", "'-0.1'", "> 0")),
+    "level text": ({"contrast": "low"}, ("contrast", "'low'", "number")),
+    "level nan": ({"contrast": "NaN"}, ("contrast", "'NaN'", "finite")),
+    "polarity": ({"polarity": "0"}, ("polarity", "'0'", "1 or -1")),
+    "x text": ({"x_px": "left", "y_px": "3"}, ("x_px", "'left'", "number")),
+    "y infinite": ({"x_px": "3", "y_px": "inf"}, ("y_px", "'inf'", "finite")),
+    "y missing": ({"x_px": "3", "y_px": ""}, ("x_px and y_px", "both or none")),
+    "path upwards": ({"frame": "../secret.exr"}, (r"\.\./secret\.exr", "outside")),
+    "path upwards and back": ({"frame": "frames/../../secret.exr"}, (r"secret\.exr", "outside")),
+    "path absolute": ({"frame": "/secret.exr"}, ("/secret.exr", "outside")),
+    "path empty": ({"frame": ""}, ("frame", "''", "path")),
+    "path with nul": ({"frame": "frames/a\0.exr"}, ("frame", r"\\x00", "path")),
+}
+
+
+@pytest.fixture(params=ROWS.values(), ids=ROWS.keys())
+def bad_row(request, make_dataset):
+    changes, wanted = request.param
+    return make_dataset(row_changes={BAD: changes}), (BAD_LINE, *wanted)
+
+
+def test_bad_row_stops_score(bad_row, fails, tmp_path):
+    dataset, wanted = bad_row
+    where = re.escape(str(dataset.manifest_file))
+    fails("score", dataset.path, "-o", tmp_path / "out", status=BAD_DATA, wanted=(where, *wanted))
+
+
+def test_bad_row_is_skipped_and_listed(bad_row, todframes):
+    dataset, wanted = bad_row
+    assert_skipped(dataset, [BAD], wanted, todframes)
+
+
+def test_bad_row_is_found_by_validate(bad_row, todframes):
+    dataset, wanted = bad_row
+    assert_validate_finds(dataset, [wanted], todframes)
+
+
+# What is wrong with a row only shows on the frame: the line names the frame.
+PLACES = {
+    "off to the left": {"x_px": "1", "y_px": "23"},
+    "off at the bottom": {"x_px": "23", "y_px": "46"},
+    "far off": {"x_px": "1e300", "y_px": "-1e300"},
+}
+
+
+@pytest.mark.parametrize("changes", PLACES.values(), ids=PLACES.keys())
+def test_triangle_off_the_frame(changes, make_dataset, fails, todframes):
+    dataset = make_dataset(row_changes={BAD: changes})
+    wanted = ("off the frame",)
+    fails("score", dataset.path, status=BAD_DATA, wanted=(re.escape(str(dataset.frame(BAD))), *wanted))
+    assert_skipped(dataset, [BAD], wanted, todframes)
+    assert_validate_finds(dataset, [wanted], todframes)
+
+
+@pytest.mark.parametrize("size_mrad", ["20", "700", "1e9", "1e308"])
+def test_triangle_larger_than_the_frame(size_mrad, make_dataset, fails, todframes):
+    dataset = make_dataset(row_changes={BAD: {"size_mrad": size_mrad}})
+    wanted = ("48 × 48 pixels", "smaller than the triangle")
+    fails("score", dataset.path, status=BAD_DATA, wanted=(re.escape(str(dataset.frame(BAD))), *wanted))
+    assert_skipped(dataset, [BAD], wanted, todframes)
+    assert_validate_finds(dataset, [wanted], todframes)
+
+
+@pytest.mark.parametrize("background", ["0", "-50", "", "nan", "dark"])
+def test_background_column(background, make_dataset, fails, todframes):
+    dataset = make_dataset(display={"background_luminance_cd_m2": "column"})
+    for row in dataset.rows:
+        row["background_luminance_cd_m2"] = "50"
+    dataset.rows[BAD]["background_luminance_cd_m2"] = background
+    dataset.save()
+    wanted = (BAD_LINE, "background_luminance_cd_m2", f"'{background}'", "> 0")
+    fails("score", dataset.path, status=BAD_DATA, wanted=wanted)
+    assert_skipped(dataset, [BAD], wanted, todframes)
+    assert_validate_finds(dataset, [wanted], todframes)
+
+
+def test_background_column_missing(make_dataset, fails):
+    dataset = make_dataset(display={"background_luminance_cd_m2": "column"})
+    wanted = (re.escape(str(dataset.manifest_file)), "column 'background_luminance_cd_m2' is missing")
+    for command in ("score", "validate"):
+        fails(command, dataset.path, status=BAD_DATA, wanted=wanted)
+
+
+@pytest.mark.parametrize("linked", ["file", "folder"])
+def test_link_out_of_the_dataset(linked, make_dataset, fails, todframes, tmp_path):
+    dataset = make_dataset()
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    shutil.copy(dataset.frame(BAD), elsewhere / "secret.exr")
+    if linked == "file":
+        (dataset.path / "link.exr").symlink_to(elsewhere / "secret.exr")
+        dataset.rows[BAD]["frame"] = "link.exr"
+    else:
+        (dataset.path / "link").symlink_to(elsewhere)
+        dataset.rows[BAD]["frame"] = "link/secret.exr"
+    dataset.save()
+    wanted = (BAD_LINE, "link", "outside")
+    fails("score", dataset.path, status=BAD_DATA, wanted=wanted)
+    assert_skipped(dataset, [BAD], wanted, todframes)
+    assert_validate_finds(dataset, [wanted], todframes)
+
+
+def test_link_to_itself(make_dataset, fails, todframes):
+    dataset = make_dataset(row_changes={BAD: {"frame": "loop.exr"}})
+    (dataset.path / "loop.exr").symlink_to("loop.exr")
+    wanted = (r"loop\.exr",)
+    fails("score", dataset.path, status=BAD_DATA, wanted=wanted)
+    assert_skipped(dataset, [BAD], wanted, todframes)
+    assert_validate_finds(dataset, [wanted], todframes)
+
+
+def test_dataset_behind_a_link_is_fine(make_dataset, todframes, tmp_path):
+    (tmp_path / "link").symlink_to(make_dataset().path)
+    assert todframes("validate", tmp_path / "link")[0] == 0
+
+
+@pytest.mark.parametrize("spelling", ["frames/{}", "./frames/{}", "frames//{}", "frames/../frames/{}"])
+def test_duplicate_row(spelling, make_dataset, fails, todframes):
+    """The row that repeats is the bad one; the first stays."""
+    dataset = make_dataset()
+    name = dataset.frame(BAD).name
+    dataset.rows.append(dataset.rows[BAD] | {"frame": spelling.format(name)})
+    dataset.save()
+    wanted = ("line 10", re.escape(name), BAD_LINE)
+    fails("score", dataset.path, status=BAD_DATA, wanted=(re.escape(str(dataset.manifest_file)), *wanted))
+    assert_skipped(dataset, [8], wanted, todframes)
+    assert_validate_finds(dataset, [wanted], todframes)
+
+
+DISAGREEMENTS = {
+    "orientation": {"orientation": "left"},
+    "stimulus": {"size_mrad": "1"},
+    "level": {"contrast": "0.7"},
+    "x_px": {"x_px": "20", "y_px": "23.5"},
+}
+
+
+@pytest.mark.parametrize(("field", "changes"), DISAGREEMENTS.items(), ids=DISAGREEMENTS.keys())
+def test_frames_of_a_trial_disagree(field, changes, make_dataset, fails, todframes):
+    dataset = make_dataset(repeats=2)
+    for number, row in enumerate(dataset.rows):
+        row["trial"] = f"trial {number // 2}"
+    dataset.rows[BAD] |= changes
+    dataset.save()
+    column = {"stimulus": "size_mrad", "level": "contrast"}.get(field, field)
+    wanted = (BAD_LINE, column, "'trial 0'")
+    fails("score", dataset.path, status=BAD_DATA, wanted=wanted)
+    assert_validate_finds(dataset, [wanted], todframes)
+    status, out, errors = todframes("score", dataset.path, "--on-error", "skip", "--json")
+    assert status == 0, errors
+    assert sum(fit["n_trials"] for fit in json.loads(out)["fits"]) == 7
+
+
+# The manifest as a whole --------------------------------------------------------------------------------------
+
+HEADER = "frame,orientation,size_mrad,contrast"
+MANIFESTS = {
+    "empty": (b"", ("column 'frame' is missing",)),
+    "header only": (HEADER.encode(), ("no frames", "row")),
+    "no header": (b"frames/a.exr,up,2.0,0.5\n", ("column 'frame' is missing", "found frames/a.exr, up")),
+    "level column missing": (b"frame,orientation,size_mrad\na.exr,up,2\n", ("column 'contrast' is missing",)),
+    "orientation column missing": (b"frame,size_mrad,contrast\na.exr,2,1\n", ("column 'orientation' is missing",)),
+    "semicolons": (HEADER.replace(",", ";").encode() + b"\na.exr;up;2;1\n", ("column 'frame' is missing",)),
+    "x without y": (f"{HEADER},x_px\na.exr,up,2,1,3\n".encode(), ("x_px and y_px", "both or none")),
+    "column twice": (f"{HEADER},orientation\na.exr,up,2,1,left\n".encode(), ("'orientation'", "twice|two|again|more")),
+    "latin-1": (f"{HEADER}\nfrämes/a.exr,up,2,1\n".encode("latin-1"), ("not UTF-8", r"byte 39")),
+    "utf-16": (f"{HEADER}\na.exr,up,2,1\n".encode("utf-16"), ("not UTF-8", "byte 0")),
+    "binary": (bytes(range(256)) * 4, ("not UTF-8",)),
+    "only nul bytes": (bytes(100), ("column 'frame' is missing",)),
+    "quote never closed": (f'{HEADER}\n"a.exr,up,2,1\n'.encode(), ("line 2", "not valid CSV")),
+    "old Mac line ends": (f"{HEADER}\ra.exr,up,2,1\r".encode(), ("CSV|column 'frame' is missing",)),
+    "huge field": (f"{HEADER}\n{'a' * 200_000},up,2,1\n".encode(), ("line 2", "not valid CSV")),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("command", ["score", "score --on-error skip", "validate"])
+@pytest.mark.parametrize(("content", "wanted"), MANIFESTS.values(), ids=MANIFESTS.keys())
+def test_bad_manifest(command, content, wanted, make_dataset, fails):
+    dataset = make_dataset(contrasts=(0.5,))
+    dataset.manifest_file.write_bytes(content)
+    wanted = (re.escape(str(dataset.manifest_file)), *wanted)
+    fails(*command.split(), dataset.path, status=BAD_DATA, wanted=wanted)
+
+
+@pytest.mark.parametrize("fields", ["frames/x.exr,up,2", "frames/x.exr,up,2,0.5,0.5", "frames/x.exr"])
+def test_fields_of_a_row(fields, make_dataset, fails, todframes):
+    dataset = make_dataset()
+    lines = dataset.manifest_file.read_text().splitlines()
+    lines[1 + BAD] = fields
+    dataset.manifest_file.write_text("\n".join(lines))
+    dataset.rows[BAD]["frame"] = "frames/x.exr"
+    wanted = (re.escape(str(dataset.manifest_file)), BAD_LINE, "fields", str(len(fields.split(","))), "4")
+    fails("score", dataset.path, status=BAD_DATA, wanted=wanted)
+    assert_skipped(dataset, [BAD], wanted, todframes)
+    assert_validate_finds(dataset, [wanted], todframes)
+
+
+def test_line_break_in_a_name_stays_in_its_line(make_dataset, fails, todframes):
+    dataset = make_dataset(row_changes={BAD: {"frame": "frames/a\nb.exr"}})
+    fails("score", dataset.path, status=BAD_DATA, wanted=("a.?.?.?b.exr", "No such file"))
+    assert_validate_finds(dataset, [("No such file",)], todframes)
+    status, _, errors = todframes("score", dataset.path, "--on-error", "skip", "--json")
+    assert (status, len(errors)) == (0, 1), errors
+
+
+@pytest.mark.parametrize("content", ["folder", "missing"])
+@pytest.mark.parametrize("command", ["score", "validate"])
+def test_manifest_is_no_file(command, content, make_dataset, fails):
+    dataset = make_dataset(contrasts=(0.5,))
+    dataset.manifest_file.unlink()
+    if content == "folder":
+        dataset.manifest_file.mkdir()
+    wanted = (re.escape(str(dataset.manifest_file)), "directory|folder" if content == "folder" else "no such file")
+    fails(command, dataset.path, status=BAD_DATA, wanted=wanted)
+
+
+@pytest.mark.parametrize("command", ["score", "validate"])
+def test_dataset_is_no_folder(command, fails, tmp_path):
+    (tmp_path / "file").write_text("")
+    for path in (tmp_path / "missing", tmp_path / "file", tmp_path / "file" / "below"):
+        fails(command, path, status=BAD_DATA, wanted=(re.escape(str(path)), "not a folder", "dataset.toml"))
+
+
+def test_dataset_without_settings(make_dataset, fails):
+    dataset = make_dataset(contrasts=(0.5,))
+    dataset.settings_file.unlink()
+    fails("score", dataset.path, status=BAD_DATA, wanted=(re.escape(str(dataset.settings_file)), "no such file"))
+
+
+# dataset.toml -------------------------------------------------------------------------------------------------
+
+DISPLAYS = {
+    "unknown key": ({"pixel_pich_mrad": 1.0}, ("'pixel_pich_mrad'", "'pixel_pitch_mrad'")),
+    "key in another case": ({"EOTF": "srgb"}, ("'EOTF'", "'eotf'")),
+    "eotf missing": ({"eotf": None}, ("eotf", "missing")),
+    "eotf unknown": ({"eotf": "sRGB"}, ("eotf", "'sRGB'", "linear", "srgb", "lut")),
+    "eotf number": ({"eotf": 2.2}, ("eotf", "2.2")),
+    "white missing": ({"white_luminance_cd_m2": None}, ("white_luminance_cd_m2", "missing")),
+    "white zero": ({"white_luminance_cd_m2": 0}, ("white_luminance_cd_m2", "found 0", "> 0")),
+    "white text": ({"white_luminance_cd_m2": "100"}, ("white_luminance_cd_m2", "'100'", "float|number")),
+    "white true": ({"white_luminance_cd_m2": True}, ("white_luminance_cd_m2", "True|true")),
+    "white nan": ({"white_luminance_cd_m2": float("nan")}, ("white_luminance_cd_m2", "nan", "finite")),
+    "white infinite": ({"white_luminance_cd_m2": float("inf")}, ("white_luminance_cd_m2", "inf", "finite")),
+    "black negative": ({"black_luminance_cd_m2": -1}, ("black_luminance_cd_m2", "-1", ">= 0")),
+    "black nan": ({"black_luminance_cd_m2": float("nan")}, ("black_luminance_cd_m2", "nan")),
+    "black above white": ({"black_luminance_cd_m2": 2.0}, ("black_luminance_cd_m2", "2", "white_luminance")),
+    "pitch missing": (
+        {"pixel_pitch_mrad": None},
+        ("pixel_pitch_mrad", "missing", "pixel_pitch_mm", "viewing_distance_mm"),
+    ),
+    "pitch without distance": (
+        {"pixel_pitch_mrad": None, "pixel_pitch_mm": 0.25},
+        ("pixel_pitch_mrad|viewing_distance_mm", "viewing_distance_mm", "missing|both"),
+    ),
+    "pitch and half of the other": (
+        {"viewing_distance_mm": 350.0},
+        ("pixel_pitch_mm", "viewing_distance_mm", "both or none"),
+    ),
+    "pitch in conflict": (
+        {"pixel_pitch_mm": 0.25, "viewing_distance_mm": 350.0},
+        ("pixel_pitch_mrad", "0.25", "0.714", "expected"),
+    ),
+    "pitch zero": ({"pixel_pitch_mrad": 0}, ("pixel_pitch_mrad", "found 0", "> 0")),
+    "pitch negative": ({"pixel_pitch_mrad": -0.7}, ("pixel_pitch_mrad", "-0.7", "> 0")),
+    "pitch list": ({"pixel_pitch_mrad": [0.7, 0.7]}, ("pixel_pitch_mrad", "0.7, 0.7")),
+    "distance infinite": (
+        {"pixel_pitch_mrad": None, "pixel_pitch_mm": 0.25, "viewing_distance_mm": float("inf")},
+        ("viewing_distance_mm", "inf", "finite"),
+    ),
+    "background missing": ({"background_luminance_cd_m2": None}, ("background_luminance_cd_m2", "missing")),
+    "background zero": ({"background_luminance_cd_m2": 0.0}, ("background_luminance_cd_m2", "0", "> 0")),
+    "background negative": ({"background_luminance_cd_m2": -50}, ("background_luminance_cd_m2", "-50", "> 0")),
+    "background nan": ({"background_luminance_cd_m2": float("nan")}, ("background_luminance_cd_m2", "nan")),
+    "background rule unknown": (
+        {"background_luminance_cd_m2": "edge"},
+        ("background_luminance_cd_m2", "'edge'", "border", "frame_mean", "column"),
+    ),
+    "background true": ({"background_luminance_cd_m2": True}, ("background_luminance_cd_m2", "True|true")),
+    "gamma missing": ({"eotf": "gamma"}, ("gamma", "missing")),
+    "gamma not used": ({"gamma": 2.2}, ("gamma", "not used", "linear")),
+    "gamma zero": ({"eotf": "gamma", "gamma": 0}, ("gamma", "found 0", "> 0")),
+    "lut missing": ({"eotf": "lut"}, ("lut", "missing")),
+    "lut not used": ({"lut": "lut.csv"}, ("lut", "not used|no such file")),
+    "lut number": ({"eotf": "lut", "lut": 7}, ("lut", "found 7", "text|path|name|str")),
+    "lut list": ({"eotf": "lut", "lut": ["lut.csv"]}, ("lut", "lut.csv", "text|path|name|str")),
+    "lut file missing": ({"eotf": "lut", "lut": "nowhere.csv"}, (r"nowhere\.csv", "no such file")),
+    "lut with nul": ({"eotf": "lut", "lut": "a\0.csv"}, ("lut", r"x00|u0000|NUL")),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("display", "wanted"), DISPLAYS.values(), ids=DISPLAYS.keys())
+def test_bad_display(display, wanted, make_dataset, fails, tmp_path):
+    dataset = make_dataset(contrasts=(0.5,), display=display)
+    wanted = (re.escape(str(dataset.path)), *wanted)
+    fails("score", dataset.path, "-o", tmp_path / "out", status=BAD_SETTINGS, wanted=wanted)
+    fails("validate", dataset.path, status=BAD_SETTINGS, wanted=wanted)
+
+
+EXPERIMENTS = {
+    "level missing": ({"level": None}, ("level", "missing")),
+    "level number": ({"level": 3}, ("level", "found 3")),
+    "level empty": ({"level": ""}, ("level", "''", "column")),
+    "group_by text": ({"group_by": "size_mrad"}, ("group_by", "'size_mrad'")),
+    "group_by of numbers": ({"group_by": [1]}, ("group_by", r"\[1\]")),
+    "unknown key": ({"groupby": []}, ("'groupby'", "'group_by'")),
+}
+
+
+@pytest.mark.parametrize(("experiment", "wanted"), EXPERIMENTS.values(), ids=EXPERIMENTS.keys())
+def test_bad_experiment(experiment, wanted, make_dataset, fails):
+    dataset = make_dataset(contrasts=(0.5,), experiment=experiment)
+    wanted = (re.escape(str(dataset.settings_file)), r"\[experiment\]", *wanted)
+    fails("score", dataset.path, status=BAD_SETTINGS, wanted=wanted)
+
+
+def test_columns_of_the_experiment_missing(make_dataset, fails):
+    for number, experiment in enumerate(({"level": "snr"}, {"group_by": ["lens"]})):
+        dataset = make_dataset(f"dataset {number}", contrasts=(0.5,), experiment=experiment)
+        name = experiment.get("level", "lens")
+        fails("score", dataset.path, status=BAD_DATA, wanted=(r"manifest\.csv", f"column '{name}' is missing"))
+
+
+DISPLAY_TABLE = (
+    "[display]\neotf = 'linear'\nwhite_luminance_cd_m2 = 1.0\npixel_pitch_mrad = 0.25\n"
+    "background_luminance_cd_m2 = 50.0\n"
+)
+EXPERIMENT_TABLE = "[experiment]\nlevel = 'contrast'\n"
+TOML = {
+    "empty": (b"", ("schema", "None|missing", "1")),
+    "schema missing": ((DISPLAY_TABLE + EXPERIMENT_TABLE).encode(), ("schema", "None|missing", "1")),
+    "schema 2": (("schema = 2\n" + DISPLAY_TABLE + EXPERIMENT_TABLE).encode(), ("schema", "found 2", "expected 1")),
+    "schema text": (("schema = '1'\n" + DISPLAY_TABLE + EXPERIMENT_TABLE).encode(), ("schema", "'1'", "expected 1")),
+    "no display": (("schema = 1\n" + EXPERIMENT_TABLE).encode(), (r"\[display\]", "missing")),
+    "no experiment": (("schema = 1\n" + DISPLAY_TABLE).encode(), (r"\[experiment\]", "missing")),
+    "display is a number": (("schema = 1\ndisplay = 3\n" + EXPERIMENT_TABLE).encode(), ("display", "table")),
+    "display is a list": (("schema = 1\n[[display]]\n" + EXPERIMENT_TABLE).encode(), ("display", "table")),
+    "unknown table": (b"schema = 1\n[dispaly]\n", ("'dispaly'", "'display'")),
+    "unknown top key": (b"schema = 1\nlevl = 1\n", ("'levl'",)),
+    "syntax": (b"schema = 1\n[display\n", ("not valid TOML", "line 2")),
+    "key twice": (b"schema = 1\nschema = 1\n", ("not valid TOML", "line 2")),
+    "nul byte": (b"schema = 1\n\0\n", ("not valid TOML",)),
+    "latin-1": ("# Größe\nschema = 1\n".encode("latin-1"), ("not UTF-8", "byte 4")),
+    "date for a number": (
+        ("schema = 1\n" + DISPLAY_TABLE.replace("0.25", "2001-01-01") + EXPERIMENT_TABLE).encode(),
+        ("pixel_pitch_mrad", "2001"),
+    ),
+    "time for a text": (
+        ("schema = 1\n" + DISPLAY_TABLE + EXPERIMENT_TABLE.replace("'contrast'", "07:32:00")).encode(),
+        ("level", "32"),
+    ),
+    "huge whole number": (
+        ("schema = 1\n" + DISPLAY_TABLE.replace("0.25", "1" + "0" * 400) + EXPERIMENT_TABLE).encode(),
+        ("pixel_pitch_mrad",),
+    ),
+    "lut as a table": (
+        ("schema = 1\n" + DISPLAY_TABLE.replace("'linear'", "'lut'") + "lut = {code_value = [0, 1]}\n"
+         + EXPERIMENT_TABLE).encode(),
+        ("lut", "text|path|name|str"),
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("command", ["score", "validate"])
+@pytest.mark.parametrize(("content", "wanted"), TOML.values(), ids=TOML.keys())
+def test_bad_toml(command, content, wanted, make_dataset, fails):
+    dataset = make_dataset(contrasts=(0.5,))
+    dataset.settings_file.write_bytes(content)
+    fails(command, dataset.path, status=BAD_SETTINGS, wanted=(re.escape(str(dataset.settings_file)), *wanted))
+
+
+# The table is part of the settings: all that is wrong in it has the same status.
+TABLES = {
+    "empty": (b"", ("column", "code_value")),
+    "columns": (b"code,luminance\n0,0\n1,100\n", ("column", "code_value")),
+    "text": (b"code_value,luminance_cd_m2\n0,dark\n1,100\n", ("line 2", "luminance_cd_m2", "'dark'", "number")),
+    "nan": (b"code_value,luminance_cd_m2\n0,nan\n1,100\n", ("line 2", "luminance_cd_m2", "'nan'", "finite")),
+    "field missing": (b"code_value,luminance_cd_m2\n0\n1,100\n", ("line 2", "fields|luminance_cd_m2")),
+    "field too many": (b"code_value,luminance_cd_m2\n0,1,2\n1,100\n", ("line 2", "fields")),
+    "one row": (b"code_value,luminance_cd_m2\n0,1\n", ("1 row", "at least 2")),
+    "falling": (b"code_value,luminance_cd_m2\n1,100\n0,1\n", ("code_value", "rise")),
+    "integers": (b"code_value,luminance_cd_m2\n0,0\n255,100\n", ("code_value", "255", "0 to 1")),
+    "negative": (b"code_value,luminance_cd_m2\n0,-1\n1,100\n", ("luminance_cd_m2", "-1", ">= 0")),
+    "not utf-8": (b"code_value,luminance_cd_m2\n0,\xff\n", ("not UTF-8",)),
+    "old Mac line ends": (b"code_value,luminance_cd_m2\n0,0\r1,100\r", ("CSV|fields",)),
+    "huge field": (b"code_value,luminance_cd_m2\n0," + b"1" * 200_000 + b"\n1,100\n", ("CSV|number",)),
+    "quote never closed": (b'code_value,luminance_cd_m2\n0,"0\n1,100\n', ("CSV",)),
+}
+
+
+@pytest.mark.parametrize(("content", "wanted"), TABLES.values(), ids=TABLES.keys())
+def test_bad_luminance_table(content, wanted, make_dataset, fails):
+    dataset = make_dataset(
+        contrasts=(0.5,), display={"eotf": "lut", "lut": "lut.csv", "white_luminance_cd_m2": None}
+    )
+    (dataset.path / "lut.csv").write_bytes(content)
+    fails(
+        "score", dataset.path, status=BAD_SETTINGS, wanted=(re.escape(str(dataset.path / "lut.csv")), *wanted)
+    )  # fmt: skip
+
+
+# Command line -------------------------------------------------------------------------------------------------
+
+USAGES = {
+    "unknown command": ("scroe x", ("scroe",)),
+    "unknown option": ("score x --workes 2", ("--workes",)),
+    "dataset not given": ("score", ("DATASET",)),
+    "two datasets": ("score x y", ("y",)),
+    "decisions": ("score x --decisions guessed", ("--decisions", "guessed", "expected", "sampled")),
+    "on-error": ("score x --on-error ignore", ("--on-error", "ignore", "stop", "skip")),
+    "seed negative": ("score x --seed -1", ("--seed", "-1")),
+    "seed text": ("score x --seed one", ("--seed", "one")),
+    "workers zero": ("score x --workers 0", ("--workers", "0")),
+    "noise text": ("score x --internal-noise low", ("--internal-noise", "low")),
+    "noise negative": ("score x --internal-noise -1", ("internal_noise", "-1", ">= 0")),
+    "noise nan": ("score x --internal-noise nan", ("internal_noise", "nan", "finite")),
+    "criterion at guessing": ("score x --p-correct 0.25", ("p_correct", "0.25")),
+    "criterion above one": ("score x --p-correct 75", ("p_correct", "75")),
+    "criterion nan": ("score x --p-correct nan", ("p_correct", "nan")),
+    "set unknown": ("score x --set kernal_a=0.4", ("'kernal_a'", "'kernel_a'")),
+    "set unknown fit setting": ("score x --set lapserate=0.1", ("'lapserate'", "'lapse_rate'")),
+    "set without equals": ("score x --set kernel_a", ("--set", "kernel_a", "NAME=VALUE")),
+    "set without name": ("score x --set =0.4", ("--set", "=0.4", "NAME=VALUE")),
+    "set without value": ("score x --set kernel_a=", ("kernel_a", "''", "float|number")),
+    "set text": ("score x --set kernel_a=wide", ("kernel_a", "'wide'", "float|number")),
+    "set beyond range": ("score x --set kernel_a=2", ("kernel_a", "2", r"\[0, 1\]")),
+    "set date": ("score x --set internal_noise=2001-01-01", ("internal_noise", "2001")),
+    "set levels to a date": ("score x --set levels=2001-01-01", ("levels", "2001")),
+    "set levels to a fraction": ("score x --set levels=4.5", ("levels", "4.5")),
+    "set levels beyond": ("score x --set levels=99", ("levels", "99", "1 to 12")),
+    "set centre": ("score x --set centre=middle", ("centre", "'middle'", "centroid", "bounding_box")),
+    "set lapse rate": ("score x --set lapse_rate=0.9", ("lapse_rate", "0.9")),
+    "set resamples": ("score x --set resamples=5", ("resamples", "5", "40")),
+    "set pitch zero": ("score x --set retina_pitch_mrad=0", ("retina_pitch_mrad", "0", "> 0")),
+    "observer unknown": ("score x --observer pyramyd", ("'pyramyd'", "'pyramid'")),
+    "naked eye without either": ("naked-eye", ("--contrast", "--size-mrad")),
+    "naked eye with both": ("naked-eye --contrast 1 --size-mrad 1", ("--contrast", "--size-mrad")),
+    "contrast text": ("naked-eye --contrast high", ("--contrast", "high")),
+    "contrast zero": ("naked-eye --contrast 0", ("contrast", "0", "> 0")),
+    "contrast negative": ("naked-eye --contrast -1", ("contrast", "-1", "> 0")),
+    "contrast nan": ("naked-eye --contrast nan", ("contrast", "nan", "> 0")),
+    "contrast infinite": ("naked-eye --contrast inf", ("contrast", "inf", "finite")),
+    "sizes text": ("naked-eye --size-mrad 1,two", ("--size-mrad", "1,two", "commas")),
+    "sizes with semicolon": ("naked-eye --size-mrad 1;2", ("--size-mrad", "1;2", "commas")),
+    "sizes with a gap": ("naked-eye --size-mrad 1,,2", ("--size-mrad", "1,,2", "commas")),
+    "size zero": ("naked-eye --size-mrad 0", ("size_mrad|--size-mrad", "0", "> 0")),
+    "size negative after a good one": ("naked-eye --size-mrad 1,-1", ("size_mrad|--size-mrad", "-1", "> 0")),
+    "size nan": ("naked-eye --size-mrad nan", ("size_mrad|--size-mrad", "nan", "> 0")),
+    "size infinite": ("naked-eye --size-mrad inf", ("size_mrad|--size-mrad", "inf", "finite")),
+    "size beyond the retina": ("naked-eye --size-mrad 1e6", ("size_mrad|--size-mrad|1e\\+06 mrad", "expected")),
+    "size beyond all numbers": ("naked-eye --size-mrad 1e308", ("mrad", "expected")),
+    "counts not given": ("fit", ("COUNTS",)),
+    "fit setting unknown": ("fit x --set gess_rate=0.5", ("'gess_rate'", "'guess_rate'")),
+    "fit criterion": ("fit x --p-correct 0.1", ("p_correct", "0.1")),
+}
+
+
+@pytest.mark.parametrize(("line", "wanted"), USAGES.values(), ids=USAGES.keys())
+def test_bad_usage(line, wanted, fails):
+    """Before any file is looked at: there is no dataset `x`."""
+    fails(*line.split(), status=BAD_SETTINGS, wanted=wanted)
+
+
+def test_sizes_empty(fails):
+    fails("naked-eye", "--size-mrad", "", status=BAD_SETTINGS, wanted=("--size-mrad", "''", "commas"))
+
+
+def test_more_than_one_setting_in_an_assignment(fails):
+    fails(
+        "naked-eye", "--contrast", "1", "--set", "kernel_a=0.4\nband_gain=2",
+        status=BAD_SETTINGS, wanted=("kernel_a",),
+    )  # fmt: skip
+
+
+def test_no_command_shows_the_help(todframes):
+    status, out, errors = todframes()
+    assert status in (0, BAD_SETTINGS)
+    assert len(out.splitlines() or errors) > 5, "help in lines, not folded into one"
+
+
+OBSERVER_SETTINGS = {
+    "missing": (None, ("no such file",)),
+    "syntax": (b"kernel_a 0.4\n", ("not valid TOML", "line 1")),
+    "unknown key": (b"kernal_a = 0.4\n", ("'kernal_a'", "'kernel_a'")),
+    "value": (b"kernel_a = 4\n", ("kernel_a", "4", r"\[0, 1\]")),
+    "type": (b"kernel_a = 'wide'\n", ("kernel_a", "'wide'", "float|number")),
+    "in a table": (b"[observer]\nkernel_a = 0.4\n", ("'observer'",)),
+    "not utf-8": (b"# \xff\n", ("not UTF-8",)),
+}
+
+
+@pytest.mark.parametrize(("content", "wanted"), OBSERVER_SETTINGS.values(), ids=OBSERVER_SETTINGS.keys())
+def test_bad_observer_settings(content, wanted, fails, tmp_path):
+    path = tmp_path / "observer.toml"
+    if content is not None:
+        path.write_bytes(content)
+    wanted = (re.escape(str(path)), *wanted)
+    fails("score", "x", "--observer-settings", path, status=BAD_SETTINGS, wanted=wanted)
+
+
+# Counts -------------------------------------------------------------------------------------------------------
+
+COUNTS = {
+    "empty": (b"", ("column 'level' is missing",)),
+    "header only": (b"level,n_correct,n_trials\n", ("no counts", "rows")),
+    "column missing": (b"level,n_correct\n1,2\n", ("column 'n_trials' is missing", "level, n_correct")),
+    "column twice": (b"level,level,n_correct,n_trials\n1,2,3,4\n", ("'level'", "twice|two|again|more")),
+    "level zero": (b"level,n_correct,n_trials\n0,1,2\n", ("line 2", "level", "0", "> 0")),
+    "level nan": (b"level,n_correct,n_trials\nnan,1,2\n", ("line 2", "level", "'nan'", "finite")),
+    "level text": (b"level,n_correct,n_trials\n1,1,2\nlow,1,2\n", ("line 3", "level", "'low'", "number")),
+    "more right than shown": (b"level,n_correct,n_trials\n1,3,2\n", ("line 2", "n_correct", "3", "n_trials")),
+    "negative": (b"level,n_correct,n_trials\n1,-1,2\n", ("line 2", "n_correct", "-1", "0")),
+    "no trials": (b"level,n_correct,n_trials\n1,0,0\n", ("line 2", "n_trials", "0", ">= 1")),
+    "fraction": (b"level,n_correct,n_trials\n1,1.5,2\n", ("line 2", "n_correct", "1.5", "whole")),
+    "proportion": (b"level,n_correct,n_trials\n1,0.5,0.7\n", ("line 2", "n_trials", "0.7", "whole")),
+    "fields": (b"level,n_correct,n_trials\n1,1\n", ("line 2", "fields")),
+    "not utf-8": (b"level,n_correct,n_trials\n1,1,2\xff\n", ("not UTF-8",)),
+    "quote": (b'level,n_correct,n_trials\n"1,1,2\n', ("not valid CSV",)),
+}
+
+
+@pytest.mark.parametrize(("content", "wanted"), COUNTS.values(), ids=COUNTS.keys())
+def test_bad_counts(content, wanted, fails, tmp_path):
+    path = tmp_path / "counts.csv"
+    path.write_bytes(content)
+    fails("fit", path, "--json", status=BAD_DATA, wanted=(re.escape(str(path)), *wanted))
+
+
+def test_counts_are_no_file(fails, tmp_path):
+    fails("fit", tmp_path, status=BAD_DATA, wanted=(re.escape(str(tmp_path)), "directory|folder"))
+    missing = tmp_path / "missing.csv"
+    fails("fit", missing, status=BAD_DATA, wanted=(re.escape(str(missing)), "no such file"))
+
+
+# Where results go ---------------------------------------------------------------------------------------------
+
+
+def test_out_is_a_file(make_dataset, fails, tmp_path):
+    (tmp_path / "out").write_text("mine")
+    fails("score", make_dataset(contrasts=(0.5,)).path, "-o", tmp_path / "out",
+          status=BAD_SETTINGS, wanted=(re.escape(str(tmp_path / "out")), "file", "folder"))  # fmt: skip
+    assert (tmp_path / "out").read_text() == "mine"
+
+
+@pytest.mark.parametrize("parent", ["missing", "file"])
+def test_parent_of_out(parent, make_dataset, fails, tmp_path):
+    if parent == "file":
+        (tmp_path / parent).write_text("")
+    out = tmp_path / parent / "out"
+    fails("score", make_dataset(contrasts=(0.5,)).path, "-o", out,
+          status=BAD_SETTINGS, wanted=(re.escape(str(out)), "not a folder"))  # fmt: skip
+
+
+def test_out_is_a_link_to_nowhere(make_dataset, fails, tmp_path):
+    (tmp_path / "out").symlink_to(tmp_path / "nowhere")
+    fails("score", make_dataset(contrasts=(0.5,)).path, "-o", tmp_path / "out",
+          status=BAD_SETTINGS, wanted=(re.escape(str(tmp_path / "out")),))  # fmt: skip
+
+
+def test_out_has_an_empty_name(make_dataset, todframes, tmp_path, monkeypatch):
+    """A script whose variable is not set must not scatter files over the present folder."""
+    monkeypatch.chdir(tmp_path)
+    dataset = make_dataset(contrasts=(0.5,))
+    before = tree(tmp_path)
+    status, _, errors = todframes("score", dataset.path, "-o", "")
+    assert (status, len(errors)) == (BAD_SETTINGS, 1)
+    assert tree(tmp_path) == before
+
+
+@pytest.mark.parametrize("length", [240, 250, 255])
+def test_long_name_of_out(length, make_dataset, todframes, tmp_path):
+    """Up to 255 bytes are a valid name."""
+    out = tmp_path / ("o" * length)
+    status, _, errors = todframes("score", make_dataset().path, "-o", out, "--quiet")
+    assert (status, errors) == (0, [])
+    assert (out / "result.json").is_file()
+
+
+@pytest.mark.parametrize("name", ["result.json", "scores.csv"])
+def test_a_folder_in_the_way_of_a_result(name, make_dataset, todframes, tmp_path):
+    """Whole or not at all: the files that are not in the way are not replaced either."""
+    out = tmp_path / "out"
+    (out / name).mkdir(parents=True)
+    (out / name / "mine").write_text("mine")
+    before = tree(tmp_path)
+    dataset = make_dataset()
+    status, _, errors = todframes("score", dataset.path, "-o", out)
+    assert (status, len(errors)) == (BAD_SETTINGS, 1), errors
+    assert_says(errors[0], (re.escape(str(out)), re.escape(name)))
+    assert {path for path in tree(tmp_path) if dataset.path not in (path, *path.parents)} == set(before)
+
+
+def test_disk_full(make_dataset, fails, tmp_path, monkeypatch):
+    def no_space(_):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(report.os, "fsync", no_space)
+    fails("score", make_dataset().path, "-o", tmp_path / "out",
+          status=BAD_SETTINGS, wanted=(re.escape(str(tmp_path / "out")), "No space left"))  # fmt: skip
+
+
+def test_old_results_stay_when_a_run_fails(make_dataset, todframes, tmp_path):
+    out, dataset = tmp_path / "out", make_dataset()
+    assert todframes("score", dataset.path, "-o", out)[0] == 0
+    before = tree(out)
+    dataset.frame(BAD).unlink()
+    assert todframes("score", dataset.path, "-o", out)[0] == BAD_DATA
+    assert tree(out) == before
+    assert {path.name for path in tmp_path.iterdir()} == {"out", "dataset"}
+
+
+def test_out_is_replaced_by_a_run_that_ends_well(make_dataset, todframes, tmp_path):
+    out, dataset = tmp_path / "out", make_dataset()
+    out.mkdir()
+    (out / "notes.txt").write_text("mine")
+    assert todframes("score", dataset.path, "-o", out)[0] == 0
+    assert (out / "notes.txt").read_text() == "mine"
+    assert {path.name for path in tmp_path.iterdir()} == {"out", "dataset"}
+
+
+# Standard output ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "arguments", ["score --on-error skip", "score --on-error skip --locate", "score --on-error skip --quiet"]
+)
+def test_one_json_object_whatever_is_remarked(arguments, make_dataset, todframes):
+    # A strong triangle, so that --locate finds it; and luminance below zero, which is remarked on.
+    dataset = make_dataset(contrasts=(1.0, 2.0))
+    dataset.frame(BAD).write_bytes(b"")
+    pixels = np.full((48, 48), 50.0)
+    pixels[20, 20] = -1.0
+    write_frame(dataset.frame(2), pixels)
+    status, out, errors = todframes(*arguments.split(), dataset.path, "--json")
+    assert status == 0, errors
+    assert json.loads(out)["skipped"][0]["frame"] == dataset.rows[BAD]["frame"]
+    assert out.rstrip("\n").endswith("}")
+    assert bool(errors) == ("--quiet" not in arguments)
+
+
+def test_frame_of_another_size_is_skipped_when_locating(make_dataset, todframes):
+    dataset = make_dataset(contrasts=(1.0, 2.0))
+    write_frame(dataset.frame(BAD), np.full((40, 52), 50.0))
+    status, out, errors = todframes("score", dataset.path, "--locate", "--on-error", "skip", "--json")
+    assert status == 0, errors
+    assert [one["frame"] for one in json.loads(out)["skipped"]] == [dataset.rows[BAD]["frame"]]
+
+
+MARKUP = ["run [/b]", "[red]run", "$run_$x^{", "50 % {run}", r"\frac"]
+
+
+@pytest.mark.parametrize("text", MARKUP)
+def test_names_are_not_markup(text, make_dataset, todframes, tmp_path):
+    """Of rich on the terminal or of TeX in a plot."""
+    dataset = make_dataset(text, experiment={"group_by": ["lens"]})
+    for row in dataset.rows:
+        row["lens"] = text
+    dataset.save()
+    status, out, errors = todframes("score", dataset.path, "-o", tmp_path / "out", "--set", "resamples=0")
+    assert status == 0, errors
+    assert text in re.sub(r"\s*\n\s*", "", out.split("threshold")[0]).replace("dataset", "")
+    assert json.loads((tmp_path / "out" / "result.json").read_text())["fits"][0]["group"] == {"lens": text}
+
+
+# In a process of its own --------------------------------------------------------------------------------------
+
+
+def process(*arguments, **options):
+    return subprocess.run(
+        [*COMMAND, *map(str, arguments)], capture_output=True, text=True, timeout=60, check=False, **options
+    )
+
+
+def test_exit_statuses(make_dataset, tmp_path):
+    path = make_dataset(contrasts=(0.5,)).path
+    for expected, arguments in (
+        (0, ("validate", path)),
+        (BAD_DATA, ("validate", tmp_path / "missing")),
+        (BAD_SETTINGS, ("score", path, "--set", "x")),
+    ):
+        done = process(*arguments)
+        assert done.returncode == expected
+        assert len(done.stderr.splitlines()) == (expected != 0)
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
+@pytest.mark.parametrize("option", [("--json",), ()], ids=["json", "table"])
+def test_standard_output_is_full(option):
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(
+            [*COMMAND, "naked-eye", "--size-mrad", "1", *option], stdout=full, stderr=subprocess.PIPE, text=True,
+            timeout=60, check=False,
+        )  # fmt: skip
+    assert done.returncode != 0
+    assert len(done.stderr.splitlines()) == 1, done.stderr
+    assert_says(done.stderr, ("No space left",))
+
+
+def test_reader_of_standard_output_is_gone():
+    read_end, write_end = os.pipe()
+    os.close(read_end)
+    done = subprocess.run(
+        [*COMMAND, "naked-eye", "--size-mrad", "1"], stdout=write_end, stderr=subprocess.PIPE, text=True,
+        timeout=60, check=False,
+    )  # fmt: skip
+    os.close(write_end)
+    assert done.stderr == ""
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "latin-1", "cp1252"])
+def test_standard_output_of_few_characters(encoding, tmp_path):
+    """As in a Windows console, or where output goes to a file there."""
+    counts = tmp_path / "counts.csv"
+    counts.write_text("level,n_correct,n_trials\n1,10,40\n2,20,40\n4,39,40\n")
+    done = process("fit", counts, env=os.environ | {"PYTHONIOENCODING": encoding})
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "threshold" in done.stdout
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_ctrl_c(workers, make_dataset, tmp_path):
+    dataset = make_dataset(contrasts=(0.5,))
+    good = dataset.rows[0]
+    # Links to one frame: a run of many seconds at no cost.
+    for number in range(20_000):
+        frame = f"frames/{number}.exr"
+        os.link(dataset.frame(0), dataset.path / frame)
+        dataset.rows.append(good | {"frame": frame})
+    dataset.save()
+    before = {path.name for path in tmp_path.iterdir()}
+    with subprocess.Popen(
+        [*COMMAND, "score", str(dataset.path), "-o", str(tmp_path / "out"), "--workers", str(workers)],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    ) as running:  # fmt: skip
+        deadline = time.monotonic() + 30
+        # The temporary folder is there as soon as there is something to interrupt.
+        while {path.name for path in tmp_path.iterdir()} == before and time.monotonic() < deadline:
+            time.sleep(0.02)
+        assert running.poll() is None
+        time.sleep(0.2)
+        running.send_signal(signal.SIGINT)
+        out, err = running.communicate(timeout=10)
+    assert out == ""
+    assert err.splitlines() == ["error: interrupted, nothing was written"]
+    assert running.returncode == INTERRUPTED
+    assert {path.name for path in tmp_path.iterdir()} == before

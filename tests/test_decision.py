@@ -1,0 +1,432 @@
+"""The probability of each answer against closed forms and quadratures that share nothing with the method.
+
+`EXACT` is the promise of the function, 1e-9. Where the covariance is known exactly the tolerance is `SMOOTH`: the
+oracles are asked for 1e-12 and the 128 nodes leave up to 1e-11 in degenerate cases, so 3e-11 holds both.
+"""
+
+from itertools import combinations, pairwise, permutations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.polynomial.legendre import leggauss
+from scipy.integrate import quad
+from scipy.special import ndtr
+
+from todframes.decision import answer_probabilities
+from todframes.errors import SettingsError
+
+EXACT = 1e-9
+SMOOTH = 3e-11
+
+
+def density(z):
+    return np.exp(-(z**2) / 2) / np.sqrt(2 * np.pi)
+
+
+def integrate(function, *, steps=(), limit=12.0):
+    """∫ over ±limit standard deviations (1 − Φ(12) < 1e-32), split where the integrand is steep."""
+    edges = [-limit, *sorted(step for step in steps if -limit < step < limit), limit]
+    return sum(quad(function, a, b, epsabs=1e-13, epsrel=1e-12, limit=400)[0] for a, b in pairwise(edges))
+
+
+def circulant(adjacent, opposite):
+    """Overlaps of the templates up, right, down, left."""
+    return np.array([np.roll([1, adjacent, opposite, adjacent], turn) for turn in range(4)])
+
+
+CENTROID = circulant(np.sqrt(3) - 1, 2 / 3)
+BOUNDING_BOX = circulant(0.60705, 1 / 2)
+
+
+def panels(edges, nodes=16):
+    """Gauss–Legendre nodes and weights on consecutive intervals."""
+    node, weight = leggauss(nodes)
+    half, middle = np.diff(edges)[:, None] / 2, (edges[1:] + edges[:-1])[:, None] / 2
+    return (middle + half * node).ravel(), (half * weight).ravel()
+
+
+def wins(score, covariance, answer):
+    """P(answer) for well-conditioned matrices: the density of two of its differences × the chance of the third."""
+    D = np.delete(np.eye(4)[answer] - np.eye(4), answer, axis=0)
+    mean, V = D @ score, D @ covariance @ D.T
+    scale = np.sqrt(np.diag(V))
+    grids = [
+        panels(s * np.concatenate([[0, 0.03, 0.1, 0.2], np.arange(0.4, max(m / s, 0) + 12, 0.4)]))
+        for m, s in zip(mean[:2], scale, strict=False)
+    ]
+    (y1, w1), (y2, w2) = grids
+    inverse = np.linalg.inv(V[:2, :2])
+    e1, e2 = y1[:, None] - mean[0], y2 - mean[1]
+    exponent = (inverse[0, 0] * e1**2 + 2 * inverse[0, 1] * e1 * e2 + inverse[1, 1] * e2**2) / 2
+    gain = V[2, :2] @ inverse
+    third = ndtr((mean[2] + gain[0] * e1 + gain[1] * e2) / np.sqrt(V[2, 2] - gain @ V[2, :2]))
+    joint = np.exp(-exponent) * third * np.sqrt(np.linalg.det(inverse)) / (2 * np.pi)
+    return w1 @ joint @ w2
+
+
+def independent(score, deviation):
+    """Four independent scores: ∫ φ(z) Π Φ dz, of any scale."""
+    score, deviation = np.asarray(score, float), np.asarray(deviation, float)
+    answers = []
+    for k in range(4):
+        others = [j for j in range(4) if j != k]
+        middle = (score[others] - score[k]) / deviation[k]
+        width = deviation[others] / deviation[k]
+        steps = (middle[:, None] + np.outer(width, [-8, -3, 0, 3, 8])).ravel()
+        answers.append(
+            integrate(
+                lambda z, m=middle, w=width: (
+                    density(z) * np.exp(np.log(np.maximum(ndtr((z - m) / w), 1e-300)).sum())
+                ),
+                steps=steps,
+            )
+        )
+    return np.array(answers)
+
+
+# Closed forms and published figures
+
+
+@pytest.mark.parametrize(
+    "template",
+    [
+        [[0, 0, 0], [1, 0, 0], [-1, 0, 0], [3, 0, 0]],
+        [[2, 1, 0], [-1, 3, 0], [-2, -2, 0], [1, 0, 0]],
+        [[1, 0, 0], [0, 2, 0], [0, 0, 3], [-1, -1, -1]],
+    ],
+    ids=["rank 1", "rank 2", "rank 3"],
+)
+def test_zero_mean_is_the_solid_angle_of_the_orthant(template):
+    template = np.array(template, dtype=float)
+    expected = []
+    for k in range(4):
+        difference = template[k] - np.delete(template, k, axis=0)
+        unit = difference / np.linalg.norm(difference, axis=1, keepdims=True)
+        rho = [np.clip(unit[i] @ unit[j], -1, 1) for i, j in combinations(range(3), 2)]
+        expected.append(1 / 8 + np.arcsin(rho).sum() / (4 * np.pi))
+    # Rounding only: no ρ here is so near ±1, without being it, that arcsin enlarges it.
+    assert answer_probabilities(np.zeros(4), template @ template.T) == pytest.approx(expected, abs=SMOOTH)
+
+
+def test_four_independent_alternatives_as_tabulated():
+    # Hacker & Ratcliff 1979, six decimals.
+    for d_prime, table in [(0.5, 0.393318), (1, 0.552031), (1.5, 0.701863), (2, 0.822793), (3, 0.956374)]:
+        correct = answer_probabilities([d_prime, 0, 0, 0], np.eye(4))[0]
+        assert correct == pytest.approx(table, abs=5.1e-7)
+        assert correct == pytest.approx(integrate(lambda z, d=d_prime: density(z - d) * ndtr(z) ** 3), abs=1e-10)
+
+
+def test_the_four_triangles_as_tabulated():
+    scores = np.arange(1, 6)[:, None] * CENTROID[:, 0]
+    # Four or five decimals in the table.
+    assert answer_probabilities(scores, CENTROID)[:, 0] == pytest.approx(
+        [0.4045, 0.57444, 0.73016, 0.84961, 0.92669], abs=1e-5
+    )
+    for overlap, level in [(CENTROID, 3.1445), (BOUNDING_BOX, 2.5890)]:
+        # The level is given to 5e-5 and the slope there is 0.14 per unit.
+        assert answer_probabilities(level * overlap[:, 0], overlap)[0] == pytest.approx(0.75, abs=1e-5)
+
+
+@pytest.mark.parametrize("shared", [-0.3, 0.0, 0.5, 0.9, 1 - 2**-20, 1 - 2**-40])
+def test_equally_correlated_scores_are_independent_ones(shared):
+    # A part common to all scores cancels, whatever its size: 1 − shared is exact in each of these.
+    deviation = np.sqrt(1 - shared)
+    score = deviation * np.array([1.3, 0.2, -0.4, 0.9])
+    covariance = np.full((4, 4), shared) + (1 - shared) * np.eye(4)
+    assert answer_probabilities(score, covariance) == pytest.approx(
+        independent(score, [deviation] * 4), abs=SMOOTH
+    )
+
+
+@pytest.mark.parametrize(
+    "deviation", [[1, 2, 3, 4], [1e-6, 1, 1e6, 1e3], [1e-6, 1e-6, 1e6, 1e6], [1, 1e-3, 1e-5, 1e-6]]
+)
+def test_independent_scores_of_any_scale(deviation):
+    deviation = np.array(deviation)
+    for score in (np.zeros(4), deviation * [1, -0.5, 0.3, 0.7], deviation[::-1] * [0.1, 0, 1, -1]):
+        assert answer_probabilities(score, np.diag(deviation**2)) == pytest.approx(
+            independent(score, deviation), abs=EXACT
+        )
+
+
+@pytest.mark.parametrize("spread", [0.5, 2**-10, 2**-20, 2**-23])
+def test_three_templates_nearly_alike(spread):
+    # x_j = m + spread·e_j for three answers, x_3 its own: given e_0 the rest are products. 1 + spread² is exact.
+    covariance = np.ones((4, 4)) + spread**2 * np.eye(4)
+    covariance[3, :3] = covariance[:3, 3] = 0
+    covariance[3, 3] = 2
+    mean = np.array([0.3, -0.2, 0.4]) * spread
+    expected = [
+        integrate(
+            lambda z, k=k: (
+                density(z)
+                * np.prod([ndtr(z + (mean[k] - mean[j]) / spread) for j in range(3) if j != k])
+                * ndtr((0.5 + mean[k] + spread * z) / np.sqrt(3))
+            )
+        )
+        for k in range(3)
+    ]
+    found = answer_probabilities([*mean, -0.5], covariance)
+    # The score differences are the only inexact input: 1e-16 / spread at the smallest.
+    assert found == pytest.approx([*expected, 1 - sum(expected)], abs=EXACT)
+
+
+@pytest.mark.parametrize("spread", [2**-5, 2**-15, 2**-20])
+@pytest.mark.parametrize("gap", [0, 1e-3, 1, -5])
+def test_two_templates_nearly_alike(spread, gap):
+    # x_0, x_1 = m ± e with e of deviation `spread`: x_0 wins when e > 0 and m + e beats independent x_2 and x_3.
+    covariance = np.diag([1 + spread**2, 1 + spread**2, 2, 5])
+    covariance[0, 1] = covariance[1, 0] = 1 - spread**2
+    score = np.array([gap * spread, -gap * spread, 0.2, -0.7])
+    z, z_weight = panels(np.linspace(-9, 9, 37))
+    e, e_weight = panels(np.linspace(0, abs(gap) + 10, 41))
+
+    def of_pair(gap):
+        x = z[:, None] + spread * e
+        others = ndtr((x - score[2]) / np.sqrt(2)) * ndtr((x - score[3]) / np.sqrt(5))
+        return (z_weight * density(z)) @ others @ (e_weight * density(e - gap))
+
+    # 1 − Φ(9) is 1e-19.
+    found = answer_probabilities(score, covariance)
+    assert found[:2] == pytest.approx([of_pair(gap), of_pair(-gap)], abs=EXACT)
+
+
+def test_templates_on_a_line():
+    # Only the extremes of a line and what lies between their wedges: x_k = s_k + t_k z, the upper envelope in z.
+    template = np.array([-2.0, -1.0, 0.0, 3.0])
+    score = np.array([-0.3, 0.5, 0.4, -1.0])
+    z = np.sort([(score[i] - score[j]) / (template[j] - template[i]) for i, j in combinations(range(4), 2)])
+    edges = np.concatenate([[-40], z, [40]])
+    winner = np.argmax(score + np.outer((edges[1:] + edges[:-1]) / 2, template), axis=1)
+    expected = np.bincount(winner, weights=np.diff(ndtr(edges)), minlength=4)
+    assert answer_probabilities(score, np.outer(template, template)) == pytest.approx(expected, abs=EXACT)
+
+
+def test_random_templates_on_a_line():
+    rng = np.random.default_rng(20)
+    for _ in range(50):
+        template, score = rng.normal(size=(2, 4))
+        z = np.sort([(score[i] - score[j]) / (template[j] - template[i]) for i, j in combinations(range(4), 2)])
+        edges = np.clip(np.concatenate([[-40], z, [40]]), -40, 40)
+        winner = np.argmax(score + np.outer((edges[1:] + edges[:-1]) / 2, template), axis=1)
+        expected = np.bincount(winner, weights=np.diff(ndtr(edges)), minlength=4)
+        # The products t_j t_k round: faces with less area than that must be taken as flat. What is left is the
+        # rounding 1e-16 of a squared difference, 1e-4 at the smallest, in d/σ.
+        assert answer_probabilities(score, np.outer(template, template)) == pytest.approx(expected, abs=EXACT)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_templates_in_a_plane(seed):
+    # Given the first coordinate, x_k is a line in the second, and the winner owns an interval of it. Templates of
+    # small integers make the rank exactly 2.
+    rng = np.random.default_rng(seed)
+    template = rng.permutation([[2, 1], [-1, 3], [-2, -2], [1, -3]]).astype(float)
+    score = rng.normal(size=4)
+
+    def owned(z, k):
+        low, high = -np.inf, np.inf
+        for j in range(4):
+            slope = template[k, 1] - template[j, 1]
+            if slope:
+                root = (score[j] - score[k] + (template[j, 0] - template[k, 0]) * z) / slope
+                low, high = (max(low, root), high) if slope > 0 else (low, min(high, root))
+        return density(z) * max(ndtr(high) - ndtr(low), 0)
+
+    kinks = []
+    for trio in combinations(range(4), 3):
+        A = np.array([template[trio[0]] - template[j] for j in trio[1:]])
+        kinks.append(np.linalg.solve(A, [score[j] - score[trio[0]] for j in trio[1:]])[0])
+    expected = [integrate(lambda z, k=k: owned(z, k), steps=kinks) for k in range(4)]
+    assert answer_probabilities(score, template @ template.T) == pytest.approx(expected, abs=SMOOTH)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_random_covariances_by_integration(seed):
+    rng = np.random.default_rng(seed)
+    factor = rng.normal(size=(4, 4)) + np.eye(4)
+    score = factor @ rng.normal(size=4)
+    expected = [wins(score, factor @ factor.T, k) for k in range(4)]
+    # 16 nodes on 0.4 deviations integrate to rounding unless a third difference is nearly decided by two: 1e-10.
+    assert answer_probabilities(score, factor @ factor.T) == pytest.approx(expected, abs=1e-10)
+
+
+def test_monte_carlo():
+    rng = np.random.default_rng(1)
+    score, draws = 2.5 * CENTROID[:, 0], 400_000
+    noisy = score + rng.normal(size=(draws, 4)) @ np.linalg.cholesky(CENTROID).T
+    counts = np.bincount(noisy.argmax(axis=1), minlength=4) / draws
+    # Five standard errors, at most √(¼ / draws) = 8e-4 each.
+    assert counts == pytest.approx(answer_probabilities(score, CENTROID), abs=5 * np.sqrt(0.25 / draws))
+
+
+# Improbable answers
+
+
+@pytest.mark.parametrize("overlap", [CENTROID, BOUNDING_BOX, np.eye(4)], ids=["centroid", "bounding box", "none"])
+@pytest.mark.parametrize("level", [5, 10, 15, 20, 28])
+def test_improbable_answers_are_right_relatively(overlap, level):
+    score = level * overlap[:, 0]
+    expected = np.array([wins(score, overlap, k) for k in (1, 2, 3)])
+    found = answer_probabilities(score, overlap)
+    relevant = expected > 1e-30
+    # The promise is 6 digits; both sides have positive terms only and the oracle's panels resolve the decay of
+    # exp(−b²/2), so the quadrature over 128 nodes decides: 1e-9 was found against 600 nodes.
+    assert found[1:][relevant] == pytest.approx(expected[relevant], rel=1e-7, abs=0)
+    assert found[1] == pytest.approx(found[3], rel=1e-12, abs=0)
+
+
+@pytest.mark.parametrize("behind", [6.0, 9.0, 11.0])
+def test_improbable_of_equally_noisy_independent_scores(behind):
+    # The mass is near z = behind·3/4; 1e-26 and smaller at the last.
+    expected = integrate(
+        lambda z: 1e20 * density(z + 3 * behind / 4) * ndtr(z - behind / 4) * ndtr(z + 3 * behind / 4) ** 2,
+        limit=25,
+    )
+    found = answer_probabilities([0, behind, 0, 0], np.eye(4))[0]
+    assert 1e20 * found == pytest.approx(expected, rel=1e-7, abs=0)
+
+
+# No noise, and identical templates
+
+
+def test_without_noise_the_largest_wins_and_equals_share():
+    score = [[1, 2, 3, 4], [4, 4, 1, 0], [2, 2, 2, 1], [0, 0, 0, 0], [1, 1, 1 + 1e-12, 1]]
+    expected = [[0, 0, 0, 1], [0.5, 0.5, 0, 0], [1 / 3, 1 / 3, 1 / 3, 0], [0.25] * 4, [0, 0, 1, 0]]
+    for covariance in (np.zeros((4, 4)), np.ones((4, 4))):
+        # Thirds round.
+        assert answer_probabilities(score, covariance) == pytest.approx(np.array(expected), abs=1e-15)
+
+
+def test_identical_templates_share_or_yield():
+    # Answers 0 and 1 are one template: together they are one of three independent alternatives.
+    template = np.array([[1, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1.0]])
+    ahead = integrate(lambda z: density(z - 0.7) * ndtr(z) ** 2)
+    shared = answer_probabilities([0.7, 0.7, 0, 0], template @ template.T)
+    assert shared == pytest.approx([ahead / 2, ahead / 2, (1 - ahead) / 2, (1 - ahead) / 2], abs=SMOOTH)
+    yielded = answer_probabilities([0.7, 0.5, 0, 0], template @ template.T)
+    assert yielded == pytest.approx([ahead, 0, (1 - ahead) / 2, (1 - ahead) / 2], abs=SMOOTH)
+
+
+def test_two_pairs_of_identical_templates():
+    template = np.array([[1, 0], [0, 1], [1, 0], [0, 1.0]])
+    first = ndtr(0.6 / np.sqrt(2))
+    found = answer_probabilities([0.6, 0, 0.6, -1], template @ template.T)
+    assert found == pytest.approx([first / 2, 1 - first, first / 2, 0], abs=SMOOTH)
+
+
+# Laws
+
+finite = st.floats(-5, 5, allow_subnormal=False)
+score_lists = st.lists(finite, min_size=4, max_size=4).map(np.array)
+# Coarse templates: every rank, many exact coincidences.
+template_arrays = st.lists(st.integers(-3, 3), min_size=12, max_size=12).map(lambda t: np.reshape(t, (4, 3)) / 1.0)
+quick = settings(max_examples=60, deadline=None)
+
+
+@quick
+@given(score_lists, template_arrays)
+def test_sum_is_one(score, template):
+    found = answer_probabilities(score, template @ template.T)
+    assert (found >= 0).all()
+    # A few units in the last place.
+    assert found.sum() == pytest.approx(1, abs=1e-15)
+
+
+@quick
+@given(score_lists, template_arrays, st.sampled_from(list(permutations(range(4)))))
+def test_permuted_answers_have_permuted_probabilities(score, template, order):
+    order = list(order)
+    covariance = template @ template.T
+    found = answer_probabilities(score[order], covariance[np.ix_(order, order)])
+    assert found == pytest.approx(answer_probabilities(score, covariance)[order], abs=SMOOTH)
+
+
+def test_permuted_well_conditioned_answers_agree_to_rounding():
+    score = np.array([0.3, 1.2, -0.7, 0.1])
+    for order in permutations(range(4)):
+        order = list(order)
+        found = answer_probabilities(score[order], CENTROID[np.ix_(order, order)])
+        # Rounding of a sum of 128 terms.
+        assert found == pytest.approx(answer_probabilities(score, CENTROID)[order], abs=1e-13)
+
+
+@quick
+@given(score_lists, template_arrays, st.integers(0, 3), st.floats(0.01, 3))
+def test_a_higher_score_is_not_less_probable(score, template, answer, gain):
+    covariance = template @ template.T
+    higher = score + gain * (np.arange(4) == answer)
+    before, after = answer_probabilities([score, higher], covariance)[:, answer]
+    assert after >= before - SMOOTH
+
+
+@quick
+@given(score_lists, template_arrays, st.integers(-8, 8), st.integers(0, 8))
+def test_constants_do_not_matter(score, template, offset, shared):
+    # Eighths and small integers are added without rounding.
+    score, covariance = np.round(score * 8) / 8, template @ template.T
+    moved = answer_probabilities(score + offset, covariance + shared)
+    assert moved == pytest.approx(answer_probabilities(score, covariance), abs=SMOOTH)
+
+
+# Batches and extremes
+
+
+def test_one_matrix_per_score_and_one_for_all_agree():
+    rng = np.random.default_rng(3)
+    scores = rng.normal(size=(2, 75, 4))
+    one = answer_probabilities(scores, BOUNDING_BOX)
+    assert one.shape == (2, 75, 4)
+    # The same operations on the same numbers.
+    assert answer_probabilities(scores, np.broadcast_to(BOUNDING_BOX, (75, 4, 4))) == pytest.approx(one, abs=1e-15)
+    assert answer_probabilities(scores[0, 0], np.stack([np.eye(4), BOUNDING_BOX]))[1] == pytest.approx(
+        one[0, 0], abs=1e-15
+    )
+    assert answer_probabilities(np.zeros((0, 4)), BOUNDING_BOX).shape == (0, 4)
+
+
+def test_a_score_does_not_depend_on_its_batch():
+    scores = np.random.default_rng(4).normal(size=(150, 4))
+    alone = np.array([answer_probabilities(score, CENTROID) for score in scores])
+    # Vectorised exponentials may round their last elements apart.
+    assert answer_probabilities(scores, CENTROID) == pytest.approx(alone, abs=1e-14)
+
+
+def test_extreme_scores():
+    assert answer_probabilities(1e-9 * CENTROID[:, 0], CENTROID) == pytest.approx(0.25, abs=EXACT)
+    assert answer_probabilities(1e9 * CENTROID[:, 1], CENTROID).tolist() == [0, 1, 0, 0]
+    assert answer_probabilities([1e308, -1e308, 0, 0], CENTROID).tolist() == [1, 0, 0, 0]
+    assert answer_probabilities([1e308, -1e308, 0, 0], np.zeros((4, 4))).tolist() == [1, 0, 0, 0]
+
+
+# Refusals
+
+
+def test_refuses_what_is_not_finite():
+    with pytest.raises(SettingsError, match=r"score\[1, 2\] is nan, expected finite numbers"):
+        answer_probabilities([[0, 0, 0, 0], [0, 0, np.nan, 0]], np.eye(4))
+    with pytest.raises(ValueError, match=r"score\[0\] is -inf, expected finite"):
+        answer_probabilities([-np.inf, 0, 0, 0], np.eye(4))
+    with pytest.raises(ValueError, match=r"covariance\[0, 0\] is inf, expected finite"):
+        answer_probabilities(np.zeros(4), np.diag([np.inf, 1, 1, 1]))
+
+
+def test_refuses_what_is_not_a_covariance():
+    skew = np.eye(4)
+    skew[0, 1] = 1e-6
+    with pytest.raises(ValueError, match=r"asymmetry of covariance is 1e-06, expected a symmetric matrix"):
+        answer_probabilities(np.zeros(4), skew)
+    with pytest.raises(
+        ValueError, match=r"smallest eigenvalue of covariance\[1\] is -1e-06, expected a positive semi"
+    ):
+        answer_probabilities(np.zeros(4), np.stack([np.eye(4), np.diag([1, 1, 1, -1e-6])]))
+    # Within the rounding that is allowed, 1e-10.
+    answer_probabilities(np.zeros(4), np.diag([1, 1, 1, -1e-11]))
+
+
+def test_refuses_other_shapes():
+    with pytest.raises(ValueError, match=r"score has shape \(3,\), expected \(\.\.\., 4\)"):
+        answer_probabilities(np.zeros(3), np.eye(4))
+    with pytest.raises(ValueError, match=r"covariance has shape \(3, 3\), expected \(\.\.\., 4, 4\)"):
+        answer_probabilities(np.zeros(4), np.eye(3))

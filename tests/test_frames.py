@@ -1,0 +1,798 @@
+"""Frames: what is written comes back, parts equal wholes, and bad files give one line, never a crash."""
+
+import hashlib
+import os
+import struct
+import subprocess
+import sys
+import textwrap
+import zlib
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import OpenImageIO as oiio
+import pytest
+
+from todframes.errors import FrameError, SettingsError
+from todframes.frames import FrameFile, frame_sha256, read_frame, read_header, write_frame
+
+HEIGHT, WIDTH = 40, 24
+EXR_HEADER_END = b"screenWindowWidth\0float\0\4\0\0\0" + struct.pack("<f", 1.0) + b"\0"
+
+
+def noise(*shape, seed=0):
+    return np.random.default_rng(seed).random(shape)
+
+
+def in_half(values):
+    return np.float16(values).astype(np.float32)
+
+
+def write_exr(path, *parts, compression="zip"):
+    """EXR by OpenImageIO; a part is (array (H, W, C), channel names) and, as a dict, fields of its spec."""
+    specs = []
+    for number, (array, names, fields) in enumerate(parts):
+        spec = oiio.ImageSpec(array.shape[1], array.shape[0], array.shape[2], str(fields.get("format", "half")))
+        spec.channelnames = names
+        for field, value in fields.items():
+            if field != "format":
+                setattr(spec, field, value)
+        spec.attribute("compression", compression)
+        spec.attribute("oiio:subimagename", f"part{number}")
+        specs.append(spec)
+    output = oiio.ImageOutput.create(str(path))
+    assert output.open(str(path), tuple(specs) if len(specs) > 1 else specs[0]), output.geterror()
+    for number, (array, _, _) in enumerate(parts):
+        assert number == 0 or output.open(str(path), specs[number], "AppendSubimage"), output.geterror()
+        assert output.write_image(array), output.geterror()
+    assert output.close(), output.geterror()
+
+
+def png_chunk(kind, content):
+    return struct.pack(">I", len(content)) + kind + content + struct.pack(">I", zlib.crc32(kind + content))
+
+
+def png_bytes(width, height, depth, colour_type, scan_lines, *extra, interlaced=False):
+    """A PNG of `scan_lines`, each without its filter byte; `extra` chunks come before the pixels."""
+    header = struct.pack(">IIBBBBB", width, height, depth, colour_type, 0, 0, interlaced)
+    content = zlib.compress(b"".join(b"\0" + line for line in scan_lines), 9)
+    chunks = [png_chunk(b"IHDR", header), *extra, png_chunk(b"IDAT", content), png_chunk(b"IEND", b"")]
+    return b"\x89PNG\r\n\x1a\n" + b"".join(chunks)
+
+
+def interlaced_png(grey):
+    """Adam7: seven passes, each (first column, first row, column step, row step)."""
+    passes = [(0, 0, 8, 8), (4, 0, 8, 8), (0, 4, 4, 8), (2, 0, 4, 4), (0, 2, 2, 4), (1, 0, 2, 2), (0, 1, 1, 2)]
+    lines = [line.tobytes() for x, y, dx, dy in passes for line in grey[y::dy, x::dx] if line.size]
+    return png_bytes(grey.shape[1], grey.shape[0], 8, 0, lines, interlaced=True)
+
+
+def luminance_chroma_bytes():
+    """An uncompressed 2 x 2 EXR with Y and half-size BY, RY, by hand: OpenImageIO writes no such thing."""
+
+    def attribute(name, kind, content):
+        return f"{name}\0{kind}\0".encode() + struct.pack("<i", len(content)) + content
+
+    channels = b"".join(
+        name + b"\0" + struct.pack("<4i", 1, 0, step, step) for name, step in ((b"BY", 2), (b"RY", 2), (b"Y", 1))
+    )
+    box = struct.pack("<4i", 0, 0, 1, 1)
+    header = b"\x76\x2f\x31\x01\2\0\0\0" + b"".join(
+        [
+            attribute("channels", "chlist", channels + b"\0"),
+            attribute("compression", "compression", b"\0"),
+            attribute("dataWindow", "box2i", box),
+            attribute("displayWindow", "box2i", box),
+            attribute("lineOrder", "lineOrder", b"\0"),
+            attribute("pixelAspectRatio", "float", struct.pack("<f", 1)),
+            attribute("screenWindowCenter", "v2f", bytes(8)),
+            EXR_HEADER_END,
+        ]
+    )
+    lines = [struct.pack("<2i", y, size) + bytes(size) for y, size in ((0, 8), (1, 4))]
+    offset = len(header) + 16
+    return header + struct.pack("<2Q", offset, offset + len(lines[0])) + b"".join(lines)
+
+
+def flip(path, position, mask=0x10):
+    content = bytearray(path.read_bytes())
+    content[position] ^= mask
+    path.write_bytes(content)
+
+
+# Round trips
+
+
+@pytest.mark.parametrize("shape", [(HEIGHT, WIDTH), (HEIGHT, WIDTH, 1), (HEIGHT, WIDTH, 3)])
+@pytest.mark.parametrize(
+    ("pixel_type", "compression"),
+    [
+        *(("half", name) for name in ("none", "rle", "zips", "zip", "piz", "pxr24")),
+        *(("float", name) for name in ("none", "rle", "zips", "zip", "piz")),
+    ],
+)
+def test_lossless_exr_comes_back_exactly(tmp_path, pixel_type, compression, shape):
+    values = 100 * noise(*shape) - 20
+    write_frame(tmp_path / "a.exr", values, pixel_type=pixel_type, compression=compression)
+    frame = read_frame(tmp_path / "a.exr")
+    expected = in_half(values) if pixel_type == "half" else np.float32(values)
+    assert np.array_equal(frame.values, expected.reshape(HEIGHT, WIDTH, -1))
+    assert frame.values.dtype == np.float32
+    assert (frame.first_row, frame.first_column, frame.height, frame.width) == (0, 0, HEIGHT, WIDTH)
+    header = read_header(tmp_path / "a.exr")
+    assert header.pixel_type == pixel_type
+    assert header.channels == (("R", "G", "B") if shape[2:] == (3,) else ("Y",))
+    assert (header.height, header.width, header.n_rows, header.n_columns) == (HEIGHT, WIDTH) * 2
+
+
+@pytest.mark.parametrize("compression", ["b44", "b44a"])
+def test_b44_keeps_flat_blocks_exactly(tmp_path, compression):
+    # B44 stores the differences within blocks of 4 x 4 pixels; in a flat block they are all zero.
+    values = np.kron(noise(HEIGHT // 4, WIDTH // 4), np.ones((4, 4)))
+    write_frame(tmp_path / "a.exr", values, compression=compression)
+    assert np.array_equal(read_frame(tmp_path / "a.exr").values[..., 0], in_half(values))
+
+
+@pytest.mark.parametrize("compression", ["dwaa", "dwab"])
+def test_dwa_stays_within_its_quantisation(tmp_path, compression):
+    # DWA quantises the orthonormal 8 x 8 DCT of x^(1/2.2), each coefficient to within 45e-5 * q / 10 (level 45; q
+    # of the JPEG luminance table, whose smallest is 10 and whose squares add up to 288028). So the error of a
+    # block has a norm of at most 45e-6 * sqrt(288028) = 0.0242, which also bounds each pixel. Back in x <= 1 the
+    # slope is at most 2.2, and half precision before and after adds 2 * 2^-12: 0.0537 a pixel, and 1/8 of it RMS.
+    # Smooth, so that it does compress: chunks that do not are stored as they are.
+    rows, columns = np.mgrid[:64, :64]
+    values = 0.5 + 0.4 * np.sin(rows / 5.0) * np.cos(columns / 7.0)
+    write_frame(tmp_path / "a.exr", values, compression=compression)
+    error = read_frame(tmp_path / "a.exr").values[..., 0] - values
+    assert np.abs(error).max() < 0.0537
+    assert np.sqrt(np.mean(error**2)) < 0.0537 / 8
+    assert np.abs(error).max() > 2**-11  # it was lossy
+
+
+@pytest.mark.parametrize("shape", [(HEIGHT, WIDTH), (HEIGHT, WIDTH, 3)])
+@pytest.mark.parametrize(("pixel_type", "full_scale"), [("uint8", 255), ("uint16", 65535)])
+def test_png_rounds_to_nearest(tmp_path, pixel_type, full_scale, shape):
+    values = noise(*shape)
+    write_frame(tmp_path / "a.PNG", values, pixel_type=pixel_type)
+    frame = read_frame(tmp_path / "a.PNG")
+    steps = frame.values.astype(np.float64) * full_scale
+    # Half a step of rounding, and float32 of a value up to full_scale: full_scale * 2^-25.
+    assert np.abs(steps.reshape(shape) - values * full_scale).max() <= 0.5 + full_scale * 2**-25
+    # What has been rounded is not changed by a second passage.
+    write_frame(tmp_path / "b.png", frame.values, pixel_type=pixel_type)
+    assert np.array_equal(read_frame(tmp_path / "b.png").values, frame.values)
+    assert read_header(tmp_path / "a.PNG").pixel_type == pixel_type
+
+
+@pytest.mark.parametrize("pixel_type", ["uint8", "uint16"])
+def test_png_ends_of_the_scale_are_exact(tmp_path, pixel_type):
+    write_frame(tmp_path / "a.png", [[0.0, 1.0]], pixel_type=pixel_type)
+    assert read_frame(tmp_path / "a.png").values.tolist() == [[[0.0], [1.0]]]
+
+
+@pytest.mark.parametrize("suffix", [".exr", ".png"])
+def test_attributes_come_back_under_their_names(tmp_path, suffix):
+    attributes = {
+        "todframes:seed": "12",
+        "sensor_sim:snr": "1.5",
+        "todframes:note": "two\nlines, γ and 漢字 ",
+        "todframes:a_rather_long_name_for_an_attribute": "x" * 10_000,
+    }
+    write_frame(tmp_path / f"a{suffix}", noise(4, 4), attributes=attributes)
+    assert read_header(tmp_path / f"a{suffix}").attributes == attributes
+
+
+@pytest.mark.parametrize("suffix", [".exr", ".png"])
+def test_no_attributes_unless_given(tmp_path, suffix):
+    write_frame(tmp_path / f"a{suffix}", noise(4, 4))
+    assert read_header(tmp_path / f"a{suffix}").attributes == {}
+
+
+def test_same_values_give_the_same_bytes(tmp_path):
+    # In another process, second and folder, under another name.
+    names = {"a.exr": "b.exr", "a.png": "b.png"}
+    for name in names:
+        write_frame(tmp_path / name, noise(8, 8), attributes={"todframes:seed": "1"})
+    (tmp_path / "other").mkdir()
+    script = f"""
+        import time
+        import numpy as np
+        from todframes.frames import write_frame
+        time.sleep(1.1)
+        for name in {list(names.values())}:
+            values = np.random.default_rng(0).random((8, 8))
+            write_frame(name, values, attributes={{"todframes:seed": "1"}})
+    """
+    run_python(script, cwd=tmp_path / "other")
+    for name, other in names.items():
+        content = (tmp_path / name).read_bytes()
+        assert content == (tmp_path / "other" / other).read_bytes()
+        assert frame_sha256(tmp_path / name) == hashlib.sha256(content).hexdigest()
+
+
+# Layouts
+
+
+def make_layout(path, layout):
+    grey = noise(HEIGHT, WIDTH, 1).astype(np.float16)
+    colour = noise(HEIGHT, WIDTH, 3, seed=1).astype(np.float16)
+    tiles = {"tile_width": 16, "tile_height": 8}
+    window = {"full_x": 2, "full_y": -3, "full_width": 30, "full_height": 50}
+    if layout == "scanline":
+        write_exr(path, (grey, ("Y",), {}))
+    elif layout == "tiled":
+        write_exr(path, (colour, ("R", "G", "B"), tiles))
+    elif layout == "multipart":
+        write_exr(path, (grey, ("Z",), {}), (colour, ("R", "G", "B"), {}))
+    elif layout == "offset":
+        write_exr(path, (grey, ("Y",), {"x": 7, "y": 2, **window}))
+    elif layout == "offset tiled":
+        write_exr(path, (grey, ("Y",), {"x": 7, "y": 2, **window, **tiles}))
+    elif layout == "overhanging":
+        write_exr(path, (grey, ("Y",), {"x": -5, "y": -6, "full_width": 10, "full_height": 20}))
+    elif layout == "overhanging tiled":
+        write_exr(path, (grey, ("Y",), {"x": -5, "y": -6, "full_width": 10, "full_height": 20, **tiles}))
+    elif layout == "png":
+        write_frame(path, noise(HEIGHT, WIDTH, 3))
+    else:
+        path.write_bytes(interlaced_png((255 * grey[..., 0]).astype(np.uint8)))
+
+
+@pytest.mark.parametrize(
+    "layout",
+    [
+        *("scanline", "tiled", "multipart", "offset", "offset tiled", "overhanging", "overhanging tiled"),
+        *("png", "interlaced png"),
+    ],
+)
+def test_part_equals_slice_of_whole(tmp_path, layout):
+    path = tmp_path / "a"
+    path = path.with_suffix(".png" if "png" in layout else ".exr")
+    make_layout(path, layout)
+    whole = read_frame(path)
+    top, left = whole.first_row, whole.first_column
+    bottom, right = top + whole.values.shape[0], left + whole.values.shape[1]
+    rng = np.random.default_rng(2)
+    with FrameFile(path) as file:
+        for _ in range(30):
+            rows = tuple(sorted(rng.integers(-5, 60, 2).tolist()))
+            columns = tuple(sorted(rng.integers(-5, 40, 2).tolist()))
+            part = file.read(rows=rows, columns=columns)
+            row, stop_row = np.clip(rows, top, bottom)
+            column, stop_column = np.clip(columns, left, right)
+            expected = whole.values[row - top : stop_row - top, column - left : stop_column - left]
+            assert np.array_equal(part.values, expected)
+            assert (part.first_row, part.first_column) == (row, column)
+            assert (part.height, part.width) == (whole.height, whole.width)
+    assert np.array_equal(read_frame(path, rows=(top, bottom)).values, whole.values)
+
+
+def test_tiled_and_multipart_hold_what_was_written(tmp_path):
+    colour = noise(HEIGHT, WIDTH, 3, seed=1).astype(np.float16)
+    for layout in ("tiled", "multipart"):
+        make_layout(tmp_path / "a.exr", layout)
+        assert np.array_equal(read_frame(tmp_path / "a.exr").values, colour.astype(np.float32))
+
+
+def test_mip_levels_are_not_read(tmp_path):
+    path = tmp_path / "a.exr"
+    values = noise(32, 32, 1).astype(np.float16)
+    spec = oiio.ImageSpec(32, 32, 1, "half")
+    spec.channelnames, spec.tile_width, spec.tile_height = ("Y",), 8, 8
+    spec.attribute("textureformat", "Plain Texture")
+    output = oiio.ImageOutput.create(str(path))
+    assert output.open(str(path), spec)
+    assert output.write_image(values)
+    for side in (16, 8, 4, 2, 1):
+        spec.width = spec.height = spec.full_width = spec.full_height = side
+        assert output.open(str(path), spec, "AppendMIPLevel"), output.geterror()
+        assert output.write_image(np.zeros((side, side, 1), np.float16))
+    assert output.close()
+    del output  # which writes the end of the file
+    assert np.array_equal(read_frame(path).values, values.astype(np.float32))
+
+
+@pytest.mark.parametrize("tiles", [{}, {"tile_width": 16, "tile_height": 16}])
+@pytest.mark.parametrize(
+    ("x", "y", "rectangle"),
+    # Frame: (2, -3) to (32, 47); data 24 wide, 40 high from (x, y). (first row, first column, rows, columns)
+    [
+        (2, -3, (0, 0, 40, 24)),
+        (7, 2, (5, 5, 40, 24)),
+        (-10, -13, (0, 0, 30, 12)),
+        (20, 30, (33, 18, 17, 12)),
+    ],
+)
+def test_pixels_lie_where_the_windows_say(tmp_path, x, y, rectangle, tiles):
+    # Values number the pixels of the data window, so they tell where each came from. Half holds integers to 2048.
+    rows, columns = np.mgrid[:HEIGHT, :WIDTH]
+    counted = (rows * WIDTH + columns)[..., np.newaxis].astype(np.float16)
+    window = {"x": x, "y": y, "full_x": 2, "full_y": -3, "full_width": 30, "full_height": 50}
+    write_exr(tmp_path / "a.exr", (counted, ("Y",), {**window, **tiles}))
+    frame, header = read_frame(tmp_path / "a.exr"), read_header(tmp_path / "a.exr")
+    assert (header.first_row, header.first_column, header.n_rows, header.n_columns) == rectangle
+    assert (frame.first_row, frame.first_column, *frame.values.shape[:2]) == rectangle
+    assert (frame.height, frame.width) == (50, 30)
+    first_row, first_column = frame.first_row - 3 - y, frame.first_column + 2 - x
+    assert frame.values[0, 0, 0] == first_row * WIDTH + first_column
+    assert frame.values[-1, -1, 0] == (first_row + rectangle[2] - 1) * WIDTH + first_column + rectangle[3] - 1
+
+
+def test_windows_apart_are_refused(tmp_path):
+    write_exr(tmp_path / "a.exr", (np.ones((4, 4, 1), np.float16), ("Y",), {"x": 100}))
+    with pytest.raises(FrameError, match="outside of the display window"):
+        read_frame(tmp_path / "a.exr")
+
+
+@pytest.mark.parametrize("tiles", [{}, {"tile_width": 8, "tile_height": 16}])
+def test_only_the_rows_asked_for_are_decoded(tmp_path, tiles):
+    path = tmp_path / "a.exr"
+    values = np.broadcast_to(np.arange(64, dtype=np.float16)[:, np.newaxis, np.newaxis], (64, 8, 1))
+    write_exr(path, (np.ascontiguousarray(values), ("Y",), tiles))
+    content = path.read_bytes()
+    table = content.index(EXR_HEADER_END) + len(EXR_HEADER_END) if not tiles else None
+    if tiles:
+        path.write_bytes(content[:-3])
+    else:
+        flip(path, struct.unpack_from("<4Q", content, table)[3] + 12)
+    assert np.array_equal(read_frame(path, rows=(0, 48)).values, values[:48].astype(np.float32))
+    with pytest.raises(FrameError, match="rows 40 to 63 cannot be decoded"):
+        read_frame(path, rows=(40, 64))
+
+
+# Channels
+
+VALUES = {"R": 1.0, "G": 2.0, "B": 3.0, "Y": 4.0, "A": 0.5, "Z": 9.0}
+
+
+def write_channels(path, *parts):
+    arrays = [np.array([VALUES[name[-1].upper()] for name in names], np.float16) for names in parts]
+    write_exr(
+        path, *((np.tile(array, (4, 4, 1)), tuple(names), {}) for array, names in zip(arrays, parts, strict=True))
+    )
+
+
+@pytest.mark.parametrize(
+    ("parts", "expected"),
+    [
+        ((["Y"],), "Y"),
+        ((["Z"],), "Z"),
+        ((["Y", "A"],), "Y"),
+        ((["R", "G", "B", "A"],), "RGB"),
+        ((["B", "G", "R"],), "RGB"),
+        ((["r", "g", "b"],), "RGB"),
+        ((["Z", "beauty.B", "beauty.G", "beauty.R", "beauty.A"],), "RGB"),
+        ((["diffuse.Y", "R", "G", "B"],), "RGB"),
+        ((["R", "G", "B", "Y"],), "Y"),
+        ((["Z"], ["R", "G", "B"]), "RGB"),
+        ((["Z", "A"], ["left.Y"]), "Y"),
+        ((["Y"], ["R", "G", "B"]), "Y"),
+    ],
+)
+def test_channels_are_chosen_by_name(tmp_path, parts, expected):
+    write_channels(tmp_path / "a.exr", *parts)
+    frame = read_frame(tmp_path / "a.exr")
+    assert frame.values[2, 2].tolist() == [VALUES[name] for name in expected]
+    assert [name[-1].upper() for name in read_header(tmp_path / "a.exr").channels] == list(expected)
+
+
+@pytest.mark.parametrize("parts", [(["R", "G"],), (["A", "Z"],), (["Z"], ["A"]), (["a.R", "b.G", "b.B"],)])
+def test_other_channels_are_named_in_the_error(tmp_path, parts):
+    write_channels(tmp_path / "a.exr", *parts)
+    with pytest.raises(FrameError, match=f"found channels .*{parts[-1][-1]}.*; expected Y, or R, G and B"):
+        read_frame(tmp_path / "a.exr")
+
+
+def test_each_channel_has_its_own_type(tmp_path):
+    values = np.float32([[[0.1, 0.2]]])
+    spec = oiio.ImageSpec(1, 1, 2, "float")
+    spec.channelnames, spec.channelformats = ("Y", "Z"), (oiio.TypeDesc("half"), oiio.TypeDesc("float"))
+    output = oiio.ImageOutput.create(str(tmp_path / "a.exr"))
+    assert output.open(str(tmp_path / "a.exr"), spec)
+    assert output.write_image(values)
+    assert output.close()
+    assert read_header(tmp_path / "a.exr").pixel_type == "half"
+    assert read_frame(tmp_path / "a.exr").values[0, 0, 0] == np.float16(0.1)
+
+
+def test_integer_exr_is_refused(tmp_path):
+    write_exr(tmp_path / "a.exr", (np.ones((4, 4, 1), np.uint32), ("Y",), {"format": "uint"}))
+    with pytest.raises(FrameError, match=r"pixel type .*uint.*, expected one of half, float"):
+        read_frame(tmp_path / "a.exr")
+
+
+def test_deep_exr_is_refused(tmp_path):
+    path = tmp_path / "a.exr"
+    spec = oiio.ImageSpec(2, 2, 1, "half")
+    spec.channelnames, spec.deep = ("Z",), True
+    pixels = oiio.DeepData()
+    pixels.init(4, 1, oiio.TypeDesc("half"), ("Z",))
+    output = oiio.ImageOutput.create(str(path))
+    assert output.open(str(path), spec), output.geterror()
+    assert output.write_deep_image(pixels), output.geterror()
+    assert output.close()
+    with pytest.raises(FrameError, match="found channels deep Z"):
+        read_frame(path)
+
+
+def test_subsampled_channels_are_refused(tmp_path):
+    (tmp_path / "a.exr").write_bytes(luminance_chroma_bytes())
+    with pytest.raises(FrameError, match="Subsampled channels are not supported"):
+        read_frame(tmp_path / "a.exr")
+
+
+# PNG by hand
+
+PALETTE = png_chunk(b"PLTE", bytes([255, 0, 0, 0, 255, 0, 0, 0, 51]))
+
+
+@pytest.mark.parametrize(
+    ("content", "expected"),
+    [
+        (png_bytes(4, 1, 1, 0, [b"\x50"]), [[0], [255], [0], [255]]),
+        (png_bytes(4, 1, 2, 0, [b"\x1b"]), [[0], [85], [170], [255]]),
+        (png_bytes(2, 1, 4, 0, [b"\x1f"]), [[17], [255]]),
+        (png_bytes(2, 1, 8, 4, [bytes([10, 0, 20, 128])]), [[10], [20]]),
+        (png_bytes(2, 1, 8, 6, [bytes([10, 20, 30, 0, 40, 50, 60, 128])]), [[10, 20, 30], [40, 50, 60]]),
+        (png_bytes(3, 1, 8, 3, [bytes([0, 1, 2])], PALETTE), [[255, 0, 0], [0, 255, 0], [0, 0, 51]]),
+        (png_bytes(2, 1, 1, 3, [b"\x40"], PALETTE), [[255, 0, 0], [0, 255, 0]]),
+        (png_bytes(1, 1, 8, 3, [b"\1"], PALETTE, png_chunk(b"tRNS", b"\0\x80")), [[0, 255, 0]]),
+        (png_bytes(2, 1, 8, 0, [b"\x0a\x14"], png_chunk(b"tRNS", b"\0\x0a")), [[10], [20]]),
+        (png_bytes(1, 1, 8, 0, [b"\x80"], png_chunk(b"gAMA", struct.pack(">I", 100_000))), [[128]]),
+        (png_bytes(1, 1, 8, 0, [b"\x80"], png_chunk(b"oFFs", struct.pack(">iiB", 5, -7, 0))), [[128]]),
+    ],
+    ids=[
+        *("1 bit", "2 bit", "4 bit", "grey alpha", "RGBA", "palette", "1-bit palette", "palette alpha"),
+        *("transparent grey", "gamma", "page offset"),
+    ],
+)
+def test_png_code_values_are_expanded_and_nothing_else(tmp_path, content, expected):
+    (tmp_path / "a.png").write_bytes(content)
+    frame = read_frame(tmp_path / "a.png")
+    assert np.array_equal(frame.values[0], np.float32(expected) / np.float32(255))
+    assert (frame.first_row, frame.first_column, frame.height) == (0, 0, 1)
+
+
+def test_png_16_bit_grey_alpha(tmp_path):
+    (tmp_path / "a.png").write_bytes(png_bytes(2, 1, 16, 4, [struct.pack(">4H", 1000, 0, 65535, 7)]))
+    assert np.array_equal(
+        read_frame(tmp_path / "a.png").values.ravel(), np.float32([1000, 65535]) / np.float32(65535)
+    )
+
+
+def test_interlaced_png(tmp_path):
+    grey = np.random.default_rng(0).integers(0, 256, (HEIGHT, WIDTH), dtype=np.uint8)
+    (tmp_path / "a.png").write_bytes(interlaced_png(grey))
+    frame = read_frame(tmp_path / "a.png")
+    assert np.array_equal(frame.values[..., 0], grey.astype(np.float32) / np.float32(255))
+
+
+# Bad files
+
+
+def assert_refused(path, problem, read=read_frame):
+    with pytest.raises(FrameError, match=problem) as caught:
+        read(path)
+    assert str(caught.value).startswith(f"{path}: ")
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("name", ["a.png", "a.exr"])
+@pytest.mark.parametrize("read", [read_frame, read_header])
+def test_no_frame_at_all(tmp_path, name, read):
+    path = tmp_path / name
+    assert_refused(path, "No such file", read)
+    path.mkdir()
+    assert_refused(path, "found a folder", read)
+    path.rmdir()
+    path.write_bytes(b"")
+    assert_refused(path, "found an empty file", read)
+    path.write_text("frame,orientation\n" * 10)
+    assert_refused(path, "starts with b'frame,or', expected EXR or PNG", read)
+    path.write_bytes(b"\x76\x2f\x31\x01")
+    assert_refused(path, "cannot be opened", read)
+    path.write_bytes(b"\x89PNG\r\n\x1a\n")
+    assert_refused(path, "truncated", read)
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may read anything")
+def test_no_permission(tmp_path):
+    write_frame(tmp_path / "a.exr", noise(4, 4))
+    (tmp_path / "a.exr").chmod(0)
+    assert_refused(tmp_path / "a.exr", "Permission denied")
+    assert_refused(tmp_path / "a.exr", "Permission denied", frame_sha256)
+
+
+def test_names_that_open_image_io_does_not_take():
+    assert_refused(Path("a\udc80.exr"), "cannot be opened")
+    assert_refused(Path("a\0.exr"), "null byte")
+
+
+def test_sha256_of_nothing(tmp_path):
+    assert_refused(tmp_path / "a.exr", "No such file", frame_sha256)
+    assert_refused(tmp_path, "Is a directory", frame_sha256)
+
+
+def test_content_tells_the_format(tmp_path):
+    write_frame(tmp_path / "a.exr", noise(4, 4))
+    (tmp_path / "a.exr").rename(tmp_path / "a.png")
+    assert np.array_equal(read_frame(tmp_path / "a.png").values[..., 0], in_half(noise(4, 4)))
+
+
+@pytest.mark.parametrize("compression", ["none", "rle", "zips", "zip", "piz", "pxr24", "b44", "dwaa", "dwab"])
+def test_truncated_exr(tmp_path, compression):
+    path = tmp_path / "a.exr"
+    write_frame(path, noise(HEIGHT, WIDTH), compression=compression)
+    content = path.read_bytes()
+    for length in (8, 100, 300, len(content) // 2, len(content) - 1):
+        path.write_bytes(content[:length])
+        assert_refused(path, "cannot be")
+
+
+def test_truncated_or_flipped_png(tmp_path):
+    path = tmp_path / "a.png"
+    write_frame(path, noise(HEIGHT, WIDTH))
+    content = path.read_bytes()
+    for length in (12, 40, len(content) // 2, len(content) - 1):
+        path.write_bytes(content[:length])
+        assert_refused(path, "truncated")
+    for position in range(8, len(content), 31):
+        path.write_bytes(content)
+        flip(path, position)
+        assert_refused(path, "truncated|does not match its checksum")
+
+
+@pytest.mark.parametrize("compression", ["zip", "zips", "pxr24"])
+def test_flips_in_deflated_exr_never_change_a_pixel(tmp_path, compression):
+    # The deflated data carry Adler-32. Values repeat, or a chunk would be stored as it is, without a checksum.
+    # A few bits mean nothing to the decoder, such as the compression level.
+    path = tmp_path / "a.exr"
+    write_frame(path, np.arange(HEIGHT * WIDTH).reshape(HEIGHT, WIDTH) % 7, compression=compression)
+    content = path.read_bytes()
+    first_chunk = struct.unpack_from("<Q", content, content.index(EXR_HEADER_END) + len(EXR_HEADER_END))[0]
+    whole = read_frame(path).values
+    n_refused = n_harmless = 0
+    for position in range(first_chunk + 8, len(content), 3 if compression != "zips" else 29):
+        path.write_bytes(content)
+        flip(path, position)
+        try:
+            values = read_frame(path).values
+        except FrameError:
+            n_refused += 1
+        else:
+            n_harmless += 1
+            assert np.array_equal(values, whole)
+    assert n_refused > 5 * n_harmless
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("pixel_type", ["half", "float"])
+def test_pixels_that_are_not_finite_are_counted_and_placed(tmp_path, bad, pixel_type):
+    values = np.ones((HEIGHT, WIDTH, 3), np.float32)
+    values[20, 5, 1] = values[21, 3, 0] = values[21, 3, 2] = bad
+    window = {"x": 10, "y": 4, "full_x": 1, "full_y": 1, "full_width": 60, "full_height": 60}
+    write_exr(tmp_path / "a.exr", (values, ("R", "G", "B"), {"format": pixel_type, **window}))
+    # Row 20 of the data is row 20 + 4 - 1 of the frame; column 5 is column 5 + 10 - 1.
+    assert_refused(tmp_path / "a.exr", "2 pixels are NaN or infinite, the first at row 23, column 14")
+    assert read_frame(tmp_path / "a.exr", rows=(0, 23)).values.shape == (20, WIDTH, 3)
+    assert read_frame(tmp_path / "a.exr", columns=(0, 12)).values.shape == (HEIGHT, 3, 3)
+
+
+@pytest.mark.parametrize("side", [20_000, 60_000])
+def test_png_too_large_is_refused_before_it_is_decoded(tmp_path, side):
+    compressor = zlib.compressobj(9)
+    first, again = (
+        compressor.compress(bytes(100 * (1 + side))) + compressor.flush(zlib.Z_FULL_FLUSH) for _ in range(2)
+    )
+    # 100 lines repeated: 400 MB for a side of 20,000, without the checksum at their end.
+    pixels = first + again * 199 if side == 20_000 else first
+    header = struct.pack(">IIBBBBB", side, side, 8, 0, 0, 0, 0)
+    chunks = [(b"IHDR", header), (b"IDAT", pixels), (b"IEND", b"")]
+    path = tmp_path / "a.png"
+    path.write_bytes(b"\x89PNG\r\n\x1a\n" + b"".join(png_chunk(*chunk) for chunk in chunks))
+    assert path.stat().st_size < 450_000
+    assert_refused(path, "exceeds")
+
+
+@pytest.mark.parametrize(
+    ("corner", "problem"),
+    [
+        (59_999, "exceeds|expected"),
+        (2**31 - 1, "cannot be opened|expected"),
+        (-(2**31), "cannot be opened|expected"),
+    ],
+)
+@pytest.mark.parametrize("window", [b"dataWindow\0box2i\0", b"displayWindow\0box2i\0"])
+def test_exr_with_absurd_windows(tmp_path, window, corner, problem):
+    path = tmp_path / "a.exr"
+    write_frame(path, noise(8, 8))
+    content = bytearray(path.read_bytes())
+    struct.pack_into("<2i", content, content.index(window) + len(window) + 4 + 8, corner, corner)
+    path.write_bytes(content)
+    assert_refused(path, problem)
+
+
+def test_exr_with_absurd_tiles(tmp_path):
+    path = tmp_path / "a.exr"
+    make_layout(path, "tiled")
+    content = bytearray(path.read_bytes())
+    start = content.index(b"tiledesc\0") + 9 + 4
+    for size in (2**30, 2**32 - 1, 0, 30_000):
+        struct.pack_into("<2I", content, start, size, size)
+        path.write_bytes(content)
+        assert_refused(path, "cannot be|expected")
+
+
+# Bad input to the writer
+
+
+@pytest.mark.parametrize("suffix", [".exr", ".png"])
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, 1e6, -1e6])
+def test_values_beyond_the_file_are_counted(tmp_path, suffix, bad):
+    values = noise(4, 4)
+    values[1, 2] = values[3, 3] = bad
+    with pytest.raises(ValueError, match="2 values are NaN or beyond"):
+        write_frame(tmp_path / f"a{suffix}", values)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_png_takes_no_value_just_outside(tmp_path):
+    for value in (-1e-9, 1 + 1e-9):
+        with pytest.raises(FrameError, match=r"1 values are NaN or beyond \[0, 1\]"):
+            write_frame(tmp_path / "a.png", [[value]])
+
+
+def test_float_exr_holds_what_half_does_not(tmp_path):
+    write_frame(tmp_path / "a.exr", [[1e6]], pixel_type="float")
+    assert read_frame(tmp_path / "a.exr").values[0, 0, 0] == 1e6
+    with pytest.raises(FrameError, match=r"1 values are NaN or beyond ±3\.4"):
+        write_frame(tmp_path / "a.exr", [[1e39]], pixel_type="float")
+
+
+@pytest.mark.parametrize(
+    "values", [np.ones(4), np.ones((4, 4, 2)), np.ones((0, 4)), [["a"]], np.ones((1, 1), complex)]
+)
+def test_values_of_another_shape(tmp_path, values):
+    with pytest.raises(FrameError, match="expected numbers"):
+        write_frame(tmp_path / "a.exr", values)
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "problem"),
+    [
+        ("a.tif", {}, "extension '.tif', expected .exr or .png"),
+        ("a", {}, "extension '', expected .exr or .png"),
+        ("a.png", {"pixel_type": "half"}, "pixel type 'half', expected uint16 or uint8"),
+        ("a.exr", {"pixel_type": "uint8"}, "pixel type 'uint8', expected half or float"),
+        ("a.exr", {"compression": "jpeg"}, "compression 'jpeg', expected none or rle"),
+        ("a.png", {"compression": "none"}, "compression 'none', expected zip"),
+        ("a.png", {"attributes": {"Title": "x"}}, "does not keep attribute 'Title'"),
+        ("a.exr", {"attributes": {"compression": "piz"}}, "does not keep attribute 'compression'"),
+        ("a.exr", {"attributes": {"dataWindow": "x"}}, "does not keep attribute 'dataWindow'"),
+        ("a.exr", {"attributes": {"todframes:x": ""}}, "does not keep attribute 'todframes:x'"),
+        ("a.png", {"attributes": {"todframes:x": "a\0b"}}, "does not keep attribute 'todframes:x'"),
+    ],
+)
+def test_bad_options(tmp_path, name, options, problem):
+    with pytest.raises(SettingsError, match=problem):
+        write_frame(tmp_path / name, noise(4, 4), **options)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("name", ["a.exr", "a.png"])
+def test_a_file_that_cannot_be_written(tmp_path, name):
+    with pytest.raises(FrameError, match="cannot be written: No such file"):
+        write_frame(tmp_path / "none" / name, noise(4, 4))
+    (tmp_path / name).mkdir()
+    with pytest.raises(FrameError, match="cannot be written: Is a directory"):
+        write_frame(tmp_path / name, noise(4, 4))
+    assert [entry.name for entry in tmp_path.iterdir()] == [name]
+    (tmp_path / "file").write_text("")
+    with pytest.raises(FrameError, match="cannot be written: Not a directory"):
+        write_frame(tmp_path / "file" / name, noise(4, 4))
+
+
+@pytest.mark.parametrize("suffix", [".exr", ".png"])
+def test_disk_full_leaves_the_old_file(tmp_path, suffix):
+    path = tmp_path / f"a{suffix}"
+    write_frame(path, noise(4, 4))
+    content = path.read_bytes()
+    script = f"""
+        import resource
+        from pathlib import Path
+        import numpy as np
+        from todframes.errors import FrameError
+        from todframes.frames import write_frame
+        values = np.random.default_rng(0).random((100, 100))
+        write_frame("whole{suffix}", values)
+        size = Path("whole{suffix}").stat().st_size
+        Path("whole{suffix}").unlink()
+        for limit in (size - 1, size - 100, size // 2, 1000, 4):
+            resource.setrlimit(resource.RLIMIT_FSIZE, (limit, resource.RLIM_INFINITY))
+            try:
+                write_frame({str(path)!r}, values)
+            except FrameError as error:
+                assert str(error).startswith("{path}: cannot be written: ") and "\\n" not in str(error), error
+            else:
+                raise AssertionError(f"{{size}} bytes are in a file of {{limit}}")
+    """
+    run_python(script, cwd=tmp_path)
+    assert path.read_bytes() == content
+    assert list(tmp_path.iterdir()) == [path]
+
+
+# Processes and threads
+
+
+def run_python(script, cwd):
+    """Standard output of a script; a crash, an exception or anything on standard error fails the test."""
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[1])}
+    command = [sys.executable, "-W", "error", "-X", "faulthandler", "-c", textwrap.dedent(script)]
+    done = subprocess.run(
+        command, cwd=cwd, env=environment, capture_output=True, text=True, timeout=60, check=False
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    return done.stdout
+
+
+def test_threads_read_what_one_reads(tmp_path):
+    paths = []
+    for number, layout in enumerate(("scanline", "tiled", "multipart", "offset", "png", "interlaced png")):
+        paths.append(tmp_path / f"{number}{'.png' if 'png' in layout else '.exr'}")
+        make_layout(paths[-1], layout)
+    alone = [read_frame(path, rows=(5, 30)).values for path in paths]
+    with ThreadPoolExecutor(8) as pool:
+        together = list(pool.map(lambda path: read_frame(path, rows=(5, 30)).values, paths * 30))
+    assert all(np.array_equal(values, alone[n % len(alone)]) for n, values in enumerate(together))
+
+
+def test_import_brings_no_slow_packages(tmp_path):
+    script = """
+        import sys
+        import todframes.frames
+        print(*{"scipy", "cv2", "matplotlib", "msgspec", "rich", "click"} & set(sys.modules))
+    """
+    assert run_python(script, cwd=tmp_path).strip() == ""
+
+
+def test_damaged_files_give_a_frame_or_an_error(tmp_path):
+    # In a process of its own with 4 GB of memory, so that a crash or a huge allocation is seen.
+    for compression in ("none", "rle", "zips", "zip", "piz", "b44", "dwaa"):
+        write_frame(tmp_path / f"{compression}.exr", noise(HEIGHT, WIDTH), compression=compression)
+    for layout in ("tiled", "multipart", "offset", "png", "interlaced png"):
+        make_layout(tmp_path / f"{layout}{'.png' if 'png' in layout else '.exr'}", layout)
+    script = """
+        import resource
+        from pathlib import Path
+        import numpy as np
+        from todframes.errors import FrameError
+        from todframes.frames import read_frame
+        resource.setrlimit(resource.RLIMIT_AS, (2**32, 2**32))
+        rng = np.random.default_rng(20240)
+        outcomes = [0, 0]
+        for path in sorted(Path().iterdir()):
+            good = path.read_bytes()
+            for trial in range(60):
+                content = bytearray(good)
+                # The header is a small part of a file and the most fragile.
+                reach = len(content) if trial % 2 else min(len(content), 400)
+                if trial % 5 == 0:
+                    del content[rng.integers(reach):]
+                else:
+                    for _ in range(rng.integers(1, 4)):
+                        content[rng.integers(reach)] ^= 1 << rng.integers(8)
+                path.write_bytes(content)
+                try:
+                    frame = read_frame(path)
+                except FrameError as error:
+                    assert "\\n" not in str(error), repr(error)
+                    outcomes[1] += 1
+                else:
+                    assert frame.values.dtype == np.float32 and np.isfinite(frame.values).all()
+                    outcomes[0] += 1
+        print(*outcomes)
+    """
+    n_read, n_refused = map(int, run_python(script, cwd=tmp_path).split())
+    assert n_read > 0
+    assert n_refused > n_read

@@ -1,0 +1,236 @@
+"""Whole datasets: what must not change the result does not, and thresholds are those of the closed form."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from todframes.dataset import load_dataset
+from todframes.errors import SettingsError
+from todframes.frames import read_frame, write_frame
+from todframes.naked_eye import contrast_threshold
+from todframes.observer import PyramidObserver, PyramidSettings
+from todframes.psychometric import FitSettings
+from todframes.readout import Readout, Stimulus
+from todframes.scoring import score_dataset
+from todframes.stimulus import ORIENTATIONS, coverage
+
+FAST = FitSettings(resamples=0)
+STEADY = PyramidObserver(PyramidSettings(position_jitter_samples=0.0))
+
+
+def score(path, observer=STEADY, **arguments):
+    return score_dataset(load_dataset(path), observer, fit_settings=FAST, **arguments)
+
+
+def test_every_orientation_is_seen_alike(make_dataset) -> None:
+    """A square frame, the triangle in its middle: four orientations are one frame turned."""
+    scored = score(make_dataset(side_px=49, contrasts=(0.1,)).path)
+    for turns, scores in enumerate(scored.scores):
+        # Half-float frames are turned exactly, display pixels fall on the retina alike: rounding is left.
+        assert np.allclose(scores, np.roll(scored.scores[0], turns), rtol=0.0, atol=1e-12)
+    assert np.array_equal(scored.answers, range(4))
+    assert np.allclose(scored.p_correct, scored.p_correct[0], atol=1e-10)
+
+
+def test_workers_change_nothing(make_dataset) -> None:
+    path = make_dataset(sizes_mrad=(1.0, 1.5, 2.0), repeats=2).path
+    for decisions in ("expected", "sampled"):
+        one, three = (score(path, PyramidObserver(), decisions=decisions, workers=workers) for workers in (1, 3))
+        assert one.trials == three.trials
+        for name in ("displacement_samples", "scores", "probabilities", "answers", "p_correct"):
+            assert np.array_equal(getattr(one, name), getattr(three, name)), name
+
+
+def test_a_trial_draws_the_same_whatever_else_is_scored(make_dataset) -> None:
+    made = make_dataset(repeats=2)
+    whole = score(made.path, PyramidObserver(), decisions="sampled", seed=3)
+    made.rows[5]["orientation"] = "?"
+    made.save()
+    fewer = score(made.path, PyramidObserver(), decisions="sampled", seed=3, skip_bad_frames=True)
+    kept = [number for number in range(16) if number != 5]
+    assert np.array_equal(fewer.displacement_samples, whole.displacement_samples[kept])
+    assert np.array_equal(fewer.answers, whole.answers[kept])
+    other = score(made.path, PyramidObserver(), decisions="sampled", seed=4, skip_bad_frames=True)
+    assert not np.array_equal(other.displacement_samples, fewer.displacement_samples)
+
+
+def test_displacements_fill_half_a_sample_either_way(make_dataset) -> None:
+    displacement = score(make_dataset(repeats=12).path, PyramidObserver()).displacement_samples
+    assert np.abs(displacement).max() <= 0.5
+    # The largest of 192 uniform draws is below 0.45 once in 10⁸ times.
+    assert np.abs(displacement).max() > 0.45
+
+
+def test_frames_of_a_trial_are_averaged_in_contrast(make_dataset) -> None:
+    """Scores are linear, so those of the mean are the mean of those."""
+    made = make_dataset(contrasts=(0.1, 0.4))
+    single = score(made.path)
+    for number, row in enumerate(made.rows):
+        row |= {"trial": f"t{number % 4}", "contrast": "0.25"}
+    made.save()
+    averaged = score(made.path)
+    assert np.allclose(averaged.scores, (single.scores[:4] + single.scores[4:]) / 2, rtol=0.0, atol=1e-13)
+
+
+def test_polarity(make_dataset) -> None:
+    """A darker triangle is to its template what a brighter one is to the other."""
+    made = make_dataset(contrasts=(0.25,))
+    bright = score(made.path)
+    for number, row in enumerate(made.rows):
+        row["polarity"] = "-1"
+        luminance = read_frame(made.frame(number)).values[..., 0]
+        write_frame(made.frame(number), 100.0 - luminance)
+    made.save()
+    dark = score(made.path)
+    # 50 · (1 ± 0.25 · coverage) rounded to half floats: within 2⁻¹² of 1.25 in contrast.
+    assert np.allclose(dark.scores, bright.scores, rtol=1e-3, atol=1e-3)
+
+
+@pytest.mark.parametrize("rule", ["border", "frame_mean", "column"])
+def test_background_rules(make_dataset, rule: str) -> None:
+    """The same contrast comes from frames of any brightness."""
+    made = make_dataset(side_px=80, contrasts=(0.2,))
+    known = score(made.path)
+    made.toml["display"]["background_luminance_cd_m2"] = rule
+    for number, row in enumerate(made.rows):
+        luminance = read_frame(made.frame(number)).values[..., 0]
+        factor = 2.0**number
+        if rule == "frame_mean":
+            luminance *= 50.0 / luminance.mean()
+        if rule == "column":
+            row["background_luminance_cd_m2"] = repr(50.0 * factor)
+        write_frame(made.frame(number), luminance * factor, pixel_type="float")
+    made.save()
+    found = score(made.path)
+    # The mean of an 80-pixel frame is 1.002 backgrounds; the rest is rounding to float.
+    assert np.allclose(found.scores, known.scores, rtol=3e-3 if rule == "frame_mean" else 1e-6, atol=1e-6)
+
+
+def test_only_the_light_counts_not_the_file(make_dataset) -> None:
+    """EXR in cd/m² and 16-bit PNG of the same display are seen alike."""
+    exr = score(make_dataset("exr", contrasts=(0.25, 0.5)).path)
+    png = score(make_dataset("png", contrasts=(0.25, 0.5), suffix=".png").path)
+    # Half floats near 64 are 2⁻⁵ apart, 6e-4 of the background; some 60 pixels of the triangle's edge are rounded
+    # independently, the inside not at all (62.5 and 75 are exact).
+    assert np.allclose(exr.scores, png.scores, rtol=0.0, atol=2e-3)
+
+
+def test_threshold_is_the_closed_form_one(make_dataset) -> None:
+    """A fine display, levels close about the threshold: the naked eye's threshold, from files."""
+    size_mrad, pitch_mrad = 1.0, 0.153 / 7
+    truth = contrast_threshold(PyramidObserver(), size_mrad=size_mrad).threshold
+    made = make_dataset(contrasts=(), display={"pixel_pitch_mrad": pitch_mrad})
+    side = 7 * 25
+    for factor in (0.8, 0.9, 1.0, 1.1, 1.2):
+        for orientation in ORIENTATIONS:
+            for repeat in range(12):
+                frame = f"frames/{factor}_{orientation}_{repeat}.exr"
+                triangle = coverage(
+                    (side, side), size_px=size_mrad / pitch_mrad, x_px=87.0, y_px=87.0, orientation=orientation
+                )
+                write_frame(made.path / frame, 50.0 * (1.0 + factor * truth * triangle), pixel_type="float")
+                made.rows.append(
+                    {
+                        "frame": frame,
+                        "orientation": orientation.value,
+                        "size_mrad": str(size_mrad),
+                        "contrast": repr(factor * truth),
+                    }
+                )
+    made.save()
+    scored = score_dataset(load_dataset(made.path), PyramidObserver())
+    (fit,) = scored.fits
+    assert fit.fit.status == "ok"
+    low, high = fit.fit.threshold_ci95
+    # 240 trials spread P by some 0.03 each, that is 0.002 in P and 0.2 % of the threshold for their mean; the
+    # display's pixels are 7 to a retina sample. 1 % leaves room for five standard errors.
+    assert fit.fit.threshold == pytest.approx(truth, rel=0.01)
+    assert high - low < 0.02 * truth
+
+
+def test_sampled_answers_are_right_as_often_as_expected(make_dataset) -> None:
+    made = make_dataset(contrasts=(0.04, 0.08), repeats=40)
+    expected = score(made.path, PyramidObserver())
+    sampled = score(made.path, PyramidObserver(), decisions="sampled")
+    assert set(np.unique(sampled.p_correct)) <= {0.0, 1.0}
+    assert np.array_equal(
+        sampled.p_correct == 1.0, sampled.answers == [t.orientation.quarter_turns for t in sampled.trials]
+    )
+    standard_error = np.sqrt((expected.p_correct * (1 - expected.p_correct)).sum())
+    # Five standard errors, and the bound on what the Gaussian leaves out for each trial.
+    bound = 5 * standard_error + len(expected.trials) * expected.fits[0].non_gaussian_bound
+    assert abs(sampled.p_correct.sum() - expected.p_correct.sum()) < bound
+
+
+class Guesser:
+    """An observer that is not linear, the least that one must offer."""
+
+    settings_type = PyramidSettings
+    centre = "centroid"
+    position_jitter_samples = 0.0
+
+    def __init__(self, settings: PyramidSettings) -> None:
+        del settings
+
+    def grid(self, stimulus: Stimulus):
+        return STEADY.grid(stimulus)
+
+    def readout(self, stimulus: Stimulus) -> Readout | None:
+        del stimulus
+
+    def respond(self, contrast: np.ndarray, stimulus: Stimulus, rng: np.random.Generator):
+        del contrast, stimulus
+        return ORIENTATIONS[rng.integers(4)]
+
+
+def test_an_observer_that_is_not_linear_answers_itself(make_dataset) -> None:
+    path = make_dataset(repeats=3).path
+    scored = score(path, Guesser(PyramidSettings()), decisions="sampled")
+    assert np.isnan(scored.scores).all()
+    assert len(set(scored.answers)) == 4
+    with pytest.raises(SettingsError, match="this observer is not linear"):
+        score(path, Guesser(PyramidSettings()))
+
+
+def test_frames_smaller_than_the_field_go_on_as_background(make_dataset) -> None:
+    """The retina grid is 10 mrad wide here; what lies off a small frame has no contrast."""
+    small = score(make_dataset("small", side_px=16, sizes_mrad=(1.0,)).path)
+    large = score(make_dataset("large", side_px=64, sizes_mrad=(1.0,)).path)
+    assert np.allclose(small.scores, large.scores, rtol=0.0, atol=1e-12)
+
+
+def test_given_position_is_used(make_dataset) -> None:
+    made = make_dataset(contrasts=(0.2,))
+    middle = score(made.path)
+    for number, row in enumerate(made.rows):
+        moved = np.roll(read_frame(made.frame(number)).values[..., 0], (3, -5), axis=(0, 1))
+        write_frame(made.frame(number), moved)
+        row |= {"x_px": str(23.5 - 5), "y_px": str(23.5 + 3)}
+    made.save()
+    assert np.allclose(score(made.path).scores, middle.scores, rtol=0.0, atol=1e-12)
+
+
+def test_bounding_box_observer_looks_at_the_middle_of_the_box(make_dataset) -> None:
+    """Templates and triangle coincide again: plain triangles are answered as surely as by the other observer."""
+    observer = PyramidObserver(PyramidSettings(centre="bounding_box", position_jitter_samples=0.0))
+    path = make_dataset(contrasts=(0.2,), side_px=49).path
+    by_box = score(path, observer)
+    assert np.array_equal(by_box.answers, range(4))
+    assert np.allclose(by_box.p_correct, by_box.p_correct[0], atol=2e-3)
+    # Displaced towards their apexes the triangles differ more: easier to tell apart.
+    assert by_box.p_correct.min() > score(path).p_correct.max()
+
+
+def test_levels_of_size_give_the_acuity(make_dataset) -> None:
+    made = make_dataset(
+        sizes_mrad=(0.9, 1.2, 1.7, 2.4),
+        contrasts=(0.1,),
+        repeats=2,
+        experiment={"level": "size_mrad", "group_by": []},
+    )
+    (fit,) = score(made.path, PyramidObserver()).fits
+    assert fit.group == ()
+    assert fit.fit.status == "ok"
+    assert 1.2 < fit.fit.threshold < 2.4
+    assert [point.level for point in fit.fit.points] == [0.9, 1.2, 1.7, 2.4]
