@@ -207,7 +207,7 @@ FRAMES = {
     ),
     "smaller than the triangle": Spoilt(
         lambda path: write_frame(path, np.full((5, 6), 50.0)),
-        ("6 × 5 pixels", "smaller than the triangle", "2 mrad"),
+        ("6 × 5 pixels", "smaller", "2 mrad"),
     ),
     "one pixel": Spoilt(lambda path: write_frame(path, np.full((1, 1), 50.0)), ("1 × 1 pixels", "smaller")),
     "srgb beyond 1": Spoilt(
@@ -258,9 +258,7 @@ def test_bad_frame_is_found_by_validate(case, make_dataset, todframes):
 
 def assert_skipped(dataset, bad, wanted, todframes):
     """`--on-error skip` scores the rest, and lists the bad rows in JSON and on standard error."""
-    status, out, errors = todframes(
-        "score", dataset.path, "--on-error", "skip", "--json", "--set", "resamples=0"
-    )  # fmt: skip
+    status, out, errors = todframes("score", dataset.path, "--on-error", "skip", "--json", "--set", "resamples=0")
     assert status == 0, errors
     result = json.loads(out)
     assert [one["frame"] for one in result["skipped"]] == [dataset.rows[row]["frame"] for row in bad]
@@ -296,11 +294,13 @@ def test_checksum_of_what_is_no_file(spoil, make_dataset, fails):
     """A pipe that nobody writes to must not be waited for."""
     dataset = make_dataset(row_changes={BAD: {"sha256": "0" * 64}})
     spoil(dataset.frame(BAD))
+    signal.signal(signal.SIGALRM, lambda *_: pytest.fail("waits for the pipe"))
     signal.alarm(5)
     try:
         fails("score", dataset.path, status=BAD_DATA, wanted=(re.escape(str(dataset.frame(BAD))),))
     finally:
         signal.alarm(0)
+        signal.signal(signal.SIGALRM, signal.SIG_DFL)
 
 
 def test_text_bomb_in_a_png_is_not_inflated(make_dataset, todframes):
@@ -554,7 +554,7 @@ MANIFESTS = {
     "orientation column missing": (b"frame,size_mrad,contrast\na.exr,2,1\n", ("column 'orientation' is missing",)),
     "semicolons": (HEADER.replace(",", ";").encode() + b"\na.exr;up;2;1\n", ("column 'frame' is missing",)),
     "x without y": (f"{HEADER},x_px\na.exr,up,2,1,3\n".encode(), ("x_px and y_px", "both or none")),
-    "column twice": (f"{HEADER},orientation\na.exr,up,2,1,left\n".encode(), ("'orientation'", "twice|two|again|more")),
+    "column twice": (f"{HEADER},orientation\na.exr,up,2,1,left\n".encode(), ("'orientation'", "twice|again")),
     "latin-1": (f"{HEADER}\nfrämes/a.exr,up,2,1\n".encode("latin-1"), ("not UTF-8", r"byte 39")),
     "utf-16": (f"{HEADER}\na.exr,up,2,1\n".encode("utf-16"), ("not UTF-8", "byte 0")),
     "binary": (bytes(range(256)) * 4, ("not UTF-8",)),
@@ -720,8 +720,8 @@ EXPERIMENT_TABLE = "[experiment]\nlevel = 'contrast'\n"
 TOML = {
     "empty": (b"", ("schema", "None|missing", "1")),
     "schema missing": ((DISPLAY_TABLE + EXPERIMENT_TABLE).encode(), ("schema", "None|missing", "1")),
-    "schema 2": (("schema = 2\n" + DISPLAY_TABLE + EXPERIMENT_TABLE).encode(), ("schema", "found 2", "expected 1")),
-    "schema text": (("schema = '1'\n" + DISPLAY_TABLE + EXPERIMENT_TABLE).encode(), ("schema", "'1'", "expected 1")),
+    "schema 2": (b"schema = 2\n[display]\n[experiment]\n", ("schema", "found 2", "expected 1")),
+    "schema text": (b"schema = '1'\n[display]\n[experiment]\n", ("schema", "'1'", "expected 1")),
     "no display": (("schema = 1\n" + EXPERIMENT_TABLE).encode(), (r"\[display\]", "missing")),
     "no experiment": (("schema = 1\n" + DISPLAY_TABLE).encode(), (r"\[experiment\]", "missing")),
     "display is a number": (("schema = 1\ndisplay = 3\n" + EXPERIMENT_TABLE).encode(), ("display", "table")),
@@ -895,7 +895,7 @@ COUNTS = {
     "empty": (b"", ("column 'level' is missing",)),
     "header only": (b"level,n_correct,n_trials\n", ("no counts", "rows")),
     "column missing": (b"level,n_correct\n1,2\n", ("column 'n_trials' is missing", "level, n_correct")),
-    "column twice": (b"level,level,n_correct,n_trials\n1,2,3,4\n", ("'level'", "twice|two|again|more")),
+    "column twice": (b"level,level,n_correct,n_trials\n1,2,3,4\n", ("'level'", "twice|again")),
     "level zero": (b"level,n_correct,n_trials\n0,1,2\n", ("line 2", "level", "0", "> 0")),
     "level nan": (b"level,n_correct,n_trials\nnan,1,2\n", ("line 2", "level", "'nan'", "finite")),
     "level text": (b"level,n_correct,n_trials\n1,1,2\nlow,1,2\n", ("line 3", "level", "'low'", "number")),
@@ -1012,21 +1012,19 @@ def test_out_is_replaced_by_a_run_that_ends_well(make_dataset, todframes, tmp_pa
 # Standard output ----------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    "arguments", ["score --on-error skip", "score --on-error skip --locate", "score --on-error skip --quiet"]
-)
-def test_one_json_object_whatever_is_remarked(arguments, make_dataset, todframes):
+@pytest.mark.parametrize("options", ["", "--locate", "--quiet"])
+def test_one_json_object_whatever_is_remarked(options, make_dataset, todframes):
     # A strong triangle, so that --locate finds it; and luminance below zero, which is remarked on.
     dataset = make_dataset(contrasts=(1.0, 2.0))
     dataset.frame(BAD).write_bytes(b"")
     pixels = np.full((48, 48), 50.0)
     pixels[20, 20] = -1.0
     write_frame(dataset.frame(2), pixels)
-    status, out, errors = todframes(*arguments.split(), dataset.path, "--json")
+    status, out, errors = todframes("score", dataset.path, "--on-error", "skip", "--json", *options.split())
     assert status == 0, errors
     assert json.loads(out)["skipped"][0]["frame"] == dataset.rows[BAD]["frame"]
     assert out.rstrip("\n").endswith("}")
-    assert bool(errors) == ("--quiet" not in arguments)
+    assert bool(errors) == ("--quiet" not in options)
 
 
 def test_frame_of_another_size_is_skipped_when_locating(make_dataset, todframes):
