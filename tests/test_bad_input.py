@@ -119,6 +119,12 @@ def flip_middle(path):
     flip(path, path.stat().st_size * 2 // 3)
 
 
+def flip_exr_data(path):
+    """With pixels that fill most of the file: in chunk sizes and offsets some flips do no harm."""
+    write_frame(path, 50.0 + np.random.default_rng(0).integers(0, 4, (48, 48)))
+    flip_middle(path)
+
+
 def truncate(path):
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
 
@@ -170,8 +176,8 @@ FRAMES = {
     "jpeg": Spoilt(lambda path: path.write_bytes(b"\xff\xd8\xff\xe0" + bytes(99)), ("starts with", "EXR or PNG")),
     "exr magic only": Spoilt(lambda path: path.write_bytes(b"\x76\x2f\x31\x01"), ("cannot be opened",)),
     "exr truncated": Spoilt(truncate, (r"cannot be (opened|decoded)",)),
-    "exr header flipped": Spoilt(flip_exr_header, ("cannot be opened",)),
-    "exr data flipped": Spoilt(flip_middle, ("rows .* cannot be decoded",)),
+    "exr header flipped": Spoilt(flip_exr_header, ("cannot be (opened|decoded)",)),
+    "exr data flipped": Spoilt(flip_exr_data, ("rows .* cannot be decoded",)),
     "exr declares 60000": Spoilt(lambda path: exr_window(path, 60_000, 60_000), ("60000", "32768")),
     "exr declares too many bytes": Spoilt(lambda path: exr_window(path, 30_000, 30_000), (r"\d MB|image size",)),
     "exr declares a negative size": Spoilt(lambda path: exr_window(path, -5, 10), ("cannot be opened|found",)),
@@ -1047,7 +1053,7 @@ def test_names_are_not_markup(text, make_dataset, todframes, tmp_path):
     dataset.save()
     status, out, errors = todframes("score", dataset.path, "-o", tmp_path / "out", "--set", "resamples=0")
     assert status == 0, errors
-    assert text in re.sub(r"\s*\n\s*", "", out.split("threshold")[0]).replace("dataset", "")
+    assert text in out
     assert json.loads((tmp_path / "out" / "result.json").read_text())["fits"][0]["group"] == {"lens": text}
 
 

@@ -1,0 +1,140 @@
+"""Detector noise: a part that is new in every frame and one that stays, and what they make of SNR and ΔT.
+
+The signal of a large triangle is 1, so the standard deviation of the noise in one sample **as displayed** is
+1/SNR. That sample is the mean over the frames the eye integrates: its variance is that of the dynamic part
+over the number of frames, plus that of the fixed pattern, which no integration reduces.
+
+Hogervorst et al. 2001, sections 3.3 and 8.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from sensor_sim.sensor import Distribution, Noise
+from todframes.errors import SettingsError
+
+FloatArray = NDArray[np.float64]
+
+UNIFORM_EXCESS_KURTOSIS = -1.2
+
+
+class NoiseParts(NamedTuple):
+    """Standard deviations of what makes up one displayed sample; their squares add up to the total's."""
+
+    dynamic: float
+    fixed_pattern: float
+
+
+def k_factor(noise: Noise) -> float:
+    """Dynamic noise of a single frame over the total noise of the integrated sample.
+
+    σ_tot² = σ_dyn²/n + (ratio·σ_dyn)² with n frames: k = σ_dyn/σ_tot, 1.7496 at ratio 0.4 and 6 frames.
+
+    Hogervorst et al. 2001, section 8.2, below eq. 4 (printed as 1.75).
+    """
+    return 1.0 / math.hypot(1.0 / math.sqrt(noise.frames_integrated), noise.fixed_pattern_ratio)
+
+
+def noise_parts(noise: Noise, *, total_sd: float) -> NoiseParts:
+    """Split the total standard deviation (1/SNR) of a displayed sample.
+
+    Hogervorst et al. 2001, section 8.2, below eq. 4.
+    """
+    single_frame = k_factor(noise) * total_sd
+    return NoiseParts(
+        dynamic=single_frame / math.sqrt(noise.frames_integrated),
+        fixed_pattern=noise.fixed_pattern_ratio * single_frame,
+    )
+
+
+def delta_t_mk(snr: ArrayLike, *, noise: Noise) -> FloatArray:
+    """Temperature difference that belongs to a signal-to-noise ratio: ΔT = SNR · NETD · k.
+
+    As printed. It takes NETD·k for the noise of one displayed sample. Were NETD the noise of a single frame
+    and SNR that of the integrated sample, ΔT would be SNR · NETD / k: a factor k² less.
+
+    Parameters
+    ----------
+    snr : array_like, any shape
+        Signal of a large triangle over the standard deviation of one displayed sample.
+
+    Returns
+    -------
+    ndarray, same shape, mK
+
+    Raises
+    ------
+    SettingsError
+        If the sensor has no NETD.
+
+    Hogervorst et al. 2001, eq. 4.
+    """
+    if noise.netd_mk is None:
+        raise SettingsError("netd_mk: is missing, expected a number of mK to convert SNR to a temperature")
+    return np.asarray(snr, dtype=np.float64) * (noise.netd_mk * k_factor(noise))
+
+
+def excess_kurtosis(noise: Noise) -> float:
+    """Excess kurtosis of one displayed sample: the parts' own, weighted by their squared share of variance."""
+    if noise.distribution == "gaussian":
+        return 0.0
+    parts = noise_parts(noise, total_sd=1.0)
+    return UNIFORM_EXCESS_KURTOSIS * (parts.dynamic**4 + parts.fixed_pattern**4)
+
+
+def draw(
+    shape: int | tuple[int, ...], *, sd: float, distribution: Distribution, rng: np.random.Generator
+) -> FloatArray:
+    """Independent noise of zero mean and standard deviation `sd`; uniform noise reaches to ±√3 sd.
+
+    Hogervorst et al. 2001, section 3.3 and footnote 1; the mean is on the display's background.
+    """
+    if distribution == "gaussian":
+        return rng.normal(0.0, sd, shape)
+    half_width = math.sqrt(3.0) * sd
+    return rng.uniform(-half_width, half_width, shape)
+
+
+def unit_fixed_pattern(
+    shape: tuple[int, int], *, noise: Noise, seed: int | np.random.SeedSequence
+) -> FloatArray:
+    """The sensor's own pattern, of standard deviation 1 over all sensors.
+
+    Drawn once per sensor: the same seed and shape give the same pattern, whatever frames are made of it.
+
+    Returns
+    -------
+    ndarray, shape `shape`
+    """
+    return draw(shape, sd=1.0, distribution=noise.distribution, rng=np.random.default_rng(seed))
+
+
+def displayed_noise(
+    pattern: FloatArray, *, total_sd: float, noise: Noise, rng: np.random.Generator
+) -> FloatArray:
+    """Noise of one displayed image: a new dynamic part and the sensor's fixed pattern.
+
+    The dynamic part is one draw of the named distribution with the standard deviation that integration
+    leaves, as in the paper, not the mean of separate draws: `distribution` is that of what is displayed.
+
+    Parameters
+    ----------
+    pattern : ndarray, shape (n, n)
+        From `unit_fixed_pattern`.
+    total_sd : float
+        1/SNR, >= 0.
+    rng : numpy.random.Generator
+        The trial's own.
+
+    Returns
+    -------
+    ndarray, shape (n, n), in units of a large triangle's signal
+    """
+    parts = noise_parts(noise, total_sd=total_sd)
+    dynamic = draw(pattern.shape, sd=parts.dynamic, distribution=noise.distribution, rng=rng)
+    return dynamic + parts.fixed_pattern * pattern

@@ -1,0 +1,137 @@
+"""From detector samples to display pixels: sample & hold, electronics, display spot; and the adjoint.
+
+All of it is separable, so a square field of samples X becomes B X Bᵀ with one matrix B, and weights on the
+display, Y, become Bᵀ Y B on the detectors.
+
+Blur acts on pixel values, as a Gaussian sampled at whole pixels. Held samples and the frame are both constant
+over each pixel, and a convolution of pixel values widens the one into the other by just the variance of the
+kernel. Means over pixels of the continuously blurred signal would add 1/6 pixel² on top. Sampling by
+itself makes narrow kernels narrower (0.008 instead of 0.09 pixel² at 0.3 pixel): they are sampled
+from a wider Gaussian such that their variance, and so the transfer at low frequencies, is right.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sensor_sim.sensor import Electronics, SensorDisplay
+
+FloatArray = NDArray[np.float64]
+
+ALIAS_FREE_SIGMA_PX = 1.5
+"""From here on the variance of a sampled Gaussian is σ² to 1e-16 (Poisson summation: e^(−2π²σ²))."""
+
+
+def gaussian_kernel(sigma_px: float) -> FloatArray:
+    """Non-negative, symmetric weights of sum 1 and variance σ² at whole pixels −m … m.
+
+    Cut at 9 standard deviations, where a weight is below 1e-17 of the middle one.
+
+    Parameters
+    ----------
+    sigma_px : float
+        >= 0; 0 gives the single weight 1.
+
+    Returns
+    -------
+    ndarray, shape (2m + 1,)
+
+    Hogervorst et al. 2001, eq. 2, for pixels.
+    """
+    if sigma_px == 0.0:
+        return np.ones(1)
+    radius = max(math.ceil(9.0 * sigma_px), 10)
+    squares = np.square(np.arange(-radius, radius + 1, dtype=np.float64))
+    if sigma_px >= ALIAS_FREE_SIGMA_PX:
+        return _sampled_gaussian(squares, 0.5 / sigma_px**2)
+    # The variance falls as the exponent rises; its logarithm is bracketed and halved to the last digit.
+    low, high = math.log(0.5 / (sigma_px + 0.5) ** 2), math.log(0.5 / sigma_px**2)
+    for _ in range(60):
+        middle = (low + high) / 2.0
+        if float(_sampled_gaussian(squares, math.exp(middle)) @ squares) > sigma_px**2:
+            low = middle
+        else:
+            high = middle
+    return _sampled_gaussian(squares, math.exp(high))
+
+
+def _sampled_gaussian(squares: FloatArray, exponent: float) -> FloatArray:
+    weights = np.exp(-exponent * squares)
+    return np.asarray(weights / weights.sum())
+
+
+def axis_matrix(n_detectors: int, *, display: SensorDisplay, electronics: Electronics) -> FloatArray:
+    """Sample & hold and post-sample blur along one axis.
+
+    Outside of the field the signal is zero. Electronics and display spot are both Gaussian: their variances
+    add.
+
+    Returns
+    -------
+    ndarray, shape (n_detectors · pixels_per_detector, n_detectors)
+        Rows sum to 1 where the blur does not reach beyond the field, and to less near its border.
+
+    Hogervorst et al. 2001, sections 3.4 and 3.5.
+    """
+    n_px = n_detectors * display.pixels_per_detector
+    kernel = gaussian_kernel(math.hypot(electronics.blur_sigma_px, display.blur_sigma_px))
+    radius = kernel.size // 2
+    distance = np.abs(np.subtract.outer(np.arange(n_px), np.arange(n_px)))
+    half = np.zeros(max(n_px, radius + 1))
+    half[: radius + 1] = kernel[radius:]
+    return np.asarray(half[distance].reshape(n_px, n_detectors, display.pixels_per_detector).sum(axis=-1))
+
+
+def display_signal(samples: FloatArray, matrix: FloatArray) -> FloatArray:
+    """Signal in each display pixel: B X Bᵀ.
+
+    Parameters
+    ----------
+    samples : ndarray, shape (..., n, n)
+    matrix : ndarray, shape (n_px, n)
+        From `axis_matrix`.
+
+    Returns
+    -------
+    ndarray, shape (..., n_px, n_px)
+    """
+    return np.asarray(matrix @ samples @ matrix.T)
+
+
+def detector_weights(weights: FloatArray, matrix: FloatArray) -> FloatArray:
+    """Weights on the detector samples that do the same as weights on the display: Bᵀ Y B.
+
+    The adjoint of `display_signal`: ⟨Y, B X Bᵀ⟩ = ⟨Bᵀ Y B, X⟩.
+
+    Parameters
+    ----------
+    weights : ndarray, shape (..., n_px, n_px)
+    matrix : ndarray, shape (n_px, n)
+
+    Returns
+    -------
+    ndarray, shape (..., n, n)
+    """
+    return np.asarray(matrix.T @ weights @ matrix)
+
+
+def luminance_cd_m2(signal: FloatArray, *, display: SensorDisplay) -> FloatArray:
+    """Luminance of a display signal (triangle and noise), any shape: background · (1 + gain · signal).
+
+    Not clipped; it may be negative where noise is strong.
+    """
+    return display.background_luminance_cd_m2 * (1.0 + display.gain * signal)
+
+
+def display_position_px(offset_detectors: float, *, n_detectors: int, display: SensorDisplay) -> float:
+    """Where a point lies on the display, along one axis, in pixels with pixel 0's centre at 0.
+
+    Parameters
+    ----------
+    offset_detectors : float
+        From the middle of the field of `n_detectors`.
+    """
+    return (n_detectors / 2.0 + offset_detectors) * display.pixels_per_detector - 0.5

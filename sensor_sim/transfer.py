@@ -1,0 +1,150 @@
+"""Modulation transfer functions, as plain functions of frequency.
+
+Before sampling, frequencies are cycles/mrad in the scene. Behind it they may be counted per display pixel
+just as well: each width is in the reciprocal unit of its frequency.
+
+The optics are computed in two dimensions, from the radial frequency: a product of one-dimensional curves
+would not be circularly symmetric (Hogervorst et al. 2001, section 3).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from sensor_sim.sensor import Detector, Optics, Sensor
+
+FloatArray = NDArray[np.float64]
+
+
+def diffraction_mtf(
+    frequency_cyc_per_mrad: ArrayLike, *, wavelength_um: float, aperture_mm: float
+) -> FloatArray:
+    """Modulation transfer of a diffraction-limited circular aperture.
+
+    With x the frequency over the cut-off and u = 2 arccos x, eq. 1 is (u − sin u) / π; both terms are alike
+    near the cut-off, so the difference is summed as a series there.
+
+    Parameters
+    ----------
+    frequency_cyc_per_mrad : array_like, any shape
+        Radial spatial frequency in object space.
+    wavelength_um, aperture_mm : float
+        Both > 0. The cut-off is aperture_mm / wavelength_um cycles/mrad.
+
+    Returns
+    -------
+    ndarray, same shape, in [0, 1]; exactly 0 at and beyond the cut-off.
+
+    Hogervorst et al. 2001, eq. 1.
+    """
+    x = np.abs(np.asarray(frequency_cyc_per_mrad, dtype=np.float64)) / (aperture_mm / wavelength_um)
+    # arccos x = 2 arcsin √((1 − x)/2), without arccos's loss of digits at 1.
+    u = 4.0 * np.arcsin(np.sqrt(np.maximum(1.0 - x, 0.0) / 2.0))
+    return np.where(u < 1.0, _u_minus_sin_u_series(np.minimum(u, 1.0)), u - np.sin(u)) / np.pi
+
+
+def _u_minus_sin_u_series(u: FloatArray) -> FloatArray:
+    """u³/3! − u⁵/5! + …; for u <= 1 the first term left out is below 1e-17 of the sum."""
+    total = np.ones_like(u)
+    for n in (16, 14, 12, 10, 8, 6, 4):
+        total = 1.0 - np.square(u) / (n * (n + 1)) * total
+    return np.asarray(u**3 / 6.0 * total)
+
+
+def gaussian_mtf(frequency: ArrayLike, *, sigma: float) -> FloatArray:
+    """Modulation transfer of a Gaussian blur of standard deviation `sigma`: exp(−2π²σ²f²).
+
+    Of optics, electronics or display spot; `sigma` is in the reciprocal unit of the (radial) frequency. A
+    width b where the spot, exp(−πx²/b²), is given by 1/e values of its transfer is σ = b/√(2π).
+
+    Returns
+    -------
+    ndarray, the shape of `frequency`, in [0, 1]
+
+    Hogervorst et al. 2001, eq. 2.
+    """
+    return np.asarray(np.exp(-2.0 * (np.pi * sigma * np.asarray(frequency, dtype=np.float64)) ** 2))
+
+
+def box_mtf(frequency: ArrayLike, *, width: float) -> FloatArray:
+    """Transfer along one axis of a mean over `width`: sin(πwf)/(πwf), signed.
+
+    That of a detector's active width, and with the pitch for `width` that of sample & hold. In two
+    dimensions it is exactly the product of the axes.
+
+    Returns
+    -------
+    ndarray, the shape of `frequency`, in [−0.22, 1]
+
+    Hogervorst et al. 2001, sections 3.2 and 3.4.
+    """
+    return np.sinc(width * np.asarray(frequency, dtype=np.float64))
+
+
+def optics_mtf(radial_frequency_cyc_per_mrad: ArrayLike, *, optics: Optics) -> FloatArray:
+    """Diffraction × Gaussian blur, of the shape of the frequency; exactly 0 at and beyond the cut-off.
+
+    Hogervorst et al. 2001, section 3.1.
+    """
+    diffraction = diffraction_mtf(
+        radial_frequency_cyc_per_mrad, wavelength_um=optics.wavelength_um, aperture_mm=optics.aperture_mm
+    )
+    return diffraction * gaussian_mtf(radial_frequency_cyc_per_mrad, sigma=optics.blur_sigma_mrad)
+
+
+def pre_sample_mtf(
+    frequency_x_cyc_per_mrad: ArrayLike, frequency_y_cyc_per_mrad: ArrayLike, *, optics: Optics, detector: Detector
+) -> FloatArray:
+    """Optics × detector at frequencies that broadcast against each other, in the broadcast shape.
+
+    Hogervorst et al. 2001, section 3.6.
+    """
+    radial = np.hypot(frequency_x_cyc_per_mrad, frequency_y_cyc_per_mrad)
+    along_x = box_mtf(frequency_x_cyc_per_mrad, width=detector.width_mrad)
+    along_y = box_mtf(frequency_y_cyc_per_mrad, width=detector.width_mrad)
+    return np.asarray(optics_mtf(radial, optics=optics) * along_x * along_y)
+
+
+def post_sample_mtf(radial_frequency_cyc_per_mrad: ArrayLike, *, sensor: Sensor) -> FloatArray:
+    """Electronics × display spot, of the shape of the frequency, which is in object space.
+
+    Hogervorst et al. 2001, section 3.6.
+    """
+    px_per_mrad = sensor.display.pixels_per_detector / sensor.detector.pitch_mrad
+    cyc_per_px = np.asarray(radial_frequency_cyc_per_mrad, dtype=np.float64) / px_per_mrad
+    electronics = gaussian_mtf(cyc_per_px, sigma=sensor.electronics.blur_sigma_px)
+    return electronics * gaussian_mtf(cyc_per_px, sigma=sensor.display.blur_sigma_px)
+
+
+def stages(frequency_cyc_per_mrad: ArrayLike, *, sensor: Sensor) -> dict[str, FloatArray]:
+    """Every stage's transfer along x, in the order the signal meets them, and the two products.
+
+    Parameters
+    ----------
+    frequency_cyc_per_mrad : array_like, any shape
+        In object space.
+
+    Returns
+    -------
+    dict of ndarray
+        "diffraction", "optics_blur", "detector", "hold", "electronics", "display", then "pre_sample"
+        (the first three) and "post_sample" (electronics and display).
+
+    Hogervorst et al. 2001, section 3.
+    """
+    frequency = np.asarray(frequency_cyc_per_mrad, dtype=np.float64)
+    optics, detector = sensor.optics, sensor.detector
+    cyc_per_px = frequency * detector.pitch_mrad / sensor.display.pixels_per_detector
+    return {
+        "diffraction": diffraction_mtf(
+            frequency, wavelength_um=optics.wavelength_um, aperture_mm=optics.aperture_mm
+        ),
+        "optics_blur": gaussian_mtf(frequency, sigma=optics.blur_sigma_mrad),
+        "detector": box_mtf(frequency, width=detector.width_mrad),
+        "hold": box_mtf(frequency, width=detector.pitch_mrad),
+        "electronics": gaussian_mtf(cyc_per_px, sigma=sensor.electronics.blur_sigma_px),
+        "display": gaussian_mtf(cyc_per_px, sigma=sensor.display.blur_sigma_px),
+        "pre_sample": pre_sample_mtf(frequency, np.zeros_like(frequency), optics=optics, detector=detector),
+        "post_sample": post_sample_mtf(frequency, sensor=sensor),
+    }

@@ -1,0 +1,188 @@
+"""The commands as a user meets them."""
+
+from __future__ import annotations
+
+import csv
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from todframes.cli import cli
+from todframes.command import run
+
+SAMPLES = Path(__file__).parent.parent / "sample_frames"
+
+
+@pytest.fixture
+def todframes(capsys: pytest.CaptureFixture[str]):
+    """Runs a command line; gives exit status, standard output and standard error."""
+
+    def call(*arguments: str | Path) -> tuple[int, str, str]:
+        status = run(cli, [str(argument) for argument in arguments])
+        return status, *capsys.readouterr()
+
+    return call
+
+
+def test_score_as_json(todframes, make_dataset) -> None:
+    path = make_dataset(sizes_mrad=(1.0, 2.0), contrasts=(0.05, 0.1, 0.2), repeats=2).path
+    status, out, err = todframes("score", path, "--json", "--internal-noise", "0.25", "--set", "kernel_a=0.4")
+    assert (status, err) == (0, "")
+    result = json.loads(out)
+    assert {"schema", "command", "version", "settings", "seed", "fits", "skipped", "run_time_s"} <= set(result)
+    assert (result["schema"], result["command"], result["seed"], result["skipped"]) == (1, "score", 1, [])
+    assert result["settings"]["internal_noise"] == 0.25
+    assert result["settings"]["kernel_a"] == 0.4
+    assert [fit["group"] for fit in result["fits"]] == [{"size_mrad": 1.0}, {"size_mrad": 2.0}]
+    for fit in result["fits"]:
+        assert set(fit) >= {
+            *("group", "level", "status", "threshold", "threshold_ci95", "p_correct"),
+            *("alpha", "beta", "gamma", "delta", "n_trials", "points"),
+        }
+        assert fit["n_trials"] == 24
+        assert [point["level"] for point in fit["points"]] == [0.05, 0.1, 0.2]
+        assert fit["threshold_ci95"][0] < fit["threshold"] < fit["threshold_ci95"][1]
+    # Larger is easier.
+    assert result["fits"][0]["threshold"] > result["fits"][1]["threshold"]
+
+
+def test_score_writes_what_it_prints(todframes, make_dataset, tmp_path: Path) -> None:
+    path = make_dataset(sizes_mrad=(1.0, 2.0), contrasts=(0.05, 0.1, 0.2)).path
+    out_folder = tmp_path / "result"
+    status, out, _ = todframes("score", path, "-o", out_folder, "--json")
+    assert status == 0
+    assert {file.name for file in out_folder.iterdir()} == {
+        "result.json",
+        "scores.csv",
+        "psychometric.png",
+        "tod_curve.png",
+    }
+    assert (out_folder / "result.json").read_text(encoding="utf-8") == out
+    with (out_folder / "scores.csv").open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 24
+    for row in rows:
+        probabilities = [float(row[f"p_{name}"]) for name in ("up", "right", "down", "left")]
+        assert sum(probabilities) == pytest.approx(1.0, abs=1e-12)
+        assert float(row["p_correct"]) == float(row[f"p_{row['orientation']}"])
+    by_level = [float(row["p_correct"]) for row in rows if (row["size_mrad"], row["contrast"]) == ("1.0", "0.1")]
+    point = json.loads(out)["fits"][0]["points"][1]
+    assert point["p_correct"] == pytest.approx(np.mean(by_level), abs=1e-12)
+    assert sorted(path.parent.glob(".*")) == []  # no temporary folder is left
+
+
+def test_writing_again_replaces(todframes, make_dataset, tmp_path: Path) -> None:
+    path = make_dataset().path
+    for seed in ("1", "2"):
+        assert todframes("score", path, "-o", tmp_path / "result", "--seed", seed)[0] == 0
+    assert json.loads((tmp_path / "result" / "result.json").read_text(encoding="utf-8"))["seed"] == 2
+
+
+def test_nothing_is_written_without_out(todframes, make_dataset, tmp_path: Path, monkeypatch) -> None:
+    path = make_dataset().path
+    before = sorted(tmp_path.rglob("*"))
+    monkeypatch.chdir(tmp_path)
+    assert todframes("score", path)[0] == 0
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_score_shows_a_table(todframes, make_dataset) -> None:
+    status, out, err = todframes("score", make_dataset(contrasts=(0.05, 0.1, 0.2)).path)
+    assert (status, err) == (0, "")
+    for text in ("size_mrad", "threshold contrast", "95 % interval", "ok", "the summed internal noise"):
+        assert text in out
+
+
+def test_settings_file_and_which_goes_first(todframes, make_dataset, tmp_path: Path) -> None:
+    file = tmp_path / "observer.toml"
+    file.write_text('internal_noise = 0.1\nkernel_a = 0.4\ncentre = "bounding_box"\n', encoding="utf-8")
+    arguments = ["--observer-settings", file, "--set", "kernel_a=0.3", "--set", "internal_noise=0.2"]
+    _, out, _ = todframes("score", make_dataset().path, *arguments, "--internal-noise", "0.3", "--json")
+    settings = json.loads(out)["settings"]
+    assert (settings["centre"], settings["kernel_a"], settings["internal_noise"]) == ("bounding_box", 0.3, 0.3)
+
+
+def test_locate_says_what_it_found(todframes, make_dataset) -> None:
+    path = make_dataset(side_px=40).path
+    status, out, err = todframes("score", path, "--locate", "--json")
+    assert status == 0
+    (place,) = json.loads(out)["located"]
+    assert place["group"] == {"size_mrad": 2.0}
+    assert (place["x_px"], place["y_px"]) == pytest.approx((19.5, 19.5), abs=0.02)
+    assert err.startswith("located: size_mrad 2: x_px 19.50, y_px 19.50 (±")
+    assert todframes("score", path, "--locate", "--json", "--quiet")[2] == ""
+
+
+def test_naked_eye(todframes) -> None:
+    status, out, _ = todframes("naked-eye", "--size-mrad", "1.0,2.0", "--json")
+    assert status == 0
+    one, two = json.loads(out)["fits"]
+    assert one["threshold"] == pytest.approx(0.1462, rel=0.005)
+    assert two["threshold"] < one["threshold"]
+    assert one["level"] == "contrast"
+    assert one["threshold_numerical_error"] < 1e-3
+    _, out, _ = todframes("naked-eye", "--contrast", "0.1462", "--json")
+    (acuity,) = json.loads(out)["fits"]
+    assert (acuity["level"], acuity["group"]) == ("size_mrad", {"contrast": 0.1462})
+    assert acuity["threshold"] == pytest.approx(1.0, rel=0.005)
+    _, out, _ = todframes("naked-eye", "--size-mrad", "1")
+    assert "0.1462" in out
+
+
+def test_fit(todframes, tmp_path: Path) -> None:
+    """Counts that lie on a curve: α = 2, β = 1.5, no lapses; 75 % at α · log₂(3)^(1/β)."""
+    path = tmp_path / "counts.csv"
+    levels = [0.5, 1.0, 2.0, 4.0, 8.0]
+    n = 10**6
+    counts = [round(n * (1 - 0.75 * 2 ** -((x / 2.0) ** 1.5))) for x in levels]
+    rows = "".join(f"{x},{k},{n},left\n" for x, k in zip(levels, counts, strict=True))
+    path.write_text("level,n_correct,n_trials,eye\n" + rows, encoding="utf-8")
+    status, out, _ = todframes("fit", path, "--json")
+    assert status == 0
+    (fit,) = json.loads(out)["fits"]
+    assert fit["group"] == {"eye": "left"}
+    assert fit["threshold"] == pytest.approx(2.0 * np.log2(3.0) ** (1 / 1.5), rel=1e-3)
+    assert fit["n_trials"] == 5 * n
+    assert "left" in todframes("fit", path)[1]
+
+
+def test_validate(todframes, make_dataset) -> None:
+    made = make_dataset()
+    status, out, err = todframes("validate", made.path)
+    assert (status, out, err) == (0, f"{made.path}: 8 frames in 8 trials, all good\n", "")
+
+
+@pytest.mark.parametrize("command", [[], ["score"], ["naked-eye"], ["fit"], ["validate"]])
+def test_help(todframes, command: list[str]) -> None:
+    status, out, err = todframes(*command, "--help")
+    assert (status, err) == (0, "")
+    assert out.startswith("Usage:")
+
+
+def test_version(todframes) -> None:
+    from todframes import __version__
+
+    assert todframes("--version")[1] == f"todframes, version {__version__}\n"
+
+
+def test_help_imports_nothing_slow() -> None:
+    code = (
+        "import sys; from todframes.command import run; from todframes.cli import cli; run(cli, ['--help']); "
+        "sys.exit(any(name in sys.modules for name in ('numpy', 'scipy', 'cv2', 'OpenImageIO', 'rich', 'matplotlib')))"
+    )
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, check=False).returncode == 0
+
+
+def test_scoring_imports_no_plotting_or_statistics(make_dataset) -> None:
+    """What takes a quarter of a second each to import, and is not needed without -o."""
+    code = (
+        "import sys; from todframes.command import run; from todframes.cli import cli; "
+        "run(cli, ['score', sys.argv[1], '--json']); "
+        "sys.exit(any(name in sys.modules for name in ('matplotlib', 'scipy.stats', 'scipy.optimize', 'rich')))"
+    )
+    done = subprocess.run([sys.executable, "-c", code, make_dataset().path], capture_output=True, check=False)
+    assert done.returncode == 0, done.stderr
