@@ -100,9 +100,7 @@ def draw(
     return rng.uniform(-half_width, half_width, shape)
 
 
-def unit_fixed_pattern(
-    shape: tuple[int, int], *, noise: Noise, seed: int | np.random.SeedSequence
-) -> FloatArray:
+def unit_fixed_pattern(shape: tuple[int, int], *, noise: Noise, seed: int | np.random.SeedSequence) -> FloatArray:
     """The sensor's own pattern, of standard deviation 1 over all sensors.
 
     Drawn once per sensor: the same seed and shape give the same pattern, whatever frames are made of it.
@@ -114,9 +112,7 @@ def unit_fixed_pattern(
     return draw(shape, sd=1.0, distribution=noise.distribution, rng=np.random.default_rng(seed))
 
 
-def displayed_noise(
-    pattern: FloatArray, *, total_sd: float, noise: Noise, rng: np.random.Generator
-) -> FloatArray:
+def displayed_noise(pattern: FloatArray, *, total_sd: float, noise: Noise, rng: np.random.Generator) -> FloatArray:
     """Noise of one displayed image: a new dynamic part and the sensor's fixed pattern.
 
     The dynamic part is one draw of the named distribution with the standard deviation that integration

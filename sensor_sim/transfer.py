@@ -9,6 +9,8 @@ would not be circularly symmetric (Hogervorst et al. 2001, section 3).
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -17,9 +19,7 @@ from sensor_sim.sensor import Detector, Optics, Sensor
 FloatArray = NDArray[np.float64]
 
 
-def diffraction_mtf(
-    frequency_cyc_per_mrad: ArrayLike, *, wavelength_um: float, aperture_mm: float
-) -> FloatArray:
+def diffraction_mtf(frequency_cyc_per_mrad: ArrayLike, *, wavelength_um: float, aperture_mm: float) -> FloatArray:
     """Modulation transfer of a diffraction-limited circular aperture.
 
     With x the frequency over the cut-off and u = 2 arccos x, eq. 1 is (u − sin u) / π; both terms are alike
@@ -55,8 +55,8 @@ def _u_minus_sin_u_series(u: FloatArray) -> FloatArray:
 def gaussian_mtf(frequency: ArrayLike, *, sigma: float) -> FloatArray:
     """Modulation transfer of a Gaussian blur of standard deviation `sigma`: exp(−2π²σ²f²).
 
-    Of optics, electronics or display spot; `sigma` is in the reciprocal unit of the (radial) frequency. A
-    width b where the spot, exp(−πx²/b²), is given by 1/e values of its transfer is σ = b/√(2π).
+    Of optics, electronics or display spot; `sigma` is in the reciprocal unit of the (radial) frequency. Other
+    tools give a width b with the transfer exp(−πb²f²): σ = b/√(2π).
 
     Returns
     -------
@@ -91,6 +91,25 @@ def optics_mtf(radial_frequency_cyc_per_mrad: ArrayLike, *, optics: Optics) -> F
         radial_frequency_cyc_per_mrad, wavelength_um=optics.wavelength_um, aperture_mm=optics.aperture_mm
     )
     return diffraction * gaussian_mtf(radial_frequency_cyc_per_mrad, sigma=optics.blur_sigma_mrad)
+
+
+def band_limit_cyc_per_mrad(optics: Optics) -> float:
+    """Where the optics' transfer ends: the cut-off, or where the Gaussian falls below 1e-17."""
+    if optics.blur_sigma_mrad == 0.0:
+        return optics.cut_off_cyc_per_mrad
+    return min(optics.cut_off_cyc_per_mrad, 1.42 / optics.blur_sigma_mrad)
+
+
+def sharpness_bound(optics: Optics, *, width_mrad: float) -> float:
+    """By how much the optics change the mean over a square of a scene within [0, 1] at most.
+
+    Moving the scene by u changes it by at most (|u_x| + |u_y|)/width, and by at most 1. The mean of that over
+    the Gaussian is 2√(2/π)·σ/width. Over the Airy pattern, whose energy beyond r is J₀² + J₁² at πcr, c the
+    cut-off, it is at most √2/v · (1 + 2/π·ln(1 + v)) with v = πc·width.
+    """
+    v = np.pi * optics.cut_off_cyc_per_mrad * width_mrad
+    of_blur = math.sqrt(8.0 / math.pi) * optics.blur_sigma_mrad / width_mrad
+    return of_blur + math.sqrt(2.0) / v * (1.0 + 2.0 / math.pi * math.log1p(v))
 
 
 def pre_sample_mtf(

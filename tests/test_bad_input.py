@@ -301,7 +301,7 @@ def test_checksum_of_what_is_no_file(spoil, make_dataset, fails):
     dataset = make_dataset(row_changes={BAD: {"sha256": "0" * 64}})
     spoil(dataset.frame(BAD))
     signal.signal(signal.SIGALRM, lambda *_: pytest.fail("waits for the pipe"))
-    signal.alarm(5)
+    signal.alarm(2)
     try:
         fails("score", dataset.path, status=BAD_DATA, wanted=(re.escape(str(dataset.frame(BAD))),))
     finally:
@@ -467,6 +467,19 @@ def test_background_column(background, make_dataset, fails, todframes):
     dataset.rows[BAD]["background_luminance_cd_m2"] = background
     dataset.save()
     wanted = (BAD_LINE, "background_luminance_cd_m2", f"'{background}'", "> 0")
+    fails("score", dataset.path, status=BAD_DATA, wanted=wanted)
+    assert_skipped(dataset, [BAD], wanted, todframes)
+    assert_validate_finds(dataset, [wanted], todframes)
+
+
+def test_contrast_beyond_all_numbers(make_dataset, fails, todframes):
+    """A background so near to zero that the contrast overflows is the row's fault, not a setting's."""
+    dataset = make_dataset(display={"background_luminance_cd_m2": "column"})
+    for row in dataset.rows:
+        row["background_luminance_cd_m2"] = "50"
+    dataset.rows[BAD]["background_luminance_cd_m2"] = "1e-320"
+    dataset.save()
+    wanted = (f"{BAD_LINE}|{re.escape(dataset.rows[BAD]['frame'])}", "background|luminance|contrast")
     fails("score", dataset.path, status=BAD_DATA, wanted=wanted)
     assert_skipped(dataset, [BAD], wanted, todframes)
     assert_validate_finds(dataset, [wanted], todframes)
@@ -858,6 +871,28 @@ def test_bad_usage(line, wanted, fails):
     fails(*line.split(), status=BAD_SETTINGS, wanted=wanted)
 
 
+@pytest.mark.parametrize("setting", ["band_gain=1e300", "internal_noise=1e300", "internal_noise_sd=1e300"])
+def test_setting_beyond_all_numbers(setting, make_dataset, fails):
+    path = make_dataset(contrasts=(0.5,)).path
+    fails("score", path, "--set", setting, status=BAD_SETTINGS, wanted=(setting.split("=")[0],))
+
+
+def test_out_of_memory(make_dataset, todframes, tmp_path, monkeypatch):
+    """As with retina_pitch_mrad = 1e-3, or levels = 12: a line that tells which kind of trouble it is."""
+
+    def too_large(*_, **__):
+        raise MemoryError("Unable to allocate 2.00 GiB for an array with shape (16385, 16385)")
+
+    dataset = make_dataset(contrasts=(0.5,))
+    monkeypatch.setattr("todframes.scoring.view_trial", too_large)
+    before = tree(tmp_path)
+    status, out, errors = todframes("score", dataset.path, "-o", tmp_path / "out")
+    assert status in (BAD_DATA, BAD_SETTINGS)
+    assert (out, len(errors)) == ("", 1)
+    assert_says(errors[0], ("memory",))
+    assert tree(tmp_path) == before
+
+
 def test_sizes_empty(fails):
     fails("naked-eye", "--size-mrad", "", status=BAD_SETTINGS, wanted=("--size-mrad", "''", "commas"))
 
@@ -910,6 +945,7 @@ COUNTS = {
     "no trials": (b"level,n_correct,n_trials\n1,0,0\n", ("line 2", "n_trials", "0", ">= 1")),
     "fraction": (b"level,n_correct,n_trials\n1,1.5,2\n", ("line 2", "n_correct", "1.5", "whole")),
     "proportion": (b"level,n_correct,n_trials\n1,0.5,0.7\n", ("line 2", "n_trials", "0.7", "whole")),
+    "beyond counting": (b"level,n_correct,n_trials\n1,1,1e300\n", ("line 2", "n_trials", "1e\\+?300")),
     "fields": (b"level,n_correct,n_trials\n1,1\n", ("line 2", "fields")),
     "not utf-8": (b"level,n_correct,n_trials\n1,1,2\xff\n", ("not UTF-8",)),
     "quote": (b'level,n_correct,n_trials\n"1,1,2\n', ("not valid CSV",)),

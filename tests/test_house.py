@@ -11,9 +11,9 @@ import todframes
 
 FLOORS = {
     "todframes": [
-        {"errors"},
-        {"settings", "stimulus", "frames", "retina", "pyramid", "decision", "psychometric", "display"},
-        {"readout", "counts"},
+        {"errors", "weibull"},
+        {"settings", "stimulus", "frames", "retina", "pyramid", "decision", "resampling", "display"},
+        {"readout", "counts", "psychometric"},
         {"observer", "dataset"},
         {"viewing", "naked_eye"},
         {"scoring", "locating"},
@@ -22,7 +22,9 @@ FLOORS = {
         {"cli"},
     ],
     "sensor_sim": [
-        {"sensor", "transfer", "sampling", "noise", "reconstruction"},
+        {"sensor"},
+        {"transfer"},
+        {"sampling", "noise", "reconstruction"},
         {"simulate", "predict"},
         {"cli"},
     ],

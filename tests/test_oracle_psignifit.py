@@ -7,7 +7,8 @@ import warnings
 import numpy as np
 import pytest
 
-from todframes.psychometric import FitSettings, fit_counts, weibull
+from todframes.psychometric import FitSettings, fit_counts
+from todframes.weibull import weibull
 
 psignifit = pytest.importorskip("psignifit")
 

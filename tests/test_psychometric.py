@@ -16,7 +16,8 @@ from scipy import optimize
 from scipy.special import xlogy
 
 from todframes.errors import DataError, SettingsError
-from todframes.psychometric import FitSettings, PsychometricFit, fit_counts, fit_trials, weibull, weibull_level
+from todframes.psychometric import FitSettings, PsychometricFit, fit_counts, fit_trials
+from todframes.weibull import weibull, weibull_level
 
 POINT = FitSettings(resamples=0)
 LEVELS = np.geomspace(0.5, 2.0, 7)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from todframes.psychometric import weibull
+from todframes.weibull import weibull
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -1,0 +1,365 @@
+"""Exact detector samples of triangles and of image arrays.
+
+A sample is the scene after the optics, averaged over the detector's active area; a uniform scene of 1 gives 1.
+A diffraction-limited transfer function ends at its cut-off, so the samples are a finite sum: closed-form
+spectrum × pre-sample MTF at the multiples of 1/period, folded onto the detector grid. Nothing is oversampled
+and nothing is cut, and a new place of the triangle is one phase factor per frequency.
+
+That sum is the scene repeated with the period. What the neighbours' far tails add is real for a lattice of
+triangles and an error for a single one; `wrap_around_bound` bounds it. Zero frequency is the area: samples ×
+pitch², summed over one period, are the triangle's area **at every place** if the detectors are contiguous
+(the detector MTF is 0 at each multiple of the sampling frequency) or the cut-off lies below the sampling
+frequency. Otherwise detectors miss what falls in between, and this holds for the mean over all places.
+
+Lengths are in detector pitches, frequencies in cycles per detector, unless a name says otherwise.
+
+Hogervorst et al. 2001, sections 3.1, 3.2 and 3.6.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from sensor_sim.sensor import Detector, Optics
+from sensor_sim.transfer import band_limit_cyc_per_mrad, pre_sample_mtf, sharpness_bound
+from todframes.errors import SettingsError
+from todframes.stimulus import HEIGHT_PER_SIZE, SIDE_PER_SIZE, Orientation, spectrum
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+MAX_FREQUENCIES = 2**22
+"""Of one half plane; 64 MiB and some seconds to set up. Beyond, the optics are sharp enough to leave out."""
+MAX_NEGLECTED = 0.05
+"""Bound on what leaving out the optics may change in a sample; beyond, the field is refused as too large."""
+PLACES_AT_ONCE = 32
+"""Keeps the partly folded spectra in the processor's cache."""
+
+
+class TriangleSampler:
+    """Detector samples of triangles of one size, at any place and orientation.
+
+    The spectrum is computed once, for the upright triangle. Detectors and optics look the same after a
+    quarter turn, so the other orientations are turned samples, bit for bit.
+
+    If the sum would take more than `MAX_FREQUENCIES` terms, the optics are sharp against the detector: they
+    are left out, and the samples are the exact area of the triangle on each detector. What that changes is
+    bounded by `neglected_bound`.
+
+    Parameters
+    ----------
+    optics : Optics
+    detector : Detector
+    size_detectors : float
+        √(area) of the triangle, > 0.
+    field_detectors : int
+        Detectors along each side of the square field.
+    period_detectors : int or None
+        The scene repeats after this many detectors; at least the field, and by default the field.
+
+    Attributes
+    ----------
+    neglected_bound : float
+        0, or by how much at most a sample differs because the optics are left out.
+
+    Raises
+    ------
+    SettingsError
+        If a value is out of range, the triangle, displaced by half a detector, reaches beyond the field,
+        or the optics pass less than one cycle per period.
+    """
+
+    def __init__(
+        self,
+        *,
+        optics: Optics,
+        detector: Detector,
+        size_detectors: float,
+        field_detectors: int,
+        period_detectors: int | None = None,
+    ) -> None:
+        period = field_detectors if period_detectors is None else period_detectors
+        check_field(size_detectors=size_detectors, field_detectors=field_detectors)
+        if period < field_detectors:
+            raise SettingsError(
+                f"period_detectors: found {period}, expected at least the field, {field_detectors}"
+            )
+        self._size = size_detectors
+        self._field = field_detectors
+        self._period = period
+        self._width = detector.width_mrad / detector.pitch_mrad
+        last = band_limit_cyc_per_mrad(optics) * detector.pitch_mrad * period
+        if last < 1.0:
+            raise SettingsError(
+                f"optics: they pass {last:g} cycles per field of {period} detectors, expected at least 1"
+            )
+        self.neglected_bound = _neglected_bound(optics, detector, n_frequencies=2.0 * last**2)
+        if self.neglected_bound == 0.0:
+            self._prepare_spectrum(optics, detector, last)
+
+    def _prepare_spectrum(self, optics: Optics, detector: Detector, last: float) -> None:
+        """Unfolded spectrum of the samples up to `last` cycles per period: [folded x][y][replica along x].
+
+        Real samples need folded x frequencies from 0 to half of the period only.
+        """
+        period, pitch = self._period, detector.pitch_mrad
+        half = period // 2
+        self._folded_x = np.arange(half + 1)
+        self._replicas_x = np.arange(-math.floor((last + half) / period), math.floor(last / period) + 1)
+        n_y = math.floor((last + half) / period)
+        folded_y = np.fft.ifftshift(np.arange(period) - half)
+        self._k_y = (np.arange(-n_y, n_y + 1)[:, None] * period + folded_y).ravel()
+        # Samples start at the field's first detector, whose place relative to the middle is this.
+        first = -(self._field - 1) / 2.0
+        self._unfolded = np.zeros((half + 1, self._k_y.size, self._replicas_x.size), dtype=np.complex128)
+        for i, k_folded in enumerate(self._folded_x):
+            k_x, k_y = np.broadcast_arrays(k_folded + self._replicas_x * period, self._k_y[:, None])
+            passed = np.hypot(k_x, k_y) < last
+            fx, fy = k_x[passed] / period, k_y[passed] / period
+            transfer = pre_sample_mtf(fx / pitch, fy / pitch, optics=optics, detector=detector)
+            triangle = spectrum(fx, fy, size=self._size, orientation=Orientation.UP, x=-first, y=-first)
+            self._unfolded[i][passed] = transfer * triangle
+
+    def samples(self, x_detectors: ArrayLike, y_detectors: ArrayLike, *, orientation: Orientation) -> FloatArray:
+        """Samples with the triangle's centroid at these places.
+
+        Parameters
+        ----------
+        x_detectors, y_detectors : array_like, shape (places,) or scalar
+            From the middle of the field; x to the right, y down.
+
+        Returns
+        -------
+        ndarray, shape (places, field, field)
+        """
+        x, y = _upright_place(x_detectors, y_detectors, orientation)
+        upright = np.empty((x.size, self._field, self._field))
+        for start in range(0, x.size, PLACES_AT_ONCE):
+            part = slice(start, start + PLACES_AT_ONCE)
+            upright[part] = self._upright(x[part], y[part])
+        return np.rot90(upright, -orientation.quarter_turns, axes=(1, 2))
+
+    def _upright(self, x: FloatArray, y: FloatArray) -> FloatArray:
+        if self.neglected_bound > 0.0:
+            return self._covered_area(x, y)
+        period, field = self._period, self._field
+        repeated = np.fft.irfft2(self._folded(x, y), s=(period, period), axes=(1, 0))
+        return repeated[:field, :field].transpose(2, 1, 0)
+
+    def inner_products(
+        self, weights: FloatArray, x_detectors: ArrayLike, y_detectors: ArrayLike, *, orientation: Orientation
+    ) -> FloatArray:
+        """Inner products of the samples with weight images, without the samples being formed.
+
+        Parameters
+        ----------
+        weights : ndarray, shape (images, field, field)
+        x_detectors, y_detectors : array_like, shape (places,) or scalar
+            As for `samples`.
+
+        Returns
+        -------
+        ndarray, shape (places, images)
+        """
+        x, y = _upright_place(x_detectors, y_detectors, orientation)
+        turned = np.rot90(weights, orientation.quarter_turns, axes=(1, 2))
+        products = np.empty((x.size, turned.shape[0]))
+        n_images, period = turned.shape[0], self._period
+        if self.neglected_bound == 0.0:
+            # Parseval; all but the first and, for an even period, the last column stand for two.
+            columns = np.fft.rfft2(turned, s=(period, period), axes=(1, 2)).conj() / period**2
+            columns[:, :, 1 : (period + 1) // 2] *= 2.0
+            dual = np.ascontiguousarray(np.moveaxis(columns, 2, 1)).reshape(n_images, -1)
+        for start in range(0, x.size, PLACES_AT_ONCE):
+            part = slice(start, start + PLACES_AT_ONCE)
+            if self.neglected_bound == 0.0:
+                folded = self._folded(x[part], y[part])
+                products[part] = (dual @ folded.reshape(dual.shape[1], -1)).real.T
+            else:
+                products[part] = np.tensordot(self._covered_area(x[part], y[part]), turned, axes=((1, 2), (1, 2)))
+        return products
+
+    def _folded(self, x: FloatArray, y: FloatArray) -> ComplexArray:
+        """Spectrum folded onto the grid, for upright triangles at these places: (folded x, folded y, places)."""
+        period, n_x = self._period, self._folded_x.size
+        turn = -2j * np.pi / period
+        k_x = self._folded_x[:, None] + self._replicas_x * period
+        along_y = self._unfolded @ np.exp(turn * k_x[..., None] * x)
+        along_y *= np.exp(turn * self._k_y[:, None] * y)
+        return np.asarray(along_y.reshape(n_x, -1, period, x.size).sum(axis=1))
+
+    def _covered_area(self, x: FloatArray, y: FloatArray) -> FloatArray:
+        """Share of each active area that an upright triangle covers, exactly: (places, field, field).
+
+        Both slanted edges are x = x_apex ± m·(y − y_apex). The part of a row right of the line through z =
+        m·(y − y_apex) and left of u is the integral of the ramp (u − z)⁺, whose antiderivative is a square.
+        """
+        height, slope = HEIGHT_PER_SIZE * self._size, SIDE_PER_SIZE / HEIGHT_PER_SIZE / 2.0
+        place = np.arange(self._field) - (self._field - 1) / 2.0
+        edges = place + np.array([[-0.5], [0.5]]) * self._width
+        from_apex = edges[:, None, :] - (y[:, None] - 2.0 / 3.0 * height)
+        top, bottom = slope * np.clip(from_apex, 0.0, height)[..., None]
+        left, right = edges[:, None, None, :] - x[:, None, None]
+
+        def wider_than(u: FloatArray) -> FloatArray:
+            """∫ (slope·t − u)⁺ dt over the row, the length of the half row beyond a column's edge u >= 0."""
+            return np.asarray(
+                (np.square(np.maximum(bottom - u, 0.0)) - np.square(np.maximum(top - u, 0.0))) / (2.0 * slope)
+            )
+
+        right_half = wider_than(np.maximum(left, 0.0)) - wider_than(np.maximum(right, 0.0))
+        left_half = wider_than(np.maximum(-right, 0.0)) - wider_than(np.maximum(-left, 0.0))
+        return np.asarray((right_half + left_half) / self._width**2)
+
+
+def _upright_place(
+    x_detectors: ArrayLike, y_detectors: ArrayLike, orientation: Orientation
+) -> tuple[FloatArray, FloatArray]:
+    """Places in the field turned back such that the triangle stands upright."""
+    x, y = np.broadcast_arrays(np.atleast_1d(np.asarray(x_detectors, float)), np.asarray(y_detectors, float))
+    for _ in range(orientation.quarter_turns):
+        x, y = y, -x
+    return x, y
+
+
+def sample_image(
+    image: FloatArray,
+    *,
+    pixel_pitch_mrad: float,
+    optics: Optics,
+    detector: Detector,
+    field_detectors: int,
+    x_detectors: float = 0.0,
+    y_detectors: float = 0.0,
+) -> FloatArray:
+    """Detector samples of any scene, by FFT.
+
+    The scene is constant over each pixel and repeats with the image's sides. Its spectrum, the pixels' sinc
+    included, is summed up to the optics' cut-off: exact for such a scene, at any ratio of the pitches.
+
+    Parameters
+    ----------
+    image : ndarray, shape (rows, columns)
+    pixel_pitch_mrad : float
+        In the scene, > 0.
+    x_detectors, y_detectors : float
+        Where the middle of the image lies, from the middle of the field.
+
+    Returns
+    -------
+    ndarray, shape (field, field)
+
+    Raises
+    ------
+    SettingsError
+        If the pitch is not a positive number or the image is smaller than the field.
+    """
+    if not (math.isfinite(pixel_pitch_mrad) and pixel_pitch_mrad > 0.0):
+        raise SettingsError(f"pixel_pitch_mrad: found {pixel_pitch_mrad!r}, expected a finite number > 0")
+    pixel, width = pixel_pitch_mrad / detector.pitch_mrad, detector.width_mrad / detector.pitch_mrad
+    sides = [n * pixel for n in image.shape]
+    if min(sides) < field_detectors:
+        raise SettingsError(
+            f"field_detectors: found {field_detectors}, expected at most the image's smaller side, "
+            f"{min(sides):g} detectors"
+        )
+    highest = band_limit_cyc_per_mrad(optics) * detector.pitch_mrad
+    place = np.arange(field_detectors) - (field_detectors - 1) / 2.0
+    from_corner = [
+        (place - at + side / 2.0) / pixel for at, side in zip((y_detectors, x_detectors), sides, strict=True)
+    ]
+    if _neglected_bound(optics, detector, n_frequencies=2.0 * highest**2 * sides[0] * sides[1]) > 0.0:
+        along_y, along_x = (
+            _periodic_overlap(centre, width / pixel, n) for centre, n in zip(from_corner, image.shape, strict=True)
+        )
+        return np.asarray(along_y @ image @ along_x.T)
+    n_y, n_x = image.shape
+    k_y = np.arange(-math.floor(highest * sides[0]), math.floor(highest * sides[0]) + 1)
+    k_x = np.arange(math.floor(highest * sides[1]) + 1)
+    transfer = pre_sample_mtf(
+        k_x / (n_x * pixel_pitch_mrad), k_y[:, None] / (n_y * pixel_pitch_mrad), optics=optics, detector=detector
+    )
+    transfer *= np.sinc(k_x / n_x) * np.sinc(k_y / n_y)[:, None] * np.where(k_x == 0, 1.0, 2.0)
+    scene = np.fft.fft2(image)[np.ix_(k_y % n_y, k_x % n_x)] / image.size
+    waves_y = np.exp(2j * np.pi / n_y * np.outer(from_corner[0] - 0.5, k_y))
+    waves_x = np.exp(2j * np.pi / n_x * np.outer(from_corner[1] - 0.5, k_x))
+    return np.asarray((waves_y @ (scene * transfer) @ waves_x.T).real)
+
+
+def _periodic_overlap(centre: FloatArray, width: float, n_pixels: int) -> FloatArray:
+    """Share of each interval that lies on each of n pixels of width 1, repeated: (intervals, n)."""
+    low = (centre - width / 2.0)[:, None] % n_pixels
+    edges = np.arange(n_pixels + 1)
+    repeats = range(math.ceil(width / n_pixels) + 1)
+    covered = sum(np.diff(np.clip(edges + k * n_pixels, low, low + width), axis=1) for k in repeats)
+    return np.asarray(covered / width)
+
+
+def wrap_around_bound(
+    *, optics: Optics, detector: Detector, size_detectors: float, field_detectors: int, period_detectors: int
+) -> float:
+    """Bound on what the repeated triangles add to any sample of one within half a detector of the middle.
+
+    By J₁(v)² <= 2/(πv)·(1 + 3/(8v²)) (Watson 1944, section 13.75) the Airy pattern at distance r is below 2/(π³ c r³)·
+    (1 + 3/(8(πcr)²)), c the cut-off. A repetition, moved nearer by its own extent, the detector's and seven
+    standard deviations of the blur, adds at most its area times that.
+
+    Returns
+    -------
+    float, at most 1; it falls with the cube of the period.
+    """
+    sigma = optics.blur_sigma_mrad / detector.pitch_mrad
+    width = detector.width_mrad / detector.pitch_mrad
+    reach = 2.0 / 3.0 * HEIGHT_PER_SIZE * size_detectors + width / math.sqrt(2.0) + 7.0 * sigma
+    repetition = np.abs(np.arange(-8, 9))
+    gap = np.maximum(repetition * period_detectors - field_detectors / 2.0, 0.0)
+    distance = np.hypot(gap[:, None], gap)[np.maximum.outer(repetition, repetition) > 0] - reach
+    if distance.min() <= 0.0:
+        return 1.0
+    cut_off = optics.cut_off_cyc_per_mrad * detector.pitch_mrad
+    tails = (1.0 + 0.375 / (np.pi * cut_off * distance) ** 2) / distance**3
+    # Rings m > 8 of 8 m repetitions each, at (m − 1) periods or more: Σ 8 m / (m − 1)³ < 1.3.
+    farther = 1.3 * float(tails.max() * distance.min() ** 3) / period_detectors**3
+    beyond_seven_sigma = 3e-11 if sigma > 0.0 else 0.0
+    total = 2.0 / (np.pi**3 * cut_off) * size_detectors**2 * (float(tails.sum()) + farther)
+    return min(1.0, total + beyond_seven_sigma)
+
+
+def check_field(*, size_detectors: float, field_detectors: int) -> None:
+    """Refuse a field that a triangle, displaced by half a detector from its middle, reaches beyond.
+
+    Raises
+    ------
+    SettingsError
+        If it does, or the size is not a positive number.
+    """
+    if not (math.isfinite(size_detectors) and size_detectors > 0.0):
+        raise SettingsError(f"size_detectors: found {size_detectors!r}, expected a finite number > 0")
+    smallest = math.ceil(4.0 / 3.0 * HEIGHT_PER_SIZE * size_detectors + 1.0)
+    if field_detectors < smallest:
+        raise SettingsError(
+            f"field_detectors: found {field_detectors}, expected at least {smallest} for a triangle of size "
+            f"{size_detectors:g} detectors"
+        )
+
+
+def _neglected_bound(optics: Optics, detector: Detector, *, n_frequencies: float) -> float:
+    """0 if so many frequencies can be summed, otherwise what leaving out the optics changes at most.
+
+    Raises
+    ------
+    SettingsError
+        If that is too much.
+    """
+    if n_frequencies <= MAX_FREQUENCIES:
+        return 0.0
+    bound = sharpness_bound(optics, width_mrad=detector.width_mrad)
+    if bound > MAX_NEGLECTED:
+        raise SettingsError(
+            f"field: {n_frequencies:.2g} frequencies up to the optics' cut-off, expected at most "
+            f"{MAX_FREQUENCIES:.2g}; take fewer detectors or a smaller image"
+        )
+    return bound
