@@ -33,7 +33,7 @@ def gaussian_kernel(sigma_px: float) -> FloatArray:
     Parameters
     ----------
     sigma_px : float
-        >= 0; 0 gives the single weight 1.
+        >= 0; 0, or what is 0 next to a rounding of the weights, gives the single weight 1.
 
     Returns
     -------
@@ -41,7 +41,7 @@ def gaussian_kernel(sigma_px: float) -> FloatArray:
 
     Hogervorst et al. 2001, eq. 2, for pixels.
     """
-    if sigma_px == 0.0:
+    if sigma_px < 1e-8:
         return np.ones(1)
     radius = max(math.ceil(9.0 * sigma_px), 10)
     squares = np.square(np.arange(-radius, radius + 1, dtype=np.float64))

@@ -5,11 +5,12 @@ A diffraction-limited transfer function ends at its cut-off, so the samples are 
 spectrum × pre-sample MTF at the multiples of 1/period, folded onto the detector grid. Nothing is oversampled
 and nothing is cut, and a new place of the triangle is one phase factor per frequency.
 
-That sum is the scene repeated with the period. What the neighbours' far tails add is real for a lattice of
-triangles and an error for a single one; `wrap_around_bound` bounds it. Zero frequency is the area: samples ×
-pitch², summed over one period, are the triangle's area **at every place** if the detectors are contiguous
-(the detector MTF is 0 at each multiple of the sampling frequency) or the cut-off lies below the sampling
-frequency. Otherwise detectors miss what falls in between, and this holds for the mean over all places.
+That sum is the scene repeated with the period. What the neighbours' far tails add is an error for a single
+triangle; `wrap_around_bound` says how large it can be, and a longer period makes it smaller.
+
+The samples of one period, times pitch², sum to the triangle's area **at every place** if the detectors are
+contiguous (their MTF is 0 at multiples of the sampling frequency) or the cut-off lies below the sampling
+frequency. Otherwise detectors miss what falls in between, and it holds for the mean over all places.
 
 Lengths are in detector pitches, frequencies in cycles per detector, unless a name says otherwise.
 
@@ -24,7 +25,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sensor_sim.sensor import Detector, Optics
-from sensor_sim.transfer import band_limit_cyc_per_mrad, pre_sample_mtf, sharpness_bound
+from sensor_sim.transfer import band_limit_cyc_per_mrad, pre_sample_mtf, repetition_bound, sharpness_bound
 from todframes.errors import SettingsError
 from todframes.stimulus import HEIGHT_PER_SIZE, SIDE_PER_SIZE, Orientation, spectrum
 
@@ -64,6 +65,9 @@ class TriangleSampler:
     ----------
     neglected_bound : float
         0, or by how much at most a sample differs because the optics are left out.
+    wrap_around_bound : float
+        By how much at most a sample differs from that of a single triangle within half a detector of the
+        middle; falls with the cube of the period. 0 if the optics are left out: nothing is repeated then.
 
     Raises
     ------
@@ -82,22 +86,35 @@ class TriangleSampler:
         period_detectors: int | None = None,
     ) -> None:
         period = field_detectors if period_detectors is None else period_detectors
-        check_field(size_detectors=size_detectors, field_detectors=field_detectors)
+        if not (math.isfinite(size_detectors) and size_detectors > 0.0):
+            raise SettingsError(f"size_detectors: found {size_detectors!r}, expected a finite number > 0")
+        smallest = math.ceil(4.0 / 3.0 * HEIGHT_PER_SIZE * size_detectors + 1.0)
+        if field_detectors < smallest:
+            needed = f"at least {smallest} for a triangle of size {size_detectors:g} detectors"
+            raise SettingsError(f"field_detectors: found {field_detectors}, expected {needed}")
         if period < field_detectors:
-            raise SettingsError(
-                f"period_detectors: found {period}, expected at least the field, {field_detectors}"
-            )
+            raise SettingsError(f"period_detectors: found {period}, expected at least {field_detectors}")
         self._size = size_detectors
         self._field = field_detectors
         self._period = period
         self._width = detector.width_mrad / detector.pitch_mrad
         last = band_limit_cyc_per_mrad(optics) * detector.pitch_mrad * period
         if last < 1.0:
-            raise SettingsError(
-                f"optics: they pass {last:g} cycles per field of {period} detectors, expected at least 1"
+            raise SettingsError(f"optics: found a cut-off of {last:g} cycles in {period} detectors, expected >= 1")
+        self.neglected_bound = self.wrap_around_bound = 0.0
+        if 2.0 * last**2 > MAX_FREQUENCIES:
+            self.neglected_bound = sharpness_bound(optics, width_mrad=detector.width_mrad)
+            if self.neglected_bound > MAX_NEGLECTED:
+                raise SettingsError(_too_many(2.0 * last**2))
+        else:
+            pitch = detector.pitch_mrad
+            self.wrap_around_bound = repetition_bound(
+                optics,
+                area_mrad2=(size_detectors * pitch) ** 2,
+                reach_mrad=2.0 / 3.0 * HEIGHT_PER_SIZE * size_detectors * pitch + detector.width_mrad,
+                field_mrad=field_detectors * pitch,
+                period_mrad=period * pitch,
             )
-        self.neglected_bound = _neglected_bound(optics, detector, n_frequencies=2.0 * last**2)
-        if self.neglected_bound == 0.0:
             self._prepare_spectrum(optics, detector, last)
 
     def _prepare_spectrum(self, optics: Optics, detector: Detector, last: float) -> None:
@@ -139,15 +156,12 @@ class TriangleSampler:
         upright = np.empty((x.size, self._field, self._field))
         for start in range(0, x.size, PLACES_AT_ONCE):
             part = slice(start, start + PLACES_AT_ONCE)
-            upright[part] = self._upright(x[part], y[part])
+            if self.neglected_bound > 0.0:
+                upright[part] = self._covered_area(x[part], y[part])
+            else:
+                repeated = np.fft.irfft2(self._folded(x[part], y[part]), s=(self._period,) * 2, axes=(1, 0))
+                upright[part] = repeated[: self._field, : self._field].transpose(2, 1, 0)
         return np.rot90(upright, -orientation.quarter_turns, axes=(1, 2))
-
-    def _upright(self, x: FloatArray, y: FloatArray) -> FloatArray:
-        if self.neglected_bound > 0.0:
-            return self._covered_area(x, y)
-        period, field = self._period, self._field
-        repeated = np.fft.irfft2(self._folded(x, y), s=(period, period), axes=(1, 0))
-        return repeated[:field, :field].transpose(2, 1, 0)
 
     def inner_products(
         self, weights: FloatArray, x_detectors: ArrayLike, y_detectors: ArrayLike, *, orientation: Orientation
@@ -164,22 +178,19 @@ class TriangleSampler:
         -------
         ndarray, shape (places, images)
         """
+        if self.neglected_bound > 0.0:
+            samples = self.samples(x_detectors, y_detectors, orientation=orientation)
+            return np.tensordot(samples, weights, axes=((1, 2), (1, 2)))
         x, y = _upright_place(x_detectors, y_detectors, orientation)
         turned = np.rot90(weights, orientation.quarter_turns, axes=(1, 2))
-        products = np.empty((x.size, turned.shape[0]))
-        n_images, period = turned.shape[0], self._period
-        if self.neglected_bound == 0.0:
-            # Parseval; all but the first and, for an even period, the last column stand for two.
-            columns = np.fft.rfft2(turned, s=(period, period), axes=(1, 2)).conj() / period**2
-            columns[:, :, 1 : (period + 1) // 2] *= 2.0
-            dual = np.ascontiguousarray(np.moveaxis(columns, 2, 1)).reshape(n_images, -1)
+        # Parseval; all but the first and, for an even period, the last column stand for two.
+        dual = np.fft.rfft2(turned, s=(self._period, self._period), axes=(1, 2)).conj() / self._period**2
+        dual[:, :, 1 : (self._period + 1) // 2] *= 2.0
+        dual = np.ascontiguousarray(dual.swapaxes(1, 2)).reshape(len(dual), -1)
+        products = np.empty((x.size, len(dual)))
         for start in range(0, x.size, PLACES_AT_ONCE):
             part = slice(start, start + PLACES_AT_ONCE)
-            if self.neglected_bound == 0.0:
-                folded = self._folded(x[part], y[part])
-                products[part] = (dual @ folded.reshape(dual.shape[1], -1)).real.T
-            else:
-                products[part] = np.tensordot(self._covered_area(x[part], y[part]), turned, axes=((1, 2), (1, 2)))
+            products[part] = (dual @ self._folded(x[part], y[part]).reshape(dual.shape[1], -1)).real.T
         return products
 
     def _folded(self, x: FloatArray, y: FloatArray) -> ComplexArray:
@@ -194,8 +205,8 @@ class TriangleSampler:
     def _covered_area(self, x: FloatArray, y: FloatArray) -> FloatArray:
         """Share of each active area that an upright triangle covers, exactly: (places, field, field).
 
-        Both slanted edges are x = x_apex ± m·(y − y_apex). The part of a row right of the line through z =
-        m·(y − y_apex) and left of u is the integral of the ramp (u − z)⁺, whose antiderivative is a square.
+        Each half of the triangle is slope·t wide at the depth t below the apex. What lies beyond a column's
+        edge, at u from the axis, is ∫ (slope·t − u)⁺ dt over the row, a difference of squares.
         """
         height, slope = HEIGHT_PER_SIZE * self._size, SIDE_PER_SIZE / HEIGHT_PER_SIZE / 2.0
         place = np.arange(self._field) - (self._field - 1) / 2.0
@@ -204,15 +215,13 @@ class TriangleSampler:
         top, bottom = slope * np.clip(from_apex, 0.0, height)[..., None]
         left, right = edges[:, None, None, :] - x[:, None, None]
 
-        def wider_than(u: FloatArray) -> FloatArray:
-            """∫ (slope·t − u)⁺ dt over the row, the length of the half row beyond a column's edge u >= 0."""
-            return np.asarray(
-                (np.square(np.maximum(bottom - u, 0.0)) - np.square(np.maximum(top - u, 0.0))) / (2.0 * slope)
-            )
+        def beyond(edge: FloatArray) -> FloatArray:
+            u = np.maximum(edge, 0.0)
+            squares = np.square(np.maximum(bottom - u, 0.0)) - np.square(np.maximum(top - u, 0.0))
+            return np.asarray(squares / (2.0 * slope))
 
-        right_half = wider_than(np.maximum(left, 0.0)) - wider_than(np.maximum(right, 0.0))
-        left_half = wider_than(np.maximum(-right, 0.0)) - wider_than(np.maximum(-left, 0.0))
-        return np.asarray((right_half + left_half) / self._width**2)
+        covered = beyond(left) - beyond(right) + beyond(-right) - beyond(-left)
+        return np.asarray(covered / self._width**2)
 
 
 def _upright_place(
@@ -255,27 +264,24 @@ def sample_image(
     Raises
     ------
     SettingsError
-        If the pitch is not a positive number or the image is smaller than the field.
+        If the pitch is not a positive number, the image is smaller than the field, or the optics pass too
+        many frequencies.
     """
     if not (math.isfinite(pixel_pitch_mrad) and pixel_pitch_mrad > 0.0):
         raise SettingsError(f"pixel_pitch_mrad: found {pixel_pitch_mrad!r}, expected a finite number > 0")
-    pixel, width = pixel_pitch_mrad / detector.pitch_mrad, detector.width_mrad / detector.pitch_mrad
+    pixel = pixel_pitch_mrad / detector.pitch_mrad
     sides = [n * pixel for n in image.shape]
-    if min(sides) < field_detectors:
-        raise SettingsError(
-            f"field_detectors: found {field_detectors}, expected at most the image's smaller side, "
-            f"{min(sides):g} detectors"
-        )
+    if min(sides) < field_detectors * (1.0 - 1e-12):
+        largest = f"at most the image's smaller side, {min(sides):g} detectors"
+        raise SettingsError(f"field_detectors: found {field_detectors}, expected {largest}")
     highest = band_limit_cyc_per_mrad(optics) * detector.pitch_mrad
     place = np.arange(field_detectors) - (field_detectors - 1) / 2.0
     from_corner = [
         (place - at + side / 2.0) / pixel for at, side in zip((y_detectors, x_detectors), sides, strict=True)
     ]
-    if _neglected_bound(optics, detector, n_frequencies=2.0 * highest**2 * sides[0] * sides[1]) > 0.0:
-        along_y, along_x = (
-            _periodic_overlap(centre, width / pixel, n) for centre, n in zip(from_corner, image.shape, strict=True)
-        )
-        return np.asarray(along_y @ image @ along_x.T)
+    n_frequencies = 2.0 * highest**2 * sides[0] * sides[1]
+    if n_frequencies > MAX_FREQUENCIES:
+        raise SettingsError(_too_many(n_frequencies))
     n_y, n_x = image.shape
     k_y = np.arange(-math.floor(highest * sides[0]), math.floor(highest * sides[0]) + 1)
     k_x = np.arange(math.floor(highest * sides[1]) + 1)
@@ -289,77 +295,6 @@ def sample_image(
     return np.asarray((waves_y @ (scene * transfer) @ waves_x.T).real)
 
 
-def _periodic_overlap(centre: FloatArray, width: float, n_pixels: int) -> FloatArray:
-    """Share of each interval that lies on each of n pixels of width 1, repeated: (intervals, n)."""
-    low = (centre - width / 2.0)[:, None] % n_pixels
-    edges = np.arange(n_pixels + 1)
-    repeats = range(math.ceil(width / n_pixels) + 1)
-    covered = sum(np.diff(np.clip(edges + k * n_pixels, low, low + width), axis=1) for k in repeats)
-    return np.asarray(covered / width)
-
-
-def wrap_around_bound(
-    *, optics: Optics, detector: Detector, size_detectors: float, field_detectors: int, period_detectors: int
-) -> float:
-    """Bound on what the repeated triangles add to any sample of one within half a detector of the middle.
-
-    By J₁(v)² <= 2/(πv)·(1 + 3/(8v²)) (Watson 1944, section 13.75) the Airy pattern at distance r is below 2/(π³ c r³)·
-    (1 + 3/(8(πcr)²)), c the cut-off. A repetition, moved nearer by its own extent, the detector's and seven
-    standard deviations of the blur, adds at most its area times that.
-
-    Returns
-    -------
-    float, at most 1; it falls with the cube of the period.
-    """
-    sigma = optics.blur_sigma_mrad / detector.pitch_mrad
-    width = detector.width_mrad / detector.pitch_mrad
-    reach = 2.0 / 3.0 * HEIGHT_PER_SIZE * size_detectors + width / math.sqrt(2.0) + 7.0 * sigma
-    repetition = np.abs(np.arange(-8, 9))
-    gap = np.maximum(repetition * period_detectors - field_detectors / 2.0, 0.0)
-    distance = np.hypot(gap[:, None], gap)[np.maximum.outer(repetition, repetition) > 0] - reach
-    if distance.min() <= 0.0:
-        return 1.0
-    cut_off = optics.cut_off_cyc_per_mrad * detector.pitch_mrad
-    tails = (1.0 + 0.375 / (np.pi * cut_off * distance) ** 2) / distance**3
-    # Rings m > 8 of 8 m repetitions each, at (m − 1) periods or more: Σ 8 m / (m − 1)³ < 1.3.
-    farther = 1.3 * float(tails.max() * distance.min() ** 3) / period_detectors**3
-    beyond_seven_sigma = 3e-11 if sigma > 0.0 else 0.0
-    total = 2.0 / (np.pi**3 * cut_off) * size_detectors**2 * (float(tails.sum()) + farther)
-    return min(1.0, total + beyond_seven_sigma)
-
-
-def check_field(*, size_detectors: float, field_detectors: int) -> None:
-    """Refuse a field that a triangle, displaced by half a detector from its middle, reaches beyond.
-
-    Raises
-    ------
-    SettingsError
-        If it does, or the size is not a positive number.
-    """
-    if not (math.isfinite(size_detectors) and size_detectors > 0.0):
-        raise SettingsError(f"size_detectors: found {size_detectors!r}, expected a finite number > 0")
-    smallest = math.ceil(4.0 / 3.0 * HEIGHT_PER_SIZE * size_detectors + 1.0)
-    if field_detectors < smallest:
-        raise SettingsError(
-            f"field_detectors: found {field_detectors}, expected at least {smallest} for a triangle of size "
-            f"{size_detectors:g} detectors"
-        )
-
-
-def _neglected_bound(optics: Optics, detector: Detector, *, n_frequencies: float) -> float:
-    """0 if so many frequencies can be summed, otherwise what leaving out the optics changes at most.
-
-    Raises
-    ------
-    SettingsError
-        If that is too much.
-    """
-    if n_frequencies <= MAX_FREQUENCIES:
-        return 0.0
-    bound = sharpness_bound(optics, width_mrad=detector.width_mrad)
-    if bound > MAX_NEGLECTED:
-        raise SettingsError(
-            f"field: {n_frequencies:.2g} frequencies up to the optics' cut-off, expected at most "
-            f"{MAX_FREQUENCIES:.2g}; take fewer detectors or a smaller image"
-        )
-    return bound
+def _too_many(number: float) -> str:
+    most = f"at most {MAX_FREQUENCIES:.2g}; take fewer detectors or a smaller image"
+    return f"field: found {number:.2g} frequencies below the optics' cut-off, expected {most}"

@@ -11,6 +11,8 @@ from todframes.errors import SettingsError
 from todframes.settings import check_keys, from_table, read_toml
 
 SCHEMA = 1
+MAX_PIXELS = 1000
+"""Most display pixels a detector or a standard deviation of the blur may be wide."""
 
 Distribution = Literal["uniform", "gaussian"]
 
@@ -124,7 +126,12 @@ class Noise:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Electronics:
-    """Gaussian blur of the electronics, standard deviation in display pixels, >= 0; without the table, none.
+    """Gaussian blur of the electronics, its standard deviation in display pixels; without the table, none.
+
+    Attributes
+    ----------
+    blur_sigma_px : float
+        In [0, 1000].
 
     Raises
     ------
@@ -135,7 +142,7 @@ class Electronics:
     blur_sigma_px: float = 0.0
 
     def __post_init__(self) -> None:
-        _check_not_negative(self, "blur_sigma_px")
+        _check_not_negative(self, "blur_sigma_px", at_most=MAX_PIXELS)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -145,13 +152,13 @@ class SensorDisplay:
     Attributes
     ----------
     pixels_per_detector : int
-        Display pixels along each side of a detector, >= 1.
+        Display pixels along each side of a detector, 1 to 1000.
     pixel_pitch_mm, viewing_distance_mm : float
         Both > 0.
     background_luminance_cd_m2 : float
         Luminance of a signal of zero, > 0.
     blur_sigma_px : float
-        Standard deviation of the Gaussian display spot in display pixels, >= 0.
+        Standard deviation of the Gaussian display spot in display pixels, in [0, 1000].
     gain : float
         Display contrast per unit of signal, > 0.
 
@@ -169,9 +176,9 @@ class SensorDisplay:
     gain: float = 1.0
 
     def __post_init__(self) -> None:
-        _check_count(self, "pixels_per_detector")
+        _check_count(self, "pixels_per_detector", at_most=MAX_PIXELS)
         _check_positive(self, "pixel_pitch_mm", "viewing_distance_mm", "background_luminance_cd_m2", "gain")
-        _check_not_negative(self, "blur_sigma_px")
+        _check_not_negative(self, "blur_sigma_px", at_most=MAX_PIXELS)
 
     @property
     def pixel_pitch_mrad(self) -> float:
@@ -216,11 +223,9 @@ def load_sensor(path: Path | str) -> Sensor:
 
     Raises
     ------
-    DataError
-        If the file cannot be read.
     SettingsError
-        If it is not TOML, or a table or key is unknown, missing or out of its range; the message names
-        the file, table and key, what was found and what was expected.
+        If it cannot be read or is not TOML, or a table or key is unknown, missing or out of its range; the
+        message names the file, table and key, what was found and what was expected.
     """
     content = read_toml(Path(path))
     check_keys(content, ["schema", "name", *_TABLES], str(path))
@@ -249,14 +254,15 @@ def _check_positive(settings: object, *names: str) -> None:
             raise SettingsError(f"{name}: found {value!r}, expected a finite number > 0")
 
 
-def _check_not_negative(settings: object, *names: str) -> None:
-    for name in names:
-        value = getattr(settings, name)
-        if not (math.isfinite(value) and value >= 0.0):
-            raise SettingsError(f"{name}: found {value!r}, expected a finite number >= 0")
-
-
-def _check_count(settings: object, name: str) -> None:
+def _check_not_negative(settings: object, name: str, *, at_most: float = math.inf) -> None:
     value = getattr(settings, name)
-    if not isinstance(value, int) or isinstance(value, bool) or value < 1:
-        raise SettingsError(f"{name}: found {value!r}, expected a whole number >= 1")
+    if not (math.isfinite(value) and 0.0 <= value <= at_most):
+        limit = f" and <= {at_most:g}" if at_most < math.inf else ""
+        raise SettingsError(f"{name}: found {value!r}, expected a finite number >= 0{limit}")
+
+
+def _check_count(settings: object, name: str, *, at_most: float = math.inf) -> None:
+    value = getattr(settings, name)
+    if not isinstance(value, int) or isinstance(value, bool) or not 1 <= value <= at_most:
+        limit = f" and <= {at_most:g}" if at_most < math.inf else ""
+        raise SettingsError(f"{name}: found {value!r}, expected a whole number >= 1{limit}")

@@ -44,7 +44,9 @@ def todframes(capfd):
         capfd.readouterr()
         status = run(cli.cli, [str(argument) for argument in arguments])
         out, err = capfd.readouterr()
-        return status, out, err.splitlines()
+        # Where checksums are right but the pixels end early, libpng prints a line of its own before ours.
+        errors = [line for line in err.splitlines() if line != "libpng error: Not enough image data"]
+        return status, out, errors
 
     return command_line
 
@@ -345,7 +347,7 @@ def test_nothing_left_after_skipping(make_dataset, fails, tmp_path):
         dataset.frame(row).unlink()
     fails(
         "score", dataset.path, "--on-error", "skip", "-o", tmp_path / "out",
-        status=BAD_DATA, wanted=(re.escape(str(dataset.path)), "none of its frames"),
+        status=BAD_DATA, wanted=(re.escape(str(dataset.path)), "no frame can be scored; the first: "),
     )  # fmt: skip
 
 
@@ -579,7 +581,6 @@ MANIFESTS = {
     "binary": (bytes(range(256)) * 4, ("not UTF-8",)),
     "only nul bytes": (bytes(100), ("column 'frame' is missing",)),
     "quote never closed": (f'{HEADER}\n"a.exr,up,2,1\n'.encode(), ("line 2", "not valid CSV")),
-    "old Mac line ends": (f"{HEADER}\ra.exr,up,2,1\r".encode(), ("CSV|column 'frame' is missing",)),
     "huge field": (f"{HEADER}\n{'a' * 200_000},up,2,1\n".encode(), ("line 2", "not valid CSV")),
 }  # fmt: skip
 
@@ -792,7 +793,6 @@ TABLES = {
     "integers": (b"code_value,luminance_cd_m2\n0,0\n255,100\n", ("code_value", "255", "0 to 1")),
     "negative": (b"code_value,luminance_cd_m2\n0,-1\n1,100\n", ("luminance_cd_m2", "-1", ">= 0")),
     "not utf-8": (b"code_value,luminance_cd_m2\n0,\xff\n", ("not UTF-8",)),
-    "old Mac line ends": (b"code_value,luminance_cd_m2\n0,0\r1,100\r", ("CSV|fields",)),
     "huge field": (b"code_value,luminance_cd_m2\n0," + b"1" * 200_000 + b"\n1,100\n", ("CSV|number",)),
     "quote never closed": (b'code_value,luminance_cd_m2\n0,"0\n1,100\n', ("CSV",)),
 }
@@ -822,8 +822,8 @@ USAGES = {
     "seed text": ("score x --seed one", ("--seed", "one")),
     "workers zero": ("score x --workers 0", ("--workers", "0")),
     "noise text": ("score x --internal-noise low", ("--internal-noise", "low")),
-    "noise negative": ("score x --internal-noise -1", ("internal_noise", "-1", ">= 0")),
-    "noise nan": ("score x --internal-noise nan", ("internal_noise", "nan", "finite")),
+    "noise negative": ("score x --internal-noise -1", ("internal_noise", "-1", "from 0 to")),
+    "noise nan": ("score x --internal-noise nan", ("internal_noise", "nan", "from 0 to")),
     "criterion at guessing": ("score x --p-correct 0.25", ("p_correct", "0.25")),
     "criterion above one": ("score x --p-correct 75", ("p_correct", "75")),
     "criterion nan": ("score x --p-correct nan", ("p_correct", "nan")),
@@ -833,15 +833,15 @@ USAGES = {
     "set without name": ("score x --set =0.4", ("--set", "=0.4", "NAME=VALUE")),
     "set without value": ("score x --set kernel_a=", ("kernel_a", "''", "float|number")),
     "set text": ("score x --set kernel_a=wide", ("kernel_a", "'wide'", "float|number")),
-    "set beyond range": ("score x --set kernel_a=2", ("kernel_a", "2", r"\[0, 1\]")),
+    "set beyond range": ("score x --set kernel_a=2", ("kernel_a", "2", "from 0 to 1")),
     "set date": ("score x --set internal_noise=2001-01-01", ("internal_noise", "2001")),
     "set levels to a date": ("score x --set levels=2001-01-01", ("levels", "2001")),
     "set levels to a fraction": ("score x --set levels=4.5", ("levels", "4.5")),
-    "set levels beyond": ("score x --set levels=99", ("levels", "99", "1 to 12")),
+    "set levels beyond": ("score x --set levels=99", ("levels", "99", "1 to 11")),
     "set centre": ("score x --set centre=middle", ("centre", "'middle'", "centroid", "bounding_box")),
     "set lapse rate": ("score x --set lapse_rate=0.9", ("lapse_rate", "0.9")),
     "set resamples": ("score x --set resamples=5", ("resamples", "5", "40")),
-    "set pitch zero": ("score x --set retina_pitch_mrad=0", ("retina_pitch_mrad", "0", "> 0")),
+    "set pitch zero": ("score x --set retina_pitch_mrad=0", ("retina_pitch_mrad", "0", "from 1e-06 to")),
     "observer unknown": ("score x --observer pyramyd", ("'pyramyd'", "'pyramid'")),
     "naked eye without either": ("naked-eye", ("--contrast", "--size-mrad")),
     "naked eye with both": ("naked-eye --contrast 1 --size-mrad 1", ("--contrast", "--size-mrad")),
@@ -914,7 +914,7 @@ OBSERVER_SETTINGS = {
     "missing": (None, ("no such file",)),
     "syntax": (b"kernel_a 0.4\n", ("not valid TOML", "line 1")),
     "unknown key": (b"kernal_a = 0.4\n", ("'kernal_a'", "'kernel_a'")),
-    "value": (b"kernel_a = 4\n", ("kernel_a", "4", r"\[0, 1\]")),
+    "value": (b"kernel_a = 4\n", ("kernel_a", "4", "from 0 to 1")),
     "type": (b"kernel_a = 'wide'\n", ("kernel_a", "'wide'", "float|number")),
     "in a table": (b"[observer]\nkernel_a = 0.4\n", ("'observer'",)),
     "not utf-8": (b"# \xff\n", ("not UTF-8",)),
@@ -1098,7 +1098,12 @@ def test_names_are_not_markup(text, make_dataset, todframes, tmp_path):
 
 def process(*arguments, **options):
     return subprocess.run(
-        [*COMMAND, *map(str, arguments)], capture_output=True, text=True, timeout=60, check=False, **options
+        [*COMMAND, *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+        **options,
     )
 
 
@@ -1143,7 +1148,7 @@ def test_standard_output_of_few_characters(encoding, tmp_path):
     """As in a Windows console, or where output goes to a file there."""
     counts = tmp_path / "counts.csv"
     counts.write_text("level,n_correct,n_trials\n1,10,40\n2,20,40\n4,39,40\n")
-    done = process("fit", counts, env=os.environ | {"PYTHONIOENCODING": encoding})
+    done = process("fit", counts, env=os.environ | {"PYTHONIOENCODING": encoding}, encoding=encoding)
     assert (done.returncode, done.stderr) == (0, "")
     assert "threshold" in done.stdout
 

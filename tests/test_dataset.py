@@ -10,7 +10,10 @@ import pytest
 from todframes.counts import read_counts
 from todframes.dataset import load_dataset
 from todframes.errors import DataError
+from todframes.observer import PyramidObserver
+from todframes.psychometric import FitSettings
 from todframes.readout import Stimulus
+from todframes.scoring import score_dataset
 from todframes.stimulus import Orientation
 
 
@@ -66,8 +69,12 @@ def test_a_spoilt_row_takes_its_whole_trial_along(make_dataset) -> None:
     made.rows[3]["orientation"] = "sideways"
     made.save()
     data = load_dataset(made.path)
-    assert [trial.name for trial in data.trials] == ["t0", *(f"t{n}" for n in range(2, 8))]
+    assert data.spoilt == {"t1"}
     assert [bad.frame for bad in data.bad_rows] == [made.rows[3]["frame"]]
+    scored = score_dataset(data, PyramidObserver(), fit_settings=FitSettings(resamples=0), skip_bad_frames=True)
+    assert [trial.name for trial in scored.trials] == ["t0", *(f"t{n}" for n in range(2, 8))]
+    # The good frame of the trial is listed as well.
+    assert {one.frame for one in scored.skipped} == {made.rows[2]["frame"], made.rows[3]["frame"]}
 
 
 def test_a_manifest_as_spreadsheets_write_it(make_dataset) -> None:

@@ -511,7 +511,7 @@ def test_names_that_open_image_io_does_not_take():
 
 def test_sha256_of_nothing(tmp_path):
     assert_refused(tmp_path / "a.exr", "No such file", frame_sha256)
-    assert_refused(tmp_path, "Is a directory", frame_sha256)
+    assert_refused(tmp_path, "found a folder or device", frame_sha256)
 
 
 def test_content_tells_the_format(tmp_path):

@@ -34,7 +34,7 @@ MODULES = [
     (package, path.stem)
     for package in FLOORS
     for path in sorted((ROOT / package).glob("*.py"))
-    if path.stem != "__init__"
+    if not path.stem.startswith("__")
 ]
 
 

@@ -17,6 +17,7 @@ import click
 
 from todframes import __version__
 from todframes.command import (
+    Commands,
     json_option,
     make_observer,
     numbers,
@@ -37,7 +38,7 @@ if TYPE_CHECKING:
     from todframes.report import Json
 
 
-@click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
+@click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
 @click.version_option(__version__, prog_name="todframes")
 def cli() -> None:
     """How small or faint may a triangle get before a display chain hides where it points?
@@ -49,7 +50,7 @@ def cli() -> None:
 
 @cli.command()
 @click.argument("dataset", type=click.Path(path_type=Path))
-@click.option("-o", "--out", type=click.Path(path_type=Path), help="Folder for result.json, scores.csv and plots.")
+@click.option("-o", "--out", metavar="OUT", help="Folder for result.json, scores.csv and plots.")
 @observer_options
 @click.option(
     "--decisions",
@@ -69,7 +70,7 @@ def cli() -> None:
 def score(
     *,
     dataset: Path,
-    out: Path | None,
+    out: str | None,
     decisions: Any,
     seed: int,
     locate: bool,

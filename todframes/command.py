@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import io
+import os
+import signal
 import sys
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -109,10 +113,12 @@ def assigned(assignments: Sequence[str]) -> dict[str, Any]:
         if not equals or not name.strip():
             raise SettingsError(f"--set: found {assignment!r}, expected NAME=VALUE")
         try:
-            value = tomllib.loads(f"value = {text}")["value"]
+            parsed = tomllib.loads(f"value = {text}")
         except tomllib.TOMLDecodeError:
-            value = text.strip()
-        table[name.strip()] = value
+            parsed = {"value": text.strip()}
+        if list(parsed) != ["value"]:
+            raise SettingsError(f"--set: found {assignment!r}, expected one NAME=VALUE")
+        table[name.strip()] = parsed["value"]
     return table
 
 
@@ -146,8 +152,8 @@ def print_result(result: Json, title: str, *, as_json: bool) -> None:
 
 
 def say(text: str) -> None:
-    """A remark, on standard error."""
-    click.echo(text, err=True)
+    """A remark, one line on standard error."""
+    click.echo(" ".join(text.split()), err=True)
 
 
 @contextmanager
@@ -170,17 +176,51 @@ def run(command: click.Command, arguments: Sequence[str] | None) -> int:
 
     Every failure that a user can cause is one line on standard error.
     """
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")  # a terminal or file whose encoding has no α
     try:
         status = command.main(arguments, standalone_mode=False)
+        sys.stdout.flush()
         return status if isinstance(status, int) else 0
     except TodframesError as error:
         return _fail(str(error), error.exit_status)
+    except click.exceptions.NoArgsIsHelpError as error:
+        click.echo(error.format_message(), err=True)
+        return 2
     except click.ClickException as error:
         return _fail(error.format_message(), 2)
-    except (click.Abort, KeyboardInterrupt):
+    except (Interruption, click.Abort, KeyboardInterrupt):
         return _fail("interrupted, nothing was written", INTERRUPTED)
+    except MemoryError:
+        return _fail("out of memory", 1)
+    except OSError as error:
+        # What is still in the buffer would fail again when the interpreter ends.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return _fail(f"cannot write to standard output ({error.strerror})", 1)
 
 
 def _fail(message: str, status: int) -> int:
-    say("error: " + " ".join(message.split()))
+    say("error: " + message)
     return status
+
+
+class Interruption(Exception):  # noqa: N818 - it is no error
+    """Ctrl-C or a request to end, on its way out through everything that cleans up."""
+
+
+class Commands(click.Group):
+    """A group whose commands end by `Interruption`; click itself would print an empty line at Ctrl-C."""
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run the command that the context names."""
+        if threading.current_thread() is threading.main_thread():
+            signal.signal(signal.SIGTERM, _interrupt)
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt:
+            raise Interruption from None
+
+
+def _interrupt(*_: object) -> None:
+    raise KeyboardInterrupt

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from todframes.errors import DataError
-from todframes.settings import number, number_or_text, read_text
+from todframes.settings import check_fields, number, number_or_text, read_csv
 
 COLUMNS = ("level", "n_correct", "n_trials")
+MOST_TRIALS = 2**53
+"""Above, not every whole number is a floating-point number."""
 
 
 def read_counts(path: Path) -> list[tuple[dict[str, float | str], NDArray[np.float64]]]:
@@ -29,28 +29,23 @@ def read_counts(path: Path) -> list[tuple[dict[str, float | str], NDArray[np.flo
     DataError
         If the file cannot be read, a column is missing, or a value is not a number in its range.
     """
-    reader = csv.DictReader(io.StringIO(read_text(path)), strict=True)
+    rows = read_csv(path)
+    _, header = next(rows)
+    for name in COLUMNS:
+        if name not in header:
+            raise DataError(f"{path}: column {name!r} is missing; found {', '.join(header) or 'none'}")
+    names = [name for name in header if name not in COLUMNS]
     groups: dict[tuple[float | str, ...], list[list[float]]] = {}
-    try:
-        header = reader.fieldnames or ()
-        for name in COLUMNS:
-            if name not in header:
-                raise DataError(f"{path}: column {name!r} is missing; found {', '.join(header) or 'none'}")
-        names = [name for name in header if name not in COLUMNS]
-        for row in reader:
-            where = f"{path}, line {reader.line_num}"
-            if None in row or None in row.values():
-                raise DataError(f"{where}: found more or fewer fields than the header has")
-            level, n_correct, n_trials = values = [number(row[name], f"{where}: {name}") for name in COLUMNS]
-            if level <= 0:
-                raise DataError(f"{where}: level: found {level:g}, expected > 0")
-            if n_trials < 1 or n_trials % 1:
-                raise DataError(f"{where}: n_trials: found {n_trials:g}, expected a whole number >= 1")
-            if not 0 <= n_correct <= n_trials or n_correct % 1:
-                raise DataError(f"{where}: n_correct: found {n_correct:g}, expected a whole number, 0 to n_trials")
-            groups.setdefault(tuple(number_or_text(row[name]) for name in names), []).append(values)
-    except csv.Error as error:
-        raise DataError(f"{path}, line {reader.line_num}: not valid CSV ({error})") from None
+    for where, row in rows:
+        check_fields(row, len(header), where)
+        level, n_correct, n_trials = values = [number(row[name], f"{where}: {name}") for name in COLUMNS]
+        if level <= 0:
+            raise DataError(f"{where}: level: found {level:g}, expected > 0")
+        if not 1 <= n_trials <= MOST_TRIALS or n_trials % 1:
+            raise DataError(f"{where}: n_trials: found {n_trials:g}, expected a whole number >= 1 and <= 2^53")
+        if not 0 <= n_correct <= n_trials or n_correct % 1:
+            raise DataError(f"{where}: n_correct: found {n_correct:g}, expected a whole number, 0 to n_trials")
+        groups.setdefault(tuple(number_or_text(row[name]) for name in names), []).append(values)
     if not groups:
         raise DataError(f"{path}: no counts; expected rows below the header")
-    return [(dict(zip(names, group, strict=True)), np.array(rows)) for group, rows in groups.items()]
+    return [(dict(zip(names, group, strict=True)), np.array(values)) for group, values in groups.items()]

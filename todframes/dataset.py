@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import csv
-import io
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from todframes.display import Display, LuminanceTable
 from todframes.errors import DataError, SettingsError
 from todframes.readout import Stimulus
-from todframes.settings import check_keys, from_table, number, number_or_text, read_text, read_toml
+from todframes.settings import check_fields, check_keys, from_table, number, number_or_text, read_csv, read_toml
 from todframes.stimulus import ORIENTATIONS, Orientation
 
 SCHEMA = 1
@@ -62,16 +61,28 @@ class Experiment:
     level: str
     group_by: tuple[str, ...] = ()
 
+    def __post_init__(self) -> None:
+        for name in (self.level, *self.group_by):
+            if not name.strip():
+                raise SettingsError(f"level, group_by: found {name!r}, expected the name of a manifest column")
+        if self.level in self.group_by:
+            raise SettingsError(f"group_by: found {self.level!r}, which is the level; expected other columns")
+
 
 @dataclass(frozen=True, slots=True)
 class Dataset:
-    """A folder of frames whose settings and manifest have been read; `bad_rows` are left out of `trials`."""
+    """A folder of frames whose settings and manifest have been read.
+
+    Bad rows are not among `trials`. A trial that lost a frame to one is, but its name is in `spoilt`: averaged
+    over fewer frames than others it must not be scored.
+    """
 
     path: Path
     display: Display
     experiment: Experiment
     trials: tuple[Trial, ...]
     bad_rows: tuple[Skipped, ...]
+    spoilt: frozenset[str]
 
     def frame_path(self, frame: FrameReference) -> Path:
         """Where the frame is on disk."""
@@ -92,12 +103,14 @@ def load_dataset(path: Path | str) -> Dataset:
     path = Path(path)
     if not path.is_dir():
         raise DataError(f"{path}: not a folder; expected a dataset with dataset.toml and manifest.csv")
+    if not (path / "dataset.toml").is_file():
+        raise DataError(f"{path / 'dataset.toml'}: no such file")
     display, experiment = _read_settings(path / "dataset.toml")
     manifest = _Manifest(path, display, experiment)
     trials = manifest.trials()
     if not trials and not manifest.bad_rows:
         raise DataError(f"{manifest.path}: no frames; expected a row a frame below the header")
-    return Dataset(path, display, experiment, trials, tuple(manifest.bad_rows))
+    return Dataset(path, display, experiment, trials, tuple(manifest.bad_rows), frozenset(manifest.spoilt))
 
 
 def _read_settings(path: Path) -> tuple[Display, Experiment]:
@@ -111,22 +124,31 @@ def _read_settings(path: Path) -> tuple[Display, Experiment]:
     table = content["display"]
     if "white_luminance_cd_m2" not in table and table.get("eotf") != "lut":
         raise SettingsError(f"{path}: [display]: white_luminance_cd_m2 is missing")
-    if isinstance(table.get("lut"), str):
+    if "lut" in table and table.get("eotf") == "lut":
+        if not isinstance(table["lut"], str):
+            raise SettingsError(f"{path}: [display]: lut: found {table['lut']!r}, expected the name of a CSV file")
         table["lut"] = _read_lut(path.parent / table["lut"])
+    elif "lut" in table:
+        raise SettingsError(f"{path}: [display]: lut: is given but not used with eotf = {table.get('eotf')!r}")
     display = from_table(table, Display, f"{path}: [display]")
     return display, from_table(content["experiment"], Experiment, f"{path}: [experiment]")
 
 
 def _read_lut(path: Path) -> LuminanceTable:
     columns = ("code_value", "luminance_cd_m2")
-    reader = csv.DictReader(io.StringIO(read_text(path)))
-    missing = [name for name in columns if name not in (reader.fieldnames or ())]
-    if missing:
-        raise DataError(f"{path}: column {missing[0]} is missing")
-    rows = [
-        [number(row[name] or "", f"{path}, line {reader.line_num}: {name}") for name in columns] for row in reader
-    ]
-    code, luminance = np.array(rows, dtype=np.float64).reshape(-1, 2).T
+    try:
+        rows = read_csv(path)
+        _, header = next(rows)
+        for name in columns:
+            if name not in header:
+                raise SettingsError(f"{path}: column {name!r} is missing; found {', '.join(header) or 'none'}")
+        values = []
+        for where, row in rows:
+            check_fields(row, len(header), where)
+            values.append([number(row[name], f"{where}: {name}") for name in columns])
+    except DataError as error:
+        raise SettingsError(str(error)) from None
+    code, luminance = np.array(values, dtype=np.float64).reshape(-1, 2).T
     try:
         return LuminanceTable(code, luminance)
     except SettingsError as error:
@@ -137,36 +159,32 @@ class _Manifest:
     """Reads the rows, gathers frames into trials, and keeps what is wrong with which row."""
 
     def __init__(self, folder: Path, display: Display, experiment: Experiment) -> None:
-        self.folder = folder.resolve()
+        self.folder = os.path.realpath(folder)
         self.path = folder / "manifest.csv"
         self.experiment = experiment
         self.needs_background = display.background_luminance_cd_m2 == "column"
         self.bad_rows: list[Skipped] = []
+        self.spoilt: set[str] = set()
+        self.seen: dict[str, str] = {}
 
     def trials(self) -> tuple[Trial, ...]:
-        reader = csv.DictReader(io.StringIO(read_text(self.path)), strict=True)
+        rows = read_csv(self.path)
+        _, header = next(rows)
+        self._check_columns(header)
         trials: dict[str, Trial] = {}
-        spoilt: set[str] = set()
-        seen: dict[str, int] = {}
-        try:
-            self._check_columns(reader.fieldnames or ())
-            for row_number, row in enumerate(reader):
-                where = f"{self.path}, line {reader.line_num}"
-                name = (row.get("trial") or row.get("frame") or "").strip()
-                try:
-                    trial = self._trial(row, where, seen, reader.line_num, row_number)
-                    if name in trials:
-                        trial = _joined(trials[name], trial, where)
-                    trials[name] = trial
-                except DataError as error:
-                    self.bad_rows.append(Skipped((row.get("frame") or "").strip(), str(error)))
-                    spoilt.add(name)
-        except csv.Error as error:
-            raise DataError(f"{self.path}, line {reader.line_num}: not valid CSV ({error})") from None
-        # A trial that lost one of its frames would be averaged over fewer than the others.
-        return tuple(trial for name, trial in trials.items() if name not in spoilt)
+        for number_of_row, (where, row) in enumerate(rows):
+            name = (row.get("trial") or row.get("frame") or "").strip()
+            try:
+                check_fields(row, len(header), where)
+                trial = self._trial(row, where, number_of_row)
+                trials[name] = self._joined(trials[name], trial, where) if name in trials else trial
+            except DataError as error:
+                self.bad_rows.append(Skipped((row.get("frame") or "").strip(), str(error)))
+                if (row.get("trial") or "").strip():
+                    self.spoilt.add(name)
+        return tuple(trials.values())
 
-    def _check_columns(self, found: Any) -> None:
+    def _check_columns(self, found: Mapping[str, str]) -> None:
         needed = ["frame", "orientation", "size_mrad", self.experiment.level, *self.experiment.group_by]
         if self.needs_background:
             needed.append(BACKGROUND_COLUMN)
@@ -176,14 +194,8 @@ class _Manifest:
         if ("x_px" in found) != ("y_px" in found):
             raise DataError(f"{self.path}: found one of the columns x_px and y_px, expected both or none")
 
-    def _trial(
-        self, row: Mapping[str, Any], where: str, seen: dict[str, int], line: int, row_number: int
-    ) -> Trial:
-        if None in row or None in row.values():
-            raise DataError(f"{where}: found more or fewer fields than the header has")
+    def _trial(self, row: Mapping[str, str], where: str, row_number: int) -> Trial:
         frame = self._frame_path(row["frame"].strip(), where)
-        if seen.setdefault(frame, line) != line:
-            raise DataError(f"{where}: frame {frame} is there already, in line {seen[frame]}")
         orientation = row["orientation"].strip()
         if orientation not in ORIENTATIONS:
             raise DataError(f"{where}: orientation: found {orientation!r}, expected up, right, down or left")
@@ -217,14 +229,34 @@ class _Manifest:
     def _frame_path(self, frame: str, where: str) -> str:
         if not frame or "\0" in frame:
             raise DataError(f"{where}: frame: found {frame!r}, expected a path")
-        if Path(frame).is_absolute() or not (self.folder / frame).resolve().is_relative_to(self.folder):
+        # Not Path.resolve, which raises for a link that leads to itself.
+        full = os.path.realpath(Path(self.folder, frame))
+        if Path(frame).is_absolute() or not full.startswith(f"{self.folder}{os.sep}"):
             raise DataError(f"{where}: frame {frame} lies outside of the dataset")
+        first = self.seen.setdefault(full, where)
+        if first != where:
+            raise DataError(f"{where}: frame {frame} is there already, in {first.rpartition(', ')[2]}")
         return frame
 
+    def _joined(self, first: Trial, other: Trial, where: str) -> Trial:
+        """A trial with one frame more; everything but the frame must agree."""
+        expected, found = (self._shown(trial) for trial in (first, other))
+        for name, value in found.items():
+            if value != expected[name]:
+                raise DataError(
+                    f"{where}: {name}: found {value}, expected {expected[name]} as in the other frames of trial "
+                    f"{first.name!r}"
+                )
+        return first._replace(frames=first.frames + other.frames)
 
-def _joined(first: Trial, other: Trial, where: str) -> Trial:
-    """A trial with one frame more; everything but the frame must agree."""
-    if first[3:] != other[3:]:
-        names = [name for name in Trial._fields[3:] if getattr(first, name) != getattr(other, name)]
-        raise DataError(f"{where}: {names[0]} is not that of the other frames of trial {first.name!r}")
-    return first._replace(frames=first.frames + other.frames)
+    def _shown(self, trial: Trial) -> dict[str, object]:
+        """What the manifest says of a trial, by column."""
+        return {
+            "orientation": trial.orientation.value,
+            "size_mrad": trial.stimulus.size_mrad,
+            "polarity": trial.stimulus.polarity,
+            self.experiment.level: trial.level,
+            "x_px": trial.x_px,
+            "y_px": trial.y_px,
+            **dict(zip(self.experiment.group_by, trial.group, strict=True)),
+        }

@@ -223,11 +223,13 @@ def read_frame(path: PathLike, *, rows: Range | None = None, columns: Range | No
 
 def frame_sha256(path: PathLike) -> str:
     """SHA-256 of a file's bytes, 64 hexadecimal digits. Raises FrameError if it cannot be read."""
+    path = Path(path)
     try:
-        with Path(path).open("rb") as file:
+        _check_is_file(path)
+        with path.open("rb") as file:
             return hashlib.file_digest(file, "sha256").hexdigest()
     except OSError as error:
-        raise FrameError(Path(path), f"cannot be read: {error.strerror}") from None
+        raise FrameError(path, f"cannot be read: {error.strerror}") from None
 
 
 def write_frame(
@@ -335,17 +337,23 @@ def _to_stored(path: Path, values: ArrayLike, pixel_type: PixelType) -> NDArray[
     return stored
 
 
-def _recognise(path: Path) -> str:
-    """OpenImageIO's name of the format, from the content."""
+def _check_is_file(path: Path) -> int:
+    """Size in bytes; a pipe would keep its reader waiting for ever."""
     status = path.stat()
     if not stat.S_ISREG(status.st_mode):
         raise FrameError(path, "found a folder or device, expected an EXR or PNG file")
+    return status.st_size
+
+
+def _recognise(path: Path) -> str:
+    """OpenImageIO's name of the format, from the content."""
+    size = _check_is_file(path)
     with path.open("rb") as file:
         start = file.read(8)
         if start[:4] == b"\x76\x2f\x31\x01":
             return "openexr"
         if start == b"\x89PNG\r\n\x1a\n":
-            _check_png(path, file, status.st_size)
+            _check_png(path, file, size)
             return "png"
     found = f"a file that starts with {start!r}" if start else "an empty file"
     raise FrameError(path, f"found {found}, expected EXR or PNG")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from typing import NamedTuple
@@ -9,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from todframes.dataset import Dataset, Trial
+from todframes.dataset import Dataset, FrameReference, Skipped, Trial
 from todframes.errors import DataError, FrameError
 from todframes.frames import FrameFile
 from todframes.readout import Stimulus
@@ -32,18 +33,6 @@ class Location(NamedTuple):
     standard_error_px: float
 
 
-class _Mean:
-    """Mean of images of one shape, added one by one."""
-
-    def __init__(self, image: FloatArray) -> None:
-        self.total = image.copy()
-        self.count = 1
-
-    def add(self, image: FloatArray) -> None:
-        self.total += image
-        self.count += 1
-
-
 def locate_triangles(
     dataset: Dataset, *, skip_bad_frames: bool = False, progress: Callable[[int], None] | None = None
 ) -> tuple[Dataset, tuple[Location, ...]]:
@@ -56,7 +45,7 @@ def locate_triangles(
     Returns
     -------
     Dataset
-        The same with `x_px` and `y_px` set where they were missing.
+        The same with `x_px` and `y_px` set where they were missing, and without trials that were skipped.
     tuple of Location
         One for each group with such trials.
 
@@ -65,63 +54,76 @@ def locate_triangles(
     DataError
         If no triangle stands out, or the frames of a group differ in size.
     FrameError
-        If a frame cannot be read, unless bad ones are to be skipped (scoring lists them).
+        If a frame cannot be read, unless bad ones are to be skipped.
     """
     groups: dict[Group, list[Trial]] = {}
     for trial in dataset.trials:
         if trial.x_px is None:
             groups.setdefault(trial.group, []).append(trial)
-    locations = {}
+    locations: dict[Group, Location] = {}
+    bad: dict[int, Skipped] = {}
     for group, trials in groups.items():
-        means = _means(dataset, trials, skip_bad_frames, progress)
-        if means:
-            locations[group] = _locate(dataset, group, means)
+        sums = _Sums(dataset)
+        for trial in trials:
+            try:
+                sums.add(trial)
+            except FrameError as error:
+                if not skip_bad_frames:
+                    raise
+                bad[trial.number] = Skipped(trial.name, str(error))
+            if progress is not None:
+                progress(1)
+        if sums.means():
+            locations[group] = _locate(dataset, group, sums.means())
     placed = tuple(
         trial._replace(x_px=locations[trial.group].x_px, y_px=locations[trial.group].y_px)
         if trial.x_px is None and trial.group in locations
         else trial
         for trial in dataset.trials
+        if trial.number not in bad
     )
-    return replace(dataset, trials=placed), tuple(locations.values())
+    bad_rows = (*dataset.bad_rows, *bad.values())
+    return replace(dataset, trials=placed, bad_rows=bad_rows), tuple(locations.values())
 
 
 Means = dict[Stimulus, dict[Orientation, FloatArray]]
 
 
-def _means(
-    dataset: Dataset, trials: Iterable[Trial], skip_bad_frames: bool, progress: Callable[[int], None] | None
-) -> Means:
-    """Mean contrast of each stimulus and orientation."""
-    sums: dict[tuple[Stimulus, Orientation], _Mean] = {}
-    shape: tuple[int, ...] | None = None
-    for trial in trials:
-        for frame in trial.frames:
-            path = dataset.frame_path(frame)
-            try:
-                with FrameFile(path) as file:
-                    patch = read_contrast(file, dataset.display, frame)
-                    header = file.header
-            except FrameError:
-                if skip_bad_frames:
-                    continue
-                raise
-            if (patch.row, patch.column, *patch.contrast.shape) != (0, 0, header.height, header.width):
-                raise FrameError(path, "has no pixels in part of the frame; its triangle cannot be located")
-            if shape not in (None, patch.contrast.shape):
-                found, expected = _size(patch.contrast.shape), _size(shape)
-                raise FrameError(path, f"found {found} pixels, expected {expected} as in the group's other frames")
-            shape = patch.contrast.shape
-            key = (trial.stimulus, trial.orientation)
-            if key in sums:
-                sums[key].add(patch.contrast)
-            else:
-                sums[key] = _Mean(patch.contrast)
-        if progress is not None:
-            progress(1)
-    means: Means = {}
-    for (stimulus, orientation), mean in sums.items():
-        means.setdefault(stimulus, {})[orientation] = mean.total / mean.count
-    return means
+class _Sums:
+    """Contrast of a group's frames, added up for each stimulus and orientation; all frames of one size."""
+
+    def __init__(self, dataset: Dataset) -> None:
+        self.dataset = dataset
+        self.shape: tuple[int, ...] | None = None
+        self.totals: dict[tuple[Stimulus, Orientation], FloatArray] = {}
+        self.counts: Counter[tuple[Stimulus, Orientation]] = Counter()
+
+    def add(self, trial: Trial) -> None:
+        """Add the frames of a trial, all or none."""
+        contrasts = [self._contrast(frame) for frame in trial.frames]
+        key = (trial.stimulus, trial.orientation)
+        self.totals[key] = sum(contrasts, start=self.totals.get(key, np.zeros(contrasts[0].shape)))
+        self.counts[key] += len(contrasts)
+
+    def means(self) -> Means:
+        """Mean contrast of each stimulus and orientation."""
+        means: Means = {}
+        for (stimulus, orientation), total in self.totals.items():
+            means.setdefault(stimulus, {})[orientation] = total / self.counts[stimulus, orientation]
+        return means
+
+    def _contrast(self, frame: FrameReference) -> FloatArray:
+        path = self.dataset.frame_path(frame)
+        with FrameFile(path) as file:
+            patch = read_contrast(file, self.dataset.display, frame)
+            header = file.header
+        if (patch.row, patch.column, *patch.contrast.shape) != (0, 0, header.height, header.width):
+            raise FrameError(path, "has no pixels in part of the frame; its triangle cannot be located")
+        if self.shape not in (None, patch.contrast.shape):
+            found, expected = _size(patch.contrast.shape), _size(self.shape)
+            raise FrameError(path, f"found {found} pixels, expected {expected} as in the group's other frames")
+        self.shape = patch.contrast.shape
+        return patch.contrast
 
 
 def _size(shape: tuple[int, ...]) -> str:

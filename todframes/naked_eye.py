@@ -6,7 +6,7 @@ Hogervorst et al. 2001, section 7.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import lru_cache
 from typing import Literal, NamedTuple
 
@@ -96,13 +96,14 @@ def acuity(observer: Observer, *, contrast: float = 1.0, p_correct: float = 0.75
             4.0 * pitch,
         )
 
-    return _refined(threshold)
+    # Each step of this search is a readout and its displacements anew.
+    return _refined(threshold, NODES[:-2])
 
 
-def _refined(threshold: Callable[[int], Threshold]) -> Threshold:
+def _refined(threshold: Callable[[int], Threshold], nodes_to_try: Sequence[int] = NODES) -> Threshold:
     """A threshold with as many displacements as it needs."""
-    result = threshold(NODES[0])
-    for nodes in NODES[1:]:
+    result = threshold(nodes_to_try[0])
+    for nodes in nodes_to_try[1:]:
         before, result = result, threshold(nodes)
         if before.threshold is not None and result.threshold is not None:
             change = abs(result.threshold - before.threshold)

@@ -27,6 +27,19 @@ from todframes.stimulus import ORIENTATIONS, Centre, Orientation, coverage
 FloatArray = NDArray[np.float64]
 
 UNIFORM_EXCESS_KURTOSIS = -1.2
+MOST_LEVELS = 11
+"""A retina image then takes half a GB."""
+LARGEST_SIZE_SAMPLES = 2**MOST_LEVELS / 0.9
+SETTING_RANGES = (
+    ("retina_pitch_mrad", 1e-6, 1e6),
+    ("position_jitter_samples", 0.0, 1e3),
+    ("kernel_a", 0.0, 1.0),
+    ("band_gain", 1e-3, 1e3),
+    ("template_blur_samples", 0.0, 1e3),
+    ("internal_noise", 0.0, 1e12),
+    ("internal_noise_sd", 0.0, 1e12),
+)
+"""What is not in here (NaN among it) is a slip of the pen, and might overflow or fill the memory."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -77,16 +90,12 @@ class PyramidSettings:
     def __post_init__(self) -> None:
         if self.centre not in get_args(Centre):
             raise SettingsError(f"centre: found {self.centre!r}, expected one of {', '.join(get_args(Centre))}")
-        for name in ("retina_pitch_mrad", "band_gain"):
-            _check(name, getattr(self, name), at_least=0.0, strictly=True)
-        for name in ("position_jitter_samples", "template_blur_samples", "internal_noise"):
-            _check(name, getattr(self, name), at_least=0.0)
-        if self.internal_noise_sd is not None:
-            _check("internal_noise_sd", self.internal_noise_sd, at_least=0.0)
-        if not 0.0 <= self.kernel_a <= 1.0:
-            raise SettingsError(f"kernel_a: found {self.kernel_a!r}, expected a number in [0, 1]")
-        if self.levels is not None and not 1 <= self.levels <= 12:
-            raise SettingsError(f"levels: found {self.levels!r}, expected a whole number from 1 to 12")
+        for name, smallest, largest in SETTING_RANGES:
+            value = getattr(self, name)
+            if value is not None and not smallest <= value <= largest:
+                raise SettingsError(f"{name}: found {value!r}, expected a number from {smallest:g} to {largest:g}")
+        if self.levels is not None and not 1 <= self.levels <= MOST_LEVELS:
+            raise SettingsError(f"levels: found {self.levels!r}, expected a whole number from 1 to {MOST_LEVELS}")
 
     @property
     def noise_sd(self) -> float:
@@ -94,12 +103,6 @@ class PyramidSettings:
         if self.internal_noise_sd is not None:
             return self.internal_noise_sd
         return self.internal_noise / math.sqrt(12.0)
-
-
-def _check(name: str, value: float, *, at_least: float, strictly: bool = False) -> None:
-    if not math.isfinite(value) or value < at_least or (strictly and value == at_least):
-        sign = ">" if strictly else ">="
-        raise SettingsError(f"{name}: found {value!r}, expected a finite number {sign} {at_least:g}")
 
 
 Bands = tuple[FloatArray, ...]
@@ -142,12 +145,12 @@ class PyramidObserver:
         levels = self.settings.levels
         if levels is None:
             size = stimulus.size_mrad / self.settings.retina_pitch_mrad
-            levels = max(4, math.ceil(math.log2(0.9 * size)))
-            if levels > 12:
+            if size > LARGEST_SIZE_SAMPLES:
                 raise SettingsError(
                     f"retina_pitch_mrad: a triangle of {stimulus.size_mrad:g} mrad is {size:g} retina samples, "
-                    f"expected at most {2**12 / 0.9:.0f}"
+                    f"expected at most {LARGEST_SIZE_SAMPLES:.0f}"
                 )
+            levels = max(4, math.ceil(math.log2(0.9 * size)))
         return RetinaGrid(4 * 2**levels + 1, self.settings.retina_pitch_mrad)
 
     def activity(self, contrast: FloatArray) -> Bands:

@@ -42,6 +42,11 @@ def _size_column(fits: Sequence[Json]) -> str | None:
     return names[0] if len(known) >= 2 else None
 
 
+def _plain(text: str) -> str:
+    """Names are data: no mathematics between dollar signs, and no label hidden by an underscore."""
+    return " " * text.startswith("_") + text.replace("$", r"\$")
+
+
 def _png(figure: Figure) -> bytes:
     buffer = io.BytesIO()
     # No software version among the attributes: the same result gives the same bytes.
@@ -74,13 +79,13 @@ def _tod_figure(fits: Sequence[Json], size_name: str) -> Figure:
     axes.set(
         xscale="log",
         yscale="log",
-        xlabel=f"1 / size ({unit}⁻¹)",
-        ylabel=f"threshold {fits[0]['level']}",
+        xlabel=_plain(f"1 / size ({unit}⁻¹)"),
+        ylabel=_plain(f"threshold {fits[0]['level']}"),
         title=f"TOD curve ({100 * fits[0]['p_correct']:g} % correct)",
     )
     _plain_ticks(axes, inverse, threshold)
     top = axes.secondary_xaxis("top")
-    top.set_xlabel(f"size ({unit})")
+    top.set_xlabel(_plain(f"size ({unit})"))
     top.set_xticks(inverse, [f"{1.0 / x:g}" for x in inverse])
     top.minorticks_off()
     return figure
@@ -111,7 +116,7 @@ def _psychometric_figure(fits: Sequence[Json]) -> Figure:
             [point["p_correct"] for point in fit["points"]],
             s=[18.0 if len(set(trials)) == 1 else 8.0 + 30.0 * n / max(trials) for n in trials],
             color=colour,
-            label=group_label(fit["group"]) or "all trials",
+            label=_plain(group_label(fit["group"]) or "all trials"),
         )
         if fit["alpha"] is not None:
             curve = np.geomspace(min(x), max(x), 200)
@@ -123,7 +128,7 @@ def _psychometric_figure(fits: Sequence[Json]) -> Figure:
     axes.set(
         xscale="log",
         ylim=(0.0, 1.02),
-        xlabel=fits[0]["level"],
+        xlabel=_plain(fits[0]["level"]),
         ylabel="proportion correct",
         title="Psychometric functions",
     )

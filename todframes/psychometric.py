@@ -24,7 +24,7 @@ from todframes.weibull import BETA_RANGE, Array, WeibullModel
 Status = Literal["ok", "extrapolated", "never_reached", "always_exceeded", "too_few_levels"]
 
 EXTRAPOLATION_FACTOR = 2.0
-MIN_RESAMPLES = 40
+MIN_RESAMPLES, MAX_RESAMPLES = 40, 100_000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,8 +58,8 @@ class FitSettings:
         top = 1 - (self.lapse_rate or 0.0)
         between = f"strictly between guess_rate = {self.guess_rate:g} and 1 - lapse_rate = {top:g}"
         _require("p_correct", self.p_correct, self.guess_rate < self.p_correct < top, between)
-        enough = self.resamples == 0 or self.resamples >= MIN_RESAMPLES
-        _require("resamples", self.resamples, enough, f"0 (no interval) or at least {MIN_RESAMPLES}")
+        enough = self.resamples == 0 or MIN_RESAMPLES <= self.resamples <= MAX_RESAMPLES
+        _require("resamples", self.resamples, enough, f"0 (no interval) or {MIN_RESAMPLES} to {MAX_RESAMPLES}")
 
 
 def _require(key: str, found: object, holds: bool, expected: str) -> None:

@@ -75,6 +75,8 @@ class LaplacianPyramid:
 
     def expand(self, image: FloatArray, shape: tuple[int, ...]) -> FloatArray:
         """Put samples on the even places of `shape` and interpolate the others (EXPAND)."""
+        if self.kernel_a == 0.375:
+            return _expand_binomial(image, shape)
         return self._filter(_spread(image, shape), gain=2.0)
 
     def _reduce_adjoint(self, image: FloatArray, shape: tuple[int, ...]) -> FloatArray:
@@ -98,6 +100,18 @@ class LaplacianPyramid:
         With D those weights, D F = Fᵀ D, hence Fᵀ = D F D⁻¹.
         """
         return _weigh_border(self._filter(_weigh_border(image, 2.0), gain), 0.5)
+
+
+def _expand_binomial(image: FloatArray, shape: tuple[int, ...]) -> FloatArray:
+    """EXPAND with [1 4 6 4 1]/16 at half the time, on one sample more than needed.
+
+    cv2.pyrUp is wrong in its last rows and columns, so it is given the mirror image's first sample to spoil: of an
+    odd `shape` the mirror goes through the last sample, of an even one it lies half a sample beyond.
+    """
+    for axis, (length, mirrored) in enumerate(zip(image.shape, shape, strict=True)):
+        place = max(length - 2, 0) if mirrored % 2 else length - 1
+        image = np.concatenate([image, image.take([place], axis)], axis)
+    return np.asarray(cv2.pyrUp(image)[: shape[0], : shape[1]])
 
 
 def _spread(image: FloatArray, shape: tuple[int, ...]) -> FloatArray:

@@ -70,11 +70,15 @@ class Readout:
 
     def scores(self, contrast: FloatArray) -> FloatArray:
         """Noise-free inner products of a retina image, shape (side, side), with the four templates: (4,)."""
-        return self.score_deviations(contrast) + inner_product(self.common, contrast)
+        return self.score_deviations(contrast) + self.common_score(contrast)
 
     def score_deviations(self, contrast: FloatArray) -> FloatArray:
         """The scores less their mean, all that the decision needs, with all digits: (4,)."""
         return np.asarray(self.deviations.reshape(4, -1) @ contrast.reshape(-1))
+
+    def common_score(self, contrast: FloatArray) -> float:
+        """The mean of the four scores."""
+        return inner_product(self.common, contrast)
 
     @property
     def non_gaussian_bound(self) -> float:

@@ -115,8 +115,8 @@ def scores_csv(scored: ScoredDataset, group_by: Sequence[str], level: str) -> by
 
 
 @contextmanager
-def output_folder(path: Path) -> Iterator[Path]:
-    """A temporary folder beside `path` whose files move into it, all of them, if the block ends well.
+def output_folder(name: str) -> Iterator[Path]:
+    """A temporary folder beside the one named whose files move into it, all of them, if the block ends well.
 
     Made at once, so that a place that cannot be written is found before the work and not after it.
 
@@ -126,17 +126,15 @@ def output_folder(path: Path) -> Iterator[Path]:
         If the place cannot be written.
     """
     staging: Path | None = None
+    path = Path(name)
     try:
+        _check_place(name, path)
         try:
-            if path.exists() and not path.is_dir():
-                raise OutputError(f"{path}: is a file, expected a folder or a new name")
-            if path.is_dir() and not os.access(path, os.W_OK | os.X_OK):
-                raise OutputError(f"{path}: the folder is not writable")
-            parent = path.absolute().parent
-            if not parent.is_dir():
-                raise OutputError(f"{path}: {parent} is not a folder")
-            staging = Path(tempfile.mkdtemp(prefix=f".{path.name}-", dir=parent))
+            staging = Path(tempfile.mkdtemp(prefix=".todframes-", dir=path.absolute().parent))
             yield staging
+            for file in staging.iterdir():
+                if (path / file.name).is_dir():
+                    raise OutputError(f"{path / file.name}: is a folder, expected a file or none")
             path.mkdir(exist_ok=True)
             for file in sorted(staging.iterdir()):
                 file.replace(path / file.name)
@@ -147,6 +145,19 @@ def output_folder(path: Path) -> Iterator[Path]:
     finally:
         if staging is not None:
             shutil.rmtree(staging, ignore_errors=True)
+
+
+def _check_place(name: str, path: Path) -> None:
+    """Raise OutputError if a folder cannot be made or filled at a place."""
+    if not name or "\0" in name:
+        raise OutputError(f"found {name!r} as the folder for results, expected a name")
+    if path.exists() and not path.is_dir():
+        raise OutputError(f"{path}: is a file, expected a folder or a new name")
+    if path.is_dir() and not os.access(path, os.W_OK | os.X_OK):
+        raise OutputError(f"{path}: the folder is not writable")
+    parent = path.absolute().parent
+    if not parent.is_dir():
+        raise OutputError(f"{path}: {parent} is not a folder")
 
 
 def number(value: float | None, digits: int = 4) -> str:
@@ -166,19 +177,21 @@ def threshold_table(result: Json, title: str) -> Table:
     """The thresholds of a result as a table for the terminal."""
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
+    from rich.text import Text
 
     fits = result["fits"]
-    table = Table(title=title, title_justify="left", title_style="bold", box=SIMPLE_HEAD)
+    # Text, not str: names are data, and rich would take brackets in them for markup.
+    table = Table(title=Text(title), title_justify="left", title_style="bold", box=SIMPLE_HEAD)
     names = list(fits[0]["group"]) if fits else []
     for name in names:
-        table.add_column(name, justify="right", no_wrap=True)
+        table.add_column(Text(name), justify="right", no_wrap=True)
     level = fits[0]["level"] if fits else "level"
     numerical = any("threshold_numerical_error" in fit for fit in fits)
     headers = [f"threshold {level}", "numerical error" if numerical else "95 % interval", "status"]
     if not numerical:
         headers += ["α", "β", "δ", "trials"]
     for header in headers:
-        table.add_column(header, justify="left" if header == "status" else "right", no_wrap=True)
+        table.add_column(Text(header), justify="left" if header == "status" else "right", no_wrap=True)
     for fit in fits:
         cells = [number(value) if isinstance(value, float) else str(value) for value in fit["group"].values()]
         cells.append(number(fit["threshold"]))
@@ -188,7 +201,7 @@ def threshold_table(result: Json, title: str) -> Table:
         else:
             cells += [interval(fit["threshold_ci95"]), fit["status"]]
             cells += [number(fit[name], 3) for name in ("alpha", "beta", "delta")] + [str(fit["n_trials"])]
-        table.add_row(*cells)
+        table.add_row(*map(Text, cells))
     return table
 
 

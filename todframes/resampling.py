@@ -15,6 +15,7 @@ _CHI2_95 = 3.841458820694124
 _CURVE_TRIALS = 5
 _PLUS_TRIALS = 4
 _Z_95 = 1.959963984540054
+_BATCH_ELEMENTS = 1 << 17
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,14 +64,21 @@ class Observed:
         share = np.minimum(self.dispersion(fitted) * freedom / rng.chisquare(freedom, size), 1 - 1e-6)
         for level, answers in enumerate(self.trials):
             if len(answers) > 1:
-                picks = rng.integers(len(answers), size=(size, len(answers) - 1))
-                spread = answers[picks].mean(axis=1) - answers.mean()
+                spread = _resampled_means(answers, size, rng) - answers.mean()
                 freedom = len(answers) - 1
                 drawn[:, level] = answers.mean() + spread * np.sqrt(freedom / rng.chisquare(freedom, size))
             else:
                 p = np.clip(fitted[level], 1e-9, 1 - 1e-9)
                 drawn[:, level] = rng.beta(p * (1 / share - 1), (1 - p) * (1 / share - 1))
         return np.clip(drawn, 0.0, 1.0)
+
+
+def _resampled_means(answers: Array, size: int, rng: np.random.Generator) -> Array:
+    """Means of `size` draws of all answers but one, with replacement; in batches, for there may be many."""
+    count = len(answers) - 1
+    batch = max(1, _BATCH_ELEMENTS // count)
+    sizes = [min(batch, size - start) for start in range(0, size, batch)]
+    return np.concatenate([answers[rng.integers(len(answers), size=(n, count))].mean(axis=1) for n in sizes])
 
 
 def threshold_interval(

@@ -130,4 +130,4 @@ def resample(
         first_pixel=first_column,
         n_pixels=contrast.shape[1],
     )
-    return np.asarray((columns @ (rows @ contrast).T).T)
+    return np.asarray(rows @ (columns @ contrast.T).T)

@@ -20,6 +20,11 @@ from todframes.viewing import view_trial
 FloatArray = NDArray[np.float64]
 Decisions = Literal["expected", "sampled"]
 
+TaskResult = tuple[list[Trial], FloatArray, list[Skipped]]
+
+# Columns of the numbers kept of each trial.
+DISPLACEMENT, SCORES, DEVIATIONS, ANSWER, N_NEGATIVE = slice(0, 2), slice(2, 6), slice(6, 10), 10, 11
+
 TRIALS_PER_TASK = 16
 NO_ANSWER = -1
 # First element of the spawn keys of random streams, so that no trial shares one with a fit.
@@ -110,32 +115,35 @@ def score_dataset(
     """
     if dataset.bad_rows and not skip_bad_frames:
         raise DataError(dataset.bad_rows[0].error)
+    whole = [trial for trial in dataset.trials if trial.name not in dataset.spoilt]
     # Trials of one stimulus together, so that few readouts are held at a time.
-    order = sorted(dataset.trials, key=lambda trial: (trial.stimulus.size_mrad, trial.stimulus.polarity))
+    order = sorted(whole, key=lambda trial: (trial.stimulus.size_mrad, trial.stimulus.polarity))
     tasks = [order[start : start + TRIALS_PER_TASK] for start in range(0, len(order), TRIALS_PER_TASK)]
     job = _Scorer(dataset, observer, decisions, seed, skip_bad_frames)
-    seen: list[_Seen] = []
+    trials: list[Trial] = []
+    tables: list[FloatArray] = []
     skipped = list(dataset.bad_rows)
-    for task_seen, task_skipped in _map(job, tasks, workers):
-        seen += task_seen
+    for trial in dataset.trials:
+        if trial.name in dataset.spoilt:
+            skipped += _left_out(trial, "another frame of this trial cannot be used")
+    for task_trials, table, task_skipped in _map(job, tasks, workers):
+        trials += task_trials
+        tables.append(table)
         skipped += task_skipped
         if progress is not None:
-            progress(len(task_seen) + len(task_skipped))
-    seen.sort(key=lambda one: one.trial.number)
-    if not seen:
-        raise DataError(f"{dataset.path}: none of its frames can be scored")
+            progress(len(task_trials) + len(task_skipped))
+    if not trials:
+        raise DataError(f"{dataset.path}: no frame can be scored; the first: {skipped[0].error}")
+    order_of_manifest = np.argsort([trial.number for trial in trials])
+    seen = _Seen(tuple(trials[place] for place in order_of_manifest), np.concatenate(tables)[order_of_manifest])
     return _assemble(seen, skipped, observer, decisions, seed, fit_settings or FitSettings())
 
 
 class _Seen(NamedTuple):
-    """A scored trial, before decisions are worked out for all of them together."""
+    """Scored trials and a row of numbers for each, before decisions are worked out for all of them together."""
 
-    trial: Trial
-    displacement: tuple[float, float]
-    scores: FloatArray
-    deviations: FloatArray
-    answer: int
-    n_negative: int
+    trials: tuple[Trial, ...]
+    table: FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,18 +156,19 @@ class _Scorer:
     seed: int
     skip_bad_frames: bool
 
-    def __call__(self, trials: list[Trial]) -> tuple[list[_Seen], list[Skipped]]:
-        seen, skipped = [], []
+    def __call__(self, trials: list[Trial]) -> TaskResult:
+        seen, rows, skipped = [], [], []
         for trial in trials:
             try:
-                seen.append(self._score(trial))
+                rows.append(self._score(trial))
+                seen.append(trial)
             except FrameError as error:
                 if not self.skip_bad_frames:
                     raise
-                skipped.append(Skipped(error.path.relative_to(self.dataset.path).as_posix(), str(error)))
-        return seen, skipped
+                skipped += _left_out(trial, str(error))
+        return seen, np.array(rows).reshape(-1, 12), skipped
 
-    def _score(self, trial: Trial) -> _Seen:
+    def _score(self, trial: Trial) -> FloatArray:
         rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(TRIAL_STREAMS, trial.number)))
         jitter = self.observer.position_jitter_samples
         dx, dy = (float(d) for d in rng.uniform(-jitter, jitter, 2))
@@ -167,16 +176,22 @@ class _Scorer:
         readout = self.observer.readout(trial.stimulus)
         scores = deviations = np.full(4, np.nan)
         if readout is not None:
-            scores, deviations = readout.scores(view.contrast), readout.score_deviations(view.contrast)
+            deviations = readout.score_deviations(view.contrast)
+            scores = deviations + readout.common_score(view.contrast)
         elif self.decisions == "expected":
             raise SettingsError("decisions: found 'expected', but this observer is not linear; expected 'sampled'")
         answer = NO_ANSWER
         if self.decisions == "sampled":
             answer = self.observer.respond(view.contrast, trial.stimulus, rng).quarter_turns
-        return _Seen(trial, (dx, dy), scores, deviations, answer, view.n_negative)
+        return np.array([dx, dy, *scores, *deviations, answer, view.n_negative])
 
 
-def _map(job: _Scorer, tasks: list[list[Trial]], workers: int) -> Iterator[tuple[list[_Seen], list[Skipped]]]:
+def _left_out(trial: Trial, error: str) -> list[Skipped]:
+    """A trial is averaged over all of its frames or not at all."""
+    return [Skipped(frame.path, error) for frame in trial.frames]
+
+
+def _map(job: _Scorer, tasks: list[list[Trial]], workers: int) -> Iterator[TaskResult]:
     if workers == 1:
         yield from map(job, tasks)
         return
@@ -190,47 +205,47 @@ def _map(job: _Scorer, tasks: list[list[Trial]], workers: int) -> Iterator[tuple
 
 
 def _assemble(
-    seen: list[_Seen],
+    seen: _Seen,
     skipped: list[Skipped],
     observer: Observer,
     decisions: Decisions,
     seed: int,
     fit_settings: FitSettings,
 ) -> ScoredDataset:
-    trials = tuple(one.trial for one in seen)
+    trials, table = seen
     probabilities, bounds = _decide(seen, observer)
     correct = np.array([trial.orientation.quarter_turns for trial in trials])
     if decisions == "sampled":
-        answers = np.array([one.answer for one in seen])
+        answers = table[:, ANSWER].astype(np.intp)
         p_correct = (answers == correct).astype(np.float64)
         bounds[:] = 0.0
     else:
         answers = probabilities.argmax(axis=1)
-        p_correct = probabilities[np.arange(len(seen)), correct]
+        p_correct = probabilities[np.arange(len(trials)), correct]
     return ScoredDataset(
         trials=trials,
-        displacement_samples=np.array([one.displacement for one in seen]),
-        scores=np.array([one.scores for one in seen]),
+        displacement_samples=table[:, DISPLACEMENT],
+        scores=table[:, SCORES],
         probabilities=probabilities,
         answers=answers,
         p_correct=p_correct,
         fits=_fit_groups(trials, p_correct, bounds, seed, fit_settings),
         skipped=tuple(skipped),
-        n_negative=sum(one.n_negative for one in seen),
+        n_negative=int(table[:, N_NEGATIVE].sum()),
     )
 
 
-def _decide(seen: list[_Seen], observer: Observer) -> tuple[FloatArray, FloatArray]:
+def _decide(seen: _Seen, observer: Observer) -> tuple[FloatArray, FloatArray]:
     """Probability of each answer, and the bound on its error from noise that is not Gaussian, of each trial."""
-    probabilities = np.full((len(seen), 4), np.nan)
-    bounds = np.zeros(len(seen))
+    probabilities = np.full((len(seen.trials), 4), np.nan)
+    bounds = np.zeros(len(seen.trials))
     places: dict[Stimulus, list[int]] = {}
-    for place, one in enumerate(seen):
-        places.setdefault(one.trial.stimulus, []).append(place)
+    for place, trial in enumerate(seen.trials):
+        places.setdefault(trial.stimulus, []).append(place)
     for stimulus, these in places.items():
         readout = observer.readout(stimulus)
         if readout is not None:
-            deviations = np.array([seen[place].deviations for place in these])
+            deviations = seen.table[these, DEVIATIONS]
             probabilities[these] = answer_probabilities(deviations, readout.noise_covariance)
             bounds[these] = readout.non_gaussian_bound
     return probabilities, bounds

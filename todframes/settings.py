@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+import csv
 import difflib
+import io
 import math
 import tomllib
-from collections.abc import Iterable, Mapping
-from dataclasses import MISSING, fields
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import MISSING, fields, is_dataclass
 from pathlib import Path
-from typing import Any, TypeVar, get_type_hints
+from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 import msgspec
 
 from todframes.errors import DataError, SettingsError
 
 T = TypeVar("T")
+
+FIELDS_FOUND = "\0fields"
+"""Key under which a row of `read_csv` tells how many fields it has, if not as many as the header."""
 
 
 def read_text(path: Path) -> str:
@@ -33,6 +38,8 @@ def read_text(path: Path) -> str:
         raise DataError(f"{path}: not UTF-8 (byte {error.start})") from None
     except OSError as error:
         raise DataError(f"{path}: cannot be read ({error.strerror})") from None
+    except ValueError as error:  # a NUL in the name
+        raise DataError(f"{str(path)!r}: cannot be read ({error})") from None
 
 
 def read_toml(path: Path) -> dict[str, Any]:
@@ -40,15 +47,15 @@ def read_toml(path: Path) -> dict[str, Any]:
 
     Raises
     ------
-    DataError
-        If it cannot be read.
     SettingsError
-        If it is not TOML.
+        If it cannot be read or is not TOML.
     """
     try:
         return tomllib.loads(read_text(path))
     except tomllib.TOMLDecodeError as error:
         raise SettingsError(f"{path}: not valid TOML: {error}") from None
+    except DataError as error:
+        raise SettingsError(str(error)) from None
 
 
 def check_keys(found: Iterable[str], known: Iterable[str], where: str) -> None:
@@ -59,11 +66,11 @@ def check_keys(found: Iterable[str], known: Iterable[str], where: str) -> None:
     SettingsError
         For the first key that is not known, naming the nearest that is.
     """
-    known = list(known)
+    known = {key.lower(): key for key in known}
     for key in found:
-        if key not in known:
-            nearest = difflib.get_close_matches(key, known, n=1, cutoff=0.0)
-            hint = f"; the nearest valid one is {nearest[0]!r}" if nearest else ""
+        if key not in known.values():
+            nearest = difflib.get_close_matches(key.lower(), known, n=1, cutoff=0.0)
+            hint = f"; the nearest valid one is {known[nearest[0]]!r}" if nearest else ""
             raise SettingsError(f"{where}: unknown key {key!r}{hint}")
 
 
@@ -100,13 +107,54 @@ def from_table(table: Mapping[str, Any], kind: type[T], where: str) -> T:
 
 
 def _convert(value: object, kind: Any, where: str) -> object:
-    if not isinstance(value, bool | int | float | str | list | dict):
-        return value  # made by the caller
+    if is_dataclass(value):
+        return value  # made and checked by the caller
+    literals = [part for part in (kind, *get_args(kind)) if get_origin(part) is Literal]
     try:
         return msgspec.convert(value, kind)
     except msgspec.ValidationError as error:
         problem = str(error).split(" - at ")[0].replace("`", "")
+        if isinstance(value, str) and literals:
+            choices = ", ".join(get_args(literals[0]))
+            problem = (
+                f"expected one of {choices}" if kind is literals[0] else f"expected a number or one of {choices}"
+            )
         raise SettingsError(f"{where}: found {value!r} ({problem[0].lower()}{problem[1:]})") from None
+
+
+def read_csv(path: Path) -> Iterator[tuple[str, dict[str, str]]]:
+    """Rows of a CSV file with a header, each with where it stands: file and line.
+
+    The first item is the header: its row is empty but for its keys.
+
+    Raises
+    ------
+    DataError
+        If the file cannot be read or is not CSV, or a column stands there twice.
+    """
+    reader = csv.reader(io.StringIO(read_text(path), newline=""), strict=True)
+    try:
+        header = [name.strip() for name in next(reader, [])]
+        for name in header:
+            if header.count(name) > 1:
+                raise DataError(f"{path}: found column {name!r} {header.count(name)} times, expected once")
+        yield str(path), dict.fromkeys(header, "")
+        for fields_found in reader:
+            if not fields_found:
+                continue  # an empty line
+            row = dict(zip(header, fields_found, strict=False))
+            where = f"{path}, line {reader.line_num}"
+            if len(fields_found) != len(header):
+                row[FIELDS_FOUND] = str(len(fields_found))
+            yield where, row
+    except csv.Error as error:
+        raise DataError(f"{path}, line {reader.line_num}: not valid CSV ({error})") from None
+
+
+def check_fields(row: Mapping[str, str], n_columns: int, where: str) -> None:
+    """Raise DataError if a row of `read_csv` has more or fewer fields than the header."""
+    if FIELDS_FOUND in row:
+        raise DataError(f"{where}: found {row[FIELDS_FOUND]} fields, expected {n_columns} as in the header")
 
 
 def number(text: str, where: str, *, positive: bool = False) -> float:
@@ -119,7 +167,7 @@ def number(text: str, where: str, *, positive: bool = False) -> float:
     """
     text = text.strip()
     try:
-        value = float(text)
+        value = math.nan if "_" in text else float(text)
     except ValueError:
         value = math.nan
     if not math.isfinite(value) or (positive and value <= 0):

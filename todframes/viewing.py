@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from todframes.dataset import Dataset, FrameReference, Trial
 from todframes.display import BackgroundRule, Display, border_mean, weber_contrast
-from todframes.errors import DataError, FrameError
+from todframes.errors import DataError, FrameError, SettingsError
 from todframes.frames import FrameFile, FrameHeader, frame_sha256
 from todframes.readout import Observer
 from todframes.retina import resample
@@ -72,13 +72,16 @@ def _view_frame(
     observer: Observer,
     displacement_samples: tuple[float, float],
 ) -> tuple[FloatArray, int]:
-    grid = observer.grid(trial.stimulus)
     pixel_pitch = dataset.display.pitch_mrad
     path = dataset.frame_path(frame)
     check_sha256(dataset, frame)
     with FrameFile(path) as file:
         x, y = triangle_position(trial, file.header)
         _check_on_frame(path, trial, file.header, pixel_pitch)
+        try:
+            grid = observer.grid(trial.stimulus)
+        except SettingsError as error:  # of this row's size alone
+            raise FrameError(path, str(error)) from None
         if observer.centre == "bounding_box":
             dx, dy = bounding_box_offset(trial.orientation)
             size_px = trial.stimulus.size_mrad / pixel_pitch
@@ -137,7 +140,10 @@ def read_contrast(
     part = file.read() if whole else file.read(rows=rows, columns=columns)
     try:
         luminance = display.luminance(part.values)
-        contrast = weber_contrast(luminance, _background(rule, luminance, frame))
+        with np.errstate(over="ignore"):
+            contrast = weber_contrast(luminance, _background(rule, luminance, frame))
+        if not np.isfinite(contrast).all():
+            raise DataError("the contrast is beyond all numbers; expected luminances nearer to the background's")
     except DataError as error:
         raise FrameError(file.path, str(error)) from None
     n_negative = int(np.count_nonzero(luminance < 0.0))
@@ -158,7 +164,7 @@ def _background(rule: float | BackgroundRule, luminance: FloatArray, frame: Fram
 def _check_on_frame(path: Path, trial: Trial, header: FrameHeader, pixel_pitch_mrad: float) -> None:
     """The whole triangle must lie on pixels that the file has."""
     x, y = triangle_position(trial, header)
-    size_px = trial.stimulus.size_mrad / pixel_pitch_mrad
+    size_px = min(trial.stimulus.size_mrad / pixel_pitch_mrad, 1e300)  # whose corners are numbers still
     corners = vertices(size=size_px, orientation=trial.orientation, x=x, y=y)
     (left, top), (right, bottom) = corners.min(axis=0), corners.max(axis=0)
     first_x, first_y = header.first_column - 0.5, header.first_row - 0.5
@@ -167,12 +173,12 @@ def _check_on_frame(path: Path, trial: Trial, header: FrameHeader, pixel_pitch_m
         raise FrameError(
             path,
             f"the frame has {header.n_columns} × {header.n_rows} pixels, smaller than the triangle of "
-            f"{trial.stimulus.size_mrad:g} mrad ({right - left:.1f} × {bottom - top:.1f} pixels)",
+            f"{trial.stimulus.size_mrad:g} mrad ({right - left:.6g} × {bottom - top:.6g} pixels)",
         )
     if left < first_x or right > last_x or top < first_y or bottom > last_y:
         raise FrameError(
             path,
-            f"the triangle reaches from ({left:.1f}, {top:.1f}) to ({right:.1f}, {bottom:.1f}) px, off the frame "
+            f"the triangle reaches from ({left:.6g}, {top:.6g}) to ({right:.6g}, {bottom:.6g}) px, off the frame "
             f"({first_x:.1f}, {first_y:.1f}) to ({last_x:.1f}, {last_y:.1f}) px",
         )
 

@@ -1,0 +1,98 @@
+"""Scoring against decoding alone, the pyramid against pyrtools, the start of the command, memory."""
+
+from __future__ import annotations
+
+import csv
+import shutil
+import tempfile
+from pathlib import Path
+
+import numpy as np
+from timing import Row, best_s, paired_ratio, process
+
+from todframes.frames import write_frame
+from todframes.pyramid import LaplacianPyramid
+from todframes.stimulus import ORIENTATIONS, coverage
+
+SIDE, PITCH_MRAD, SIZE_MRAD = 512, 0.7, 10.0
+DISTINCT = 40
+SCORE = "import sys; from todframes.cli import main; main(['score', sys.argv[1], '--json', '--quiet'])"
+DECODE = """
+import sys, pathlib, OpenImageIO as oiio
+for path in sorted(pathlib.Path(sys.argv[1]).glob("frames/*")):
+    image = oiio.ImageInput.open(str(path))
+    assert image.read_image() is not None
+    image.close()
+"""
+
+
+def make_dataset(folder: Path, n_frames: int, suffix: str) -> None:
+    """Noisy frames with a triangle near the middle; a few distinct ones, copied."""
+    (folder / "frames").mkdir(parents=True)
+    white = 100.0 if suffix == "png" else 1.0
+    (folder / "dataset.toml").write_text(
+        f'schema = 1\n[display]\neotf = "linear"\nwhite_luminance_cd_m2 = {white}\n'
+        f"pixel_pitch_mrad = {PITCH_MRAD}\n"
+        'background_luminance_cd_m2 = 50.0\n[experiment]\nlevel = "contrast"\ngroup_by = ["size_mrad"]\n',
+        encoding="utf-8",
+    )
+    rng = np.random.default_rng(0)
+    rows: list[list[object]] = []
+    for number in range(n_frames):
+        name = f"frames/{number:05}.{suffix}"
+        if number < DISTINCT:
+            orientation, contrast = ORIENTATIONS[number % 4], 0.02 + 0.01 * (number // 4 % 5)
+            x, y = (SIDE - 1) / 2 + rng.uniform(-0.5, 0.5, 2)
+            triangle = coverage(
+                (SIDE, SIDE), size_px=SIZE_MRAD / PITCH_MRAD, x_px=x, y_px=y, orientation=orientation
+            )
+            noise = 0.02 * rng.normal(size=triangle.shape)
+            write_frame(folder / name, 50.0 / white * (1.0 + contrast * triangle + noise))
+            rows.append([orientation.value, SIZE_MRAD, contrast, x, y])
+        else:
+            shutil.copyfile(folder / f"frames/{number % DISTINCT:05}.{suffix}", folder / name)
+    with (folder / "manifest.csv").open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(["frame", "orientation", "size_mrad", "contrast", "x_px", "y_px"])
+        for number in range(n_frames):
+            writer.writerow([f"frames/{number:05}.{suffix}", *rows[number % DISTINCT]])
+
+
+def rows() -> list[Row]:
+    """All ratios of this file."""
+    found = []
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        for suffix, asked in (("exr", "<= 0.6"), ("png", "<= 1.15")):
+            make_dataset(folder / suffix, 1000, suffix)
+            dataset = str(folder / suffix)
+            ratio = paired_ratio(["-c", SCORE, dataset], ["-c", DECODE, dataset], 5)
+            found.append(
+                Row(f"score 1000 {suffix.upper()} frames ÷ decode them whole, whole processes", ratio, asked)
+            )
+        make_dataset(folder / "many", 10_000, "exr")
+        few, many = (process("-c", SCORE, str(folder / part)).peak_mb for part in ("exr", "many"))
+        found.append(Row(f"peak memory, 10000 frames ({many:.0f} MB) ÷ 1000 frames", many / few, "<= 1.1"))
+    ratio = paired_ratio(["-m", "todframes", "--help"], ["-c", "import numpy"], 15)
+    found.append(Row("todframes --help ÷ import numpy, whole processes", ratio, "<= 2.5"))
+    return [*found, *pyramid_rows()]
+
+
+def pyramid_rows() -> list[Row]:
+    """Bands of a 257 × 257 image, the same values (÷ 2^k) from both."""
+    import pyrtools
+
+    image = np.random.default_rng(0).normal(size=(257, 257))
+    pyramid = LaplacianPyramid(6)
+    theirs = pyrtools.pyramids.LaplacianPyramid(image, height=7).pyr_coeffs
+    for k, band in enumerate(pyramid.build(image)):
+        assert np.allclose(band, theirs[(k, 0)] / 2**k, rtol=0.0, atol=1e-14)
+    reference_s = best_s(lambda: pyrtools.pyramids.LaplacianPyramid(image, height=7), 200)
+    ours_s = best_s(lambda: pyramid.build(image), 500)
+    return [
+        Row(
+            f"pyramid, 257², 6 bands ({ours_s * 1e3:.2f} ms), times faster than pyrtools",
+            reference_s / ours_s,
+            ">= 5",
+        )
+    ]

@@ -1,0 +1,143 @@
+"""Detector noise: the split into its parts, its statistics, and temperatures."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sensor_sim.noise import (
+    delta_t_mk,
+    displayed_noise,
+    draw,
+    excess_kurtosis,
+    k_factor,
+    noise_parts,
+    unit_fixed_pattern,
+)
+from sensor_sim.sensor import Noise
+from todframes.errors import SettingsError
+
+PAPER = Noise(distribution="uniform", netd_mk=16.0, fixed_pattern_ratio=0.4, frames_integrated=6)
+SETTINGS = st.builds(
+    Noise,
+    distribution=st.sampled_from(["uniform", "gaussian"]),
+    fixed_pattern_ratio=st.floats(0.0, 5.0),
+    frames_integrated=st.integers(1, 100),
+)
+
+
+def generator(seed: int = 0) -> np.random.Generator:
+    return np.random.default_rng(seed)
+
+
+# Standard deviations
+
+
+def test_k_is_the_paper_s():
+    assert k_factor(PAPER) == pytest.approx(1.7496, abs=5e-5)
+
+
+def test_one_frame_without_fixed_pattern_has_the_noise_of_one_frame():
+    assert k_factor(Noise()) == 1.0
+    assert noise_parts(Noise(), total_sd=0.3) == (0.3, 0.0)
+
+
+@given(SETTINGS, st.floats(0.0, 10.0))
+def test_parts_add_up_to_the_total_and_have_the_ratio_of_one_frame(noise, total_sd):
+    dynamic, static = noise_parts(noise, total_sd=total_sd)
+    # Some five roundings.
+    assert math.hypot(dynamic, static) == pytest.approx(total_sd, rel=1e-14)
+    single_frame = dynamic * math.sqrt(noise.frames_integrated)
+    assert static == pytest.approx(noise.fixed_pattern_ratio * single_frame, rel=1e-14)
+
+
+def test_integration_leaves_the_fixed_pattern():
+    # Of the noise of one frame, 1/k remains: the ratio, if frames are endless.
+    endless = Noise(fixed_pattern_ratio=0.4, frames_integrated=10**12)
+    assert 1.0 / k_factor(endless) == pytest.approx(0.4, rel=1e-11)
+
+
+# Temperature
+
+
+def test_temperature_of_the_paper_s_sensor():
+    # 16 mK · 1.7496 an SNR of 1, by hand.
+    np.testing.assert_allclose(delta_t_mk([1.0, 2.5], noise=PAPER), [27.994, 69.985], atol=1e-3)
+
+
+def test_temperature_needs_a_netd():
+    with pytest.raises(SettingsError, match=r"^netd_mk: is missing, expected a number of mK"):
+        delta_t_mk(1.0, noise=Noise())
+
+
+# Draws
+
+N = 200_000
+
+
+@pytest.mark.parametrize(("distribution", "kurtosis"), [("uniform", 1.8), ("gaussian", 3.0)])
+def test_draws_have_their_moments(distribution, kurtosis):
+    noise = draw(N, sd=0.7, distribution=distribution, rng=generator(1))
+    # Five standard errors: of the mean sd/√N, of the variance sd²·√((κ − 1)/N).
+    assert abs(noise.mean()) < 5 * 0.7 / math.sqrt(N)
+    assert abs(noise.var() / 0.7**2 - 1) < 5 * math.sqrt((kurtosis - 1) / N)
+    # Of the fourth moment: below √E(x⁸) = √105 sd⁴ for the Gaussian, less for the uniform.
+    assert abs(np.mean((noise / 0.7) ** 4) - kurtosis) < 5 * math.sqrt(105 / N)
+
+
+def test_uniform_noise_ends_at_root_three_standard_deviations():
+    noise = draw((400, 500), sd=2.0, distribution="uniform", rng=generator(2))
+    # The largest of N uniform draws lies within 20/N of the end but for e^-10.
+    assert 1 - 20 / noise.size < np.abs(noise).max() / (2.0 * math.sqrt(3.0)) <= 1.0
+
+
+def test_zero_noise_is_zero():
+    pattern = unit_fixed_pattern((4, 4), noise=PAPER, seed=1)
+    np.testing.assert_array_equal(displayed_noise(pattern, total_sd=0.0, noise=PAPER, rng=generator()), 0.0)
+
+
+def test_fixed_pattern_belongs_to_the_seed():
+    first = unit_fixed_pattern((8, 8), noise=PAPER, seed=7)
+    np.testing.assert_array_equal(first, unit_fixed_pattern((8, 8), noise=PAPER, seed=np.random.SeedSequence(7)))
+    assert (first != unit_fixed_pattern((8, 8), noise=PAPER, seed=8)).all()
+
+
+@pytest.mark.parametrize("distribution", ["uniform", "gaussian"])
+def test_mean_over_many_images_is_the_fixed_pattern(distribution):
+    noise = Noise(distribution=distribution, fixed_pattern_ratio=0.4, frames_integrated=6)
+    pattern = unit_fixed_pattern((16, 16), noise=noise, seed=3)
+    rng = generator(4)
+    images = np.stack([displayed_noise(pattern, total_sd=2.0, noise=noise, rng=rng) for _ in range(1000)])
+    dynamic, static = noise_parts(noise, total_sd=2.0)
+    # Five standard errors of 256 means, and of the variance of 256,000 draws (κ <= 3).
+    assert np.abs(images.mean(axis=0) - static * pattern).max() < 5 * dynamic / math.sqrt(1000)
+    variance = np.var(images, axis=0, ddof=1).mean()
+    assert abs(variance / dynamic**2 - 1) < 5 * math.sqrt(2 / 256_000)
+
+
+def test_total_over_sensors_has_the_standard_deviation_asked_for():
+    rng = generator(5)
+    images = np.stack(
+        [
+            displayed_noise(
+                unit_fixed_pattern((16, 16), noise=PAPER, seed=seed), total_sd=0.5, noise=PAPER, rng=rng
+            )
+            for seed in range(400)
+        ]
+    )
+    # Five standard errors of the variance of 102,400 samples (κ <= 3).
+    assert abs(images.var() / 0.25 - 1) < 5 * math.sqrt(2 / images.size)
+    # Of the fourth moment, below √E(x⁸) = √105.
+    kurtosis = np.mean((images / 0.5) ** 4) - 3
+    assert abs(kurtosis - excess_kurtosis(PAPER)) < 5 * math.sqrt(105 / images.size)
+
+
+def test_excess_kurtosis_of_known_distributions():
+    assert excess_kurtosis(Noise()) == pytest.approx(-1.2)
+    assert excess_kurtosis(Noise(distribution="gaussian", fixed_pattern_ratio=1.0)) == 0.0
+    # Two equal uniform parts make a triangular distribution.
+    assert excess_kurtosis(Noise(fixed_pattern_ratio=1.0)) == pytest.approx(-0.6)

@@ -1,0 +1,163 @@
+"""Sample & hold and post-sample blur against repetition, SciPy's filter, moments, and the adjoint."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.ndimage import gaussian_filter
+
+from sensor_sim.reconstruction import (
+    axis_matrix,
+    detector_weights,
+    display_position_px,
+    display_signal,
+    gaussian_kernel,
+    luminance_cd_m2,
+)
+from sensor_sim.sensor import Electronics, SensorDisplay
+from sensor_sim.transfer import gaussian_mtf
+
+DISPLAY = SensorDisplay(
+    pixels_per_detector=6, pixel_pitch_mm=0.25, viewing_distance_mm=350.0, background_luminance_cd_m2=50.0
+)
+SIGMA = st.floats(0.0, 12.0)
+
+
+def matrix_of(n=9, *, electronics=0.0, display=0.0, pixels=6):
+    return axis_matrix(
+        n,
+        display=replace(DISPLAY, blur_sigma_px=display, pixels_per_detector=pixels),
+        electronics=Electronics(blur_sigma_px=electronics),
+    )
+
+
+def random(*shape):
+    return np.random.default_rng(1).normal(size=shape)
+
+
+# The kernel
+
+
+@given(SIGMA)
+def test_kernel_has_sum_one_mean_zero_and_its_variance(sigma):
+    kernel = gaussian_kernel(sigma)
+    place = np.arange(kernel.size) - kernel.size // 2
+    assert kernel.sum() == pytest.approx(1.0, abs=1e-14)
+    np.testing.assert_array_equal(kernel, kernel[::-1])
+    # Halved to the last digit of the exponent below 1.5 pixels; above, aliases are e^-44 and 9 σ leave 1e-16.
+    assert kernel @ place**2 == pytest.approx(sigma**2, rel=1e-12, abs=1e-15)
+    assert kernel.min() >= 0.0
+
+
+@pytest.mark.parametrize(("sigma", "tolerance"), [(5.0, 1e-14), (2.0, 1e-8), (1.0, 0.011)])
+def test_kernel_s_transfer_is_the_gaussian_s(sigma, tolerance):
+    # Aliases: up to half a cycle per pixel the nearest repetition adds exp(−2π²σ²(1 − f)²), 0.0072 at the
+    # middle for 1 pixel, and as much again is in the normalisation's favour.
+    kernel = gaussian_kernel(sigma)
+    frequency = np.linspace(0.0, 0.5, 50)
+    place = np.arange(kernel.size) - kernel.size // 2
+    transfer = np.cos(2 * np.pi * np.outer(frequency, place)) @ kernel
+    np.testing.assert_allclose(transfer, gaussian_mtf(frequency, sigma=sigma), atol=tolerance)
+
+
+# Sample & hold, blur
+
+
+@pytest.mark.parametrize("pixels", [1, 2, 6])
+def test_without_blur_samples_are_repeated(pixels):
+    samples = random(9, 9)
+    shown = display_signal(samples, matrix_of(pixels=pixels))
+    np.testing.assert_array_equal(shown, samples.repeat(pixels, axis=0).repeat(pixels, axis=1))
+
+
+def test_blur_is_scipy_s_gaussian_filter_of_the_held_samples():
+    samples = random(9, 9)
+    held = samples.repeat(6, axis=0).repeat(6, axis=1)
+    # The same sampled kernel, of the same radius 18, applied in another order.
+    expected = gaussian_filter(held, 2.0, mode="constant", truncate=9.0)
+    np.testing.assert_allclose(display_signal(samples, matrix_of(display=2.0)), expected, atol=1e-14)
+
+
+def test_blur_wider_than_the_field_is_cut_at_its_border():
+    samples = random(2, 2)
+    held = samples.repeat(6, axis=0).repeat(6, axis=1)
+    expected = gaussian_filter(held, 5.0, mode="constant", truncate=9.0)
+    np.testing.assert_allclose(display_signal(samples, matrix_of(2, display=5.0)), expected, atol=1e-14)
+
+
+def test_variances_of_electronics_and_display_add():
+    together = matrix_of(electronics=1.5, display=2.0)
+    np.testing.assert_allclose(together, matrix_of(display=2.5), rtol=1e-13)
+    np.testing.assert_array_equal(matrix_of(electronics=2.0), matrix_of(display=2.0))
+    # One after the other: the display's blur acts on pixels. Away from the border, where the signal between
+    # the two is cut; 36 pixels off is 18 standard deviations.
+    second = matrix_of(9 * 6, display=2.0, pixels=1)
+    in_turn = (second @ matrix_of(electronics=1.5))[:, 4]
+    np.testing.assert_allclose(in_turn[24:30], together[24:30, 4], rtol=1e-12)
+
+
+@given(SIGMA, SIGMA, st.integers(1, 8), st.integers(1, 12))
+def test_rows_sum_to_one_or_less_and_light_to_what_was_there_or_less(electronics, display, pixels, n):
+    matrix = matrix_of(n, electronics=electronics, display=display, pixels=pixels)
+    assert matrix.shape == (n * pixels, n)
+    assert matrix.min() >= 0.0
+    assert matrix.sum(axis=1).max() <= 1.0 + 1e-14
+    assert matrix.sum(axis=0).max() <= pixels * (1.0 + 1e-14)
+
+
+def test_away_from_the_border_nothing_is_lost():
+    matrix = matrix_of(11, display=3.0)
+    # Nine standard deviations are 27 pixels: rows and columns from there on reach no border.
+    np.testing.assert_allclose(matrix.sum(axis=1)[27:-27], 1.0, rtol=1e-14)
+    np.testing.assert_allclose(matrix.sum(axis=0)[5], 6.0, rtol=1e-14)
+
+
+def test_stacks_are_shown_image_by_image():
+    samples, matrix = random(3, 2, 9, 9), matrix_of(display=2.0)
+    np.testing.assert_allclose(
+        display_signal(samples, matrix)[2, 1], display_signal(samples[2, 1], matrix), rtol=1e-14
+    )
+
+
+def test_a_quarter_turn_of_the_samples_is_one_of_the_display():
+    samples, matrix = random(8, 8), matrix_of(8, display=1.3)
+    turned = display_signal(np.rot90(samples), matrix)
+    # Rows and columns are summed in another order.
+    np.testing.assert_allclose(turned, np.rot90(display_signal(samples, matrix)), atol=1e-14)
+
+
+# The adjoint
+
+
+@given(SIGMA, SIGMA, st.integers(1, 8))
+def test_weights_on_the_display_fold_onto_detectors(electronics, display, pixels):
+    matrix = matrix_of(electronics=electronics, display=display, pixels=pixels)
+    samples, weights = random(9, 9), random(9 * pixels, 9 * pixels)
+    on_display = np.vdot(weights, display_signal(samples, matrix))
+    on_detectors = np.vdot(detector_weights(weights, matrix), samples)
+    # Some 5,000 products of size 1 at most, each with its rounding.
+    assert on_detectors == pytest.approx(on_display, rel=1e-12, abs=1e-12)
+
+
+# Luminance and place
+
+
+def test_no_signal_is_background_and_gain_scales_contrast():
+    display = replace(DISPLAY, gain=0.25)
+    luminance = luminance_cd_m2(np.array([0.0, 1.0, -1.0, -8.0]), display=display)
+    np.testing.assert_allclose(luminance, [50.0, 62.5, 37.5, -50.0])
+
+
+@pytest.mark.parametrize("n", [8, 9])
+@pytest.mark.parametrize("pixels", [1, 5, 6])
+def test_a_sample_is_shown_where_it_was_taken(n, pixels):
+    display = replace(DISPLAY, pixels_per_detector=pixels)
+    matrix = matrix_of(n, pixels=pixels)
+    for detector in range(n):
+        centroid = matrix[:, detector] @ np.arange(n * pixels) / matrix[:, detector].sum()
+        place = display_position_px(detector - (n - 1) / 2, n_detectors=n, display=display)
+        assert place == pytest.approx(centroid, abs=1e-12)

@@ -1,0 +1,207 @@
+"""SENSOR.toml: what it gives, and every way in which it can be wrong."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sensor_sim.sensor import Detector, Electronics, Noise, Optics, Sensor, SensorDisplay, load_sensor
+from todframes.errors import SettingsError
+
+STAR = """\
+schema = 1
+name = "star-like"
+[optics]
+aperture_mm = 220.0
+wavelength_um = 4.0
+blur_sigma_mrad = 0.01
+[detector]
+pitch_mrad = 0.0681
+width_mrad = 0.0681
+[noise]
+distribution = "uniform"
+netd_mk = 16.0
+fixed_pattern_ratio = 0.4
+frames_integrated = 6
+[electronics]
+blur_sigma_px = 0.0
+[display]
+pixels_per_detector = 6
+pixel_pitch_mm = 0.25
+viewing_distance_mm = 350.0
+blur_sigma_px = 2.0
+background_luminance_cd_m2 = 50.0
+gain = 1.0
+"""
+OPTICS = Optics(aperture_mm=220.0, wavelength_um=4.0, blur_sigma_mrad=0.01)
+DETECTOR = Detector(pitch_mrad=0.0681, width_mrad=0.0681)
+DISPLAY = SensorDisplay(
+    pixels_per_detector=6,
+    pixel_pitch_mm=0.25,
+    viewing_distance_mm=350.0,
+    background_luminance_cd_m2=50.0,
+    blur_sigma_px=2.0,
+)
+SENSOR = Sensor(
+    name="star-like",
+    optics=OPTICS,
+    detector=DETECTOR,
+    noise=Noise(netd_mk=16.0, fixed_pattern_ratio=0.4, frames_integrated=6),
+    display=DISPLAY,
+)
+
+
+def load(tmp_path, text) -> Sensor:
+    path = tmp_path / "SENSOR.toml"
+    path.write_text(text, encoding="utf-8")
+    return load_sensor(path)
+
+
+def test_every_key_arrives(tmp_path):
+    text = STAR.replace("blur_sigma_px = 0.0", "blur_sigma_px = 0.5").replace("gain = 1.0", "gain = 0.25")
+    expected = replace(SENSOR, electronics=Electronics(blur_sigma_px=0.5), display=replace(DISPLAY, gain=0.25))
+    assert load(tmp_path, text) == expected
+
+
+def test_what_may_be_left_out_has_the_documented_default(tmp_path):
+    lines = STAR.splitlines()
+    optional = ("name", "blur_sigma", "[noise]", "dist", "netd", "fixed", "frames", "[electronics]", "gain")
+    text = "\n".join(line for line in lines if not line.startswith(optional))
+    expected = Sensor(
+        optics=replace(OPTICS, blur_sigma_mrad=0.0), detector=DETECTOR, display=replace(DISPLAY, blur_sigma_px=0.0)
+    )
+    assert load(tmp_path, text) == expected
+    assert expected.noise == Noise(
+        distribution="uniform", netd_mk=None, fixed_pattern_ratio=0.0, frames_integrated=1
+    )
+    assert (expected.electronics.blur_sigma_px, expected.display.gain, expected.name) == (0.0, 1.0, "unnamed")
+
+
+POSITIVE = ["0.0", "-1.0", "nan", "inf"]
+NOT_NEGATIVE = ["-0.1", "nan", "inf"]
+NOT_NEGATIVE_PIXELS = [*NOT_NEGATIVE, "1000.5"]
+COUNT = ["0", "-3"]
+RANGES = {
+    ("optics", "aperture_mm = 220.0"): (POSITIVE, "> 0"),
+    ("optics", "wavelength_um = 4.0"): (POSITIVE, "> 0"),
+    ("optics", "blur_sigma_mrad = 0.01"): (NOT_NEGATIVE, ">= 0"),
+    ("detector", "pitch_mrad = 0.0681"): (POSITIVE, "> 0"),
+    ("detector", "width_mrad = 0.0681"): (POSITIVE, "> 0"),
+    ("noise", "netd_mk = 16.0"): (POSITIVE, "> 0"),
+    ("noise", "fixed_pattern_ratio = 0.4"): (NOT_NEGATIVE, ">= 0"),
+    ("noise", "frames_integrated = 6"): (COUNT, ">= 1"),
+    ("electronics", "blur_sigma_px = 0.0"): (NOT_NEGATIVE_PIXELS, ">= 0"),
+    ("display", "pixels_per_detector = 6"): ([*COUNT, "1001"], ">= 1"),
+    ("display", "pixel_pitch_mm = 0.25"): (POSITIVE, "> 0"),
+    ("display", "viewing_distance_mm = 350.0"): (POSITIVE, "> 0"),
+    ("display", "blur_sigma_px = 2.0"): (NOT_NEGATIVE_PIXELS, ">= 0"),
+    ("display", "background_luminance_cd_m2 = 50.0"): (POSITIVE, "> 0"),
+    ("display", "gain = 1.0"): (POSITIVE, "> 0"),
+}
+OUT_OF_RANGE = [(*key, value, sign) for key, (values, sign) in RANGES.items() for value in values]
+
+
+@pytest.mark.parametrize(("table", "line", "value", "sign"), OUT_OF_RANGE)
+def test_a_value_out_of_range_is_named(tmp_path, table, line, value, sign):
+    key = line.split(" = ")[0]
+    match = rf"^.*SENSOR\.toml: \[{table}\]: {key}: found {value}, expected a .* {sign}[^\n]*$"
+    with pytest.raises(SettingsError, match=match):
+        load(tmp_path, STAR.replace(line, f"{key} = {value}"))
+
+
+@pytest.mark.parametrize(("table", "line"), RANGES)
+@pytest.mark.parametrize("value", ['"much"', "true", "[1.0]"])
+def test_a_value_of_the_wrong_type_is_named(tmp_path, table, line, value):
+    key = line.split(" = ")[0]
+    with pytest.raises(SettingsError, match=rf"^.*SENSOR\.toml: \[{table}\]: {key}: found .*expected [^\n]*$"):
+        load(tmp_path, STAR.replace(line, f"{key} = {value}"))
+
+
+@pytest.mark.parametrize(
+    ("table", "line"),
+    [key for key in RANGES if key[1].split(" = ")[0] in
+     ("aperture_mm", "wavelength_um", "pitch_mrad", "width_mrad", "pixels_per_detector", "pixel_pitch_mm",
+      "viewing_distance_mm", "background_luminance_cd_m2")],
+)  # fmt: skip
+def test_a_missing_key_is_named(tmp_path, table, line):
+    key = line.split(" = ")[0]
+    with pytest.raises(SettingsError, match=rf"SENSOR\.toml: \[{table}\]: {key} is missing$"):
+        load(tmp_path, STAR.replace(f"\n{line}\n", "\n"))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "match"),
+    [
+        ("\naperture_mm", "\napperture_mm", r"\[optics\]: unknown key 'apperture_mm'; .* 'aperture_mm'$"),
+        ("fixed_pattern_ratio", "fixed_pattern", r"\[noise\]: unknown key .* 'fixed_pattern_ratio'$"),
+        ("[electronics]", "[electronic]", r"unknown key 'electronic'; the nearest valid one is 'electronics'$"),
+        ("schema = 1", "scheme = 1", r"unknown key 'scheme'; the nearest valid one is 'schema'$"),
+        ("schema = 1", "schema = 2", r"schema: found 2, expected 1$"),
+        ("schema = 1", "schema = true", r"schema: found True, expected 1$"),
+        ("schema = 1", "", r"schema: found nothing, expected 1$"),
+        ('name = "star-like"', "name = 3", r"name: found 3, expected a text$"),
+        ('name = "star-like"', "optics = 3", r"not valid TOML"),
+        ('"uniform"', '"triangular"', r"\[noise\]: distribution: found 'triangular'"),
+        (
+            "width_mrad = 0.0681",
+            "width_mrad = 0.0682",
+            r"\[detector\]: width_mrad: found 0.0682, expected at most pitch_mrad",
+        ),
+        ("frames_integrated = 6", "frames_integrated = 6.5", r"\[noise\]: frames_integrated: found 6.5"),
+        ("[optics]", "[optics", "not valid TOML"),
+    ],
+)
+def test_other_mistakes_are_named(tmp_path, old, new, match):
+    with pytest.raises(SettingsError, match=rf"^[^\n]*SENSOR\.toml: {match}"):
+        load(tmp_path, STAR.replace(old, new, 1))
+
+
+@pytest.mark.parametrize("table", ["optics", "detector", "display"])
+def test_a_missing_table_is_named(tmp_path, table):
+    kept = [part for part in STAR.split("\n[") if not part.startswith(table)]
+    with pytest.raises(SettingsError, match=rf"SENSOR\.toml: table \[{table}\] is missing$"):
+        load(tmp_path, "\n[".join(kept))
+
+
+def test_a_key_in_place_of_a_table_is_named(tmp_path):
+    text = STAR.replace("[electronics]\nblur_sigma_px = 0.0\n", "")
+    with pytest.raises(SettingsError, match=r"electronics: found 2, expected a table \[electronics\]$"):
+        load(tmp_path, "electronics = 2\n" + text)
+
+
+def test_a_file_that_is_not_there_is_named(tmp_path):
+    with pytest.raises(SettingsError, match=r"none\.toml: no such file$"):
+        load_sensor(tmp_path / "none.toml")
+
+
+def test_settings_made_in_code_are_checked_too():
+    with pytest.raises(SettingsError, match=r"^frames_integrated: found 2\.5, expected a whole number >= 1$"):
+        Noise(frames_integrated=2.5)  # type: ignore[arg-type]
+
+
+# Derived
+
+
+def test_cut_off_is_the_diameter_in_wavelengths():
+    # 0.22 m of 4e-6 m waves: 55,000 cycles per radian.
+    assert OPTICS.cut_off_cyc_per_mrad == pytest.approx(0.22 / 4e-6 / 1000)
+    assert pytest.approx(1.0) == DETECTOR.nyquist_cyc_per_mrad * 2 * 0.0681
+
+
+def test_display_pixel_is_seen_under_its_angle():
+    assert math.tan(DISPLAY.pixel_pitch_mrad / 2000) * 2 * 350 == pytest.approx(0.25, rel=1e-14)
+    assert pytest.approx(6 * DISPLAY.pixel_pitch_mrad) == DISPLAY.detector_pitch_mrad
+
+
+@given(st.floats(1e-3, 10.0), st.floats(0.01, 1.0))
+def test_fill_factor_is_the_active_share_of_the_area(pitch, fill_factor):
+    detector = Detector(pitch_mrad=pitch, width_mrad=min(pitch, pitch * math.sqrt(fill_factor)))
+    assert detector.fill_factor == pytest.approx(fill_factor, rel=1e-12)
+
+
+def test_magnification_carries_a_detector_into_its_pixels():
+    assert SENSOR.magnification * 0.0681 == pytest.approx(DISPLAY.detector_pitch_mrad)

@@ -1,0 +1,200 @@
+"""Transfer functions against published values, point spreads, limits and bounds worked out elsewhere."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.special import j0, j1
+
+from sensor_sim.sensor import Detector, Electronics, Optics, Sensor, SensorDisplay
+from sensor_sim.transfer import (
+    band_limit_cyc_per_mrad,
+    box_mtf,
+    diffraction_mtf,
+    gaussian_mtf,
+    optics_mtf,
+    post_sample_mtf,
+    pre_sample_mtf,
+    repetition_bound,
+    sharpness_bound,
+    stages,
+)
+
+NODES, NODE_WEIGHTS = np.polynomial.legendre.leggauss(400)
+POSITIVE = st.floats(1e-3, 1e3)
+
+
+def unit_diffraction(x):
+    return diffraction_mtf(x, wavelength_um=1.0, aperture_mm=1.0)
+
+
+def airy(radius, cut_off):
+    """Point spread of a circular aperture, of volume 1 (Born & Wolf, section 8.5.2)."""
+    v = np.pi * cut_off * np.maximum(radius, 1e-12)
+    return np.pi * cut_off**2 * np.square(j1(v) / v)
+
+
+# Diffraction
+
+
+def test_diffraction_has_the_tabulated_values():
+    expected = [0.872889, 0.685038, 0.391002, 0.144294, 0.037386]
+    np.testing.assert_allclose(unit_diffraction([0.1, 0.25, 0.5, 0.75, 0.9]), expected, atol=5e-7)
+
+
+def test_diffraction_is_one_at_frequency_zero_and_falls_everywhere():
+    # A thousandth of the cut-off apart, up to it: neighbours differ by more than any rounding.
+    mtf = unit_diffraction(np.linspace(0.0, 1.0, 1001))
+    assert mtf[0] == 1.0
+    assert (np.diff(mtf) < 0.0).all()
+
+
+@given(POSITIVE, POSITIVE, st.floats(1.0, 1e6))
+def test_nothing_passes_from_the_cut_off_on(aperture_mm, wavelength_um, times):
+    cut_off = Optics(aperture_mm=aperture_mm, wavelength_um=wavelength_um).cut_off_cyc_per_mrad
+    mtf = diffraction_mtf([cut_off, times * cut_off], wavelength_um=wavelength_um, aperture_mm=aperture_mm)
+    np.testing.assert_array_equal(mtf, [0.0, 0.0])
+
+
+@pytest.mark.parametrize("power", [-20, -30, -50])
+def test_diffraction_keeps_its_digits_next_to_the_cut_off(power):
+    # Expansion in e = 1 − x, exact in binary: 8√2/(3π) e^(3/2) (1 − 3e/20 + O(e²)).
+    e = 2.0**power
+    expected = 8 * math.sqrt(2) / (3 * math.pi) * e**1.5 * (1 - 0.15 * e)
+    # e² <= 1e-12 and some roundings.
+    assert unit_diffraction(1.0 - e) == pytest.approx(expected, rel=1e-12)
+
+
+def test_diffraction_is_continuous_where_the_series_takes_over():
+    # 2 arccos x = 1 at cos(1/2); the slope there is (4/π)√(1 − x²) < 0.62.
+    x = math.cos(0.5)
+    left, right = unit_diffraction([x - 1e-13, x + 1e-13])
+    assert 0.0 < left - right < 1.3e-13
+
+
+@pytest.mark.parametrize("frequency", [0.0, 0.31, 0.8, 1.4, 2.5])
+def test_diffraction_is_the_transform_of_the_airy_pattern(frequency):
+    # Hankel transform back: psf(r) = 2π ∫ H(f) J₀(2πfr) f df, with f = 2 sin θ for the root at the cut-off.
+    theta = (NODES + 1.0) * np.pi / 4.0
+    f = 2.0 * np.sin(theta)
+    measure = 2.0 * np.cos(theta) * NODE_WEIGHTS * np.pi / 4.0
+    mtf = diffraction_mtf(f, wavelength_um=0.5, aperture_mm=1.0)
+    psf = 2.0 * np.pi * np.sum(mtf * j0(2.0 * np.pi * f * frequency) * f * measure)
+    # 400 Gauss nodes integrate a smooth function to rounding of a peak of π.
+    assert psf == pytest.approx(airy(frequency, 2.0), abs=1e-12)
+
+
+# Gaussian, box
+
+
+@pytest.mark.parametrize(
+    ("frequency", "sigma", "expected"),
+    [(4, 0.01, 0.968910791191297), (8, 0.01, 0.881323136669471), (4, 0.05, 0.454040738727245)],
+)
+def test_gaussian_has_the_tabulated_values(frequency, sigma, expected):
+    assert gaussian_mtf(frequency, sigma=sigma) == pytest.approx(expected, rel=1e-13)
+
+
+@given(st.floats(0.0, 3.0), st.floats(0.1, 2.0))
+def test_width_at_one_over_e_is_root_two_pi_standard_deviations(frequency, width):
+    expected = math.exp(-math.pi * (width * frequency) ** 2)
+    assert gaussian_mtf(frequency, sigma=width / math.sqrt(2 * math.pi)) == pytest.approx(expected, rel=1e-12)
+
+
+@given(st.floats(-3.0, 3.0), st.floats(0.1, 2.0))
+def test_box_is_the_mean_of_a_wave_over_its_width(frequency, width):
+    mean = np.sum(NODE_WEIGHTS / 2.0 * np.cos(np.pi * frequency * width * NODES))
+    assert box_mtf(frequency, width=width) == pytest.approx(mean, abs=1e-13)
+
+
+# Products
+
+
+@given(st.floats(0.0, 2 * math.pi), st.floats(0.0, 1.2))
+def test_optics_are_circularly_symmetric(angle, frequency):
+    optics = Optics(aperture_mm=1.0, wavelength_um=1.0, blur_sigma_mrad=0.2)
+    pinhole = Detector(pitch_mrad=1.0, width_mrad=1e-9)
+    turned = pre_sample_mtf(
+        frequency * math.cos(angle), frequency * math.sin(angle), optics=optics, detector=pinhole
+    )
+    # The slope of the transfer is below 4, times the rounding of the frequency.
+    assert turned == pytest.approx(optics_mtf(frequency, optics=optics), abs=1e-15)
+
+
+def test_optics_are_not_a_product_of_the_axes():
+    optics = Optics(aperture_mm=1.0, wavelength_um=1.0)
+    diagonal = pre_sample_mtf(0.8, 0.8, optics=optics, detector=Detector(pitch_mrad=1.0, width_mrad=1e-9))
+    assert diagonal == 0.0
+    assert unit_diffraction(0.8) ** 2 > 0.01
+
+
+SENSOR = Sensor(
+    optics=Optics(aperture_mm=220.0, wavelength_um=4.0, blur_sigma_mrad=0.01),
+    detector=Detector(pitch_mrad=0.0681, width_mrad=0.06),
+    electronics=Electronics(blur_sigma_px=1.5),
+    display=SensorDisplay(
+        pixels_per_detector=6,
+        pixel_pitch_mm=0.25,
+        viewing_distance_mm=350.0,
+        background_luminance_cd_m2=50.0,
+        blur_sigma_px=2.0,
+    ),
+)
+
+
+def test_stages_multiply_to_the_two_products():
+    of = stages(np.linspace(0.0, 60.0, 241), sensor=SENSOR)
+    np.testing.assert_allclose(
+        of["pre_sample"], of["diffraction"] * of["optics_blur"] * of["detector"], atol=1e-15
+    )
+    np.testing.assert_allclose(of["post_sample"], of["electronics"] * of["display"], atol=1e-15)
+    assert all(transfer[0] == 1.0 for transfer in of.values())
+    np.testing.assert_array_equal(of["pre_sample"][220:], 0.0)  # cut-off 55 cycles/mrad
+
+
+def test_post_sample_blur_is_that_of_the_display_seen_from_the_scene():
+    # Variances of independent blurs add: 1.5² + 2² = 2.5² pixels, six of which are a detector of 0.0681 mrad.
+    frequency = np.linspace(0.0, 20.0, 50)
+    expected = gaussian_mtf(frequency, sigma=2.5 * 0.0681 / 6)
+    np.testing.assert_allclose(post_sample_mtf(frequency, sensor=SENSOR), expected, atol=1e-14)
+
+
+def test_hold_is_zero_at_the_sampling_frequency():
+    assert abs(stages(1 / 0.0681, sensor=SENSOR)["hold"]) < 1e-16
+
+
+# Bounds
+
+
+@given(st.floats(0.1, 100.0), st.floats(0.0, 10.0))
+def test_nothing_of_weight_passes_beyond_the_band_limit(cut_off, sigma):
+    optics = Optics(aperture_mm=cut_off, wavelength_um=1.0, blur_sigma_mrad=sigma)
+    assert optics_mtf(band_limit_cyc_per_mrad(optics), optics=optics) < 1e-17
+
+
+@pytest.mark.parametrize("v", [3.0, 30.0, 300.0, 3000.0])
+def test_sharpness_bound_holds_for_the_energy_of_the_airy_pattern(v):
+    # Mean of min(1, √2 r/width) over the pattern, by parts: √2/v ∫₀ᵛ/√² (J₀² + J₁²), v = πc·width.
+    edges = np.linspace(0.0, v / math.sqrt(2), 20)
+    x = (edges[:-1, None] + np.diff(edges)[:, None] * (NODES + 1.0) / 2.0).ravel()
+    weights = (np.diff(edges)[:, None] * NODE_WEIGHTS / 2.0).ravel()
+    moved = math.sqrt(2) / v * np.sum(weights * (j0(x) ** 2 + j1(x) ** 2))
+    bound = sharpness_bound(Optics(aperture_mm=v / math.pi, wavelength_um=1.0), width_mrad=1.0)
+    assert moved <= bound < 2.5 * moved
+
+
+def test_repetition_bound_is_above_and_near_the_lattice_sum_of_a_point():
+    # The bound takes cos² for 1 in the pattern's tail, where it is 1/2 on average, and each place at its worst.
+    cut_off, period = 1.7, 12.0
+    place = (np.arange(-40, 41)[:, None] * period, np.arange(-40, 41) * period)
+    radius = np.hypot(*place)
+    neighbours = airy(radius[radius > 0.0], cut_off).sum()
+    bound = repetition_bound(
+        Optics(aperture_mm=cut_off, wavelength_um=1.0),
+        area_mrad2=1.0, reach_mrad=0.0, field_mrad=0.0, period_mrad=period,
+    )  # fmt: skip
+    assert neighbours < bound < 6 * neighbours
