@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from todframes.display import Display
-from todframes.frames import frame_sha256, write_frame
+from todframes.frame_writing import write_frame
+from todframes.frames import frame_sha256
 from todframes.stimulus import ORIENTATIONS, coverage
 
 REPETITIONS = 3
@@ -106,7 +107,8 @@ def grabbed_8bit(folder: Path) -> None:
 
 def _write(path: Path, values: np.ndarray, pixel_type: str) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_frame(path, values, pixel_type=pixel_type, attributes={"todframes:origin": "sample_frames/make_samples.py"})
+    origin = {"todframes:origin": "sample_frames/make_samples.py"}
+    write_frame(path, values, pixel_type=pixel_type, attributes=origin)
 
 
 def _write_manifest(folder: Path, settings: str, columns: list[str], rows: list[list]) -> None:

@@ -21,6 +21,8 @@ from sensor_sim.sensor import Electronics, SensorDisplay
 
 FloatArray = NDArray[np.float64]
 
+MAX_PRODUCT = 2**17
+"""Multiplications in one call of BLAS."""
 ALIAS_FREE_SIGMA_PX = 1.5
 """From here on the variance of a sampled Gaussian is σ² to 1e-16 (Poisson summation: e^(−2π²σ²))."""
 
@@ -98,7 +100,7 @@ def display_signal(samples: FloatArray, matrix: FloatArray) -> FloatArray:
     -------
     ndarray, shape (..., n_px, n_px)
     """
-    return np.asarray(matrix @ samples @ matrix.T)
+    return _product(_product(matrix, samples), matrix.T)
 
 
 def detector_weights(weights: FloatArray, matrix: FloatArray) -> FloatArray:
@@ -115,7 +117,20 @@ def detector_weights(weights: FloatArray, matrix: FloatArray) -> FloatArray:
     -------
     ndarray, shape (..., n, n)
     """
-    return np.asarray(matrix.T @ weights @ matrix)
+    return _product(matrix.T, _product(weights, matrix))
+
+
+def _product(a: FloatArray, b: FloatArray) -> FloatArray:
+    """a @ b, by blocks of rows so small that BLAS starts no threads.
+
+    These wait for each other far longer than the product takes when other work keeps the processors busy.
+    """
+    block = max(1, MAX_PRODUCT // (b.shape[-2] * b.shape[-1]))
+    stack = np.broadcast_shapes(a.shape[:-2], b.shape[:-2])
+    product = np.empty((*stack, a.shape[-2], b.shape[-1]))
+    for i in range(0, a.shape[-2], block):
+        np.matmul(a[..., i : i + block, :], b, out=product[..., i : i + block, :])
+    return product
 
 
 def luminance_cd_m2(signal: FloatArray, *, display: SensorDisplay) -> FloatArray:

@@ -37,7 +37,7 @@ MAX_FREQUENCIES = 2**22
 MAX_NEGLECTED = 0.05
 """Bound on what leaving out the optics may change in a sample; beyond, the field is refused as too large."""
 PLACES_AT_ONCE = 32
-"""Keeps the partly folded spectra in the processor's cache."""
+"""Keeps partly folded spectra in the cache, and products so small that BLAS starts no threads for them."""
 
 
 class TriangleSampler:
@@ -118,7 +118,7 @@ class TriangleSampler:
             self._prepare_spectrum(optics, detector, last)
 
     def _prepare_spectrum(self, optics: Optics, detector: Detector, last: float) -> None:
-        """Unfolded spectrum of the samples up to `last` cycles per period: [folded x][y][replica along x].
+        """Unfolded spectrum up to `last` cycles per period: [folded x][replica along y][folded y][replica along x].
 
         Real samples need folded x frequencies from 0 to half of the period only.
         """
@@ -128,12 +128,12 @@ class TriangleSampler:
         self._replicas_x = np.arange(-math.floor((last + half) / period), math.floor(last / period) + 1)
         n_y = math.floor((last + half) / period)
         folded_y = np.fft.ifftshift(np.arange(period) - half)
-        self._k_y = (np.arange(-n_y, n_y + 1)[:, None] * period + folded_y).ravel()
+        self._k_y = np.arange(-n_y, n_y + 1)[:, None] * period + folded_y
         # Samples start at the field's first detector, whose place relative to the middle is this.
         first = -(self._field - 1) / 2.0
-        self._unfolded = np.zeros((half + 1, self._k_y.size, self._replicas_x.size), dtype=np.complex128)
+        self._unfolded = np.zeros((half + 1, *self._k_y.shape, self._replicas_x.size), dtype=np.complex128)
         for i, k_folded in enumerate(self._folded_x):
-            k_x, k_y = np.broadcast_arrays(k_folded + self._replicas_x * period, self._k_y[:, None])
+            k_x, k_y = np.broadcast_arrays(k_folded + self._replicas_x * period, self._k_y[..., None])
             passed = np.hypot(k_x, k_y) < last
             fx, fy = k_x[passed] / period, k_y[passed] / period
             transfer = pre_sample_mtf(fx / pitch, fy / pitch, optics=optics, detector=detector)
@@ -180,27 +180,26 @@ class TriangleSampler:
         """
         if self.neglected_bound > 0.0:
             samples = self.samples(x_detectors, y_detectors, orientation=orientation)
-            return np.tensordot(samples, weights, axes=((1, 2), (1, 2)))
+            return np.asarray(np.einsum("pij,kij->pk", samples, weights))
         x, y = _upright_place(x_detectors, y_detectors, orientation)
         turned = np.rot90(weights, orientation.quarter_turns, axes=(1, 2))
         # Parseval; all but the first and, for an even period, the last column stand for two.
         dual = np.fft.rfft2(turned, s=(self._period, self._period), axes=(1, 2)).conj() / self._period**2
         dual[:, :, 1 : (self._period + 1) // 2] *= 2.0
-        dual = np.ascontiguousarray(dual.swapaxes(1, 2)).reshape(len(dual), -1)
+        dual = np.ascontiguousarray(dual.swapaxes(1, 2))
         products = np.empty((x.size, len(dual)))
         for start in range(0, x.size, PLACES_AT_ONCE):
             part = slice(start, start + PLACES_AT_ONCE)
-            products[part] = (dual @ self._folded(x[part], y[part]).reshape(dual.shape[1], -1)).real.T
+            products[part] = np.einsum("kxy,xyp->pk", dual, self._folded(x[part], y[part])).real
         return products
 
     def _folded(self, x: FloatArray, y: FloatArray) -> ComplexArray:
         """Spectrum folded onto the grid, for upright triangles at these places: (folded x, folded y, places)."""
-        period, n_x = self._period, self._folded_x.size
-        turn = -2j * np.pi / period
-        k_x = self._folded_x[:, None] + self._replicas_x * period
-        along_y = self._unfolded @ np.exp(turn * k_x[..., None] * x)
-        along_y *= np.exp(turn * self._k_y[:, None] * y)
-        return np.asarray(along_y.reshape(n_x, -1, period, x.size).sum(axis=1))
+        turn = -2j * np.pi / self._period
+        k_x = self._folded_x[:, None] + self._replicas_x * self._period
+        replicas_y = self._unfolded @ np.exp(turn * k_x[..., None] * x)[:, None]
+        replicas_y *= np.exp(turn * self._k_y[..., None] * y)
+        return np.asarray(replicas_y.sum(axis=1))
 
     def _covered_area(self, x: FloatArray, y: FloatArray) -> FloatArray:
         """Share of each active area that an upright triangle covers, exactly: (places, field, field).

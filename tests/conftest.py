@@ -12,7 +12,7 @@ from typing import Any, Protocol
 
 import pytest
 
-from todframes.frames import write_frame
+from todframes.frame_writing import write_frame
 from todframes.stimulus import ORIENTATIONS, coverage
 
 PITCH_MRAD = 0.25

@@ -23,7 +23,7 @@ import pytest
 
 from todframes import cli, report
 from todframes.command import run
-from todframes.frames import write_frame
+from todframes.frame_writing import write_frame
 
 BAD_DATA, BAD_SETTINGS, INTERRUPTED = 1, 2, 130
 BAD = 1

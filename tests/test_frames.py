@@ -15,7 +15,8 @@ import OpenImageIO as oiio
 import pytest
 
 from todframes.errors import FrameError, SettingsError
-from todframes.frames import FrameFile, frame_sha256, read_frame, read_header, write_frame
+from todframes.frame_writing import write_frame
+from todframes.frames import FrameFile, frame_sha256, read_frame, read_header
 
 HEIGHT, WIDTH = 40, 24
 EXR_HEADER_END = b"screenWindowWidth\0float\0\4\0\0\0" + struct.pack("<f", 1.0) + b"\0"
@@ -198,7 +199,7 @@ def test_same_values_give_the_same_bytes(tmp_path):
     script = f"""
         import time
         import numpy as np
-        from todframes.frames import write_frame
+        from todframes.frame_writing import write_frame
         time.sleep(1.1)
         for name in {list(names.values())}:
             values = np.random.default_rng(0).random((8, 8))
@@ -703,7 +704,7 @@ def test_disk_full_leaves_the_old_file(tmp_path, suffix):
         from pathlib import Path
         import numpy as np
         from todframes.errors import FrameError
-        from todframes.frames import write_frame
+        from todframes.frame_writing import write_frame
         values = np.random.default_rng(0).random((100, 100))
         write_frame("whole{suffix}", values)
         size = Path("whole{suffix}").stat().st_size

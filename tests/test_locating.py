@@ -7,7 +7,7 @@ import pytest
 
 from todframes.dataset import load_dataset
 from todframes.errors import DataError
-from todframes.frames import write_frame
+from todframes.frame_writing import write_frame
 from todframes.locating import locate_triangles
 from todframes.stimulus import Orientation, coverage
 

@@ -7,7 +7,8 @@ import pytest
 
 from todframes.dataset import load_dataset
 from todframes.errors import SettingsError
-from todframes.frames import read_frame, write_frame
+from todframes.frame_writing import write_frame
+from todframes.frames import read_frame
 from todframes.naked_eye import contrast_threshold
 from todframes.observer import PyramidObserver, PyramidSettings
 from todframes.psychometric import FitSettings

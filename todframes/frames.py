@@ -1,4 +1,4 @@
-"""EXR and PNG <-> Frame; the only user of OpenImageIO."""
+"""EXR and PNG → Frame; with `frame_writing`, the only user of OpenImageIO."""
 
 from __future__ import annotations
 
@@ -6,21 +6,20 @@ import hashlib
 import os
 import stat
 import zlib
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO, Literal, Self, get_args
+from typing import Any, BinaryIO, Literal, Self
 
 import numpy as np
 import OpenImageIO as oiio
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from todframes.errors import FrameError, SettingsError
+from todframes.errors import FrameError
 
 PathLike = str | os.PathLike[str]
 Range = tuple[int, int]
 PixelType = Literal["half", "float", "uint8", "uint16"]
-Compression = Literal["none", "rle", "zips", "zip", "piz", "pxr24", "b44", "b44a", "dwaa", "dwab"]
+
 
 MAX_SIDE_PX = 32768
 MAX_CHANNELS = 256
@@ -34,11 +33,10 @@ oiio.attribute("limits:imagesize_MB", MAX_DECODED_MB)
 
 _OPEN_OPTIONS = oiio.ImageSpec()
 _OPEN_OPTIONS.attribute("oiio:UnassociatedAlpha", 1)  # or OpenImageIO multiplies PNG colours by alpha
-_NUMPY_TYPES: dict[PixelType, Any] = {
+NUMPY_TYPES: dict[PixelType, Any] = {
     "half": np.float16, "float": np.float32, "uint8": np.uint8, "uint16": np.uint16
 }  # fmt: skip
-_FULL_SCALE: dict[PixelType, int] = {"uint8": 255, "uint16": 65535}
-_WRITABLE: dict[str, tuple[PixelType, ...]] = {".exr": ("half", "float"), ".png": ("uint16", "uint8")}
+FULL_SCALE: dict[PixelType, int] = {"uint8": 255, "uint16": 65535}
 _LAYOUT_ATTRIBUTES = ("oiio:", "openexr:", "compression")
 
 
@@ -100,7 +98,7 @@ class FrameFile:
             format_name = _recognise(self.path)
             self._image: Any = oiio.ImageInput.open(str(self.path), _OPEN_OPTIONS)
             if self._image is None or self._image.format_name() != format_name:
-                raise FrameError(self.path, f"cannot be opened: {_reason(self._image)}")
+                raise FrameError(self.path, f"cannot be opened: {openimageio_reason(self._image)}")
             self.header = self._read_header()
         except FrameError:
             raise
@@ -137,8 +135,8 @@ class FrameFile:
             stored = self._decode(top, bottom, left, right)
             with np.errstate(invalid="ignore"):  # a signalling NaN; refused below
                 values = np.ascontiguousarray(stored, np.float32)
-        if header.pixel_type in _FULL_SCALE:
-            values /= _FULL_SCALE[header.pixel_type]
+        if header.pixel_type in FULL_SCALE:
+            values /= FULL_SCALE[header.pixel_type]
         elif not np.isfinite(values).all():
             bad = np.argwhere(~np.isfinite(values).all(axis=2))
             where = f"row {bad[0, 0] + top}, column {bad[0, 1] + left}"
@@ -160,7 +158,7 @@ class FrameFile:
             raise FrameError(self.path, f"decodes to {size_mb:.0f} MB, expected at most {MAX_DECODED_MB} MB")
         types = sorted({str(spec.channelformat(channel)) for channel in self._channels})
         if types not in (["half"], ["float"], ["float", "half"], ["uint8"], ["uint16"]):
-            raise FrameError(self.path, f"pixel type {types}, expected one of {', '.join(_NUMPY_TYPES)}")
+            raise FrameError(self.path, f"pixel type {types}, expected one of {', '.join(NUMPY_TYPES)}")
         first_row, first_column = max(0, spec.y - self._top), max(0, spec.x - self._left)
         n_rows = min(height, spec.y - self._top + spec.height) - first_row
         n_columns = min(width, spec.x - self._left + spec.width) - first_column
@@ -203,7 +201,8 @@ class FrameFile:
             x, y = 0, y_begin
             stored = self._image.read_scanlines(self._part, 0, y_begin + spec.y, y_end + spec.y, spec.z, *what)
         if stored is None or self._image.has_error:
-            raise FrameError(self.path, f"rows {top} to {bottom - 1} cannot be decoded: {_reason(self._image)}")
+            reason = openimageio_reason(self._image)
+            raise FrameError(self.path, f"rows {top} to {bottom - 1} cannot be decoded: {reason}")
         stored = stored[y_begin - y : y_end - y, x_begin - x : x_end - x]
         picks = [channel - first_channel for channel in self._channels]
         return np.asarray(stored if picks == list(range(stored.shape[2])) else stored[..., picks])
@@ -230,111 +229,6 @@ def frame_sha256(path: PathLike) -> str:
             return hashlib.file_digest(file, "sha256").hexdigest()
     except OSError as error:
         raise FrameError(path, f"cannot be read: {error.strerror}") from None
-
-
-def write_frame(
-    path: PathLike,
-    values: ArrayLike,
-    *,
-    pixel_type: PixelType | None = None,
-    compression: Compression = "zip",
-    attributes: Mapping[str, str] | None = None,
-) -> None:
-    """Write code values to an EXR or PNG file, whole or not at all; the same input gives the same bytes.
-
-    Parameters
-    ----------
-    path : path
-        Ends in .exr or .png. An existing file is replaced.
-    values : array_like, (rows, columns) or (rows, columns, 1 or 3)
-        Code values; one channel is written as Y, three as R, G, B. For PNG within [0, 1], rounded to nearest.
-    pixel_type : {"half", "float", "uint16", "uint8"}, optional
-        The first two are for EXR, the last two for PNG. Default: half, uint16.
-    compression : str
-        Of an EXR; a PNG has "zip" only.
-    attributes : mapping of str to str, optional
-        Texts that `read_header` gives back under the same names. A name should have a prefix of its own, such as
-        "todframes:seed"; the formats rename or drop some of the others.
-
-    Raises
-    ------
-    SettingsError
-        If the extension, pixel type or compression is none of these, or an attribute would not be kept as it is.
-    FrameError, a ValueError
-        If values have another shape, are not finite or beyond the pixel type's range, or if writing fails.
-    """
-    path, attributes = Path(path), attributes or {}
-    suffix = path.suffix.lower()
-    pixel_types = _WRITABLE.get(suffix, _WRITABLE[".exr"])
-    pixel_type = pixel_type or pixel_types[0]
-    compressions = get_args(Compression) if suffix == ".exr" else ("zip",)
-    checks: tuple[tuple[str, str, tuple[str, ...]], ...] = (
-        ("extension", suffix, tuple(_WRITABLE)),
-        ("pixel type", pixel_type, pixel_types),
-        ("compression", compression, compressions),
-    )
-    for what, found, expected in checks:
-        if found not in expected:
-            raise SettingsError(f"{path}: {what} {found!r}, expected {' or '.join(expected)}")
-    stored = _to_stored(path, values, pixel_type)
-    temporary = path.with_name(f".{os.urandom(8).hex()}{suffix}")
-    try:
-        temporary.touch(exist_ok=False)
-        _write(temporary, stored, pixel_type, compression, attributes)
-        with FrameFile(temporary) as file:
-            kept = file.header.attributes
-            file.read()  # a disk that fills up with the last bytes of an EXR is not reported
-        lost = [name for name, text in attributes.items() if kept.get(name) != text]
-        if lost:
-            like = "a name such as 'todframes:seed' and a text that is not empty and without NUL"
-            raise SettingsError(f"{path}: {suffix} does not keep attribute {lost[0]!r} as it is, expected {like}")
-        temporary.replace(path)
-    except FrameError as error:
-        raise FrameError(path, f"cannot be written: {error.problem}") from None
-    except OSError as error:
-        raise FrameError(path, f"cannot be written: {error.strerror}") from None
-    finally:
-        if path.parent.is_dir():
-            temporary.unlink(missing_ok=True)
-
-
-def _write(
-    path: Path, stored: NDArray[Any], pixel_type: PixelType, compression: str, attributes: Mapping[str, str]
-) -> None:
-    height, width, n_channels = stored.shape
-    spec = oiio.ImageSpec(width, height, n_channels, pixel_type)
-    spec.channelnames = ("Y",) if n_channels == 1 else ("R", "G", "B")
-    for name, text in attributes.items():
-        spec.attribute(name, text)
-    if path.suffix == ".exr":
-        spec.attribute("compression", compression)
-        if "DateTime" not in attributes:
-            spec.attribute("DateTime", "")  # or OpenImageIO writes the present time
-    output = oiio.ImageOutput.create(str(path))
-    written = output is not None and output.open(str(path), spec) and output.write_image(stored)
-    if output is None or not output.close() or not written or output.has_error:
-        raise FrameError(path, _reason(output))
-
-
-def _to_stored(path: Path, values: ArrayLike, pixel_type: PixelType) -> NDArray[Any]:
-    """Code values in the file's pixel type, (rows, columns, channels); FrameError if they do not fit it."""
-    pixels, dtype = np.asarray(values), _NUMPY_TYPES[pixel_type]
-    pixels = pixels[..., np.newaxis] if pixels.ndim == 2 else pixels
-    if pixels.ndim != 3 or pixels.shape[2] not in (1, 3) or pixels.size == 0 or pixels.dtype.kind not in "fiu":
-        found = f"values of {pixels.dtype} and shape {np.shape(values)}"
-        raise FrameError(path, f"found {found}, expected numbers and (rows, columns) or (rows, columns, 1 or 3)")
-    if pixel_type in _FULL_SCALE:
-        bad = ~((pixels >= 0) & (pixels <= 1))
-        stored = np.rint(np.where(bad, 0, pixels) * np.float64(_FULL_SCALE[pixel_type])).astype(dtype)
-        limits = "[0, 1]"
-    else:
-        with np.errstate(over="ignore", invalid="ignore"):
-            stored = pixels.astype(dtype, order="C")
-        bad = ~np.isfinite(stored)
-        limits = f"±{np.finfo(dtype).max:g}"
-    if bad.any():
-        raise FrameError(path, f"{np.count_nonzero(bad)} values are NaN or beyond {limits}, expected none")
-    return stored
 
 
 def _check_is_file(path: Path) -> int:
@@ -393,7 +287,7 @@ def _luminance_or_rgb(names: tuple[str, ...]) -> list[int]:
     return []
 
 
-def _reason(source: Any) -> str:
+def openimageio_reason(source: Any) -> str:
     """What OpenImageIO says of a failure, in one line. None stands for an input or output that was not made."""
     try:
         message = oiio.geterror() if source is None else source.geterror()

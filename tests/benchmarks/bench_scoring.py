@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from timing import Row, best_s, paired_ratio, process
 
-from todframes.frames import write_frame
+from todframes.frame_writing import write_frame
 from todframes.pyramid import LaplacianPyramid
 from todframes.stimulus import ORIENTATIONS, coverage
 
