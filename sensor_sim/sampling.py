@@ -36,7 +36,7 @@ MAX_FREQUENCIES = 2**22
 """Of one half plane; 64 MiB and some seconds to set up. Beyond, the optics are sharp enough to leave out."""
 MAX_NEGLECTED = 0.05
 """Bound on what leaving out the optics may change in a sample; beyond, the field is refused as too large."""
-PLACES_AT_ONCE = 32
+PLACES_AT_ONCE = 16
 """Keeps partly folded spectra in the cache, and products so small that BLAS starts no threads for them."""
 
 
@@ -118,7 +118,7 @@ class TriangleSampler:
             self._prepare_spectrum(optics, detector, last)
 
     def _prepare_spectrum(self, optics: Optics, detector: Detector, last: float) -> None:
-        """Unfolded spectrum up to `last` cycles per period: [folded x][replica along y][folded y][replica along x].
+        """Unfolded spectrum up to `last` cycles per period: [folded x][replica in y][folded y][replica in x].
 
         Real samples need folded x frequencies from 0 to half of the period only.
         """
