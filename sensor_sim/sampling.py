@@ -1,4 +1,4 @@
-"""Exact detector samples of triangles and of image arrays.
+"""Exact detector samples of triangles.
 
 A sample is the scene after the optics, averaged over the detector's active area; a uniform scene of 1 gives 1.
 A diffraction-limited transfer function ends at its cut-off, so the samples are a finite sum: closed-form
@@ -24,7 +24,7 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sensor_sim.sensor import Detector, Optics
+from sensor_sim.sensor import Detector, Optics, Sensor
 from sensor_sim.transfer import band_limit_cyc_per_mrad, pre_sample_mtf, repetition_bound, sharpness_bound
 from todframes.errors import SettingsError
 from todframes.stimulus import HEIGHT_PER_SIZE, SIDE_PER_SIZE, Orientation, spectrum
@@ -38,6 +38,9 @@ MAX_NEGLECTED = 0.05
 """Bound on what leaving out the optics may change in a sample; beyond, the field is refused as too large."""
 PLACES_AT_ONCE = 16
 """Keeps partly folded spectra in the cache, and products so small that BLAS starts no threads for them."""
+
+FIELD_SIZES, FIELD_MARGIN_DETECTORS = 4.0, 4
+"""The field of a trial: so many sizes of the triangle, and so many detectors more."""
 
 
 class TriangleSampler:
@@ -105,7 +108,7 @@ class TriangleSampler:
         if 2.0 * last**2 > MAX_FREQUENCIES:
             self.neglected_bound = sharpness_bound(optics, width_mrad=detector.width_mrad)
             if self.neglected_bound > MAX_NEGLECTED:
-                raise SettingsError(_too_many(2.0 * last**2))
+                raise SettingsError(too_many_frequencies(2.0 * last**2))
         else:
             pitch = detector.pitch_mrad
             self.wrap_around_bound = repetition_bound(
@@ -223,6 +226,40 @@ class TriangleSampler:
         return np.asarray(covered / self._width**2)
 
 
+def field_detectors(sensor: Sensor, size_detectors: float) -> int:
+    """Detectors along each side of the field in which a triangle is shown: four sizes and a margin.
+
+    The observer looks at about as much of the display.
+
+    Raises
+    ------
+    SettingsError
+        If the size is not a positive number.
+    """
+    if not (math.isfinite(size_detectors) and size_detectors > 0.0):
+        raise SettingsError(f"size_detectors: found {size_detectors!r}, expected a finite number > 0")
+    blur = 3.0 * sensor.optics.blur_sigma_mrad / sensor.detector.pitch_mrad
+    return math.ceil(FIELD_SIZES * size_detectors + 2.0 * blur) + FIELD_MARGIN_DETECTORS
+
+
+def field_sampler(sensor: Sensor, size_detectors: float) -> TriangleSampler:
+    """Exact samples in that field; the scene repeats after two fields, where next to nothing of it is seen.
+
+    Raises
+    ------
+    SettingsError
+        As TriangleSampler does.
+    """
+    field = field_detectors(sensor, size_detectors)
+    return TriangleSampler(
+        optics=sensor.optics,
+        detector=sensor.detector,
+        size_detectors=size_detectors,
+        field_detectors=field,
+        period_detectors=2 * field,
+    )
+
+
 def _upright_place(
     x_detectors: ArrayLike, y_detectors: ArrayLike, orientation: Orientation
 ) -> tuple[FloatArray, FloatArray]:
@@ -233,67 +270,7 @@ def _upright_place(
     return x, y
 
 
-def sample_image(
-    image: FloatArray,
-    *,
-    pixel_pitch_mrad: float,
-    optics: Optics,
-    detector: Detector,
-    field_detectors: int,
-    x_detectors: float = 0.0,
-    y_detectors: float = 0.0,
-) -> FloatArray:
-    """Detector samples of any scene, by FFT.
-
-    The scene is constant over each pixel and repeats with the image's sides. Its spectrum, the pixels' sinc
-    included, is summed up to the optics' cut-off: exact for such a scene, at any ratio of the pitches.
-
-    Parameters
-    ----------
-    image : ndarray, shape (rows, columns)
-    pixel_pitch_mrad : float
-        In the scene, > 0.
-    x_detectors, y_detectors : float
-        Where the middle of the image lies, from the middle of the field.
-
-    Returns
-    -------
-    ndarray, shape (field, field)
-
-    Raises
-    ------
-    SettingsError
-        If the pitch is not a positive number, the image is smaller than the field, or the optics pass too
-        many frequencies.
-    """
-    if not (math.isfinite(pixel_pitch_mrad) and pixel_pitch_mrad > 0.0):
-        raise SettingsError(f"pixel_pitch_mrad: found {pixel_pitch_mrad!r}, expected a finite number > 0")
-    pixel = pixel_pitch_mrad / detector.pitch_mrad
-    sides = [n * pixel for n in image.shape]
-    if min(sides) < field_detectors * (1.0 - 1e-12):
-        largest = f"at most the image's smaller side, {min(sides):g} detectors"
-        raise SettingsError(f"field_detectors: found {field_detectors}, expected {largest}")
-    highest = band_limit_cyc_per_mrad(optics) * detector.pitch_mrad
-    place = np.arange(field_detectors) - (field_detectors - 1) / 2.0
-    from_corner = [
-        (place - at + side / 2.0) / pixel for at, side in zip((y_detectors, x_detectors), sides, strict=True)
-    ]
-    n_frequencies = 2.0 * highest**2 * sides[0] * sides[1]
-    if n_frequencies > MAX_FREQUENCIES:
-        raise SettingsError(_too_many(n_frequencies))
-    n_y, n_x = image.shape
-    k_y = np.arange(-math.floor(highest * sides[0]), math.floor(highest * sides[0]) + 1)
-    k_x = np.arange(math.floor(highest * sides[1]) + 1)
-    transfer = pre_sample_mtf(
-        k_x / (n_x * pixel_pitch_mrad), k_y[:, None] / (n_y * pixel_pitch_mrad), optics=optics, detector=detector
-    )
-    transfer *= np.sinc(k_x / n_x) * np.sinc(k_y / n_y)[:, None] * np.where(k_x == 0, 1.0, 2.0)
-    scene = np.fft.fft2(image)[np.ix_(k_y % n_y, k_x % n_x)] / image.size
-    waves_y = np.exp(2j * np.pi / n_y * np.outer(from_corner[0] - 0.5, k_y))
-    waves_x = np.exp(2j * np.pi / n_x * np.outer(from_corner[1] - 0.5, k_x))
-    return np.asarray((waves_y @ (scene * transfer) @ waves_x.T).real)
-
-
-def _too_many(number: float) -> str:
+def too_many_frequencies(number: float) -> str:
+    """What is wrong with a field or image whose sum would have so many terms."""
     most = f"at most {MAX_FREQUENCIES:.2g}; take fewer detectors or a smaller image"
     return f"field: found {number:.2g} frequencies below the optics' cut-off, expected {most}"

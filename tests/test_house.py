@@ -25,7 +25,8 @@ FLOORS = {
         {"sensor"},
         {"transfer"},
         {"sampling", "noise", "reconstruction"},
-        {"simulate", "predict"},
+        {"simulate", "predict", "scenes"},
+        {"pictures"},
         {"cli"},
     ],
 }

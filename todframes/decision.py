@@ -96,6 +96,44 @@ def answer_probabilities(score: ArrayLike, covariance: ArrayLike) -> _Floats:
     return probability.reshape(*shape, 4)
 
 
+def answer_probability(score: ArrayLike, covariance: ArrayLike, answer: int, *, nodes: int = _NODES) -> _Floats:
+    """Probability that one of four noisy scores is the largest, at a quarter of the cost of all four.
+
+    Parameters
+    ----------
+    score : array_like, shape (..., 4)
+    covariance : array_like, shape (..., 4, 4)
+        Both as for `answer_probabilities`.
+    answer : int
+        0 to 3.
+    nodes : int
+        Of the integral. The default is for matrices that are nearly singular; for the four triangles' 24 are as
+        good, at a third of the cost.
+
+    Returns
+    -------
+    ndarray, shape (...)
+        With an absolute error below 1e-9; no more digits than that of the small rest near 1.
+
+    Raises
+    ------
+    SettingsError
+        As `answer_probabilities` does.
+    """
+    scores, covariances = _checked(score, covariance)
+    shape = np.broadcast_shapes(scores.shape[:-1], covariances.shape[:-2])
+    first = [answer, *_OTHERS[answer]]
+    scores = np.broadcast_to(scores[..., first], (*shape, 4)).reshape(-1, 4)
+    covariances = covariances[..., first, :][..., first]
+    covariances = np.broadcast_to(covariances, (*shape, 4, 4)).reshape(-1, 4, 4)
+    probability = np.empty(len(scores))
+    for start in range(0, len(scores), 4 * _CHUNK):
+        chunk = slice(start, start + 4 * _CHUNK)
+        geometry = _geometry(covariances[chunk], slice(0, 1), nodes)
+        probability[chunk] = _shared_orthants(scores[chunk], geometry, slice(0, 1))[:, 0]
+    return probability.reshape(shape)
+
+
 class _Geometry(NamedTuple):
     """What Plackett's integral needs of the covariances; leading axes: matrix, answer.
 
@@ -111,18 +149,22 @@ class _Geometry(NamedTuple):
 
 
 def _chunk_probabilities(score: _Floats, geometry: _Geometry) -> _Floats:
-    with np.errstate(over="ignore"):
-        difference = score[:, :, None] - score[:, _OTHERS]
-        limit = np.where(difference >= 0, np.inf, -np.inf)
-        noisy = np.broadcast_to(geometry.deviation > 0, difference.shape)
-        np.divide(difference, geometry.deviation, out=limit, where=noisy)
-    shares = 1 + np.count_nonzero(~noisy & (difference == 0), axis=-1)
-    probability: _Floats = np.clip(_orthant(np.clip(limit, -_CERTAIN, _CERTAIN), geometry), 0, 1) / shares
-
+    probability = _shared_orthants(score, geometry, slice(None))
     likeliest = probability.argmax(axis=-1)[:, None]
     np.put_along_axis(probability, likeliest, 0, axis=-1)
     np.put_along_axis(probability, likeliest, 1 - probability.sum(axis=-1, keepdims=True), axis=-1)
     return probability
+
+
+def _shared_orthants(score: _Floats, geometry: _Geometry, answers: slice) -> _Floats:
+    """Each of these answers by its own orthant; scores that are equal and without noise share."""
+    with np.errstate(over="ignore"):
+        difference = score[:, answers, None] - score[:, _OTHERS[answers]]
+        limit = np.where(difference >= 0, np.inf, -np.inf)
+        noisy = np.broadcast_to(geometry.deviation > 0, difference.shape)
+        np.divide(difference, geometry.deviation, out=limit, where=noisy)
+    shares = 1 + np.count_nonzero(~noisy & (difference == 0), axis=-1)
+    return np.asarray(np.clip(_orthant(np.clip(limit, -_CERTAIN, _CERTAIN), geometry), 0, 1) / shares)
 
 
 def _orthant(limit: _Floats, geometry: _Geometry) -> _Floats:
@@ -144,9 +186,9 @@ def _orthant(limit: _Floats, geometry: _Geometry) -> _Floats:
     return probability
 
 
-def _geometry(covariance: _Floats) -> _Geometry:
-    deviation, angle = _tetrahedron(covariance)
-    left, node_weight = _path_nodes()
+def _geometry(covariance: _Floats, answers: slice = slice(None), nodes: int = _NODES) -> _Geometry:
+    deviation, angle = (of_all[:, answers] for of_all in _tetrahedron(covariance))
+    left, node_weight = _path_nodes(nodes)
     # The distances of the angles from the four faces, s − θ and π − s: all are π/4 at independence, rounding must
     # not carry them beyond a face at the end, and every angle is the sum of two of them.
     half_sum = angle.sum(axis=-1, keepdims=True) / 2
@@ -217,9 +259,9 @@ def _tetrahedron(covariance: _Floats) -> tuple[_Floats, _Floats]:
 
 
 @cache
-def _path_nodes() -> tuple[_Floats, _Floats]:
+def _path_nodes(nodes: int) -> tuple[_Floats, _Floats]:
     """What is left of the path, 1 − x, and the weights; dense, on every scale, where R may become singular."""
-    node, weight = np.polynomial.legendre.leggauss(_NODES)
+    node, weight = np.polynomial.legendre.leggauss(nodes)
     t = (1 + node) / 2
     return t**_GRADING, weight / 2 * _GRADING * t ** (_GRADING - 1)
 

@@ -71,7 +71,7 @@ def _tod_figure(fits: Sequence[Json], size_name: str) -> Figure:
     threshold = [fit["threshold"] for fit in known]
     axes.plot(inverse, threshold, "-", color="C0", lw=1.2, zorder=1)
     for fit, x in zip(known, inverse, strict=True):
-        low, high = (fit.get("threshold_ci95") or (None, None))[:2]
+        low, high = fit["threshold_ci95"] or (None, None)
         if low is not None and high is not None:
             axes.plot([x, x], [low, high], "-_", color="C0", lw=1.2)
         face = "C0" if fit["status"] == "ok" else "white"
@@ -124,7 +124,8 @@ def _psychometric_figure(fits: Sequence[Json]) -> Figure:
             p = weibull(curve, **parameters, guess_rate=fit["gamma"], lapse_rate=fit["delta"])
             axes.plot(curve, p, color=colour, lw=1.2)
     for height, style in ((fits[0]["p_correct"], "--"), (fits[0]["gamma"], ":")):
-        axes.axhline(height, color="0.4", ls=style, lw=0.8)
+        if height is not None:
+            axes.axhline(height, color="0.4", ls=style, lw=0.8)
     axes.set(
         xscale="log",
         ylim=(0.0, 1.02),
@@ -132,7 +133,7 @@ def _psychometric_figure(fits: Sequence[Json]) -> Figure:
         ylabel="proportion correct",
         title="Psychometric functions",
     )
-    if min(levels) < max(levels):
+    if levels and min(levels) < max(levels):
         _plain_ticks(axes, levels, [1.0, 1e9])
     if len(fits) <= 12:
         axes.legend(fontsize="small")

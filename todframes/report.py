@@ -147,6 +147,41 @@ def output_folder(name: str) -> Iterator[Path]:
             shutil.rmtree(staging, ignore_errors=True)
 
 
+@contextmanager
+def new_folder(name: str, *, overwrite: bool) -> Iterator[Path]:
+    """A temporary folder that takes the name if the block ends well: it appears whole or not at all.
+
+    Raises
+    ------
+    OutputError
+        If the place cannot be written, or holds something that is not to be overwritten.
+    """
+    path = Path(name)
+    staging: Path | None = None
+    try:
+        _check_place(name, path)
+        if path.is_dir() and any(path.iterdir()) and not overwrite:
+            raise OutputError(f"{path}: is not empty; expected a new name, or --overwrite")
+        try:
+            staging = Path(tempfile.mkdtemp(prefix=".todframes-", dir=path.absolute().parent))
+            staging.chmod(0o755)
+            yield staging
+            if path.is_dir():
+                old = Path(tempfile.mkdtemp(prefix=".todframes-", dir=path.absolute().parent))
+                path.replace(old)
+                staging.replace(path)
+                shutil.rmtree(old, ignore_errors=True)
+            else:
+                staging.replace(path)
+        except OutputError:
+            raise
+        except OSError as error:
+            raise OutputError(f"{path}: cannot be written ({error.strerror})") from None
+    finally:
+        if staging is not None:
+            shutil.rmtree(staging, ignore_errors=True)
+
+
 def _check_place(name: str, path: Path) -> None:
     """Raise OutputError if a folder cannot be made or filled at a place."""
     if not name or "\0" in name:
@@ -187,9 +222,9 @@ def threshold_table(result: Json, title: str) -> Table:
         table.add_column(Text(name), justify="right", no_wrap=True)
     level = fits[0]["level"] if fits else "level"
     numerical = any("threshold_numerical_error" in fit for fit in fits)
+    warm = any("delta_t_mk" in fit for fit in fits)
     headers = [f"threshold {level}", "numerical error" if numerical else "95 % interval", "status"]
-    if not numerical:
-        headers += ["α", "β", "δ", "trials"]
+    headers += ["ΔT (mK)"] * warm + ["α", "β", "δ", "trials"] * (not numerical)
     for header in headers:
         table.add_column(Text(header), justify="left" if header == "status" else "right", no_wrap=True)
     for fit in fits:
@@ -198,6 +233,7 @@ def threshold_table(result: Json, title: str) -> Table:
         if numerical:
             error = fit["threshold_numerical_error"]
             cells += ["–" if error is None else f"± {error:.1g}", fit["status"]]
+            cells += [number(fit["delta_t_mk"])] * warm
         else:
             cells += [interval(fit["threshold_ci95"]), fit["status"]]
             cells += [number(fit[name], 3) for name in ("alpha", "beta", "delta")] + [str(fit["n_trials"])]

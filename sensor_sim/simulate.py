@@ -1,0 +1,273 @@
+"""Trials → display frames on disk: a dataset that `todframes score` reads as it is.
+
+Hogervorst et al. 2001, sections 3 and 5.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sensor_sim.noise import displayed_noise, unit_fixed_pattern
+from sensor_sim.reconstruction import axis_matrix, display_position_px, display_signal, luminance_cd_m2
+from sensor_sim.sampling import field_detectors, field_sampler
+from sensor_sim.sensor import Sensor
+from todframes import __version__
+from todframes.errors import SettingsError
+from todframes.frame_writing import write_frame
+from todframes.frames import frame_sha256
+from todframes.stimulus import ORIENTATIONS, Orientation
+
+FloatArray = NDArray[np.float64]
+FrameFormat = Literal["exr", "png"]
+
+# First element of the spawn keys of random streams.
+TRIAL_STREAMS, PATTERN_STREAM = 0, 1
+MOST_CLIPPED = 0.01
+TRIALS_PER_TASK = 32
+
+
+class Trial(NamedTuple):
+    """A presentation: what, where on the detectors and how noisy. `key` seeds its random stream."""
+
+    key: tuple[int, int, int]
+    size_detectors: float
+    snr: float
+    orientation: Orientation
+
+
+class SimulatedFrame(NamedTuple):
+    """A trial as displayed: luminance in cd/m², and where the triangle's centroid is on the display."""
+
+    luminance_cd_m2: FloatArray
+    x_px: float
+    y_px: float
+
+
+def plan_trials(sizes_detectors: Sequence[float], snrs: Sequence[float], trials: int) -> list[Trial]:
+    """`trials` presentations of each size at each signal-to-noise ratio, orientations in turn.
+
+    Raises
+    ------
+    SettingsError
+        If a list is empty, a value is not a positive number or occurs twice, or there are no trials.
+    """
+    for name, values in (("size_detectors", sizes_detectors), ("snr", snrs)):
+        if not values:
+            raise SettingsError(f"{name}: found no values, expected at least one")
+        for value in values:
+            if not (math.isfinite(value) and value > 0):
+                raise SettingsError(f"{name}: found {value!r}, expected a finite number > 0")
+        if len(set(values)) < len(values):
+            raise SettingsError(f"{name}: found a value twice in {', '.join(f'{v:g}' for v in values)}")
+    if trials < 1:
+        raise SettingsError(f"trials: found {trials}, expected at least 1")
+    return [
+        Trial((i, j, n), size, snr, ORIENTATIONS[n % 4])
+        for i, size in enumerate(sizes_detectors)
+        for j, snr in enumerate(snrs)
+        for n in range(trials)
+    ]
+
+
+class Simulator:
+    """Frames of one sensor for triangles of one size, any of them at any time.
+
+    Each trial draws from its own random stream, so a frame depends on the seed and its trial alone. The fixed
+    pattern is drawn once: the seed stands for the sensor.
+
+    Parameters
+    ----------
+    sensor : Sensor
+    size_detectors : float
+        √(area) of the triangle, > 0.
+    seed : int
+
+    Raises
+    ------
+    SettingsError
+        If the optics pass too little or too much for the field.
+    """
+
+    def __init__(self, sensor: Sensor, size_detectors: float, *, seed: int) -> None:
+        self.sensor = sensor
+        self.seed = seed
+        self.field = field_detectors(sensor, size_detectors)
+        self.sampler = field_sampler(sensor, size_detectors)
+        self.matrix = axis_matrix(self.field, display=sensor.display, electronics=sensor.electronics)
+        pattern_seed = np.random.SeedSequence(seed, spawn_key=(PATTERN_STREAM,))
+        self.pattern = unit_fixed_pattern((self.field,) * 2, noise=sensor.noise, seed=pattern_seed)
+
+    def frames(self, trials: Sequence[Trial]) -> Iterator[SimulatedFrame]:
+        """The trials as displayed, one after the other."""
+        display = self.sensor.display
+        for (x, y), samples in zip(*self.samples(trials), strict=True):
+            x_px, y_px = (display_position_px(at, n_detectors=self.field, display=display) for at in (x, y))
+            luminance = luminance_cd_m2(display_signal(samples, self.matrix), display=display)
+            yield SimulatedFrame(luminance, x_px, y_px)
+
+    def samples(self, trials: Sequence[Trial], *, noise: bool = True) -> tuple[FloatArray, FloatArray]:
+        """Places of the triangles on the detectors, (trial, 2), and their samples, (trial, field, field)."""
+        rngs = [
+            np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(TRIAL_STREAMS, *trial.key)))
+            for trial in trials
+        ]
+        places = np.array([rng.uniform(-0.5, 0.5, 2) for rng in rngs])
+        samples = np.empty((len(trials), self.field, self.field))
+        for orientation in ORIENTATIONS:
+            these = [n for n, trial in enumerate(trials) if trial.orientation is orientation]
+            if these:
+                samples[these] = self.sampler.samples(*places[these].T, orientation=orientation)
+        if noise:
+            for trial, rng, sample in zip(trials, rngs, samples, strict=True):
+                sample += displayed_noise(self.pattern, total_sd=1.0 / trial.snr, noise=self.sensor.noise, rng=rng)
+        return places, samples
+
+
+@dataclass(frozen=True, slots=True)
+class Written:
+    """What `write_dataset` did: frames written, and the share of PNG pixels that had to be clipped."""
+
+    n_frames: int
+    clipped_share: float
+
+
+def white_luminance_cd_m2(sensor: Sensor, snrs: Sequence[float]) -> float:
+    """Luminance of PNG code value 1: above that of the brightest triangle in the strongest noise.
+
+    Uniform noise reaches to √3 standard deviations and no blur adds to that; Gaussian noise is given four.
+    """
+    reach = math.sqrt(3.0) if sensor.noise.distribution == "uniform" else 4.0
+    return sensor.display.background_luminance_cd_m2 * (1.0 + sensor.display.gain * (1.0 + reach / min(snrs)))
+
+
+def write_dataset(
+    folder: Path,
+    sensor: Sensor,
+    trials: Sequence[Trial],
+    *,
+    seed: int,
+    frame_format: FrameFormat = "exr",
+    allow_clipping: bool = False,
+    workers: int = 1,
+    progress: Callable[[int], None] | None = None,
+) -> Written:
+    """Write frames, `manifest.csv` and `dataset.toml` into an existing, empty folder.
+
+    Parameters
+    ----------
+    frame_format : {"exr", "png"}
+        EXR is half float in cd/m² and keeps luminance unclipped, below zero included. PNG has 16 bits, linear
+        from 0 cd/m² to `white_luminance_cd_m2`.
+    allow_clipping : bool
+        Whether more than 1 % of the pixels of a PNG dataset may be clipped.
+    workers : int
+        Threads. The bytes written do not depend on it.
+
+    Raises
+    ------
+    SettingsError
+        If too much would be clipped.
+    FrameError
+        If a frame cannot be written.
+    """
+    (folder / "frames").mkdir()
+    white = white_luminance_cd_m2(sensor, [trial.snr for trial in trials]) if frame_format == "png" else 1.0
+    simulators: dict[float, Simulator] = {}
+    tasks: list[list[Trial]] = []
+    for trial in trials:
+        if trial.size_detectors not in simulators:
+            simulators[trial.size_detectors] = Simulator(sensor, trial.size_detectors, seed=seed)
+        if not tasks or len(tasks[-1]) == TRIALS_PER_TASK or tasks[-1][0].size_detectors != trial.size_detectors:
+            tasks.append([])
+        tasks[-1].append(trial)
+
+    def write(task: list[Trial]) -> tuple[list[list[str]], int, int]:
+        rows, clipped, n_pixels = [], 0, 0
+        for trial, frame in zip(task, simulators[task[0].size_detectors].frames(task), strict=True):
+            code = frame.luminance_cd_m2 / white
+            if frame_format == "png":
+                clipped += int(np.count_nonzero((code < 0.0) | (code > 1.0)))
+                n_pixels += code.size
+                code = np.clip(code, 0.0, 1.0)
+            name = "frames/s{}_n{}_{}_{}.{}".format(*trial.key[:2], trial.orientation, trial.key[2], frame_format)
+            write_frame(folder / name, code, attributes=provenance(sensor, seed, trial))
+            size_mrad = trial.size_detectors * sensor.display.detector_pitch_mrad
+            numbers = [repr(size_mrad), repr(trial.size_detectors), repr(trial.snr)]
+            place = [f"{frame.x_px:.6f}", f"{frame.y_px:.6f}"]
+            rows.append([name, trial.orientation.value, *numbers, *place, frame_sha256(folder / name)])
+        return rows, clipped, n_pixels
+
+    all_rows: list[list[str]] = []
+    n_clipped = n_pixels = 0
+    with ThreadPoolExecutor(workers) as pool:
+        try:
+            for rows, clipped, pixels in pool.map(write, tasks):
+                all_rows += rows
+                n_clipped, n_pixels = n_clipped + clipped, n_pixels + pixels
+                if progress is not None:
+                    progress(len(rows))
+        except BaseException:
+            pool.shutdown(wait=True, cancel_futures=True)
+            raise
+    share = n_clipped / n_pixels if n_pixels else 0.0
+    if share > MOST_CLIPPED and not allow_clipping:
+        raise SettingsError(
+            f"format: {100 * share:.2g} % of the PNG pixels would be clipped, expected at most "
+            f"{100 * MOST_CLIPPED:g} %; lower display.gain, take EXR, or allow clipping"
+        )
+    (folder / "manifest.csv").write_text(_manifest(all_rows), encoding="utf-8")
+    (folder / "dataset.toml").write_text(_settings(sensor, white, seed), encoding="utf-8")
+    return Written(len(all_rows), share)
+
+
+def provenance(sensor: Sensor, seed: int, trial: Trial) -> dict[str, str]:
+    """Text attributes of a frame that tell how it was made."""
+    return {
+        "sensor_sim:sensor": sensor.name or "unnamed",
+        "sensor_sim:version": __version__,
+        "sensor_sim:seed": str(seed),
+        "sensor_sim:size_detectors": repr(trial.size_detectors),
+        "sensor_sim:snr": repr(trial.snr),
+        "sensor_sim:orientation": trial.orientation.value,
+        "sensor_sim:trial": "-".join(map(str, trial.key)),
+    }
+
+
+def _manifest(rows: list[list[str]]) -> str:
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(
+        ["frame", "orientation", "size_mrad", "size_detectors", "snr", "x_px", "y_px", "sha256"],
+    )
+    writer.writerows(rows)
+    return text.getvalue()
+
+
+def _settings(sensor: Sensor, white: float, seed: int) -> str:
+    name = " ".join(sensor.name.split())
+    return f"""\
+# Simulated by sensor-sim {__version__} with seed {seed}; sensor: {name}
+schema = 1
+
+[display]
+eotf = "linear"
+white_luminance_cd_m2 = {white!r}
+black_luminance_cd_m2 = 0.0
+pixel_pitch_mm = {float(sensor.display.pixel_pitch_mm)!r}
+viewing_distance_mm = {float(sensor.display.viewing_distance_mm)!r}
+background_luminance_cd_m2 = {float(sensor.display.background_luminance_cd_m2)!r}
+
+[experiment]
+level = "snr"
+group_by = ["size_detectors"]
+"""
