@@ -224,7 +224,7 @@ def threshold_table(result: Json, title: str) -> Table:
     numerical = any("threshold_numerical_error" in fit for fit in fits)
     warm = any("delta_t_mk" in fit for fit in fits)
     headers = [f"threshold {level}", "numerical error" if numerical else "95 % interval", "status"]
-    headers += ["ΔT (mK)"] * warm + ["α", "β", "δ", "trials"] * (not numerical)
+    headers += (["ΔT (mK)"] if warm else []) + ([] if numerical else ["α", "β", "δ", "trials"])
     for header in headers:
         table.add_column(Text(header), justify="left" if header == "status" else "right", no_wrap=True)
     for fit in fits:
@@ -233,7 +233,7 @@ def threshold_table(result: Json, title: str) -> Table:
         if numerical:
             error = fit["threshold_numerical_error"]
             cells += ["–" if error is None else f"± {error:.1g}", fit["status"]]
-            cells += [number(fit["delta_t_mk"])] * warm
+            cells += [number(fit["delta_t_mk"])] if warm else []
         else:
             cells += [interval(fit["threshold_ci95"]), fit["status"]]
             cells += [number(fit[name], 3) for name in ("alpha", "beta", "delta")] + [str(fit["n_trials"])]
