@@ -4,7 +4,7 @@ From detector samples to scores everything is linear, so hold, blur, display and
 weights: one image on the detectors for each answer. A trial's signal is then an inner product with exact
 samples, and white detector noise of standard deviation 1/SNR is the covariance of four scores. What is left is
 the mean over the place of the triangle on the detectors and of the retina on the display: a lattice and a
-scrambled Sobol sequence, in several independent scramblings that tell the error.
+low-discrepancy sequence, in several independent shifts and permutations that tell the error.
 
 Hogervorst et al. 2001, sections 3 to 5 and 8.
 """
@@ -15,7 +15,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import Literal, NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,12 +29,20 @@ from todframes.readout import Observer, Readout, Stimulus
 from todframes.retina import overlap_matrix
 from todframes.stimulus import ORIENTATIONS, Orientation, bounding_box_offset
 
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
 FloatArray = NDArray[np.float64]
 
 SCRAMBLINGS = 8
-PLACES = (4, 6, 8, 11, 16, 22, 32)
-"""Along each axis of a detector, in each scrambling: more and more, until the error is small enough."""
+PLACES = (5, 7, 9, 13, 17, 25, 37)
+"""Along each axis of a detector, in each scrambling: more and more, until the error is small enough. Numbers that
+have a divisor in common with the display's pixels per detector are left out: P repeats with these pixels too, and
+such a lattice would see them all alike."""
 LEVEL_RANGE = (1e-6, 1e9)
+KRONECKER_STEPS = np.modf(1.1673039782614187 ** -np.arange(1.0, 5.0))[0].reshape(2, 2)
+"""Powers of the root of x⁵ = x + 1: a four-dimensional low-discrepancy sequence, two of them counted by rows and
+columns of the lattice (Roberts 2018)."""
 ORTHANT_NODES = 32
 """Enough for 1e-14 where the four templates differ as those of the triangles do."""
 STUDENT_95 = 2.3646
@@ -90,28 +98,15 @@ class FoldedChain:
         # Square detectors and a symmetric observer look the same to all orientations.
         self.orientations = ORIENTATIONS[:1] if _is_symmetric(readout) else ORIENTATIONS
 
-    def along_axis(self, places: FloatArray) -> FloatArray:
-        """Signal in each retina sample per unit in each detector, one axis: (side, places, field).
-
-        Parameters
-        ----------
-        places : ndarray, shape (n,)
-            Middle of the retina grid, in detectors from the field's middle.
-        """
+    def _retina(self, place: float) -> csr_array:
+        """Share of each retina sample on each display pixel along an axis; its middle at a place in detectors."""
         display = self.sensor.display
-        return np.stack(
-            [
-                overlap_matrix(
-                    self.readout.grid,
-                    centre_px=display_position_px(place, n_detectors=self.field, display=display),
-                    pixel_pitch_mrad=display.pixel_pitch_mrad,
-                    first_pixel=0,
-                    n_pixels=self.hold.shape[0],
-                )
-                @ self.hold
-                for place in places
-            ],
-            axis=1,
+        return overlap_matrix(
+            self.readout.grid,
+            centre_px=display_position_px(place, n_detectors=self.field, display=display),
+            pixel_pitch_mrad=display.pixel_pitch_mrad,
+            first_pixel=0,
+            n_pixels=self.hold.shape[0],
         )
 
     def phases(self, places: int, rng: np.random.Generator) -> list[Phases]:
@@ -119,18 +114,15 @@ class FoldedChain:
 
         What is on this grid is the retina's middle, for the weights depend on nothing else: its place is the
         triangle's on the detectors plus its own displacement, and repeats with the detectors. So the grid
-        covers one detector evenly, the displacements are a scrambled Sobol sequence with all four signs, and
-        the triangle lies where both put it.
+        covers one detector evenly, the displacements are a shifted low-discrepancy sequence with all four
+        signs, and the triangle lies where both put it.
         """
-        from scipy.stats import qmc
-
         jitter = self.observer.position_jitter_samples
         detectors_per_sample = self.readout.grid.pitch_mrad / self.sensor.display.detector_pitch_mrad
         grid = np.arange(places) / places - 0.5
         middle_x, middle_y = (grid + shift / places for shift in rng.random(2))
-        # Balanced to a power of two; a part of it is even enough for what is the smaller effect.
-        sequence = qmc.Sobol(2, rng=rng).random_base2((places**2 - 1).bit_length())
-        displacement = jitter * rng.permutation(sequence[: places**2])
+        row, column = np.divmod(np.arange(places**2)[:, None], places)
+        displacement = jitter * ((row * KRONECKER_STEPS[0] + column * KRONECKER_STEPS[1] + rng.random(2)) % 1.0)
         signs = np.array([[1, 1], [1, -1], [-1, 1], [-1, -1]]) if jitter > 0 else np.zeros((1, 2))
         y, x = (m.ravel()[:, None] for m in np.meshgrid(middle_y, middle_x, indexing="ij"))
         triangle_x = x - detectors_per_sample * displacement[:, :1] * signs[:, 0]
@@ -149,15 +141,17 @@ class FoldedChain:
         triangle_y: FloatArray,
     ) -> Phases:
         dx, dy = bounding_box_offset(orientation) if self.observer.centre == "bounding_box" else (0.0, 0.0)
-        rows = self.along_axis(middle_y + dy * self.size_detectors)
-        columns = self.along_axis(middle_x + dx * self.size_detectors)
-        side, places, field = rows.shape
-        on_columns = self.readout.deviations.reshape(4 * side, side) @ columns.reshape(side, places * field)
-        on_columns = on_columns.reshape(4, side, places * field)
+        field, deviations = self.field, self.readout.deviations
+        side = deviations.shape[1]
+        # From the retina to the display by sparse overlap, then to the detectors: first along x, then along y.
+        along_y_last = np.ascontiguousarray(deviations.transpose(2, 0, 1)).reshape(side, 4 * side)
+        on_columns = np.stack([self._fold(x + dx * self.size_detectors, along_y_last) for x in middle_x])
+        on_columns = on_columns.reshape(places := len(middle_x), field, 4, side).transpose(3, 0, 2, 1)
+        on_columns = np.ascontiguousarray(on_columns).reshape(side, places * 4 * field)
         signal, noise = [], []
-        for row in range(places):
-            weights = self.sensor.display.gain * (rows[:, row].T @ on_columns)
-            weights = weights.reshape(4, field, places, field).transpose(2, 0, 1, 3).reshape(places, 4, field**2)
+        for row, y in enumerate(middle_y):
+            weights = self._fold(y + dy * self.size_detectors, on_columns).reshape(field, places, 4, field)
+            weights = self.sensor.display.gain * weights.transpose(1, 2, 0, 3).reshape(places, 4, field**2)
             these = slice(row * places, (row + 1) * places)
             samples = self.sampler.samples(
                 triangle_x[these].ravel(), triangle_y[these].ravel(), orientation=orientation
@@ -165,6 +159,11 @@ class FoldedChain:
             signal.append((samples @ weights.swapaxes(1, 2)).reshape(-1, 4))
             noise.append(np.repeat(weights @ weights.swapaxes(1, 2), samples.shape[1], axis=0))
         return Phases(np.concatenate(signal), np.concatenate(noise), orientation.quarter_turns)
+
+    def _fold(self, place: float, weights: FloatArray) -> FloatArray:
+        """Weights on retina samples along the first axis, (side, n), to weights on detectors, (field, n)."""
+        on_pixels = self._retina(place).T @ weights
+        return np.asarray(self.hold.T @ on_pixels)
 
     def proportion_correct(self, phases: list[Phases], snr: float) -> float:
         """Mean P(correct) over trials at a signal-to-noise ratio; infinity: no detector noise."""
@@ -222,10 +221,12 @@ def predict_threshold(
     """
     if not tolerance > 0:
         raise SettingsError(f"tolerance: found {tolerance!r}, expected a number > 0")
-    streams = np.random.SeedSequence(seed).spawn(SCRAMBLINGS * len(PLACES))
+    pixels = chain.sensor.display.pixels_per_detector
+    ladder = [places for places in PLACES if math.gcd(places, pixels) == 1]
+    streams = np.random.SeedSequence(seed).spawn(SCRAMBLINGS * len(ladder))
     threshold: float | None = None
     slope = math.nan
-    for number, places in enumerate(PLACES):
+    for number, places in enumerate(ladder):
         rngs = map(np.random.default_rng, streams[number * SCRAMBLINGS : (number + 1) * SCRAMBLINGS])
         parts = [chain.phases(places, rng) for rng in rngs]
         pooled = [_pool(list(same)) for same in zip(*parts, strict=True)]
