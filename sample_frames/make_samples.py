@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import csv
+import shutil
 import sys
 from pathlib import Path
 
 import numpy as np
 
+from sensor_sim.sensor import load_sensor
+from sensor_sim.simulate import plan_trials, write_dataset
 from todframes.display import Display
 from todframes.frame_writing import write_frame
 from todframes.frames import frame_sha256
 from todframes.stimulus import ORIENTATIONS, coverage
 
 REPETITIONS = 3
+SENSOR = Path(__file__).parent / "staring_camera.toml"
 
 NAKED_EYE_TOML = """\
 schema = 1
@@ -105,6 +109,18 @@ def grabbed_8bit(folder: Path) -> None:
     _write_manifest(folder, GRABBED_TOML, [], rows)
 
 
+def staring_camera(folder: Path) -> None:
+    """The paper's second experiment: a simulated staring camera with noise, 16-bit PNG.
+
+    The same as `sensor-sim simulate sample_frames/staring_camera.toml --size-detectors 4.5,5.5,7 --snr 1,1.4,2,2.8,4,5.6
+    --trials 8 --seed 1 --format png -o sample_frames/staring_camera`.
+    """
+    trials = plan_trials([4.5, 5.5, 7.0], [1.0, 1.4, 2.0, 2.8, 4.0, 5.6], 8)
+    folder.mkdir(parents=True, exist_ok=True)
+    shutil.rmtree(folder / "frames", ignore_errors=True)
+    write_dataset(folder, load_sensor(SENSOR), trials, seed=1, frame_format="png")
+
+
 def _write(path: Path, values: np.ndarray, pixel_type: str) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     origin = {"todframes:origin": "sample_frames/make_samples.py"}
@@ -123,3 +139,4 @@ if __name__ == "__main__":
     target = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).parent
     naked_eye(target / "naked_eye")
     grabbed_8bit(target / "grabbed_8bit")
+    staring_camera(target / "staring_camera")

@@ -114,7 +114,7 @@ class FoldedChain:
 
         What is on this grid is the retina's middle, for the weights depend on nothing else: its place is the
         triangle's on the detectors plus its own displacement, and repeats with the detectors. So the grid
-        covers one detector evenly, the displacements are a shifted low-discrepancy sequence with all four
+        covers one detector evenly, the displacements are a shifted low-discrepancy sequence with both
         signs, and the triangle lies where both put it.
         """
         jitter = self.observer.position_jitter_samples
@@ -123,7 +123,7 @@ class FoldedChain:
         middle_x, middle_y = (grid + shift / places for shift in rng.random(2))
         row, column = np.divmod(np.arange(places**2)[:, None], places)
         displacement = jitter * ((row * KRONECKER_STEPS[0] + column * KRONECKER_STEPS[1] + rng.random(2)) % 1.0)
-        signs = np.array([[1, 1], [1, -1], [-1, 1], [-1, -1]]) if jitter > 0 else np.zeros((1, 2))
+        signs = np.array([[1, 1], [-1, -1]]) if jitter > 0 else np.zeros((1, 2))
         y, x = (m.ravel()[:, None] for m in np.meshgrid(middle_y, middle_x, indexing="ij"))
         triangle_x = x - detectors_per_sample * displacement[:, :1] * signs[:, 0]
         triangle_y = y - detectors_per_sample * displacement[:, 1:] * signs[:, 1]
