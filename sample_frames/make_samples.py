@@ -112,8 +112,7 @@ def grabbed_8bit(folder: Path) -> None:
 def staring_camera(folder: Path) -> None:
     """The paper's second experiment: a simulated staring camera with noise, 16-bit PNG.
 
-    `sensor-sim simulate sample_frames/staring_camera.toml --size-detectors 4.5,5.5,7 --snr 1,1.4,2,2.8,4,5.6 --trials 8
-    --seed 1 --format png -o sample_frames/staring_camera` makes the same.
+    The README beside this file has the `sensor-sim simulate` command that makes the same.
     """
     trials = plan_trials([4.5, 5.5, 7.0], [1.0, 1.4, 2.0, 2.8, 4.0, 5.6], 8)
     folder.mkdir(parents=True, exist_ok=True)

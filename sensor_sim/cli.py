@@ -128,7 +128,7 @@ def curve(
 ) -> None:
     """The TOD curve of a sensor, with no frame drawn: threshold SNR, and temperature where NETD is given."""
     start = time.perf_counter()
-    observer, fit_settings, described = make_observer(**observer_arguments)
+    observer, fit_settings, described = make_observer(**observer_arguments, fitted=False)
     from dataclasses import asdict
 
     from sensor_sim.noise import delta_t_mk

@@ -13,6 +13,7 @@ import pytest
 
 from todframes.cli import cli
 from todframes.command import run
+from todframes.frame_writing import write_frame
 
 SAMPLES = Path(__file__).parent.parent / "sample_frames"
 
@@ -187,3 +188,60 @@ def test_scoring_imports_no_plotting_or_statistics(make_dataset) -> None:
     )
     done = subprocess.run([sys.executable, "-c", code, make_dataset().path], capture_output=True, check=False)
     assert done.returncode == 0, done.stderr
+
+
+def test_no_picture_of_an_earlier_run_stays(todframes, make_dataset, tmp_path: Path) -> None:
+    sizes = make_dataset("sizes", sizes_mrad=(1.0, 2.0), contrasts=(0.05, 0.1, 0.2)).path
+    one = make_dataset("one", contrasts=(0.05, 0.1, 0.2), experiment={"group_by": []}).path
+    kept = tmp_path / "result" / "my_notes.txt"
+    assert todframes("score", sizes, "-o", tmp_path / "result")[0] == 0
+    kept.write_text("mine", encoding="utf-8")
+    assert todframes("score", one, "-o", tmp_path / "result")[0] == 0
+    assert not (tmp_path / "result" / "tod_curve.png").exists()
+    assert kept.exists()
+
+
+def test_a_tod_curve_for_each_other_group(todframes, make_dataset, tmp_path: Path) -> None:
+    made = make_dataset(
+        sizes_mrad=(1.0, 2.0), contrasts=(0.05, 0.1, 0.2), experiment={"group_by": ["size_mrad", "camera"]}
+    )
+    for number, row in enumerate(made.rows):
+        row["camera"] = "left" if number % 2 else "right"
+    made.save()
+    assert todframes("score", made.path, "-o", tmp_path / "result")[0] == 0
+    assert (tmp_path / "result" / "tod_curve.png").stat().st_size > 10_000
+
+
+def test_locate_and_skip_go_together(todframes, make_dataset) -> None:
+    """A group in which nothing stands out, and a frame with a wrong checksum, do not stop the rest."""
+    made = make_dataset(sizes_mrad=(1.5, 2.0), side_px=64, contrasts=(0.1, 0.2, 0.4))
+    for number, row in enumerate(made.rows):
+        row["sha256"] = ""
+        if row["size_mrad"] == "1.5":
+            noise = np.random.default_rng(number).normal(size=(64, 64))
+            write_frame(made.frame(number), 50.0 + noise, pixel_type="float")
+    made.rows[-1]["sha256"] = "0" * 64
+    made.save()
+    status, out, _ = todframes("score", made.path, "--locate", "--on-error", "skip", "--json")
+    assert status == 0
+    result = json.loads(out)
+    assert [fit["group"] for fit in result["fits"]] == [{"size_mrad": 2.0}]
+    assert {one["frame"] for one in result["skipped"]} == {
+        row["frame"] for row in [*made.rows[:12], made.rows[-1]]
+    }
+    assert todframes("score", made.path, "--locate")[0] == 1
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["--set", "internal_noise_sd=0.1", "--internal-noise", "0.5"],
+        ["--set", "levels=2", "--size-mrad", "10"],
+        ["--set", "position_jitter_samples=50"],
+        ["--set", "guess_rate=0.5"],
+    ],
+)
+def test_settings_that_make_no_sense_here(todframes, arguments: list[str]) -> None:
+    status, out, err = todframes("naked-eye", "--size-mrad", "1", *arguments)
+    assert (status, out) == (2, "")
+    assert arguments[1].partition("=")[0] in err or "levels" in err

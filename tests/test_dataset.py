@@ -107,3 +107,12 @@ def test_counts_by_group(tmp_path: Path) -> None:
 def test_no_dataset() -> None:
     with pytest.raises(DataError, match="nowhere: not a folder"):
         load_dataset("nowhere")
+
+
+def test_names_with_underscores_stay_names(make_dataset) -> None:
+    """Python reads 2024_1 as the number 20241."""
+    made = make_dataset(experiment={"group_by": ["run"]})
+    for number, row in enumerate(made.rows):
+        row["run"] = "2024_1" if number % 2 else "20241"
+    made.save()
+    assert {trial.group for trial in load_dataset(made.path).trials} == {("2024_1",), (20241.0,)}

@@ -9,12 +9,13 @@ from todframes.dataset import load_dataset
 from todframes.errors import SettingsError
 from todframes.frame_writing import write_frame
 from todframes.frames import read_frame
+from todframes.locating import locate_triangles
 from todframes.naked_eye import contrast_threshold
 from todframes.observer import PyramidObserver, PyramidSettings
 from todframes.psychometric import FitSettings
 from todframes.readout import Readout, Stimulus
 from todframes.scoring import score_dataset
-from todframes.stimulus import ORIENTATIONS, coverage
+from todframes.stimulus import ORIENTATIONS, Orientation, coverage
 
 FAST = FitSettings(resamples=0)
 STEADY = PyramidObserver(PyramidSettings(position_jitter_samples=0.0))
@@ -215,7 +216,11 @@ def test_given_position_is_used(make_dataset) -> None:
 def test_bounding_box_observer_looks_at_the_middle_of_the_box(make_dataset) -> None:
     """Templates and triangle coincide again: plain triangles are answered as surely as by the other observer."""
     observer = PyramidObserver(PyramidSettings(centre="bounding_box", position_jitter_samples=0.0))
-    path = make_dataset(contrasts=(0.2,), side_px=49).path
+    made = make_dataset(contrasts=(0.2,), side_px=49)
+    for row in made.rows:
+        row |= {"x_px": "24", "y_px": "24"}  # of the centroid
+    made.save()
+    path = made.path
     by_box = score(path, observer)
     assert np.array_equal(by_box.answers, range(4))
     assert np.allclose(by_box.p_correct, by_box.p_correct[0], atol=2e-3)
@@ -235,3 +240,46 @@ def test_levels_of_size_give_the_acuity(make_dataset) -> None:
     assert fit.fit.status == "ok"
     assert 1.2 < fit.fit.threshold < 2.4
     assert [point.level for point in fit.fit.points] == [0.9, 1.2, 1.7, 2.4]
+
+
+def boxed(make_dataset, x_px: float, y_px: float, side_px: int = 64):
+    """Triangles of all orientations whose bounding boxes have their centre in common; no positions given."""
+    made = make_dataset(side_px=side_px, contrasts=(0.1, 0.2, 0.4))
+    for number, row in enumerate(made.rows):
+        triangle = coverage(
+            (side_px, side_px),
+            size_px=8.0,
+            x_px=x_px,
+            y_px=y_px,
+            orientation=Orientation(row["orientation"]),
+            centre="bounding_box",
+        )
+        write_frame(made.frame(number), 50.0 * (1.0 + float(row["contrast"]) * triangle), pixel_type="float")
+    return made
+
+
+def test_bounding_boxes_centred_on_the_frame(make_dataset) -> None:
+    observer = PyramidObserver(PyramidSettings(centre="bounding_box", position_jitter_samples=0.0))
+    scored = score(boxed(make_dataset, 31.5, 31.5).path, observer)
+    assert np.array_equal(scored.answers, [0, 1, 2, 3] * 3)
+    assert np.ptp(scored.p_correct[:4]) < 1e-9  # one frame, turned
+
+
+def test_bounding_boxes_are_located_as_such(make_dataset) -> None:
+    observer = PyramidObserver(PyramidSettings(centre="bounding_box", position_jitter_samples=0.0))
+    made = boxed(make_dataset, 28.3, 33.8)
+    data, (found,) = locate_triangles(load_dataset(made.path), centre="bounding_box")
+    assert (found.x_px, found.y_px) == pytest.approx((28.3, 33.8), abs=0.02)
+    scored = score_dataset(data, observer, fit_settings=FAST)
+    centred = score(boxed(lambda **k: make_dataset("centred", **k), 31.5, 31.5).path, observer)
+    # The same triangles elsewhere on the pixels, of which a size has eight: that moves P by up to 0.03.
+    assert np.allclose(scored.p_correct, centred.p_correct, atol=0.04)
+
+
+def test_a_constant_frame_tells_nothing_even_without_noise(make_dataset) -> None:
+    made = make_dataset(contrasts=(0.1,))
+    for number in range(4):
+        write_frame(made.frame(number), np.full((48, 48), 59.1), pixel_type="float")
+    silent = PyramidObserver(PyramidSettings(internal_noise=0.0))
+    assert np.allclose(score(made.path, silent).probabilities, 0.25, atol=1e-9)
+    assert np.allclose(score(made.path).probabilities, 0.25, atol=1e-9)

@@ -61,7 +61,13 @@ def cli() -> None:
 )
 @seed_option
 @click.option("--locate", is_flag=True, help="Find the triangle's position where the manifest has none.")
-@click.option("--on-error", type=click.Choice(["stop", "skip"]), default="stop", show_default=True)
+@click.option(
+    "--on-error",
+    type=click.Choice(["stop", "skip"]),
+    default="stop",
+    show_default=True,
+    help="At a frame or row that cannot be used: end, or go on and list it.",
+)
 @click.option(
     "--workers", type=click.IntRange(1), default=1, show_default=True, help="Threads that read and score."
 )
@@ -99,7 +105,9 @@ def score(
         more: Json = {}
         if locate:
             with progress("locating", len(data.trials), quiet=quiet) as advance:
-                data, locations = locate_triangles(data, skip_bad_frames=skip, progress=advance)
+                data, locations = locate_triangles(
+                    data, centre=observer.centre, skip_bad_frames=skip, progress=advance
+                )
             more["located"] = _described(data, locations, quiet=quiet)
         with progress("scoring", len(data.trials), quiet=quiet) as advance:
             scored = score_dataset(
@@ -173,7 +181,7 @@ def naked_eye(*, contrast: float | None, size_mrad: str | None, as_json: bool, *
     start = time.perf_counter()
     if (contrast is None) == (size_mrad is None):
         raise SettingsError("naked-eye: expected one of --contrast and --size-mrad")
-    observer, fit_settings, settings = make_observer(**observer_arguments)
+    observer, fit_settings, settings = make_observer(**observer_arguments, fitted=False)
     from todframes import report
     from todframes.naked_eye import acuity, contrast_threshold
 

@@ -45,7 +45,11 @@ seed_option = click.option(
     "--seed", type=click.IntRange(0), default=1, show_default=True, help="Seed of all random draws."
 )
 set_option = click.option(
-    "--set", "assignments", multiple=True, metavar="NAME=VALUE", help="Any setting by name; repeatable."
+    "--set",
+    "assignments",
+    multiple=True,
+    metavar="NAME=VALUE",
+    help="Any setting by name, such as kernel_a=0.4; repeatable. All are in docs/model.md.",
 )
 observer_options = options(
     click.option("--observer", "observer_name", default="pyramid", show_default=True, help="Observer, by name."),
@@ -64,10 +68,13 @@ def make_observer(
     p_correct: float | None,
     assignments: Sequence[str],
     observer_settings: Path | None,
+    *,
+    fitted: bool = True,
 ) -> tuple[Observer, FitSettings, Json]:
     """Observer, fit settings and both as JSON, from `observer_options`.
 
-    An option of its own goes before `--set`, and that before the file.
+    An option of its own goes before `--set`, and that before the file. Where nothing is `fitted`, the criterion is
+    the only setting of the fit.
 
     Raises
     ------
@@ -87,13 +94,16 @@ def make_observer(
     for name, value in (("internal_noise", internal_noise), ("p_correct", p_correct)):
         if value is not None:
             table[name] = value
+    if {"internal_noise", "internal_noise_sd"} <= table.keys():
+        raise SettingsError(f"{where}: found internal_noise and internal_noise_sd, expected one of them")
     kind = find_observer(observer_name)
     of_observer = [field.name for field in fields(kind.settings_type)]
-    of_fit = [field.name for field in fields(FitSettings)]
+    of_fit = [field.name for field in fields(FitSettings) if fitted or field.name == "p_correct"]
     check_keys(table, of_observer + of_fit, where)
     settings = from_table({k: v for k, v in table.items() if k in of_observer}, kind.settings_type, where)
     fit_settings = from_table({k: v for k, v in table.items() if k in of_fit}, FitSettings, where)
-    described = {"observer": observer_name, **asdict(settings), **asdict(fit_settings)}
+    described = {"observer": observer_name, **asdict(settings)}
+    described |= {name: value for name, value in asdict(fit_settings).items() if name in of_fit}
     return kind(settings), fit_settings, described
 
 

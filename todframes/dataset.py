@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import NamedTuple
 
@@ -65,6 +65,8 @@ class Experiment:
         for name in (self.level, *self.group_by):
             if not name.strip():
                 raise SettingsError(f"level, group_by: found {name!r}, expected the name of a manifest column")
+        if len(set(self.group_by)) < len(self.group_by):
+            raise SettingsError(f"group_by: found {', '.join(self.group_by)}, expected each column once")
         if self.level in self.group_by:
             raise SettingsError(f"group_by: found {self.level!r}, which is the level; expected other columns")
 
@@ -121,7 +123,11 @@ def _read_settings(path: Path) -> tuple[Display, Experiment]:
     for name in ("display", "experiment"):
         if not isinstance(content.get(name), dict):
             raise SettingsError(f"{path}: table [{name}] is missing")
-    table = content["display"]
+    table = dict(content["display"])
+    check_keys(table, [field.name for field in fields(Display)], f"{path}: [display]")
+    if table.get("eotf") == "lut":  # whose luminances are absolute
+        table.pop("white_luminance_cd_m2", None)
+        table.pop("black_luminance_cd_m2", None)
     if "white_luminance_cd_m2" not in table and table.get("eotf") != "lut":
         raise SettingsError(f"{path}: [display]: white_luminance_cd_m2 is missing")
     if "lut" in table and table.get("eotf") == "lut":

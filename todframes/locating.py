@@ -14,8 +14,8 @@ from todframes.dataset import Dataset, FrameReference, Skipped, Trial
 from todframes.errors import DataError, FrameError
 from todframes.frames import FrameFile
 from todframes.readout import Stimulus
-from todframes.stimulus import ORIENTATIONS, Orientation, coverage
-from todframes.viewing import read_contrast
+from todframes.stimulus import ORIENTATIONS, Centre, Orientation, coverage
+from todframes.viewing import check_sha256, left_out, read_contrast, to_centroid
 
 FloatArray = NDArray[np.float64]
 Group = tuple[float | str, ...]
@@ -25,7 +25,7 @@ LEAST_PEAK = 6.0
 
 
 class Location(NamedTuple):
-    """Where the centroids of a group's triangles were found, and the standard error along either axis."""
+    """Where the common point of a group's triangles was found, and the standard error along either axis."""
 
     group: Group
     x_px: float
@@ -34,13 +34,26 @@ class Location(NamedTuple):
 
 
 def locate_triangles(
-    dataset: Dataset, *, skip_bad_frames: bool = False, progress: Callable[[int], None] | None = None
+    dataset: Dataset,
+    *,
+    centre: Centre = "centroid",
+    skip_bad_frames: bool = False,
+    progress: Callable[[int], None] | None = None,
 ) -> tuple[Dataset, tuple[Location, ...]]:
     """Find the position that the frames of each group have in common, for trials that have none.
 
     Frames are averaged by orientation. What all orientations share (bezel, overlay, shading, fixed pattern) is
     the mean of these averages and is taken off; what is left is correlated with the differences of the
     triangles, first on whole pixels, then with exact coverage between them.
+
+    Parameters
+    ----------
+    centre : {"centroid", "bounding_box"}
+        The point that the triangles of all orientations have in common.
+    skip_bad_frames : bool
+        Leave out trials that cannot be read, and groups in which no triangle stands out, and list them.
+    progress : callable
+        Told the number of trials done.
 
     Returns
     -------
@@ -61,7 +74,7 @@ def locate_triangles(
         if trial.x_px is None:
             groups.setdefault(trial.group, []).append(trial)
     locations: dict[Group, Location] = {}
-    bad: dict[int, Skipped] = {}
+    skipped: dict[int, list[Skipped]] = {}
     for group, trials in groups.items():
         sums = _Sums(dataset)
         for trial in trials:
@@ -70,20 +83,27 @@ def locate_triangles(
             except FrameError as error:
                 if not skip_bad_frames:
                     raise
-                bad[trial.number] = Skipped(trial.name, str(error))
+                skipped[trial.number] = left_out(dataset, trial, error)
             if progress is not None:
                 progress(1)
-        if sums.means():
-            locations[group] = _locate(dataset, group, sums.means())
-    placed = tuple(
-        trial._replace(x_px=locations[trial.group].x_px, y_px=locations[trial.group].y_px)
-        if trial.x_px is None and trial.group in locations
-        else trial
-        for trial in dataset.trials
-        if trial.number not in bad
-    )
-    bad_rows = (*dataset.bad_rows, *bad.values())
-    return replace(dataset, trials=placed, bad_rows=bad_rows), tuple(locations.values())
+        try:
+            if sums.means():
+                locations[group] = _locate(dataset, group, sums.means(), centre)
+        except DataError as error:
+            if not skip_bad_frames:
+                raise
+            skipped |= {t.number: left_out(dataset, t, str(error)) for t in trials if t.number not in skipped}
+    placed = []
+    for trial in dataset.trials:
+        if trial.x_px is None and trial.group in locations:
+            found = locations[trial.group]
+            x, y = to_centroid(trial, found.x_px, found.y_px, centre, dataset.display.pitch_mrad)
+            placed.append(trial._replace(x_px=x, y_px=y))
+        else:
+            placed.append(trial)
+    placed = [trial for trial in placed if trial.number not in skipped]
+    bad_rows = (*dataset.bad_rows, *(one for frames in skipped.values() for one in frames))
+    return replace(dataset, trials=tuple(placed), bad_rows=bad_rows), tuple(locations.values())
 
 
 Means = dict[Stimulus, dict[Orientation, FloatArray]]
@@ -114,6 +134,7 @@ class _Sums:
 
     def _contrast(self, frame: FrameReference) -> FloatArray:
         path = self.dataset.frame_path(frame)
+        check_sha256(self.dataset, frame)
         with FrameFile(path) as file:
             patch = read_contrast(file, self.dataset.display, frame)
             header = file.header
@@ -134,7 +155,8 @@ def _size(shape: tuple[int, ...]) -> str:
 class _Matcher:
     """Correlation of orientation differences in the frames with those of triangles at any place."""
 
-    def __init__(self, means: Means, pixel_pitch_mrad: float) -> None:
+    def __init__(self, means: Means, pixel_pitch_mrad: float, centre: Centre) -> None:
+        self.centre = centre
         self.means = {stimulus: _less_common(images) for stimulus, images in means.items()}
         self.pitch = pixel_pitch_mrad
         self.shape = next(iter(next(iter(means.values())).values())).shape
@@ -145,7 +167,7 @@ class _Matcher:
         size_px = stimulus.size_mrad / self.pitch
         triangles = {
             orientation: stimulus.polarity
-            * coverage(shape, size_px=size_px, x_px=x, y_px=y, orientation=orientation)
+            * coverage(shape, size_px=size_px, x_px=x, y_px=y, orientation=orientation, centre=self.centre)
             for orientation in self.means[stimulus]
         }
         stack = np.array(list(_less_common(triangles).values()))
@@ -198,10 +220,10 @@ def _less_common(images: dict[Orientation, FloatArray]) -> dict[Orientation, Flo
     return {orientation: images[orientation] - common for orientation in ORIENTATIONS if orientation in images}
 
 
-def _locate(dataset: Dataset, group: Group, means: Means) -> Location:
+def _locate(dataset: Dataset, group: Group, means: Means, centre: Centre) -> Location:
     from scipy.optimize import minimize
 
-    matcher = _Matcher(means, dataset.display.pitch_mrad)
+    matcher = _Matcher(means, dataset.display.pitch_mrad, centre)
     correlation = matcher.on_whole_pixels()
     rows, columns = matcher.shape
     # The centroid is nowhere nearer to an edge than a third of the height, 0.439 sizes.

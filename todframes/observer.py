@@ -22,7 +22,7 @@ from todframes.errors import SettingsError
 from todframes.pyramid import LaplacianPyramid
 from todframes.readout import Readout, Stimulus, inner_product
 from todframes.retina import RetinaGrid
-from todframes.stimulus import ORIENTATIONS, Centre, Orientation, coverage
+from todframes.stimulus import HEIGHT_PER_SIZE, ORIENTATIONS, Centre, Orientation, coverage
 
 FloatArray = NDArray[np.float64]
 
@@ -58,7 +58,8 @@ class PyramidSettings:
         Centre weight of the pyramid's kernel; 0.375 is [1 4 6 4 1]/16.
     levels : int or None
         Pyramid bands. None: enough for the triangle, at least 4, so that further bands and a wider field
-        move thresholds by less than 1e-5 of their value. The grid's side is 4 · 2^levels + 1.
+        move thresholds by less than 1e-5 of their value with the other settings at their defaults, and by less
+        than 1e-3 with bounding-box centring or strong template blur. The grid's side is 4 · 2^levels + 1.
     include_residual : bool
         Whether the low-pass residual takes part in the correlation.
     band_gain : float
@@ -140,7 +141,7 @@ class PyramidObserver:
         """The retina samples it looks at: side 4 · 2^levels + 1, about four times the triangle's size.
 
         The coarsest band's samples are as far apart as 0.9 sizes or more, and not nearer than 16 samples,
-        which keeps what is left out below 1e-5 of the threshold.
+        which keeps what is left out below 1e-5 of the threshold with the default settings.
         """
         levels = self.settings.levels
         if levels is None:
@@ -151,7 +152,15 @@ class PyramidObserver:
                     f"expected at most {LARGEST_SIZE_SAMPLES:.0f}"
                 )
             levels = max(4, math.ceil(math.log2(0.9 * size)))
-        return RetinaGrid(4 * 2**levels + 1, self.settings.retina_pitch_mrad)
+        side = 4 * 2**levels + 1
+        apex = 2.0 / 3.0 * HEIGHT_PER_SIZE * stimulus.size_mrad / self.settings.retina_pitch_mrad
+        needed = apex + self.settings.position_jitter_samples + 2.0 * self.settings.template_blur_samples
+        if side / 2.0 < needed:
+            raise SettingsError(
+                f"levels: found {levels}, a grid of {side} retina samples; a triangle of "
+                f"{stimulus.size_mrad:g} mrad with its blur and displacement needs {2.0 * needed:.0f}"
+            )
+        return RetinaGrid(side, self.settings.retina_pitch_mrad)
 
     def activity(self, contrast: FloatArray) -> Bands:
         """Noise-free activity of all neurons, finest band first, for a retina image of shape (side, side)."""

@@ -20,26 +20,26 @@ Json = dict[str, Any]
 def group_label(group: Mapping[str, float | str]) -> str:
     """A group in a few words."""
     return ", ".join(
-        f"{name} {value:g}" if isinstance(value, float) else f"{name} {value}" for name, value in group.items()
+        f"{name} {value:.15g}" if isinstance(value, float) else f"{name} {value}" for name, value in group.items()
     )
 
 
 def plots(result: Json) -> dict[str, bytes]:
     """PNG pictures of a result by file name: the psychometric functions, and the TOD curve if there is one."""
     pictures = {"psychometric.png": _png(_psychometric_figure(result["fits"]))}
-    sizes = _size_column(result["fits"])
-    if sizes is not None:
-        pictures["tod_curve.png"] = _png(_tod_figure(result["fits"], sizes))
+    size_name = _size_column(result["fits"])
+    if size_name is not None:
+        pictures["tod_curve.png"] = _png(_tod_figure(result["fits"], size_name))
     return pictures
 
 
 def _size_column(fits: Sequence[Json]) -> str | None:
     """The one group column that is a size, if it has at least two values with a threshold."""
     names = [name for name in (fits[0]["group"] if fits else {}) if name.startswith("size_")]
-    if len(names) != 1 or len(fits[0]["group"]) != 1:
+    if len(names) != 1:
         return None
-    known = [fit for fit in fits if fit["threshold"] is not None and isinstance(fit["group"][names[0]], float)]
-    return names[0] if len(known) >= 2 else None
+    known = {fit["group"][names[0]] for fit in fits if fit["threshold"] is not None}
+    return names[0] if len([size for size in known if isinstance(size, float)]) >= 2 else None
 
 
 def _plain(text: str) -> str:
@@ -66,16 +66,17 @@ def _figure() -> tuple[Figure, Axes]:
 def _tod_figure(fits: Sequence[Json], size_name: str) -> Figure:
     figure, axes = _figure()
     unit = size_name.removeprefix("size_")
-    known = [fit for fit in fits if fit["threshold"] is not None]
-    inverse = [1.0 / fit["group"][size_name] for fit in known]
+    known = [fit for fit in fits if fit["threshold"] is not None and isinstance(fit["group"][size_name], float)]
+    curves: dict[str, list[Json]] = {}
+    for fit in known:
+        others = {name: value for name, value in fit["group"].items() if name != size_name}
+        curves.setdefault(group_label(others), []).append(fit)
+    for number, (label, curve) in enumerate(curves.items()):
+        _draw_tod_curve(axes, curve, size_name, f"C{number % 10}", label)
+    if len(curves) > 1:
+        axes.legend(fontsize="small")
+    inverse = sorted({1.0 / fit["group"][size_name] for fit in known})
     threshold = [fit["threshold"] for fit in known]
-    axes.plot(inverse, threshold, "-", color="C0", lw=1.2, zorder=1)
-    for fit, x in zip(known, inverse, strict=True):
-        low, high = fit["threshold_ci95"] or (None, None)
-        if low is not None and high is not None:
-            axes.plot([x, x], [low, high], "-_", color="C0", lw=1.2)
-        face = "C0" if fit["status"] == "ok" else "white"
-        axes.plot(x, fit["threshold"], "o", color="C0", markerfacecolor=face)
     axes.set(
         xscale="log",
         yscale="log",
@@ -89,6 +90,19 @@ def _tod_figure(fits: Sequence[Json], size_name: str) -> Figure:
     top.set_xticks(inverse, [f"{1.0 / x:g}" for x in inverse])
     top.minorticks_off()
     return figure
+
+
+def _draw_tod_curve(axes: Axes, fits: Sequence[Json], size_name: str, colour: str, label: str) -> None:
+    inverse = [1.0 / fit["group"][size_name] for fit in fits]
+    axes.plot(
+        inverse, [fit["threshold"] for fit in fits], "-", color=colour, lw=1.2, label=_plain(label), zorder=1
+    )
+    for fit, x in zip(fits, inverse, strict=True):
+        low, high = fit["threshold_ci95"] or (None, None)
+        if low is not None and high is not None:
+            axes.plot([x, x], [low, high], "-_", color=colour, lw=1.2)
+        face = colour if fit["status"] == "ok" else "white"
+        axes.plot(x, fit["threshold"], "o", color=colour, markerfacecolor=face)
 
 
 def _plain_ticks(axes: Axes, x: Sequence[float], y: Sequence[float]) -> None:

@@ -93,8 +93,9 @@ class PsychometricFit:
         A bound is None where the data do not determine it: it is infinite or more than a factor of 2 outside the
         levels. None altogether without a threshold or with `resamples=0`.
     points_threshold
-        Where the points themselves cross the criterion, if a test at 5 % tells them from the curve; else None. The
-        interval then covers it too, with its own error: a Weibull curve is a convention, not every observer's.
+        Where the points themselves cross the criterion, without a fitted curve; for probabilities, with three
+        levels and three trials a level or more. The interval covers this crossing too, with its own error: a
+        Weibull curve is a convention that other observers do not follow exactly.
     """
 
     status: Status
@@ -230,14 +231,12 @@ def _fit(observed: Observed, settings: FitSettings, rng: np.random.Generator) ->
     if curve.status not in ("ok", "extrapolated"):
         return curve
     interval, points_threshold = None, None
-    crossing = crossing_of_points(model, theta, observed)
-    if crossing is not None:
-        points_threshold = math.exp(centre + crossing[0])
+    if observed.shows_its_own_curve:
+        crossing = float(crossing_of_points(model, theta, observed.p_correct[None])[0])
+        points_threshold = math.exp(centre + crossing) if math.isfinite(crossing) else None
     if settings.resamples:
         reach = math.log(EXTRAPOLATION_FACTOR)
         low, high = threshold_interval(model, theta, loglik, observed, settings.resamples, rng)
-        if crossing is not None:
-            low, high = min(low, crossing[0] - crossing[1]), max(high, crossing[0] + crossing[1])
         interval = (
             math.exp(centre + low) if low >= model.z[0] - reach else None,
             math.exp(centre + high) if high <= model.z[-1] + reach else None,

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 Json = dict[str, Any]
 
 SCHEMA = 1
+OUTPUT_NAMES = {"result.json", "scores.csv", "psychometric.png", "tod_curve.png"}
 
 
 def fit_object(group: Mapping[str, float | str], level: str, fit: PsychometricFit) -> Json:
@@ -57,12 +58,22 @@ def computed_threshold_object(
 
 
 def closing_line(result: Json) -> str:
-    """Run time, and what the thresholds leave out, in a line."""
+    """Run time and what the thresholds leave out; a line more where points and curve disagree by 1 % or more."""
     line = f"{result['run_time_s']:.2f} s"
+    apart = [_percent_apart(fit) for fit in result["fits"]]
+    if max(apart, default=0.0) >= 1.0:
+        remark = f"Points and Weibull curve cross the criterion up to {max(apart):.1f} % apart (points_threshold)"
+        line = f"{remark}; the intervals cover both.\n{line}"
     bound = max((fit.get("p_correct_error_bound") or 0.0 for fit in result["fits"]), default=0.0)
     if bound:
         line += f"; P(correct) within {bound:.1g}: the summed internal noise is taken as Gaussian"
     return line
+
+
+def _percent_apart(fit: Json) -> float:
+    """How far the crossing of the points is from that of the curve."""
+    points, curve = fit.get("points_threshold"), fit["threshold"]
+    return 0.0 if points is None or curve is None else 100.0 * abs(points / curve - 1.0)
 
 
 def result_object(
@@ -136,8 +147,12 @@ def output_folder(name: str) -> Iterator[Path]:
                 if (path / file.name).is_dir():
                     raise OutputError(f"{path / file.name}: is a folder, expected a file or none")
             path.mkdir(exist_ok=True)
-            for file in sorted(staging.iterdir()):
+            made = sorted(staging.iterdir())
+            for file in made:
                 file.replace(path / file.name)
+            # What an earlier run wrote here and this one did not would be taken for its result.
+            for stale in OUTPUT_NAMES - {file.name for file in made}:
+                (path / stale).unlink(missing_ok=True)
         except OutputError:
             raise
         except OSError as error:
@@ -228,7 +243,7 @@ def threshold_table(result: Json, title: str) -> Table:
     for header in headers:
         table.add_column(Text(header), justify="left" if header == "status" else "right", no_wrap=True)
     for fit in fits:
-        cells = [number(value) if isinstance(value, float) else str(value) for value in fit["group"].values()]
+        cells = [f"{value:.15g}" if isinstance(value, float) else str(value) for value in fit["group"].values()]
         cells.append(number(fit["threshold"]))
         if numerical:
             error = fit["threshold_numerical_error"]

@@ -1,4 +1,4 @@
-"""How sure a fitted threshold is: the bootstrap over trials, and whether the points fit the curve at all."""
+"""How sure a fitted threshold is: the bootstrap over trials, of the fitted curve and of the points themselves."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import fdtri, ndtr, ndtri, xlogy
+from scipy.special import ndtr, ndtri, xlogy
 
 from todframes.weibull import Array, WeibullModel
 
@@ -43,14 +43,10 @@ class Observed:
         share = (self.n_trials * self.moments(fitted)[0]).sum() / max(most, 1e-300)
         return float(np.clip(share * n / (n - n_parameters), 1e-12, 1 - 1e-6))
 
-    def spread_within(self, fitted: Array) -> tuple[float, float]:
-        """Variance of an answer about its level's mean as a share of p(1 − p), and its degrees of freedom."""
-        if self.trials is None:
-            # Binomial, but for single trials a level, whose squared residuals are nowhere near Gaussian.
-            return 1.0, math.inf if self.n_trials.mean() >= 5 else 0.0
-        squares = sum(float(np.square(answers - answers.mean()).sum()) for answers in self.trials)
-        most = ((self.n_trials - 1) * fitted * (1 - fitted)).sum()
-        return max(squares / max(most, 1e-300), 1e-300), float((self.n_trials - 1).sum())
+    @property
+    def shows_its_own_curve(self) -> bool:
+        """Whether the points are exact enough, and enough of them, to be followed without a fitted curve."""
+        return self.trials is not None and len(self.level) >= 3 and bool(self.n_trials.mean() >= 3)
 
     def resample(self, fitted: Array, guess_rate: float, size: int, rng: np.random.Generator) -> Array:
         """Proportions correct of `size` repeated experiments, (experiment, level)."""
@@ -87,11 +83,19 @@ def threshold_interval(
     """Bounds of ln x_c by BCa (Efron 1987), acceleration as for several samples (Davison & Hinkley 1997, 5.3).
 
     Where a step anywhere between two levels is as likely as the curve (likelihood ratio), the interval spans them.
+    Where the points show their own curve, the interval is that of where they cross the criterion, and reaches to
+    the fitted threshold: a Weibull curve is a convention that other observers do not follow exactly.
     """
     right, weight = model.influence(theta)
     second, third = observed.moments(right)
     estimate = float(model.ln_threshold(theta[None])[0])
-    draws = model.ln_threshold(model.fit_many(observed.resample(right, model.guess_rate, resamples, rng)))
+    repeated = observed.resample(right, model.guess_rate, resamples, rng)
+    if observed.shows_its_own_curve:
+        crossings = np.sort(crossing_of_points(model, theta, repeated))
+        low = crossings[max(math.floor(0.025 * (resamples + 1)) - 1, 0)]
+        high = crossings[min(math.ceil(0.975 * (resamples + 1)) - 1, resamples - 1)]
+        return min(float(low), estimate), max(float(high), estimate)
+    draws = model.ln_threshold(model.fit_many(repeated))
     below = np.mean(draws < estimate - 1e-9) + np.mean(np.abs(draws - estimate) <= 1e-9) / 2
     bias = ndtri(np.clip(below, 0.5 / resamples, 1 - 0.5 / resamples))
     relative = weight / max(np.abs(weight).max(), 1e-300)
@@ -113,29 +117,59 @@ def threshold_interval(
     return float(low), float(high)
 
 
-def crossing_of_points(model: WeibullModel, theta: Array, observed: Observed) -> tuple[float, float] | None:
-    """Where the points cross the criterion if they do not fit the curve, and the half-width of its 95 % interval.
+def crossing_of_points(model: WeibullModel, theta: Array, proportions: Array) -> Array:
+    """Where points themselves cross the criterion, upwards and nearest to the fitted threshold.
 
-    The curve is corrected by its residuals, linear between levels, and followed to the criterion to first order;
-    both results are in ln level about the centre. None where an F test at 5 % (Fisher 1925) does not tell points
-    from curve, where the threshold lies outside of the levels, or with too few trials to know their spread.
+    Monotone cubic interpolation (Fritsch & Butland 1984) of ln(−ln(1 − F)), F = (p − γ)/(1 − γ), against ln level:
+    a Weibull curve without lapses is a straight line there, other psychometric functions are nearly one.
+
+    Parameters
+    ----------
+    proportions : ndarray, shape (experiment, level)
+
+    Returns
+    -------
+    ndarray, shape (experiment,)
+        ln level about the centre; −∞ or ∞ where all points lie above or below the criterion.
     """
-    right = model.curves(theta[None], model.z)[0][0]
-    estimate = float(model.ln_threshold(theta[None])[0])
-    n_free = int((model.lower < model.upper).sum())
-    freedom = len(model.z) - n_free
-    spread, spread_freedom = observed.spread_within(right)
-    if freedom < 1 or spread_freedom < 5 or not model.z[0] <= estimate <= model.z[-1]:
-        return None
-    residual = observed.p_correct - right
-    variance = np.maximum(right * (1 - right), 1e-12) * spread / observed.n_trials
-    if not (residual**2 / variance).sum() / freedom > fdtri(freedom, spread_freedom, 0.95):
-        return None
-    after = max(int(np.searchsorted(model.z, estimate)), 1)
-    pair = slice(after - 1, after + 1)
-    share = (estimate - model.z[after - 1]) / (model.z[after] - model.z[after - 1])
-    weight = np.array([1 - share, share])
-    steepness = -float(model.curves(theta[None], np.array([estimate]))[2][0, 0, 0])
-    shift = -float(weight @ residual[pair]) / steepness
-    half_width = _Z_95 * math.sqrt(float(weight**2 @ variance[pair])) / steepness
-    return estimate + shift, half_width
+    z, guess_rate = model.z, model.guess_rate
+
+    def link(p: Array | float) -> Array:
+        return np.log(-np.log1p(-np.clip((np.asarray(p) - guess_rate) / (1 - guess_rate), 1e-9, 1 - 1e-9)))
+
+    y = link(proportions) - link(model.p_correct)
+    width = np.diff(z)
+    secant = np.diff(y) / width
+    slope = _monotone_slopes(width, secant)
+    rising = (y[:, :-1] < 0) & (y[:, 1:] >= 0)
+    distance = np.abs((z[1:] + z[:-1]) / 2 - float(model.ln_threshold(theta[None])[0]))
+    piece = np.where(rising, distance, np.inf).argmin(axis=1)
+    rows = np.arange(len(y))
+    left, right = y[rows, piece], y[rows, piece + 1]
+    left_slope, right_slope = (width[piece] * slope[rows, piece + k] for k in (0, 1))
+    low, high = np.zeros(len(y)), np.ones(len(y))
+    for _ in range(50):
+        t = (low + high) / 2
+        hermite = (1 + 2 * t) * (1 - t) ** 2 * left + t**2 * (3 - 2 * t) * right
+        hermite += t * (1 - t) * ((1 - t) * left_slope - t * right_slope)
+        low, high = np.where(hermite < 0, t, low), np.where(hermite < 0, high, t)
+    crossing = z[piece] + width[piece] * (low + high) / 2
+    outside = np.where(y[:, -1] < 0, np.inf, -np.inf)
+    return np.where(rising.any(axis=1), crossing, outside)
+
+
+def _monotone_slopes(width: Array, secant: Array) -> Array:
+    """Slopes at the points, (experiment, level), of an interpolation that rises and falls where the points do."""
+    before, after = secant[:, :-1], secant[:, 1:]
+    first, last = 2 * width[1:] + width[:-1], width[1:] + 2 * width[:-1]
+    same = before * after > 0
+    harmonic = (first + last) / (first / np.where(same, before, 1.0) + last / np.where(same, after, 1.0))
+    slope = np.empty((len(secant), len(width) + 1))
+    slope[:, 1:-1] = np.where(same, harmonic, 0.0)
+    for end, step in ((0, 1), (-1, -1)):
+        h0, h1 = width[end], width[end + step]
+        d0, d1 = secant[:, end], secant[:, end + step]
+        outer = ((2 * h0 + h1) * d0 - h0 * d1) / (h0 + h1)
+        outer = np.where(outer * d0 <= 0, 0.0, outer)
+        slope[:, end] = np.where((d0 * d1 <= 0) & (np.abs(outer) > 3 * np.abs(d0)), 3 * d0, outer)
+    return slope

@@ -15,7 +15,7 @@ from todframes.decision import answer_probabilities
 from todframes.errors import DataError, FrameError, SettingsError
 from todframes.psychometric import FitSettings, PsychometricFit, fit_trials
 from todframes.readout import Observer, Stimulus
-from todframes.viewing import view_trial
+from todframes.viewing import left_out, view_trial
 
 FloatArray = NDArray[np.float64]
 Decisions = Literal["expected", "sampled"]
@@ -125,7 +125,7 @@ def score_dataset(
     skipped = list(dataset.bad_rows)
     for trial in dataset.trials:
         if trial.name in dataset.spoilt:
-            skipped += _left_out(trial, "another frame of this trial cannot be used")
+            skipped += left_out(dataset, trial, f"another frame of trial {trial.name} cannot be used")
     for task_trials, table, task_skipped in _map(job, tasks, workers):
         trials += task_trials
         tables.append(table)
@@ -165,7 +165,7 @@ class _Scorer:
             except FrameError as error:
                 if not self.skip_bad_frames:
                     raise
-                skipped += _left_out(trial, str(error))
+                skipped += left_out(self.dataset, trial, error)
         return seen, np.array(rows).reshape(-1, 12), skipped
 
     def _score(self, trial: Trial) -> FloatArray:
@@ -177,6 +177,10 @@ class _Scorer:
         scores = deviations = np.full(4, np.nan)
         if readout is not None:
             deviations = readout.score_deviations(view.contrast)
+            if not readout.noise_covariance.any():
+                # Without noise nothing but rounding may tell scores apart that are the same.
+                rounding = 1e-13 * np.linalg.norm(readout.deviations) * np.linalg.norm(view.contrast)
+                deviations = np.where(np.abs(deviations) < rounding, 0.0, deviations)
             scores = deviations + readout.common_score(view.contrast)
         elif self.decisions == "expected":
             raise SettingsError("decisions: found 'expected', but this observer is not linear; expected 'sampled'")
@@ -184,11 +188,6 @@ class _Scorer:
         if self.decisions == "sampled":
             answer = self.observer.respond(view.contrast, trial.stimulus, rng).quarter_turns
         return np.array([dx, dy, *scores, *deviations, answer, view.n_negative])
-
-
-def _left_out(trial: Trial, error: str) -> list[Skipped]:
-    """A trial is averaged over all of its frames or not at all."""
-    return [Skipped(frame.path, error) for frame in trial.frames]
 
 
 def _map(job: _Scorer, tasks: list[list[Trial]], workers: int) -> Iterator[TaskResult]:

@@ -6,6 +6,7 @@ import csv
 import difflib
 import io
 import math
+import re
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import MISSING, fields, is_dataclass
@@ -113,7 +114,16 @@ def _convert(value: object, kind: Any, where: str) -> object:
     try:
         return msgspec.convert(value, kind)
     except msgspec.ValidationError as error:
-        problem = str(error).split(" - at ")[0].replace("`", "")
+        problem = (
+            str(error).split(" - at ")[0].replace("`", "").replace(" | null", "").replace("expected", "Expected")
+        )
+        for kind_of_python, name in (
+            ("array", "a list"),
+            ("str", "text"),
+            ("int", "a whole number"),
+            ("float", "a number"),
+        ):
+            problem = re.sub(rf"\\b{kind_of_python}\\b", name, problem)
         if isinstance(value, str) and literals:
             choices = ", ".join(get_args(literals[0]))
             problem = (
@@ -177,8 +187,9 @@ def number(text: str, where: str, *, positive: bool = False) -> float:
 
 def number_or_text(text: str) -> float | str:
     """A group's value: a number if it reads as a finite one."""
+    text = text.strip()
     try:
-        value = float(text)
+        value = math.nan if "_" in text else float(text)  # Python reads 1_0 as 10
     except ValueError:
-        return text.strip()
-    return value if math.isfinite(value) else text.strip()
+        return text
+    return value if math.isfinite(value) else text

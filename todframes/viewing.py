@@ -9,13 +9,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from todframes.dataset import Dataset, FrameReference, Trial
+from todframes.dataset import Dataset, FrameReference, Skipped, Trial
 from todframes.display import BackgroundRule, Display, border_mean, weber_contrast
 from todframes.errors import DataError, FrameError, SettingsError
 from todframes.frames import FrameFile, FrameHeader, frame_sha256
 from todframes.readout import Observer
 from todframes.retina import resample
-from todframes.stimulus import bounding_box_offset, vertices
+from todframes.stimulus import Centre, bounding_box_offset, vertices
 
 FloatArray = NDArray[np.float64]
 
@@ -76,18 +76,15 @@ def _view_frame(
     path = dataset.frame_path(frame)
     check_sha256(dataset, frame)
     with FrameFile(path) as file:
-        x, y = triangle_position(trial, file.header)
-        _check_on_frame(path, trial, file.header, pixel_pitch)
+        x, y = centroid_position(trial, file.header, observer.centre, pixel_pitch)
+        _check_on_frame(path, trial, file.header, x, y, pixel_pitch)
         try:
             grid = observer.grid(trial.stimulus)
         except SettingsError as error:  # of this row's size alone
             raise FrameError(path, str(error)) from None
-        if observer.centre == "bounding_box":
-            dx, dy = bounding_box_offset(trial.orientation)
-            size_px = trial.stimulus.size_mrad / pixel_pitch
-            x, y = x + dx * size_px, y + dy * size_px
-        x += displacement_samples[0] * grid.pitch_mrad / pixel_pitch
-        y += displacement_samples[1] * grid.pitch_mrad / pixel_pitch
+        to_centre_x, to_centre_y = _from_centroid(trial, observer.centre, pixel_pitch)
+        x += to_centre_x + displacement_samples[0] * grid.pitch_mrad / pixel_pitch
+        y += to_centre_y + displacement_samples[1] * grid.pitch_mrad / pixel_pitch
         rows = grid.pixel_range(centre_px=y, pixel_pitch_mrad=pixel_pitch, n_pixels=file.header.height)
         columns = grid.pixel_range(centre_px=x, pixel_pitch_mrad=pixel_pitch, n_pixels=file.header.width)
         patch = read_contrast(file, dataset.display, frame, rows, columns)
@@ -112,11 +109,44 @@ def check_sha256(dataset: Dataset, frame: FrameReference) -> None:
             raise FrameError(path, f"sha256 is {found}, the manifest says {frame.sha256}")
 
 
-def triangle_position(trial: Trial, header: FrameHeader) -> tuple[float, float]:
-    """(x, y) of the triangle's centroid in pixels: the manifest's, or the frame's centre."""
-    if trial.x_px is None or trial.y_px is None:
-        return (header.width - 1) / 2.0, (header.height - 1) / 2.0
-    return trial.x_px, trial.y_px
+def centroid_position(
+    trial: Trial, header: FrameHeader, centre: Centre, pixel_pitch_mrad: float
+) -> tuple[float, float]:
+    """(x, y) of the triangle's centroid in pixels.
+
+    The manifest's; without one, the triangle's `centre` lies at the frame's.
+    """
+    if trial.x_px is not None and trial.y_px is not None:
+        return trial.x_px, trial.y_px
+    return to_centroid(trial, (header.width - 1) / 2.0, (header.height - 1) / 2.0, centre, pixel_pitch_mrad)
+
+
+def to_centroid(
+    trial: Trial, x_px: float, y_px: float, centre: Centre, pixel_pitch_mrad: float
+) -> tuple[float, float]:
+    """(x, y) of the centroid of a trial's triangle whose `centre` lies at (x_px, y_px)."""
+    dx, dy = _from_centroid(trial, centre, pixel_pitch_mrad)
+    return x_px - dx, y_px - dy
+
+
+def _from_centroid(trial: Trial, centre: Centre, pixel_pitch_mrad: float) -> tuple[float, float]:
+    if centre == "centroid":
+        return 0.0, 0.0
+    dx, dy = bounding_box_offset(trial.orientation)
+    size_px = trial.stimulus.size_mrad / pixel_pitch_mrad
+    return dx * size_px, dy * size_px
+
+
+def left_out(dataset: Dataset, trial: Trial, error: FrameError | str) -> list[Skipped]:
+    """All frames of a trial that cannot be used: it is averaged over all of them or not at all."""
+    others = f"another frame of trial {trial.name} cannot be used"
+    return [
+        Skipped(
+            frame.path,
+            others if isinstance(error, FrameError) and error.path != dataset.frame_path(frame) else str(error),
+        )
+        for frame in trial.frames
+    ]
 
 
 def read_contrast(
@@ -161,9 +191,10 @@ def _background(rule: float | BackgroundRule, luminance: FloatArray, frame: Fram
     return rule
 
 
-def _check_on_frame(path: Path, trial: Trial, header: FrameHeader, pixel_pitch_mrad: float) -> None:
+def _check_on_frame(
+    path: Path, trial: Trial, header: FrameHeader, x: float, y: float, pixel_pitch_mrad: float
+) -> None:
     """The whole triangle must lie on pixels that the file has."""
-    x, y = triangle_position(trial, header)
     size_px = min(trial.stimulus.size_mrad / pixel_pitch_mrad, 1e300)  # whose corners are numbers still
     corners = vertices(size=size_px, orientation=trial.orientation, x=x, y=y)
     (left, top), (right, bottom) = corners.min(axis=0), corners.max(axis=0)
@@ -190,7 +221,9 @@ def frame_problems(dataset: Dataset, trial: Trial) -> Iterator[FrameError]:
         try:
             check_sha256(dataset, frame)
             with FrameFile(path) as file:
-                _check_on_frame(path, trial, file.header, dataset.display.pitch_mrad)
+                pitch_mrad = dataset.display.pitch_mrad
+                x, y = centroid_position(trial, file.header, "centroid", pitch_mrad)
+                _check_on_frame(path, trial, file.header, x, y, pitch_mrad)
                 read_contrast(file, dataset.display, frame)
         except FrameError as error:
             yield error
