@@ -11,6 +11,7 @@ Hogervorst et al. 2001, sections 3 to 5 and 8.
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -54,9 +55,9 @@ class Phases(NamedTuple):
 
     Attributes
     ----------
-    signal : ndarray, shape (n, 4)
+    signal : ndarray, shape (places, displacements, 4)
         Score deviations caused by the triangle, of amplitude 1.
-    noise : ndarray, shape (n, 4, 4)
+    noise : ndarray, shape (places, 4, 4)
         Covariance of the scores under detector noise of standard deviation 1.
     correct : int
         The orientation shown, an index into `ORIENTATIONS`.
@@ -95,6 +96,10 @@ class FoldedChain:
             raise SettingsError("observer: it is not linear; no curve can be computed, simulate frames instead")
         self.readout: Readout = readout
         self.hold = axis_matrix(self.field, display=sensor.display, electronics=sensor.electronics)
+        self.noise_covariance = readout.noise_covariance
+        side = readout.grid.side
+        self._along_x_first = np.ascontiguousarray(readout.deviations.transpose(2, 0, 1)).reshape(side, 4 * side)
+        self._drawn: dict[tuple[int, int], list[list[Phases]]] = {}
         # Square detectors and a symmetric observer look the same to all orientations.
         self.orientations = ORIENTATIONS[:1] if _is_symmetric(readout) else ORIENTATIONS
 
@@ -108,6 +113,19 @@ class FoldedChain:
             first_pixel=0,
             n_pixels=self.hold.shape[0],
         )
+
+    def with_internal_noise(self, scale: float) -> FoldedChain:
+        """The same with the standard deviation of the internal noise scaled; all that was computed is shared."""
+        other = copy.copy(self)
+        other.noise_covariance = scale**2 * self.noise_covariance
+        return other
+
+    def scramblings(self, places: int, seed: int) -> list[list[Phases]]:
+        """Independent `phases`, as many as there are scramblings; kept, for other noise asks for the same."""
+        if (places, seed) not in self._drawn:
+            streams = np.random.SeedSequence(seed, spawn_key=(places,)).spawn(SCRAMBLINGS)
+            self._drawn[places, seed] = [self.phases(places, np.random.default_rng(one)) for one in streams]
+        return self._drawn[places, seed]
 
     def phases(self, places: int, rng: np.random.Generator) -> list[Phases]:
         """Trials of each orientation on a grid of `places` × `places`, displaced as a whole at random.
@@ -141,11 +159,9 @@ class FoldedChain:
         triangle_y: FloatArray,
     ) -> Phases:
         dx, dy = bounding_box_offset(orientation) if self.observer.centre == "bounding_box" else (0.0, 0.0)
-        field, deviations = self.field, self.readout.deviations
-        side = deviations.shape[1]
+        field, side = self.field, self.readout.grid.side
         # From the retina to the display by sparse overlap, then to the detectors: first along x, then along y.
-        along_y_last = np.ascontiguousarray(deviations.transpose(2, 0, 1)).reshape(side, 4 * side)
-        on_columns = np.stack([self._fold(x + dx * self.size_detectors, along_y_last) for x in middle_x])
+        on_columns = np.stack([self._fold(x + dx * self.size_detectors, self._along_x_first) for x in middle_x])
         on_columns = on_columns.reshape(places := len(middle_x), field, 4, side).transpose(3, 0, 2, 1)
         on_columns = np.ascontiguousarray(on_columns).reshape(side, places * 4 * field)
         signal, noise = [], []
@@ -156,8 +172,8 @@ class FoldedChain:
             samples = self.sampler.samples(
                 triangle_x[these].ravel(), triangle_y[these].ravel(), orientation=orientation
             ).reshape(places, -1, field**2)
-            signal.append((samples @ weights.swapaxes(1, 2)).reshape(-1, 4))
-            noise.append(np.repeat(weights @ weights.swapaxes(1, 2), samples.shape[1], axis=0))
+            signal.append(samples @ weights.swapaxes(1, 2))
+            noise.append(weights @ weights.swapaxes(1, 2))
         return Phases(np.concatenate(signal), np.concatenate(noise), orientation.quarter_turns)
 
     def _fold(self, place: float, weights: FloatArray) -> FloatArray:
@@ -169,8 +185,7 @@ class FoldedChain:
         """Mean P(correct) over trials at a signal-to-noise ratio; infinity: no detector noise."""
         means = []
         for part in phases:
-            # Covariances of places that differ in the displacement only are the same.
-            covariance = self.readout.noise_covariance + part.noise / snr**2
+            covariance = self.noise_covariance + part.noise[:, None] / snr**2
             means.append(answer_probability(part.signal, covariance, part.correct, nodes=ORTHANT_NODES).mean())
         return float(np.mean(means))
 
@@ -223,15 +238,13 @@ def predict_threshold(
         raise SettingsError(f"tolerance: found {tolerance!r}, expected a number > 0")
     pixels = chain.sensor.display.pixels_per_detector
     ladder = [places for places in PLACES if math.gcd(places, pixels) == 1]
-    streams = np.random.SeedSequence(seed).spawn(SCRAMBLINGS * len(ladder))
     threshold: float | None = None
     slope = math.nan
-    for number, places in enumerate(ladder):
-        rngs = map(np.random.default_rng, streams[number * SCRAMBLINGS : (number + 1) * SCRAMBLINGS])
-        parts = [chain.phases(places, rng) for rng in rngs]
+    for places in ladder:
+        parts = chain.scramblings(places, seed)
         pooled = [_pool(list(same)) for same in zip(*parts, strict=True)]
         proportion = partial(chain.proportion_correct, pooled)
-        n_phases = sum(len(part.signal) for part in pooled)
+        n_phases = sum(part.signal[..., 0].size for part in pooled)
         status, threshold = _crossing(proportion, p_correct, near=threshold, slope=slope)
         if threshold is None:
             return PredictedThreshold(chain.size_detectors, status, None, None, n_phases, ())

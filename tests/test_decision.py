@@ -14,7 +14,7 @@ from numpy.polynomial.legendre import leggauss
 from scipy.integrate import quad
 from scipy.special import ndtr
 
-from todframes.decision import answer_probabilities
+from todframes.decision import answer_probabilities, answer_probability
 from todframes.errors import SettingsError
 
 EXACT = 1e-9
@@ -430,3 +430,23 @@ def test_refuses_other_shapes():
         answer_probabilities(np.zeros(3), np.eye(4))
     with pytest.raises(ValueError, match=r"covariance has shape \(3, 3\), expected \(\.\.\., 4, 4\)"):
         answer_probabilities(np.zeros(4), np.eye(3))
+
+
+def test_one_answer_is_that_of_all_four() -> None:
+    """In all shapes: one covariance, one for each score, one for several scores."""
+    rng = np.random.default_rng(0)
+    root = rng.normal(size=(7, 4, 4))
+    covariance, score = root @ root.swapaxes(1, 2), rng.normal(size=(7, 3, 4))
+    for scores, covariances in (
+        (score, covariance[:, None]),
+        (score[0], covariance[0]),
+        (score[0, 0], covariance[0]),
+        (score[0, 0], covariance),
+        (score[:, 0], covariance),
+    ):
+        expected = answer_probabilities(scores, covariances)
+        for answer in range(4):
+            found = answer_probability(scores, covariances, answer)
+            assert found.shape == expected.shape[:-1]
+            # Both are exact to 1e-9; the largest of the four is 1 less the others there.
+            assert np.allclose(found, expected[..., answer], rtol=0.0, atol=1e-9)

@@ -103,7 +103,8 @@ def answer_probability(score: ArrayLike, covariance: ArrayLike, answer: int, *, 
     ----------
     score : array_like, shape (..., 4)
     covariance : array_like, shape (..., 4, 4)
-        Both as for `answer_probabilities`.
+        Both as for `answer_probabilities`. Scores that differ along their last but one axis only share the work
+        that a covariance causes, if it has no such axis or one of length 1.
     answer : int
         0 to 3.
     nodes : int
@@ -123,15 +124,23 @@ def answer_probability(score: ArrayLike, covariance: ArrayLike, answer: int, *, 
     scores, covariances = _checked(score, covariance)
     shape = np.broadcast_shapes(scores.shape[:-1], covariances.shape[:-2])
     first = [answer, *_OTHERS[answer]]
-    scores = np.broadcast_to(scores[..., first], (*shape, 4)).reshape(-1, 4)
+    scores = np.broadcast_to(scores[..., first], (*shape, 4))
     covariances = covariances[..., first, :][..., first]
-    covariances = np.broadcast_to(covariances, (*shape, 4, 4)).reshape(-1, 4, 4)
-    probability = np.empty(len(scores))
+    # Scores along the last axis often share a covariance, and with it most of the work.
+    shared = covariances.ndim < 3 or covariances.shape[-3] == 1
+    if not (shared and shape):
+        scores, shape = scores[..., None, :], (*shape, 1)
+    elif covariances.ndim >= 3:
+        covariances = covariances[..., 0, :, :]
+    covariances = np.broadcast_to(covariances, (*shape[:-1], 4, 4)).reshape(-1, 4, 4)
+    scores = scores.reshape(-1, shape[-1], 4)
+    probability = np.empty(scores.shape[:2])
     for start in range(0, len(scores), 4 * _CHUNK):
         chunk = slice(start, start + 4 * _CHUNK)
         geometry = _geometry(covariances[chunk], slice(0, 1), nodes)
-        probability[chunk] = _shared_orthants(scores[chunk], geometry, slice(0, 1))[:, 0]
-    return probability.reshape(shape)
+        for column in range(scores.shape[1]):
+            probability[chunk, column] = _shared_orthants(scores[chunk, column], geometry, slice(0, 1))[:, 0]
+    return probability.reshape(np.broadcast_shapes(np.shape(score)[:-1], np.shape(covariance)[:-2]))
 
 
 class _Geometry(NamedTuple):
