@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Literal, NamedTuple
@@ -21,6 +20,7 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from sensor_sim.crossing import crossing
 from sensor_sim.reconstruction import axis_matrix, display_position_px
 from sensor_sim.sampling import field_detectors, field_sampler
 from sensor_sim.sensor import Sensor
@@ -40,11 +40,10 @@ PLACES = (5, 7, 9, 13, 17, 25, 37)
 """Along each axis of a detector, in each scrambling: more and more, until the error is small enough. Numbers that
 have a divisor in common with the display's pixels per detector are left out: P repeats with these pixels too, and
 such a lattice would see them all alike."""
-LEVEL_RANGE = (1e-6, 1e9)
 KRONECKER_STEPS = np.modf(1.1673039782614187 ** -np.arange(1.0, 5.0))[0].reshape(2, 2)
 """Powers of the root of x⁵ = x + 1: a four-dimensional low-discrepancy sequence, two of them counted by rows and
 columns of the lattice (Roberts 2018)."""
-ORTHANT_NODES = 32
+ORTHANT_NODES = 24
 """Enough for 1e-14 where the four templates differ as those of the triangles do."""
 STUDENT_95 = 2.3646
 """97.5 % point of Student's t with one degree of freedom less than there are scramblings."""
@@ -98,7 +97,9 @@ class FoldedChain:
         self.hold = axis_matrix(self.field, display=sensor.display, electronics=sensor.electronics)
         self.noise_covariance = readout.noise_covariance
         side = readout.grid.side
-        self._along_x_first = np.ascontiguousarray(readout.deviations.transpose(2, 0, 1)).reshape(side, 4 * side)
+        # Folding in single precision costs half, and its 1e-7 of a weight moves no threshold by as much.
+        by_column = np.ascontiguousarray(readout.deviations.transpose(2, 0, 1), dtype=np.float32)
+        self._along_x_first = by_column.reshape(side, 4 * side)
         self._drawn: dict[tuple[int, int], list[list[Phases]]] = {}
         # Square detectors and a symmetric observer look the same to all orientations.
         self.orientations = ORIENTATIONS[:1] if _is_symmetric(readout) else ORIENTATIONS
@@ -166,8 +167,9 @@ class FoldedChain:
         on_columns = np.ascontiguousarray(on_columns).reshape(side, places * 4 * field)
         signal, noise = [], []
         for row, y in enumerate(middle_y):
-            weights = self._fold(y + dy * self.size_detectors, on_columns).reshape(field, places, 4, field)
-            weights = self.sensor.display.gain * weights.transpose(1, 2, 0, 3).reshape(places, 4, field**2)
+            folded = self._fold(y + dy * self.size_detectors, on_columns).reshape(field, places, 4, field)
+            weights = folded.transpose(1, 2, 0, 3).reshape(places, 4, field**2).astype(np.float64)
+            weights *= self.sensor.display.gain
             these = slice(row * places, (row + 1) * places)
             samples = self.sampler.samples(
                 triangle_x[these].ravel(), triangle_y[these].ravel(), orientation=orientation
@@ -176,10 +178,10 @@ class FoldedChain:
             noise.append(weights @ weights.swapaxes(1, 2))
         return Phases(np.concatenate(signal), np.concatenate(noise), orientation.quarter_turns)
 
-    def _fold(self, place: float, weights: FloatArray) -> FloatArray:
+    def _fold(self, place: float, weights: NDArray[np.float32]) -> NDArray[np.float32]:
         """Weights on retina samples along the first axis, (side, n), to weights on detectors, (field, n)."""
-        on_pixels = self._retina(place).T @ weights
-        return np.asarray(self.hold.T @ on_pixels)
+        on_pixels = self._retina(place).astype(np.float32).T @ weights
+        return np.asarray(self.hold.T.astype(np.float32) @ on_pixels)
 
     def proportion_correct(self, phases: list[Phases], snr: float) -> float:
         """Mean P(correct) over trials at a signal-to-noise ratio; infinity: no detector noise."""
@@ -191,10 +193,11 @@ class FoldedChain:
 
 
 def _is_symmetric(readout: Readout) -> bool:
-    """Whether the four scores are one and the same, turned."""
+    """Whether the four scores are one and the same, turned, to the last bit."""
+    first, covariance = readout.deviations[0], readout.noise_covariance
     return all(
-        np.allclose(readout.deviations[k], np.rot90(readout.deviations[0], -k), rtol=0.0, atol=1e-12)
-        and np.allclose(np.roll(readout.noise_covariance[0], k), readout.noise_covariance[k], rtol=1e-12)
+        np.array_equal(readout.deviations[k], np.rot90(first, -k))
+        and np.allclose(np.roll(covariance[0], k), covariance[k], rtol=1e-12)
         for k in range(1, 4)
     )
 
@@ -245,7 +248,7 @@ def predict_threshold(
         pooled = [_pool(list(same)) for same in zip(*parts, strict=True)]
         proportion = partial(chain.proportion_correct, pooled)
         n_phases = sum(part.signal[..., 0].size for part in pooled)
-        status, threshold = _crossing(proportion, p_correct, near=threshold, slope=slope)
+        status, threshold = crossing(proportion, p_correct, near=threshold, slope=slope)
         if threshold is None:
             return PredictedThreshold(chain.size_detectors, status, None, None, n_phases, ())
         error, slope = _error(chain, parts, threshold)
@@ -272,44 +275,3 @@ def _error(chain: FoldedChain, parts: list[list[Phases]], threshold: float) -> t
     slope = float((high - low).mean()) / (2.0 * step)
     spread = float(((high + low) / 2.0).std(ddof=1)) / math.sqrt(len(parts))
     return STUDENT_95 * spread / slope * threshold, slope
-
-
-def _crossing(
-    proportion: Callable[[float], float], p_correct: float, *, near: float | None, slope: float
-) -> tuple[Literal["ok", "never_reached", "always_exceeded"], float | None]:
-    """Where a rising curve passes `p_correct`: by steps along its slope from nearby, else a search from 1 on."""
-    if near is not None:
-        for _ in range(8):
-            step = (p_correct - proportion(near)) / slope
-            near *= math.exp(min(max(step, -1.0), 1.0))
-            if abs(step) < 1e-5:
-                return "ok", near
-    if proportion(math.inf) <= p_correct:  # without detector noise
-        return "never_reached", None
-    low = high = 0.0
-    at_low = at_high = proportion(1.0) - p_correct
-    while at_low > 0:
-        high, at_high, low = low, at_low, low - math.log(2.0)
-        if low < math.log(LEVEL_RANGE[0]):
-            return "always_exceeded", None
-        at_low = proportion(math.exp(low)) - p_correct
-    while at_high <= 0:
-        low, at_low, high = high, at_high, high + math.log(2.0)
-        if high > math.log(LEVEL_RANGE[1]):
-            return "never_reached", None
-        at_high = proportion(math.exp(high)) - p_correct
-    return "ok", math.exp(_root(lambda x: proportion(math.exp(x)) - p_correct, low, high, at_low, at_high))
-
-
-def _root(function: Callable[[float], float], low: float, high: float, at_low: float, at_high: float) -> float:
-    """Root of a rising function between two places, to 1e-6, by the Illinois rule (Dowell & Jarratt 1971)."""
-    for _ in range(60):
-        middle = (low * at_high - high * at_low) / (at_high - at_low)
-        at_middle = function(middle)
-        if abs(at_middle) < 1e-7 or high - low < 1e-6:
-            return middle
-        if at_middle > 0:
-            high, at_high, at_low = middle, at_middle, at_low / 2.0
-        else:
-            low, at_low, at_high = middle, at_middle, at_high / 2.0
-    return middle

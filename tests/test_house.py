@@ -22,7 +22,7 @@ FLOORS = {
         {"cli"},
     ],
     "sensor_sim": [
-        {"sensor"},
+        {"sensor", "crossing"},
         {"transfer"},
         {"sampling", "noise", "reconstruction"},
         {"simulate", "predict", "scenes"},

@@ -28,7 +28,6 @@ from scipy.special import ndtr
 from todframes.errors import SettingsError
 
 _Floats = NDArray[np.float64]
-_Extended = NDArray[np.longdouble]
 
 _ANSWERS = np.arange(4)[:, None]
 _OTHERS = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
@@ -196,7 +195,9 @@ def _orthant(limit: _Floats, geometry: _Geometry) -> _Floats:
 
 
 def _geometry(covariance: _Floats, answers: slice = slice(None), nodes: int = _NODES) -> _Geometry:
-    deviation, angle = (of_all[:, answers] for of_all in _tetrahedron(covariance))
+    # Few nodes are for matrices that are far from singular, which do not need extended precision either.
+    exact: NDArray[Any] = covariance.astype(np.longdouble) if nodes >= _NODES else covariance
+    deviation, angle = (of_all[:, answers] for of_all in _tetrahedron(exact))
     left, node_weight = _path_nodes(nodes)
     # The distances of the angles from the four faces, s − θ and π − s: all are π/4 at independence, rounding must
     # not carry them beyond a face at the end, and every angle is the sum of two of them.
@@ -231,16 +232,15 @@ def _geometry(covariance: _Floats, answers: slice = slice(None), nodes: int = _N
     )
 
 
-def _tetrahedron(covariance: _Floats) -> tuple[_Floats, _Floats]:
+def _tetrahedron(exact: NDArray[Any]) -> tuple[_Floats, _Floats]:
     """Standard deviations of the differences and the angles between them, both (matrix, answer, 3).
 
     The angle is Kahan's, from the three edges of a face, so that slender faces keep their digits. A rounding
     of 1e-16 in the covariance can turn it by 1e-8: hence extended precision (where the platform has it), and a
     face whose area is lost in that rounding, though its edges are not, is taken as flat.
     """
-    exact: _Extended = covariance.astype(np.longdouble)
     variance = np.diagonal(exact, axis1=-2, axis2=-1)
-    square: _Extended = (variance[:, :, None] - exact) + (variance[:, None, :] - exact)
+    square = (variance[:, :, None] - exact) + (variance[:, None, :] - exact)
     square = np.maximum(square, 0)
     edge = np.sqrt(square)
     a, b, c2 = edge[:, _ANSWERS, _FIRST], edge[:, _ANSWERS, _SECOND], square[:, _FIRST, _SECOND]

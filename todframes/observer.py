@@ -172,7 +172,15 @@ class PyramidObserver:
         return tuple(settings.band_gain**k * band for k, band in enumerate(bands))
 
     def _templates(self, stimulus: Stimulus) -> tuple[Bands, ...]:
-        """Expected activity for each orientation, in the order of `ORIENTATIONS`.
+        """Expected activity for each orientation, in the order of `ORIENTATIONS`."""
+        activity = self._expected_upright(stimulus)
+        return tuple(
+            tuple(np.ascontiguousarray(np.rot90(band, -orientation.quarter_turns)) for band in activity)
+            for orientation in ORIENTATIONS
+        )
+
+    def _expected_upright(self, stimulus: Stimulus) -> Bands:
+        """Expected activity for the upright triangle.
 
         The grid's middle is every band's middle, so the activity of a turned triangle is the turned activity.
         """
@@ -189,17 +197,13 @@ class PyramidObserver:
         )
         # Cut at 8 standard deviations, where the kernel is 1e-14 of its middle.
         blurred = gaussian_filter(upright, self.settings.template_blur_samples, mode="mirror", truncate=8.0)
-        activity = self.activity(stimulus.polarity * blurred)
-        return tuple(
-            tuple(np.ascontiguousarray(np.rot90(band, -orientation.quarter_turns)) for band in activity)
-            for orientation in ORIENTATIONS
-        )
+        return self.activity(stimulus.polarity * blurred)
 
     def _readout(self, stimulus: Stimulus) -> Readout:
         """Pyramid and templates folded onto the retina: A_k = Lᵀ t_k."""
-        grid, templates = self.grid(stimulus), self.templates(stimulus)
-        common = [np.mean(band, axis=0) for band in zip(*templates, strict=True)]
-        upright = [band - mean for band, mean in zip(templates[0], common, strict=True)]
+        grid, expected = self.grid(stimulus), self._expected_upright(stimulus)
+        common = [np.asarray(sum(np.rot90(band, -k) for k in range(4)) / 4.0) for band in expected]
+        upright = [band - mean for band, mean in zip(expected, common, strict=True)]
         folded = self._fold(upright, grid)
         deviations = np.stack([np.rot90(folded, -k) for k in range(4)])
         return Readout(

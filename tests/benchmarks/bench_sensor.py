@@ -1,0 +1,174 @@
+"""Whole curves against the literal Monte Carlo, and simulated frames against an oversampled FFT chain."""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from timing import Row, best_s, process
+
+from sensor_sim.predict import FoldedChain, predict_threshold
+from sensor_sim.reconstruction import axis_matrix, display_signal
+from sensor_sim.sampling import TriangleSampler
+from sensor_sim.sensor import Sensor, load_sensor
+from sensor_sim.simulate import Simulator, Trial
+from sensor_sim.transfer import optics_mtf
+from todframes.observer import PyramidObserver
+from todframes.psychometric import FitSettings, fit_counts
+from todframes.readout import Stimulus
+from todframes.retina import resample
+from todframes.stimulus import ORIENTATIONS, Orientation, coverage
+
+SENSOR = Path(__file__).parents[2] / "sample_frames" / "star_like.toml"
+SIZES = (3.5, 4.0, 5.0, 6.0, 8.0)
+STANDARD_ERROR = 0.01
+# A 95 % interval of ± 1.96 standard errors of 1 % each.
+TOLERANCE = 1.96 * STANDARD_ERROR
+CURVES = f"""
+import os; os.environ["OPENBLAS_NUM_THREADS"] = "1"
+from sensor_sim.predict import FoldedChain, predict_threshold
+from sensor_sim.sensor import load_sensor
+from todframes.observer import PyramidObserver
+sensor, observer = load_sensor({str(SENSOR)!r}), PyramidObserver()
+for size in {SIZES}:
+    chain = FoldedChain(sensor, observer, size)
+    for scale in (1.0, 0.5):  # internal noise 0.5 and 0.25
+        predict_threshold(chain.with_internal_noise(scale), tolerance={TOLERANCE})
+"""
+
+
+def literal_s(chain: FoldedChain, threshold: float) -> float:
+    """CPU time of the literal Monte Carlo for a threshold at 1 % standard error.
+
+    The cost of a trial is measured: draw a frame, look at it, noise on every neuron, decide. So is the variance of
+    the threshold that a Weibull curve through 7 levels gives, half to twice the threshold, 300 answers at each.
+    """
+    sensor, size, observer = chain.sensor, chain.size_detectors, PyramidObserver()
+    simulator = Simulator(sensor, size, seed=1)
+    stimulus = Stimulus(size * sensor.display.detector_pitch_mrad)
+    observer.templates(stimulus)
+    grid, display, rng = observer.grid(stimulus), sensor.display, np.random.default_rng(1)
+
+    def trial(number: int) -> None:
+        (frame,) = simulator.frames([Trial((0, 0, number), size, threshold, ORIENTATIONS[number % 4])])
+        contrast = frame.luminance_cd_m2 / display.background_luminance_cd_m2 - 1.0
+        seen = resample(
+            contrast, grid, x_px=frame.x_px, y_px=frame.y_px, pixel_pitch_mrad=display.pixel_pitch_mrad
+        )
+        observer.respond(seen, stimulus, rng)
+
+    trial(0)
+    started = time.process_time()
+    for number in range(1, 21):
+        trial(number)
+    per_trial_s = (time.process_time() - started) / 20
+    levels, n_trials = threshold * np.geomspace(0.5, 2.0, 7), np.full(7, 300)
+    phases = chain.phases(13, np.random.default_rng(0))
+    p = np.array([chain.proportion_correct(phases, level) for level in levels])
+    fits = [
+        fit_counts(levels, rng.binomial(n_trials, p), n_trials, settings=FitSettings(resamples=0), rng=rng)
+        for _ in range(200)
+    ]
+    spread = np.std([math.log(fit.threshold) for fit in fits if fit.threshold is not None])
+    return float(per_trial_s * n_trials.sum() * (spread / STANDARD_ERROR) ** 2)
+
+
+def oversampled_frame_s(sensor: Sensor, field: int, size: float) -> tuple[float, float]:
+    """Time of a frame through FFTs of a scene at 8 pixels a detector, and the largest error of its samples."""
+    fine = 8
+    n, pitch = fine * field, sensor.detector.pitch_mrad / fine
+    frequency = np.fft.fftfreq(n, pitch)
+    radial = np.hypot(frequency[:, None], frequency[: n // 2 + 1])
+    box = np.sinc(frequency * sensor.detector.width_mrad)
+    before = optics_mtf(radial, optics=sensor.optics) * box[:, None] * box[: n // 2 + 1]
+    display = sensor.display
+    per_px = display.pixels_per_detector
+    f_px = np.fft.fftfreq(field * per_px)
+    after = np.exp(
+        -2 * (np.pi * display.blur_sigma_px) ** 2 * (f_px[:, None] ** 2 + f_px[: field * per_px // 2 + 1] ** 2)
+    )
+    rng = np.random.default_rng(0)
+    seen: list[np.ndarray] = []
+
+    def frame(x: float = 0.2, y: float = -0.3) -> None:
+        middle = (n - 1) / 2
+        scene = coverage(
+            (n, n), size_px=size * fine, x_px=middle + x * fine, y_px=middle + y * fine, orientation=Orientation.UP
+        )
+        blurred = np.fft.irfft2(np.fft.rfft2(scene) * before, s=scene.shape)
+        # The middle of a detector lies between two fine pixels along each axis.
+        corners = [blurred[fine // 2 - 1 + i :: fine, fine // 2 - 1 + j :: fine] for i in (0, 1) for j in (0, 1)]
+        samples = sum(corners) / 4.0
+        seen[:] = [samples]
+        held = np.kron(samples + rng.normal(size=samples.shape), np.ones((per_px, per_px)))
+        np.fft.irfft2(np.fft.rfft2(held) * after, s=held.shape)
+
+    elapsed = best_s(frame, 50)
+    exact = TriangleSampler(
+        optics=sensor.optics, detector=sensor.detector, size_detectors=size, field_detectors=field
+    ).samples(0.2, -0.3, orientation=Orientation.UP)[0]
+    return elapsed, float(np.abs(seen[0] - exact).max())
+
+
+def exact_frame_s(sensor: Sensor, field: int, size: float) -> float:
+    """Time of a frame by exact samples, of a batch of 32."""
+    sampler = TriangleSampler(
+        optics=sensor.optics, detector=sensor.detector, size_detectors=size, field_detectors=field
+    )
+    matrix = axis_matrix(field, display=sensor.display, electronics=sensor.electronics)
+    rng = np.random.default_rng(0)
+
+    def batch() -> None:
+        samples = sampler.samples(*rng.uniform(-0.5, 0.5, (2, 32)), orientation=Orientation.UP)
+        for sample in samples:
+            display_signal(sample + rng.normal(size=sample.shape), matrix)
+
+    return best_s(batch, 20) / 32
+
+
+def rows() -> list[Row]:
+    """All ratios of this file."""
+    sensor, observer = load_sensor(SENSOR), PyramidObserver()
+    curves = process("-c", CURVES)
+    imports = min(process("-c", "import numpy, scipy.optimize").wall_s for _ in range(5))
+    literal = 0.0
+    for size in SIZES:
+        chain = FoldedChain(sensor, observer, size)
+        for scale in (1.0, 0.5):
+            with_noise = chain.with_internal_noise(scale)
+            found = predict_threshold(with_noise, tolerance=TOLERANCE)
+            assert found.threshold is not None
+            literal += literal_s(with_noise, found.threshold)
+    middle = SIZES[2]
+    one_literal = literal_s(FoldedChain(sensor, observer, middle), 1.37)
+    again = []
+    for number in range(20):
+        blur = 2.0 + 0.01 * number
+        changed = replace(sensor, display=replace(sensor.display, blur_sigma_px=blur))
+        started = time.perf_counter()
+        predict_threshold(FoldedChain(changed, observer, middle), tolerance=TOLERANCE)
+        again.append(time.perf_counter() - started)
+    ours = exact_frame_s(sensor, 16, 4.0)
+    theirs, error = oversampled_frame_s(sensor, 16, 4.0)
+    return [
+        Row(
+            f"curve, 5 sizes × 2 noise levels ({curves.cpu_s:.1f} s CPU), literal Monte Carlo ÷ it, at 1 %",
+            literal / curves.cpu_s,
+            ">= 1000",
+        ),
+        Row("the same, whole process ÷ import numpy, scipy.optimize", curves.wall_s / imports, "<= 8"),
+        Row(
+            "threshold after one parameter changed ÷ literal Monte Carlo, at 1 %, median of 20",
+            sorted(again)[10] / one_literal,
+            "<= 0.01",
+        ),
+        Row(
+            f"frames a second, 16 × 16 × 6 px ({1 / ours:.0f}), times the 8× oversampled FFT chain",
+            theirs / ours,
+            ">= 10",
+        ),
+        Row("largest error of that chain's samples (ours: rounding)", error, "> ours"),
+    ]
