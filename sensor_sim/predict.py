@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 FloatArray = NDArray[np.float64]
 
 SCRAMBLINGS = 8
-PLACES = (5, 7, 9, 13, 17, 25, 37)
+PLACES = (5, 7, 9, 11, 13, 17, 25, 37)
 """Along each axis of a detector, in each scrambling: more and more, until the error is small enough. Numbers that
 have a divisor in common with the display's pixels per detector are left out: P repeats with these pixels too, and
 such a lattice would see them all alike."""
