@@ -20,11 +20,13 @@ from todframes.command import (
     numbers,
     observer_options,
     print_result,
+    print_table,
     progress,
     run,
     say,
     seed_option,
 )
+from todframes.errors import SettingsError
 
 if TYPE_CHECKING:
     from todframes.report import Json
@@ -140,6 +142,8 @@ def curve(
     p_correct = fit_settings.p_correct
     fits: list[Json] = []
     wanted = numbers(sizes, "--size-detectors")
+    if len(set(wanted)) < len(wanted):
+        raise SettingsError(f"--size-detectors: found a value twice in {sizes!r}, expected each once")
     with _staging(out) as staging:
         with progress("computing", len(wanted), quiet=quiet) as advance:
             for size in wanted:
@@ -150,7 +154,7 @@ def curve(
                     {"size_detectors": size}, "snr", p_correct, found.status, snr, found.numerical_error
                 )
                 one["points"] = [{"level": x, "n_trials": 0, "p_correct": p} for x, p in found.points]
-                one["n_phases"] = found.n_phases
+                one |= {"n_phases": found.n_phases, "p_correct_error_bound": chain.non_gaussian_bound()}
                 if settings.noise.netd_mk is not None:
                     one["delta_t_mk"] = None if snr is None else float(delta_t_mk(snr, noise=settings.noise))
                 fits.append(one)
@@ -203,9 +207,7 @@ def mtf(*, sensor: Path, out: str | None, as_json: bool) -> None:
     if as_json:
         click.echo(report.encode(result), nl=False)
         return
-    from rich.console import Console
-
-    Console(width=max(Console().width, 110)).print(mtf_table(result))
+    print_table(mtf_table(result))
     if out is not None:
         click.echo(f"written: {out}")
 

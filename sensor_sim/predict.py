@@ -21,12 +21,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sensor_sim.crossing import crossing
+from sensor_sim.noise import excess_kurtosis
 from sensor_sim.reconstruction import axis_matrix, display_position_px
 from sensor_sim.sampling import field_detectors, field_sampler
 from sensor_sim.sensor import Sensor
 from todframes.decision import answer_probability
 from todframes.errors import SettingsError
-from todframes.readout import Observer, Readout, Stimulus
+from todframes.readout import Observer, Readout, Stimulus, non_gaussian_bound
 from todframes.retina import overlap_matrix
 from todframes.stimulus import ORIENTATIONS, Orientation, bounding_box_offset
 
@@ -141,7 +142,8 @@ class FoldedChain:
         grid = np.arange(places) / places - 0.5
         middle_x, middle_y = (grid + shift / places for shift in rng.random(2))
         row, column = np.divmod(np.arange(places**2)[:, None], places)
-        displacement = jitter * ((row * KRONECKER_STEPS[0] + column * KRONECKER_STEPS[1] + rng.random(2)) % 1.0)
+        evenly = (row * KRONECKER_STEPS[0] + column * KRONECKER_STEPS[1] + rng.random(2)) % 1.0
+        displacement = jitter * (2.0 * evenly - 1.0)
         signs = np.array([[1, 1], [-1, -1]]) if jitter > 0 else np.zeros((1, 2))
         y, x = (m.ravel()[:, None] for m in np.meshgrid(middle_y, middle_x, indexing="ij"))
         triangle_x = x - detectors_per_sample * displacement[:, :1] * signs[:, 0]
@@ -182,6 +184,20 @@ class FoldedChain:
         """Weights on retina samples along the first axis, (side, n), to weights on detectors, (field, n)."""
         on_pixels = self._retina(place).astype(np.float32).T @ weights
         return np.asarray(self.hold.T.astype(np.float32) @ on_pixels)
+
+    def non_gaussian_bound(self) -> float:
+        """Bound on the error in P(correct) from taking internal and detector noise as Gaussian, to first order.
+
+        As for the internal noise alone (`Readout.non_gaussian_bound`): the sum's excess kurtosis is at most the
+        larger one of its two parts.
+        """
+        columns = self._fold(0.0, self._along_x_first).reshape(self.field, 4, -1).transpose(2, 1, 0)
+        weights = self._fold(0.0, np.ascontiguousarray(columns).reshape(len(columns), -1))
+        weights = weights.reshape(self.field, 4, self.field).transpose(1, 0, 2).reshape(4, -1).astype(np.float64)
+        squares = np.square(weights[:, None] - weights)[np.triu_indices(4, 1)]
+        participation = (np.square(squares).sum(axis=1) / np.square(squares.sum(axis=1))).max()
+        of_detectors = non_gaussian_bound(excess_kurtosis(self.sensor.noise) * float(participation))
+        return max(self.readout.non_gaussian_bound, of_detectors)
 
     def proportion_correct(self, phases: list[Phases], snr: float) -> float:
         """Mean P(correct) over trials at a signal-to-noise ratio; infinity: no detector noise."""

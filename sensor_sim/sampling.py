@@ -39,7 +39,7 @@ MAX_NEGLECTED = 0.05
 PLACES_AT_ONCE = 16
 """Keeps partly folded spectra in the cache, and products so small that BLAS starts no threads for them."""
 
-FIELD_SIZES, FIELD_MARGIN_DETECTORS = 4.0, 4
+FIELD_SIZES, FIELD_MARGIN_DETECTORS, MAX_FIELD_DETECTORS = 4.0, 4, 1024
 """The field of a trial: so many sizes of the triangle, and so many detectors more."""
 
 
@@ -239,7 +239,13 @@ def field_detectors(sensor: Sensor, size_detectors: float) -> int:
     if not (math.isfinite(size_detectors) and size_detectors > 0.0):
         raise SettingsError(f"size_detectors: found {size_detectors!r}, expected a finite number > 0")
     blur = 3.0 * sensor.optics.blur_sigma_mrad / sensor.detector.pitch_mrad
-    return math.ceil(FIELD_SIZES * size_detectors + 2.0 * blur) + FIELD_MARGIN_DETECTORS
+    field = FIELD_SIZES * size_detectors + 2.0 * blur + FIELD_MARGIN_DETECTORS
+    if field > MAX_FIELD_DETECTORS:
+        raise SettingsError(
+            f"field: a triangle of {size_detectors:g} detectors and optics.blur_sigma_mrad of "
+            f"{sensor.optics.blur_sigma_mrad:g} need {field:.6g} detectors, expected at most {MAX_FIELD_DETECTORS}"
+        )
+    return math.ceil(field)
 
 
 def field_sampler(sensor: Sensor, size_detectors: float) -> TriangleSampler:

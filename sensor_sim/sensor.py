@@ -11,6 +11,8 @@ from todframes.errors import SettingsError
 from todframes.settings import check_keys, from_table, read_toml
 
 SCHEMA = 1
+SMALLEST, LARGEST = 1e-12, 1e12
+"""Of all lengths, angles, luminances and gains: beyond is a slip of the pen."""
 MAX_PIXELS = 1000
 """Most display pixels a detector or a standard deviation of the blur may be wide."""
 
@@ -250,15 +252,17 @@ def load_sensor(path: Path | str) -> Sensor:
 def _check_positive(settings: object, *names: str) -> None:
     for name in names:
         value = getattr(settings, name)
-        if not (math.isfinite(value) and value > 0.0):
-            raise SettingsError(f"{name}: found {value!r}, expected a finite number > 0")
+        if not SMALLEST <= value <= LARGEST:
+            raise SettingsError(
+                f"{name}: found {value!r}, expected a finite number > 0, from {SMALLEST:g} to {LARGEST:g}"
+            )
 
 
-def _check_not_negative(settings: object, name: str, *, at_most: float = math.inf) -> None:
+def _check_not_negative(settings: object, name: str, *, at_most: float | None = None) -> None:
     value = getattr(settings, name)
-    if not (math.isfinite(value) and 0.0 <= value <= at_most):
-        limit = f" and <= {at_most:g}" if at_most < math.inf else ""
-        raise SettingsError(f"{name}: found {value!r}, expected a finite number >= 0{limit}")
+    at_most = LARGEST if at_most is None else at_most
+    if not 0.0 <= value <= at_most:
+        raise SettingsError(f"{name}: found {value!r}, expected a finite number >= 0 and <= {at_most:g}")
 
 
 def _check_count(settings: object, name: str, *, at_most: float = math.inf) -> None:

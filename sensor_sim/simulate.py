@@ -17,7 +17,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sensor_sim.noise import displayed_noise, unit_fixed_pattern
+from sensor_sim.noise import displayed_noise, noise_parts, unit_fixed_pattern
 from sensor_sim.reconstruction import axis_matrix, display_position_px, display_signal, luminance_cd_m2
 from sensor_sim.sampling import field_detectors, field_sampler
 from sensor_sim.sensor import Sensor
@@ -65,8 +65,8 @@ def plan_trials(sizes_detectors: Sequence[float], snrs: Sequence[float], trials:
         if not values:
             raise SettingsError(f"{name}: found no values, expected at least one")
         for value in values:
-            if not (math.isfinite(value) and value > 0):
-                raise SettingsError(f"{name}: found {value!r}, expected a finite number > 0")
+            if not 1e-6 <= value <= 1e9:
+                raise SettingsError(f"{name}: found {value!r}, expected a finite number > 0, from 1e-06 to 1e+09")
         if len(set(values)) < len(values):
             raise SettingsError(f"{name}: found a value twice in {', '.join(f'{v:g}' for v in values)}")
     if trials < 1:
@@ -144,10 +144,12 @@ class Written:
 def white_luminance_cd_m2(sensor: Sensor, snrs: Sequence[float]) -> float:
     """Luminance of PNG code value 1: above that of the brightest triangle in the strongest noise.
 
-    Uniform noise reaches to √3 standard deviations and no blur adds to that; Gaussian noise is given four.
+    Uniform noise reaches to √3 standard deviations of either of its parts and no blur adds to that; Gaussian noise
+    is given four.
     """
-    reach = math.sqrt(3.0) if sensor.noise.distribution == "uniform" else 4.0
-    return sensor.display.background_luminance_cd_m2 * (1.0 + sensor.display.gain * (1.0 + reach / min(snrs)))
+    parts = noise_parts(sensor.noise, total_sd=1.0 / min(snrs))
+    reach = math.sqrt(3.0) * sum(parts) if sensor.noise.distribution == "uniform" else 4.0 / min(snrs)
+    return sensor.display.background_luminance_cd_m2 * (1.0 + sensor.display.gain * (1.0 + reach))
 
 
 def write_dataset(
@@ -254,7 +256,7 @@ def _manifest(rows: list[list[str]]) -> str:
 
 
 def _settings(sensor: Sensor, white: float, seed: int) -> str:
-    name = " ".join(sensor.name.split())
+    name = "".join(character if character.isprintable() else " " for character in sensor.name)
     return f"""\
 # Simulated by sensor-sim {__version__} with seed {seed}; sensor: {name}
 schema = 1

@@ -94,7 +94,7 @@ def test_nothing_is_written_without_out(todframes, make_dataset, tmp_path: Path,
 def test_score_shows_a_table(todframes, make_dataset) -> None:
     status, out, err = todframes("score", make_dataset(contrasts=(0.05, 0.1, 0.2)).path)
     assert (status, err) == (0, "")
-    for text in ("size_mrad", "threshold contrast", "95 % interval", "ok", "the summed internal noise"):
+    for text in ("size_mrad", "threshold contrast", "95 % interval", "ok", "the summed noise"):
         assert text in out
 
 

@@ -17,6 +17,8 @@ import click
 from todframes.errors import SettingsError, TodframesError
 
 if TYPE_CHECKING:
+    from rich.table import Table
+
     from todframes.psychometric import FitSettings
     from todframes.readout import Observer
     from todframes.report import Json
@@ -153,9 +155,13 @@ def print_result(result: Json, title: str, *, as_json: bool) -> None:
     if as_json:
         click.echo(report.encode(result), nl=False)
         return
+    print_table(report.threshold_table(result, title))
+
+
+def print_table(table: Table) -> None:
+    """A table on standard output, on one line a row however wide."""
     from rich.console import Console
 
-    table = report.threshold_table(result, title)
     # A table that is wider than the terminal is better than one whose numbers are cut.
     needed = Console(width=1000).measure(table).maximum
     Console(width=max(Console().width, needed)).print(table)

@@ -82,12 +82,17 @@ class Readout:
 
     @property
     def non_gaussian_bound(self) -> float:
-        """Bound on the error in P(correct) from taking the summed noise as Gaussian, to first order.
+        """Bound on the error in P(correct) from taking the summed internal noise as Gaussian, to first order."""
+        return non_gaussian_bound(self.excess_kurtosis)
 
-        The first Edgeworth term of one score difference is κ/24 · He₃(x) φ(x), at most 0.5506 |κ| / 24; three
-        differences decide.
-        """
-        return 3.0 * 0.5506 / 24.0 * abs(self.excess_kurtosis)
+
+def non_gaussian_bound(excess_kurtosis: float) -> float:
+    """Bound on the error in P(correct) from taking noise on score differences as Gaussian, to first order.
+
+    The first Edgeworth term of one score difference is κ/24 · He₃(x) φ(x), at most 0.5506 |κ| / 24; three
+    differences decide.
+    """
+    return 3.0 * 0.5506 / 24.0 * abs(excess_kurtosis)
 
 
 class Observer(Protocol):

@@ -66,7 +66,7 @@ def closing_line(result: Json) -> str:
         line = f"{remark}; the intervals cover both.\n{line}"
     bound = max((fit.get("p_correct_error_bound") or 0.0 for fit in result["fits"]), default=0.0)
     if bound:
-        line += f"; P(correct) within {bound:.1g}: the summed internal noise is taken as Gaussian"
+        line += f"; P(correct) within {bound:.1g}: the summed noise is taken as Gaussian"
     return line
 
 
@@ -171,30 +171,32 @@ def new_folder(name: str, *, overwrite: bool) -> Iterator[Path]:
     OutputError
         If the place cannot be written, or holds something that is not to be overwritten.
     """
-    path = Path(name)
-    staging: Path | None = None
+    _check_place(name, Path(name))
+    path = Path(os.path.realpath(name))  # of a link, where it leads
+    temporary: list[Path] = []
     try:
-        _check_place(name, path)
         if path.is_dir() and any(path.iterdir()) and not overwrite:
-            raise OutputError(f"{path}: is not empty; expected a new name, or --overwrite")
+            raise OutputError(f"{name}: is not empty; expected a new name, or --overwrite")
         try:
-            staging = Path(tempfile.mkdtemp(prefix=".todframes-", dir=path.absolute().parent))
-            staging.chmod(0o755)
-            yield staging
+            temporary.append(Path(tempfile.mkdtemp(prefix=".todframes-", dir=path.parent)))
+            temporary[0].chmod(0o755)
+            yield temporary[0]
             if path.is_dir():
-                old = Path(tempfile.mkdtemp(prefix=".todframes-", dir=path.absolute().parent))
-                path.replace(old)
-                staging.replace(path)
-                shutil.rmtree(old, ignore_errors=True)
-            else:
-                staging.replace(path)
+                temporary.append(Path(tempfile.mkdtemp(prefix=".todframes-", dir=path.parent)))
+                path.replace(temporary[1])
+            try:
+                temporary[0].replace(path)
+            except OSError:
+                if len(temporary) > 1:
+                    temporary.pop().replace(path)  # what was there before
+                raise
         except OutputError:
             raise
         except OSError as error:
-            raise OutputError(f"{path}: cannot be written ({error.strerror})") from None
+            raise OutputError(f"{name}: cannot be written ({error.strerror})") from None
     finally:
-        if staging is not None:
-            shutil.rmtree(staging, ignore_errors=True)
+        for folder in temporary:
+            shutil.rmtree(folder, ignore_errors=True)
 
 
 def _check_place(name: str, path: Path) -> None:

@@ -1,0 +1,503 @@
+"""Computed thresholds: against frames, against brute force over phases, in the limits, and their stated error."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.ndimage import gaussian_filter
+
+from sensor_sim.predict import FoldedChain, predict_threshold
+from sensor_sim.reconstruction import display_position_px
+from sensor_sim.sampling import field_detectors, field_sampler
+from sensor_sim.sensor import Detector, Electronics, Noise, Optics, Sensor, SensorDisplay, load_sensor
+from sensor_sim.simulate import Simulator, plan_trials
+from todframes.decision import answer_probabilities
+from todframes.errors import SettingsError
+from todframes.naked_eye import contrast_threshold
+from todframes.observer import PyramidObserver, PyramidSettings
+from todframes.psychometric import FitSettings, fit_trials
+from todframes.readout import Observer, Readout, Stimulus
+from todframes.retina import overlap_matrix, resample
+from todframes.stimulus import ORIENTATIONS, bounding_box_offset
+
+STAR_LIKE = Path(__file__).parent.parent / "sample_frames" / "star_like.toml"
+
+
+def display(pixels: int, distance_mm: float, **more) -> SensorDisplay:
+    """Of 0.25 mm pixels."""
+    common = {"pixel_pitch_mm": 0.25, "background_luminance_cd_m2": 50.0}
+    return SensorDisplay(pixels_per_detector=pixels, viewing_distance_mm=distance_mm, **common, **more)
+
+
+# No fixed pattern: it is one draw for all frames of a seed, of which an interval over frames knows nothing.
+UNDER_SAMPLED = Sensor(
+    optics=Optics(aperture_mm=100.0, wavelength_um=10.0),
+    detector=Detector(pitch_mrad=0.2, width_mrad=0.2),
+    display=display(4, 1500.0, blur_sigma_px=1.0),
+)
+WELL_SAMPLED = Sensor(
+    optics=Optics(aperture_mm=50.0, wavelength_um=10.0, blur_sigma_mrad=0.1),
+    detector=Detector(pitch_mrad=0.1, width_mrad=0.1),
+    noise=Noise(distribution="gaussian"),
+    display=display(3, 1500.0, blur_sigma_px=0.8, gain=1.5),
+)
+LOW_FILL_FACTOR = Sensor(
+    optics=Optics(aperture_mm=200.0, wavelength_um=4.0, blur_sigma_mrad=0.01),
+    detector=Detector(pitch_mrad=0.1, width_mrad=0.05),
+    noise=Noise(frames_integrated=4),
+    electronics=Electronics(blur_sigma_px=0.7),
+    display=display(5, 2000.0, blur_sigma_px=1.2),
+)
+SENSORS = {
+    "under-sampled": (UNDER_SAMPLED, 3.0),
+    "well sampled": (WELL_SAMPLED, 8.0),
+    "low fill factor": (LOW_FILL_FACTOR, 4.0),
+}
+sensors = pytest.mark.parametrize(("sensor", "size"), SENSORS.values(), ids=SENSORS.keys())
+
+
+@pytest.fixture(scope="module")
+def observer() -> PyramidObserver:
+    return PyramidObserver()
+
+
+def phases_of(chain: FoldedChain, places: int = 9, seed: int = 1):
+    return chain.phases(places, np.random.default_rng(seed))
+
+
+# Closing the loop ---------------------------------------------------------------------------------------------
+
+
+@dataclass
+class Seen:
+    """Frames as the observer sees them: level, correct answer, retina image and its displacement's P(correct)."""
+
+    level: np.ndarray
+    correct: np.ndarray
+    retina: list[np.ndarray]
+    p_correct: np.ndarray
+
+
+def seen_frames(sensor: Sensor, observer: Observer, size: float, levels, trials: int, seed: int) -> Seen:
+    """Frames simulated and read out one by one, displaced on the retina as `score` does."""
+    simulator = Simulator(sensor, size, seed=seed)
+    pixel, rng = sensor.display.pixel_pitch_mrad, np.random.default_rng([seed, 1])
+    readout = observer.readout(Stimulus(size * sensor.display.detector_pitch_mrad))
+    planned = plan_trials([size], list(levels), trials)
+    retina = []
+    for start in range(0, len(planned), 50):
+        for frame in simulator.frames(planned[start : start + 50]):
+            jitter = rng.uniform(-0.5, 0.5, 2) * readout.grid.pitch_mrad / pixel
+            contrast = frame.luminance_cd_m2 / sensor.display.background_luminance_cd_m2 - 1.0
+            place = {"x_px": frame.x_px + jitter[0], "y_px": frame.y_px + jitter[1], "pixel_pitch_mrad": pixel}
+            retina.append(resample(contrast, readout.grid, **place))
+    correct = np.array([trial.orientation.quarter_turns for trial in planned])
+    deviations = np.array([readout.score_deviations(image) for image in retina])
+    answers = answer_probabilities(deviations, readout.noise_covariance)
+    level = np.array([trial.snr for trial in planned])
+    return Seen(level, correct, retina, answers[np.arange(len(correct)), correct])
+
+
+@sensors
+def test_frames_have_the_computed_threshold(sensor, size, observer):
+    """2,000 frames, and the literal observer with noise on every neuron on 300 of them."""
+    found = predict_threshold(FoldedChain(sensor, observer, size))
+    assert found.status == "ok"
+    levels = found.threshold * 2.0 ** np.array([-0.75, -0.25, 0.0, 0.25, 0.75])
+    seen = seen_frames(sensor, observer, size, levels, 400, seed=1)
+    fit = fit_trials(seen.level, seen.p_correct, settings=FitSettings(), rng=np.random.default_rng(1))
+    assert fit.status == "ok"
+    bound = fit.threshold_ci95[int(found.threshold > fit.threshold)]
+    interval = math.hypot(math.log(bound / fit.threshold), found.numerical_error / found.threshold)
+    assert abs(math.log(found.threshold / fit.threshold)) < interval
+    # The interval that this is held against must not be so wide that all agrees with it.
+    assert interval < 0.15
+
+    stimulus = Stimulus(size * sensor.display.detector_pitch_mrad)
+    every = slice(0, 2000, 20)
+    these = np.r_[every, slice(7, 2000, 20), slice(14, 2000, 20)]
+    rng = np.random.default_rng(2)
+    answers = [observer.respond(seen.retina[k], stimulus, rng).quarter_turns for k in these]
+    right = np.count_nonzero(answers == seen.correct[these])
+    p = seen.p_correct[these]
+    assert len(p) == 300
+    # Binomial with a probability of its own for each frame: four standard errors. That the summed noise is not
+    # quite Gaussian is below 0.003 of P, a tenth of one.
+    assert abs(right - p.sum()) < 4 * math.sqrt((p * (1 - p)).sum())
+
+
+# Brute force over phases --------------------------------------------------------------------------------------
+
+
+def brute_force(sensor: Sensor, observer: Observer, size: float, snr: float, n: int, seed: int) -> np.ndarray:
+    """P(correct) of n trials, each at a random place, displacement and orientation; the noise as covariance.
+
+    Weights on the retina go to the display by dense overlap, through SciPy's blur, which is its own adjoint, and
+    are summed over each detector's pixels.
+    """
+    shown, pixels = sensor.display, sensor.display.pixels_per_detector
+    field, sampler = field_detectors(sensor, size), field_sampler(sensor, size)
+    blur = math.hypot(sensor.electronics.blur_sigma_px, shown.blur_sigma_px)
+    assert blur == 0.0 or blur >= 1.5, "a narrower kernel is not SciPy's"
+    pixel = shown.pixel_pitch_mrad
+    readout = observer.readout(Stimulus(size * shown.detector_pitch_mrad))
+    grid, rng = readout.grid, np.random.default_rng(seed)
+    proportions = np.empty(n)
+    for trial in range(n):
+        orientation = ORIENTATIONS[trial % 4]
+        x, y = rng.uniform(-0.5, 0.5, 2)
+        jitter = observer.position_jitter_samples * rng.uniform(-1.0, 1.0, 2) * grid.pitch_mrad / pixel
+        offset = np.array(bounding_box_offset(orientation) if observer.centre == "bounding_box" else (0.0, 0.0))
+        offset = offset * size * pixels + jitter
+        middle = [display_position_px(at, n_detectors=field, display=shown) for at in (x, y)] + offset
+        across, down = (
+            overlap_matrix(
+                grid, centre_px=at, pixel_pitch_mrad=pixel, first_pixel=0, n_pixels=field * pixels
+            ).toarray()
+            for at in middle
+        )
+        on_display = down.T @ readout.deviations @ across
+        if blur:
+            on_display = gaussian_filter(on_display, (0.0, blur, blur), mode="constant", truncate=9.0)
+        weights = on_display.reshape(4, field, pixels, field, pixels).sum(axis=(2, 4))
+        weights = shown.gain * weights.reshape(4, -1)
+        samples = sampler.samples(x, y, orientation=orientation).ravel()
+        covariance = readout.noise_covariance + weights @ weights.T / snr**2
+        proportions[trial] = answer_probabilities(weights @ samples, covariance)[orientation.quarter_turns]
+    return proportions
+
+
+SMOOTHED = replace(UNDER_SAMPLED, display=replace(UNDER_SAMPLED.display, blur_sigma_px=1.6, gain=1.2))
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [{}, {"centre": "bounding_box"}, {"position_jitter_samples": 0.0}, {"position_jitter_samples": 2.0}],
+    ids=["default", "bounding box", "no jitter", "wide jitter"],
+)
+@pytest.mark.parametrize("snr", [1.5, math.inf])
+def test_proportion_correct_is_the_mean_over_random_phases(settings, snr):
+    observer = PyramidObserver(PyramidSettings(**settings))
+    chain = FoldedChain(SMOOTHED, observer, 3.0)
+    proportion = chain.proportion_correct(phases_of(chain, 13), snr)
+    literal = brute_force(SMOOTHED, observer, 3.0, snr, 400, seed=1)
+    error = literal.std(ddof=1) / math.sqrt(len(literal))
+    assert error < 0.01
+    # Four standard errors; the lattice of 13² places is far better than 400 random ones.
+    assert abs(proportion - literal.mean()) < 4 * error
+
+
+class LopsidedObserver:
+    """The pyramid observer with two weaker corners, that is surer of some answers than of others."""
+
+    centre = "centroid"
+
+    def __init__(self, position_jitter_samples: float) -> None:
+        self.position_jitter_samples = position_jitter_samples
+        self.pyramid = PyramidObserver()
+
+    def readout(self, stimulus: Stimulus) -> Readout:
+        readout = self.pyramid.readout(stimulus)
+        place = np.linspace(-4.0, 4.0, readout.grid.side)  # about one at the triangle's edge
+        gain = 1.0 + 0.8 * np.tanh(np.multiply.outer(place, place)) + 0.2 * np.tanh(place)
+        deviations = gain * readout.deviations * np.array([1.0, 0.6, 1.4, 0.8])[:, None, None]
+        deviations = np.ascontiguousarray(deviations - deviations.mean(axis=0))
+        more = np.diag([0.0, 0.5, 1.0, 2.0]) * readout.noise_covariance[0, 0]
+        return replace(readout, deviations=deviations, noise_covariance=readout.noise_covariance + more)
+
+
+@pytest.mark.parametrize("jitter", [0.5, 4.0], ids=["default jitter", "wide jitter"])
+def test_observer_that_is_not_symmetric_sees_all_orientations(jitter, observer):
+    lopsided = LopsidedObserver(jitter)
+    chain = FoldedChain(SMOOTHED, lopsided, 3.0)
+    assert len(chain.orientations) == 4
+    literal = brute_force(SMOOTHED, lopsided, 3.0, 2.0, 1600, seed=3)
+    of_each = literal.reshape(-1, 4)
+    phases = phases_of(chain, 13)
+    for part in phases:
+        of_this = of_each[:, part.correct]
+        error = of_this.std(ddof=1) / math.sqrt(len(of_this))
+        assert abs(chain.proportion_correct([part], 2.0) - of_this.mean()) < 4 * error
+    # They are not alike, so that one of them would not do for all; the error of each mean is below 0.01.
+    assert np.ptp(of_each.mean(axis=0)) > 0.1
+    error = literal.std(ddof=1) / math.sqrt(len(literal))
+    assert abs(chain.proportion_correct(phases, 2.0) - literal.mean()) < 4 * error
+    assert len(FoldedChain(SMOOTHED, observer, 3.0).orientations) == 1
+
+
+class MirroredObserver(LopsidedObserver):
+    """The same as it looks in a mirror: left is right."""
+
+    def readout(self, stimulus: Stimulus) -> Readout:
+        readout = super().readout(stimulus)
+        deviations = np.ascontiguousarray(readout.deviations[MIRRORED, :, ::-1])
+        return replace(
+            readout, deviations=deviations, noise_covariance=readout.noise_covariance[MIRRORED][:, MIRRORED]
+        )
+
+
+MIRRORED = [0, 3, 2, 1]
+"""Place in `ORIENTATIONS` of each orientation's mirror image."""
+
+
+def test_mirrored_observer_does_as_well():
+    """Detectors, display and displacements of the retina are as they were in the mirror."""
+    means, errors = [], []
+    for kind in (LopsidedObserver, MirroredObserver):
+        chain = FoldedChain(SMOOTHED, kind(8.0), 3.0)
+        of_each = np.array(
+            [[chain.proportion_correct([part], 5.0) for part in phases_of(chain, 9, seed)] for seed in range(8)]
+        )
+        means.append(of_each.mean(axis=0))
+        errors.append(of_each.std(axis=0, ddof=1) / math.sqrt(8))
+    # 4.8 standard errors from eight scramblings each: t with 14 degrees of freedom, once in 1,000 runs of four.
+    limit = 4.8 * np.hypot(errors[0], errors[1][MIRRORED])
+    assert limit.max() < 0.03
+    assert np.all(np.abs(means[0] - means[1][MIRRORED]) < limit)
+
+
+def test_orientations_are_alike_to_a_symmetric_observer(observer):
+    chain = FoldedChain(LOW_FILL_FACTOR, observer, 3.0)
+    chain.orientations = ORIENTATIONS
+    parts = phases_of(chain, 13)
+    of_each = [chain.proportion_correct([part], 2.0) for part in parts]
+    # One lattice, seen from four sides: what differs is the lattice's own error.
+    assert np.ptp(of_each) < 1e-3
+
+
+# Limits -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("size_mrad", [0.4, 0.6])
+def test_dense_sampling_without_noise_is_the_naked_eye(size_mrad, observer):
+    """Ten detectors a retina sample, one pixel each, no blur; the display's gain is the contrast."""
+    pitch_mrad = 0.1 * observer.settings.retina_pitch_mrad
+    sensor = Sensor(
+        optics=Optics(aperture_mm=1e9, wavelength_um=1.0),
+        detector=Detector(pitch_mrad=1.0, width_mrad=1.0),
+        display=display(1, 0.125 / math.tan(pitch_mrad / 2000.0)),
+    )
+    assert sensor.display.detector_pitch_mrad == pytest.approx(pitch_mrad, rel=1e-12)
+    naked = contrast_threshold(observer, size_mrad=size_mrad)
+
+    def proportion(contrast: float) -> float:
+        changed = replace(sensor, display=replace(sensor.display, gain=contrast))
+        chain = FoldedChain(changed, observer, size_mrad / pitch_mrad)
+        return chain.proportion_correct(phases_of(chain, 13), math.inf)
+
+    # A lattice of 13² places is wrong by 0.0006 of P (standard deviation), 0.2 % of the threshold.
+    assert proportion(0.99 * naked.threshold) < 0.75 < proportion(1.01 * naked.threshold)
+
+
+def test_gain_and_internal_noise_scaled_together_change_nothing():
+    thresholds = []
+    for factor in (1.0, 3.0):
+        observer = PyramidObserver(PyramidSettings(internal_noise=0.5 * factor))
+        sensor = replace(UNDER_SAMPLED, display=replace(UNDER_SAMPLED.display, gain=factor))
+        thresholds.append(predict_threshold(FoldedChain(sensor, observer, 4.0), seed=5).threshold)
+    # The root is sought to 1e-6, along the same steps but for roundings.
+    assert thresholds[0] == pytest.approx(thresholds[1], rel=1e-6)
+
+
+def test_internal_noise_can_be_scaled_afterwards():
+    chain = FoldedChain(UNDER_SAMPLED, PyramidObserver(PyramidSettings(internal_noise=0.5)), 4.0)
+    quiet = FoldedChain(UNDER_SAMPLED, PyramidObserver(PyramidSettings(internal_noise=0.25)), 4.0)
+    before = predict_threshold(chain)
+    scaled = predict_threshold(chain.with_internal_noise(0.5))
+    assert scaled.threshold == pytest.approx(predict_threshold(quiet).threshold, rel=1e-9)
+    assert scaled.threshold < before.threshold
+    assert predict_threshold(chain) == before
+
+
+def test_without_detector_noise_the_curve_ends_at_what_the_sampling_leaves(observer):
+    chain = FoldedChain(UNDER_SAMPLED, observer, 2.0)
+    best = np.mean([chain.proportion_correct(phases_of(chain, 13, seed), math.inf) for seed in range(4)])
+    assert 0.5 < best < 0.99
+    # A criterion just above it is never reached, one below it far up.
+    missed = predict_threshold(chain, p_correct=best + 0.02)
+    assert (missed.status, missed.threshold, missed.numerical_error) == ("never_reached", None, None)
+    reached = predict_threshold(chain, p_correct=best - 0.02)
+    assert reached.status == "ok"
+    assert reached.threshold > 2.0 * predict_threshold(chain, p_correct=best - 0.2).threshold
+
+
+def test_proportion_correct_goes_from_a_quarter_up(observer):
+    chain = FoldedChain(WELL_SAMPLED, observer, 8.0)
+    phases = phases_of(chain)
+    levels = [1e-6, *2.0 ** np.arange(-3.0, 7.0), math.inf]
+    proportions = [chain.proportion_correct(phases, level) for level in levels]
+    # All four alike by symmetry, but for the lattice's error.
+    assert proportions[0] == pytest.approx(0.25, abs=1e-3)
+    assert np.all(np.diff(proportions) > 0)
+
+
+# Trend --------------------------------------------------------------------------------------------------------
+
+
+def acuity_mrad(observer: Observer, *, pitch_mrad: float, blur_width_mrad: float, pixels: int) -> float:
+    """Size in the scene that is seen right 3 times of 4 without detector noise.
+
+    The detectors' width and the display's magnification stay; `blur_width_mrad` is the optics' equivalent
+    width, area over peak, √(2π)·σ of a Gaussian as the pitch is that of the held sample.
+    """
+    from scipy.optimize import brentq
+
+    sigma = blur_width_mrad / math.sqrt(2 * math.pi)
+    sensor = Sensor(
+        optics=Optics(aperture_mm=1e9, wavelength_um=1.0, blur_sigma_mrad=sigma),
+        detector=Detector(pitch_mrad=pitch_mrad, width_mrad=0.05),
+        display=display(pixels, 1500.0),
+    )
+
+    def excess(size_mrad: float) -> float:
+        chain = FoldedChain(sensor, observer, size_mrad / pitch_mrad)
+        return chain.proportion_correct(phases_of(chain, 7), math.inf) - 0.75
+
+    return brentq(excess, 0.12, 1.0, xtol=1e-3)
+
+
+def test_under_sampled_sensors_respond_to_the_pitch_more_than_to_the_optics(observer):
+    """Pitch and optics blur of the same equivalent width, each made a quarter wider in turn.
+
+    For a sensor whose optics are wider than four pitches it is the other way round.
+    """
+    before = {"pitch_mrad": 0.1, "blur_width_mrad": 0.1, "pixels": 4}
+    acuity = acuity_mrad(observer, **before)
+    coarser = acuity_mrad(observer, **(before | {"pitch_mrad": 0.125, "pixels": 5}))
+    blurred = acuity_mrad(observer, **(before | {"blur_width_mrad": 0.125}))
+    # The root is sought to 0.5 % of the smallest size.
+    assert coarser / acuity > 1.15
+    assert 1.0 < blurred / acuity < 1.15
+    before = {"pitch_mrad": 0.05, "blur_width_mrad": 0.2, "pixels": 4}
+    acuity = acuity_mrad(observer, **before)
+    coarser = acuity_mrad(observer, **(before | {"pitch_mrad": 0.0625, "pixels": 5}))
+    blurred = acuity_mrad(observer, **(before | {"blur_width_mrad": 0.25}))
+    assert 1.0 < coarser / acuity < 1.15
+    assert blurred / acuity > 1.15
+
+
+def test_threshold_snr_of_an_under_sampled_sensor_responds_to_the_pitch_more_than_to_the_optics(observer):
+    """The same at a size near the acuity, where sampling decides."""
+    size_mrad, width_mrad = 0.3, 0.1
+
+    def threshold(pitch_mrad: float, blur_width_mrad: float, pixels: int) -> float:
+        sigma = blur_width_mrad / math.sqrt(2 * math.pi)
+        sensor = Sensor(
+            optics=Optics(aperture_mm=1e9, wavelength_um=1.0, blur_sigma_mrad=sigma),
+            detector=Detector(pitch_mrad=pitch_mrad, width_mrad=0.05),
+            display=display(pixels, 1500.0),
+        )
+        found = predict_threshold(FoldedChain(sensor, observer, size_mrad / pitch_mrad), tolerance=1e-2)
+        # Noise per angle, not per detector, is what a coarser grid is compared at.
+        return found.threshold * width_mrad / pitch_mrad
+
+    fine = threshold(0.1, width_mrad, 4)
+    assert threshold(0.125, width_mrad, 5) / fine > 1.2 * threshold(0.1, 1.25 * width_mrad, 4) / fine
+
+
+# Published ----------------------------------------------------------------------------------------------------
+
+
+def test_published_threshold_of_the_star_like_sensor(observer):
+    """Averaged over detector phase, retina jitter and orientation, by brute force and independent code."""
+    found = predict_threshold(FoldedChain(load_sensor(STAR_LIKE), observer, 4.0))
+    assert found.threshold == pytest.approx(2.092, rel=0.005)
+
+
+# The stated error ---------------------------------------------------------------------------------------------
+
+
+@sensors
+def test_interval_covers_the_threshold(sensor, size, observer):
+    """If 95 % of the intervals do, fewer than 34 of 40 come once in 300 runs (binomial)."""
+    chain = FoldedChain(sensor, observer, size)
+    tight = predict_threshold(chain, tolerance=2e-4, seed=1000)
+    assert tight.numerical_error <= 2e-4 * tight.threshold
+    found = [predict_threshold(FoldedChain(sensor, observer, size), tolerance=1.0, seed=k) for k in range(40)]
+    # Coarse: the first lattice was enough.
+    assert len({one.n_phases for one in found}) == 1
+    covers = [
+        abs(one.threshold - tight.threshold) <= math.hypot(one.numerical_error, tight.numerical_error)
+        for one in found
+    ]
+    assert sum(covers) >= 34
+    # Nor is the error stated so large that it always does: it is the spread, times Student's 2.36.
+    spread = np.std([one.threshold for one in found], ddof=1)
+    stated = np.sqrt(np.mean([one.numerical_error**2 for one in found])) / 2.3646
+    # Relative standard error of a standard deviation from 40: 1/√78, of the stated ones √7/40 of it; four of them.
+    assert stated / spread == pytest.approx(1.0, abs=4 / math.sqrt(78) * 1.1)
+
+
+@pytest.mark.parametrize("tolerance", [1e-2, 2e-3, 5e-4])
+@sensors
+def test_tolerance_is_kept(sensor, size, tolerance, observer):
+    found = predict_threshold(FoldedChain(sensor, observer, size), tolerance=tolerance, seed=3)
+    assert found.status == "ok"
+    assert 0.0 < found.numerical_error <= tolerance * found.threshold
+
+
+def test_same_seed_same_threshold_other_seed_another(observer):
+    first, again = (predict_threshold(FoldedChain(UNDER_SAMPLED, observer, 3.0), seed=4) for _ in range(2))
+    assert first == again
+    other = predict_threshold(FoldedChain(UNDER_SAMPLED, observer, 3.0), seed=5)
+    assert other.threshold != first.threshold
+    # Independent scramblings: both within their errors, times two for once in 1,000 runs or so.
+    error = math.hypot(first.numerical_error, other.numerical_error)
+    assert abs(other.threshold - first.threshold) < 2 * error
+
+
+def test_points_lie_about_the_threshold_and_pass_the_criterion(observer):
+    found = predict_threshold(FoldedChain(UNDER_SAMPLED, observer, 4.0), p_correct=0.7, tolerance=2e-3)
+    levels, proportions = np.transpose(found.points)
+    assert levels[0] < found.threshold < levels[-1]
+    assert np.all(np.diff(levels) > 0) and np.all(np.diff(proportions) > 0)
+    # A point is of one scrambling of eight; a slope of about 0.4 per factor e.
+    at_threshold = np.interp(math.log(found.threshold), np.log(levels), proportions)
+    assert at_threshold == pytest.approx(0.7, abs=0.4 * 8 * 2e-3)
+
+
+def test_threshold_rises_with_the_criterion(observer):
+    chain = FoldedChain(UNDER_SAMPLED, observer, 4.0)
+    thresholds = [predict_threshold(chain, p_correct=p).threshold for p in (0.4, 0.625, 0.75, 0.9)]
+    assert thresholds == sorted(thresholds)
+
+
+# Refused ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("tolerance", [0.0, -1e-3, math.nan])
+def test_tolerance_that_is_no_positive_number(tolerance, observer):
+    with pytest.raises(SettingsError, match=r"^tolerance: found .*, expected a number > 0"):
+        predict_threshold(FoldedChain(UNDER_SAMPLED, observer, 2.0), tolerance=tolerance)
+
+
+@pytest.mark.parametrize("size", [0.0, -1.0, math.nan, math.inf])
+def test_size_that_is_no_positive_number(size, observer):
+    with pytest.raises(SettingsError, match=r"^size_detectors: found .*, expected a finite number > 0"):
+        FoldedChain(UNDER_SAMPLED, observer, size)
+
+
+def test_observer_that_is_not_linear():
+    class Opaque(PyramidObserver):
+        def __init__(self) -> None:
+            super().__init__()
+            self.readout = lambda _: None
+
+    with pytest.raises(SettingsError, match=r"^observer: it is not linear"):
+        FoldedChain(UNDER_SAMPLED, Opaque(), 3.0)
+
+
+def test_optics_that_pass_less_than_one_cycle_per_field(observer):
+    dull = replace(UNDER_SAMPLED, optics=Optics(aperture_mm=0.1, wavelength_um=10.0))
+    with pytest.raises(SettingsError, match=r"^optics: found a cut-off of .* cycles in \d+ detectors"):
+        FoldedChain(dull, observer, 3.0)
+
+
+def test_triangle_larger_than_the_observer_can_see(observer):
+    near = replace(UNDER_SAMPLED, display=display(4, 1.0))
+    with pytest.raises(SettingsError, match=r"^retina_pitch_mrad: .* retina samples, expected at most"):
+        FoldedChain(near, observer, 10.0)

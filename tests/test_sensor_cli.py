@@ -1,0 +1,575 @@
+"""`sensor-sim` as a user meets it: outputs, help, and bad input in one line, with a status and nothing written."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sensor_sim.cli import cli
+from todframes import __version__
+from todframes.cli import cli as todframes_cli
+from todframes.command import run
+from todframes.frames import read_header
+
+BAD_DATA, BAD_SETTINGS = 1, 2
+
+SENSOR = """\
+schema = 1
+name = "bench"
+[optics]
+aperture_mm = 100.0
+wavelength_um = 10.0
+blur_sigma_mrad = 0.02
+[detector]
+pitch_mrad = 0.2
+width_mrad = 0.18
+[noise]
+distribution = "uniform"
+netd_mk = 25.0
+fixed_pattern_ratio = 0.4
+frames_integrated = 6
+[electronics]
+blur_sigma_px = 0.5
+[display]
+pixels_per_detector = 4
+pixel_pitch_mm = 0.25
+viewing_distance_mm = 1500.0
+blur_sigma_px = 1.0
+background_luminance_cd_m2 = 50.0
+gain = 1.0
+"""
+STAGES = [
+    *("diffraction", "optics_blur", "detector", "hold", "electronics", "display", "pre_sample", "post_sample"),
+]
+
+
+@pytest.fixture
+def sensor_file(tmp_path) -> Path:
+    path = tmp_path / "SENSOR.toml"
+    path.write_text(SENSOR, encoding="utf-8")
+    return path
+
+
+@pytest.fixture
+def sensor_sim(capfd):
+    """Runs a command line; status, standard output, lines of standard error. A warning would raise."""
+
+    def call(*arguments):
+        capfd.readouterr()
+        status = run(cli, [str(argument) for argument in arguments])
+        out, err = capfd.readouterr()
+        return status, out, err.splitlines()
+
+    return call
+
+
+@pytest.fixture
+def fails(sensor_sim, tmp_path):
+    """Runs a command line that must fail as the contract says, with a line that has all the patterns."""
+
+    def call(*arguments, wanted, status=BAD_SETTINGS):
+        before = tree(tmp_path)
+        found, out, errors = sensor_sim(*arguments)
+        assert len(errors) == 1, errors
+        assert errors[0].startswith("error: ")
+        missing = [pattern for pattern in wanted if not re.search(pattern, errors[0])]
+        assert not missing, f"{errors[0]!r} lacks {missing}"
+        assert (found, out) == (status, "")
+        assert tree(tmp_path) == before
+
+    return call
+
+
+def tree(folder: Path) -> dict[Path, object]:
+    return {path: path.is_dir() or path.lstat().st_mtime_ns for path in folder.rglob("*")}
+
+
+def simulate(sensor_file: Path, *more) -> tuple:
+    """Arguments of a good `simulate`; later ones replace earlier ones."""
+    out = sensor_file.parent / "dataset"
+    return ("simulate", sensor_file, "--size-detectors", "3", "--snr", "4", "--trials", "4", "-o", out, *more)
+
+
+def curve(sensor_file: Path, *more) -> tuple:
+    return ("curve", sensor_file, "--size-detectors", "4", "--tolerance", "0.01", *more)
+
+
+COMMANDS = {
+    "simulate": simulate,
+    "curve": lambda file, *more: curve(file, "-o", file.parent / "out", *more),
+    "mtf": lambda file, *more: ("mtf", file, "-o", file.parent / "out", *more),
+}
+commands = pytest.mark.parametrize("command", COMMANDS.values(), ids=COMMANDS.keys())
+
+
+# simulate -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("frame_format", ["exr", "png"])
+def test_simulate_makes_what_todframes_scores(sensor_sim, sensor_file, capfd, frame_format):
+    dataset = sensor_file.parent / "dataset"
+    more = ("--size-detectors", "3,6", "--snr", "2,4,8", "--trials", "8", "--format", frame_format, "--quiet")
+    assert sensor_sim(*simulate(sensor_file, *more)) == (0, f"{dataset}: 48 frames\n", [])
+    frames = [*(dataset / "frames").iterdir()]
+    assert len(frames) == 48
+    assert {frame.suffix for frame in frames} == {f".{frame_format}"}
+    assert run(todframes_cli, ["validate", str(dataset)]) == 0
+    assert capfd.readouterr().out == f"{dataset}: 48 frames in 48 trials, all good\n"
+    assert run(todframes_cli, ["score", str(dataset), "--json", "--quiet"]) == 0
+    result = json.loads(capfd.readouterr().out)
+    assert [fit["group"] for fit in result["fits"]] == [{"size_detectors": 3.0}, {"size_detectors": 6.0}]
+    for fit in result["fits"]:
+        assert (fit["level"], fit["n_trials"]) == ("snr", 24)
+        assert [point["level"] for point in fit["points"]] == [2.0, 4.0, 8.0]
+    # Larger is easier.
+    assert result["fits"][0]["points"][0]["p_correct"] < result["fits"][1]["points"][0]["p_correct"]
+
+
+def test_seed_of_simulate_is_kept_in_the_frames(sensor_sim, sensor_file):
+    assert sensor_sim(*simulate(sensor_file, "--seed", "7"))[0] == 0
+    for frame in (sensor_file.parent / "dataset" / "frames").iterdir():
+        assert read_header(frame).attributes["sensor_sim:seed"] == "7"
+
+
+def test_remark_on_clipping_can_be_silenced(sensor_sim, sensor_file):
+    more = ("--snr", "0.3", "--format", "png", "--allow-clipping", "--overwrite")
+    status, _, (note,) = sensor_sim(*simulate(sensor_file, *more))
+    assert status == 0
+    assert re.fullmatch(r"note: \d+(\.\d+)? % of the pixels were clipped", note)
+    assert sensor_sim(*simulate(sensor_file, *more, "--quiet"))[2] == []
+
+
+# curve --------------------------------------------------------------------------------------------------------
+
+
+def test_curve_as_json(sensor_sim, sensor_file):
+    status, out, errors = sensor_sim(*curve(sensor_file, "--size-detectors", "1,4,8", "--json", "--seed", "3"))
+    assert (status, errors) == (0, [])
+    result = json.loads(out)
+    assert {"schema", "command", "version", "settings", "seed", "fits", "skipped", "run_time_s"} <= set(result)
+    assert (result["schema"], result["command"], result["seed"], result["skipped"]) == (1, "curve", 3, [])
+    assert result["version"] == __version__
+    assert result["settings"]["internal_noise"] == 0.5
+    assert result["settings"]["tolerance"] == 0.01
+    assert result["settings"]["sensor"]["optics"]["aperture_mm"] == 100.0
+    assert [fit["group"] for fit in result["fits"]] == [{"size_detectors": size} for size in (1.0, 4.0, 8.0)]
+    for fit in result["fits"]:
+        assert set(fit) >= {
+            *("group", "level", "status", "threshold", "threshold_ci95", "p_correct"),
+            *("alpha", "beta", "gamma", "delta", "n_trials", "points", "delta_t_mk"),
+        }
+        assert (fit["level"], fit["p_correct"], fit["n_trials"]) == ("snr", 0.75, 0)
+    small, middle, large = result["fits"]
+    assert (small["status"], small["threshold"], small["delta_t_mk"]) == ("never_reached", None, None)
+    assert (middle["status"], large["status"]) == ("ok", "ok")
+    assert middle["threshold"] > large["threshold"]
+    assert 0 < middle["threshold_numerical_error"] <= 0.01 * middle["threshold"]
+
+
+def test_temperature_is_snr_times_netd_times_k(sensor_sim, sensor_file):
+    result = json.loads(sensor_sim(*curve(sensor_file, "--json"))[1])
+    (fit,) = result["fits"]
+    # Of six frames and a ratio of 0.4 the paper has k = 1.7496.
+    k = 1.0 / math.sqrt(1 / 6 + 0.16)
+    assert k == pytest.approx(1.7496, abs=5e-5)
+    assert fit["delta_t_mk"] == pytest.approx(fit["threshold"] * 25.0 * k, rel=1e-12)
+
+
+def test_curve_shows_a_table(sensor_sim, sensor_file):
+    status, out, errors = sensor_sim(*curve(sensor_file, "--size-detectors", "1,4"))
+    assert (status, errors) == (0, [])
+    for text in (
+        "bench: TOD curve",
+        "size_detectors",
+        "threshold snr",
+        "numerical error",
+        "ΔT (mK)",
+        "never_reached",
+    ):
+        assert text in out
+    (fit,) = json.loads(sensor_sim(*curve(sensor_file, "--json"))[1])["fits"]
+    assert f"{fit['threshold']:.4g}" in out
+    assert f"{fit['delta_t_mk']:.4g}" in out
+
+
+def test_curve_without_netd_has_no_temperatures(sensor_sim, sensor_file):
+    sensor_file.write_text(SENSOR.replace("netd_mk = 25.0\n", ""), encoding="utf-8")
+    assert "ΔT" not in sensor_sim(*curve(sensor_file))[1]
+    (fit,) = json.loads(sensor_sim(*curve(sensor_file, "--json"))[1])["fits"]
+    assert "delta_t_mk" not in fit
+
+
+def test_curve_writes_what_it_prints(sensor_sim, sensor_file, tmp_path):
+    status, out, errors = sensor_sim(
+        *curve(sensor_file, "--size-detectors", "4,6,8", "--json", "-o", tmp_path / "out")
+    )
+    assert (status, errors) == (0, [])
+    assert (tmp_path / "out" / "result.json").read_text(encoding="utf-8") == out
+    assert [file.name for file in (tmp_path / "out").glob("*.png")]
+    assert {path.name for path in tmp_path.iterdir()} == {"SENSOR.toml", "out"}
+
+
+def test_settings_of_the_observer_reach_the_curve(sensor_sim, sensor_file, tmp_path):
+    settings = tmp_path / "observer.toml"
+    settings.write_text("internal_noise = 0.1\nkernel_a = 0.4\n", encoding="utf-8")
+    more = ("--observer-settings", settings, "--internal-noise", "0.25", "--p-correct", "0.7", "--json")
+    quiet = json.loads(sensor_sim(*curve(sensor_file, *more))[1])
+    assert (quiet["settings"]["internal_noise"], quiet["settings"]["kernel_a"]) == (0.25, 0.4)
+    default = json.loads(sensor_sim(*curve(sensor_file, "--json"))[1])
+    assert quiet["fits"][0]["p_correct"] == 0.7
+    assert quiet["fits"][0]["threshold"] < default["fits"][0]["threshold"]
+
+
+# mtf ----------------------------------------------------------------------------------------------------------
+
+
+def test_mtf_as_json(sensor_sim, sensor_file):
+    status, out, errors = sensor_sim("mtf", sensor_file, "--json")
+    assert (status, errors) == (0, [])
+    result = json.loads(out)
+    assert (result["schema"], result["command"], result["sensor"]) == (1, "mtf", "bench")
+    # 100 mm / 10 µm; half of one in 0.2 mrad.
+    assert result["cut_off_cyc_per_mrad"] == pytest.approx(10.0)
+    assert result["nyquist_cyc_per_mrad"] == pytest.approx(2.5)
+    assert list(result["mtf"]) == STAGES
+    frequency = np.array(result["frequency_cyc_per_mrad"])
+    stage = {name: np.array(values) for name, values in result["mtf"].items()}
+    assert frequency[0] == 0.0 and frequency[-1] > 10.0
+    assert all(len(values) == len(frequency) and values[0] == 1.0 for values in stage.values())
+    assert np.all(stage["diffraction"][frequency >= 10.0] == 0.0)
+    # Equations 1 and 2 and the boxes, by hand; the display's in cycles per pixel, 0.05 mrad in the scene.
+    x = np.minimum(frequency / 10.0, 1.0)
+    closed = {
+        "diffraction": 2 / np.pi * (np.arccos(x) - x * np.sqrt(1 - x**2)),
+        "optics_blur": np.exp(-2 * (np.pi * 0.02 * frequency) ** 2),
+        "detector": np.sinc(0.18 * frequency),
+        "hold": np.sinc(0.2 * frequency),
+        "electronics": np.exp(-2 * (np.pi * 0.5 * 0.05 * frequency) ** 2),
+        "display": np.exp(-2 * (np.pi * 1.0 * 0.05 * frequency) ** 2),
+    }
+    for name, values in closed.items():
+        np.testing.assert_allclose(stage[name], values, atol=1e-12)
+    pre_sample = closed["diffraction"] * closed["optics_blur"] * closed["detector"]
+    np.testing.assert_allclose(stage["pre_sample"], pre_sample, atol=1e-12)
+    np.testing.assert_allclose(stage["post_sample"], closed["electronics"] * closed["display"], atol=1e-12)
+
+
+def test_mtf_shows_a_table_and_writes_files(sensor_sim, sensor_file, tmp_path):
+    status, out, errors = sensor_sim("mtf", sensor_file, "-o", tmp_path / "out")
+    assert (status, errors) == (0, [])
+    for text in ("bench", "cut-off 10", "Nyquist 2.5", *STAGES):
+        assert text in out
+    assert {file.name for file in (tmp_path / "out").iterdir()} == {"mtf.csv", "mtf.png"}
+    result = json.loads(sensor_sim("mtf", sensor_file, "--json")[1])
+    with (tmp_path / "out" / "mtf.csv").open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert list(rows[0]) == ["frequency_cyc_per_mrad", *STAGES]
+    for name in STAGES:
+        assert [float(row[name]) for row in rows] == result["mtf"][name]
+    assert {path.name for path in tmp_path.iterdir()} == {"SENSOR.toml", "out"}
+
+
+@pytest.mark.parametrize("command", ["curve", "mtf"])
+def test_nothing_is_written_without_out(sensor_sim, sensor_file, tmp_path, monkeypatch, command):
+    monkeypatch.chdir(tmp_path)
+    before = tree(tmp_path)
+    arguments = curve(sensor_file) if command == "curve" else ("mtf", sensor_file)
+    assert sensor_sim(*arguments)[0] == 0
+    assert tree(tmp_path) == before
+
+
+@pytest.mark.parametrize("name", ["run [/b]", "[red]run", "$run_$x^{", r"\frac", "λ 50 %"])
+@pytest.mark.parametrize("command", ["curve", "mtf"])
+def test_names_are_not_markup(sensor_sim, sensor_file, tmp_path, command, name):
+    """Of rich on the terminal or of TeX in a plot."""
+    sensor_file.write_text(SENSOR.replace('"bench"', json.dumps(name)), encoding="utf-8")
+    arguments = curve(sensor_file) if command == "curve" else ("mtf", sensor_file)
+    status, out, errors = sensor_sim(*arguments, "-o", tmp_path / "out")
+    assert (status, errors) == (0, [])
+    assert name in out
+
+
+# Help ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("command", [[], ["simulate"], ["curve"], ["mtf"]], ids=lambda c: " ".join(c) or "none")
+@pytest.mark.parametrize("option", ["--help", "-h"])
+def test_help(sensor_sim, command, option):
+    status, out, errors = sensor_sim(*command, option)
+    assert (status, errors) == (0, [])
+    assert out.startswith("Usage:")
+
+
+def test_version(sensor_sim):
+    assert sensor_sim("--version") == (0, f"sensor-sim, version {__version__}\n", [])
+
+
+def test_help_imports_nothing_slow():
+    code = (
+        "import sys; from todframes.command import run; from sensor_sim.cli import cli; run(cli, ['--help']); "
+        "slow = ('numpy', 'scipy', 'cv2', 'OpenImageIO', 'rich', 'matplotlib'); "
+        "sys.exit(any(name in sys.modules for name in slow))"
+    )
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, check=False).returncode == 0
+
+
+# Bad SENSOR.toml ----------------------------------------------------------------------------------------------
+
+POSITIVE, NOT_NEGATIVE, COUNT = (
+    ("0.0", "-1.0", "nan", "inf", '"much"'),
+    ("-0.1", "nan", "inf", "[1]"),
+    ("0", "2.5", "true"),
+)
+KEYS = {
+    ("optics", "aperture_mm"): POSITIVE,
+    ("optics", "wavelength_um"): POSITIVE,
+    ("optics", "blur_sigma_mrad"): NOT_NEGATIVE,
+    ("detector", "pitch_mrad"): POSITIVE,
+    ("detector", "width_mrad"): (*POSITIVE, "0.21"),
+    ("noise", "distribution"): ('"poisson"', "1"),
+    ("noise", "netd_mk"): POSITIVE,
+    ("noise", "fixed_pattern_ratio"): NOT_NEGATIVE,
+    ("noise", "frames_integrated"): COUNT,
+    ("electronics", "blur_sigma_px"): NOT_NEGATIVE,
+    ("display", "pixels_per_detector"): COUNT,
+    ("display", "pixel_pitch_mm"): POSITIVE,
+    ("display", "viewing_distance_mm"): POSITIVE,
+    ("display", "blur_sigma_px"): NOT_NEGATIVE,
+    ("display", "background_luminance_cd_m2"): POSITIVE,
+    ("display", "gain"): POSITIVE,
+}
+OPTIONAL = {
+    *("blur_sigma_mrad", "distribution", "netd_mk", "fixed_pattern_ratio", "frames_integrated", "blur_sigma_px"),
+    "gain",
+}
+
+
+def changed(table: str, key: str, line: str | None) -> str:
+    """The good settings with the line of a key replaced, or left out."""
+    lines, inside = [], ""
+    for old in SENSOR.splitlines():
+        inside = old.strip("[]") if old.startswith("[") else inside
+        if inside == table and old.startswith(f"{key} = "):
+            old = line
+        lines += [] if old is None else [old]
+    return "\n".join(lines) + "\n"
+
+
+def sensor_with(sensor_file: Path, text: str) -> Path:
+    assert text != SENSOR
+    sensor_file.write_text(text, encoding="utf-8")
+    return sensor_file
+
+
+@pytest.mark.parametrize(
+    ("table", "key", "value"), [(*place, value) for place, values in KEYS.items() for value in values]
+)
+@commands
+def test_value_out_of_range(fails, sensor_file, command, table, key, value):
+    sensor_with(sensor_file, changed(table, key, f"{key} = {value}"))
+    shown = re.escape(value.strip('"')).replace("true", "True")
+    fails(*command(sensor_file), wanted=(re.escape(f"{sensor_file}: [{table}]: {key}: found"), shown, "expected"))
+
+
+@pytest.mark.parametrize(("table", "key"), [place for place in KEYS if place[1] not in OPTIONAL])
+@commands
+def test_missing_key(fails, sensor_file, command, table, key):
+    sensor_with(sensor_file, changed(table, key, None))
+    fails(*command(sensor_file), wanted=(re.escape(f"{sensor_file}: [{table}]: {key} is missing"),))
+
+
+@pytest.mark.parametrize(("table", "key"), KEYS)
+@commands
+def test_unknown_key_names_the_nearest(fails, sensor_file, command, table, key):
+    sensor_with(sensor_file, changed(table, key, f"{key[:-1]}_ = 1"))
+    wanted = (re.escape(f"{sensor_file}: [{table}]"), f"unknown key '{key[:-1]}_'", f"nearest .* '{key}'")
+    fails(*command(sensor_file), wanted=wanted)
+
+
+FILES = {
+    "missing": (None, ("no such file",)),
+    "empty": ("", ("schema", "found nothing", "expected 1")),
+    "not toml": ("aperture 220\n", ("not valid TOML", "line 1")),
+    "other schema": (SENSOR.replace("schema = 1", "schema = 2"), ("schema", "found 2", "expected 1")),
+    "unknown table": (SENSOR.replace("[optics]", "[optic]"), ("'optic'", "'optics'")),
+    "no optics": (SENSOR.replace("[optics]", "[noise.x]"), ("noise|optics",)),
+    "name no text": (SENSOR.replace('"bench"', "7"), ("name", "found 7", "text")),
+    "latin-1": (SENSOR.replace("bench", "b\udce4nk"), ("not UTF-8",)),
+}
+
+
+@pytest.mark.parametrize(("text", "wanted"), FILES.values(), ids=FILES.keys())
+@commands
+def test_bad_file(fails, sensor_file, command, text, wanted):
+    if text is None:
+        sensor_file.unlink()
+    else:
+        sensor_file.write_bytes(text.encode("utf-8", "surrogateescape"))
+    fails(*command(sensor_file), wanted=(re.escape(str(sensor_file)), *wanted))
+
+
+@pytest.mark.parametrize("command", [simulate, COMMANDS["curve"]], ids=["simulate", "curve"])
+def test_cut_off_below_one_cycle_per_field(fails, sensor_file, command):
+    sensor_with(sensor_file, changed("optics", "aperture_mm", "aperture_mm = 0.1"))
+    fails(*command(sensor_file), wanted=("optics", "cut-off", "cycles", r"expected >= 1"))
+
+
+ABSURD = [
+    ("optics", "aperture_mm", "1e300"),
+    ("optics", "wavelength_um", "1e-300"),
+    ("optics", "blur_sigma_mrad", "1e300"),
+    ("detector", "pitch_mrad", "1e300"),
+    ("display", "gain", "1e300"),
+    ("display", "background_luminance_cd_m2", "1e300"),
+    ("display", "viewing_distance_mm", "1e-300"),
+    ("noise", "fixed_pattern_ratio", "1e300"),
+    ("noise", "netd_mk", "1e300"),
+]
+
+
+@pytest.mark.parametrize(("table", "key", "value"), ABSURD, ids=lambda text: text)
+@commands
+def test_slip_of_the_pen_in_an_exponent(sensor_sim, sensor_file, tmp_path, command, table, key, value):
+    """Done, or refused in a line; no traceback and no warning."""
+    sensor_with(sensor_file, changed(table, key, f"{key} = {value}"))
+    before = tree(tmp_path)
+    status, _, errors = sensor_sim(*command(sensor_file))
+    if status == 0:
+        assert errors == []
+    else:
+        assert status in (BAD_DATA, BAD_SETTINGS)
+        assert len(errors) == 1 and errors[0].startswith("error: ")
+        assert tree(tmp_path) == before
+
+
+# Bad usage ----------------------------------------------------------------------------------------------------
+
+LISTS = {
+    "empty": ("", ("''", "numbers")),
+    "only a comma": (",", ("','", "numbers")),
+    "comma at the end": ("2,", ("'2,'", "numbers")),
+    "text": ("2,big", ("'2,big'", "numbers")),
+    "zero": ("2,0", ("0", "> 0")),
+    "negative": ("-2", ("-2", "> 0")),
+    "nan": ("nan", ("nan", "> 0")),
+    "infinite": ("2,inf", ("inf", "> 0")),
+    "twice": ("2,3,2", ("twice", "2")),
+}
+
+
+@pytest.mark.parametrize(("values", "wanted"), LISTS.values(), ids=LISTS.keys())
+@pytest.mark.parametrize("option", ["--size-detectors", "--snr"])
+def test_bad_list_of_simulate(fails, sensor_file, option, values, wanted):
+    fails(*simulate(sensor_file, f"{option}={values}"), wanted=(option[2:].replace("-", "[-_]"), *wanted))
+
+
+@pytest.mark.parametrize(("values", "wanted"), LISTS.values(), ids=LISTS.keys())
+def test_bad_list_of_curve(fails, sensor_file, values, wanted):
+    arguments = curve(sensor_file, f"--size-detectors={values}", "-o", sensor_file.parent / "out")
+    fails(*arguments, wanted=("size[-_]detectors", *wanted))
+
+
+USAGE = {
+    "no sensor": (("mtf",), ("SENSOR.toml",)),
+    "two sensors": (("mtf", "{sensor}", "{sensor}"), ("unexpected",)),
+    "unknown command": (("simulated",), ("simulated",)),
+    "simulate without sizes": (("simulate", "{sensor}", "--snr", "1", "-o", "x"), ("--size-detectors",)),
+    "simulate without snr": (("simulate", "{sensor}", "--size-detectors", "3", "-o", "x"), ("--snr",)),
+    "simulate without out": (("simulate", "{sensor}", "--size-detectors", "3", "--snr", "1"), ("--out",)),
+    "curve without sizes": (("curve", "{sensor}"), ("--size-detectors",)),
+    "unknown option": (("mtf", "{sensor}", "--jason"), ("--jason",)),
+    "unknown option of curve": (("curve", "{sensor}", "--snr", "1", "--size-detectors", "3"), ("--snr",)),
+}
+
+
+@pytest.mark.parametrize(("arguments", "wanted"), USAGE.values(), ids=USAGE.keys())
+def test_bad_usage(fails, sensor_file, arguments, wanted, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    fails(*(argument.format(sensor=sensor_file) for argument in arguments), wanted=wanted)
+
+
+SIMULATE_OPTIONS = {
+    "no trials": ("--trials=0", ("--trials", "0")),
+    "trials no number": ("--trials=many", ("--trials", "many")),
+    "seed negative": ("--seed=-1", ("--seed", "-1")),
+    "format unknown": ("--format=tiff", ("--format", "tiff", "exr", "png")),
+    "no workers": ("--workers=0", ("--workers", "0")),
+    "noise beyond all numbers": ("--snr=1e-320", ("snr|luminance|beyond",)),
+    "noise beyond half floats": ("--snr=1e-5", ("snr|luminance|beyond",)),
+    "triangle beyond all fields": ("--size-detectors=1e9", ("field|size", "at most|fewer")),
+}
+
+
+@pytest.mark.parametrize(("option", "wanted"), SIMULATE_OPTIONS.values(), ids=SIMULATE_OPTIONS.keys())
+def test_bad_option_of_simulate(fails, sensor_file, option, wanted):
+    status = BAD_DATA if option == "--snr=1e-5" else BAD_SETTINGS
+    fails(*simulate(sensor_file, option), wanted=wanted, status=status)
+
+
+CURVE_OPTIONS = {
+    "tolerance zero": ("--tolerance=0", ("tolerance", "0", "> 0")),
+    "tolerance negative": ("--tolerance=-1", ("tolerance", "-1", "> 0")),
+    "tolerance nan": ("--tolerance=nan", ("tolerance", "nan", "> 0")),
+    "tolerance no number": ("--tolerance=fine", ("--tolerance", "fine")),
+    "p at chance": ("--p-correct=0.25", ("p_correct", "0.25")),
+    "p above one": ("--p-correct=1.5", ("p_correct", "1.5")),
+    "internal noise negative": ("--internal-noise=-1", ("internal_noise", "-1")),
+    "unknown setting": ("--set=kernal_a=0.4", ("'kernal_a'", "'kernel_a'")),
+    "unknown observer": ("--observer=pyramids", ("'pyramids'", "'pyramid'")),
+    "seed negative": ("--seed=-1", ("--seed", "-1")),
+    "triangle beyond all fields": ("--size-detectors=1e9", ("field|size", "at most|fewer")),
+}
+
+
+@pytest.mark.parametrize(("option", "wanted"), CURVE_OPTIONS.values(), ids=CURVE_OPTIONS.keys())
+def test_bad_option_of_curve(fails, sensor_file, option, wanted):
+    arguments = ("curve", sensor_file, "--size-detectors", "4", "-o", sensor_file.parent / "out", option)
+    fails(*arguments, wanted=wanted)
+
+
+# Bad places ---------------------------------------------------------------------------------------------------
+
+
+@commands
+def test_out_is_a_file(fails, sensor_file, command):
+    (sensor_file.parent / "taken").write_text("mine", encoding="utf-8")
+    fails(*command(sensor_file, "-o", sensor_file.parent / "taken"), wanted=("taken", "file", "folder"))
+
+
+@commands
+def test_parent_of_out_is_missing(fails, sensor_file, command):
+    fails(*command(sensor_file, "-o", sensor_file.parent / "missing" / "out"), wanted=("missing", "not a folder"))
+
+
+@commands
+def test_out_without_a_name(fails, sensor_file, command, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    fails(*command(sensor_file, "-o", ""), wanted=("''", "name"))
+
+
+def test_dataset_is_there_already(fails, sensor_sim, sensor_file):
+    assert sensor_sim(*simulate(sensor_file))[0] == 0
+    fails(*simulate(sensor_file), wanted=("dataset", "not empty", "--overwrite"))
+
+
+def test_exit_statuses(sensor_file, tmp_path):
+    """In a process of its own."""
+    command = (sys.executable, "-c", "from sensor_sim.cli import main; main()")
+    for expected, arguments in (
+        (0, ("mtf", sensor_file, "--json")),
+        (BAD_DATA, simulate(sensor_file, "--snr", "1e-5")),
+        (BAD_SETTINGS, ("mtf", tmp_path / "missing.toml")),
+    ):
+        done = subprocess.run(
+            [*command, *map(str, arguments)], capture_output=True, text=True, timeout=60, check=False
+        )
+        assert done.returncode == expected
+        assert len(done.stderr.splitlines()) == (expected != 0)

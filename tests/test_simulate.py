@@ -1,0 +1,693 @@
+"""Simulated frames: the chain of stages by other means, and datasets that are whole, readable and repeatable."""
+
+from __future__ import annotations
+
+import csv
+import errno
+import hashlib
+import os
+import signal
+import subprocess
+import sys
+import time
+import tomllib
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.ndimage import gaussian_filter
+
+from sensor_sim import cli, simulate
+from sensor_sim.pictures import trial_stages
+from sensor_sim.sensor import Detector, Electronics, Noise, Optics, Sensor, SensorDisplay
+from sensor_sim.simulate import Simulator, Trial, plan_trials, white_luminance_cd_m2, write_dataset
+from todframes import __version__
+from todframes.command import run
+from todframes.dataset import load_dataset
+from todframes.errors import FrameError, SettingsError
+from todframes.frames import read_frame, read_header
+from todframes.observer import PyramidObserver
+from todframes.psychometric import FitSettings
+from todframes.scoring import score_dataset
+from todframes.stimulus import ORIENTATIONS, Orientation, coverage
+from todframes.viewing import frame_problems
+
+COMMAND = (sys.executable, "-c", "from sensor_sim.cli import main; main()")
+BAD_DATA, BAD_SETTINGS, INTERRUPTED = 1, 2, 130
+
+DISPLAY = SensorDisplay(
+    pixels_per_detector=5,
+    pixel_pitch_mm=0.25,
+    viewing_distance_mm=1500.0,
+    background_luminance_cd_m2=40.0,
+    blur_sigma_px=1.6,
+    gain=0.8,
+)
+NOISE = Noise(fixed_pattern_ratio=0.4, frames_integrated=6)
+SENSOR = Sensor(
+    name="bench",
+    optics=Optics(aperture_mm=100.0, wavelength_um=10.0, blur_sigma_mrad=0.05),
+    detector=Detector(pitch_mrad=0.2, width_mrad=0.15),
+    noise=NOISE,
+    electronics=Electronics(blur_sigma_px=1.2),
+    display=DISPLAY,
+)
+SHARP = replace(
+    SENSOR,
+    optics=Optics(aperture_mm=1e9, wavelength_um=1.0),
+    electronics=Electronics(),
+    display=replace(DISPLAY, blur_sigma_px=0.0),
+)
+BLURRED = replace(
+    SHARP,
+    optics=Optics(aperture_mm=1e9, wavelength_um=1.0, blur_sigma_mrad=0.16),
+    detector=Detector(pitch_mrad=0.2, width_mrad=0.2),
+    display=replace(DISPLAY, blur_sigma_px=0.7),
+)
+SENSOR_TOML = """\
+schema = 1
+name = "bench"
+[optics]
+aperture_mm = 100.0
+wavelength_um = 10.0
+blur_sigma_mrad = 0.05
+[detector]
+pitch_mrad = 0.2
+width_mrad = 0.15
+[noise]
+fixed_pattern_ratio = 0.4
+frames_integrated = 6
+[electronics]
+blur_sigma_px = 1.2
+[display]
+pixels_per_detector = 5
+pixel_pitch_mm = 0.25
+viewing_distance_mm = 1500.0
+blur_sigma_px = 1.6
+background_luminance_cd_m2 = 40.0
+gain = 0.8
+"""
+SIZE = 3.0
+
+
+def signal_of(luminance: np.ndarray, display: SensorDisplay = DISPLAY) -> np.ndarray:
+    """Display signal, a large triangle 1, from its luminance."""
+    return (luminance / display.background_luminance_cd_m2 - 1.0) / display.gain
+
+
+def written(tmp_path: Path, name: str, sensor: Sensor = SENSOR, **options) -> Path:
+    options = {"sizes": (SIZE,), "snrs": (1.0, 4.0), "trials": 4, "seed": 1} | options
+    planned = plan_trials(options.pop("sizes"), options.pop("snrs"), options.pop("trials"))
+    folder = tmp_path / name
+    folder.mkdir()
+    write_dataset(folder, sensor, planned, **options)
+    return folder
+
+
+def rows_of(folder: Path) -> list[dict[str, str]]:
+    with (folder / "manifest.csv").open(encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def pixels(path: Path) -> np.ndarray:
+    """Code values of a frame of one channel, (rows, columns)."""
+    return read_frame(path).values[..., 0]
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {str(file.relative_to(folder)): file.read_bytes() for file in folder.rglob("*") if file.is_file()}
+
+
+# The chain ----------------------------------------------------------------------------------------------------
+
+
+def test_frame_is_the_held_and_blurred_samples_on_the_background():
+    simulator = Simulator(SENSOR, SIZE, seed=3)
+    trials = plan_trials([SIZE], [2.0], 4)
+    _, noisy = simulator.samples(trials)
+    for samples, frame in zip(noisy, simulator.frames(trials), strict=True):
+        held = np.kron(samples, np.ones((5, 5)))
+        # One blur after the other is one of σ² = 1.2² + 1.6² px²; nothing lies beyond the field.
+        shown = gaussian_filter(held, 2.0, mode="constant", truncate=9.0)
+        # Some hundred products of luminances below 100, each rounded to 1e-16 of itself.
+        np.testing.assert_allclose(frame.luminance_cd_m2, 40.0 * (1.0 + 0.8 * shown), rtol=0.0, atol=1e-11)
+
+
+@pytest.mark.parametrize("orientation", ORIENTATIONS)
+def test_sharp_optics_and_whole_detectors_show_the_covered_area(orientation):
+    sensor = replace(SHARP, detector=Detector(pitch_mrad=0.2, width_mrad=0.2))
+    simulator = Simulator(sensor, SIZE, seed=3)
+    ((x, y),), (samples,) = simulator.samples([Trial((0, 0, 0), SIZE, 2.0, orientation)], noise=False)
+    middle = (simulator.field - 1) / 2.0
+    covered = coverage(samples.shape, size_px=SIZE, x_px=middle + x, y_px=middle + y, orientation=orientation)
+    # Two exact areas of a unit square, by other formulas: a dozen roundings of numbers up to the field's square.
+    np.testing.assert_allclose(samples, covered, atol=1e-12)
+    assert abs(x) <= 0.5 and abs(y) <= 0.5
+
+
+def test_places_fill_one_detector_evenly():
+    n = 4000
+    places, _ = Simulator(SENSOR, 0.5, seed=5).samples(plan_trials([0.5], [1.0], n), noise=False)
+    assert np.abs(places).max() <= 0.5
+    # Uniform in ±0.5: five standard errors of the mean, the variance (κ = 1.8) and the covariance.
+    assert np.abs(places.mean(axis=0)).max() < 5 * np.sqrt(1 / 12 / n)
+    assert np.abs(12 * places.var(axis=0) - 1).max() < 5 * np.sqrt(0.8 / n)
+    assert abs(12 * np.mean(places[:, 0] * places[:, 1])) < 5 / np.sqrt(n)
+
+
+@pytest.mark.parametrize("orientation", ORIENTATIONS)
+def test_manifest_place_is_where_the_triangle_is_shown(orientation):
+    """First moment of the noise-free signal: sampling leaves it alone where nothing is aliased.
+
+    The optics' Gaussian, σ = 0.8 detectors, passes exp(−2π²·0.64) = 3.3e-6 at the sampling frequency; what folds
+    back onto frequency zero has at most the slope of the detector's MTF there, 1, over 2π: 2 · 3.3e-6 / 2π
+    detectors a side, 5e-6 px. Hold and symmetric blur move nothing. Tails: 3σ of field around four sizes.
+    """
+    noise_free = 1e12
+    simulator = Simulator(BLURRED, SIZE, seed=8)
+    trials = [Trial((0, 0, n), SIZE, noise_free, orientation) for n in range(3)]
+    for frame in simulator.frames(trials):
+        shown = signal_of(frame.luminance_cd_m2)
+        place = np.arange(len(shown))
+        total = shown.sum()
+        # Noise of 1e-12 on 25² detectors, as far as 60 px off, over a triangle of 225 px²: below 1e-9 px.
+        assert total == pytest.approx(SIZE**2 * 25, rel=1e-5)
+        assert (place @ shown.sum(axis=0)) / total == pytest.approx(frame.x_px, abs=3e-5)
+        assert (place @ shown.sum(axis=1)) / total == pytest.approx(frame.y_px, abs=3e-5)
+
+
+def test_apex_points_where_the_trial_says():
+    """The third moment along an axis of symmetry is skewed towards the apex."""
+    simulator = Simulator(BLURRED, 6.0, seed=2)
+    towards = {"up": (0, -1), "right": (1, 0), "down": (0, 1), "left": (-1, 0)}
+    for orientation in ORIENTATIONS:
+        (frame,) = simulator.frames([Trial((0, 0, 0), 6.0, 1e12, orientation)])
+        shown = signal_of(frame.luminance_cd_m2)
+        place = np.arange(len(shown))
+        along_x = (place - frame.x_px) ** 3 @ shown.sum(axis=0) / shown.sum()
+        along_y = (place - frame.y_px) ** 3 @ shown.sum(axis=1) / shown.sum()
+        # Depth below the apex has the density 2t/h² and so the third central moment −h³/135; 0 across. Symmetric
+        # blur leaves it alone, and aliases change it by some times σ² · 3.3e-6 of a third derivative.
+        third = (1.316074 * 6.0 * 5) ** 3 / 135
+        dx, dy = towards[orientation.value]
+        assert (along_x, along_y) == pytest.approx((third * dx, third * dy), abs=third / 1000)
+
+
+# Noise --------------------------------------------------------------------------------------------------------
+
+
+def noise_of(sensor: Sensor, snr: float, n: int, seed: int, size: float = 1.0) -> np.ndarray:
+    """Noise on the detector samples of n trials, (n, field, field)."""
+    simulator = Simulator(sensor, size, seed=seed)
+    trials = plan_trials([size], [snr], n)
+    return simulator.samples(trials)[1] - simulator.samples(trials, noise=False)[1]
+
+
+@pytest.mark.parametrize("distribution", ["uniform", "gaussian"])
+def test_noise_of_the_samples_has_the_standard_deviation_one_over_snr(distribution):
+    sensor = replace(SENSOR, noise=replace(NOISE, distribution=distribution))
+    snr, n, n_sensors = 2.5, 25, 60
+    noise = np.stack([noise_of(sensor, snr, n, seed) for seed in range(n_sensors)])
+    pixels = noise[0, 0].size
+    # Of the integrated noise, 1/6 is dynamic to 0.16 fixed: the shares of the total's variance.
+    dynamic_share = (1 / 6) / (1 / 6 + 0.4**2)
+    within = noise.var(axis=1, ddof=1).mean() * snr**2
+    # Five standard errors of a variance from N independent draws, κ <= 3: √(2/N); n − 1 of n are independent.
+    n_dynamic = n_sensors * pixels * (n - 1)
+    assert within == pytest.approx(dynamic_share, rel=5 * np.sqrt(2 / n_dynamic))
+    means = noise.mean(axis=1)
+    # What the mean over n frames still has of the dynamic part is known.
+    fixed = means.var() * snr**2 - dynamic_share / n
+    assert fixed == pytest.approx(1 - dynamic_share, rel=5 * np.sqrt(2 / (n_sensors * pixels)) * 1.1)
+    assert within + fixed == pytest.approx(1.0, rel=5 * np.sqrt(2 / (n_sensors * pixels)))
+
+
+def test_noise_without_fixed_pattern_is_new_in_each_frame_and_in_each_detector():
+    noise = noise_of(replace(SENSOR, noise=Noise()), 1.0, 200, 4)
+    n, pixels = len(noise), noise[0].size
+    # Correlations of independent draws of variance 1: standard error 1/√(number of products).
+    neighbours = np.mean(noise[:, :, 1:] * noise[:, :, :-1])
+    frames = np.mean(noise[1:] * noise[:-1])
+    assert abs(neighbours) < 5 / np.sqrt(n * pixels * 0.8)
+    assert abs(frames) < 5 / np.sqrt((n - 1) * pixels)
+    assert abs(noise).max() <= np.sqrt(3.0) * (1 + 1e-12)
+
+
+def test_fixed_pattern_is_the_same_in_all_frames_of_a_seed_and_scales_with_the_noise():
+    still = replace(SENSOR, noise=Noise(fixed_pattern_ratio=1e9))
+    noise = noise_of(still, 2.0, 8, 7)
+    # The dynamic part is 1e-9 of it, √3 at most.
+    np.testing.assert_allclose(noise, np.broadcast_to(noise[0], noise.shape), atol=4e-9)
+    np.testing.assert_allclose(noise_of(still, 1.0, 1, 7)[0], 2.0 * noise[0], atol=4e-9)
+    other = noise_of(still, 2.0, 1, 8)[0]
+    correlation = np.corrcoef(noise[0].ravel(), other.ravel())[0, 1]
+    assert abs(correlation) < 5 / np.sqrt(other.size)
+
+
+# Repeatable ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("frame_format", ["exr", "png"])
+def test_bytes_depend_on_the_seed_and_not_on_the_workers(tmp_path, frame_format):
+    # 2 sizes × 1 SNR × 34: four tasks.
+    options = {"sizes": (0.6, 1.0), "snrs": (4.0,), "trials": 34, "frame_format": frame_format}
+    one = contents(written(tmp_path, "one", **options))
+    assert len(one) == 70
+    assert contents(written(tmp_path, "three", **options, workers=3)) == one
+    other = contents(written(tmp_path, "other", **options, seed=2))
+    frames = [name for name in one if name.startswith("frames/")]
+    assert len({*map(one.get, frames), *map(other.get, frames)}) == 2 * len(frames)
+
+
+def test_a_trial_does_not_depend_on_the_others():
+    simulator = Simulator(SENSOR, SIZE, seed=3)
+    trials = plan_trials([SIZE], [1.0, 2.0], 5)
+    together = list(simulator.frames(trials))
+    alone = [frame for trial in reversed(trials) for frame in Simulator(SENSOR, SIZE, seed=3).frames([trial])]
+    for a, b in zip(together, reversed(alone), strict=True):
+        # Sums over places are BLAS products whose order of terms may depend on how many places there are.
+        np.testing.assert_allclose(a.luminance_cd_m2, b.luminance_cd_m2, rtol=1e-12)
+        assert (a.x_px, a.y_px) == (b.x_px, b.y_px)
+
+
+# Datasets -----------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(params=["exr", "png"])
+def dataset_folder(request, tmp_path):
+    return written(tmp_path, "dataset", sizes=(2.0, SIZE), frame_format=request.param)
+
+
+def test_dataset_is_read_and_has_no_problems(dataset_folder):
+    dataset = load_dataset(dataset_folder)
+    assert (dataset.bad_rows, len(dataset.trials)) == ((), 16)
+    assert [problem for trial in dataset.trials for problem in frame_problems(dataset, trial)] == []
+    assert (dataset.experiment.level, dataset.experiment.group_by) == ("snr", ("size_detectors",))
+    # 0.25 mm from 1500 mm: 2 arctan(0.125/1500).
+    pitch = 2000.0 * np.arctan(0.125 / 1500.0)
+    assert dataset.display.pitch_mrad == pytest.approx(pitch, rel=1e-15)
+    assert dataset.display.background_luminance_cd_m2 == 40.0
+    for trial in dataset.trials:
+        (size,) = trial.group
+        # As displayed: 5 pixels a detector.
+        assert trial.stimulus.size_mrad == pytest.approx(size * 5 * pitch, rel=1e-14)
+    shown = {(trial.group, trial.level, trial.orientation) for trial in dataset.trials}
+    assert len(shown) == 16
+
+
+def test_dataset_holds_the_frames_of_the_simulator(dataset_folder):
+    dataset = load_dataset(dataset_folder)
+    planned = plan_trials([2.0, SIZE], [1.0, 4.0], 4)
+    frames = [frame for t in planned for frame in Simulator(SENSOR, t.size_detectors, seed=1).frames([t])]
+    for trial, plan, frame in zip(dataset.trials, planned, frames, strict=True):
+        assert (trial.level, trial.orientation) == (plan.snr, plan.orientation)
+        # Six decimals.
+        assert (trial.x_px, trial.y_px) == pytest.approx((frame.x_px, frame.y_px), abs=5.1e-7)
+        luminance = dataset.display.luminance(read_frame(dataset.frame_path(trial.frames[0])).values)
+        wanted = frame.luminance_cd_m2
+        if trial.frames[0].path.endswith(".png"):
+            white = white_luminance_cd_m2(SENSOR, [1.0])
+            wanted = np.clip(wanted, 0.0, white)
+            np.testing.assert_allclose(luminance, wanted, rtol=0.0, atol=0.51 * white / 65535)
+        else:
+            # Half floats have 11 bits; 2^-24 is the smallest step near zero.
+            np.testing.assert_allclose(luminance, wanted, rtol=2**-11, atol=2**-24)
+
+
+def test_exr_and_png_are_scored_alike(tmp_path):
+    scores = []
+    for frame_format in ("exr", "png"):
+        folder = written(tmp_path, frame_format, snrs=(4.0, 16.0), trials=8, frame_format=frame_format)
+        settings = FitSettings(resamples=0)
+        scores.append(score_dataset(load_dataset(folder), PyramidObserver(), fit_settings=settings).p_correct)
+    # Half floats are wrong by 2^-12 of a contrast of 1 at most, here and there up and down: far below the
+    # internal noise of 0.14 on each of a thousand neurons.
+    np.testing.assert_allclose(scores[0], scores[1], atol=1e-3)
+    assert len(set(scores[0])) == 16
+
+
+def test_manifest_has_the_columns_of_the_contract_and_checksums(dataset_folder):
+    for row in rows_of(dataset_folder):
+        assert list(row) == [
+            *("frame", "orientation", "size_mrad", "size_detectors", "snr", "x_px", "y_px", "sha256")
+        ]
+        assert hashlib.sha256((dataset_folder / row["frame"]).read_bytes()).hexdigest() == row["sha256"]
+
+
+def test_frames_tell_how_they_were_made(dataset_folder):
+    for row in rows_of(dataset_folder):
+        attributes = read_header(dataset_folder / row["frame"]).attributes
+        assert attributes["sensor_sim:sensor"] == "bench"
+        assert attributes["sensor_sim:version"] == __version__
+        assert attributes["sensor_sim:seed"] == "1"
+        assert float(attributes["sensor_sim:size_detectors"]) == float(row["size_detectors"])
+        assert float(attributes["sensor_sim:snr"]) == float(row["snr"])
+        assert attributes["sensor_sim:orientation"] == row["orientation"]
+
+
+def test_dataset_toml_tells_how_it_was_made(dataset_folder):
+    text = (dataset_folder / "dataset.toml").read_text(encoding="utf-8")
+    for found in ("sensor-sim", __version__, "seed 1", "bench"):
+        assert found in text
+    assert set(tomllib.loads(text)) == {"schema", "display", "experiment"}
+
+
+NAMES = ["", "two\nlines", 'quo"te', "back\\slash", "[/b] $x^{", "# λ é", "tab\tbell\a", "del\x7f", "nul\0"]
+
+
+@pytest.mark.parametrize("name", NAMES, ids=ascii)
+def test_any_name_of_a_sensor_gives_a_readable_dataset_or_a_refusal(tmp_path, name):
+    try:
+        folder = written(tmp_path, "dataset", replace(SENSOR, name=name), snrs=(2.0,), trials=1)
+    except SettingsError:
+        return
+    assert len(load_dataset(folder).trials) == 1
+
+
+# Luminance beyond the range -----------------------------------------------------------------------------------
+
+
+def test_exr_keeps_luminance_below_zero(tmp_path):
+    folder = written(tmp_path, "dataset", SHARP, snrs=(0.3,))
+    frames = Simulator(SHARP, SIZE, seed=1).frames(plan_trials([SIZE], [0.3], 4))
+    for row, frame in zip(rows_of(folder), frames, strict=True):
+        values = pixels(folder / row["frame"])
+        assert values.min() < -50.0
+        np.testing.assert_allclose(values, frame.luminance_cd_m2, rtol=2**-11, atol=2**-24)
+    scored = score_dataset(load_dataset(folder), PyramidObserver(), fit_settings=FitSettings(resamples=0))
+    assert scored.n_negative > 0
+
+
+@pytest.mark.parametrize("noise", [Noise(), NOISE], ids=["dynamic", "with fixed pattern"])
+def test_png_white_is_above_all_that_uniform_noise_can_show(noise):
+    """A fixed pattern of 0.7 and a dynamic part of 0.7 reach further together than one part of 1."""
+    sensor = replace(SHARP, noise=noise)
+    white = white_luminance_cd_m2(sensor, [0.5, 2.0])
+    frames = Simulator(sensor, 6.0, seed=1).frames(plan_trials([6.0], [0.5], 8))
+    brightest = max(frame.luminance_cd_m2.max() for frame in frames)
+    # Of the 36 detectors of the triangle in eight frames, one is within 10 % of the end but for (0.95)^288.
+    assert 0.7 * white < brightest <= white
+
+
+GAUSSIAN = replace(SHARP, noise=Noise(distribution="gaussian"), display=replace(SHARP.display, gain=1.0))
+
+
+def clipped_share(sensor: Sensor, snr: float, trials: int) -> float:
+    """Share of the pixels that lie below black or above white, counted on the frames themselves."""
+    white = white_luminance_cd_m2(sensor, [snr])
+    frames = Simulator(sensor, SIZE, seed=1).frames(plan_trials([SIZE], [snr], trials))
+    luminance = np.stack([frame.luminance_cd_m2 for frame in frames])
+    return float(np.mean((luminance < 0.0) | (luminance > white)))
+
+
+def test_png_counts_what_it_clips(tmp_path):
+    # Gaussian noise is darker than black with probability Φ(−SNR): 0.5 % at 2.576, on all but the triangle.
+    share = clipped_share(GAUSSIAN, 2.576, 12)
+    assert 0.003 < share < 0.007
+    (tmp_path / "dataset").mkdir()
+    done = write_dataset(
+        tmp_path / "dataset", GAUSSIAN, plan_trials([SIZE], [2.576], 12), seed=1, frame_format="png"
+    )
+    assert (done.n_frames, done.clipped_share) == (12, pytest.approx(share, rel=1e-12))
+
+
+def test_png_refuses_to_clip_more_than_one_in_a_hundred(tmp_path):
+    # 2.3 % at 2 standard deviations.
+    with pytest.raises(SettingsError, match=r"^format: 2(\.\d)? % of the PNG pixels would be clipped, .* 1 %"):
+        written(tmp_path, "refused", GAUSSIAN, snrs=(2.0,), trials=12, frame_format="png")
+    folder = written(
+        tmp_path, "allowed", GAUSSIAN, snrs=(2.0,), trials=12, frame_format="png", allow_clipping=True
+    )
+    darkest = min(pixels(folder / row["frame"]).min() for row in rows_of(folder))
+    assert darkest == 0.0
+    assert written(tmp_path, "exr", GAUSSIAN, snrs=(2.0,), trials=12).is_dir()
+
+
+# Plans --------------------------------------------------------------------------------------------------------
+
+
+def test_plan_has_each_size_and_snr_so_many_times_and_the_orientations_in_turn():
+    planned = plan_trials([2.0, 3.0], [1.0, 2.0, 4.0], 8)
+    assert len(planned) == 48
+    assert len({trial.key for trial in planned}) == 48
+    counted = {(trial.size_detectors, trial.snr, trial.orientation): 0 for trial in planned}
+    for trial in planned:
+        counted[trial.size_detectors, trial.snr, trial.orientation] += 1
+    assert len(counted) == 24
+    assert set(counted.values()) == {2}
+
+
+@pytest.mark.parametrize(
+    ("sizes", "snrs", "trials", "match"),
+    [
+        ([], [1.0], 1, "^size_detectors: found no values"),
+        ([1.0], [], 1, "^snr: found no values"),
+        ([0.0], [1.0], 1, r"^size_detectors: found 0\.0, expected a finite number > 0"),
+        ([1.0], [-1.0], 1, r"^snr: found -1\.0, expected a finite number > 0"),
+        ([float("nan")], [1.0], 1, "^size_detectors: found nan"),
+        ([1.0], [float("inf")], 1, "^snr: found inf"),
+        ([1.0, 2.0, 1.0], [1.0], 1, "^size_detectors: found a value twice in 1, 2, 1"),
+        ([1.0], [1.0], 0, "^trials: found 0, expected at least 1"),
+    ],
+)
+def test_plan_refuses(sizes, snrs, trials, match):
+    with pytest.raises(SettingsError, match=match):
+        plan_trials(sizes, snrs, trials)
+
+
+# Stages -------------------------------------------------------------------------------------------------------
+
+STAGES = [
+    *("a_input", "b_optics", "c_detector_response", "d_samples", "e_noise", "f_hold", "g_display"),
+]
+
+
+def test_stages_follow_from_each_other():
+    trial = Trial((0, 0, 1), SIZE, 4.0, Orientation.RIGHT)
+    stages = trial_stages(SENSOR, trial, seed=6)
+    assert list(stages) == STAGES
+    simulator = Simulator(SENSOR, SIZE, seed=6)
+    field, fine = simulator.field, 8
+    assert [stages[name].shape[0] for name in STAGES] == [fine * field] * 3 + [field] * 2 + [5 * field] * 2
+    # No stage before the noise adds or takes light; the image repeats, so nothing leaves it either.
+    for name in STAGES[:3]:
+        assert stages[name].sum() / fine**2 == pytest.approx(SIZE**2, rel=1e-9)
+    # Samples are the detector's response at the detectors' middles, which lie at corners of four fine pixels.
+    # A mean over a fine pixel and over the four is wrong by second derivatives: 2 · (1/8)² / 24 + (1/16)² of
+    # them; 1/(2σ²) of 1 at most, σ² = 0.25² + 0.75²/12 detectors² of optics and detector.
+    response = stages["c_detector_response"].reshape(field, fine, field, fine)[:, 3:5, :, 3:5].mean(axis=(1, 3))
+    np.testing.assert_allclose(response, stages["d_samples"], atol=(2 / 64 / 24 + 1 / 256) / 0.22)
+    noise = stages["e_noise"] - stages["d_samples"]
+    # Uniform parts of 0.71 and 0.70 standard deviations together, √3 each.
+    assert 0.15 < noise.std() < 0.35
+    assert np.abs(noise).max() < 0.25 * np.sqrt(3.0) * 1.415
+    np.testing.assert_array_equal(stages["f_hold"], np.kron(stages["e_noise"], np.ones((5, 5))))
+    shown = gaussian_filter(stages["f_hold"], 2.0, mode="constant", truncate=9.0)
+    np.testing.assert_allclose(stages["g_display"], shown, atol=1e-12)
+
+
+def test_stages_are_written_as_pictures(simulate_command, tmp_path):
+    status, _, errors = simulate_command(tmp_path / "dataset", "--stages")
+    assert (status, errors) == (0, [])
+    pictures = tmp_path / "dataset" / "stages"
+    assert sorted(file.name for file in pictures.iterdir()) == [f"{name}.png" for name in STAGES]
+    stages = trial_stages(SENSOR, plan_trials([SIZE], [2.0], 4)[0], seed=1)
+    for name in STAGES:
+        grey = pixels(pictures / f"{name}.png")
+        # Black is −1, white 2; 8 bits.
+        np.testing.assert_allclose(3.0 * grey - 1.0, np.clip(stages[name], -1.0, 2.0), atol=3 * 0.51 / 255)
+    assert len(load_dataset(tmp_path / "dataset").trials) == 4
+
+
+# Where datasets go --------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def simulate_command(capfd, tmp_path):
+    """Runs `sensor-sim simulate`; status, standard output, lines of standard error."""
+    (tmp_path / "SENSOR.toml").write_text(SENSOR_TOML, encoding="utf-8")
+
+    def call(out, *options):
+        arguments = ["--size-detectors", SIZE, "--snr", "2", "--trials", "4", "-o", out, *options]
+        status = run(cli.cli, ["simulate", str(tmp_path / "SENSOR.toml"), *map(str, arguments)])
+        captured = capfd.readouterr()
+        return status, captured.out, captured.err.splitlines()
+
+    return call
+
+
+def tree(folder: Path) -> dict[Path, object]:
+    return {path: path.is_dir() or path.lstat().st_mtime_ns for path in folder.rglob("*")}
+
+
+def assert_refused(done, status, *texts):
+    assert (done[0], done[1], len(done[2])) == (status, "", 1), done
+    assert done[2][0].startswith("error: ")
+    for text in texts:
+        assert text in done[2][0]
+
+
+def test_settings_file_gives_the_frames_of_the_settings(simulate_command, tmp_path):
+    assert simulate_command(tmp_path / "dataset") == (0, f"{tmp_path / 'dataset'}: 4 frames\n", [])
+    expected = contents(written(tmp_path, "expected", snrs=(2.0,)))
+    assert contents(tmp_path / "dataset") == expected
+    assert {path.name for path in tmp_path.iterdir()} == {"SENSOR.toml", "dataset", "expected"}
+
+
+def test_folder_that_is_not_empty_is_refused(simulate_command, tmp_path):
+    (tmp_path / "dataset").mkdir()
+    (tmp_path / "dataset" / "notes.txt").write_text("mine", encoding="utf-8")
+    before = tree(tmp_path)
+    assert_refused(
+        simulate_command(tmp_path / "dataset"), BAD_SETTINGS, str(tmp_path / "dataset"), "not empty", "--overwrite"
+    )
+    assert tree(tmp_path) == before
+
+
+def test_overwrite_replaces_the_whole_folder(simulate_command, tmp_path):
+    assert simulate_command(tmp_path / "dataset", "--trials", "8", "--stages")[0] == 0
+    (tmp_path / "dataset" / "notes.txt").write_text("mine", encoding="utf-8")
+    assert simulate_command(tmp_path / "dataset", "--overwrite", "--seed", "2")[0] == 0
+    expected = contents(written(tmp_path, "expected", snrs=(2.0,), seed=2))
+    assert contents(tmp_path / "dataset") == expected
+    assert {path.name for path in tmp_path.iterdir()} == {"SENSOR.toml", "dataset", "expected"}
+
+
+def test_empty_folder_is_filled(simulate_command, tmp_path):
+    (tmp_path / "dataset").mkdir()
+    assert simulate_command(tmp_path / "dataset")[0] == 0
+    assert len(load_dataset(tmp_path / "dataset").trials) == 4
+
+
+def test_link_to_an_empty_folder_is_filled_or_refused(simulate_command, tmp_path):
+    (tmp_path / "real").mkdir()
+    (tmp_path / "dataset").symlink_to("real")
+    before = tree(tmp_path)
+    done = simulate_command(tmp_path / "dataset")
+    if done[0] == 0:
+        assert len(load_dataset(tmp_path / "dataset").trials) == 4
+        assert {path.name for path in tmp_path.iterdir()} == {"SENSOR.toml", "dataset", "real"}
+    else:
+        assert_refused(done, BAD_SETTINGS, str(tmp_path / "dataset"))
+        assert tree(tmp_path) == before
+
+
+def test_present_folder_is_filled_or_refused(simulate_command, tmp_path, monkeypatch):
+    (tmp_path / "dataset").mkdir()
+    monkeypatch.chdir(tmp_path / "dataset")
+    before = tree(tmp_path)
+    done = simulate_command(".")
+    if done[0] == 0:
+        assert len(load_dataset(tmp_path / "dataset").trials) == 4
+        assert {path.name for path in tmp_path.iterdir()} == {"SENSOR.toml", "dataset"}
+    else:
+        assert_refused(done, BAD_SETTINGS, ".")
+        assert tree(tmp_path) == before
+
+
+def test_out_is_a_file(simulate_command, tmp_path):
+    (tmp_path / "dataset").write_text("mine", encoding="utf-8")
+    before = tree(tmp_path)
+    assert_refused(simulate_command(tmp_path / "dataset", "--overwrite"), BAD_SETTINGS, "is a file")
+    assert tree(tmp_path) == before
+
+
+@pytest.mark.parametrize("parent", ["missing", "SENSOR.toml"])
+def test_parent_of_out_is_no_folder(simulate_command, tmp_path, parent):
+    before = tree(tmp_path)
+    assert_refused(simulate_command(tmp_path / parent / "dataset"), BAD_SETTINGS, "not a folder")
+    assert tree(tmp_path) == before
+
+
+def test_out_without_a_name(simulate_command, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    before = tree(tmp_path)
+    assert_refused(simulate_command(""), BAD_SETTINGS, "''")
+    assert tree(tmp_path) == before
+
+
+@pytest.mark.parametrize("overwrite", [False, True], ids=["new", "overwrite"])
+@pytest.mark.parametrize("workers", [1, 2])
+def test_disk_full_at_a_frame(simulate_command, tmp_path, monkeypatch, workers, overwrite):
+    if overwrite:
+        assert simulate_command(tmp_path / "dataset")[0] == 0
+    before = tree(tmp_path)
+    calls = []
+
+    def no_space(path, values, **options):
+        calls.append(path)
+        if len(calls) > 35:
+            raise FrameError(path, f"cannot be written: {os.strerror(errno.ENOSPC)}")
+        return write_frame(path, values, **options)
+
+    write_frame = simulate.write_frame
+    monkeypatch.setattr(simulate, "write_frame", no_space)
+    options = ["--trials", "40", "--workers", workers, *["--overwrite"] * overwrite]
+    assert_refused(simulate_command(tmp_path / "dataset", *options), BAD_DATA, "No space left on device")
+    assert len(calls) > 35
+    assert tree(tmp_path) == before
+
+
+def test_disk_full_at_the_manifest(simulate_command, tmp_path, monkeypatch):
+    before = tree(tmp_path)
+
+    def no_space(*_):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(simulate, "_manifest", no_space)
+    assert_refused(
+        simulate_command(tmp_path / "dataset"), BAD_SETTINGS, str(tmp_path / "dataset"), "No space left on device"
+    )
+    assert tree(tmp_path) == before
+
+
+def test_refused_clipping_leaves_nothing(simulate_command, tmp_path):
+    before = tree(tmp_path)
+    done = simulate_command(tmp_path / "dataset", "--snr", "0.2", "--format", "png")
+    assert_refused(done, BAD_SETTINGS, "clipped", "1 %", "clipping")
+    assert tree(tmp_path) == before
+    status, out, errors = simulate_command(
+        tmp_path / "dataset", "--snr", "0.2", "--format", "png", "--allow-clipping"
+    )
+    assert (status, out) == (0, f"{tmp_path / 'dataset'}: 4 frames\n")
+    (note,) = errors
+    assert note.startswith("note: ") and "% of the pixels were clipped" in note
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGXFSZ"), reason="no limit on the size of files")
+def test_file_that_cannot_grow(tmp_path):
+    """A frame that really cannot be written to its end."""
+    (tmp_path / "SENSOR.toml").write_text(SENSOR_TOML, encoding="utf-8")
+    before = tree(tmp_path)
+    limited = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (2000, 2000)); " + COMMAND[2]
+    done = subprocess.run(
+        [sys.executable, "-c", limited, "simulate", "SENSOR.toml", "--size-detectors", "4", "--snr", "1",
+         "--trials", "4", "-o", "dataset"],
+        capture_output=True, text=True, timeout=60, check=False, cwd=tmp_path,
+    )  # fmt: skip
+    assert (done.returncode, done.stdout) == (BAD_DATA, "")
+    assert len(done.stderr.splitlines()) == 1
+    assert "File too large" in done.stderr or "cannot be written" in done.stderr
+    assert tree(tmp_path) == before
+
+
+@pytest.mark.parametrize("stop", [signal.SIGINT, signal.SIGTERM], ids=["ctrl-c", "sigterm"])
+@pytest.mark.parametrize("workers", [1, 2])
+def test_interruption_leaves_nothing(tmp_path, workers, stop):
+    (tmp_path / "SENSOR.toml").write_text(SENSOR_TOML, encoding="utf-8")
+    before = tree(tmp_path)
+    with subprocess.Popen(
+        [*COMMAND, "simulate", "SENSOR.toml", "--size-detectors", "4", "--snr", "1", "--trials", "100000",
+         "-o", "dataset", "--workers", str(workers)],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=tmp_path,
+    ) as running:  # fmt: skip
+        deadline = time.monotonic() + 30
+        while not [*tmp_path.glob(".*/frames/*.exr")] and time.monotonic() < deadline:
+            time.sleep(0.05)
+        assert running.poll() is None
+        running.send_signal(stop)
+        out, err = running.communicate(timeout=20)
+    assert (running.returncode, out) == (INTERRUPTED, "")
+    assert err.splitlines() == ["error: interrupted, nothing was written"]
+    assert tree(tmp_path) == before
