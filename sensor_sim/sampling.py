@@ -166,36 +166,6 @@ class TriangleSampler:
                 upright[part] = repeated[: self._field, : self._field].transpose(2, 1, 0)
         return np.rot90(upright, -orientation.quarter_turns, axes=(1, 2))
 
-    def inner_products(
-        self, weights: FloatArray, x_detectors: ArrayLike, y_detectors: ArrayLike, *, orientation: Orientation
-    ) -> FloatArray:
-        """Inner products of the samples with weight images, without the samples being formed.
-
-        Parameters
-        ----------
-        weights : ndarray, shape (images, field, field)
-        x_detectors, y_detectors : array_like, shape (places,) or scalar
-            As for `samples`.
-
-        Returns
-        -------
-        ndarray, shape (places, images)
-        """
-        if self.neglected_bound > 0.0:
-            samples = self.samples(x_detectors, y_detectors, orientation=orientation)
-            return np.asarray(np.einsum("pij,kij->pk", samples, weights))
-        x, y = _upright_place(x_detectors, y_detectors, orientation)
-        turned = np.rot90(weights, orientation.quarter_turns, axes=(1, 2))
-        # Parseval; all but the first and, for an even period, the last column stand for two.
-        dual = np.fft.rfft2(turned, s=(self._period, self._period), axes=(1, 2)).conj() / self._period**2
-        dual[:, :, 1 : (self._period + 1) // 2] *= 2.0
-        dual = np.ascontiguousarray(dual.swapaxes(1, 2))
-        products = np.empty((x.size, len(dual)))
-        for start in range(0, x.size, PLACES_AT_ONCE):
-            part = slice(start, start + PLACES_AT_ONCE)
-            products[part] = np.einsum("kxy,xyp->pk", dual, self._folded(x[part], y[part])).real
-        return products
-
     def _folded(self, x: FloatArray, y: FloatArray) -> ComplexArray:
         """Spectrum folded onto the grid, for upright triangles at these places: (folded x, folded y, places)."""
         turn = -2j * np.pi / self._period

@@ -179,20 +179,6 @@ def test_moving_by_whole_detectors_moves_the_samples(x, y, columns, rows):
 SHARP = sampler_of(3.3, width=0.7, field=9)
 
 
-@pytest.mark.parametrize("cut_off", [1.3, 1e9])
-@pytest.mark.parametrize(("field", "period"), [(8, 8), (9, 9), (8, 13)])
-def test_inner_products_are_those_with_the_samples(cut_off, field, period):
-    rng = np.random.default_rng(5)
-    weights = rng.normal(size=(3, field, field))
-    # More places than are taken at once.
-    x, y = rng.uniform(-0.5, 0.5, (2, 70))
-    sampler = sampler_of(cut_off, 0.0, 0.8, field=field, period=period)
-    for orientation in ORIENTATIONS:
-        expected = np.einsum("kij,pij->pk", weights, sampler.samples(x, y, orientation=orientation))
-        products = sampler.inner_products(weights, x, y, orientation=orientation)
-        np.testing.assert_allclose(products, expected, atol=1e-12)
-
-
 # Sharp optics: exact areas
 
 

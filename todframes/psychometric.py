@@ -33,6 +33,11 @@ class FitSettings:
 
     `lapse_rate` None leaves δ free in [0, lapse_rate_max]. `resamples` 0 gives no interval; fewer than 40 would
     not reach into the 2.5 % tails.
+
+    Raises
+    ------
+    SettingsError
+        If a value is out of its range, or the criterion not between guess rate and 1 − lapse rate.
     """
 
     guess_rate: float = 0.25
@@ -127,7 +132,21 @@ def fit_trials(
     p_correct : array_like, (trial,)
         0 or 1 where an answer was drawn, or the probability in [0, 1] that the answer is correct. If all are
         0 or 1, the fit and its interval are those of `fit_counts`.
+    settings : FitSettings
+    rng : numpy.random.Generator
+        Of the resamples; the fit itself is deterministic.
 
+    Returns
+    -------
+    PsychometricFit
+
+    Raises
+    ------
+    DataError
+        If the shapes differ, there is no trial, or a value is out of its range.
+
+    Notes
+    -----
     The interval of probabilities resamples the trials within each level, n − 1 of n, which makes their variance
     unbiased (McCarthy & Snowden 1985), and stretches each deviation by √((n − 1)/χ²), because that variance is
     itself an estimate (Student 1908). The spread of a level with a single trial is not known: it takes that of all
@@ -153,8 +172,27 @@ def fit_counts(
     settings: FitSettings = FitSettings(),
     rng: np.random.Generator,
 ) -> PsychometricFit:
-    """Fit a curve to rows of counts of 0/1 answers, all of shape (row,); rows of equal level are pooled.
+    """Fit a curve to counts of 0/1 answers; rows of equal level are pooled.
 
+    Parameters
+    ----------
+    level, n_correct, n_trials : array_like, (row,)
+        Stimulus strength, finite and > 0; whole numbers with 0 <= n_correct <= n_trials, n_trials >= 1.
+    settings : FitSettings
+    rng : numpy.random.Generator
+        Of the resamples; the fit itself is deterministic.
+
+    Returns
+    -------
+    PsychometricFit
+
+    Raises
+    ------
+    DataError
+        If the shapes differ, there is no row, or a value is out of its range.
+
+    Notes
+    -----
     The interval resamples each level binomially. The p of a level mixes its observed proportion, for its n trials,
     with the fitted curve, for 5, so that levels without errors vary too and single trials are all but drawn from
     the curve (Wichmann & Hill 2001); and all p are drawn towards (1 + γ)/2 by 4 trials in the whole experiment,

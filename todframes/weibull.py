@@ -22,7 +22,13 @@ _SINGLE_THREAD_PRODUCT = 1 << 18
 
 
 def weibull(level: npt.ArrayLike, *, alpha: float, beta: float, guess_rate: float, lapse_rate: float) -> Array:
-    """Proportion correct at `level` >= 0, any shape. Hogervorst et al. 2001, eq. 3."""
+    """Proportion correct at levels >= 0, of any shape, in the unit of `alpha`.
+
+    `alpha` > 0 is the level at 1 − δ − (1 − δ − γ)/2, `beta` > 0 the slope, `guess_rate` γ and `lapse_rate` δ the
+    floor and the distance of the ceiling from 1.
+
+    Hogervorst et al. 2001, eq. 3.
+    """
     with np.errstate(over="ignore"):
         exponent = (np.asarray(level, dtype=np.float64) / alpha) ** beta
     return np.asarray((1 - lapse_rate) - (1 - lapse_rate - guess_rate) * np.exp2(-exponent))
