@@ -4,7 +4,7 @@ From detector samples to scores everything is linear, so hold, blur, display and
 weights: one image on the detectors for each answer. A trial's signal is then an inner product with exact
 samples, and white detector noise of standard deviation 1/SNR is the covariance of four scores. What is left is
 the mean over the place of the triangle on the detectors and of the retina on the display: a lattice and a
-low-discrepancy sequence, in several independent shifts and permutations that tell the error.
+low-discrepancy sequence, in several independent shifts that tell the error.
 
 Hogervorst et al. 2001, sections 3 to 5 and 8.
 """
@@ -288,6 +288,6 @@ def _error(chain: FoldedChain, parts: list[list[Phases]], threshold: float) -> t
         np.array([chain.proportion_correct(part, threshold * factor) for part in parts])
         for factor in (math.exp(-step), math.exp(step))
     )
-    slope = float((high - low).mean()) / (2.0 * step)
+    slope = max(float((high - low).mean()) / (2.0 * step), 1e-12)
     spread = float(((high + low) / 2.0).std(ddof=1)) / math.sqrt(len(parts))
     return STUDENT_95 * spread / slope * threshold, slope

@@ -11,7 +11,7 @@ import todframes
 
 FLOORS = {
     "todframes": [
-        {"errors", "weibull"},
+        {"errors", "weibull", "crossing"},
         {"settings", "stimulus", "frames", "retina", "pyramid", "decision", "resampling", "display"},
         {"readout", "counts", "psychometric", "frame_writing"},
         {"observer", "dataset"},

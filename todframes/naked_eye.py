@@ -7,12 +7,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from functools import lru_cache
 from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from todframes.crossing import find_crossing
 from todframes.decision import answer_probabilities
 from todframes.errors import SettingsError
 from todframes.readout import Observer, Readout, Stimulus
@@ -158,17 +158,4 @@ def _proportion_correct(contrast: float, readout: Readout, deviations: FloatArra
 def _crossing(
     proportion: Callable[[float], float], p_correct: float, bounds: tuple[float, float], start: float
 ) -> Threshold:
-    """Where a rising curve passes `p_correct`, searched on a logarithmic scale outwards from `start`."""
-    from scipy.optimize import brentq
-
-    excess = lru_cache(maxsize=None)(lambda log_x: proportion(math.exp(log_x)) - p_correct)
-    low = high = math.log(start)
-    while excess(low) > 0:
-        high, low = low, low - math.log(4.0)
-        if low < math.log(bounds[0]):
-            return Threshold("always_exceeded", None, None)
-    while excess(high) <= 0:
-        low, high = high, high + math.log(4.0)
-        if high > math.log(bounds[1]):
-            return Threshold("never_reached", None, None)
-    return Threshold("ok", math.exp(brentq(excess, low, high, xtol=1e-7, rtol=1e-7)), 0.0)
+    return Threshold(*find_crossing(proportion, p_correct, bounds=bounds, start=start, factor=4.0), None)
