@@ -12,13 +12,17 @@ import todframes
 FLOORS = {
     "todframes": [
         {"errors", "weibull", "crossing"},
-        {"settings", "stimulus", "frames", "retina", "pyramid", "decision", "resampling", "display"},
+        {"result"},
+        {"verdict", "settings", "stimulus", "frames", "retina", "pyramid", "decision", "resampling", "display"},
         {"readout", "counts", "psychometric", "frame_writing"},
         {"observer", "dataset"},
         {"viewing", "naked_eye"},
         {"scoring", "locating"},
-        {"report", "plots"},
+        {"report", "examples", "figures", "tables"},
+        {"plots", "svg_figures", "scene_runs"},
+        {"html_report"},
         {"command"},
+        {"cli_report"},
         {"cli"},
     ],
     "sensor_sim": [

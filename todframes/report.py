@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 Json = dict[str, Any]
 
 SCHEMA = 1
-OUTPUT_NAMES = {"result.json", "scores.csv", "psychometric.png", "tod_curve.png"}
+OUTPUT_NAMES = {"result.json", "report.html", "scores.csv", "psychometric.png", "tod_curve.png"}
 
 
 def fit_object(group: Mapping[str, float | str], level: str, fit: PsychometricFit) -> Json:
@@ -256,6 +256,26 @@ def threshold_table(result: Json, title: str) -> Table:
             cells += [number(fit[name], 3) for name in ("alpha", "beta", "delta")] + [str(fit["n_trials"])]
         table.add_row(*map(Text, cells))
     return table
+
+
+def write_file(path: Path, content: bytes) -> None:
+    """Write one file whole or not at all, over an older one of its name.
+
+    Raises
+    ------
+    OutputError
+        If the place cannot be written.
+    """
+    try:
+        if path.is_dir():
+            raise OutputError(f"{path}: is a folder, expected the name of a file")
+        with tempfile.TemporaryDirectory(prefix=".todframes-", dir=path.absolute().parent) as folder:
+            write_files(Path(folder), {"file": content})
+            Path(folder, "file").replace(path)
+    except OutputError:
+        raise
+    except (OSError, ValueError) as error:  # a NUL in the name
+        raise OutputError(f"{str(path)!r}: cannot be written ({getattr(error, 'strerror', error)})") from None
 
 
 def write_files(folder: Path, files: Mapping[str, bytes]) -> None:
