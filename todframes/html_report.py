@@ -15,7 +15,7 @@ import msgspec
 
 from todframes import figures, tables
 from todframes.result import Algorithm, Example, Fit, Picture, Record, Result, read_result
-from todframes.scene_runs import runs_to_draw, scene_name, scene_tables
+from todframes.scene_runs import SCENE_NAMES, runs_to_draw, scene_name, scene_tables
 from todframes.svg_figures import inline_svg
 from todframes.verdict import group_phrase, level_name, plain, verdict
 
@@ -124,7 +124,8 @@ def _drawn(result: Result) -> list[tuple[Figure, str, str]]:
     for number, scene in enumerate(result.scenes):
         runs, x, y = runs_to_draw(scene)
         if runs:
-            note = f"{y} against {x}, a line for each estimator."
+            texts = [value for key, value in scene.items() if isinstance(value, str) and key not in SCENE_NAMES]
+            note = " ".join([f"{y[:1].upper()}{y[1:]} against {x}, a line for each estimator.", *texts])
             drawn.append((figures.error_figure(runs, x=x, y=y), scene_name(scene, number), note))
     return drawn
 
@@ -152,7 +153,7 @@ def _tables(result: Result) -> list[Json]:
         found += [{"table": tables.ratios(result.algorithms), "folded": False}]
         found += [{"table": tables.measures(result.algorithms), "folded": False}]
     if result.fits or any(one.fits for one in result.algorithms):
-        found.append({"table": tables.thresholds(result), "folded": False})
+        found.append({"table": tables.thresholds(result), "folded": bool(result.algorithms)})
     points = tables.points(result)
     found += [{"table": points, "folded": True}] if points is not None else []
     found += [

@@ -5,7 +5,9 @@ from __future__ import annotations
 import csv
 import io
 import os
+import platform
 import shutil
+import sys
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -26,6 +28,7 @@ if TYPE_CHECKING:
 Json = dict[str, Any]
 
 SCHEMA = 1
+LIBRARIES = ("numpy", "scipy", "cv2", "OpenImageIO")
 OUTPUT_NAMES = {"result.json", "report.html", "scores.csv", "psychometric.png", "tod_curve.png"}
 
 
@@ -84,12 +87,19 @@ def result_object(
         "schema": SCHEMA,
         "command": command,
         "version": __version__,
+        "versions": _versions(),
         "settings": settings,
         "seed": seed,
         "fits": list(fits),
         **more,
         "run_time_s": round(run_time_s, 4),
     }
+
+
+def _versions() -> dict[str, str]:
+    """Of Python, and of what was used and may move the last digits."""
+    used = {name: sys.modules[name].__version__ for name in LIBRARIES if name in sys.modules}
+    return {"python": platform.python_version(), **used}
 
 
 def encode(result: Json) -> bytes:
@@ -256,26 +266,6 @@ def threshold_table(result: Json, title: str) -> Table:
             cells += [number(fit[name], 3) for name in ("alpha", "beta", "delta")] + [str(fit["n_trials"])]
         table.add_row(*map(Text, cells))
     return table
-
-
-def write_file(path: Path, content: bytes) -> None:
-    """Write one file whole or not at all, over an older one of its name.
-
-    Raises
-    ------
-    OutputError
-        If the place cannot be written.
-    """
-    try:
-        if path.is_dir():
-            raise OutputError(f"{path}: is a folder, expected the name of a file")
-        with tempfile.TemporaryDirectory(prefix=".todframes-", dir=path.absolute().parent) as folder:
-            write_files(Path(folder), {"file": content})
-            Path(folder, "file").replace(path)
-    except OutputError:
-        raise
-    except (OSError, ValueError) as error:  # a NUL in the name
-        raise OutputError(f"{str(path)!r}: cannot be written ({getattr(error, 'strerror', error)})") from None
 
 
 def write_files(folder: Path, files: Mapping[str, bytes]) -> None:

@@ -148,8 +148,8 @@ def load_result(path: Path) -> Result:
     try:
         with path.open("rb") as file:
             content = file.read(MAX_BYTES + 1)
-    except (OSError, ValueError) as error:  # a NUL in the name
-        raise DataError(f"{path}: cannot be read ({getattr(error, 'strerror', error)})") from None
+    except OSError as error:
+        raise DataError(f"{path}: cannot be read ({error.strerror})") from None
     if len(content) > MAX_BYTES:
         raise DataError(f"{path}: is longer than {MAX_BYTES // 2**20} MB, expected the result of a command")
     return read_result(content, str(path))

@@ -12,12 +12,14 @@ from typing import Any
 from todframes import tables
 from todframes.result import Record
 
+SCENE_NAMES = ("name", "scene")
+
 Runs = Mapping[str, list[tuple[float, float]]]
 
 
 def scene_name(scene: Record, number: int) -> str:
     """What a scene is called."""
-    return str(scene.get("name") or scene.get("scene") or f"scene {number + 1}")
+    return next((str(scene[key]) for key in SCENE_NAMES if scene.get(key)), f"scene {number + 1}")
 
 
 def scene_tables(scene: Record, number: int) -> list[tables.Table]:

@@ -141,7 +141,7 @@ def thresholds(result: Result) -> Table:
     records += [_fit_record(fit, {"algorithm": one.name}) for one in result.algorithms for fit in one.fits]
     fits = [*result.fits, *(fit for one in result.algorithms for fit in one.fits)]
     names = list(fits[0].group)
-    level = f"threshold {level_name(fits[0].level)}"
+    level = f"threshold {level_name(_heading(fits[0].level))}"
     headers = {"algorithm": "algorithm"} if result.algorithms else {}
     headers |= {_group_key(name): _heading(name) for name in names}
     headers |= {"threshold": level, "threshold_ci95": "95 % interval"} | FIT_COLUMNS
@@ -176,7 +176,7 @@ def points(result: Result) -> Table | None:
     records: list[Record] = [
         more
         | {_group_key(name): value for name, value in fit.group.items()}
-        | {"level": point.level, "n_trials": point.n_trials or None, "p_correct": point.p_correct}
+        | {"level": point.level, "n_trials": point.n_trials, "p_correct": point.p_correct}
         for more, fits in sources
         for fit in fits
         for point in fit.points
@@ -185,9 +185,13 @@ def points(result: Result) -> Table | None:
         return None
     level = next(fit.level for _, fits in sources for fit in fits)
     names = {"level": level, "n_trials": "trials", "p_correct": "proportion correct"}
+    computed = not any(record["n_trials"] for record in records)
     headers = {key: names.get(key, _heading(key)) for key in records[0]}
-    exact = [key for key in headers if key != "p_correct"]
-    return table("Points of the psychometric functions", "points.csv", headers, records, exact)
+    found = {"p_correct", "level"} if computed else {"p_correct"}
+    hidden = {"n_trials"} if computed else set()
+    return table(
+        "Points of the psychometric functions", "points.csv", headers, records, headers.keys() - found, hidden
+    )
 
 
 def ratios(algorithms: Sequence[Algorithm]) -> Table:

@@ -101,12 +101,12 @@ def _curve(label: str, fits: Sequence[Fit], *, computed: bool) -> list[str]:
     """Sentences about one TOD curve, or about a threshold that belongs to none."""
     size = size_column(fits)
     criterion = f"{100 * fits[0].p_correct:g} % correct"
-    head = f"{label}: at" if label else "At"
+    head = f"At {criterion}" + (f" with {label}" if label else "")
     known = [fit for fit in fits if fit.threshold is not None]
     told = []
     if known:
         first, last = known[0], known[-1]
-        text = f"{head} {criterion} the threshold {level_name(first.level)} is {_threshold(first)}"
+        text = f"{head} the threshold {level_name(first.level)} is {_threshold(first)}"
         text += f" at {phrase(size, first.group[size])}" if size else ""
         if size and len(known) > 1:
             assert first.threshold is not None and last.threshold is not None
@@ -117,9 +117,11 @@ def _curve(label: str, fits: Sequence[Fit], *, computed: bool) -> list[str]:
     reasons = NO_THRESHOLD | (COMPUTED if computed else {})
     for status in dict.fromkeys(fit.status for fit in fits if fit.threshold is None):
         these = [fit for fit in fits if fit.threshold is None and fit.status == status]
-        where = f"At {_sizes(these, size)}" if size else label or "All trials"
+        where = f"At {_sizes(these, size)} " if size else ""
+        where += f"with {label} " if label else ""
+        where = f"{where[:1].upper()}{where[1:]}there" if where else "There"
         reason = reasons.get(status, f"the status is {status}").format(criterion=criterion)
-        told.append(f"{where} there is no threshold: {reason}." if size else f"{where}: no threshold; {reason}.")
+        told.append(f"{where} is no threshold: {reason}.")
     return told
 
 
@@ -155,7 +157,7 @@ def _threshold(fit: Fit) -> str:
     if fit.threshold_ci95 is not None:
         more.append(f"95 % interval {interval(fit.threshold_ci95)}")
     elif fit.threshold_numerical_error is not None:
-        more.append(f"± {plain(fit.threshold_numerical_error, 1)} numerical")
+        more.append(f"± {plain(fit.threshold_numerical_error, 1)} numerical error")
     return text + (f" ({', '.join(more)})" if more else "")
 
 
@@ -188,11 +190,11 @@ def compared(algorithms: Sequence[Algorithm]) -> list[str]:
 
 def _algorithm(algorithm: Algorithm) -> str:
     ratios = algorithm.ratios
-    parts = [
-        f"{words} {_ratios(these, ratios)}"
-        for kind, words in (("better", "lowers the threshold"), ("worse", "raises it"))
-        if (these := [ratio for ratio in ratios if ratio.verdict == kind])
-    ]
+    parts: list[str] = []
+    for kind, verb in (("better", "lowers"), ("worse", "raises")):
+        these = [ratio for ratio in ratios if ratio.verdict == kind]
+        if these:
+            parts.append(f"{verb} {'it' if parts else 'the threshold'} {_ratios(these, ratios)}")
     rest = [ratio for ratio in ratios if ratio.verdict not in ("better", "worse")]
     if rest:
         parts.append(f"shows no difference {_ratios(rest, ratios)}")
