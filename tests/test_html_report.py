@@ -23,6 +23,7 @@ import pytest
 from todframes.cli import cli
 from todframes.command import run
 from todframes.errors import DataError
+from todframes.figures import COLOURS
 from todframes.html_report import report_html
 from todframes.report import encode
 from todframes.result import read_result
@@ -372,6 +373,31 @@ def test_figures_follow_the_page(pages) -> None:
         styles = " ".join(element.get("style", "") for element in drawing.iter())
         assert "currentColor" in styles
         assert not re.search(r"#000000|#ffffff|#1f2328|font-family", styles)
+
+
+def luminance(colour: str) -> float:
+    """Relative luminance as the Web Content Accessibility Guidelines 2.2 define it."""
+    parts = [int(colour[place : place + 2], 16) / 255 for place in (1, 3, 5)]
+    red, green, blue = (c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in parts)
+    return 0.2126 * red + 0.7152 * green + 0.0722 * blue
+
+
+def test_colours_stand_out_on_both_pages(pages) -> None:
+    """Text has a contrast of 4.5 at least, lines and points 3, as the guidelines ask."""
+
+    def contrast(one: str, other: str) -> float:
+        dark, bright = sorted((luminance(one), luminance(other)))
+        return (bright + 0.05) / (dark + 0.05)
+
+    found = re.findall(r"--(\w+): (#\w{6});", pages["score"].decode())
+    names = [name for name, _ in found]
+    half = len(found) // 2
+    assert names[:half] == names[half:] and {"paper", "ink", "muted", "accent"} <= set(names)
+    for theme in (dict(found[:half]), dict(found[half:])):
+        for name in ("ink", "muted", "accent"):
+            assert contrast(theme[name], theme["paper"]) >= 4.5, (name, theme)
+        for colour in COLOURS:
+            assert contrast(colour, theme["paper"]) >= 3.0, (colour, theme)
 
 
 def test_many_curves(results) -> None:

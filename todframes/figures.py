@@ -67,6 +67,11 @@ def _figure() -> tuple[Figure, Axes]:
     return figure, figure.add_subplot()
 
 
+def _legend(axes: Axes) -> None:
+    """Within the axes, which do not shrink for its sake."""
+    axes.legend().set_in_layout(False)
+
+
 def _plain(text: str) -> str:
     """Names are data: no mathematics between dollars, no label hidden by an underscore, no line of any length."""
     text = "".join(character if character.isprintable() else " " for character in text)
@@ -99,7 +104,7 @@ def tod_figure(fits: Sequence[Fit]) -> Figure:
         for place in _draw_tod_curve(axes, curve, name, label, _look(number, len(curves)))
     ]
     if 1 < len(curves) <= MOST_IN_LEGEND:
-        axes.legend()
+        _legend(axes)
     inverse = sorted({place.x for place in drawn})
     _plain_ticks(axes.xaxis, inverse)
     _plain_ticks(axes.yaxis, [place.threshold for place in drawn])
@@ -211,7 +216,7 @@ def psychometric_figure(fits: Sequence[Fit]) -> Figure:
     if levels and min(levels) < max(levels):
         _plain_ticks(axes.xaxis, levels)
     if len(fits) <= MOST_IN_LEGEND:
-        axes.legend()
+        _legend(axes)
     return figure
 
 
@@ -263,7 +268,7 @@ def ratio_figure(algorithms: Sequence[Algorithm]) -> Figure:
     axes.tick_params(axis="x", length=0)
     axes.grid(False, axis="x")
     _plain_ticks(axes.yaxis, axes.get_ylim())
-    axes.legend(ncols=2)
+    _legend(axes)
     return figure
 
 
@@ -283,5 +288,5 @@ def error_figure(runs: Mapping[str, Sequence[tuple[float, float]]], *, x: str, y
         axes.plot(times, errors, color=look.colour, marker=look.marker, label=_plain(name))
     axes.set(xscale="log", yscale="log", xlabel=_plain(x), ylabel=_plain(y))
     if len(runs) <= MOST_IN_LEGEND:
-        axes.legend()
+        _legend(axes)
     return figure
