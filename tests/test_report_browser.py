@@ -98,10 +98,16 @@ def test_a_page_that_misbehaves_is_noticed(visit, tmp_path: Path) -> None:
     assert ['"trouble"' in line for line in found.console] == [True]
 
 
+@pytest.fixture(scope="module")
+def report_of_frames(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("result")
+    assert run(cli, ["score", str(SAMPLES / "naked_eye"), "-o", str(out), "--quiet"]) == 0
+    return out / "report.html"
+
+
 @pytest.mark.parametrize("width", WIDTHS)
-def test_report_of_frames_opens_quietly(visit, tmp_path: Path, width: int) -> None:
-    assert run(cli, ["score", str(SAMPLES / "naked_eye"), "-o", str(tmp_path / "out"), "--quiet"]) == 0
-    found = visit(tmp_path / "out" / "report.html", width)
+def test_report_of_frames_opens_quietly(visit, report_of_frames: Path, width: int) -> None:
+    found = visit(report_of_frames, width)
     assert "</footer>" in found.document
     assert (found.console, found.requests) == ([], [])
 
