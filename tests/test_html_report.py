@@ -487,6 +487,19 @@ def test_keys_that_may_be_missing() -> None:
     report_html({"schema": 1, "command": "accuracy", "scenes": [{"name": "a", "rows": [{"cpu_s": None}, {}]}]})
 
 
+@pytest.mark.parametrize("extreme", [5e-324, 1e-200, 1e200, 1.7e308])
+def test_numbers_at_the_edge_of_all_numbers(results, extreme: float) -> None:
+    """They are drawn at the edge of what an axis can show; the tables have them as they are."""
+    for result in (results["score"], results["compare"]["algorithms"][1]):
+        result["fits"][0] |= {"threshold": extreme, "threshold_ci95": [None, extreme], "alpha": extreme}
+        result["fits"][1]["points"][0] |= {"level": extreme}
+        result["fits"][2]["group"]["size_mrad"] = extreme
+    results["compare"]["algorithms"][1]["ratios"][0] |= {"ratio": extreme}
+    for command in ("score", "compare"):
+        tables = tables_of(report_html(results[command]))
+        assert str(extreme) in {row["threshold"] for row in tables["thresholds.csv"]}
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [

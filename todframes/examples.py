@@ -28,6 +28,8 @@ MOST_EXAMPLES, MOST_BANDS = 4, 8
 REACH_PER_SIZE = 1.5
 LEAST_REACH_PX, LEAST_REACH_SAMPLES = 8, 12
 """From the middle to the edge; a small triangle is shown with its surroundings."""
+MOST_REACH_PX = 1000
+"""Of a larger triangle only the middle is shown, lest a slip in a pitch fills the memory."""
 DISPLAY_SIDE_PX, RETINA_SIDE_PX = 128, 96
 """Pictures have this many pixels along a side at most; larger ones are reduced by a whole factor."""
 
@@ -117,7 +119,7 @@ def _reach_px(observer: Observer, stimulus: Stimulus, pixel_pitch_mrad: float) -
         LEAST_REACH_PX * pixel_pitch_mrad,
         LEAST_REACH_SAMPLES * observer.grid(stimulus).pitch_mrad,
     )
-    return math.ceil(reach_mrad / pixel_pitch_mrad)
+    return math.ceil(min(reach_mrad / pixel_pitch_mrad, MOST_REACH_PX))
 
 
 def pictures(

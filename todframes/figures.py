@@ -67,6 +67,11 @@ def _figure() -> tuple[Figure, Axes]:
     return figure, figure.add_subplot()
 
 
+def _within(value: float) -> float:
+    """A value, or the nearest that a logarithmic axis can show; matplotlib's margins overflow beyond."""
+    return min(max(value, 1e-99), 1e99)
+
+
 def _legend(axes: Axes) -> None:
     """Within the axes, which do not shrink for its sake."""
     axes.legend().set_in_layout(False)
@@ -134,7 +139,9 @@ class _Place(NamedTuple):
 
 def _draw_tod_curve(axes: Axes, fits: Sequence[Fit], name: str, label: str, look: _Look) -> list[_Place]:
     places = [
-        _Place(1.0 / float(fit.group[name]), fit.threshold, fit) for fit in fits if fit.threshold is not None
+        _Place(1.0 / _within(float(fit.group[name])), _within(fit.threshold), fit)
+        for fit in fits
+        if fit.threshold is not None
     ]
     style_of_points: Json = {"color": look.colour, "marker": look.marker}
     x, thresholds = [place.x for place in places], [place.threshold for place in places]
@@ -142,7 +149,8 @@ def _draw_tod_curve(axes: Axes, fits: Sequence[Fit], name: str, label: str, look
     for place in places:
         low, high = place.fit.threshold_ci95 or (None, None)
         if low is not None or high is not None:
-            axes.plot([place.x] * 2, [low or place.threshold, high or place.threshold], "-_", color=look.colour)
+            ends = [_within(end or place.threshold) for end in (low, high)]
+            axes.plot([place.x] * 2, ends, "-_", color=look.colour)
         if place.fit.status != "ok":
             axes.plot(place.x, place.threshold, **style_of_points, markerfacecolor=PAPER, zorder=3)
     return places
@@ -206,7 +214,7 @@ def psychometric_figure(fits: Sequence[Fit]) -> Figure:
     """
     figure, axes = _figure()
     fits = evenly([fit for fit in fits if fit.points], MOST_CURVES)
-    levels = [point.level for fit in fits for point in fit.points]
+    levels = [_within(point.level) for fit in fits for point in fit.points]
     for number, fit in enumerate(fits):
         _draw_psychometric_curve(axes, fit, _look(number, len(fits)))
     for height, line in ((fits[0].p_correct, "--"), (fits[0].gamma, ":")):
@@ -221,7 +229,7 @@ def psychometric_figure(fits: Sequence[Fit]) -> Figure:
 
 
 def _draw_psychometric_curve(axes: Axes, fit: Fit, look: _Look) -> None:
-    x = [point.level for point in fit.points]
+    x = [_within(point.level) for point in fit.points]
     trials = [point.n_trials for point in fit.points]
     axes.scatter(
         x,
@@ -258,10 +266,10 @@ def ratio_figure(algorithms: Sequence[Algorithm]) -> Figure:
             if ratio.ratio is None or group_phrase(ratio.group) not in groups:
                 continue
             x = groups.index(group_phrase(ratio.group)) + shift
-            low, high = ratio.ratio_ci95 or (None, None)
-            axes.plot([x, x], [low or ratio.ratio, high or ratio.ratio], "-", color=look.colour)
+            ends = [_within(end or ratio.ratio) for end in ratio.ratio_ci95 or (None, None)]
+            axes.plot([x, x], ends, "-", color=look.colour)
             shown = ratio.verdict in ("better", "worse")
-            axes.plot(x, ratio.ratio, **points, markerfacecolor=look.colour if shown else PAPER)
+            axes.plot(x, _within(ratio.ratio), **points, markerfacecolor=look.colour if shown else PAPER)
     axes.axhline(1.0, color=INK, lw=0.8)
     axes.set(ylabel="threshold ÷ that of the reference", xlim=(-0.5, max(len(groups), 1) - 0.5))
     axes.set_xticks(range(len(groups)), [_plain(label) for label in groups], rotation=20 if len(groups) > 5 else 0)
@@ -285,7 +293,13 @@ def error_figure(runs: Mapping[str, Sequence[tuple[float, float]]], *, x: str, y
     figure, axes = _figure()
     for number, (name, pairs) in enumerate(runs.items()):
         look, (times, errors) = _look(number, len(runs)), zip(*sorted(pairs), strict=True)
-        axes.plot(times, errors, color=look.colour, marker=look.marker, label=_plain(name))
+        axes.plot(
+            [*map(_within, times)],
+            [*map(_within, errors)],
+            color=look.colour,
+            marker=look.marker,
+            label=_plain(name),
+        )
     axes.set(xscale="log", yscale="log", xlabel=_plain(x), ylabel=_plain(y))
     if len(runs) <= MOST_IN_LEGEND:
         _legend(axes)

@@ -48,9 +48,12 @@ def group_phrase(group: Group, without: str | None = None) -> str:
 
 
 def size_column(fits: Sequence[Fit]) -> str | None:
-    """The one group column that is a size and has numbers for values."""
+    """The one group column that is a size and has positive numbers for values."""
     names = [name for name in (fits[0].group if fits else ()) if name.startswith("size_")]
-    return names[0] if len(names) == 1 and all(isinstance(fit.group[names[0]], float) for fit in fits) else None
+    if len(names) != 1:
+        return None
+    sizes = [fit.group[names[0]] for fit in fits]
+    return names[0] if all(isinstance(size, float) and size > 0.0 for size in sizes) else None
 
 
 def by_curve(fits: Sequence[Fit]) -> dict[str, list[Fit]]:
