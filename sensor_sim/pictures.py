@@ -183,7 +183,8 @@ def _threshold_example(sensor: Sensor, observer: Observer, fit: Json, seed: int)
         pixel_pitch_mrad=pitch_mrad,
     )
     return {
-        **{name: fit[name] for name in ("group", "level", "p_correct")},
+        "group": fit["group"],
+        "level": fit["level"],
         "strength": trial.snr,
         "orientation": trial.orientation.value,
         **pictures(

@@ -139,8 +139,10 @@ def _named_fits(algorithm: Algorithm) -> list[Fit]:
 
 def _tod_note(fits: Sequence[Fit]) -> str:
     note = f"Threshold {level_name(fits[0].level)} at {100 * fits[0].p_correct:g} % correct against 1 / size."
-    if any(fit.threshold_ci95 is not None for fit in fits):
-        note += " Vertical lines are 95 % intervals, dotted where the data leave an end open."
+    intervals = [fit.threshold_ci95 for fit in fits if fit.threshold_ci95 is not None]
+    if intervals:
+        open_ended = any(None in interval for interval in intervals)
+        note += f" Vertical lines are 95 % intervals{', dotted where the data leave an end open' * open_ended}."
     if any(fit.status == "extrapolated" for fit in fits):
         note += " Open points are extrapolated."
     return note
