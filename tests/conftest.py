@@ -226,12 +226,23 @@ def results_of_commands() -> dict[str, dict[str, Any]]:
             for fit, ratio in zip(fits, ratios, strict=True)
         ]
         more = {"parameters": {"radius": 2}, "psnr_db": 31.5, "ssim": 0.9, "cpu_s": 0.5}
+        more["overall"] = {"ratio": 1.1, "ratio_ci95": [1.05, 1.15], "p_value_holm": 0.01, "verdict": "worse"}
         algorithms.append(algorithms[0] | {"name": name, "spec": name, "ratios": of_name} | more)
-    runs = [
-        {"estimator": name, "budget": n, "cpu_s": 1e-3 * n, "wall_s": 1e-3 * n, "threshold_error": n**slope}
-        for name, slope in (("drawn", -0.5), ("closed form", -1.5))
-        for n in (1, 10, 100)
+    estimators = [
+        {
+            "name": name,
+            "label": name.replace("_", " "),
+            "set_up_cpu_s": 0.25,
+            "slope": slope,
+            "slope_standard_error": None,
+            "points": [{"trials": n, "cpu_s": 1e-3 * n, "threshold_error": n**slope} for n in (1, 10, 100)],
+            "cpu_s_at": [{"threshold_error": 0.01, "cpu_s": 1e-3 * 0.01 ** (1 / slope), "extrapolated": True}],
+        }
+        for name, slope in (("literal", -0.5), ("closed_form", -1.5))
     ]
+    scene = {"name": "camera", "title": "camera, no noise", "estimators": estimators, "threshold": 0.5}
+    scene["speed_ratios"] = [{"threshold_error": 0.01, "ratio": 464.2, "extrapolated": True, "at_least": False}]
+    scene["variants"] = [{"label": "float32", "cpu_ratio": 0.5, "threshold_change": 1e-7}]
     plan = [{"stage": "optics", "kept": False, "why": "no blur", "bound": 1e-7, "saves_s": 0.2}]
     skipped = [{"frame": "frames/9.exr", "error": "frames/9.exr: the file is empty"}]
     return {
@@ -244,8 +255,7 @@ def results_of_commands() -> dict[str, dict[str, Any]]:
         "compare": common
         | {"command": "compare", "dataset": "my_camera", "algorithms": algorithms}
         | {"examples": [example | {"algorithm": name} for name in ("none", "clahe")]},
-        "accuracy": common
-        | {"command": "accuracy", "scenes": [{"name": "camera", "about": "a staring camera", "runs": runs}]},
+        "accuracy": common | {"command": "accuracy", "scenes": [scene]},
     }
 
 

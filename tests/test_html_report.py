@@ -23,7 +23,7 @@ import pytest
 from todframes.cli import cli
 from todframes.command import run
 from todframes.errors import DataError
-from todframes.figures import COLOURS
+from todframes.figure_style import COLOURS
 from todframes.html_report import report_html
 from todframes.report import encode
 from todframes.result import read_result
@@ -189,6 +189,29 @@ def test_verdict_of_a_comparison(results) -> None:
     assert median.startswith("median shows no difference at 1 mrad") and "Holm" not in median
 
 
+def test_verdict_of_an_accuracy_study(results) -> None:
+    assert verdict_of(results["accuracy"]) == [
+        "Camera, no noise: the CPU time of closed form is 464 times less at 1 % error (extrapolated) than that of "
+        "literal."
+    ]
+    results["accuracy"]["scenes"][0]["speed_ratios"] = []
+    assert verdict_of(results["accuracy"]) == ["1 scene: error against run time."]
+
+
+def test_error_falls_along_straight_lines(pages) -> None:
+    """Errors are powers of the CPU time: markers of an estimator lie on a line, steeper by the ratio of powers."""
+    drawing = drawings(pages["accuracy"])["Camera, no noise"]
+    slopes = []
+    for colour in (COLOURS[0], COLOURS[-1]):
+        uses = [use for use in drawing.iter("use") if f"fill: {colour}" in use.get("style", "")]
+        # The last one is the legend's.
+        (x0, y0), (x1, y1), (x2, y2) = [(float(use.attrib["x"]), float(use.attrib["y"])) for use in uses][:3]
+        # Places are rounded to 0.01 of about 100 units.
+        assert (y1 - y0) / (x1 - x0) == pytest.approx((y2 - y1) / (x2 - x1), rel=5e-4)
+        slopes.append((y2 - y0) / (x2 - x0))
+    assert slopes[1] / slopes[0] == pytest.approx(3.0, rel=5e-4)
+
+
 def test_sentences_of_the_result_itself_go_first(results) -> None:
     assert verdict_of(results["compare"] | {"verdict": ["It helps.", "A little."]}) == ["It helps.", "A little."]
     assert verdict_of(results["compare"] | {"verdict": "It helps."}) == ["It helps."]
@@ -275,8 +298,10 @@ def test_points_come_back_from_csv(results, pages, command: str) -> None:
 def test_comparison_comes_back_from_csv(results, pages) -> None:
     tables = tables_of(pages["compare"])
     expected = [(one, ratio) for one in results["compare"]["algorithms"] for ratio in one.get("ratios", [])]
-    assert len(tables["ratios.csv"]) == len(expected) == 9
-    for row, (one, ratio) in zip(tables["ratios.csv"], expected, strict=True):
+    rows = [row for row in tables["ratios.csv"] if row["size_mrad"] != "all"]
+    assert len(rows) == len(expected) == 9
+    assert [row["ratio"] for row in tables["ratios.csv"] if row["size_mrad"] == "all"] == ["1.1"] * 3
+    for row, (one, ratio) in zip(rows, expected, strict=True):
         assert (row["algorithm"], row["verdict"]) == (one["name"], ratio["verdict"])
         assert [float(row[key]) for key in ("ratio", "ratio_ci95_low", "ratio_ci95_high")] == [
             ratio["ratio"],
@@ -437,8 +462,10 @@ def with_texts(result: Any, texts: Iterator[str]) -> Any:
         for picture in one["pictures"]:
             picture["name"] = next(texts)
     for scene in changed.get("scenes", []):
-        scene |= {"name": next(texts), "about": next(texts)}
-        scene["runs"] = [run | {"more": next(texts)} for run in scene["runs"]]
+        scene |= {"name": next(texts), "title": next(texts)}
+        for one in scene["estimators"]:
+            one |= {"name": next(texts), "label": next(texts)}
+            one["points"] = [point | {"more": next(texts)} for point in one["points"]]
     return changed
 
 
@@ -484,7 +511,10 @@ def test_keys_that_may_be_missing() -> None:
     content = report_html({"schema": 1, "command": "score", "fits": [fit], "new": {"key": 1}})
     assert "At 75 % correct the threshold contrast is 0.200." in words(tree(content))
     report_html({"schema": 1, "command": "compare", "algorithms": [{"name": "none"}]})
-    report_html({"schema": 1, "command": "accuracy", "scenes": [{"name": "a", "rows": [{"cpu_s": None}, {}]}]})
+    bare = {"name": "closed_form", "points": [{"cpu_s": None}, {}, {"cpu_s": 1.0, "threshold_error": 0}]}
+    report_html(
+        {"schema": 1, "command": "accuracy", "scenes": [{"name": "a"}, {"name": "b", "estimators": [bare]}]}
+    )
 
 
 @pytest.mark.parametrize("extreme", [5e-324, 1e-200, 1e200, 1.7e308])

@@ -13,9 +13,10 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
-from todframes import figures, tables
+from todframes import figures, report_tables
+from todframes.figure_style import style
 from todframes.result import Algorithm, Example, Fit, Picture, Record, Result, read_result
-from todframes.scene_runs import SCENE_NAMES, runs_to_draw, scene_name, scene_tables
+from todframes.scene_report import scene_runs, scene_tables
 from todframes.svg_figures import inline_svg
 from todframes.verdict import group_phrase, level_name, plain, verdict
 
@@ -91,7 +92,7 @@ def _about(result: Result) -> str:
 
 
 def _figures(result: Result) -> list[Json]:
-    with figures.style():
+    with style():
         return [
             {
                 "svg": inline_svg(figure, name=f"figure-{number}", label=_shown(f"{title}. {note}")),
@@ -121,12 +122,11 @@ def _drawn(result: Result) -> list[tuple[Figure, str, str]]:
             if len(seen) > figures.MOST_CURVES:
                 note += f" {figures.MOST_CURVES} of {len(seen)} curves are drawn."
             drawn.append((figures.psychometric_figure(seen), title, note))
-    for number, scene in enumerate(result.scenes):
-        runs, x, y = runs_to_draw(scene)
-        if runs:
-            texts = [value for key, value in scene.items() if isinstance(value, str) and key not in SCENE_NAMES]
-            note = " ".join([f"{y[:1].upper()}{y[1:]} against {x}, a line for each estimator.", *texts])
-            drawn.append((figures.error_figure(runs, x=x, y=y), scene_name(scene, number), note))
+    for scene in result.scenes:
+        if runs := scene_runs(scene):
+            note = "Error of the threshold against CPU time, a line for each way to compute it."
+            figure = figures.error_figure(runs, x="CPU time (s)", y="relative error of the threshold")
+            drawn.append((figure, scene.heading, note))
     return drawn
 
 
@@ -152,15 +152,14 @@ def _tables(result: Result) -> list[Json]:
     """The tables under the figures; `folded` ones are opened by hand."""
     found: list[Json] = []
     if result.algorithms:
-        found += [{"table": tables.ratios(result.algorithms), "folded": False}]
-        found += [{"table": tables.measures(result.algorithms), "folded": False}]
+        found += [{"table": report_tables.ratios(result.algorithms), "folded": False}]
+        found += [{"table": report_tables.measures(result.algorithms), "folded": False}]
     if result.fits or any(one.fits for one in result.algorithms):
-        found.append({"table": tables.thresholds(result), "folded": bool(result.algorithms)})
-    points = tables.points(result)
+        found.append({"table": report_tables.thresholds(result), "folded": bool(result.algorithms)})
+    points = report_tables.points(result)
     found += [{"table": points, "folded": True}] if points is not None else []
-    found += [
-        {"table": one, "folded": False} for n, scene in enumerate(result.scenes) for one in scene_tables(scene, n)
-    ]
+    for number, scene in enumerate(result.scenes, 1):
+        found += [{"table": one, "folded": bool(n)} for n, one in enumerate(scene_tables(scene, number))]
     return found
 
 
@@ -243,8 +242,8 @@ def _details(result: Result) -> list[Json]:
         ("Plan: what was computed and what was left out", "plan.csv", result.plan, False),
     ]
     found = [
-        {"table": tables.records_table(caption, file, rows), "folded": folded}
+        {"table": report_tables.records_table(caption, file, rows), "folded": folded}
         for caption, file, rows, folded in records
         if rows
     ]
-    return [*found, {"table": tables.settings(result), "folded": True}]
+    return [*found, {"table": report_tables.settings(result), "folded": True}]

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
-from todframes.figures import has_tod_curve, psychometric_figure, style, tod_figure
+from todframes.figure_style import style
+from todframes.figures import has_tod_curve, psychometric_figure, tod_figure
 from todframes.result import read_result
 
 if TYPE_CHECKING:

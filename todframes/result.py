@@ -68,10 +68,10 @@ class Fit(Struct, frozen=True):
 
 
 class Ratio(Struct, frozen=True):
-    """An algorithm's threshold over that of the reference, in one group."""
+    """An algorithm's threshold over that of the reference, in one group; without one, in all of them together."""
 
-    group: Group
     verdict: str
+    group: Group = {}
     ratio: Positive | None = None
     ratio_ci95: Interval | None = None
     p_value: float | None = None
@@ -87,9 +87,55 @@ class Algorithm(Struct, frozen=True):
     domain: str | None = None
     fits: list[Fit] = []
     ratios: list[Ratio] = []
-    psnr_db: Any = None
-    ssim: Any = None
+    overall: Ratio | None = None
+    psnr_db: float | None = None
+    psnr_change_db: float | None = None
+    ssim: float | None = None
+    ssim_change: float | None = None
+    n_clipped: int | None = None
     cpu_s: float | None = None
+
+
+class Estimator(Struct, frozen=True):
+    """A way to compute a threshold, and what it took and how wrong it was at each budget."""
+
+    name: str
+    label: str | None = None
+    set_up_cpu_s: float | None = None
+    slope: float | None = None
+    slope_standard_error: float | None = None
+    points: list[Record] = []
+    cpu_s_at: list[Record] = []
+
+    @property
+    def title(self) -> str:
+        """What it is called."""
+        return self.label or self.name
+
+
+class SpeedRatio(Struct, frozen=True):
+    """How many times less CPU the last estimator of a scene takes than the first, at a relative error."""
+
+    threshold_error: Positive
+    ratio: Positive | None = None
+    extrapolated: bool = False
+    at_least: bool = False
+
+
+class Scene(Struct, frozen=True):
+    """A scene of `accuracy`."""
+
+    name: str
+    title: str | None = None
+    estimators: list[Estimator] = []
+    variants: list[Record] = []
+    speed_ratios: list[SpeedRatio] = []
+
+    @property
+    def heading(self) -> str:
+        """What it is called, with a capital letter."""
+        title = self.title or self.name
+        return title[:1].upper() + title[1:]
 
 
 class Picture(Struct, frozen=True):
@@ -128,7 +174,7 @@ class Result(Struct, frozen=True):
     versions: Record = {}
     fits: list[Fit] = []
     algorithms: list[Algorithm] = []
-    scenes: list[Record] = []
+    scenes: list[Scene] = []
     verdict: Names = []
     examples: list[Example] = []
     plan: list[Record] = []

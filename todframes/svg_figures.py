@@ -11,7 +11,7 @@ import re
 from typing import TYPE_CHECKING
 from xml.etree import ElementTree
 
-from todframes.figures import INK, PAPER
+from todframes.figure_style import INK, PAPER
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -28,7 +28,7 @@ def inline_svg(figure: Figure, *, name: str, label: str) -> str:
     Parameters
     ----------
     figure : matplotlib Figure
-        Made within `figures.style`, as must be this call.
+        Made within `figure_style.style`, as must be this call.
     name : str
         Unique in the page: letters, digits and hyphens. The names inside begin with it.
     label : str

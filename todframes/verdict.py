@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from todframes.result import Algorithm, Fit, Group, Ratio, Result
+from todframes.result import Algorithm, Fit, Group, Ratio, Result, Scene
 
 LONGEST_LIST = 6
 """Things told one by one in a sentence; more are left to the table."""
@@ -73,13 +73,12 @@ def by_curve(fits: Sequence[Fit]) -> dict[str, list[Fit]]:
 
 
 def verdict(result: Result) -> list[str]:
-    """Sentences that say what came out, the most important first."""
+    """Sentences that say what came out, the most important first; a result's own if it has any."""
     given = [result.verdict] if isinstance(result.verdict, str) else list(map(str, result.verdict))
     told = given or _told(result)
     if result.skipped:
-        told.append(
-            f"{_count(len(result.skipped), 'frame')} could not be used and {_is(len(result.skipped))} left out."
-        )
+        n = len(result.skipped)
+        told.append(f"{_count(n, 'frame')} could not be used and {'is' if n == 1 else 'are'} left out.")
     return told
 
 
@@ -87,7 +86,7 @@ def _told(result: Result) -> list[str]:
     if result.command == "compare":
         return compared(result.algorithms)
     if result.command == "accuracy":
-        return [f"{_count(len(result.scenes), 'scene')}: error against run time of each estimator."]
+        return timed(result.scenes)
     computed = result.command in ("curve", "naked-eye")
     curves = by_curve(result.fits)
     told = [
@@ -188,7 +187,7 @@ def compared(algorithms: Sequence[Algorithm]) -> list[str]:
         (same, "shows no difference", "show no difference"),
     ]
     parts = [f"{len(these)} {one if len(these) == 1 else many}" for these, one, many in counts if these]
-    return [f"Of {_count(len(others), 'algorithm')}, {_list(parts)}.", *map(_algorithm, others)]
+    return [f"Of {_count(len(others), 'algorithm')}, {listed(parts)}.", *map(_algorithm, others)]
 
 
 def _algorithm(algorithm: Algorithm) -> str:
@@ -201,7 +200,7 @@ def _algorithm(algorithm: Algorithm) -> str:
     rest = [ratio for ratio in ratios if ratio.verdict not in ("better", "worse")]
     if rest:
         parts.append(f"shows no difference {_ratios(rest, ratios)}")
-    text = f"{algorithm.name} {_list(parts)}."
+    text = f"{algorithm.name} {listed(parts)}."
     p = [one.p_value_holm for one in ratios if one.verdict in ("better", "worse") and one.p_value_holm is not None]
     return text + (f" Corrected for all comparisons (Holm), p is {plain(max(p), 2)} at most." if p else "")
 
@@ -217,24 +216,37 @@ def _ratios(these: Sequence[Ratio], of_all: Sequence[Ratio]) -> str:
         sure = f", 95 % interval {interval(one.ratio_ci95)}" if one.ratio_ci95 is not None else ""
         ratio = f" (ratio {plain(one.ratio)}{sure})" if one.ratio is not None else ""
         told.append(f"{group_phrase(one.group)}{ratio}")
-    return f"at {_list(told)}"
+    return f"at {listed(told)}"
+
+
+def timed(scenes: Sequence[Scene]) -> list[str]:
+    """How many times less CPU the cheapest way takes than the dearest, at which error."""
+    told = []
+    for scene in scenes:
+        parts = [
+            f"{'at least ' * one.at_least}{plain(one.ratio)} times less at "
+            f"{plain(100 * one.threshold_error, 1)} % error{' (extrapolated)' * one.extrapolated}"
+            for one in scene.speed_ratios
+            if one.ratio is not None
+        ]
+        if parts and len(scene.estimators) > 1:
+            first, last = scene.estimators[0].title, scene.estimators[-1].title
+            told.append(f"{scene.heading}: the CPU time of {last} is {listed(parts)} than that of {first}.")
+    return told or [f"{_count(len(scenes), 'scene')}: error against run time."]
 
 
 def _sizes(fits: Sequence[Fit], size: str | None) -> str:
     """Sizes of fits, their unit once: "1.5, 2 and 3 detectors"."""
     assert size is not None
     unit = size.removeprefix("size_")
-    return f"{_list(f'{fit.group[size]:.15g}' for fit in fits)} {unit}"
+    return f"{listed(f'{fit.group[size]:.15g}' for fit in fits)} {unit}"
 
 
-def _list(parts: Iterable[str]) -> str:
+def listed(parts: Iterable[str]) -> str:
+    """Some things in words, with "and" before the last."""
     *most, last = parts
     return f"{', '.join(most)} and {last}" if most else last
 
 
 def _count(number: int, what: str) -> str:
     return f"{number} {what}{'' if number == 1 else 's'}"
-
-
-def _is(number: int) -> str:
-    return "is" if number == 1 else "are"

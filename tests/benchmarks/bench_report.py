@@ -12,6 +12,7 @@ from timing import Row, best_s
 
 from todframes import figures
 from todframes.examples import DISPLAY_SIDE_PX, MOST_BANDS, MOST_EXAMPLES, RETINA_SIDE_PX
+from todframes.figure_style import style
 from todframes.html_report import report_html
 from todframes.report import encode
 from todframes.result import Fit, read_result
@@ -49,7 +50,7 @@ def by_matplotlib(fits: list[Fit]) -> None:
     """The same two figures, built and saved as the same kind of SVG by matplotlib alone."""
     import matplotlib as mpl
 
-    with figures.style(), mpl.rc_context({"svg.fonttype": "none"}):
+    with style(), mpl.rc_context({"svg.fonttype": "none"}):
         for figure in (figures.tod_figure(fits), figures.psychometric_figure(fits)):
             figure.savefig(io.BytesIO(), format="svg")
 

@@ -39,6 +39,16 @@ RATIO_COLUMNS = {
     "verdict": "verdict",
 }
 
+MEASURE_COLUMNS = {
+    "domain": "works on",
+    "psnr_db": "PSNR (dB)",
+    "psnr_change_db": "change (dB)",
+    "ssim": "SSIM",
+    "ssim_change": "change",
+    "n_clipped": "values clipped",
+    "cpu_s": "CPU time (s)",
+}
+
 
 @dataclass(frozen=True, slots=True)
 class Table:
@@ -195,13 +205,14 @@ def points(result: Result) -> Table | None:
 
 
 def ratios(algorithms: Sequence[Algorithm]) -> Table:
-    """A row for each algorithm and group: the threshold over that of the reference."""
+    """A row for each algorithm and group, and one for all groups together: threshold over the reference's."""
     records: list[Record] = []
     for algorithm in algorithms:
-        for one in algorithm.ratios:
-            group = {_group_key(name): value for name, value in one.group.items()}
+        for one in [*algorithm.ratios, *([algorithm.overall] if algorithm.overall else [])]:
+            group = one.group or dict.fromkeys(algorithm.ratios[0].group if algorithm.ratios else (), "all")
             known = {name: getattr(one, name) for name in RATIO_COLUMNS}
-            records.append({"algorithm": algorithm.name, **group, **known})
+            named = {_group_key(name): value for name, value in group.items()}
+            records.append({"algorithm": algorithm.name, **named, **known})
     headers = {key: RATIO_COLUMNS.get(key, _heading(key)) for record in records for key in record}
     exact = [key for key in headers if key not in RATIO_COLUMNS]
     return table("Threshold over that of the reference", "ratios.csv", headers, records, exact)
@@ -212,16 +223,16 @@ def measures(algorithms: Sequence[Algorithm]) -> Table:
     records: list[Record] = [
         {
             "algorithm": one.name,
-            "specification": one.spec,
-            "parameters": one.parameters or None,
-            "works on": one.domain,
-            "PSNR (dB)": one.psnr_db,
-            "SSIM": one.ssim,
-            "CPU time (s)": one.cpu_s,
+            "spec": one.spec,
+            "parameters": ", ".join(f"{name} {_field(value)}" for name, value in one.parameters.items()) or None,
+            **{name: getattr(one, name) for name in MEASURE_COLUMNS},
         }
         for one in algorithms
     ]
-    return table("Algorithms and the usual measures", "algorithms.csv", {key: key for key in records[0]}, records)
+    columns = {"algorithm": "algorithm", "spec": "as asked for", "parameters": "parameters"} | MEASURE_COLUMNS
+    some = {key for record in records for key, value in record.items() if value is not None}
+    headers = {key: header for key, header in columns.items() if key in some}
+    return table("Algorithms and the usual measures", "algorithms.csv", headers, records)
 
 
 def settings(result: Result) -> Table:
