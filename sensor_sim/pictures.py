@@ -166,7 +166,7 @@ def threshold_examples(sensor: Sensor, observer: Observer, fits: Sequence[Json],
 
 
 def _threshold_example(sensor: Sensor, observer: Observer, fit: Json, seed: int) -> Json:
-    from todframes.examples import Shown, pictures
+    from todframes.examples import FramePart, pictures
 
     size, pitch_mrad = fit["group"]["size_detectors"], sensor.display.pixel_pitch_mrad
     trial = Trial((0, 0, 0), size, fit["threshold"], Orientation.UP)
@@ -188,7 +188,7 @@ def _threshold_example(sensor: Sensor, observer: Observer, fit: Json, seed: int)
         "strength": trial.snr,
         "orientation": trial.orientation.value,
         **pictures(
-            [Shown(Patch(contrast, 0, 0, 0), frame.x_px, frame.y_px)],
+            [FramePart(Patch(contrast, 0, 0, 0), frame.x_px, frame.y_px)],
             retina,
             observer=observer,
             stimulus=stimulus,

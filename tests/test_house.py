@@ -11,20 +11,10 @@ import todframes
 
 FLOORS = {
     "todframes": [
-        {"errors", "weibull", "crossing"},
+        {"errors", "weibull", "crossing", "figure_style"},
         {"result"},
-        {
-            "figure_style",
-            "verdict",
-            "settings",
-            "stimulus",
-            "frames",
-            "retina",
-            "pyramid",
-            "decision",
-            "resampling",
-            "display",
-        },
+        {"verdict"},
+        {"settings", "stimulus", "frames", "retina", "pyramid", "decision", "resampling", "display"},
         {"readout", "counts", "psychometric", "frame_writing"},
         {"observer", "dataset"},
         {"viewing", "naked_eye"},

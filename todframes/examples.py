@@ -42,7 +42,7 @@ class ShowsBands(Protocol):
         """Noise-free activity of all neurons for a retina image of shape (side, side)."""
 
 
-class Shown(NamedTuple):
+class FramePart(NamedTuple):
     """Part of a frame, and where in the frame the triangle's centroid lies."""
 
     patch: Patch
@@ -63,7 +63,8 @@ def examples(dataset: Dataset, scored: ScoredDataset, observer: Observer) -> lis
     for one in evenly(known, MOST_EXAMPLES):
         place = _nearest(scored, one)
         trial = scored.trials[place]
-        dx, dy = scored.displacement_samples[place].tolist()
+        # Not a number where the trial was seen at several displacements.
+        dx, dy = np.nan_to_num(scored.displacement_samples[place]).tolist()
         found.append(
             {
                 "group": dict(zip(dataset.experiment.group_by, one.group, strict=True)),
@@ -98,7 +99,7 @@ def _nearest(scored: ScoredDataset, one: GroupFit) -> int:
     )
 
 
-def _shown(dataset: Dataset, trial: Trial, observer: Observer) -> list[Shown]:
+def _shown(dataset: Dataset, trial: Trial, observer: Observer) -> list[FramePart]:
     """The frames of a trial about the triangle."""
     pitch_mrad = dataset.display.pitch_mrad
     reach_px = _reach_px(observer, trial.stimulus, pitch_mrad)
@@ -108,7 +109,7 @@ def _shown(dataset: Dataset, trial: Trial, observer: Observer) -> list[Shown]:
         with FrameFile(dataset.frame_path(frame)) as file:
             x, y = centroid_position(trial, file.header, observer.centre, pitch_mrad)
             rows, columns = ((round(place) - reach_px, round(place) + reach_px + 1) for place in (y, x))
-            found.append(Shown(read_contrast(file, dataset.display, frame, rows, columns), x, y))
+            found.append(FramePart(read_contrast(file, dataset.display, frame, rows, columns), x, y))
     return found
 
 
@@ -123,7 +124,7 @@ def _reach_px(observer: Observer, stimulus: Stimulus, pixel_pitch_mrad: float) -
 
 
 def pictures(
-    shown: Sequence[Shown],
+    shown: Sequence[FramePart],
     retina: FloatArray,
     *,
     observer: Observer,
@@ -135,7 +136,7 @@ def pictures(
 
     Parameters
     ----------
-    shown : sequence of Shown
+    shown : sequence of FramePart
         Contrast of the frames of one trial; the picture is their mean, and background where a frame ends.
     retina : ndarray, shape (side, side)
         What the observer is given, in contrast.
@@ -166,7 +167,7 @@ def pictures(
     return {"width_mrad": width_mrad, "pictures": found}
 
 
-def _crop(shown: Shown, reach_px: int) -> FloatArray:
+def _crop(shown: FramePart, reach_px: int) -> FloatArray:
     """Contrast within so many pixels of the triangle's centroid; 0 where there is no pixel."""
     patch, side = shown.patch, 2 * reach_px + 1
     top, left = (round(place) - reach_px for place in (shown.y_px, shown.x_px))

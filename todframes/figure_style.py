@@ -68,7 +68,7 @@ def add_legend(axes: Axes) -> None:
     axes.legend().set_in_layout(False)
 
 
-def plain(text: str) -> str:
+def label_text(text: str) -> str:
     """Names are data: no mathematics between dollars, no label hidden by an underscore, no line of any length."""
     text = "".join(character if character.isprintable() else " " for character in text)
     text = text if len(text) <= LONGEST_LABEL else text[: LONGEST_LABEL - 1] + "…"

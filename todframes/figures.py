@@ -7,7 +7,17 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from todframes.figure_style import INK, PAPER, Look, add_legend, look_of, new_figure, plain, plain_ticks, within
+from todframes.figure_style import (
+    INK,
+    PAPER,
+    Look,
+    add_legend,
+    label_text,
+    look_of,
+    new_figure,
+    plain_ticks,
+    within,
+)
 from todframes.result import Algorithm, Fit, Ratio, evenly
 from todframes.verdict import by_curve, group_phrase, level_name, size_column
 from todframes.weibull import weibull
@@ -39,8 +49,8 @@ def tod_figure(fits: Sequence[Fit]) -> Figure:
     axes.set(
         xscale="log",
         yscale="log",
-        xlabel=plain(f"1 / size ({unit}⁻¹)"),
-        ylabel=plain(f"threshold {level_name(fits[0].level)}"),
+        xlabel=label_text(f"1 / size ({unit}⁻¹)"),
+        ylabel=label_text(f"threshold {level_name(fits[0].level)}"),
     )
     drawn = [
         place
@@ -54,7 +64,7 @@ def tod_figure(fits: Sequence[Fit]) -> Figure:
     plain_ticks(axes.yaxis, [place.threshold for place in drawn])
     _draw_open_ends(axes, drawn)
     top = axes.secondary_xaxis("top")
-    top.set_xlabel(plain(f"size ({unit})"))
+    top.set_xlabel(label_text(f"size ({unit})"))
     named = evenly(inverse, MOST_SIZES_NAMED)
     top.set_xticks(named, [f"{1.0 / x:g}" for x in named])
     top.minorticks_off()
@@ -78,7 +88,7 @@ def _draw_tod_curve(axes: Axes, fits: Sequence[Fit], name: str, label: str, look
     ]
     style_of_points: Json = {"color": look.colour, "marker": look.marker}
     x, thresholds = [place.x for place in places], [place.threshold for place in places]
-    axes.plot(x, thresholds, label=plain(label), zorder=2, **style_of_points)
+    axes.plot(x, thresholds, label=label_text(label), zorder=2, **style_of_points)
     for place in places:
         low, high = place.fit.threshold_ci95 or (None, None)
         if low is not None or high is not None:
@@ -130,7 +140,9 @@ def psychometric_figure(fits: Sequence[Fit]) -> Figure:
     for height, line in ((fits[0].p_correct, "--"), (fits[0].gamma, ":")):
         if height is not None:
             axes.axhline(height, color=INK, alpha=0.6, ls=line, lw=0.8)
-    axes.set(xscale="log", ylim=(0.0, 1.02), xlabel=plain(level_name(fits[0].level)), ylabel="proportion correct")
+    axes.set(
+        xscale="log", ylim=(0.0, 1.02), xlabel=label_text(level_name(fits[0].level)), ylabel="proportion correct"
+    )
     if levels and min(levels) < max(levels):
         plain_ticks(axes.xaxis, levels)
     if len(fits) <= MOST_IN_LEGEND:
@@ -148,7 +160,7 @@ def _draw_psychometric_curve(axes: Axes, fit: Fit, look: Look) -> None:
         color=look.colour,
         marker=look.marker,
         linewidths=0.0,
-        label=plain(group_phrase(fit.group)),
+        label=label_text(group_phrase(fit.group)),
     )
     if x and fit.alpha is not None and fit.beta is not None:
         curve = np.geomspace(min(x), max(x), 100)
@@ -172,7 +184,7 @@ def ratio_figure(algorithms: Sequence[Algorithm]) -> Figure:
     for number, (one, ratios) in enumerate(zip(others, compared, strict=True)):
         look, shift = look_of(number, len(others)), 0.6 * ((number + 0.5) / len(others) - 0.5)
         points: Json = {"color": look.colour, "marker": look.marker, "ls": ""}
-        axes.plot([], [], label=plain(one.name), **points)
+        axes.plot([], [], label=label_text(one.name), **points)
         for place, label in enumerate(labels):
             ratio = ratios.get(label)
             if ratio is None or ratio.ratio is None:
@@ -185,7 +197,7 @@ def ratio_figure(algorithms: Sequence[Algorithm]) -> Figure:
     axes.axhline(1.0, color=INK, lw=0.8)
     axes.set(ylabel="threshold ÷ that of the reference", xlim=(-0.5, max(len(labels), 1) - 0.5))
     rotation = 20 if len(labels) > 5 else 0
-    axes.set_xticks(range(len(labels)), [plain(label) for label in labels], rotation=rotation)
+    axes.set_xticks(range(len(labels)), [label_text(label) for label in labels], rotation=rotation)
     axes.tick_params(axis="x", length=0)
     axes.grid(False, axis="x")
     plain_ticks(axes.yaxis, axes.get_ylim())
@@ -215,9 +227,9 @@ def error_figure(runs: Mapping[str, Sequence[tuple[float, float]]], *, x: str, y
             [*map(within, errors)],
             color=look.colour,
             marker=look.marker,
-            label=plain(name),
+            label=label_text(name),
         )
-    axes.set(xscale="log", yscale="log", xlabel=plain(x), ylabel=plain(y))
+    axes.set(xscale="log", yscale="log", xlabel=label_text(x), ylabel=label_text(y))
     if len(runs) <= MOST_IN_LEGEND:
         add_legend(axes)
     return figure
