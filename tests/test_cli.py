@@ -57,6 +57,7 @@ def test_score_writes_what_it_prints(todframes, make_dataset, tmp_path: Path) ->
     status, out, _ = todframes("score", path, "-o", out_folder, "--json")
     assert status == 0
     assert {file.name for file in out_folder.iterdir()} == {
+        "report.html",
         "result.json",
         "scores.csv",
         "psychometric.png",
@@ -157,7 +158,7 @@ def test_validate(todframes, make_dataset) -> None:
     assert (status, out, err) == (0, f"{made.path}: 8 frames in 8 trials, all good\n", "")
 
 
-@pytest.mark.parametrize("command", [[], ["score"], ["naked-eye"], ["fit"], ["validate"]])
+@pytest.mark.parametrize("command", [[], ["score"], ["naked-eye"], ["fit"], ["validate"], ["report"]])
 def test_help(todframes, command: list[str]) -> None:
     status, out, err = todframes(*command, "--help")
     assert (status, err) == (0, "")

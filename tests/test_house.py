@@ -11,7 +11,9 @@ import todframes
 
 FLOORS = {
     "todframes": [
-        {"errors", "weibull", "crossing", "timing"},
+        {"errors", "weibull", "crossing", "timing", "figure_style"},
+        {"result"},
+        {"verdict"},
         {"settings", "stimulus", "frames", "retina", "pyramid", "tetrahedron", "resampling", "display"},
         {"decision", "edgeworth", "planning", "stability"},
         {"readout", "counts", "psychometric", "frame_writing", "estimators"},
@@ -20,9 +22,11 @@ FLOORS = {
         {"score_planning", "locating", "accuracy_scenes"},
         {"trial_scoring"},
         {"scoring", "accuracy_recorded"},
-        {"report", "plots", "tables", "accuracy_figures", "stability_data_cases", "stability_observer_cases"},
-        {"command", "stability_cases", "accuracy_report"},
-        {"cli_studies"},
+        {"report", "examples", "figures", "report_tables", "tables", "stability_data_cases", "stability_observer_cases"},
+        {"plots", "svg_figures", "scene_report", "accuracy_figures", "accuracy_report"},
+        {"html_report"},
+        {"command", "stability_cases"},
+        {"cli_studies", "cli_report"},
         {"cli"},
     ],
     "sensor_sim": [
