@@ -10,7 +10,7 @@ Hogervorst et al. 2001, section 4.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import ClassVar, get_args
@@ -22,7 +22,9 @@ from todframes.errors import SettingsError
 from todframes.pyramid import LaplacianPyramid
 from todframes.readout import Readout, Stimulus, inner_product
 from todframes.retina import RetinaGrid
+from todframes.settings import check_ranges
 from todframes.stimulus import HEIGHT_PER_SIZE, ORIENTATIONS, Centre, Orientation, coverage
+from todframes.templates import Bands, overlaps, participation
 
 FloatArray = NDArray[np.float64]
 
@@ -91,10 +93,7 @@ class PyramidSettings:
     def __post_init__(self) -> None:
         if self.centre not in get_args(Centre):
             raise SettingsError(f"centre: found {self.centre!r}, expected one of {', '.join(get_args(Centre))}")
-        for name, smallest, largest in SETTING_RANGES:
-            value = getattr(self, name)
-            if value is not None and not smallest <= value <= largest:
-                raise SettingsError(f"{name}: found {value!r}, expected a number from {smallest:g} to {largest:g}")
+        check_ranges(self, SETTING_RANGES)
         if self.levels is not None and not 1 <= self.levels <= MOST_LEVELS:
             raise SettingsError(f"levels: found {self.levels!r}, expected a whole number from 1 to {MOST_LEVELS}")
 
@@ -104,9 +103,6 @@ class PyramidSettings:
         if self.internal_noise_sd is not None:
             return self.internal_noise_sd
         return self.internal_noise / math.sqrt(12.0)
-
-
-Bands = tuple[FloatArray, ...]
 
 
 class PyramidObserver:
@@ -125,7 +121,7 @@ class PyramidObserver:
         self.settings = settings if settings is not None else PyramidSettings()
         # Per observer, not per class: a cache on the method would keep every observer alive.
         self.templates = lru_cache(maxsize=4)(self._templates)
-        self.readout = lru_cache(maxsize=4)(self._readout)
+        self.readout: Callable[[Stimulus], Readout | None] = lru_cache(maxsize=4)(self._readout)
 
     @property
     def centre(self) -> Centre:
@@ -143,17 +139,9 @@ class PyramidObserver:
         The coarsest band's samples are as far apart as 0.9 sizes or more, and not nearer than 16 samples,
         which keeps what is left out below 1e-5 of the threshold with the default settings.
         """
-        levels = self.settings.levels
-        if levels is None:
-            size = stimulus.size_mrad / self.settings.retina_pitch_mrad
-            if size > LARGEST_SIZE_SAMPLES:
-                raise SettingsError(
-                    f"retina_pitch_mrad: a triangle of {stimulus.size_mrad:g} mrad is {size:g} retina samples, "
-                    f"expected at most {LARGEST_SIZE_SAMPLES:.0f}"
-                )
-            levels = max(4, math.ceil(math.log2(0.9 * size)))
+        levels = self._levels(stimulus)
         side = 4 * 2**levels + 1
-        apex = 2.0 / 3.0 * HEIGHT_PER_SIZE * stimulus.size_mrad / self.settings.retina_pitch_mrad
+        apex = 2.0 / 3.0 * HEIGHT_PER_SIZE * self._seen_size_mrad(stimulus) / self.settings.retina_pitch_mrad
         needed = apex + self.settings.position_jitter_samples + 2.0 * self.settings.template_blur_samples
         if side / 2.0 < needed:
             raise SettingsError(
@@ -161,6 +149,21 @@ class PyramidObserver:
                 f"{stimulus.size_mrad:g} mrad with its blur and displacement needs {2.0 * needed:.0f}"
             )
         return RetinaGrid(side, self.settings.retina_pitch_mrad)
+
+    def _levels(self, stimulus: Stimulus) -> int:
+        if self.settings.levels is not None:
+            return self.settings.levels
+        size = self._seen_size_mrad(stimulus) / self.settings.retina_pitch_mrad
+        if size > LARGEST_SIZE_SAMPLES:
+            raise SettingsError(
+                f"retina_pitch_mrad: a triangle of {stimulus.size_mrad:g} mrad is {size:g} retina samples, "
+                f"expected at most {LARGEST_SIZE_SAMPLES:.0f}"
+            )
+        return max(4, math.ceil(math.log2(0.9 * size)))
+
+    def _seen_size_mrad(self, stimulus: Stimulus) -> float:
+        """Size of a triangle as wide as this one is seen."""
+        return stimulus.size_mrad
 
     def activity(self, contrast: FloatArray) -> Bands:
         """Noise-free activity of all neurons, finest band first, for a retina image of shape (side, side)."""
@@ -171,23 +174,32 @@ class PyramidObserver:
             bands.pop()
         return tuple(settings.band_gain**k * band for k, band in enumerate(bands))
 
+    def turned(self, bands: Bands, quarter_turns: int) -> Bands:
+        """The activity that an image turned clockwise causes, from that of the image.
+
+        The grid's middle is every band's middle, so that is the turned activity.
+        """
+        return tuple(np.ascontiguousarray(np.rot90(band, -quarter_turns)) for band in bands)
+
     def _templates(self, stimulus: Stimulus) -> tuple[Bands, ...]:
-        """Expected activity for each orientation, in the order of `ORIENTATIONS`."""
-        activity = self._expected_upright(stimulus)
+        """Weights of all neurons in each score, in the order of `ORIENTATIONS`: expected activity."""
+        common, upright = self._template(stimulus)
         return tuple(
-            tuple(np.ascontiguousarray(np.rot90(band, -orientation.quarter_turns)) for band in activity)
-            for orientation in ORIENTATIONS
+            tuple(mean + band for mean, band in zip(common, self.turned(upright, turns), strict=True))
+            for turns in range(4)
         )
 
-    def _expected_upright(self, stimulus: Stimulus) -> Bands:
-        """Expected activity for the upright triangle.
+    def _template(self, stimulus: Stimulus) -> tuple[Bands, Bands]:
+        """What all four templates have in common, and what that of the upright triangle has besides."""
+        image = self._upright(stimulus)
+        # The difference is taken before blur and bands, whose rounding is that of what all four have in common.
+        mean = np.asarray(sum(np.rot90(image, -k) for k in range(4)) / 4.0)
+        return self._expected(mean), self._expected(image - mean)
 
-        The grid's middle is every band's middle, so the activity of a turned triangle is the turned activity.
-        """
-        from scipy.ndimage import gaussian_filter
-
+    def _upright(self, stimulus: Stimulus) -> FloatArray:
+        """The upright triangle on the retina, times its polarity."""
         grid = self.grid(stimulus)
-        upright = coverage(
+        return stimulus.polarity * coverage(
             (grid.side, grid.side),
             size_px=stimulus.size_mrad / grid.pitch_mrad,
             x_px=grid.side // 2,
@@ -195,23 +207,27 @@ class PyramidObserver:
             orientation=Orientation.UP,
             centre=self.centre,
         )
+
+    def _expected(self, image: FloatArray) -> Bands:
+        """Activity that is expected from an image, whose place is not quite known."""
+        from scipy.ndimage import gaussian_filter
+
         # Cut at 8 standard deviations, where the kernel is 1e-14 of its middle.
-        blurred = gaussian_filter(upright, self.settings.template_blur_samples, mode="mirror", truncate=8.0)
-        return self.activity(stimulus.polarity * blurred)
+        blurred = gaussian_filter(image, self.settings.template_blur_samples, mode="mirror", truncate=8.0)
+        return self.activity(blurred)
 
     def _readout(self, stimulus: Stimulus) -> Readout:
         """Pyramid and templates folded onto the retina: A_k = Lᵀ t_k."""
-        grid, expected = self.grid(stimulus), self._expected_upright(stimulus)
-        common = [np.asarray(sum(np.rot90(band, -k) for k in range(4)) / 4.0) for band in expected]
-        upright = [band - mean for band, mean in zip(expected, common, strict=True)]
+        grid = self.grid(stimulus)
+        common, upright = self._template(stimulus)
+        three = [self.turned(upright, turns) for turns in range(3)]
         folded = self._fold(upright, grid)
-        deviations = np.stack([np.rot90(folded, -k) for k in range(4)])
         return Readout(
             grid=grid,
             common=self._fold(common, grid),
-            deviations=deviations,
-            noise_covariance=self.settings.noise_sd**2 * _overlaps(upright),
-            excess_kurtosis=UNIFORM_EXCESS_KURTOSIS * _participation(upright),
+            deviations=np.stack([np.rot90(folded, -k) for k in range(4)]),
+            noise_covariance=self.settings.noise_sd**2 * overlaps(three),
+            excess_kurtosis=UNIFORM_EXCESS_KURTOSIS * participation(three),
         )
 
     def _fold(self, bands: Sequence[FloatArray], grid: RetinaGrid) -> FloatArray:
@@ -241,21 +257,3 @@ class PyramidObserver:
         """One answer: the largest score, ties at random."""
         scores = self.literal_scores(contrast, stimulus, rng)
         return ORIENTATIONS[int(rng.choice(np.flatnonzero(scores == scores.max())))]
-
-
-def _overlaps(upright: Sequence[FloatArray]) -> FloatArray:
-    """Inner products of the four template deviations, a circulant matrix by symmetry."""
-    same, beside, opposite = (sum(inner_product(band, np.rot90(band, -k)) for band in upright) for k in range(3))
-    row = [same, beside, opposite, beside]
-    return np.array([np.roll(row, k) for k in range(4)])
-
-
-def _participation(upright: Sequence[FloatArray]) -> float:
-    """Σw⁴ / (Σw²)² of the weights of a score difference, the larger of the two kinds."""
-    largest = 0.0
-    for turns in (1, 2):
-        squares = np.concatenate([np.square(band - np.rot90(band, -turns)).ravel() for band in upright])
-        total = squares.sum()
-        if total > 0.0:
-            largest = max(largest, float(np.square(squares / total).sum()))
-    return largest
