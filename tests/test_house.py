@@ -27,7 +27,7 @@ FLOORS = {
         {"sensor", "crossing"},
         {"transfer"},
         {"sampling", "noise", "reconstruction"},
-        {"simulate", "predict", "scenes"},
+        {"simulate", "predict", "scenes", "matched"},
         {"pictures"},
         {"cli"},
     ],

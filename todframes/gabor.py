@@ -19,7 +19,7 @@ from todframes.settings import check_ranges
 FloatArray = NDArray[np.float64]
 Phases = Literal["both", "even", "odd"]
 
-RANGES = (("wavelength_samples", 2.0, 32.0), ("bandwidth_octaves", 0.25, 3.0), ("elongation", 0.25, 4.0))
+RANGES = (("wavelength_samples", 2.5, 16.0), ("bandwidth_octaves", 0.5, 3.0), ("elongation", 0.25, 4.0))
 CUT = 4.0
 """Standard deviations at which a Gabor function ends: its envelope is 3e-4 there."""
 
@@ -42,11 +42,11 @@ class GaborPyramid:
     kernel_a : float
         Centre weight of the kernel that halves the resolution, as for `LaplacianPyramid`.
     orientations : int
-        Evenly spaced over 180°; even, from 2 to 64.
+        Evenly spaced over 180°; even, from 2 to 32.
     wavelength_samples : float
-        Of the best grating, in samples of each level; from 2 to 32.
+        Of the best grating, in samples of each level; from 2.5 to 16.
     bandwidth_octaves : float
-        Full width at half the largest response; from 0.25 to 3.
+        Full width at half the largest response; from 0.5 to 3.
     elongation : float
         Length of the receptive field, along the bars, over its width; from 0.25 to 4.
     phases : {"both", "even", "odd"}
@@ -69,8 +69,8 @@ class GaborPyramid:
     phases: Phases = "both"
 
     def __post_init__(self) -> None:
-        if self.orientations % 2 or not 2 <= self.orientations <= 64:
-            raise SettingsError(f"orientations: found {self.orientations}, expected an even number from 2 to 64")
+        if self.orientations % 2 or not 2 <= self.orientations <= 32:
+            raise SettingsError(f"orientations: found {self.orientations}, expected an even number from 2 to 32")
         check_ranges(self, RANGES)
         if self.phases not in get_args(Phases):
             raise SettingsError(f"phases: found {self.phases!r}, expected one of {', '.join(get_args(Phases))}")

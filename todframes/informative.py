@@ -39,7 +39,7 @@ TRIANGLE_VARIANCE = 3.0**-0.5 / 6.0
 """Of a triangle of size 1 along any axis."""
 SOLVER_TOLERANCE = 1e-10
 """Residual of the ideal weights, relative to the templates."""
-MOST_ITERATIONS = 1000
+MOST_ITERATIONS = 500
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

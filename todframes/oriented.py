@@ -24,6 +24,9 @@ from todframes.templates import Bands
 
 FloatArray = NDArray[np.float64]
 
+MOST_NEURONS = 1e8
+"""Their activity then takes 0.8 GB, and what is made of it a few times that."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OrientedSettings(PyramidSettings):
@@ -94,6 +97,17 @@ class OrientedObserver(PyramidObserver):
         super().__init__(settings if settings is not None else OrientedSettings())
         if self.settings.complex_cells:
             self.readout = lambda stimulus: None  # noqa: ARG005 - it has none, whatever the stimulus
+
+    def grid(self, stimulus: Stimulus) -> RetinaGrid:
+        """As that of `PyramidObserver`."""
+        grid, filters = super().grid(stimulus), self.settings.filters(0)
+        neurons = 4 / 3 * grid.side**2 * len(filters.signs) * filters.orientations
+        if neurons > MOST_NEURONS:
+            raise SettingsError(
+                f"orientations: found {filters.orientations}; for a triangle of {stimulus.size_mrad:g} mrad they "
+                f"are {neurons:.2g} neurons, expected at most {MOST_NEURONS:g}"
+            )
+        return grid
 
     def activity(self, contrast: FloatArray) -> Bands:
         """Noise-free activity of all neurons for a retina image of shape (side, side).
