@@ -146,7 +146,7 @@ def test_documented_files_exist() -> None:
 
 
 def test_documented_thresholds_are_the_thresholds() -> None:
-    """Those at 4 detectors and a display spot of 2 pixels, to their three digits and the numerical errors of both."""
+    """Those at 4 detectors and a display spot of 2 pixels, to their three digits and both numerical errors."""
     header = re.search(r"^\| display blur \| observer \| (.*) \|$", DOCS, re.MULTILINE)[1]
     sizes = [float(cell) for cell in header.split("|")]
     sensor = load_sensor(STAR_LIKE)
