@@ -156,6 +156,21 @@ def test_the_field_grows_with_the_blur(size_mrad: float, display: dict, toleranc
     assert few == pytest.approx(many, rel=2 * tolerance)
 
 
+@pytest.mark.parametrize("display", [{}, {"display_blur_mrad": 2.0}], ids=str)
+def test_what_is_left_out_is_no_more_than_it_says(display: dict) -> None:
+    """Two octaves more add next to nothing to d′², and no more than they would if all neurons were used."""
+    stimulus, changes = Stimulus(7.0), {"position_jitter_samples": 0.0, **display}
+    for share in (1.0, 0.99):
+        settings = InformativeSettings(informative_share=share, **changes)
+        usual, wide = (InformativeObserver(settings, more_levels=n).readout(stimulus) for n in (0, 2))
+        added = wide.noise_covariance[0, 0] - usual.noise_covariance[0, 0]
+        said = InformativeObserver(settings).left_out(stimulus).noise_covariance[0, 0]
+        # The triangle on the coarser retina is blurred by one coarse sample more.
+        assert -1e-12 * usual.noise_covariance[0, 0] <= added <= 1.2 * said
+        assert said < 1e-4 * usual.noise_covariance[0, 0]
+    assert observer(sample_noise_sd=0.1).left_out(stimulus) is None
+
+
 # Which neurons.
 
 

@@ -58,6 +58,17 @@ def test_more_octaves_and_a_wider_field_change_nothing_that_matters(samples: flo
     assert few == pytest.approx(many, rel=2e-3)
 
 
+def test_what_is_left_out_is_what_a_wider_readout_adds() -> None:
+    stimulus = Stimulus(3.0)
+    settings = OrientedSettings(position_jitter_samples=0.0, orientations=4)
+    usual, wide = (OrientedObserver(settings, more_levels=n).readout(stimulus) for n in (0, 2))
+    added = wide.noise_covariance - usual.noise_covariance
+    said = OrientedObserver(settings).left_out(stimulus).noise_covariance
+    # The triangle on the coarser retina is blurred by one coarse sample more.
+    assert np.allclose(said, added, rtol=0.0, atol=0.2 * np.abs(added).max())
+    assert observer(complex_cells=True).left_out(stimulus) is None
+
+
 # Complex cells.
 
 

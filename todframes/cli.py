@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from todframes import __version__
+from todframes import __version__, cli_studies
 from todframes.command import (
     Commands,
     json_option,
@@ -23,6 +23,7 @@ from todframes.command import (
     numbers,
     observer_options,
     p_correct_option,
+    plan_options,
     print_result,
     progress,
     run,
@@ -59,6 +60,14 @@ def cli() -> None:
     show_default=True,
     help="Each frame's probability of a correct answer, or one answer drawn a trial.",
 )
+@click.option(
+    "--tolerance",
+    type=float,
+    metavar="T",
+    help="Relative error of the thresholds that displacing the retina may cause: each frame is seen with as many "
+    "displacements as that takes.  [default: one each]",
+)
+@plan_options
 @seed_option
 @click.option("--locate", is_flag=True, help="Find the triangle's position where the manifest has none.")
 @click.option(
@@ -78,6 +87,9 @@ def score(
     dataset: Path,
     out: str | None,
     decisions: Any,
+    tolerance: float | None,
+    plan_name: Any,
+    explain: bool,
     seed: int,
     locate: bool,
     on_error: str,
@@ -95,6 +107,7 @@ def score(
     from todframes import plots, report
     from todframes.dataset import load_dataset
     from todframes.locating import locate_triangles
+    from todframes.planning import plan_object
     from todframes.scoring import score_dataset
 
     skip = on_error == "skip"
@@ -116,19 +129,21 @@ def score(
                 decisions=decisions,
                 seed=seed,
                 fit_settings=fit_settings,
+                tolerance=tolerance,
+                plan_name=plan_name,
                 skip_bad_frames=skip,
                 workers=workers,
                 progress=advance,
             )
         result = report.result_object(
             "score",
-            settings=settings | {"decisions": decisions},
+            settings=settings | {"decisions": decisions, "tolerance": tolerance, "plan": plan_name},
             seed=seed,
             fits=[
-                report.fit_object(dict(zip(group_by, one.group, strict=True)), level, one.fit)
-                | {"p_correct_error_bound": one.non_gaussian_bound}
+                report.scored_fit_object(dict(zip(group_by, one.group, strict=True)), level, one)
                 for one in scored.fits
             ],
+            plan=plan_object(scored.plan, 1.0),
             skipped=[one._asdict() for one in scored.skipped],
             negative_luminance_pixels=scored.n_negative,
             **more,
@@ -148,7 +163,7 @@ def score(
             say(f"skipped: {one.error}")
         if scored.n_negative:
             say(f"note: {scored.n_negative} of the display pixels read have a luminance below zero")
-    print_result(result, f"{dataset}: {len(scored.trials)} trials", as_json=as_json)
+    print_result(result, f"{dataset}: {len(scored.trials)} trials", as_json=as_json, explain=explain)
     if not as_json:
         click.echo(report.closing_line(result))
         if out is not None:
@@ -264,6 +279,10 @@ def validate(*, dataset: Path) -> None:
         raise DataError(f"{dataset}: {len(problems)} {'problems' if len(problems) > 1 else 'problem'} found")
     n_frames = sum(len(trial.frames) for trial in data.trials)
     click.echo(f"{dataset}: {n_frames} frames in {len(data.trials)} trials, all good")
+
+
+cli.add_command(cli_studies.stability)
+cli.add_command(cli_studies.accuracy)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

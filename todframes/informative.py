@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from todframes.errors import SettingsError
 from todframes.observer import LARGEST_SIZE_SAMPLES, PyramidObserver, PyramidSettings
-from todframes.readout import Stimulus
+from todframes.readout import LeftOut, Stimulus
 from todframes.retina import RetinaGrid
 from todframes.settings import check_ranges
 from todframes.templates import Bands
@@ -102,9 +102,6 @@ class InformativeObserver(PyramidObserver):
     settings_type: ClassVar[type[InformativeSettings]] = InformativeSettings
     settings: InformativeSettings
 
-    def __init__(self, settings: InformativeSettings | None = None) -> None:
-        super().__init__(settings if settings is not None else InformativeSettings())
-
     def presample_mtf(self, frequency_x: FloatArray, frequency_y: FloatArray) -> FloatArray:
         """Transfer of optics and detectors at frequencies in cycles/mrad that broadcast against each other."""
         settings = self.settings
@@ -146,6 +143,18 @@ class InformativeObserver(PyramidObserver):
                 f"{size:g} mrad, expected at most {largest:g} mrad"
             )
         return size
+
+    def left_out(self, stimulus: Stimulus) -> LeftOut | None:
+        """As that of `PyramidObserver`, as if every neuron of further bands were used.
+
+        None with noise of the samples, for which the weights of all bands depend on each other.
+        """
+        return None if self.settings.sample_noise_sd > 0.0 else super().left_out(stimulus)
+
+    def _coarser(self, octaves: int) -> PyramidSettings:
+        coarse = super()._coarser(octaves)
+        assert isinstance(coarse, InformativeSettings)
+        return replace(coarse, informative_share=1.0)  # coarse bands alone hold another share
 
     def _expected(self, image: FloatArray) -> Bands:
         return super()._expected(self.displayed(image))

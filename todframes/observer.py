@@ -10,17 +10,17 @@ Hogervorst et al. 2001, section 4.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import ClassVar, get_args
+from typing import ClassVar, Self, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from todframes.errors import SettingsError
 from todframes.pyramid import LaplacianPyramid
-from todframes.readout import Readout, Stimulus, inner_product
+from todframes.readout import LeftOut, Readout, Stimulus, inner_product
 from todframes.retina import RetinaGrid
 from todframes.settings import check_ranges
 from todframes.stimulus import HEIGHT_PER_SIZE, ORIENTATIONS, Centre, Orientation, coverage
@@ -29,6 +29,7 @@ from todframes.templates import Bands, overlaps, participation
 FloatArray = NDArray[np.float64]
 
 UNIFORM_EXCESS_KURTOSIS = -1.2
+FEWEST_LEVELS = 4
 MOST_LEVELS = 11
 """A retina image then takes half a GB."""
 LARGEST_SIZE_SAMPLES = 2**MOST_LEVELS / 0.9
@@ -111,17 +112,20 @@ class PyramidObserver:
     Parameters
     ----------
     settings : PyramidSettings
+    more_levels : int
+        Bands, and octaves of the field, beyond those that a triangle needs.
 
     Hogervorst et al. 2001, section 4.
     """
 
     settings_type: ClassVar[type[PyramidSettings]] = PyramidSettings
 
-    def __init__(self, settings: PyramidSettings | None = None) -> None:
-        self.settings = settings if settings is not None else PyramidSettings()
+    def __init__(self, settings: PyramidSettings | None = None, *, more_levels: int = 0) -> None:
+        self.settings = settings if settings is not None else self.settings_type()
+        self._more_levels = more_levels
         # Per observer, not per class: a cache on the method would keep every observer alive.
         self.templates = lru_cache(maxsize=4)(self._templates)
-        self.readout: Callable[[Stimulus], Readout | None] = lru_cache(maxsize=4)(self._readout)
+        self.readout = lru_cache(maxsize=4)(self._readout)
 
     @property
     def centre(self) -> Centre:
@@ -159,11 +163,46 @@ class PyramidObserver:
                 f"retina_pitch_mrad: a triangle of {stimulus.size_mrad:g} mrad is {size:g} retina samples, "
                 f"expected at most {LARGEST_SIZE_SAMPLES:.0f}"
             )
-        return max(4, math.ceil(math.log2(0.9 * size)))
+        return min(max(FEWEST_LEVELS, math.ceil(math.log2(0.9 * size))) + self._more_levels, MOST_LEVELS)
 
     def _seen_size_mrad(self, stimulus: Stimulus) -> float:
         """Size of a triangle as wide as this one is seen."""
         return stimulus.size_mrad
+
+    def full(self) -> Self:
+        """The same with one band, and one octave of the field, more than a triangle needs."""
+        return type(self)(self.settings, more_levels=1)
+
+    def left_out(self, stimulus: Stimulus) -> LeftOut | None:
+        """What the bands and the field beyond those of the readout would add to it, seen on a coarser retina.
+
+        The coarse bands of a large triangle are those of a small one on a coarse retina, which cost little: the
+        finer bands add no more than the blur of their REDUCE kernels. None if the settings name the levels.
+        """
+        if self.settings.levels is not None:
+            return None
+        octaves = self._levels(stimulus) - FEWEST_LEVELS
+        coarse = self._coarser(octaves)
+        narrow, wide = (
+            type(self)(replace(coarse, levels=levels)).readout(stimulus)
+            for levels in (FEWEST_LEVELS, FEWEST_LEVELS + 2)
+        )
+        margin = (wide.grid.side - narrow.grid.side) // 2
+        added = wide.deviations.copy()
+        added[:, margin:-margin, margin:-margin] -= narrow.deviations
+        gain = self.settings.band_gain ** (2 * octaves)
+        return LeftOut(wide.grid, gain * added, gain * (wide.noise_covariance - narrow.noise_covariance))
+
+    def _coarser(self, octaves: int) -> PyramidSettings:
+        """Settings that see coarse bands as these do, on a retina of so many octaves less."""
+        variance = self.settings.template_blur_samples**2
+        variance += max(2.5 - 4.0 * self.settings.kernel_a, 0.0) * (4.0**octaves - 1.0) / 3.0
+        return replace(
+            self.settings,
+            retina_pitch_mrad=self.settings.retina_pitch_mrad * 2.0**octaves,
+            template_blur_samples=math.sqrt(variance) / 2.0**octaves,
+            position_jitter_samples=0.0,
+        )
 
     def activity(self, contrast: FloatArray) -> Bands:
         """Noise-free activity of all neurons, finest band first, for a retina image of shape (side, side)."""

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from todframes.errors import SettingsError
 from todframes.gabor import GaborPyramid, Phases
 from todframes.observer import PyramidObserver, PyramidSettings
-from todframes.readout import Stimulus
+from todframes.readout import LeftOut, Stimulus
 from todframes.retina import RetinaGrid
 from todframes.templates import Bands
 
@@ -93,10 +93,14 @@ class OrientedObserver(PyramidObserver):
     settings_type: ClassVar[type[OrientedSettings]] = OrientedSettings
     settings: OrientedSettings
 
-    def __init__(self, settings: OrientedSettings | None = None) -> None:
-        super().__init__(settings if settings is not None else OrientedSettings())
+    def __init__(self, settings: OrientedSettings | None = None, *, more_levels: int = 0) -> None:
+        super().__init__(settings, more_levels=more_levels)
         if self.settings.complex_cells:
-            self.readout = lambda stimulus: None  # noqa: ARG005 - it has none, whatever the stimulus
+            self.readout = _no_readout  # type: ignore[assignment] # what is not linear has none, unlike its base
+
+    def left_out(self, stimulus: Stimulus) -> LeftOut | None:
+        """As that of `PyramidObserver`; None if it is not linear."""
+        return None if self.settings.complex_cells else super().left_out(stimulus)
 
     def grid(self, stimulus: Stimulus) -> RetinaGrid:
         """As that of `PyramidObserver`."""
@@ -154,3 +158,7 @@ class OrientedObserver(PyramidObserver):
 
     def _filters(self, side: int) -> GaborPyramid:
         return self.settings.filters((side - 1).bit_length() - 3)  # side = 4 · 2^levels + 1
+
+
+def _no_readout(_: Stimulus) -> None:
+    return None

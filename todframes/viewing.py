@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -14,7 +14,7 @@ from todframes.display import BackgroundRule, Display, border_mean, weber_contra
 from todframes.errors import DataError, FrameError, SettingsError
 from todframes.frames import FrameFile, FrameHeader, frame_sha256
 from todframes.readout import Observer
-from todframes.retina import resample
+from todframes.retina import RetinaGrid, resample
 from todframes.stimulus import Centre, bounding_box_offset, vertices
 
 FloatArray = NDArray[np.float64]
@@ -40,6 +40,100 @@ class Patch(NamedTuple):
     n_negative: int
 
 
+class Shown(NamedTuple):
+    """A trial's frames as read, each with where the observer's grid has its middle if it is not displaced.
+
+    `frame_rows` is how many rows the first frame has.
+    """
+
+    patches: tuple[Patch, ...]
+    x_px: tuple[float, ...]
+    y_px: tuple[float, ...]
+    pixel_pitch_mrad: float
+    frame_rows: int
+
+    @property
+    def n_negative(self) -> int:
+        """Display pixels with a luminance below zero among those that were read."""
+        return sum(patch.n_negative for patch in self.patches)
+
+
+def read_trial(
+    dataset: Dataset,
+    trial: Trial,
+    observer: Observer,
+    grid_of: Callable[[], RetinaGrid],
+    displacement_samples: Sequence[tuple[float, float]] | FloatArray = ((0.0, 0.0),),
+    *,
+    whole: bool = False,
+) -> Shown:
+    """Read as much of a trial's frames as a grid touches at each of its displacements, or whole frames.
+
+    Parameters
+    ----------
+    grid_of : callable
+        The grid; asked for once it is known that the triangle lies on the frame.
+    displacement_samples : sequence of (float, float), or ndarray, shape (n, 2)
+        By how much the retina grid is displaced along x and y, in retina samples.
+
+    Raises
+    ------
+    FrameError
+        If a frame cannot be used, or the triangle does not lie on it.
+    """
+    pitch = dataset.display.pitch_mrad
+    patches, xs, ys, n_rows = [], [], [], []
+    for frame in trial.frames:
+        path = dataset.frame_path(frame)
+        check_sha256(dataset, frame)
+        with FrameFile(path) as file:
+            x, y = centroid_position(trial, file.header, observer.centre, pitch)
+            _check_on_frame(path, trial, file.header, x, y, pitch)
+            try:
+                grid = grid_of()
+            except SettingsError as error:  # of this row's size alone
+                raise FrameError(path, str(error)) from None
+            offsets = np.array(displacement_samples) * grid.pitch_mrad / pitch
+            to_centre_x, to_centre_y = _from_centroid(trial, observer.centre, pitch)
+            x, y = x + to_centre_x, y + to_centre_y
+            rows, columns = (
+                _touched(grid, at + offsets[:, axis], pitch, n_pixels)
+                for axis, at, n_pixels in ((1, y, file.header.height), (0, x, file.header.width))
+            )
+            part = (None, None) if whole else (rows, columns)
+            patches.append(read_contrast(file, dataset.display, frame, *part))
+            n_rows.append(file.header.height)
+        xs.append(x)
+        ys.append(y)
+    return Shown(tuple(patches), tuple(xs), tuple(ys), pitch, n_rows[0])
+
+
+def _touched(grid: RetinaGrid, middles: FloatArray, pitch: float, n_pixels: int) -> tuple[int, int]:
+    ranges = [grid.pixel_range(centre_px=at, pixel_pitch_mrad=pitch, n_pixels=n_pixels)
+              for at in (float(middles.min()), float(middles.max()))]  # fmt: skip
+    return ranges[0][0], ranges[1][1]
+
+
+def retina_image(
+    shown: Shown, grid: RetinaGrid, displacement_samples: tuple[float, float] = (0.0, 0.0)
+) -> FloatArray:
+    """Mean contrast of a trial's frames on a retina grid, displaced along x and y: (side, side)."""
+    dx, dy = (d * grid.pitch_mrad / shown.pixel_pitch_mrad for d in displacement_samples)
+    images = [
+        resample(
+            patch.contrast,
+            grid,
+            x_px=x + dx,
+            y_px=y + dy,
+            pixel_pitch_mrad=shown.pixel_pitch_mrad,
+            first_row=patch.row,
+            first_column=patch.column,
+        )
+        for patch, x, y in zip(shown.patches, shown.x_px, shown.y_px, strict=True)
+    ]
+    return images[0] if len(images) == 1 else np.asarray(sum(images) / len(images))
+
+
 def view_trial(
     dataset: Dataset, trial: Trial, observer: Observer, displacement_samples: tuple[float, float] = (0.0, 0.0)
 ) -> View:
@@ -55,49 +149,9 @@ def view_trial(
     FrameError
         If a frame cannot be used, or the triangle does not lie on it.
     """
-    total: FloatArray | None = None
-    n_negative = 0
-    for frame in trial.frames:
-        contrast, negative = _view_frame(dataset, trial, frame, observer, displacement_samples)
-        total = contrast if total is None else total + contrast
-        n_negative += negative
-    assert total is not None
-    return View(total / len(trial.frames), n_negative)
-
-
-def _view_frame(
-    dataset: Dataset,
-    trial: Trial,
-    frame: FrameReference,
-    observer: Observer,
-    displacement_samples: tuple[float, float],
-) -> tuple[FloatArray, int]:
-    pixel_pitch = dataset.display.pitch_mrad
-    path = dataset.frame_path(frame)
-    check_sha256(dataset, frame)
-    with FrameFile(path) as file:
-        x, y = centroid_position(trial, file.header, observer.centre, pixel_pitch)
-        _check_on_frame(path, trial, file.header, x, y, pixel_pitch)
-        try:
-            grid = observer.grid(trial.stimulus)
-        except SettingsError as error:  # of this row's size alone
-            raise FrameError(path, str(error)) from None
-        to_centre_x, to_centre_y = _from_centroid(trial, observer.centre, pixel_pitch)
-        x += to_centre_x + displacement_samples[0] * grid.pitch_mrad / pixel_pitch
-        y += to_centre_y + displacement_samples[1] * grid.pitch_mrad / pixel_pitch
-        rows = grid.pixel_range(centre_px=y, pixel_pitch_mrad=pixel_pitch, n_pixels=file.header.height)
-        columns = grid.pixel_range(centre_px=x, pixel_pitch_mrad=pixel_pitch, n_pixels=file.header.width)
-        patch = read_contrast(file, dataset.display, frame, rows, columns)
-    contrast = resample(
-        patch.contrast,
-        grid,
-        x_px=x,
-        y_px=y,
-        pixel_pitch_mrad=pixel_pitch,
-        first_row=patch.row,
-        first_column=patch.column,
-    )
-    return contrast, patch.n_negative
+    shown = read_trial(dataset, trial, observer, lambda: observer.grid(trial.stimulus), [displacement_samples])
+    image = retina_image(shown, observer.grid(trial.stimulus), displacement_samples)
+    return View(image, shown.n_negative)
 
 
 def check_sha256(dataset: Dataset, frame: FrameReference) -> None:
