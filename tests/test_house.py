@@ -11,14 +11,18 @@ import todframes
 
 FLOORS = {
     "todframes": [
-        {"errors", "weibull", "crossing"},
+        {"errors", "weibull", "crossing", "likeness"},
         {"settings", "stimulus", "frames", "retina", "pyramid", "decision", "resampling", "display"},
-        {"readout", "counts", "psychometric", "frame_writing"},
-        {"observer", "dataset"},
+        {"readout", "counts", "psychometric", "frame_writing", "enhancement"},
+        {"observer", "dataset", "pairing", "enhancement_specs", "algorithms"},
         {"viewing", "naked_eye"},
-        {"scoring", "locating"},
+        {"running", "locating", "enhanced"},
+        {"scoring"},
+        {"comparing"},
         {"report", "plots"},
+        {"compare_report"},
         {"command"},
+        {"cli_compare"},
         {"cli"},
     ],
     "sensor_sim": [

@@ -117,7 +117,7 @@ def assigned(assignments: Sequence[str]) -> dict[str, Any]:
     SettingsError
         If an assignment has no name or no equals sign.
     """
-    import tomllib
+    from todframes.settings import toml_value
 
     table: dict[str, Any] = {}
     for assignment in assignments:
@@ -125,12 +125,9 @@ def assigned(assignments: Sequence[str]) -> dict[str, Any]:
         if not equals or not name.strip():
             raise SettingsError(f"--set: found {assignment!r}, expected NAME=VALUE")
         try:
-            parsed = tomllib.loads(f"value = {text}")
-        except tomllib.TOMLDecodeError:
-            parsed = {"value": text.strip()}
-        if list(parsed) != ["value"]:
-            raise SettingsError(f"--set: found {assignment!r}, expected one NAME=VALUE")
-        table[name.strip()] = parsed["value"]
+            table[name.strip()] = toml_value(text)
+        except ValueError:
+            raise SettingsError(f"--set: found {assignment!r}, expected one NAME=VALUE") from None
     return table
 
 

@@ -2,33 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from todframes.dataset import Dataset, Skipped, Trial
 from todframes.decision import answer_probabilities
-from todframes.errors import DataError, FrameError, SettingsError
+from todframes.errors import SettingsError
 from todframes.psychometric import FitSettings, PsychometricFit, fit_trials
 from todframes.readout import Observer, Stimulus
-from todframes.viewing import left_out, view_trial
+from todframes.running import FIT_STREAMS, run_trials, trial_draws
+from todframes.viewing import View, view_trial
 
 FloatArray = NDArray[np.float64]
 Decisions = Literal["expected", "sampled"]
 
-TaskResult = tuple[list[Trial], FloatArray, list[Skipped]]
-
 # Columns of the numbers kept of each trial.
 DISPLACEMENT, SCORES, DEVIATIONS, ANSWER, N_NEGATIVE = slice(0, 2), slice(2, 6), slice(6, 10), 10, 11
 
-TRIALS_PER_TASK = 16
 NO_ANSWER = -1
-# First element of the spawn keys of random streams, so that no trial shares one with a fit.
-TRIAL_STREAMS, FIT_STREAMS = 0, 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,106 +108,71 @@ def score_dataset(
     SettingsError
         If decisions are "expected" and the observer is not linear.
     """
-    if dataset.bad_rows and not skip_bad_frames:
-        raise DataError(dataset.bad_rows[0].error)
-    whole = [trial for trial in dataset.trials if trial.name not in dataset.spoilt]
-    # Trials of one stimulus together, so that few readouts are held at a time.
-    order = sorted(whole, key=lambda trial: (trial.stimulus.size_mrad, trial.stimulus.polarity))
-    tasks = [order[start : start + TRIALS_PER_TASK] for start in range(0, len(order), TRIALS_PER_TASK)]
-    job = _Scorer(dataset, observer, decisions, seed, skip_bad_frames)
-    trials: list[Trial] = []
-    tables: list[FloatArray] = []
-    skipped = list(dataset.bad_rows)
-    for trial in dataset.trials:
-        if trial.name in dataset.spoilt:
-            skipped += left_out(dataset, trial, f"another frame of trial {trial.name} cannot be used")
-    for task_trials, table, task_skipped in _map(job, tasks, workers):
-        trials += task_trials
-        tables.append(table)
-        skipped += task_skipped
-        if progress is not None:
-            progress(len(task_trials) + len(task_skipped))
-    if not trials:
-        raise DataError(f"{dataset.path}: no frame can be scored; the first: {skipped[0].error}")
-    order_of_manifest = np.argsort([trial.number for trial in trials])
-    seen = _Seen(tuple(trials[place] for place in order_of_manifest), np.concatenate(tables)[order_of_manifest])
-    return _assemble(seen, skipped, observer, decisions, seed, fit_settings or FitSettings())
-
-
-class _Seen(NamedTuple):
-    """Scored trials and a row of numbers for each, before decisions are worked out for all of them together."""
-
-    trials: tuple[Trial, ...]
-    table: FloatArray
+    job = _Scorer(dataset, observer, decisions, seed)
+    trials, table, skipped = run_trials(
+        dataset, job, skip_bad_frames=skip_bad_frames, workers=workers, progress=progress
+    )
+    return assemble(trials, table, skipped, observer, decisions, seed, fit_settings or FitSettings())
 
 
 @dataclass(frozen=True, slots=True)
 class _Scorer:
-    """Scores a few trials; holds nothing that changes, so threads share it."""
+    """Shows a trial to the observer: the numbers kept of it."""
 
     dataset: Dataset
     observer: Observer
     decisions: Decisions
     seed: int
-    skip_bad_frames: bool
 
-    def __call__(self, trials: list[Trial]) -> TaskResult:
-        seen, rows, skipped = [], [], []
-        for trial in trials:
-            try:
-                rows.append(self._score(trial))
-                seen.append(trial)
-            except FrameError as error:
-                if not self.skip_bad_frames:
-                    raise
-                skipped += left_out(self.dataset, trial, error)
-        return seen, np.array(rows).reshape(-1, 12), skipped
-
-    def _score(self, trial: Trial) -> FloatArray:
-        rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(TRIAL_STREAMS, trial.number)))
-        jitter = self.observer.position_jitter_samples
-        dx, dy = (float(d) for d in rng.uniform(-jitter, jitter, 2))
-        view = view_trial(self.dataset, trial, self.observer, (dx, dy))
-        readout = self.observer.readout(trial.stimulus)
-        scores = deviations = np.full(4, np.nan)
-        if readout is not None:
-            deviations = readout.score_deviations(view.contrast)
-            if not readout.noise_covariance.any():
-                # Without noise nothing but rounding may tell scores apart that are the same.
-                rounding = 1e-13 * np.linalg.norm(readout.deviations) * np.linalg.norm(view.contrast)
-                deviations = np.where(np.abs(deviations) < rounding, 0.0, deviations)
-            scores = deviations + readout.common_score(view.contrast)
-        elif self.decisions == "expected":
-            raise SettingsError("decisions: found 'expected', but this observer is not linear; expected 'sampled'")
-        answer = NO_ANSWER
-        if self.decisions == "sampled":
-            answer = self.observer.respond(view.contrast, trial.stimulus, rng).quarter_turns
-        return np.array([dx, dy, *scores, *deviations, answer, view.n_negative])
+    def __call__(self, trial: Trial) -> FloatArray:
+        rng, displacement = trial_draws(self.observer, trial, self.seed)
+        view = view_trial(self.dataset, trial, self.observer, displacement)
+        return scored_view(view, trial, self.observer, self.decisions, rng, displacement)
 
 
-def _map(job: _Scorer, tasks: list[list[Trial]], workers: int) -> Iterator[TaskResult]:
-    if workers == 1:
-        yield from map(job, tasks)
-        return
-    # Threads: decoding releases the interpreter lock, and no worker process can die and take results along.
-    with ThreadPoolExecutor(workers) as pool:
-        try:
-            yield from pool.map(job, tasks)
-        except BaseException:
-            pool.shutdown(wait=True, cancel_futures=True)
-            raise
+def scored_view(
+    view: View,
+    trial: Trial,
+    observer: Observer,
+    decisions: Decisions,
+    rng: np.random.Generator,
+    displacement_samples: tuple[float, float],
+) -> FloatArray:
+    """The numbers kept of a view, shape (12,), before decisions are worked out for all trials together.
+
+    Raises
+    ------
+    SettingsError
+        If decisions are "expected" and the observer is not linear.
+    """
+    readout = observer.readout(trial.stimulus)
+    scores = deviations = np.full(4, np.nan)
+    if readout is not None:
+        deviations = readout.score_deviations(view.contrast)
+        if not readout.noise_covariance.any():
+            # Without noise nothing but rounding may tell scores apart that are the same.
+            rounding = 1e-13 * np.linalg.norm(readout.deviations) * np.linalg.norm(view.contrast)
+            deviations = np.where(np.abs(deviations) < rounding, 0.0, deviations)
+        scores = deviations + readout.common_score(view.contrast)
+    elif decisions == "expected":
+        raise SettingsError("decisions: found 'expected', but this observer is not linear; expected 'sampled'")
+    answer = NO_ANSWER
+    if decisions == "sampled":
+        answer = observer.respond(view.contrast, trial.stimulus, rng).quarter_turns
+    return np.array([*displacement_samples, *scores, *deviations, answer, view.n_negative])
 
 
-def _assemble(
-    seen: _Seen,
-    skipped: list[Skipped],
+def assemble(
+    trials: tuple[Trial, ...],
+    table: FloatArray,
+    skipped: Sequence[Skipped],
     observer: Observer,
     decisions: Decisions,
     seed: int,
     fit_settings: FitSettings,
 ) -> ScoredDataset:
-    trials, table = seen
-    probabilities, bounds = _decide(seen, observer)
+    """Decisions and fits of trials from `scored_view` of each, shape (trial, 12)."""
+    probabilities, bounds = _decide(trials, table, observer)
     correct = np.array([trial.orientation.quarter_turns for trial in trials])
     if decisions == "sampled":
         answers = table[:, ANSWER].astype(np.intp)
@@ -234,17 +194,17 @@ def _assemble(
     )
 
 
-def _decide(seen: _Seen, observer: Observer) -> tuple[FloatArray, FloatArray]:
+def _decide(trials: tuple[Trial, ...], table: FloatArray, observer: Observer) -> tuple[FloatArray, FloatArray]:
     """Probability of each answer, and the bound on its error from noise that is not Gaussian, of each trial."""
-    probabilities = np.full((len(seen.trials), 4), np.nan)
-    bounds = np.zeros(len(seen.trials))
+    probabilities = np.full((len(trials), 4), np.nan)
+    bounds = np.zeros(len(trials))
     places: dict[Stimulus, list[int]] = {}
-    for place, trial in enumerate(seen.trials):
+    for place, trial in enumerate(trials):
         places.setdefault(trial.stimulus, []).append(place)
     for stimulus, these in places.items():
         readout = observer.readout(stimulus)
         if readout is not None:
-            deviations = seen.table[these, DEVIATIONS]
+            deviations = table[these, DEVIATIONS]
             probabilities[these] = answer_probabilities(deviations, readout.noise_covariance)
             bounds[these] = readout.non_gaussian_bound
     return probabilities, bounds

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from todframes.dataset import Dataset, FrameReference, Skipped, Trial
 from todframes.display import BackgroundRule, Display, border_mean, weber_contrast
 from todframes.errors import DataError, FrameError, SettingsError
-from todframes.frames import FrameFile, FrameHeader, frame_sha256
+from todframes.frames import FrameFile, FrameHeader, frame_sha256, read_frame
 from todframes.readout import Observer
-from todframes.retina import resample
+from todframes.retina import RetinaGrid, resample
 from todframes.stimulus import Centre, bounding_box_offset, vertices
 
 FloatArray = NDArray[np.float64]
@@ -29,6 +29,16 @@ class View(NamedTuple):
 
     contrast: FloatArray
     n_negative: int
+
+
+class Placement(NamedTuple):
+    """A retina grid on a frame: where its middle lies, in pixels, and the rows and columns that it touches."""
+
+    grid: RetinaGrid
+    x_px: float
+    y_px: float
+    rows: tuple[int, int]
+    columns: tuple[int, int]
 
 
 class Patch(NamedTuple):
@@ -72,32 +82,49 @@ def _view_frame(
     observer: Observer,
     displacement_samples: tuple[float, float],
 ) -> tuple[FloatArray, int]:
-    pixel_pitch = dataset.display.pitch_mrad
-    path = dataset.frame_path(frame)
     check_sha256(dataset, frame)
-    with FrameFile(path) as file:
-        x, y = centroid_position(trial, file.header, observer.centre, pixel_pitch)
-        _check_on_frame(path, trial, file.header, x, y, pixel_pitch)
-        try:
-            grid = observer.grid(trial.stimulus)
-        except SettingsError as error:  # of this row's size alone
-            raise FrameError(path, str(error)) from None
-        to_centre_x, to_centre_y = _from_centroid(trial, observer.centre, pixel_pitch)
-        x += to_centre_x + displacement_samples[0] * grid.pitch_mrad / pixel_pitch
-        y += to_centre_y + displacement_samples[1] * grid.pitch_mrad / pixel_pitch
-        rows = grid.pixel_range(centre_px=y, pixel_pitch_mrad=pixel_pitch, n_pixels=file.header.height)
-        columns = grid.pixel_range(centre_px=x, pixel_pitch_mrad=pixel_pitch, n_pixels=file.header.width)
-        patch = read_contrast(file, dataset.display, frame, rows, columns)
+    with FrameFile(dataset.frame_path(frame)) as file:
+        place = place_grid(dataset, trial, file, observer, displacement_samples)
+        patch = read_contrast(file, dataset.display, frame, place.rows, place.columns)
     contrast = resample(
         patch.contrast,
-        grid,
-        x_px=x,
-        y_px=y,
-        pixel_pitch_mrad=pixel_pitch,
+        place.grid,
+        x_px=place.x_px,
+        y_px=place.y_px,
+        pixel_pitch_mrad=dataset.display.pitch_mrad,
         first_row=patch.row,
         first_column=patch.column,
     )
     return contrast, patch.n_negative
+
+
+def place_grid(
+    dataset: Dataset,
+    trial: Trial,
+    file: FrameFile,
+    observer: Observer,
+    displacement_samples: tuple[float, float] = (0.0, 0.0),
+) -> Placement:
+    """Where the observer's grid lies on a frame of a trial.
+
+    Raises
+    ------
+    FrameError
+        If the triangle does not lie on the frame, or the observer cannot look at one of its size.
+    """
+    pixel_pitch, header = dataset.display.pitch_mrad, file.header
+    x, y = centroid_position(trial, header, observer.centre, pixel_pitch)
+    _check_on_frame(file.path, trial, header, x, y, pixel_pitch)
+    try:
+        grid = observer.grid(trial.stimulus)
+    except SettingsError as error:  # of this row's size alone
+        raise FrameError(file.path, str(error)) from None
+    to_centre_x, to_centre_y = _from_centroid(trial, observer.centre, pixel_pitch)
+    x += to_centre_x + displacement_samples[0] * grid.pitch_mrad / pixel_pitch
+    y += to_centre_y + displacement_samples[1] * grid.pitch_mrad / pixel_pitch
+    rows = grid.pixel_range(centre_px=y, pixel_pitch_mrad=pixel_pitch, n_pixels=header.height)
+    columns = grid.pixel_range(centre_px=x, pixel_pitch_mrad=pixel_pitch, n_pixels=header.width)
+    return Placement(grid, x, y, rows, columns)
 
 
 def check_sha256(dataset: Dataset, frame: FrameReference) -> None:
@@ -170,14 +197,20 @@ def read_contrast(
     part = file.read() if whole else file.read(rows=rows, columns=columns)
     try:
         luminance = display.luminance(part.values)
-        with np.errstate(over="ignore"):
-            contrast = weber_contrast(luminance, _background(rule, luminance, frame))
-        if not np.isfinite(contrast).all():
-            raise DataError("the contrast is beyond all numbers; expected luminances nearer to the background's")
+        contrast = finite_contrast(luminance, _background(rule, luminance, frame))
     except DataError as error:
         raise FrameError(file.path, str(error)) from None
     n_negative = int(np.count_nonzero(luminance < 0.0))
     return Patch(contrast, part.first_row, part.first_column, n_negative)
+
+
+def finite_contrast(luminance: FloatArray, background_luminance_cd_m2: float) -> FloatArray:
+    """Weber contrast; DataError if it overflows, or the background is not a positive number."""
+    with np.errstate(over="ignore"):
+        contrast = weber_contrast(luminance, background_luminance_cd_m2)
+    if not np.isfinite(contrast).all():
+        raise DataError("the contrast is beyond all numbers; expected luminances nearer to the background's")
+    return contrast
 
 
 def _background(rule: float | BackgroundRule, luminance: FloatArray, frame: FrameReference) -> float:
@@ -225,5 +258,7 @@ def frame_problems(dataset: Dataset, trial: Trial) -> Iterator[FrameError]:
                 x, y = centroid_position(trial, file.header, "centroid", pitch_mrad)
                 _check_on_frame(path, trial, file.header, x, y, pitch_mrad)
                 read_contrast(file, dataset.display, frame)
+            if (reference := dataset.reference_path(frame)) is not None:
+                read_frame(reference)
         except FrameError as error:
             yield error
