@@ -46,7 +46,7 @@ def unsharp(
     *,
     radius: Sigma = 2.0,
     amount: Annotated[
-        float, parameter(0.0, 100.0, what="share of the difference from the blurred image that is added")
+        float, parameter(0.0, 100.0, what="share of the difference from the blurred image, added")
     ] = 1.0,
 ) -> Image:
     """Unsharp mask."""
@@ -61,7 +61,7 @@ def gaussian(image: Image, *, sigma: Sigma = 1.0) -> Image:
     return np.asarray(cv2.GaussianBlur(image, (0, 0), sigma, borderType=cv2.BORDER_REFLECT_101))
 
 
-@enhancement(each_channel=True, library="OpenCV: medianBlur; scikit-image: filters.median from radius 3 on")
+@enhancement(each_channel=True, library="OpenCV: medianBlur; from radius 3 scikit-image: filters.median")
 def median(
     image: Image, *, radius: Annotated[int, parameter(1, 20, unit="px", what="half the window's side")] = 1
 ) -> Image:
@@ -159,7 +159,7 @@ def guided(
 
 @enhancement(each_channel=True, library="scikit-image: exposure.adjust_gamma")
 def gamma(image: Image, *, gamma: Annotated[float, parameter(0.05, 20.0, what="exponent")] = 0.7) -> Image:
-    """Code values to the power of gamma: below 1 brighter, above 1 darker."""
+    """Code values to the power of gamma: below 1 brighter."""
     from skimage.exposure import adjust_gamma
 
     return np.asarray(adjust_gamma(_not_negative(image), gamma))

@@ -16,8 +16,10 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from todframes import __version__
+from todframes.cli_compare import compare, enhancements
 from todframes.command import (
     Commands,
+    decisions_option,
     json_option,
     make_observer,
     numbers,
@@ -25,7 +27,9 @@ from todframes.command import (
     p_correct_option,
     print_result,
     progress,
+    quiet_option,
     run,
+    running_options,
     say,
     seed_option,
     set_option,
@@ -52,27 +56,12 @@ def cli() -> None:
 @click.argument("dataset", type=click.Path(path_type=Path))
 @click.option("-o", "--out", metavar="OUT", help="Folder for result.json, scores.csv and plots.")
 @observer_options
-@click.option(
-    "--decisions",
-    type=click.Choice(["expected", "sampled"]),
-    default="expected",
-    show_default=True,
-    help="Each frame's probability of a correct answer, or one answer drawn a trial.",
-)
+@decisions_option
 @seed_option
 @click.option("--locate", is_flag=True, help="Find the triangle's position where the manifest has none.")
-@click.option(
-    "--on-error",
-    type=click.Choice(["stop", "skip"]),
-    default="stop",
-    show_default=True,
-    help="At a frame or row that cannot be used: end, or go on and list it.",
-)
-@click.option(
-    "--workers", type=click.IntRange(1), default=1, show_default=True, help="Threads that read and score."
-)
+@running_options
 @json_option
-@click.option("--quiet", is_flag=True, help="No progress and no remarks on standard error.")
+@quiet_option
 def score(
     *,
     dataset: Path,
@@ -264,6 +253,10 @@ def validate(*, dataset: Path) -> None:
         raise DataError(f"{dataset}: {len(problems)} {'problems' if len(problems) > 1 else 'problem'} found")
     n_frames = sum(len(trial.frames) for trial in data.trials)
     click.echo(f"{dataset}: {n_frames} frames in {len(data.trials)} trials, all good")
+
+
+cli.add_command(compare)
+cli.add_command(enhancements)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -64,6 +64,28 @@ observer_options = options(
 )
 
 
+decisions_option = click.option(
+    "--decisions",
+    type=click.Choice(["expected", "sampled"]),
+    default="expected",
+    show_default=True,
+    help="Each frame's probability of a correct answer, or one answer drawn a trial.",
+)
+running_options = options(
+    click.option(
+        "--on-error",
+        type=click.Choice(["stop", "skip"]),
+        default="stop",
+        show_default=True,
+        help="At a frame or row that cannot be used: end, or go on and list it.",
+    ),
+    click.option(
+        "--workers", type=click.IntRange(1), default=1, show_default=True, help="Threads that read and score."
+    ),
+)
+quiet_option = click.option("--quiet", is_flag=True, help="No progress and no remarks on standard error.")
+
+
 def make_observer(
     observer_name: str,
     internal_noise: float | None,

@@ -175,7 +175,8 @@ class _Job:
             views, measures = zip(*(frame[number] for frame in frames), strict=True)
             contrast = sum((view.contrast for view in views[1:]), views[0].contrast) / len(views)
             view = View(contrast, sum(view.n_negative for view in views))
-            row = scored_view(view, trial, self.observer, self.decisions, copy.deepcopy(rng), displacement)
+            own_rng = copy.deepcopy(rng) if self.decisions == "sampled" else rng
+            row = scored_view(view, trial, self.observer, self.decisions, own_rng, displacement)
             squared_error, ssim, n_clipped, cpu_s = np.transpose(measures)
             more = _known_mean(squared_error), _known_mean(ssim), n_clipped.sum(), cpu_s.sum()
             rows.append(np.concatenate([row, more]))
@@ -193,7 +194,8 @@ class _Job:
         try:
             for algorithm in self.algorithms:
                 picture = decoded.after(algorithm)
-                view = decoded.on_retina(picture, place, frame.background_luminance_cd_m2)
+                looked = decoded.looked_at(picture, place, frame.background_luminance_cd_m2)
+                view = View(looked.on_retina(place.grid), looked.patch.n_negative)
                 measures = *self._likeness(picture, frame), picture.n_clipped, picture.cpu_s
                 found.append((view, np.array(measures, dtype=np.float64)))
         except FrameError:

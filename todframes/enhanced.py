@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -15,8 +14,8 @@ from todframes.display import Display, border_mean
 from todframes.enhancement import ROUNDING, Enhancement, Image
 from todframes.errors import DataError, SettingsError
 from todframes.frames import FULL_SCALE, Frame, FrameFile
-from todframes.retina import resample
-from todframes.viewing import Placement, View, finite_contrast
+from todframes.retina import RetinaGrid, resample
+from todframes.viewing import Patch, Placement, finite_contrast
 
 FloatArray = NDArray[np.float64]
 
@@ -92,6 +91,27 @@ class Picture:
         return float(Picture(self.screen, ring).luminance().mean())
 
 
+class Looked(NamedTuple):
+    """Part of a picture, and where the middle of the retina lies on it, in its own pixels."""
+
+    patch: Patch
+    x_px: float
+    y_px: float
+    pixel_pitch_mrad: float
+
+    def on_retina(self, grid: RetinaGrid) -> FloatArray:
+        """Its contrast on a retina grid, shape (side, side)."""
+        return resample(
+            self.patch.contrast,
+            grid,
+            x_px=self.x_px,
+            y_px=self.y_px,
+            pixel_pitch_mrad=self.pixel_pitch_mrad,
+            first_row=self.patch.row,
+            first_column=self.patch.column,
+        )
+
+
 class DecodedFrame:
     """A frame that several algorithms work on.
 
@@ -146,9 +166,7 @@ class DecodedFrame:
             return self.original
         of_luminance = enhancement.declaration.domain == "luminance"
         image = self.relative_luminance if of_luminance else self.code_values
-        started = time.thread_time()
-        found = enhancement.run(image)
-        cpu_s = time.thread_time() - started
+        found, cpu_s = enhancement.run(image)
         n_clipped = 0
         if self.is_integer or self.screen.display.eotf != "linear":
             low, high = (0.0, 1.0) if of_luminance else (end / self.screen.white for end in self.screen.code_range)
@@ -157,7 +175,8 @@ class DecodedFrame:
             black, white = self.screen.luminance_range
             values: NDArray[np.floating] = black + (white - black) * found.astype(np.float64)
         else:
-            values = (found if found.ndim == 3 else found[..., None]) * self.screen.white
+            values = found if found.ndim == 3 else found[..., None]
+            values = values if self.screen.white == 1.0 else values * self.screen.white
         return Picture(self.screen, values, enhancement.magnification, n_clipped, cpu_s)
 
     def _clipped(self, found: Image, low: float, high: float, enhancement: Enhancement) -> tuple[Image, int]:
@@ -172,8 +191,8 @@ class DecodedFrame:
             )
         return np.clip(found, low, high), n_outside
 
-    def on_retina(self, picture: Picture, place: Placement, given_background_cd_m2: float | None) -> View:
-        """Contrast of a picture on the retina.
+    def looked_at(self, picture: Picture, place: Placement, given_background_cd_m2: float | None) -> Looked:
+        """The part of a picture that a retina grid touches, as contrast.
 
         Parameters
         ----------
@@ -196,22 +215,19 @@ class DecodedFrame:
             given = given_background_cd_m2 if isinstance(rule, str) else rule
             assert given is not None  # the manifest was checked for it
             background = given * self._brightening(picture)
-        contrast = resample(
-            finite_contrast(luminance, background),
-            place.grid,
-            x_px=x.centre_px,
-            y_px=y.centre_px,
-            pixel_pitch_mrad=self.screen.display.pitch_mrad / m,
-            first_row=y.first,
-            first_column=x.first,
-        )
-        return View(contrast, int(np.count_nonzero(luminance < 0.0)))
+        n_negative = int(np.count_nonzero(luminance < 0.0))
+        patch = Patch(finite_contrast(luminance, background), y.first, x.first, n_negative)
+        return Looked(patch, x.centre_px, y.centre_px, self.screen.display.pitch_mrad / m)
+
+    @cached_property
+    def _border_luminance(self) -> float:
+        return self.original.border_luminance()
 
     def _brightening(self, picture: Picture) -> float:
         """How much brighter the border is after the algorithm: what a given background becomes by it."""
         if picture is self.original:
             return 1.0
-        before = self.original.border_luminance()
+        before = self._border_luminance
         if not before > 0.0:
             raise DataError(f"the frame's border has a luminance of {before:g} cd/m², expected > 0")
         return picture.border_luminance() / before

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 Json = dict[str, Any]
 
 SCHEMA = 1
-OUTPUT_NAMES = {"result.json", "scores.csv", "psychometric.png", "tod_curve.png"}
+OUTPUT_NAMES = {"result.json", "scores.csv", "psychometric.png", "tod_curve.png", "compare.csv", "compare.png"}
 
 
 def fit_object(group: Mapping[str, float | str], level: str, fit: PsychometricFit) -> Json:
