@@ -5,26 +5,33 @@ Images are code values, white being 1, of shape (rows, columns).
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from collections.abc import Callable
+from typing import Annotated, Any, Literal, TypeVar
 
 import cv2
 import numpy as np
 
-from todframes.enhancement import Image, enhancement, parameter
+from todframes.enhancement import Image, enhancement, meaning, parameter
 
+F = TypeVar("F", bound=Callable[..., Any])
 Sigma = Annotated[float, parameter(0.1, 50.0, unit="px", what="standard deviation of the Gaussian")]
 Radius = Annotated[int, parameter(1, 50, unit="px", what="half the window's side")]
 Factor = Annotated[int, parameter(2, 8, what="pixels for one along each axis")]
 Iterations = Annotated[int, parameter(1, 1000, what="iterations")]
 
 
-@enhancement(library="–")
+def _built_in(library: str, *, magnification: float | str = 1.0) -> Callable[[F], F]:
+    """Algorithms of code values that take one channel at a time and leave the image that they are given alone."""
+    return enhancement(each_channel=True, writes=False, magnification=magnification, library=library)
+
+
+@_built_in("–")
 def none(image: Image) -> Image:
     """The frame as it is: what all others are compared with."""
     return image
 
 
-@enhancement(each_channel=True, library="OpenCV: createCLAHE")
+@_built_in("OpenCV: createCLAHE")
 def clahe(
     image: Image,
     *,
@@ -32,7 +39,7 @@ def clahe(
         float, parameter(0.0, 1000.0, what="most contrast gain, as a factor; 0: no limit")
     ] = 2.0,
     tiles: Annotated[int, parameter(1, 64, what="tiles along each axis")] = 8,
-    bits: Literal[8, 16] = 8,
+    bits: Annotated[Literal[8, 16], meaning("of the code values that it works on")] = 8,
 ) -> Image:
     """Contrast-limited adaptive histogram equalisation."""
     full_scale, kind = 2**bits - 1, {8: np.uint8, 16: np.uint16}[bits]
@@ -40,7 +47,7 @@ def clahe(
     return np.asarray(cv2.createCLAHE(clip_limit, (tiles, tiles)).apply(codes) / np.float32(full_scale))
 
 
-@enhancement(each_channel=True, library="scikit-image: filters.unsharp_mask")
+@_built_in("scikit-image: filters.unsharp_mask")
 def unsharp(
     image: Image,
     *,
@@ -55,13 +62,13 @@ def unsharp(
     return np.asarray(unsharp_mask(image, radius=radius, amount=amount, preserve_range=True))
 
 
-@enhancement(each_channel=True, library="OpenCV: GaussianBlur")
+@_built_in("OpenCV: GaussianBlur")
 def gaussian(image: Image, *, sigma: Sigma = 1.0) -> Image:
     """Gaussian blur."""
     return np.asarray(cv2.GaussianBlur(image, (0, 0), sigma, borderType=cv2.BORDER_REFLECT_101))
 
 
-@enhancement(each_channel=True, library="OpenCV: medianBlur; from radius 3 scikit-image: filters.median")
+@_built_in("OpenCV: medianBlur; from radius 3 scikit-image: filters.median")
 def median(
     image: Image, *, radius: Annotated[int, parameter(1, 20, unit="px", what="half the window's side")] = 1
 ) -> Image:
@@ -74,7 +81,7 @@ def median(
     return np.asarray(median_filter(image, np.ones((side, side)), mode="nearest"))
 
 
-@enhancement(each_channel=True, library="OpenCV: bilateralFilter")
+@_built_in("OpenCV: bilateralFilter")
 def bilateral(
     image: Image,
     *,
@@ -87,7 +94,7 @@ def bilateral(
     return np.asarray(cv2.bilateralFilter(image, -1, sigma_value, sigma))
 
 
-@enhancement(each_channel=True, library="scikit-image: restoration.denoise_nl_means")
+@_built_in("scikit-image: restoration.denoise_nl_means")
 def nlm(
     image: Image,
     *,
@@ -108,7 +115,7 @@ def nlm(
     )
 
 
-@enhancement(each_channel=True, library="scikit-image: restoration.denoise_tv_chambolle")
+@_built_in("scikit-image: restoration.denoise_tv_chambolle")
 def tv(
     image: Image,
     *,
@@ -121,7 +128,7 @@ def tv(
     return np.asarray(denoise_tv_chambolle(image, weight=weight, max_num_iter=iterations))
 
 
-@enhancement(each_channel=True, library="scikit-image: restoration.wiener")
+@_built_in("scikit-image: restoration.wiener")
 def wiener(
     image: Image,
     *,
@@ -135,7 +142,7 @@ def wiener(
     return _cropped(deconvolve(_reflected(image, margin), psf, balance, clip=False), margin)
 
 
-@enhancement(each_channel=True, library="scikit-image: restoration.richardson_lucy")
+@_built_in("scikit-image: restoration.richardson_lucy")
 def richardson_lucy(image: Image, *, sigma: Sigma = 1.0, iterations: Iterations = 10) -> Image:
     """Richardson–Lucy deconvolution of a Gaussian blur."""
     from skimage.restoration import richardson_lucy as deconvolve
@@ -146,7 +153,7 @@ def richardson_lucy(image: Image, *, sigma: Sigma = 1.0, iterations: Iterations 
     )
 
 
-@enhancement(each_channel=True, library="OpenCV contrib: ximgproc.guidedFilter")
+@_built_in("OpenCV contrib: ximgproc.guidedFilter")
 def guided(
     image: Image,
     *,
@@ -157,7 +164,7 @@ def guided(
     return np.asarray(cv2.ximgproc.guidedFilter(image, image, radius, eps))
 
 
-@enhancement(each_channel=True, library="scikit-image: exposure.adjust_gamma")
+@_built_in("scikit-image: exposure.adjust_gamma")
 def gamma(image: Image, *, gamma: Annotated[float, parameter(0.05, 20.0, what="exponent")] = 0.7) -> Image:
     """Code values to the power of gamma: below 1 brighter."""
     from skimage.exposure import adjust_gamma
@@ -165,7 +172,7 @@ def gamma(image: Image, *, gamma: Annotated[float, parameter(0.05, 20.0, what="e
     return np.asarray(adjust_gamma(_not_negative(image), gamma))
 
 
-@enhancement(each_channel=True, library="scikit-image: exposure.equalize_hist")
+@_built_in("scikit-image: exposure.equalize_hist")
 def equalize(
     image: Image, *, bins: Annotated[int, parameter(2, 65536, what="bins of the histogram")] = 256
 ) -> Image:
@@ -175,13 +182,13 @@ def equalize(
     return np.asarray(equalize_hist(image, nbins=bins))
 
 
-@enhancement(each_channel=True, magnification="factor", library="OpenCV: resize, INTER_CUBIC")
+@_built_in("OpenCV: resize, INTER_CUBIC", magnification="factor")
 def bicubic(image: Image, *, factor: Factor = 2) -> Image:
     """Super-resolution by bicubic interpolation: smaller pixels."""
     return np.asarray(cv2.resize(image, None, fx=factor, fy=factor, interpolation=cv2.INTER_CUBIC))
 
 
-@enhancement(each_channel=True, magnification="factor", library="OpenCV: resize, INTER_LANCZOS4")
+@_built_in("OpenCV: resize, INTER_LANCZOS4", magnification="factor")
 def lanczos(image: Image, *, factor: Factor = 2) -> Image:
     """Super-resolution by Lanczos interpolation: smaller pixels."""
     return np.asarray(cv2.resize(image, None, fx=factor, fy=factor, interpolation=cv2.INTER_LANCZOS4))

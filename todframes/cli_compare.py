@@ -27,8 +27,7 @@ from todframes.command import (
 from todframes.errors import SettingsError
 
 if TYPE_CHECKING:
-    from todframes.enhancement import Enhancement, Parameter
-    from todframes.report import Json
+    from todframes.enhancement import Enhancement
 
 
 @click.command()
@@ -166,6 +165,8 @@ def _found(specs: Sequence[str]) -> list[Enhancement]:
 def enhancements(*, as_json: bool) -> None:
     """List the enhancement algorithms that are registered, with their parameters."""
     from todframes import __version__, report
+    from todframes.compare_report import enhancement_object
+    from todframes.compare_tables import enhancements_table
     from todframes.enhancement_specs import enhancement_names, find_enhancement
 
     found = []
@@ -174,7 +175,7 @@ def enhancements(*, as_json: bool) -> None:
             found.append(find_enhancement(name))
         except SettingsError as error:  # of another package
             say(f"left out: {error}")
-    objects = [_described(one) for one in found]
+    objects = [enhancement_object(one) for one in found]
     if as_json:
         result = {
             "schema": report.SCHEMA,
@@ -184,33 +185,4 @@ def enhancements(*, as_json: bool) -> None:
         }
         click.echo(report.encode(result), nl=False)
         return
-    from todframes.compare_tables import enhancements_table
-
     print_table(enhancements_table(objects))
-
-
-def _described(algorithm: Enhancement) -> Json:
-    return {
-        "name": algorithm.name,
-        "what": algorithm.what,
-        "domain": algorithm.declaration.domain,
-        "changes_pitch": algorithm.declaration.magnification != 1.0,
-        "library": algorithm.declaration.library,
-        "parameters": [_parameter(one) for one in algorithm.parameters],
-    }
-
-
-def _parameter(one: Parameter) -> Json:
-    from typing import Literal, get_args, get_origin
-
-    meta = one.meta
-    unit = (meta.extra or {}).get("unit") or None
-    choices = list(get_args(one.kind)) if get_origin(one.kind) is Literal else None
-    return {
-        "name": one.name,
-        "default": one.default,
-        "unit": unit,
-        "range": None if meta.ge is None else [meta.ge, meta.le],
-        "choices": choices,
-        "what": meta.description or None,
-    }

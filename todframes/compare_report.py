@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from todframes.comparing import AlgorithmResult, Compared
+from todframes.enhancement import Enhancement, Parameter
 from todframes.report import fit_object, interval, number
 
 Json = dict[str, Any]
@@ -42,7 +43,7 @@ def algorithm_objects(results: Sequence[AlgorithmResult], group_by: Sequence[str
                 "what": algorithm.what,
                 "library": algorithm.declaration.library,
                 "domain": algorithm.declaration.domain,
-                "parameters": dict(algorithm.values),
+                "parameters": {name: _plain_value(value) for name, value in algorithm.values.items()},
                 "magnification": algorithm.magnification,
                 "fits": [
                     fit_object(dict(zip(group_by, fit.group, strict=True)), level, fit.fit)
@@ -160,3 +161,32 @@ def _groups(groups: Sequence[Mapping[str, float | str]]) -> str:
 def value_text(value: float | str) -> str:
     """A group's value for a person."""
     return f"{value:.15g}" if isinstance(value, float) else value
+
+
+def enhancement_object(algorithm: Enhancement) -> Json:
+    """An algorithm as `todframes enhancements` tells of it."""
+    return {
+        "name": algorithm.name,
+        "what": algorithm.what,
+        "domain": algorithm.declaration.domain,
+        "changes_pitch": algorithm.declaration.magnification != 1.0,
+        "library": algorithm.declaration.library,
+        "parameters": [_parameter(one) for one in algorithm.parameters],
+    }
+
+
+def _parameter(one: Parameter) -> Json:
+    meta = one.meta
+    return {
+        "name": one.name,
+        "default": _plain_value(one.default),
+        "unit": (meta.extra or {}).get("unit") or None,
+        "range": None if meta.ge is None else [meta.ge, meta.le],
+        "choices": list(one.choices) or None,
+        "what": meta.description or None,
+    }
+
+
+def _plain_value(value: object) -> object:
+    """A parameter's value as JSON has it; a text where it has no such thing."""
+    return value if value is None or isinstance(value, bool | int | float | str) else repr(value)

@@ -130,7 +130,7 @@ def _add(table: Table, cells: Sequence[str]) -> None:
 
 
 def enhancements_table(algorithms: Sequence[Json]) -> Table:
-    """Algorithms, each with its parameters below it, for the terminal; from what `todframes enhancements` prints."""
+    """Algorithms, each with its parameters below it, for the terminal; from what `enhancements` prints."""
     headers = ["name", "what it does; what a parameter is"], ["default", "range"], ["takes", "from"]
     table = _table("Enhancement algorithms", *headers)
     for one in algorithms:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -14,10 +14,13 @@ from todframes.display import Display, border_mean
 from todframes.enhancement import ROUNDING, Enhancement, Image
 from todframes.errors import DataError, SettingsError
 from todframes.frames import FULL_SCALE, Frame, FrameFile
-from todframes.retina import RetinaGrid, resample
+from todframes.retina import RetinaGrid, apply_overlaps, overlap_matrix
 from todframes.viewing import Patch, Placement, finite_contrast
 
 FloatArray = NDArray[np.float64]
+
+# Most algorithms leave the pixels where they are: one matrix an axis for all of a frame, in a few threads at once.
+_overlap_matrix = lru_cache(maxsize=64)(overlap_matrix)
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,15 +104,20 @@ class Looked(NamedTuple):
 
     def on_retina(self, grid: RetinaGrid) -> FloatArray:
         """Its contrast on a retina grid, shape (side, side)."""
-        return resample(
-            self.patch.contrast,
-            grid,
-            x_px=self.x_px,
-            y_px=self.y_px,
-            pixel_pitch_mrad=self.pixel_pitch_mrad,
-            first_row=self.patch.row,
-            first_column=self.patch.column,
+        patch = self.patch
+        rows, columns = (
+            _overlap_matrix(
+                grid,
+                centre_px=centre_px,
+                pixel_pitch_mrad=self.pixel_pitch_mrad,
+                first_pixel=first,
+                n_pixels=n_pixels,
+            )
+            for centre_px, first, n_pixels in zip(
+                (self.y_px, self.x_px), (patch.row, patch.column), patch.contrast.shape, strict=True
+            )
         )
+        return apply_overlaps(rows, columns, patch.contrast)
 
 
 class DecodedFrame:
@@ -145,7 +153,8 @@ class DecodedFrame:
                 "the algorithms (--white)"
             )
         grey = values.shape[2] == 1 or bool((values == values[..., :1]).all())
-        return np.ascontiguousarray(values[..., 0] if grey else values) / np.float32(white)
+        image = np.ascontiguousarray(values[..., 0] if grey else values)
+        return image if white == 1.0 else image / np.float32(white)
 
     @cached_property
     def relative_luminance(self) -> Image:

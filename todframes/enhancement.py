@@ -15,7 +15,7 @@ import inspect
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal, TypeVar, get_args
+from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin
 
 import msgspec
 import numpy as np
@@ -45,6 +45,8 @@ class Declaration:
         Pixels that it gives for one along each axis, or the name of the parameter that says so.
     each_channel : bool
         Whether it takes one channel at a time; otherwise a colour image is handed over whole.
+    writes : bool
+        Whether it may write into the image, and so gets a copy.
     library : str
         Where the work is done.
     """
@@ -52,6 +54,7 @@ class Declaration:
     domain: Domain = "code_value"
     magnification: float | str = 1.0
     each_channel: bool = False
+    writes: bool = True
     library: str = ""
 
     def __post_init__(self) -> None:
@@ -64,6 +67,7 @@ def enhancement(
     domain: Domain = "code_value",
     magnification: float | str = 1.0,
     each_channel: bool = False,
+    writes: bool = True,
     library: str = "",
 ) -> Callable[[F], F]:
     """Declare what a function of `function(image, **parameters)` is; see `Declaration`.
@@ -78,7 +82,7 @@ def enhancement(
         If the domain is neither.
     """
     declaration = Declaration(
-        domain=domain, magnification=magnification, each_channel=each_channel, library=library
+        domain=domain, magnification=magnification, each_channel=each_channel, writes=writes, library=library
     )
 
     def declare(function: F) -> F:
@@ -93,6 +97,11 @@ def parameter(low: float, high: float, *, unit: str = "", what: str = "") -> msg
     return msgspec.Meta(ge=low, le=high, description=what, extra={"unit": unit})
 
 
+def meaning(what: str) -> msgspec.Meta:
+    """Meaning of a parameter without a range, for its annotation."""
+    return msgspec.Meta(description=what)
+
+
 @dataclass(frozen=True, slots=True)
 class Parameter:
     """A parameter of an algorithm: `kind` is its type, with a range if it declares one."""
@@ -105,7 +114,13 @@ class Parameter:
     def meta(self) -> msgspec.Meta:
         """Range, unit and meaning; empty where the function does not declare them."""
         found = [part for part in get_args(self.kind) if isinstance(part, msgspec.Meta)]
-        return found[0] if found else msgspec.Meta(extra={"unit": ""})
+        return found[0] if found else msgspec.Meta()
+
+    @property
+    def choices(self) -> tuple[Any, ...]:
+        """The values that it may have, if they are few."""
+        kind = get_args(self.kind)[0] if get_origin(self.kind) is Annotated else self.kind
+        return get_args(kind) if get_origin(kind) is Literal else ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,7 +176,7 @@ class Enhancement:
         if self.declaration.each_channel and image.ndim == 3:
             channels, times = zip(*(self.run(np.ascontiguousarray(image[..., k])) for k in range(3)), strict=True)
             return np.stack(channels, axis=-1), sum(times)
-        given = image.copy()  # its own, for it may write into it
+        given = image.copy() if self.declaration.writes else image
         started = time.thread_time()
         try:
             found = self.function(given, **self.values)
