@@ -19,6 +19,7 @@ from todframes.command import (
     make_observer,
     numbers,
     observer_options,
+    plan_options,
     print_result,
     print_table,
     progress,
@@ -113,6 +114,7 @@ def simulate(
 @click.option(
     "--tolerance", type=float, default=2e-3, show_default=True, help="Relative error of the thresholds to reach."
 )
+@plan_options
 @seed_option
 @click.option("-o", "--out", metavar="OUT", help="Folder for result.json and plots.")
 @json_option
@@ -122,6 +124,8 @@ def curve(
     sensor: Path,
     sizes: str,
     tolerance: float,
+    plan_name: Any,
+    explain: bool,
     seed: int,
     out: str | None,
     as_json: bool,
@@ -134,9 +138,11 @@ def curve(
     from dataclasses import asdict
 
     from sensor_sim.noise import delta_t_mk
+    from sensor_sim.planning import plan_curve
     from sensor_sim.predict import FoldedChain, predict_threshold
     from sensor_sim.sensor import load_sensor
     from todframes import report
+    from todframes.planning import Step, plan_object
 
     settings = load_sensor(sensor)
     p_correct = fit_settings.p_correct
@@ -147,7 +153,11 @@ def curve(
     with _staging(out) as staging:
         with progress("computing", len(wanted), quiet=quiet) as advance:
             for size in wanted:
-                chain = FoldedChain(settings, observer, size)
+                started = time.perf_counter()
+                plan = plan_curve(
+                    settings, observer, size, name=plan_name, tolerance=tolerance, p_correct=p_correct
+                )
+                chain = FoldedChain(settings, observer, size, plan)
                 found = predict_threshold(chain, p_correct=p_correct, tolerance=tolerance, seed=seed)
                 snr = found.threshold
                 one = report.computed_threshold_object(
@@ -155,13 +165,19 @@ def curve(
                 )
                 one["points"] = [{"level": x, "n_trials": 0, "p_correct": p} for x, p in found.points]
                 one |= {"n_phases": found.n_phases, "p_correct_error_bound": chain.non_gaussian_bound()}
+                phases = Step("phases", True, f"{found.n_phases} trials, as the tolerance takes")
+                one |= {
+                    "plan": plan_object((*plan.steps, phases), chain.drawing_s / plan.unit_s),
+                    "p_correct_left_out_bound": plan.bound,
+                }
+                one["run_time_s"] = round(time.perf_counter() - started, 4)
                 if settings.noise.netd_mk is not None:
                     one["delta_t_mk"] = None if snr is None else float(delta_t_mk(snr, noise=settings.noise))
                 fits.append(one)
                 advance(1)
         result = report.result_object(
             "curve",
-            settings=described | {"sensor": asdict(settings), "tolerance": tolerance},
+            settings=described | {"sensor": asdict(settings), "tolerance": tolerance, "plan": plan_name},
             seed=seed,
             fits=fits,
             skipped=[],
@@ -171,7 +187,7 @@ def curve(
             from todframes.plots import plots
 
             report.write_files(staging, {**plots(result), "result.json": report.encode(result)})
-    print_result(result, f"{settings.name}: TOD curve", as_json=as_json)
+    print_result(result, f"{settings.name}: TOD curve", as_json=as_json, explain=explain)
     if not as_json:
         click.echo(report.closing_line(result))
         if out is not None:

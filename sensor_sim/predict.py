@@ -13,41 +13,39 @@ from __future__ import annotations
 
 import copy
 import math
+import time
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sensor_sim.crossing import crossing
+from sensor_sim.curve_plan import CurvePlan, centre_offset, linear_readout
 from sensor_sim.noise import excess_kurtosis
-from sensor_sim.reconstruction import axis_matrix, display_position_px
-from sensor_sim.sampling import field_detectors, field_sampler
+from sensor_sim.planning import ORTHANT_NODES, plan_curve
 from sensor_sim.sensor import Sensor
 from todframes.decision import answer_probability
 from todframes.errors import SettingsError
-from todframes.readout import Observer, Readout, Stimulus, non_gaussian_bound
-from todframes.retina import overlap_matrix
-from todframes.stimulus import ORIENTATIONS, Orientation, bounding_box_offset
-
-if TYPE_CHECKING:
-    from scipy.sparse import csr_array
+from todframes.readout import Observer, Readout, non_gaussian_bound
+from todframes.stimulus import Orientation
 
 FloatArray = NDArray[np.float64]
 
 SCRAMBLINGS = 8
-PLACES = (5, 7, 9, 11, 13, 17, 25, 37)
-"""Along each axis of a detector, in each scrambling: more and more, until the error is small enough. Numbers that
-have a divisor in common with the display's pixels per detector are left out: P repeats with these pixels too, and
-such a lattice would see them all alike."""
+PLACES = (5, 7, 11, 17, 25, 37)
+"""Along each axis of a detector, in each scrambling: more and more, until the error is small enough. Each takes
+twice the trials of the one before, so that few chances are had to stop by a lucky estimate of the error. Numbers
+that have a divisor in common with the display's pixels per detector are left out: P repeats with these pixels too,
+and such a lattice would see them all alike."""
 KRONECKER_STEPS = np.modf(1.1673039782614187 ** -np.arange(1.0, 5.0))[0].reshape(2, 2)
 """Powers of the root of x⁵ = x + 1: a four-dimensional low-discrepancy sequence, two of them counted by rows and
 columns of the lattice (Roberts 2018)."""
-ORTHANT_NODES = 24
-"""Enough for 1e-14 where the four templates differ as those of the triangles do."""
-STUDENT_95 = 2.3646
-"""97.5 % point of Student's t with one degree of freedom less than there are scramblings."""
+STANDARD_ERRORS_95 = 2.8412
+"""Half-width of the stated interval: the 98.75 % point of Student's t with one degree of freedom less than there
+are scramblings. Half of what an interval may miss is kept for errors that stopped the refinement by being small by
+chance."""
 
 
 class Phases(NamedTuple):
@@ -78,6 +76,8 @@ class FoldedChain:
         A linear one.
     size_detectors : float
         √(area) of the triangle, > 0.
+    plan : CurvePlan, optional
+        What to leave out; by default what `plan_curve` finds.
 
     Raises
     ------
@@ -85,36 +85,19 @@ class FoldedChain:
         If the observer is not linear, or the size or field is out of range.
     """
 
-    def __init__(self, sensor: Sensor, observer: Observer, size_detectors: float) -> None:
-        self.field = field_detectors(sensor, size_detectors)
-        self.sampler = field_sampler(sensor, size_detectors)
-        self.sensor = sensor
-        self.observer = observer
-        self.size_detectors = size_detectors
-        readout = observer.readout(Stimulus(size_detectors * sensor.display.detector_pitch_mrad))
-        if readout is None:
-            raise SettingsError("observer: it is not linear; no curve can be computed, simulate frames instead")
-        self.readout: Readout = readout
-        self.hold = axis_matrix(self.field, display=sensor.display, electronics=sensor.electronics)
-        self.noise_covariance = readout.noise_covariance
-        side = readout.grid.side
-        # Folding in single precision costs half, and its 1e-7 of a weight moves no threshold by as much.
-        by_column = np.ascontiguousarray(readout.deviations.transpose(2, 0, 1), dtype=np.float32)
-        self._along_x_first = by_column.reshape(side, 4 * side)
+    def __init__(
+        self, sensor: Sensor, observer: Observer, size_detectors: float, plan: CurvePlan | None = None
+    ) -> None:
+        self.plan = plan if plan is not None else plan_curve(sensor, observer, size_detectors)
+        self.sensor, self.observer, self.size_detectors = sensor, self.plan.observer, size_detectors
+        self.field = self.plan.field
+        self.sampler = self.plan.sampler
+        self.readout: Readout = linear_readout(sensor, self.observer, size_detectors)
+        self.noise_covariance = self.readout.noise_covariance
+        self.folding = self.plan.folding(sensor, self.readout, size_detectors)
         self._drawn: dict[tuple[int, int], list[list[Phases]]] = {}
-        # Square detectors and a symmetric observer look the same to all orientations.
-        self.orientations = ORIENTATIONS[:1] if _is_symmetric(readout) else ORIENTATIONS
-
-    def _retina(self, place: float) -> csr_array:
-        """Share of each retina sample on each display pixel along an axis; its middle at a place in detectors."""
-        display = self.sensor.display
-        return overlap_matrix(
-            self.readout.grid,
-            centre_px=display_position_px(place, n_detectors=self.field, display=display),
-            pixel_pitch_mrad=display.pixel_pitch_mrad,
-            first_pixel=0,
-            n_pixels=self.hold.shape[0],
-        )
+        self.orientations = self.plan.orientations
+        self.drawing_s = 0.0
 
     def with_internal_noise(self, scale: float) -> FoldedChain:
         """The same with the standard deviation of the internal noise scaled; all that was computed is shared."""
@@ -125,8 +108,10 @@ class FoldedChain:
     def scramblings(self, places: int, seed: int) -> list[list[Phases]]:
         """Independent `phases`, as many as there are scramblings; kept, for other noise asks for the same."""
         if (places, seed) not in self._drawn:
+            started = time.perf_counter()
             streams = np.random.SeedSequence(seed, spawn_key=(places,)).spawn(SCRAMBLINGS)
             self._drawn[places, seed] = [self.phases(places, np.random.default_rng(one)) for one in streams]
+            self.drawing_s += time.perf_counter() - started
         return self._drawn[places, seed]
 
     def phases(self, places: int, rng: np.random.Generator) -> list[Phases]:
@@ -161,29 +146,18 @@ class FoldedChain:
         triangle_x: FloatArray,
         triangle_y: FloatArray,
     ) -> Phases:
-        dx, dy = bounding_box_offset(orientation) if self.observer.centre == "bounding_box" else (0.0, 0.0)
-        field, side = self.field, self.readout.grid.side
-        # From the retina to the display by sparse overlap, then to the detectors: first along x, then along y.
-        on_columns = np.stack([self._fold(x + dx * self.size_detectors, self._along_x_first) for x in middle_x])
-        on_columns = on_columns.reshape(places := len(middle_x), field, 4, side).transpose(3, 0, 2, 1)
-        on_columns = np.ascontiguousarray(on_columns).reshape(side, places * 4 * field)
+        dx, dy = centre_offset(self.observer, orientation, self.size_detectors)
+        places, field = len(middle_x), self.field
         signal, noise = [], []
-        for row, y in enumerate(middle_y):
-            folded = self._fold(y + dy * self.size_detectors, on_columns).reshape(field, places, 4, field)
-            weights = folded.transpose(1, 2, 0, 3).reshape(places, 4, field**2).astype(np.float64)
-            weights *= self.sensor.display.gain
+        for row, weights in enumerate(self.folding.weights_by_row(middle_x + dx, middle_y + dy)):
+            weights = self.plan.all_four(weights) * self.sensor.display.gain
             these = slice(row * places, (row + 1) * places)
             samples = self.sampler.samples(
                 triangle_x[these].ravel(), triangle_y[these].ravel(), orientation=orientation
             ).reshape(places, -1, field**2)
             signal.append(samples @ weights.swapaxes(1, 2))
-            noise.append(weights @ weights.swapaxes(1, 2))
+            noise.append(self.plan.noise(weights))
         return Phases(np.concatenate(signal), np.concatenate(noise), orientation.quarter_turns)
-
-    def _fold(self, place: float, weights: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Weights on retina samples along the first axis, (side, n), to weights on detectors, (field, n)."""
-        on_pixels = self._retina(place).astype(np.float32).T @ weights
-        return np.asarray(self.hold.T.astype(np.float32) @ on_pixels)
 
     def non_gaussian_bound(self) -> float:
         """Bound on the error in P(correct) from taking internal and detector noise as Gaussian, to first order.
@@ -191,38 +165,31 @@ class FoldedChain:
         As for the internal noise alone (`Readout.non_gaussian_bound`): the sum's excess kurtosis is at most the
         larger one of its two parts.
         """
-        columns = self._fold(0.0, self._along_x_first).reshape(self.field, 4, -1).transpose(2, 1, 0)
-        weights = self._fold(0.0, np.ascontiguousarray(columns).reshape(len(columns), -1))
-        weights = weights.reshape(self.field, 4, self.field).transpose(1, 0, 2).reshape(4, -1).astype(np.float64)
+        weights = self.plan.all_four(self.folding.weights(0.0, 0.0)[None])[0]
         squares = np.square(weights[:, None] - weights)[np.triu_indices(4, 1)]
         participation = (np.square(squares).sum(axis=1) / np.square(squares.sum(axis=1))).max()
         of_detectors = non_gaussian_bound(excess_kurtosis(self.sensor.noise) * float(participation))
         return max(self.readout.non_gaussian_bound, of_detectors)
 
-    def proportion_correct(self, phases: list[Phases], snr: float) -> float:
-        """Mean P(correct) over trials at a signal-to-noise ratio; infinity: no detector noise."""
+    def proportion_correct(self, phases: list[Phases], snr: float, contrast: float = 1.0) -> float:
+        """Mean P(correct) over trials at a signal-to-noise ratio; infinity: no detector noise.
+
+        `contrast` is that of the triangle, in units of what the sensor's gain gives it.
+        """
         means = []
         for part in phases:
-            covariance = self.noise_covariance + part.noise[:, None] / snr**2
-            means.append(answer_probability(part.signal, covariance, part.correct, nodes=ORTHANT_NODES).mean())
+            covariance = self.noise_covariance + part.noise[:, None] * (contrast / snr) ** 2
+            signal = contrast * part.signal
+            means.append(answer_probability(signal, covariance, part.correct, nodes=ORTHANT_NODES).mean())
         return float(np.mean(means))
-
-
-def _is_symmetric(readout: Readout) -> bool:
-    """Whether the four scores are one and the same, turned, to the last bit."""
-    first, covariance = readout.deviations[0], readout.noise_covariance
-    return all(
-        np.array_equal(readout.deviations[k], np.rot90(first, -k))
-        and np.allclose(np.roll(covariance[0], k), covariance[k], rtol=1e-12)
-        for k in range(1, 4)
-    )
 
 
 @dataclass(frozen=True, slots=True)
 class PredictedThreshold:
     """A threshold computed for a sensor.
 
-    `threshold` is a signal-to-noise ratio; `numerical_error` the half-width of its 95 % interval over scramblings;
+    `threshold` is a signal-to-noise ratio; `numerical_error` the half-width of its 95 % interval over scramblings
+    and the bound on what the plan leaves out;
     `n_phases` the trials it is a mean over; `points` pairs of SNR and proportion correct about it.
     """
 
@@ -268,6 +235,7 @@ def predict_threshold(
         if threshold is None:
             return PredictedThreshold(chain.size_detectors, status, None, None, n_phases, ())
         error, slope = _error(chain, parts, threshold)
+        error += chain.plan.bound / slope * threshold
         if error <= tolerance * threshold:
             break
     assert threshold is not None
@@ -290,4 +258,4 @@ def _error(chain: FoldedChain, parts: list[list[Phases]], threshold: float) -> t
     )
     slope = max(float((high - low).mean()) / (2.0 * step), 1e-12)
     spread = float(((high + low) / 2.0).std(ddof=1)) / math.sqrt(len(parts))
-    return STUDENT_95 * spread / slope * threshold, slope
+    return STANDARD_ERRORS_95 * spread / slope * threshold, slope

@@ -78,13 +78,16 @@ def axis_matrix(n_detectors: int, *, display: SensorDisplay, electronics: Electr
 
     Hogervorst et al. 2001, sections 3.4 and 3.5.
     """
-    n_px = n_detectors * display.pixels_per_detector
+    per_detector = display.pixels_per_detector
+    n_px = n_detectors * per_detector
     kernel = gaussian_kernel(math.hypot(electronics.blur_sigma_px, display.blur_sigma_px))
-    radius = kernel.size // 2
-    distance = np.abs(np.subtract.outer(np.arange(n_px), np.arange(n_px)))
-    half = np.zeros(max(n_px, radius + 1))
-    half[: radius + 1] = kernel[radius:]
-    return np.asarray(half[distance].reshape(n_px, n_detectors, display.pixels_per_detector).sum(axis=-1))
+    half = np.zeros(max(n_px, kernel.size // 2 + 1))
+    half[: kernel.size // 2 + 1] = kernel[kernel.size // 2 :]
+    # What a pixel gets from a detector depends on the distance alone, so all such sums are made once.
+    around = np.concatenate([half[n_px - 1 : 0 : -1], half[:n_px]])
+    of_detector = np.lib.stride_tricks.sliding_window_view(around, per_detector).sum(axis=-1)
+    distance = np.subtract.outer(np.arange(n_px - 1, -1, -1), -per_detector * np.arange(n_detectors))
+    return np.asarray(of_detector[distance])
 
 
 def display_signal(samples: FloatArray, matrix: FloatArray) -> FloatArray:

@@ -19,6 +19,7 @@ Hogervorst et al. 2001, sections 3.1, 3.2 and 3.6.
 
 from __future__ import annotations
 
+import copy
 import math
 
 import numpy as np
@@ -55,7 +56,8 @@ class TriangleSampler:
 
     Parameters
     ----------
-    optics : Optics
+    optics : Optics or None
+        None: they are left out.
     detector : Detector
     size_detectors : float
         √(area) of the triangle, > 0.
@@ -66,8 +68,10 @@ class TriangleSampler:
 
     Attributes
     ----------
+    sharp : bool
+        Whether the optics are left out.
     neglected_bound : float
-        0, or by how much at most a sample differs because the optics are left out.
+        0, or by how much at most a sample differs because there are too many frequencies.
     wrap_around_bound : float
         By how much at most a sample differs from that of a single triangle within half a detector of the
         middle; falls with the cube of the period. 0 if the optics are left out: nothing is repeated then.
@@ -82,7 +86,7 @@ class TriangleSampler:
     def __init__(
         self,
         *,
-        optics: Optics,
+        optics: Optics | None,
         detector: Detector,
         size_detectors: float,
         field_detectors: int,
@@ -91,21 +95,25 @@ class TriangleSampler:
         period = field_detectors if period_detectors is None else period_detectors
         if not (math.isfinite(size_detectors) and size_detectors > 0.0):
             raise SettingsError(f"size_detectors: found {size_detectors!r}, expected a finite number > 0")
-        smallest = math.ceil(4.0 / 3.0 * HEIGHT_PER_SIZE * size_detectors + 1.0)
+        smallest = smallest_field(size_detectors)
         if field_detectors < smallest:
             needed = f"at least {smallest} for a triangle of size {size_detectors:g} detectors"
             raise SettingsError(f"field_detectors: found {field_detectors}, expected {needed}")
         if period < field_detectors:
             raise SettingsError(f"period_detectors: found {period}, expected at least {field_detectors}")
         self._size = size_detectors
-        self._field = field_detectors
-        self._period = period
+        self._field = self._whole_field = field_detectors
+        self.period = period
         self._width = detector.width_mrad / detector.pitch_mrad
+        self.neglected_bound = self.wrap_around_bound = 0.0
+        self.sharp = optics is None
+        if optics is None:
+            return
         last = band_limit_cyc_per_mrad(optics) * detector.pitch_mrad * period
         if last < 1.0:
             raise SettingsError(f"optics: found a cut-off of {last:g} cycles in {period} detectors, expected >= 1")
-        self.neglected_bound = self.wrap_around_bound = 0.0
         if 2.0 * last**2 > MAX_FREQUENCIES:
+            self.sharp = True
             self.neglected_bound = sharpness_bound(optics, width_mrad=detector.width_mrad)
             if self.neglected_bound > MAX_NEGLECTED:
                 raise SettingsError(too_many_frequencies(2.0 * last**2))
@@ -125,7 +133,7 @@ class TriangleSampler:
 
         Real samples need folded x frequencies from 0 to half of the period only.
         """
-        period, pitch = self._period, detector.pitch_mrad
+        period, pitch = self.period, detector.pitch_mrad
         half = period // 2
         self._folded_x = np.arange(half + 1)
         self._replicas_x = np.arange(-math.floor((last + half) / period), math.floor(last / period) + 1)
@@ -133,7 +141,7 @@ class TriangleSampler:
         folded_y = np.fft.ifftshift(np.arange(period) - half)
         self._k_y = np.arange(-n_y, n_y + 1)[:, None] * period + folded_y
         # Samples start at the field's first detector, whose place relative to the middle is this.
-        first = -(self._field - 1) / 2.0
+        first = -(self._whole_field - 1) / 2.0
         self._unfolded = np.zeros((half + 1, *self._k_y.shape, self._replicas_x.size), dtype=np.complex128)
         for i, k_folded in enumerate(self._folded_x):
             k_x, k_y = np.broadcast_arrays(k_folded + self._replicas_x * period, self._k_y[..., None])
@@ -142,6 +150,21 @@ class TriangleSampler:
             transfer = pre_sample_mtf(fx / pitch, fy / pitch, optics=optics, detector=detector)
             triangle = spectrum(fx, fy, size=self._size, orientation=Orientation.UP, x=-first, y=-first)
             self._unfolded[i][passed] = transfer * triangle
+
+    def within(self, field_detectors: int) -> TriangleSampler:
+        """The same samples, but for those outside of a smaller field with the same middle.
+
+        Raises
+        ------
+        SettingsError
+            If the field is not smaller by an even number of detectors.
+        """
+        if field_detectors > self._whole_field or (self._whole_field - field_detectors) % 2:
+            expected = f"{self._whole_field} or less by an even number"
+            raise SettingsError(f"field_detectors: found {field_detectors}, expected {expected}")
+        narrow = copy.copy(self)
+        narrow._field = field_detectors
+        return narrow
 
     def samples(self, x_detectors: ArrayLike, y_detectors: ArrayLike, *, orientation: Orientation) -> FloatArray:
         """Samples with the triangle's centroid at these places.
@@ -157,19 +180,21 @@ class TriangleSampler:
         """
         x, y = _upright_place(x_detectors, y_detectors, orientation)
         upright = np.empty((x.size, self._field, self._field))
+        margin = (self._whole_field - self._field) // 2
+        inner = slice(margin, margin + self._field)
         for start in range(0, x.size, PLACES_AT_ONCE):
             part = slice(start, start + PLACES_AT_ONCE)
-            if self.neglected_bound > 0.0:
+            if self.sharp:
                 upright[part] = self._covered_area(x[part], y[part])
             else:
-                repeated = np.fft.irfft2(self._folded(x[part], y[part]), s=(self._period,) * 2, axes=(1, 0))
-                upright[part] = repeated[: self._field, : self._field].transpose(2, 1, 0)
+                repeated = np.fft.irfft2(self._folded(x[part], y[part]), s=(self.period,) * 2, axes=(1, 0))
+                upright[part] = repeated[inner, inner].transpose(2, 1, 0)
         return np.rot90(upright, -orientation.quarter_turns, axes=(1, 2))
 
     def _folded(self, x: FloatArray, y: FloatArray) -> ComplexArray:
         """Spectrum folded onto the grid, for upright triangles at these places: (folded x, folded y, places)."""
-        turn = -2j * np.pi / self._period
-        k_x = self._folded_x[:, None] + self._replicas_x * self._period
+        turn = -2j * np.pi / self.period
+        k_x = self._folded_x[:, None] + self._replicas_x * self.period
         replicas_y = self._unfolded @ np.exp(turn * k_x[..., None] * x)[:, None]
         replicas_y *= np.exp(turn * self._k_y[..., None] * y)
         return np.asarray(replicas_y.sum(axis=1))
@@ -216,6 +241,11 @@ def field_detectors(sensor: Sensor, size_detectors: float) -> int:
             f"{sensor.optics.blur_sigma_mrad:g} need {field:.6g} detectors, expected at most {MAX_FIELD_DETECTORS}"
         )
     return math.ceil(field)
+
+
+def smallest_field(size_detectors: float) -> int:
+    """Detectors along each side of a field that a triangle within half a detector of the middle does not leave."""
+    return math.ceil(4.0 / 3.0 * HEIGHT_PER_SIZE * size_detectors + 1.0)
 
 
 def field_sampler(sensor: Sensor, size_detectors: float) -> TriangleSampler:

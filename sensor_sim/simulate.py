@@ -24,7 +24,7 @@ from sensor_sim.sensor import Sensor
 from todframes import __version__
 from todframes.errors import SettingsError
 from todframes.frame_writing import write_frame
-from todframes.frames import frame_sha256
+from todframes.frames import MAX_DECODED_MB, MAX_SIDE_PX, frame_sha256
 from todframes.stimulus import ORIENTATIONS, Orientation
 
 FloatArray = NDArray[np.float64]
@@ -33,6 +33,8 @@ FrameFormat = Literal["exr", "png"]
 # First element of the spawn keys of random streams.
 TRIAL_STREAMS, PATTERN_STREAM = 0, 1
 MOST_CLIPPED = 0.01
+MOST_SIDE_PX = min(MAX_SIDE_PX, math.isqrt(MAX_DECODED_MB * 2**20 // 2))
+"""Of square frames of two bytes a pixel that `todframes` reads."""
 TRIALS_PER_TASK = 32
 
 
@@ -95,13 +97,20 @@ class Simulator:
     Raises
     ------
     SettingsError
-        If the optics pass too little or too much for the field.
+        If the optics pass too little or too much for the field, or its frame has more pixels than may be read.
     """
 
     def __init__(self, sensor: Sensor, size_detectors: float, *, seed: int) -> None:
         self.sensor = sensor
         self.seed = seed
         self.field = field_detectors(sensor, size_detectors)
+        per_detector = sensor.display.pixels_per_detector
+        side = self.field * per_detector
+        if side > MOST_SIDE_PX:
+            raise SettingsError(
+                f"pixels_per_detector: found {per_detector}, for a triangle of {size_detectors:g} detectors a frame "
+                f"of {side} × {side} pixels, expected at most {MOST_SIDE_PX} × {MOST_SIDE_PX}"
+            )
         self.sampler = field_sampler(sensor, size_detectors)
         self.matrix = axis_matrix(self.field, display=sensor.display, electronics=sensor.electronics)
         pattern_seed = np.random.SeedSequence(seed, spawn_key=(PATTERN_STREAM,))

@@ -90,6 +90,8 @@ def optics_mtf(radial_frequency_cyc_per_mrad: ArrayLike, *, optics: Optics) -> F
     diffraction = diffraction_mtf(
         radial_frequency_cyc_per_mrad, wavelength_um=optics.wavelength_um, aperture_mm=optics.aperture_mm
     )
+    if optics.blur_sigma_mrad == 0.0:
+        return diffraction
     return diffraction * gaussian_mtf(radial_frequency_cyc_per_mrad, sigma=optics.blur_sigma_mrad)
 
 

@@ -316,6 +316,41 @@ def test_two_pairs_of_identical_templates():
     assert found == pytest.approx([first / 2, 1 - first, first / 2, 0], abs=SMOOTH)
 
 
+# The noise as a factor
+
+
+def test_factor_is_as_good_as_its_covariance():
+    rng = np.random.default_rng(6)
+    factor, scores = rng.normal(size=(7, 4, 5)), rng.normal(size=(7, 4))
+    covariance = factor @ factor.swapaxes(1, 2)
+    # Both are right to `SMOOTH` where the covariance is far from singular.
+    found = answer_probabilities(scores, factor=factor)
+    assert found == pytest.approx(answer_probabilities(scores, covariance), abs=SMOOTH)
+    one = answer_probabilities(scores, factor=factor[0])
+    assert one == pytest.approx(answer_probabilities(scores, covariance[0]), abs=SMOOTH)
+    assert one.shape == (7, 4)
+
+
+@pytest.mark.parametrize("apart", [1.0, 1e-3, 1e-7, 1e-150])
+def test_factor_keeps_the_digits_of_templates_that_are_alike(apart):
+    # Templates a + apart·e_k are independent but for what they share; 1 + 1e-7 has lost no digit that decides, and
+    # of 1e-150 nothing would be left but for a = 0.
+    shared = 1.0 if apart > 1e-10 else 0.0
+    score = apart * np.array([1.3, 0.2, -0.4, 0.9])
+    found = answer_probabilities(score, factor=shared + apart * np.eye(4))
+    # Rows round by 1e-16, their distances by 1e-16 / apart.
+    assert found == pytest.approx(independent(score / apart, np.ones(4)), abs=SMOOTH + 1e-16 * shared / apart)
+
+
+def test_factors_of_any_rank():
+    # Two templates coincide, and then all four are on a line: exact angles of 0, 90 and 180 degrees.
+    score = [0.7, 0.7, 0.0, 0.0]
+    for rows in ([[1, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], [[-2], [-1], [0], [3]], [[0], [0], [0], [0]]):
+        template = np.array(rows, dtype=float)
+        expected = answer_probabilities(score, template @ template.T)
+        assert answer_probabilities(score, factor=template) == pytest.approx(expected, abs=SMOOTH)
+
+
 # Laws
 
 finite = st.floats(-5, 5, allow_subnormal=False)
@@ -423,6 +458,21 @@ def test_refuses_what_is_not_a_covariance():
         answer_probabilities(np.zeros(4), np.stack([np.eye(4), np.diag([1, 1, 1, -1e-6])]))
     # Within the rounding that is allowed, 1e-10.
     answer_probabilities(np.zeros(4), np.diag([1, 1, 1, -1e-11]))
+
+
+def test_refuses_noise_in_both_ways_or_none():
+    for noise in ({}, {"covariance": np.eye(4), "factor": np.eye(4)}):
+        with pytest.raises(
+            SettingsError, match=r"noise: found both or none of covariance and factor, expected one"
+        ):
+            answer_probabilities(np.zeros(4), **noise)
+
+
+def test_refuses_a_factor_that_is_none():
+    with pytest.raises(SettingsError, match=r"factor has shape \(3, 4\), expected \(\.\.\., 4, n\)"):
+        answer_probabilities(np.zeros(4), factor=np.ones((3, 4)))
+    with pytest.raises(SettingsError, match=r"factor\[0, 1\] is nan, expected finite numbers"):
+        answer_probabilities(np.zeros(4), factor=[[0, np.nan], [0, 0], [0, 0], [0, 0]])
 
 
 def test_refuses_other_shapes():

@@ -163,6 +163,16 @@ def test_a_constant_added_changes_nothing(observer: PyramidObserver) -> None:
     assert np.allclose(readout.scores(image + 5.0), readout.scores(image), rtol=0.0, atol=1e-12)
 
 
+@pytest.mark.parametrize("size_samples", [0.01, 0.3, 0.5698])
+@pytest.mark.parametrize("polarity", [1, -1])
+def test_a_triangle_within_one_sample_looks_the_same_to_all_templates(size_samples: float, polarity: int) -> None:
+    """Exactly: rounding of what all four have in common must not be taken for a difference."""
+    observer = PyramidObserver(PyramidSettings(retina_pitch_mrad=1.0))
+    readout = observer.readout(Stimulus(size_samples, polarity))
+    assert not readout.deviations.any() and not readout.noise_covariance.any()
+    assert readout.common.any()
+
+
 def test_polarity_and_noise_scale() -> None:
     dark = PyramidObserver().readout(Stimulus(1.0, -1))
     bright = PyramidObserver().readout(Stimulus(1.0, 1))

@@ -15,8 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from todframes import __version__
-from todframes.cli_compare import compare, enhancements
+from todframes import __version__, cli_compare, cli_studies
 from todframes.command import (
     Commands,
     decisions_option,
@@ -25,6 +24,7 @@ from todframes.command import (
     numbers,
     observer_options,
     p_correct_option,
+    plan_options,
     print_result,
     progress,
     quiet_option,
@@ -57,6 +57,14 @@ def cli() -> None:
 @click.option("-o", "--out", metavar="OUT", help="Folder for result.json, scores.csv and plots.")
 @observer_options
 @decisions_option
+@click.option(
+    "--tolerance",
+    type=float,
+    metavar="T",
+    help="Relative error of the thresholds that displacing the retina may cause: each frame is seen with as many "
+    "displacements as that takes.  [default: one each]",
+)
+@plan_options
 @seed_option
 @click.option("--locate", is_flag=True, help="Find the triangle's position where the manifest has none.")
 @running_options
@@ -67,6 +75,9 @@ def score(
     dataset: Path,
     out: str | None,
     decisions: Any,
+    tolerance: float | None,
+    plan_name: Any,
+    explain: bool,
     seed: int,
     locate: bool,
     on_error: str,
@@ -84,6 +95,7 @@ def score(
     from todframes import plots, report
     from todframes.dataset import load_dataset
     from todframes.locating import locate_triangles
+    from todframes.planning import plan_object
     from todframes.scoring import score_dataset
 
     skip = on_error == "skip"
@@ -105,19 +117,21 @@ def score(
                 decisions=decisions,
                 seed=seed,
                 fit_settings=fit_settings,
+                tolerance=tolerance,
+                plan_name=plan_name,
                 skip_bad_frames=skip,
                 workers=workers,
                 progress=advance,
             )
         result = report.result_object(
             "score",
-            settings=settings | {"decisions": decisions},
+            settings=settings | {"decisions": decisions, "tolerance": tolerance, "plan": plan_name},
             seed=seed,
             fits=[
-                report.fit_object(dict(zip(group_by, one.group, strict=True)), level, one.fit)
-                | {"p_correct_error_bound": one.non_gaussian_bound}
+                report.scored_fit_object(dict(zip(group_by, one.group, strict=True)), level, one)
                 for one in scored.fits
             ],
+            plan=plan_object(scored.plan, 1.0),
             skipped=[one._asdict() for one in scored.skipped],
             negative_luminance_pixels=scored.n_negative,
             **more,
@@ -137,7 +151,7 @@ def score(
             say(f"skipped: {one.error}")
         if scored.n_negative:
             say(f"note: {scored.n_negative} of the display pixels read have a luminance below zero")
-    print_result(result, f"{dataset}: {len(scored.trials)} trials", as_json=as_json)
+    print_result(result, f"{dataset}: {len(scored.trials)} trials", as_json=as_json, explain=explain)
     if not as_json:
         click.echo(report.closing_line(result))
         if out is not None:
@@ -255,8 +269,10 @@ def validate(*, dataset: Path) -> None:
     click.echo(f"{dataset}: {n_frames} frames in {len(data.trials)} trials, all good")
 
 
-cli.add_command(compare)
-cli.add_command(enhancements)
+cli.add_command(cli_studies.stability)
+cli.add_command(cli_studies.accuracy)
+cli.add_command(cli_compare.compare)
+cli.add_command(cli_compare.enhancements)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -17,6 +17,7 @@ from todframes.command import (
     json_option,
     make_observer,
     observer_options,
+    plan_options,
     print_table,
     progress,
     quiet_option,
@@ -49,6 +50,7 @@ if TYPE_CHECKING:
 @click.option("--allow-clipping", is_flag=True, help="Clip what algorithms take beyond the display's range.")
 @observer_options
 @decisions_option
+@plan_options
 @seed_option
 @running_options
 @json_option
@@ -61,6 +63,8 @@ def compare(
     white: float,
     allow_clipping: bool,
     decisions: Any,
+    plan_name: Any,
+    explain: bool,
     seed: int,
     on_error: str,
     workers: int,
@@ -84,6 +88,8 @@ def compare(
     from todframes.comparing import compare_dataset
     from todframes.dataset import load_dataset
     from todframes.enhanced import Screen
+    from todframes.planning import plan_object
+    from todframes.tables import plan_table
 
     cv2.setNumThreads(1)  # --workers says how many processors are used, and the algorithms' time is known
     algorithms = _found(specs)
@@ -101,6 +107,7 @@ def compare(
                 seed=seed,
                 fit_settings=fit_settings,
                 screen=screen,
+                plan_name=plan_name,
                 skip_bad_frames=on_error == "skip",
                 workers=workers,
                 progress=advance,
@@ -110,13 +117,15 @@ def compare(
         black, peak = screen.luminance_range
         result = report.result_object(
             "compare",
-            settings=settings | {"decisions": decisions, "white": white, "allow_clipping": allow_clipping},
+            settings=settings
+            | {"decisions": decisions, "plan": plan_name, "white": white, "allow_clipping": allow_clipping},
             seed=seed,
             fits=[],
             dataset=str(dataset),
             algorithms=objects,
             data_range_cd_m2=peak - black,
             verdict=verdict_sentences(objects, fit_settings.p_correct),
+            plan=plan_object(reference.plan, 1.0),
             skipped=[one._asdict() for one in reference.skipped],
             negative_luminance_pixels=reference.n_negative,
             run_time_s=time.perf_counter() - start,
@@ -140,6 +149,8 @@ def compare(
     if as_json:
         click.echo(report.encode(result), nl=False)
         return
+    if explain:
+        print_table(plan_table(result))
     print_table(ratio_table(objects, f"{dataset}: {len(reference.trials)} trials"))
     if any(one["psnr_db"] is not None or one["ssim"] is not None for one in objects):
         print_table(measures_table(objects))

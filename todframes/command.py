@@ -84,6 +84,17 @@ running_options = options(
     ),
 )
 quiet_option = click.option("--quiet", is_flag=True, help="No progress and no remarks on standard error.")
+plan_options = options(
+    click.option(
+        "--plan",
+        "plan_name",
+        type=click.Choice(["needed", "full"]),
+        default="needed",
+        show_default=True,
+        help="Leave out what the scene does not need, or nothing.",
+    ),
+    click.option("--explain", is_flag=True, help="Print what was kept and left out, why, and what that changes."),
+)
 
 
 def make_observer(
@@ -167,14 +178,16 @@ def numbers(text: str, option: str) -> list[float]:
         raise SettingsError(f"{option}: found {text!r}, expected numbers with commas between them") from None
 
 
-def print_result(result: Json, title: str, *, as_json: bool) -> None:
-    """A result on standard output: one JSON object, or a table."""
-    from todframes import report
+def print_result(result: Json, title: str, *, as_json: bool, explain: bool = False) -> None:
+    """A result on standard output: one JSON object, or a table, and the plan if it is to be explained."""
+    from todframes import report, tables
 
     if as_json:
         click.echo(report.encode(result), nl=False)
         return
-    print_table(report.threshold_table(result, title))
+    if explain:
+        print_table(tables.plan_table(result))
+    print_table(tables.threshold_table(result, title))
 
 
 def print_table(table: Table) -> None:

@@ -7,7 +7,8 @@ from typing import Any
 
 from todframes.comparing import AlgorithmResult, Compared
 from todframes.enhancement import Enhancement, Parameter
-from todframes.report import fit_object, interval, number
+from todframes.report import scored_fit_object
+from todframes.tables import interval, number
 
 Json = dict[str, Any]
 
@@ -46,8 +47,7 @@ def algorithm_objects(results: Sequence[AlgorithmResult], group_by: Sequence[str
                 "parameters": {name: _plain_value(value) for name, value in algorithm.values.items()},
                 "magnification": algorithm.magnification,
                 "fits": [
-                    fit_object(dict(zip(group_by, fit.group, strict=True)), level, fit.fit)
-                    | {"p_correct_error_bound": fit.non_gaussian_bound}
+                    scored_fit_object(dict(zip(group_by, fit.group, strict=True)), level, fit)
                     for fit in one.scored.fits
                 ],
                 "ratios": [_compared_object(compared, group_by) for compared in one.compared],

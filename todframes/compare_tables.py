@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 from todframes.compare_report import value_text
 from todframes.comparing import AlgorithmResult
-from todframes.report import interval, number, scores_csv
+from todframes.report import scores_csv
+from todframes.tables import interval, number
 
 if TYPE_CHECKING:
     from rich.table import Table

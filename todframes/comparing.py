@@ -6,30 +6,36 @@ the same noise on its neurons.
 
 from __future__ import annotations
 
-import copy
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
-from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from todframes.dataset import Dataset, FrameReference, Trial
-from todframes.enhanced import DecodedFrame, Picture, Screen
+from todframes.dataset import Dataset, Trial
+from todframes.enhanced import Screen
+from todframes.enhanced_reading import Measured, TrialReader
 from todframes.enhancement import REFERENCE, Enhancement
 from todframes.enhancement_specs import find_enhancement
-from todframes.errors import DataError, FrameError, SettingsError
-from todframes.frames import FrameFile, read_frame
-from todframes.likeness import psnr_db, squared_error_and_ssim
+from todframes.errors import SettingsError
+from todframes.likeness import psnr_db
 from todframes.pairing import RatioDraws, ThresholdRatio, holm, ratio_draws, threshold_ratio
+from todframes.planning import PlanName
 from todframes.psychometric import MAX_RESAMPLES, FitSettings
 from todframes.readout import Observer
-from todframes.running import RATIO_STREAMS, run_trials, trial_draws
-from todframes.scoring import Decisions, ScoredDataset, assemble, scored_view
-from todframes.viewing import View, check_sha256, place_grid
+from todframes.score_planning import ScorePlan, plan_score
+from todframes.scoring import GroupFitter, ScoredDataset, check_seen, usable_trials
+from todframes.trial_scoring import (
+    RATIO_STREAMS,
+    Decisions,
+    ReadoutOf,
+    SeenTrial,
+    TrialScorer,
+    see_trials,
+)
+from todframes.viewing import Shown
 
 FloatArray = NDArray[np.float64]
 Verdict = Literal["better", "worse", "no difference shown", "mixed"]
@@ -37,9 +43,6 @@ Verdict = Literal["better", "worse", "no difference shown", "mixed"]
 SIGNIFICANCE = 0.05
 RESAMPLES_PER_COMPARISON = 80
 """So that the smallest p-value there can be, 2 / resamples, is half of 5 % even after Holm's correction."""
-
-# Columns behind those of `scored_view`: of the mean over a trial's frames, but for the sums at the end.
-SCORED, SQUARED_ERROR, SSIM, N_CLIPPED, CPU_S = slice(0, 12), 12, 13, 14, 15
 
 
 class Compared(NamedTuple):
@@ -83,6 +86,7 @@ def compare_dataset(
     seed: int = 1,
     fit_settings: FitSettings | None = None,
     screen: Screen | None = None,
+    plan_name: PlanName = "needed",
     skip_bad_frames: bool = False,
     workers: int = 1,
     progress: Callable[[int], None] | None = None,
@@ -95,8 +99,11 @@ def compare_dataset(
         The reference, `none`, comes first in the result, whether it is among them or not.
     screen : Screen, optional
         Default: the dataset's display with a white of 1, and no clipping.
+    plan_name : {"needed", "full"}
+        As in `score_dataset`; one plan for all algorithms, made from frames before and after them.
 
-    The others are as in `score_dataset`, whose scores and fits the reference's are, number for number.
+    The others are as in `score_dataset`. With the same plan its scores and fits are the reference's, number for
+    number.
 
     Returns
     -------
@@ -119,109 +126,71 @@ def compare_dataset(
         if one.spec in [other.spec for other in algorithms[:number]]:
             raise SettingsError(f"enhance {one.spec!r}: found twice, expected once")
     screen = screen or Screen(dataset.display)
-    job = _Job(dataset, observer, tuple(algorithms), decisions, seed, screen)
-    trials, table, skipped = run_trials(
-        dataset, job, skip_bad_frames=skip_bad_frames, workers=workers, progress=progress
-    )
+    whole, skipped = usable_trials(dataset, skip_bad_frames=skip_bad_frames)
+    reader, expected = TrialReader(algorithms, screen), decisions == "expected"
+    # Of frames after the algorithms as well: what is left out of one view is left out of all.
+    plan = plan_score(dataset, whole, observer, name=plan_name, expected=expected, read=reader)
+    scorer = _Scorer(TrialScorer(dataset, plan, decisions, seed), reader)
+    seen, unread = see_trials(scorer, whole, skip_bad_frames=skip_bad_frames, workers=workers, progress=progress)
+    skipped += unread
+    check_seen(dataset, seen, skipped)
+    fit_groups = GroupFitter(plan, seed, fit_settings, expected)
     scored = [
-        assemble(trials, table[:, number, SCORED], skipped, observer, decisions, seed, fit_settings)
-        for number in range(len(algorithms))
+        replace(fit_groups([trial.seen[k] for trial in seen]), skipped=tuple(skipped))
+        for k in range(len(algorithms))
     ]
     compared = _compared(scored, seed, fit_settings)
     black, white = screen.luminance_range
     results = []
-    for number, (algorithm, own) in enumerate(zip(algorithms, compared, strict=True)):
-        of_algorithm = table[:, number]
+    for k, (algorithm, own) in enumerate(zip(algorithms, compared, strict=True)):
+        measured = [one for trial in seen for one in trial.measured[k]]
+        squared_errors = [one.squared_error for one in measured if one.squared_error is not None]
+        ssims = [one.ssim for one in measured if one.ssim is not None]
         results.append(
             AlgorithmResult(
                 enhancement=algorithm,
-                scored=scored[number],
+                scored=scored[k],
                 compared=tuple(one for one in own if one.group is not None),
                 overall=next((one for one in own if one.group is None), None),
-                psnr_db=psnr_db(_known_mean(of_algorithm[:, SQUARED_ERROR]), data_range=white - black),
-                ssim=_number(_known_mean(of_algorithm[:, SSIM])),
-                n_clipped=int(of_algorithm[:, N_CLIPPED].sum()),
-                cpu_s=float(of_algorithm[:, CPU_S].sum()),
+                psnr_db=psnr_db(_mean(squared_errors), data_range=white - black),
+                ssim=_mean(ssims),
+                n_clipped=sum(one.n_clipped for one in measured),
+                cpu_s=math.fsum(one.cpu_s for one in measured),
             )
         )
     return tuple(results)
 
 
-class _Job:
-    """Shows a trial to the observer after each algorithm: the numbers kept of it, shape (algorithm, 16)."""
+class _SeenTrial(NamedTuple):
+    """What the observer made of a trial after each algorithm, and what was measured of each of its frames."""
 
-    def __init__(
-        self,
-        dataset: Dataset,
-        observer: Observer,
-        algorithms: tuple[Enhancement, ...],
-        decisions: Decisions,
-        seed: int,
-        screen: Screen,
-    ) -> None:
-        self.dataset = dataset
-        self.observer = observer
-        self.algorithms = algorithms
-        self.decisions = decisions
-        self.seed = seed
-        self.screen = screen
-        self.reference_luminance = lru_cache(maxsize=16)(self._reference_luminance)
+    seen: list[SeenTrial]
+    measured: list[tuple[Measured, ...]]
 
-    def __call__(self, trial: Trial) -> FloatArray:
-        rng, displacement = trial_draws(self.observer, trial, self.seed)
-        frames = [self._frame(trial, frame, displacement) for frame in trial.frames]
-        rows = []
-        for number in range(len(self.algorithms)):
-            views, measures = zip(*(frame[number] for frame in frames), strict=True)
-            contrast = sum((view.contrast for view in views[1:]), views[0].contrast) / len(views)
-            view = View(contrast, sum(view.n_negative for view in views))
-            own_rng = copy.deepcopy(rng) if self.decisions == "sampled" else rng
-            row = scored_view(view, trial, self.observer, self.decisions, own_rng, displacement)
-            squared_error, ssim, n_clipped, cpu_s = np.transpose(measures)
-            more = _known_mean(squared_error), _known_mean(ssim), n_clipped.sum(), cpu_s.sum()
-            rows.append(np.concatenate([row, more]))
-        return np.array(rows)
 
-    def _frame(
-        self, trial: Trial, frame: FrameReference, displacement: tuple[float, float]
-    ) -> list[tuple[View, FloatArray]]:
-        """What each algorithm makes of a frame: on the retina, and what is measured of it."""
-        check_sha256(self.dataset, frame)
-        with FrameFile(self.dataset.frame_path(frame)) as file:
-            place = place_grid(self.dataset, trial, file, self.observer, displacement)
-            decoded = DecodedFrame(file, self.screen)
-        found = []
-        try:
-            for algorithm in self.algorithms:
-                picture = decoded.after(algorithm)
-                looked = decoded.looked_at(picture, place, frame.background_luminance_cd_m2)
-                view = View(looked.on_retina(place.grid), looked.patch.n_negative)
-                measures = *self._likeness(picture, frame), picture.n_clipped, picture.cpu_s
-                found.append((view, np.array(measures, dtype=np.float64)))
-        except FrameError:
-            raise
-        except DataError as error:
-            raise FrameError(file.path, str(error)) from None
-        return found
+class _Scorer(NamedTuple):
+    """Shows trials after each algorithm."""
 
-    def _likeness(self, picture: Picture, frame: FrameReference) -> tuple[float, float]:
-        """Squared error and SSIM against the frame without noise; NaN if there is none with as many pixels."""
-        path = self.dataset.reference_path(frame)
-        if path is None:
-            return math.nan, math.nan
-        reference = self.reference_luminance(path)
-        if picture.values.shape[:2] != reference.shape:
-            return math.nan, math.nan
-        black, white = self.screen.luminance_range
-        return squared_error_and_ssim(picture.luminance(), reference, data_range=white - black)
+    scorer: TrialScorer
+    reader: TrialReader
 
-    def _reference_luminance(self, path: Path) -> FloatArray:
-        try:
-            return self.screen.display.luminance(read_frame(path).values)
-        except FrameError:
-            raise
-        except DataError as error:
-            raise FrameError(path, str(error)) from None
+    @property
+    def dataset(self) -> Dataset:
+        return self.scorer.dataset
+
+    @property
+    def plan(self) -> ScorePlan:
+        return self.scorer.plan
+
+    def __call__(self, trial: Trial, readout_of: ReadoutOf) -> _SeenTrial:
+        measured: list[tuple[Measured, ...]] = []
+
+        def read(*arguments: Any, **more: Any) -> list[Shown]:
+            found = self.reader.read(*arguments, **more)
+            measured.extend(one.measured for one in found)
+            return [one.shown for one in found]
+
+        return _SeenTrial(self.scorer.see(trial, readout_of, read), measured)
 
 
 def _compared(scored: Sequence[ScoredDataset], seed: int, fit_settings: FitSettings) -> list[list[Compared]]:
@@ -263,10 +232,5 @@ def _verdict(ratio: ThresholdRatio, p_value: float) -> Verdict:
     return "better" if ratio.is_lower else "worse"
 
 
-def _known_mean(values: FloatArray) -> float:
-    known = values[~np.isnan(values)]
-    return float(known.mean()) if known.size else math.nan
-
-
-def _number(value: float) -> float | None:
-    return None if math.isnan(value) else value
+def _mean(values: Sequence[float]) -> float | None:
+    return math.fsum(values) / len(values) if values else None

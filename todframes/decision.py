@@ -18,27 +18,30 @@ from independence, θ = π/2, to R. All three correlations move together, along 
 
 from __future__ import annotations
 
+import math
 from functools import cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import ndtr
 
 from todframes.errors import SettingsError
+from todframes.tetrahedron import (
+    OTHERS,
+    PAIRS,
+    checked_covariance,
+    checked_factor,
+    of_covariance,
+    of_factor,
+    reject,
+)
 
 _Floats = NDArray[np.float64]
 
-_ANSWERS = np.arange(4)[:, None]
-_OTHERS = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
-# The pairs among three others; pair i, j has index i + j − 1, and the one left out is 2 minus that.
-_PAIRS = ((0, 1), (0, 2), (1, 2))
 # Each of the three others with the pairs it is in.
 _SIDES = ((0, 0, 1), (1, 0, 2), (2, 1, 2))
-_FIRST = _OTHERS[:, [pair[0] for pair in _PAIRS]]
-_SECOND = _OTHERS[:, [pair[1] for pair in _PAIRS]]
 
-_ROUNDING = 1e-10
 # exp(−40²/2) and Φ(−40) are zero in double precision: a difference beyond 40 σ is certain.
 _CERTAIN = 40.0
 # Gauss–Legendre nodes t with 1 − x = t⁶, x the place on the path: against 400 nodes the worst error over singular,
@@ -49,7 +52,9 @@ _GRADING = 6
 _CHUNK = 64
 
 
-def answer_probabilities(score: ArrayLike, covariance: ArrayLike) -> _Floats:
+def answer_probabilities(
+    score: ArrayLike, covariance: ArrayLike | None = None, *, factor: ArrayLike | None = None
+) -> _Floats:
     """Probability that each of four noisy scores is the largest.
 
     Parameters
@@ -60,6 +65,9 @@ def answer_probabilities(score: ArrayLike, covariance: ArrayLike) -> _Floats:
         Covariance of the Gaussian noise on the scores, symmetric and positive semi-definite, of any rank,
         broadcast against `score`. Subtract the mean template before forming it from templates: the digits of
         the differences are then kept.
+    factor : array_like, shape (..., 4, n)
+        Instead of it: rows whose inner products it is, templates for instance. Only their differences matter,
+        which keep the digits that the covariance of templates that are nearly alike has lost.
 
     Returns
     -------
@@ -69,28 +77,34 @@ def answer_probabilities(score: ArrayLike, covariance: ArrayLike) -> _Floats:
         The absolute error is below 1e-9, for the covariance as it was rounded: the distance between two
         templates that differ by less than 1e-6 of what they have in common has lost digits in it.
 
-        The largest answer is 1 minus the others, so the probability of an error is the sum of the others; those
-        are right to 6 digits down to 1e-30 wherever the score differences that decide them are not negatively
-        correlated.
+        The largest answer is 1 minus the others, so the probability of an error is the sum of the others; it is
+        right to 6 digits down to 1e-30. So is each of them wherever the score differences that decide it are not
+        negatively correlated.
 
     Raises
     ------
     SettingsError
-        A ValueError, for a wrong shape, a value that is not finite or a matrix that is not a covariance.
+        A ValueError, for a wrong shape, a value that is not finite, a matrix that is not a covariance, or noise
+        that is given in both ways or none.
     """
-    scores, covariances = _checked(score, covariance)
-    shape = np.broadcast_shapes(scores.shape[:-1], covariances.shape[:-2])
+    if (covariance is None) == (factor is None):
+        raise SettingsError("noise: found both or none of covariance and factor, expected one of them")
+    noise = checked_factor(factor) if factor is not None else checked_covariance(np.asarray(covariance))
+    measured = of_covariance if factor is None else of_factor
+    scores = _checked_score(score)
+    shape = np.broadcast_shapes(scores.shape[:-1], noise.shape[:-2])
     scores = np.broadcast_to(scores, (*shape, 4)).reshape(-1, 4)
-    if one_for_all := covariances.size == 16:
-        geometry = _geometry(covariances.reshape(1, 4, 4))
+    own_shape = noise.shape[-2:]
+    if one_for_all := math.prod(noise.shape[:-2]) == 1:
+        geometry = _geometry(*measured(noise.reshape(1, *own_shape)))
     else:
-        covariances = np.broadcast_to(covariances, (*shape, 4, 4)).reshape(-1, 4, 4)
+        noise = np.broadcast_to(noise, (*shape, *own_shape)).reshape(-1, *own_shape)
 
     probability = np.empty_like(scores)
     for start in range(0, len(scores), _CHUNK):
         chunk = slice(start, start + _CHUNK)
         if not one_for_all:
-            geometry = _geometry(covariances[chunk])
+            geometry = _geometry(*measured(noise[chunk]))
         probability[chunk] = _chunk_probabilities(scores[chunk], geometry)
     return probability.reshape(*shape, 4)
 
@@ -120,9 +134,9 @@ def answer_probability(score: ArrayLike, covariance: ArrayLike, answer: int, *, 
     SettingsError
         As `answer_probabilities` does.
     """
-    scores, covariances = _checked(score, covariance)
+    scores, covariances = _checked_score(score), checked_covariance(covariance)
     shape = np.broadcast_shapes(scores.shape[:-1], covariances.shape[:-2])
-    first = [answer, *_OTHERS[answer]]
+    first = [answer, *OTHERS[answer]]
     scores = np.broadcast_to(scores[..., first], (*shape, 4))
     covariances = covariances[..., first, :][..., first]
     # Scores along the last axis often share a covariance, and with it most of the work.
@@ -136,7 +150,9 @@ def answer_probability(score: ArrayLike, covariance: ArrayLike, answer: int, *, 
     probability = np.empty(scores.shape[:2])
     for start in range(0, len(scores), 4 * _CHUNK):
         chunk = slice(start, start + 4 * _CHUNK)
-        geometry = _geometry(covariances[chunk], slice(0, 1), nodes)
+        # Few nodes are for matrices that are far from singular, which do not need extended precision either.
+        deviation, angle = of_covariance(covariances[chunk], extended=nodes >= _NODES)
+        geometry = _geometry(deviation[:, :1], angle[:, :1], nodes)
         for column in range(scores.shape[1]):
             probability[chunk, column] = _shared_orthants(scores[chunk, column], geometry, slice(0, 1))[:, 0]
     return probability.reshape(np.broadcast_shapes(np.shape(score)[:-1], np.shape(covariance)[:-2]))
@@ -167,7 +183,7 @@ def _chunk_probabilities(score: _Floats, geometry: _Geometry) -> _Floats:
 def _shared_orthants(score: _Floats, geometry: _Geometry, answers: slice) -> _Floats:
     """Each of these answers by its own orthant; scores that are equal and without noise share."""
     with np.errstate(over="ignore"):
-        difference = score[:, answers, None] - score[:, _OTHERS[answers]]
+        difference = score[:, answers, None] - score[:, OTHERS[answers]]
         limit = np.where(difference >= 0, np.inf, -np.inf)
         noisy = np.broadcast_to(geometry.deviation > 0, difference.shape)
         np.divide(difference, geometry.deviation, out=limit, where=noisy)
@@ -179,7 +195,7 @@ def _orthant(limit: _Floats, geometry: _Geometry) -> _Floats:
     """Φ₃ of the limits b (score, answer, 3) by Plackett's identity, from independence to the correlations."""
     b = limit[..., None]
     probability: _Floats = ndtr(limit).prod(axis=-1)
-    for pair, (i, j) in enumerate(_PAIRS):
+    for pair, (i, j) in enumerate(PAIRS):
         # (b_i² − 2ρ b_i b_j + b_j²) / 2(1 − ρ²) without cancellation.
         exponent = (limit[..., i, None] + limit[..., j, None]) ** 2 * geometry.sum_factor[:, :, pair]
         exponent += (limit[..., i, None] - limit[..., j, None]) ** 2 * geometry.difference_factor[:, :, pair]
@@ -194,10 +210,7 @@ def _orthant(limit: _Floats, geometry: _Geometry) -> _Floats:
     return probability
 
 
-def _geometry(covariance: _Floats, answers: slice = slice(None), nodes: int = _NODES) -> _Geometry:
-    # Few nodes are for matrices that are far from singular, which do not need extended precision either.
-    exact: NDArray[Any] = covariance.astype(np.longdouble) if nodes >= _NODES else covariance
-    deviation, angle = (of_all[:, answers] for of_all in _tetrahedron(exact))
+def _geometry(deviation: _Floats, angle: _Floats, nodes: int = _NODES) -> _Geometry:
     left, node_weight = _path_nodes(nodes)
     # The distances of the angles from the four faces, s − θ and π − s: all are π/4 at independence, rounding must
     # not carry them beyond a face at the end, and every angle is the sum of two of them.
@@ -218,7 +231,7 @@ def _geometry(covariance: _Floats, answers: slice = slice(None), nodes: int = _N
     sine_angle = 2 * half_open * half_closed
 
     cut = np.empty((*sine_angle.shape[:-1], 3, len(left)))
-    for pair, (i, j) in enumerate(_PAIRS):
+    for pair, (i, j) in enumerate(PAIRS):
         scale = sine_angle[..., pair, :] * root_determinant
         cut[..., pair, 2 - pair, :] = sine_angle[..., pair, :] / root_determinant
         cut[..., pair, i, :] = -partial[..., j, :] / scale
@@ -232,70 +245,18 @@ def _geometry(covariance: _Floats, answers: slice = slice(None), nodes: int = _N
     )
 
 
-def _tetrahedron(exact: NDArray[Any]) -> tuple[_Floats, _Floats]:
-    """Standard deviations of the differences and the angles between them, both (matrix, answer, 3).
-
-    The angle is Kahan's, from the three edges of a face, so that slender faces keep their digits. A rounding
-    of 1e-16 in the covariance can turn it by 1e-8: hence extended precision (where the platform has it), and a
-    face whose area is lost in that rounding, though its edges are not, is taken as flat.
-    """
-    variance = np.diagonal(exact, axis1=-2, axis2=-1)
-    square = (variance[:, :, None] - exact) + (variance[:, None, :] - exact)
-    square = np.maximum(square, 0)
-    edge = np.sqrt(square)
-    a, b, c2 = edge[:, _ANSWERS, _FIRST], edge[:, _ANSWERS, _SECOND], square[:, _FIRST, _SECOND]
-    a2, b2 = square[:, _ANSWERS, _FIRST], square[:, _ANSWERS, _SECOND]
-    beyond_closed = np.maximum(c2 - (a - b) ** 2, 0)
-    beyond_open = np.maximum((a + b) ** 2 - c2, 0)
-    slender = 2 * np.arctan2(np.sqrt(beyond_closed), np.sqrt(beyond_open))
-    common = (variance[:, :, None] - exact[:, _ANSWERS, _FIRST]) + (
-        exact[:, _FIRST, _SECOND] - exact[:, _ANSWERS, _SECOND]
-    )
-    cosine = np.divide(common, a * b, out=np.ones_like(a), where=(a > 0) & (b > 0))
-    angle = np.where(np.abs(cosine) < 0.7, np.arccos(np.clip(cosine, -1, 1)), slender)
-
-    rounding = np.finfo(np.float64).eps * (variance[:, :, None] + variance[:, None, :])
-    rounding_a, rounding_b = rounding[:, _ANSWERS, _FIRST], rounding[:, _ANSWERS, _SECOND]
-    rounding_c = rounding[:, _FIRST, _SECOND]
-    area_rounding = 2 * (  # of 16 area², to first order in the squared edges
-        np.abs(b2 + c2 - a2) * rounding_a + np.abs(a2 + c2 - b2) * rounding_b + np.abs(a2 + b2 - c2) * rounding_c
-    )
-    edges_known = (a2 > 64 * rounding_a) & (b2 > 64 * rounding_b) & (c2 > 64 * rounding_c)
-    flat = edges_known & (beyond_closed * beyond_open <= area_rounding)
-    angle = np.where(flat, np.where(c2 > a2 + b2, np.pi, 0), angle)
-    angle = np.where((a == 0) | (b == 0), np.pi / 2, angle)
-    return edge[:, _ANSWERS, _OTHERS].astype(np.float64), angle.astype(np.float64)
-
-
 @cache
 def _path_nodes(nodes: int) -> tuple[_Floats, _Floats]:
     """What is left of the path, 1 − x, and the weights; dense, on every scale, where R may become singular."""
     node, weight = np.polynomial.legendre.leggauss(nodes)
     t = (1 + node) / 2
-    return t**_GRADING, weight / 2 * _GRADING * t ** (_GRADING - 1)
+    graded = weight * t ** (_GRADING - 1)
+    return t**_GRADING, graded / graded.sum()  # numpy's weights add up to 1e-14 only
 
 
-def _checked(score: ArrayLike, covariance: ArrayLike) -> tuple[_Floats, _Floats]:
-    scores, covariances = np.asarray(score, dtype=np.float64), np.asarray(covariance, dtype=np.float64)
+def _checked_score(score: ArrayLike) -> _Floats:
+    scores = np.asarray(score, dtype=np.float64)
     if scores.ndim < 1 or scores.shape[-1] != 4:
         raise SettingsError(f"score has shape {scores.shape}, expected (..., 4)")
-    if covariances.ndim < 2 or covariances.shape[-2:] != (4, 4):
-        raise SettingsError(f"covariance has shape {covariances.shape}, expected (..., 4, 4)")
-    _reject(~np.isfinite(scores), scores, "score", "finite numbers")
-    _reject(~np.isfinite(covariances), covariances, "covariance", "finite numbers")
-
-    asymmetry = np.abs(covariances - covariances.swapaxes(-2, -1)).max(axis=(-2, -1))
-    largest = np.abs(covariances).max(axis=(-2, -1))
-    _reject(asymmetry > _ROUNDING * largest, asymmetry, "asymmetry of covariance", "a symmetric matrix")
-    covariances = (covariances + covariances.swapaxes(-2, -1)) / 2
-    eigenvalues = np.linalg.eigvalsh(covariances)
-    negative = eigenvalues[..., 0] < -_ROUNDING * np.abs(eigenvalues).max(axis=-1)
-    _reject(negative, eigenvalues[..., 0], "smallest eigenvalue of covariance", "a positive semi-definite matrix")
-    return scores, covariances
-
-
-def _reject(bad: NDArray[np.bool_], found: NDArray[Any], name: str, expected: str) -> None:
-    if bad.any():
-        place = tuple(int(index) for index in np.argwhere(bad)[0])
-        where = f"[{', '.join(map(str, place))}]" if place else ""
-        raise SettingsError(f"{name}{where} is {found[place]:g}, expected {expected}")
+    reject(~np.isfinite(scores), scores, "score", "finite numbers")
+    return scores

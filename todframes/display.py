@@ -16,6 +16,8 @@ Eotf = Literal["linear", "srgb", "bt1886", "gamma", "lut"]
 BackgroundRule = Literal["border", "frame_mean", "column"]
 
 REC_709_LUMINANCE_WEIGHTS = np.array([0.2126, 0.7152, 0.0722])
+LARGEST_LUMINANCE_CD_M2 = 1e12
+"""A thousand times the sun's; beyond is a slip of the pen."""
 PITCH_TOLERANCE = 1e-3
 """Relative difference up to which a pitch given in both ways counts as the same."""
 
@@ -48,6 +50,9 @@ class LuminanceTable:
             raise SettingsError("lut: code_value does not rise from row to row")
         if luminance.min() < 0.0:
             raise SettingsError(f"lut: found luminance_cd_m2 {luminance.min():g}, expected >= 0")
+        if luminance.max() > LARGEST_LUMINANCE_CD_M2:
+            most = f"at most {LARGEST_LUMINANCE_CD_M2:g}"
+            raise SettingsError(f"lut: found luminance_cd_m2 {luminance.max():g}, expected {most}")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -99,6 +104,9 @@ class Display:
             value = getattr(self, name)
             if value is not None and not (math.isfinite(value) and value > 0):
                 raise SettingsError(f"{name}: found {value!r}, expected a finite number > 0")
+        if self.white_luminance_cd_m2 > LARGEST_LUMINANCE_CD_M2:
+            most = f"at most {LARGEST_LUMINANCE_CD_M2:g}"
+            raise SettingsError(f"white_luminance_cd_m2: found {self.white_luminance_cd_m2!r}, expected {most}")
         if not 0.0 <= self.black_luminance_cd_m2 < self.white_luminance_cd_m2:
             raise SettingsError(
                 f"black_luminance_cd_m2: found {self.black_luminance_cd_m2!r}, expected a number >= 0 and below "

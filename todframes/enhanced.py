@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -14,13 +14,10 @@ from todframes.display import Display, border_mean
 from todframes.enhancement import ROUNDING, Enhancement, Image
 from todframes.errors import DataError, SettingsError
 from todframes.frames import FULL_SCALE, Frame, FrameFile
-from todframes.retina import RetinaGrid, apply_overlaps, overlap_matrix
-from todframes.viewing import Patch, Placement, finite_contrast
+from todframes.placing import Placement
+from todframes.viewing import Patch, finite_contrast
 
 FloatArray = NDArray[np.float64]
-
-# Most algorithms leave the pixels where they are: one matrix an axis for all of a frame, in a few threads at once.
-_overlap_matrix = lru_cache(maxsize=64)(overlap_matrix)
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,29 +92,12 @@ class Picture:
 
 
 class Looked(NamedTuple):
-    """Part of a picture, and where the middle of the retina lies on it, in its own pixels."""
+    """Part of a picture, and where on it the retina's middle lies if not displaced, in the picture's pixels."""
 
     patch: Patch
     x_px: float
     y_px: float
     pixel_pitch_mrad: float
-
-    def on_retina(self, grid: RetinaGrid) -> FloatArray:
-        """Its contrast on a retina grid, shape (side, side)."""
-        patch = self.patch
-        rows, columns = (
-            _overlap_matrix(
-                grid,
-                centre_px=centre_px,
-                pixel_pitch_mrad=self.pixel_pitch_mrad,
-                first_pixel=first,
-                n_pixels=n_pixels,
-            )
-            for centre_px, first, n_pixels in zip(
-                (self.y_px, self.x_px), (patch.row, patch.column), patch.contrast.shape, strict=True
-            )
-        )
-        return apply_overlaps(rows, columns, patch.contrast)
 
 
 class DecodedFrame:
@@ -200,8 +180,10 @@ class DecodedFrame:
             )
         return np.clip(found, low, high), n_outside
 
-    def looked_at(self, picture: Picture, place: Placement, given_background_cd_m2: float | None) -> Looked:
-        """The part of a picture that a retina grid touches, as contrast.
+    def looked_at(
+        self, picture: Picture, place: Placement, given_background_cd_m2: float | None, *, whole: bool = False
+    ) -> Looked:
+        """The part of a picture that a retina grid touches, or all of it, as contrast.
 
         Parameters
         ----------
@@ -214,11 +196,12 @@ class DecodedFrame:
             If the background is not a positive number, or contrast overflows.
         """
         rule, m, frame = self.screen.display.background_luminance_cd_m2, picture.magnification, self.frame
-        whole = rule in ("border", "frame_mean")
+        of_frame = rule in ("border", "frame_mean")
+        whole = whole or of_frame
         y = _Axis.of(picture.values.shape[0], None if whole else place.rows, place.y_px, frame.first_row, m)
         x = _Axis.of(picture.values.shape[1], None if whole else place.columns, place.x_px, frame.first_column, m)
         luminance = picture.luminance(y.used, x.used)
-        if whole:
+        if of_frame:
             background = border_mean(luminance) if rule == "border" else float(luminance.mean())
         else:
             given = given_background_cd_m2 if isinstance(rule, str) else rule

@@ -13,13 +13,15 @@ WINDOW_PX = 11
 """Side of the Gaussian window of SSIM: 3.5 standard deviations of 1.5 pixels either way."""
 
 
-def squared_error_and_ssim(image: FloatArray, reference: FloatArray, *, data_range: float) -> tuple[float, float]:
+def squared_error_and_ssim(
+    image: FloatArray, reference: FloatArray, *, data_range: float
+) -> tuple[float, float | None]:
     """Mean squared error and mean structural similarity of two images of the same shape, (rows, columns).
 
     Returns
     -------
-    (float, float)
-        SSIM is NaN for images with a side of fewer than 11 pixels.
+    (float, float or None)
+        SSIM is None for images with a side of fewer than 11 pixels.
 
     Wang et al. 2004, IEEE Trans. Image Process. 13, 600, with its Gaussian window and constants.
     """
@@ -27,15 +29,15 @@ def squared_error_and_ssim(image: FloatArray, reference: FloatArray, *, data_ran
 
     error = float(mean_squared_error(reference, image))
     if min(image.shape) < WINDOW_PX:
-        return error, math.nan
+        return error, None
     ssim = structural_similarity(
         reference, image, data_range=data_range, gaussian_weights=True, sigma=1.5, use_sample_covariance=False
     )
     return error, float(ssim)
 
 
-def psnr_db(squared_error: float, *, data_range: float) -> float | None:
+def psnr_db(squared_error: float | None, *, data_range: float) -> float | None:
     """Peak signal-to-noise ratio in dB of a mean squared error; None if there is no error or it is not known."""
-    if not squared_error > 0.0:
+    if not squared_error:
         return None
     return 10.0 * math.log10(data_range**2 / squared_error)

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import ClassVar, get_args
 
@@ -20,13 +20,14 @@ from numpy.typing import NDArray
 
 from todframes.errors import SettingsError
 from todframes.pyramid import LaplacianPyramid
-from todframes.readout import Readout, Stimulus, inner_product
+from todframes.readout import LeftOut, Readout, Stimulus, inner_product
 from todframes.retina import RetinaGrid
 from todframes.stimulus import HEIGHT_PER_SIZE, ORIENTATIONS, Centre, Orientation, coverage
 
 FloatArray = NDArray[np.float64]
 
 UNIFORM_EXCESS_KURTOSIS = -1.2
+FEWEST_LEVELS = 4
 MOST_LEVELS = 11
 """A retina image then takes half a GB."""
 LARGEST_SIZE_SAMPLES = 2**MOST_LEVELS / 0.9
@@ -115,14 +116,17 @@ class PyramidObserver:
     Parameters
     ----------
     settings : PyramidSettings
+    more_levels : int
+        Bands, and octaves of the field, beyond those that a triangle needs.
 
     Hogervorst et al. 2001, section 4.
     """
 
     settings_type: ClassVar[type[PyramidSettings]] = PyramidSettings
 
-    def __init__(self, settings: PyramidSettings | None = None) -> None:
+    def __init__(self, settings: PyramidSettings | None = None, *, more_levels: int = 0) -> None:
         self.settings = settings if settings is not None else PyramidSettings()
+        self._more_levels = more_levels
         # Per observer, not per class: a cache on the method would keep every observer alive.
         self.templates = lru_cache(maxsize=4)(self._templates)
         self.readout = lru_cache(maxsize=4)(self._readout)
@@ -143,15 +147,7 @@ class PyramidObserver:
         The coarsest band's samples are as far apart as 0.9 sizes or more, and not nearer than 16 samples,
         which keeps what is left out below 1e-5 of the threshold with the default settings.
         """
-        levels = self.settings.levels
-        if levels is None:
-            size = stimulus.size_mrad / self.settings.retina_pitch_mrad
-            if size > LARGEST_SIZE_SAMPLES:
-                raise SettingsError(
-                    f"retina_pitch_mrad: a triangle of {stimulus.size_mrad:g} mrad is {size:g} retina samples, "
-                    f"expected at most {LARGEST_SIZE_SAMPLES:.0f}"
-                )
-            levels = max(4, math.ceil(math.log2(0.9 * size)))
+        levels = self._levels(stimulus)
         side = 4 * 2**levels + 1
         apex = 2.0 / 3.0 * HEIGHT_PER_SIZE * stimulus.size_mrad / self.settings.retina_pitch_mrad
         needed = apex + self.settings.position_jitter_samples + 2.0 * self.settings.template_blur_samples
@@ -161,6 +157,48 @@ class PyramidObserver:
                 f"{stimulus.size_mrad:g} mrad with its blur and displacement needs {2.0 * needed:.0f}"
             )
         return RetinaGrid(side, self.settings.retina_pitch_mrad)
+
+    def _levels(self, stimulus: Stimulus) -> int:
+        if self.settings.levels is not None:
+            return self.settings.levels
+        size = stimulus.size_mrad / self.settings.retina_pitch_mrad
+        if size > LARGEST_SIZE_SAMPLES:
+            raise SettingsError(
+                f"retina_pitch_mrad: a triangle of {stimulus.size_mrad:g} mrad is {size:g} retina samples, "
+                f"expected at most {LARGEST_SIZE_SAMPLES:.0f}"
+            )
+        return min(max(FEWEST_LEVELS, math.ceil(math.log2(0.9 * size))) + self._more_levels, MOST_LEVELS)
+
+    def full(self) -> PyramidObserver:
+        """The same with one band, and one octave of the field, more than a triangle needs."""
+        return PyramidObserver(self.settings, more_levels=1)
+
+    def left_out(self, stimulus: Stimulus) -> LeftOut | None:
+        """What the bands and the field beyond those of the readout would add to it, seen on a coarser retina.
+
+        The coarse bands of a large triangle are those of a small one on a coarse retina, which cost little: the
+        finer bands add no more than the blur of their REDUCE kernels. None if the settings name the levels.
+        """
+        if self.settings.levels is not None:
+            return None
+        octaves = self._levels(stimulus) - FEWEST_LEVELS
+        variance = self.settings.template_blur_samples**2
+        variance += max(2.5 - 4.0 * self.settings.kernel_a, 0.0) * (4.0**octaves - 1.0) / 3.0
+        coarse = replace(
+            self.settings,
+            retina_pitch_mrad=self.settings.retina_pitch_mrad * 2.0**octaves,
+            template_blur_samples=math.sqrt(variance) / 2.0**octaves,
+            position_jitter_samples=0.0,
+        )
+        narrow, wide = (
+            PyramidObserver(replace(coarse, levels=levels)).readout(stimulus)
+            for levels in (FEWEST_LEVELS, FEWEST_LEVELS + 2)
+        )
+        margin = (wide.grid.side - narrow.grid.side) // 2
+        added = wide.deviations.copy()
+        added[:, margin:-margin, margin:-margin] -= narrow.deviations
+        gain = self.settings.band_gain ** (2 * octaves)
+        return LeftOut(wide.grid, gain * added, gain * (wide.noise_covariance - narrow.noise_covariance))
 
     def activity(self, contrast: FloatArray) -> Bands:
         """Noise-free activity of all neurons, finest band first, for a retina image of shape (side, side)."""
@@ -184,10 +222,12 @@ class PyramidObserver:
 
         The grid's middle is every band's middle, so the activity of a turned triangle is the turned activity.
         """
-        from scipy.ndimage import gaussian_filter
+        return self._expected(self._upright(stimulus))
 
+    def _upright(self, stimulus: Stimulus) -> FloatArray:
+        """The upright triangle on the retina, times its polarity."""
         grid = self.grid(stimulus)
-        upright = coverage(
+        return stimulus.polarity * coverage(
             (grid.side, grid.side),
             size_px=stimulus.size_mrad / grid.pitch_mrad,
             x_px=grid.side // 2,
@@ -195,15 +235,22 @@ class PyramidObserver:
             orientation=Orientation.UP,
             centre=self.centre,
         )
+
+    def _expected(self, image: FloatArray) -> Bands:
+        """Activity that is expected from an image, whose place is not quite known."""
+        from scipy.ndimage import gaussian_filter
+
         # Cut at 8 standard deviations, where the kernel is 1e-14 of its middle.
-        blurred = gaussian_filter(upright, self.settings.template_blur_samples, mode="mirror", truncate=8.0)
-        return self.activity(stimulus.polarity * blurred)
+        return self.activity(
+            gaussian_filter(image, self.settings.template_blur_samples, mode="mirror", truncate=8.0)
+        )
 
     def _readout(self, stimulus: Stimulus) -> Readout:
         """Pyramid and templates folded onto the retina: A_k = Lᵀ t_k."""
-        grid, expected = self.grid(stimulus), self._expected_upright(stimulus)
-        common = [np.asarray(sum(np.rot90(band, -k) for k in range(4)) / 4.0) for band in expected]
-        upright = [band - mean for band, mean in zip(expected, common, strict=True)]
+        grid, image = self.grid(stimulus), self._upright(stimulus)
+        # The difference is taken before blur and bands, whose rounding is that of what all four have in common.
+        mean = np.asarray(sum(np.rot90(image, -k) for k in range(4)) / 4.0)
+        common, upright = self._expected(mean), self._expected(image - mean)
         folded = self._fold(upright, grid)
         deviations = np.stack([np.rot90(folded, -k) for k in range(4)])
         return Readout(

@@ -6,8 +6,8 @@ the noise on all its neurons reaches the decision as one four-vector. One that i
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any, ClassVar, Protocol, cast
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, NamedTuple, Protocol, cast, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -80,10 +80,39 @@ class Readout:
         """The mean of the four scores."""
         return inner_product(self.common, contrast)
 
+    def cropped(self, half_width: int) -> Readout:
+        """The same for the middle of the grid only: so many samples on each side of the middle one."""
+        margin = self.grid.side // 2 - half_width
+        inner = slice(margin, self.grid.side - margin)
+        return replace(
+            self,
+            grid=RetinaGrid(2 * half_width + 1, self.grid.pitch_mrad),
+            common=np.ascontiguousarray(self.common[inner, inner]),
+            deviations=np.ascontiguousarray(self.deviations[:, inner, inner]),
+        )
+
     @property
     def non_gaussian_bound(self) -> float:
         """Bound on the error in P(correct) from taking the summed internal noise as Gaussian, to first order."""
         return non_gaussian_bound(self.excess_kurtosis)
+
+
+class LeftOut(NamedTuple):
+    """What a readout leaves out to save time.
+
+    Attributes
+    ----------
+    grid : RetinaGrid
+        May be coarser than the readout's; its middle lies at the same place.
+    deviations : ndarray, shape (4, side, side)
+        What is missing from the readout's weights.
+    noise_covariance : ndarray, shape (4, 4)
+        What is missing from that of the readout.
+    """
+
+    grid: RetinaGrid
+    deviations: FloatArray
+    noise_covariance: FloatArray
 
 
 def non_gaussian_bound(excess_kurtosis: float) -> float:
@@ -123,6 +152,17 @@ class Observer(Protocol):
 
     def respond(self, contrast: FloatArray, stimulus: Stimulus, rng: np.random.Generator) -> Orientation:
         """One answer to a retina image of shape (side, side), its internal noise drawn from `rng`."""
+
+
+@runtime_checkable
+class Thrifty(Protocol):
+    """What an observer may offer besides, if its readout leaves out what next to nothing depends on."""
+
+    def full(self) -> Observer:
+        """The same observer, leaving nothing of weight out."""
+
+    def left_out(self, stimulus: Stimulus) -> LeftOut | None:
+        """What its readout leaves out; None: nothing."""
 
 
 def find_observer(name: str) -> type[Observer]:

@@ -10,18 +10,15 @@ import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import msgspec
 
 from todframes import __version__
 from todframes.errors import OutputError
 from todframes.psychometric import PsychometricFit
-from todframes.scoring import ScoredDataset
+from todframes.scoring import GroupFit, ScoredDataset
 from todframes.stimulus import ORIENTATIONS
-
-if TYPE_CHECKING:
-    from rich.table import Table
 
 Json = dict[str, Any]
 
@@ -32,6 +29,17 @@ OUTPUT_NAMES = {"result.json", "scores.csv", "psychometric.png", "tod_curve.png"
 def fit_object(group: Mapping[str, float | str], level: str, fit: PsychometricFit) -> Json:
     """A fit as it stands in `result.json`."""
     return {"group": dict(group), "level": level, **msgspec.to_builtins(fit)}
+
+
+def scored_fit_object(group: Mapping[str, float | str], level: str, fit: GroupFit) -> Json:
+    """A fit to scored trials as it stands in `result.json`."""
+    return fit_object(group, level, fit.fit) | {
+        "p_correct_error_bound": fit.non_gaussian_bound,
+        "p_correct_left_out_bound": fit.left_out_bound,
+        "threshold_displacement_error": fit.numerical_error,
+        "n_displacements": fit.n_displacements,
+        "run_time_s": round(fit.run_time_s, 4),
+    }
 
 
 def computed_threshold_object(
@@ -210,52 +218,6 @@ def _check_place(name: str, path: Path) -> None:
     parent = path.absolute().parent
     if not parent.is_dir():
         raise OutputError(f"{path}: {parent} is not a folder")
-
-
-def number(value: float | None, digits: int = 4) -> str:
-    """A number for a person: so many significant digits, a dash where there is none."""
-    return "–" if value is None else f"{value:.{digits}g}"
-
-
-def interval(bounds: Sequence[float | None] | None) -> str:
-    """An interval for a person; an open end is shown as such."""
-    if bounds is None:
-        return "–"
-    low, high = ("?" if bound is None else number(bound) for bound in bounds)
-    return f"{low} – {high}"
-
-
-def threshold_table(result: Json, title: str) -> Table:
-    """The thresholds of a result as a table for the terminal."""
-    from rich.box import SIMPLE_HEAD
-    from rich.table import Table
-    from rich.text import Text
-
-    fits = result["fits"]
-    # Text, not str: names are data, and rich would take brackets in them for markup.
-    table = Table(title=Text(title), title_justify="left", title_style="bold", box=SIMPLE_HEAD)
-    names = list(fits[0]["group"]) if fits else []
-    for name in names:
-        table.add_column(Text(name), justify="right", no_wrap=True)
-    level = fits[0]["level"] if fits else "level"
-    numerical = any("threshold_numerical_error" in fit for fit in fits)
-    warm = any("delta_t_mk" in fit for fit in fits)
-    headers = [f"threshold {level}", "numerical error" if numerical else "95 % interval", "status"]
-    headers += (["ΔT (mK)"] if warm else []) + ([] if numerical else ["α", "β", "δ", "trials"])
-    for header in headers:
-        table.add_column(Text(header), justify="left" if header == "status" else "right", no_wrap=True)
-    for fit in fits:
-        cells = [f"{value:.15g}" if isinstance(value, float) else str(value) for value in fit["group"].values()]
-        cells.append(number(fit["threshold"]))
-        if numerical:
-            error = fit["threshold_numerical_error"]
-            cells += ["–" if error is None else f"± {error:.1g}", fit["status"]]
-            cells += [number(fit["delta_t_mk"])] if warm else []
-        else:
-            cells += [interval(fit["threshold_ci95"]), fit["status"]]
-            cells += [number(fit[name], 3) for name in ("alpha", "beta", "delta")] + [str(fit["n_trials"])]
-        table.add_row(*map(Text, cells))
-    return table
 
 
 def write_files(folder: Path, files: Mapping[str, bytes]) -> None:

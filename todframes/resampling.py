@@ -54,7 +54,8 @@ class Observed:
             n, n_trials = self.n_trials, self.n_trials.sum()
             p = (n * self.p_correct + CURVE_TRIALS * fitted) / (n + CURVE_TRIALS)
             p = (n_trials * p + PLUS_TRIALS * (1 + guess_rate) / 2) / (n_trials + PLUS_TRIALS)
-            return rng.binomial(n, p, (size, len(p))) / n
+            # Of 2^53 trials, all of them right, a rounding leaves p above 1.
+            return rng.binomial(n, np.minimum(p, 1.0), (size, len(p))) / n
         drawn = np.empty((size, len(fitted)))
         freedom = max(self.n_trials.sum() - 3, 1)
         share = np.minimum(self.dispersion(fitted) * freedom / rng.chisquare(freedom, size), 1 - 1e-6)

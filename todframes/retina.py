@@ -130,9 +130,4 @@ def resample(
         first_pixel=first_column,
         n_pixels=contrast.shape[1],
     )
-    return apply_overlaps(rows, columns, contrast)
-
-
-def apply_overlaps(rows: csr_array, columns: csr_array, contrast: FloatArray) -> FloatArray:
-    """Means over retina samples, shape (side, side), by `overlap_matrix` of both axes."""
     return np.asarray(rows @ (columns @ contrast.T).T)

@@ -2,28 +2,34 @@
 
 from __future__ import annotations
 
+import math
+import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from todframes.dataset import Dataset, Skipped, Trial
 from todframes.decision import answer_probabilities
-from todframes.errors import SettingsError
+from todframes.errors import DataError, SettingsError
+from todframes.planning import PlanName, Step
 from todframes.psychometric import FitSettings, PsychometricFit, fit_trials
 from todframes.readout import Observer, Stimulus
-from todframes.running import FIT_STREAMS, run_trials, trial_draws
-from todframes.viewing import View, view_trial
+from todframes.score_planning import ScorePlan, plan_score
+from todframes.trial_scoring import FIT_STREAMS, SCRAMBLINGS, Decisions, SeenTrial, TrialScorer, see_trials
+from todframes.viewing import left_out
 
 FloatArray = NDArray[np.float64]
-Decisions = Literal["expected", "sampled"]
 
-# Columns of the numbers kept of each trial.
-DISPLACEMENT, SCORES, DEVIATIONS, ANSWER, N_NEGATIVE = slice(0, 2), slice(2, 6), slice(6, 10), 10, 11
-
-NO_ANSWER = -1
+MOST_DISPLACEMENTS = 64
+"""Of each trial in each scrambling."""
+DEFAULT_TOLERANCE = 2e-3
+"""Of what a plan may leave out where no tolerance is asked for."""
+STANDARD_ERRORS_95 = 2.8412
+"""The 98.75 % point of Student's t with one degree of freedom less than there are scramblings: half of what an
+interval may miss is kept for errors that were small enough by chance."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,12 +37,18 @@ class GroupFit:
     """The psychometric fit of the trials that share the values of the `group_by` columns.
 
     `non_gaussian_bound` bounds the error in P(correct) from taking the summed internal noise as Gaussian; 0 where
-    answers were drawn with noise on every neuron.
+    answers were drawn with noise on every neuron. `left_out_bound` is on its change by what the plan leaves out.
+    `numerical_error` is the half-width of the threshold's 95 % interval over displacements, None where each trial
+    has one. `run_time_s` is the time that its trials and its fit took.
     """
 
     group: tuple[float | str, ...]
     fit: PsychometricFit
     non_gaussian_bound: float
+    left_out_bound: float
+    numerical_error: float | None
+    n_displacements: int
+    run_time_s: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,10 +60,10 @@ class ScoredDataset:
     trials : tuple of Trial
         In the order of the manifest, as are the rows of the arrays.
     displacement_samples : ndarray, shape (n, 2)
-        Of the retina grid along x and y, in retina samples.
+        Of the retina grid along x and y, in retina samples; NaN where there were several.
     scores, probabilities : ndarray, shape (n, 4)
         Noise-free inner products with the templates and the probability of each answer, in the order of
-        `ORIENTATIONS`; NaN where the observer is not linear.
+        `ORIENTATIONS`, in the mean over displacements; NaN where the observer is not linear.
     answers : ndarray of int, shape (n,)
         Answer drawn, or the most probable one; an index into `ORIENTATIONS`.
     p_correct : ndarray, shape (n,)
@@ -60,6 +72,8 @@ class ScoredDataset:
     skipped : tuple of Skipped
     n_negative : int
         Display pixels with a luminance below zero, among those read.
+    plan : tuple of Step
+        What was left out.
     """
 
     trials: tuple[Trial, ...]
@@ -71,6 +85,7 @@ class ScoredDataset:
     fits: tuple[GroupFit, ...]
     skipped: tuple[Skipped, ...]
     n_negative: int
+    plan: tuple[Step, ...]
 
 
 def score_dataset(
@@ -80,6 +95,8 @@ def score_dataset(
     decisions: Decisions = "expected",
     seed: int = 1,
     fit_settings: FitSettings | None = None,
+    tolerance: float | None = None,
+    plan_name: PlanName = "needed",
     skip_bad_frames: bool = False,
     workers: int = 1,
     progress: Callable[[int], None] | None = None,
@@ -94,6 +111,11 @@ def score_dataset(
     decisions : {"expected", "sampled"}
         Probability of a correct answer under the internal noise, or one answer drawn a trial with noise on every
         neuron, as the paper does.
+    tolerance : float, optional
+        Relative error of the thresholds that the displacement of the retina may cause: each trial is seen with as
+        many displacements as that takes. By default with one.
+    plan_name : {"needed", "full"}
+        Leave out what changes thresholds by far less than the tolerance, or nothing.
     skip_bad_frames : bool
         Go on without trials that cannot be read and list them, instead of raising the first error.
     workers : int
@@ -106,126 +128,173 @@ def score_dataset(
     FrameError, DataError
         The first thing wrong with a row or frame, unless bad ones are skipped.
     SettingsError
-        If decisions are "expected" and the observer is not linear.
+        If decisions are "expected" and the observer is not linear, or there is a tolerance and they are not.
     """
-    job = _Scorer(dataset, observer, decisions, seed)
-    trials, table, skipped = run_trials(
-        dataset, job, skip_bad_frames=skip_bad_frames, workers=workers, progress=progress
+    whole, skipped = usable_trials(dataset, skip_bad_frames=skip_bad_frames)
+    if tolerance is not None and not (tolerance > 0.0 and decisions == "expected"):
+        raise SettingsError(
+            f"tolerance: found {tolerance!r} with {decisions} decisions, expected > 0 and expected"
+        )
+    expected = decisions == "expected"
+    plan = plan_score(
+        dataset, whole, observer, name=plan_name, tolerance=tolerance or DEFAULT_TOLERANCE, expected=expected
     )
-    return assemble(trials, table, skipped, observer, decisions, seed, fit_settings or FitSettings())
+    scorer = TrialScorer(dataset, plan, decisions, seed, displacements=0 if tolerance is None else 1)
+    see = partial(see_trials, skip_bad_frames=skip_bad_frames, workers=workers)
+    seen, unread = see(scorer, whole, progress=progress)
+    skipped += unread
+    check_seen(dataset, seen, skipped)
+    fit_groups = GroupFitter(plan, seed, fit_settings or FitSettings(), expected)
+    decided = fit_groups(seen)
+    if tolerance is not None:
+        again = [
+            one
+            for group in decided.fits
+            if (displacements := _displacements_needed(group, tolerance)) > 1
+            for one in see(
+                replace(scorer, displacements=displacements),
+                [one.trial for one in seen if one.trial.group == group.group],
+                progress=None,
+            )[0]
+        ]
+        if again:
+            of_number = {one.trial.number: one for one in seen + again}
+            decided = fit_groups(list(of_number.values()))
+    return replace(decided, skipped=tuple(skipped))
+
+
+def usable_trials(dataset: Dataset, *, skip_bad_frames: bool) -> tuple[list[Trial], list[Skipped]]:
+    """Trials whose rows are all good, and what is left out for the others; DataError if none may be left out."""
+    if dataset.bad_rows and not skip_bad_frames:
+        raise DataError(dataset.bad_rows[0].error)
+    skipped = list(dataset.bad_rows)
+    for trial in dataset.trials:
+        if trial.name in dataset.spoilt:
+            skipped += left_out(dataset, trial, f"another frame of trial {trial.name} cannot be used")
+    return [trial for trial in dataset.trials if trial.name not in dataset.spoilt], skipped
+
+
+def check_seen(dataset: Dataset, seen: Sequence[object], skipped: Sequence[Skipped]) -> None:
+    """Raise DataError if no trial could be used."""
+    if not seen:
+        raise DataError(f"{dataset.path}: no frame can be scored; the first: {skipped[0].error}")
+
+
+def _displacements_needed(group: GroupFit, tolerance: float) -> int:
+    """How many displacements in each scrambling bring the error below the tolerance, if it falls as 1/√n."""
+    if group.numerical_error is None or group.fit.threshold is None:
+        return 1
+    ratio = group.numerical_error / (tolerance * group.fit.threshold)
+    return min(math.ceil(1.1 * ratio**2), MOST_DISPLACEMENTS) if ratio > 1.0 else 1
+
+
+def _displacement_step(numbers: Sequence[int]) -> Step:
+    least, most = min(numbers), max(numbers)
+    why = f"{least} of each trial" if least == most else f"{least} to {most} of each trial, as the tolerance takes"
+    return Step("displacements", True, why)
+
+
+def _single(displacements: FloatArray) -> FloatArray:
+    """The one displacement, (2,); NaN if there are several."""
+    return displacements[0] if len(displacements) == 1 else np.full(2, np.nan)
 
 
 @dataclass(frozen=True, slots=True)
-class _Scorer:
-    """Shows a trial to the observer: the numbers kept of it."""
+class GroupFitter:
+    """Decides on trials that were seen and fits a curve to each group."""
 
-    dataset: Dataset
-    observer: Observer
-    decisions: Decisions
+    plan: ScorePlan
     seed: int
+    fit_settings: FitSettings
+    expected: bool
 
-    def __call__(self, trial: Trial) -> FloatArray:
-        rng, displacement = trial_draws(self.observer, trial, self.seed)
-        view = view_trial(self.dataset, trial, self.observer, displacement)
-        return scored_view(view, trial, self.observer, self.decisions, rng, displacement)
-
-
-def scored_view(
-    view: View,
-    trial: Trial,
-    observer: Observer,
-    decisions: Decisions,
-    rng: np.random.Generator,
-    displacement_samples: tuple[float, float],
-) -> FloatArray:
-    """The numbers kept of a view, shape (12,), before decisions are worked out for all trials together.
-
-    Raises
-    ------
-    SettingsError
-        If decisions are "expected" and the observer is not linear.
-    """
-    readout = observer.readout(trial.stimulus)
-    scores = deviations = np.full(4, np.nan)
-    if readout is not None:
-        deviations = readout.score_deviations(view.contrast)
-        if not readout.noise_covariance.any():
-            # Without noise nothing but rounding may tell scores apart that are the same.
-            rounding = 1e-13 * np.linalg.norm(readout.deviations) * np.linalg.norm(view.contrast)
-            deviations = np.where(np.abs(deviations) < rounding, 0.0, deviations)
-        scores = deviations + readout.common_score(view.contrast)
-    elif decisions == "expected":
-        raise SettingsError("decisions: found 'expected', but this observer is not linear; expected 'sampled'")
-    answer = NO_ANSWER
-    if decisions == "sampled":
-        answer = observer.respond(view.contrast, trial.stimulus, rng).quarter_turns
-    return np.array([*displacement_samples, *scores, *deviations, answer, view.n_negative])
-
-
-def assemble(
-    trials: tuple[Trial, ...],
-    table: FloatArray,
-    skipped: Sequence[Skipped],
-    observer: Observer,
-    decisions: Decisions,
-    seed: int,
-    fit_settings: FitSettings,
-) -> ScoredDataset:
-    """Decisions and fits of trials from `scored_view` of each, shape (trial, 12)."""
-    probabilities, bounds = _decide(trials, table, observer)
-    correct = np.array([trial.orientation.quarter_turns for trial in trials])
-    if decisions == "sampled":
-        answers = table[:, ANSWER].astype(np.intp)
-        p_correct = (answers == correct).astype(np.float64)
-        bounds[:] = 0.0
-    else:
+    def __call__(self, seen: Sequence[SeenTrial]) -> ScoredDataset:
+        """All of it but what was skipped; trials come out in the manifest's order."""
+        seen = sorted(seen, key=lambda one: one.trial.number)
+        trials = tuple(one.trial for one in seen)
+        correct = np.array([trial.orientation.quarter_turns for trial in trials])
+        probabilities, p_each, bounds = self._decide(seen, correct)
         answers = probabilities.argmax(axis=1)
-        p_correct = probabilities[np.arange(len(trials)), correct]
-    return ScoredDataset(
-        trials=trials,
-        displacement_samples=table[:, DISPLACEMENT],
-        scores=table[:, SCORES],
-        probabilities=probabilities,
-        answers=answers,
-        p_correct=p_correct,
-        fits=_fit_groups(trials, p_correct, bounds, seed, fit_settings),
-        skipped=tuple(skipped),
-        n_negative=int(table[:, N_NEGATIVE].sum()),
-    )
+        if not self.expected:
+            answers = np.array([one.answer for one in seen])
+            p_each = [np.array([float(answer == right)]) for answer, right in zip(answers, correct, strict=True)]
+            bounds[:] = 0.0
+        places: dict[tuple[float | str, ...], list[int]] = {}
+        for place, trial in enumerate(trials):
+            places.setdefault(trial.group, []).append(place)
+        # Numbers before texts, each in their order.
+        ordered = sorted(places.items(), key=lambda item: [(isinstance(v, str), v) for v in item[0]])
+        return ScoredDataset(
+            trials=trials,
+            displacement_samples=np.array([_single(one.displacement_samples) for one in seen]),
+            scores=np.array([one.scores.mean(axis=0) for one in seen]),
+            probabilities=probabilities,
+            answers=answers.astype(np.intp),
+            p_correct=np.array([p.mean() for p in p_each]),
+            fits=tuple(
+                self._fit(number, group, [seen[k] for k in these], [p_each[k] for k in these], bounds[these].max())
+                for number, (group, these) in enumerate(ordered)
+            ),
+            skipped=(),
+            n_negative=sum(one.n_negative for one in seen),
+            plan=(*self.plan.steps, _displacement_step([len(p) for p in p_each])),
+        )
 
-
-def _decide(trials: tuple[Trial, ...], table: FloatArray, observer: Observer) -> tuple[FloatArray, FloatArray]:
-    """Probability of each answer, and the bound on its error from noise that is not Gaussian, of each trial."""
-    probabilities = np.full((len(trials), 4), np.nan)
-    bounds = np.zeros(len(trials))
-    places: dict[Stimulus, list[int]] = {}
-    for place, trial in enumerate(trials):
-        places.setdefault(trial.stimulus, []).append(place)
-    for stimulus, these in places.items():
-        readout = observer.readout(stimulus)
-        if readout is not None:
-            deviations = table[these, DEVIATIONS]
-            probabilities[these] = answer_probabilities(deviations, readout.noise_covariance)
+    def _decide(
+        self, seen: Sequence[SeenTrial], correct: NDArray[np.intp]
+    ) -> tuple[FloatArray, list[FloatArray], FloatArray]:
+        """Probability of each answer, of the correct one with each displacement, and the bound on its error."""
+        probabilities = np.full((len(seen), 4), np.nan)
+        p_each: list[FloatArray] = [np.full(1, np.nan)] * len(seen)
+        bounds = np.zeros(len(seen))
+        places: dict[Stimulus, list[int]] = {}
+        for place, one in enumerate(seen):
+            places.setdefault(one.trial.stimulus, []).append(place)
+        for stimulus, these in places.items():
+            readout = self.plan.observer_of(stimulus).readout(stimulus)
+            if readout is None:
+                continue
+            deviations = np.concatenate([seen[k].deviations for k in these])
+            answers = answer_probabilities(deviations, readout.noise_covariance)
+            ends = np.cumsum([len(seen[k].deviations) for k in these])[:-1]
+            for k, of_trial in zip(these, np.split(answers, ends), strict=True):
+                probabilities[k], p_each[k] = of_trial.mean(axis=0), of_trial[:, correct[k]]
             bounds[these] = readout.non_gaussian_bound
-    return probabilities, bounds
+        return probabilities, p_each, bounds
 
+    def _fit(
+        self,
+        number: int,
+        group: tuple[float | str, ...],
+        seen: Sequence[SeenTrial],
+        p_each: Sequence[FloatArray],
+        non_gaussian_bound: float,
+    ) -> GroupFit:
+        started = time.perf_counter()
+        level = np.array([one.trial.level for one in seen])
+        rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(FIT_STREAMS, number)))
+        fit = fit_trials(level, np.array([p.mean() for p in p_each]), settings=self.fit_settings, rng=rng)
+        bound = self.plan.bound({one.trial.stimulus for one in seen})
+        return GroupFit(
+            group=group,
+            fit=fit,
+            non_gaussian_bound=float(non_gaussian_bound),
+            left_out_bound=bound,
+            numerical_error=self._numerical_error(level, p_each, fit),
+            n_displacements=max(len(p) for p in p_each),
+            run_time_s=sum(one.seconds for one in seen) + time.perf_counter() - started,
+        )
 
-def _fit_groups(
-    trials: tuple[Trial, ...],
-    p_correct: FloatArray,
-    bounds: FloatArray,
-    seed: int,
-    fit_settings: FitSettings,
-) -> tuple[GroupFit, ...]:
-    places: dict[tuple[float | str, ...], list[int]] = {}
-    for place, trial in enumerate(trials):
-        places.setdefault(trial.group, []).append(place)
-    level = np.array([trial.level for trial in trials])
-    fits = []
-    # Numbers before texts, each in their order.
-    for number, group in enumerate(sorted(places, key=lambda g: [(isinstance(v, str), v) for v in g])):
-        these = places[group]
-        rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(FIT_STREAMS, number)))
-        fit = fit_trials(level[these], p_correct[these], settings=fit_settings, rng=rng)
-        fits.append(GroupFit(group, fit, float(bounds[these].max())))
-    return tuple(fits)
+    def _numerical_error(
+        self, level: FloatArray, p_each: Sequence[FloatArray], fit: PsychometricFit
+    ) -> float | None:
+        """Half-width of the threshold's 95 % interval over displacements, from the spread among scramblings."""
+        if fit.threshold is None or len(p_each[0]) < SCRAMBLINGS:
+            return None
+        settings, rng = replace(self.fit_settings, resamples=0), np.random.default_rng(0)
+        sets = np.array([p.reshape(SCRAMBLINGS, -1).mean(axis=1) for p in p_each]).T
+        thresholds = [fit_trials(level, p, settings=settings, rng=rng).threshold for p in sets]
+        found = [threshold for threshold in thresholds if threshold is not None]
+        if len(found) < SCRAMBLINGS:
+            return None
+        return float(STANDARD_ERRORS_95 * np.std(found, ddof=1) / math.sqrt(SCRAMBLINGS))

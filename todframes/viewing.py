@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from pathlib import Path
+from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -11,11 +10,11 @@ from numpy.typing import NDArray
 
 from todframes.dataset import Dataset, FrameReference, Skipped, Trial
 from todframes.display import BackgroundRule, Display, border_mean, weber_contrast
-from todframes.errors import DataError, FrameError, SettingsError
-from todframes.frames import FrameFile, FrameHeader, frame_sha256, read_frame
+from todframes.errors import DataError, FrameError
+from todframes.frames import FrameFile, frame_sha256, read_frame
+from todframes.placing import centroid_position, check_on_frame, place_grid
 from todframes.readout import Observer
 from todframes.retina import RetinaGrid, resample
-from todframes.stimulus import Centre, bounding_box_offset, vertices
 
 FloatArray = NDArray[np.float64]
 
@@ -31,16 +30,6 @@ class View(NamedTuple):
     n_negative: int
 
 
-class Placement(NamedTuple):
-    """A retina grid on a frame: where its middle lies, in pixels, and the rows and columns that it touches."""
-
-    grid: RetinaGrid
-    x_px: float
-    y_px: float
-    rows: tuple[int, int]
-    columns: tuple[int, int]
-
-
 class Patch(NamedTuple):
     """Contrast of a rectangle of a frame; `row` and `column` are where its first pixel lies in the frame."""
 
@@ -48,6 +37,97 @@ class Patch(NamedTuple):
     row: int
     column: int
     n_negative: int
+
+
+class Shown(NamedTuple):
+    """A trial's frames as read, each with where the observer's grid has its middle if it is not displaced.
+
+    `frame_rows` is how many rows the first frame has.
+    """
+
+    patches: tuple[Patch, ...]
+    x_px: tuple[float, ...]
+    y_px: tuple[float, ...]
+    pixel_pitch_mrad: float
+    frame_rows: int
+
+    @property
+    def n_negative(self) -> int:
+        """Display pixels with a luminance below zero among those that were read."""
+        return sum(patch.n_negative for patch in self.patches)
+
+
+Reader = Callable[..., Sequence[Shown]]
+"""Reads a trial in one way or several; arguments and errors are those of `read_trial`, which does it in one."""
+
+
+def read_trial(
+    dataset: Dataset,
+    trial: Trial,
+    observer: Observer,
+    grid_of: Callable[[], RetinaGrid],
+    displacement_samples: Sequence[tuple[float, float]] | FloatArray = ((0.0, 0.0),),
+    *,
+    whole: bool = False,
+) -> Shown:
+    """Read as much of a trial's frames as a grid touches at each of its displacements, or whole frames.
+
+    Parameters
+    ----------
+    grid_of : callable
+        The grid; asked for once it is known that the triangle lies on the frame.
+    displacement_samples : sequence of (float, float), or ndarray, shape (n, 2)
+        By how much the retina grid is displaced along x and y, in retina samples.
+
+    Raises
+    ------
+    FrameError
+        If a frame cannot be used, or the triangle does not lie on it.
+    """
+    patches, places, n_rows = [], [], []
+    for frame in trial.frames:
+        check_sha256(dataset, frame)
+        with FrameFile(dataset.frame_path(frame)) as file:
+            place = place_grid(dataset, trial, file, observer, grid_of, displacement_samples)
+            part = (None, None) if whole else (place.rows, place.columns)
+            patches.append(read_contrast(file, dataset.display, frame, *part))
+            places.append(place)
+            n_rows.append(file.header.height)
+    xs, ys = tuple(place.x_px for place in places), tuple(place.y_px for place in places)
+    return Shown(tuple(patches), xs, ys, dataset.display.pitch_mrad, n_rows[0])
+
+
+def read_as_it_is(
+    dataset: Dataset,
+    trial: Trial,
+    observer: Observer,
+    grid_of: Callable[[], RetinaGrid],
+    displacement_samples: Sequence[tuple[float, float]] | FloatArray = ((0.0, 0.0),),
+    *,
+    whole: bool = False,
+) -> tuple[Shown]:
+    """`read_trial` as a `Reader`."""
+    return (read_trial(dataset, trial, observer, grid_of, displacement_samples, whole=whole),)
+
+
+def retina_image(
+    shown: Shown, grid: RetinaGrid, displacement_samples: tuple[float, float] = (0.0, 0.0)
+) -> FloatArray:
+    """Mean contrast of a trial's frames on a retina grid, displaced along x and y: (side, side)."""
+    dx, dy = (d * grid.pitch_mrad / shown.pixel_pitch_mrad for d in displacement_samples)
+    images = [
+        resample(
+            patch.contrast,
+            grid,
+            x_px=x + dx,
+            y_px=y + dy,
+            pixel_pitch_mrad=shown.pixel_pitch_mrad,
+            first_row=patch.row,
+            first_column=patch.column,
+        )
+        for patch, x, y in zip(shown.patches, shown.x_px, shown.y_px, strict=True)
+    ]
+    return images[0] if len(images) == 1 else np.asarray(sum(images) / len(images))
 
 
 def view_trial(
@@ -65,66 +145,9 @@ def view_trial(
     FrameError
         If a frame cannot be used, or the triangle does not lie on it.
     """
-    total: FloatArray | None = None
-    n_negative = 0
-    for frame in trial.frames:
-        contrast, negative = _view_frame(dataset, trial, frame, observer, displacement_samples)
-        total = contrast if total is None else total + contrast
-        n_negative += negative
-    assert total is not None
-    return View(total / len(trial.frames), n_negative)
-
-
-def _view_frame(
-    dataset: Dataset,
-    trial: Trial,
-    frame: FrameReference,
-    observer: Observer,
-    displacement_samples: tuple[float, float],
-) -> tuple[FloatArray, int]:
-    check_sha256(dataset, frame)
-    with FrameFile(dataset.frame_path(frame)) as file:
-        place = place_grid(dataset, trial, file, observer, displacement_samples)
-        patch = read_contrast(file, dataset.display, frame, place.rows, place.columns)
-    contrast = resample(
-        patch.contrast,
-        place.grid,
-        x_px=place.x_px,
-        y_px=place.y_px,
-        pixel_pitch_mrad=dataset.display.pitch_mrad,
-        first_row=patch.row,
-        first_column=patch.column,
-    )
-    return contrast, patch.n_negative
-
-
-def place_grid(
-    dataset: Dataset,
-    trial: Trial,
-    file: FrameFile,
-    observer: Observer,
-    displacement_samples: tuple[float, float] = (0.0, 0.0),
-) -> Placement:
-    """Where the observer's grid lies on a frame of a trial.
-
-    Raises
-    ------
-    FrameError
-        If the triangle does not lie on the frame, or the observer cannot look at one of its size.
-    """
-    pixel_pitch, header = dataset.display.pitch_mrad, file.header
-    x, y = centroid_position(trial, header, observer.centre, pixel_pitch)
-    _check_on_frame(file.path, trial, header, x, y, pixel_pitch)
-    try:
-        grid = observer.grid(trial.stimulus)
-    except SettingsError as error:  # of this row's size alone
-        raise FrameError(file.path, str(error)) from None
-    to_centre_x, to_centre_y = _from_centroid(trial, observer.centre, pixel_pitch)
-    x += to_centre_x + displacement_samples[0] * grid.pitch_mrad / pixel_pitch
-    y += to_centre_y + displacement_samples[1] * grid.pitch_mrad / pixel_pitch
-    rows = grid.pixel_range(centre_px=y, pixel_pitch_mrad=pixel_pitch, n_pixels=header.height)
-    columns = grid.pixel_range(centre_px=x, pixel_pitch_mrad=pixel_pitch, n_pixels=header.width)
-    return Placement(grid, x, y, rows, columns)
+    shown = read_trial(dataset, trial, observer, lambda: observer.grid(trial.stimulus), [displacement_samples])
+    image = retina_image(shown, observer.grid(trial.stimulus), displacement_samples)
+    return View(image, shown.n_negative)
 
 
 def check_sha256(dataset: Dataset, frame: FrameReference) -> None:
@@ -134,34 +157,6 @@ def check_sha256(dataset: Dataset, frame: FrameReference) -> None:
         found = frame_sha256(path)
         if found != frame.sha256:
             raise FrameError(path, f"sha256 is {found}, the manifest says {frame.sha256}")
-
-
-def centroid_position(
-    trial: Trial, header: FrameHeader, centre: Centre, pixel_pitch_mrad: float
-) -> tuple[float, float]:
-    """(x, y) of the triangle's centroid in pixels.
-
-    The manifest's; without one, the triangle's `centre` lies at the frame's.
-    """
-    if trial.x_px is not None and trial.y_px is not None:
-        return trial.x_px, trial.y_px
-    return to_centroid(trial, (header.width - 1) / 2.0, (header.height - 1) / 2.0, centre, pixel_pitch_mrad)
-
-
-def to_centroid(
-    trial: Trial, x_px: float, y_px: float, centre: Centre, pixel_pitch_mrad: float
-) -> tuple[float, float]:
-    """(x, y) of the centroid of a trial's triangle whose `centre` lies at (x_px, y_px)."""
-    dx, dy = _from_centroid(trial, centre, pixel_pitch_mrad)
-    return x_px - dx, y_px - dy
-
-
-def _from_centroid(trial: Trial, centre: Centre, pixel_pitch_mrad: float) -> tuple[float, float]:
-    if centre == "centroid":
-        return 0.0, 0.0
-    dx, dy = bounding_box_offset(trial.orientation)
-    size_px = trial.stimulus.size_mrad / pixel_pitch_mrad
-    return dx * size_px, dy * size_px
 
 
 def left_out(dataset: Dataset, trial: Trial, error: FrameError | str) -> list[Skipped]:
@@ -224,29 +219,6 @@ def _background(rule: float | BackgroundRule, luminance: FloatArray, frame: Fram
     return rule
 
 
-def _check_on_frame(
-    path: Path, trial: Trial, header: FrameHeader, x: float, y: float, pixel_pitch_mrad: float
-) -> None:
-    """The whole triangle must lie on pixels that the file has."""
-    size_px = min(trial.stimulus.size_mrad / pixel_pitch_mrad, 1e300)  # whose corners are numbers still
-    corners = vertices(size=size_px, orientation=trial.orientation, x=x, y=y)
-    (left, top), (right, bottom) = corners.min(axis=0), corners.max(axis=0)
-    first_x, first_y = header.first_column - 0.5, header.first_row - 0.5
-    last_x, last_y = first_x + header.n_columns, first_y + header.n_rows
-    if right - left > header.n_columns or bottom - top > header.n_rows:
-        raise FrameError(
-            path,
-            f"the frame has {header.n_columns} × {header.n_rows} pixels, smaller than the triangle of "
-            f"{trial.stimulus.size_mrad:g} mrad ({right - left:.6g} × {bottom - top:.6g} pixels)",
-        )
-    if left < first_x or right > last_x or top < first_y or bottom > last_y:
-        raise FrameError(
-            path,
-            f"the triangle reaches from ({left:.6g}, {top:.6g}) to ({right:.6g}, {bottom:.6g}) px, off the frame "
-            f"({first_x:.1f}, {first_y:.1f}) to ({last_x:.1f}, {last_y:.1f}) px",
-        )
-
-
 def frame_problems(dataset: Dataset, trial: Trial) -> Iterator[FrameError]:
     """What is wrong with the frames of a trial, every pixel of them looked at."""
     for frame in trial.frames:
@@ -256,7 +228,7 @@ def frame_problems(dataset: Dataset, trial: Trial) -> Iterator[FrameError]:
             with FrameFile(path) as file:
                 pitch_mrad = dataset.display.pitch_mrad
                 x, y = centroid_position(trial, file.header, "centroid", pitch_mrad)
-                _check_on_frame(path, trial, file.header, x, y, pitch_mrad)
+                check_on_frame(path, trial, file.header, x, y, pitch_mrad)
                 read_contrast(file, dataset.display, frame)
             if (reference := dataset.reference_path(frame)) is not None:
                 read_frame(reference)

@@ -128,8 +128,11 @@ class WeibullModel:
         ratio = math.log(span / left)
         gradient = np.array([1, -math.log(ratio / math.log(2)) / slope, (1 / left - 1 / span) / ratio / slope])
         free = (theta > self.lower) & (theta < self.upper)
-        information = (jacobian[free] * (self.n_trials / (right * wrong))) @ jacobian[free].T
-        weight: Array = gradient[free] @ np.linalg.pinv(information, hermitian=True) @ jacobian[free]
+        root = jacobian[free] * np.sqrt(self.n_trials / (right * wrong))
+        # Far from all levels the information, its square, leaves the range of numbers.
+        size = max(float(np.abs(root).max(initial=0.0)), 1e-300)
+        inverse = np.linalg.pinv(root / size @ (root / size).T, hermitian=True)
+        weight: Array = gradient[free] @ inverse @ (jacobian[free] / size) / size
         return right, weight / (right * wrong)
 
     def starts(self) -> Array:

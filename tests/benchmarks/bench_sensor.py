@@ -10,17 +10,16 @@ from pathlib import Path
 import numpy as np
 from timing import Row, best_s, process
 
+from sensor_sim.accuracy_scenes import Camera
 from sensor_sim.predict import FoldedChain, predict_threshold
 from sensor_sim.reconstruction import axis_matrix, display_signal
 from sensor_sim.sampling import TriangleSampler
 from sensor_sim.sensor import Sensor, load_sensor
-from sensor_sim.simulate import Simulator, Trial
 from sensor_sim.transfer import optics_mtf
+from todframes.estimators import Converged
 from todframes.observer import PyramidObserver
 from todframes.psychometric import FitSettings, fit_counts
-from todframes.readout import Stimulus
-from todframes.retina import resample
-from todframes.stimulus import ORIENTATIONS, Orientation, coverage
+from todframes.stimulus import Orientation, coverage
 
 SENSOR = Path(__file__).parents[2] / "sample_frames" / "star_like.toml"
 SIZES = (3.5, 4.0, 5.0, 6.0, 8.0)
@@ -46,24 +45,13 @@ def literal_s(chain: FoldedChain, threshold: float) -> float:
     The cost of a trial is measured: draw a frame, look at it, noise on every neuron, decide. So is the variance of
     the threshold that a Weibull curve through 7 levels gives, half to twice the threshold, 300 answers at each.
     """
-    sensor, size, observer = chain.sensor, chain.size_detectors, PyramidObserver()
-    simulator = Simulator(sensor, size, seed=1)
-    stimulus = Stimulus(size * sensor.display.detector_pitch_mrad)
-    observer.templates(stimulus)
-    grid, display, rng = observer.grid(stimulus), sensor.display, np.random.default_rng(1)
-
-    def trial(number: int) -> None:
-        (frame,) = simulator.frames([Trial((0, 0, number), size, threshold, ORIENTATIONS[number % 4])])
-        contrast = frame.luminance_cd_m2 / display.background_luminance_cd_m2 - 1.0
-        seen = resample(
-            contrast, grid, x_px=frame.x_px, y_px=frame.y_px, pixel_pitch_mrad=display.pixel_pitch_mrad
-        )
-        observer.respond(seen, stimulus, rng)
-
-    trial(0)
+    rng = np.random.default_rng(1)
+    scene = Camera("literal", "", "snr", sensor=chain.sensor, size_detectors=chain.size_detectors)
+    literal, *_ = scene.estimators(Converged(threshold, bound=0.0, slope=1.0))
+    draw = literal.prepare()
+    draw(1, rng)
     started = time.process_time()
-    for number in range(1, 21):
-        trial(number)
+    draw(20, rng)
     per_trial_s = (time.process_time() - started) / 20
     levels, n_trials = threshold * np.geomspace(0.5, 2.0, 7), np.full(7, 300)
     phases = chain.phases(13, np.random.default_rng(0))

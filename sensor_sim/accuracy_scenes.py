@@ -1,0 +1,281 @@
+"""Accuracy scenes of one staring camera in three kinds of noise.
+
+Where detector noise decides, the threshold is a signal-to-noise ratio. Where the observer's own noise does, that
+ratio would tell next to nothing: the threshold is then the contrast of a large triangle on the display, and the
+detector noise, if there is any, has a contrast of its own that stays.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sensor_sim.crossing import crossing
+from sensor_sim.curve_plan import CurvePlan
+from sensor_sim.noise import draw
+from sensor_sim.planning import plan_curve
+from sensor_sim.predict import FoldedChain, Phases
+from sensor_sim.reconstruction import axis_matrix, display_position_px, display_signal, luminance_cd_m2
+from sensor_sim.sampling import field_detectors, field_sampler
+from sensor_sim.sensor import Detector, Optics, Sensor, SensorDisplay
+from todframes.crossing import find_crossing
+from todframes.estimators import (
+    P_CORRECT,
+    Converged,
+    Estimate,
+    MonteCarlo,
+    Quadrature,
+    Trials,
+    Variant,
+    estimate_at_one_level,
+    monte_carlos,
+)
+from todframes.naked_eye import CONTRAST_RANGE
+from todframes.observer import PyramidObserver
+from todframes.readout import Stimulus
+from todframes.retina import resample
+from todframes.stimulus import ORIENTATIONS
+
+FloatArray = NDArray[np.float64]
+
+STAR_LIKE = Sensor(
+    name="star-like",
+    optics=Optics(aperture_mm=220.0, wavelength_um=4.0, blur_sigma_mrad=0.01),
+    detector=Detector(pitch_mrad=0.0681, width_mrad=0.0681),
+    display=SensorDisplay(
+        pixels_per_detector=6,
+        pixel_pitch_mm=0.25,
+        viewing_distance_mm=350.0,
+        blur_sigma_px=2.0,
+        background_luminance_cd_m2=50.0,
+    ),
+)
+"""The camera of the sample frames without its fixed pattern: that of one camera would be the same in all frames of
+the literal Monte Carlo, while a computed threshold is a mean over cameras."""
+PLACES = (3, 5, 7, 11, 13, 17, 19, 23, 29)
+"""Of a lattice, along each axis of a detector."""
+REPEATS = 12
+CONVERGED_PLACES, FEWEST_LATTICES, MOST_LATTICES = 17, 8, 64
+CONVERGED_BOUND = 1e-4
+"""Of the threshold: a tenth of the smallest error at which estimators are compared."""
+VARIANT_PLACES = 11
+AT_ONCE = 32
+"""Frames of the literal Monte Carlo; their samples cost less together."""
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A triangle of one size through a camera.
+
+    Attributes
+    ----------
+    name, title : str
+    level : {"snr", "contrast"}
+        What is varied: the noise under a triangle of contrast 1, or the triangle's contrast.
+    noise_contrast : float
+        Standard deviation of the detector noise as displayed, where it is not varied; 0: none.
+    converged_bound : float
+        Relative half-width of the converged threshold's 95 % interval to reach.
+    """
+
+    name: str
+    title: str
+    level: Literal["snr", "contrast"]
+    noise_contrast: float = 0.0
+    sensor: Sensor = STAR_LIKE
+    size_detectors: float = 6.0
+    converged_bound: float = CONVERGED_BOUND
+
+    def converge(self) -> Converged:
+        """From as many independently shifted lattices as the bound needs; what the plan leaves out adds to it."""
+        chain = self._chain(self._plan())
+        streams = np.random.SeedSequence(0).spawn(MOST_LATTICES)
+        first = chain.phases(CONVERGED_PLACES, np.random.default_rng(streams[0]))
+        near, step = self._threshold(chain, first), 0.05
+        low, high = (self._proportion(chain, first, near * math.exp(way * step)) for way in (-1.0, 1.0))
+        slope = (high - low) / (2.0 * step)
+        p_correct: list[float] = []
+        for stream in streams:
+            lattice = chain.phases(CONVERGED_PLACES, np.random.default_rng(stream))
+            p_correct.append(self._proportion(chain, lattice, near))
+            if len(p_correct) >= FEWEST_LATTICES:
+                error = float(np.std(p_correct, ddof=1)) / math.sqrt(len(p_correct)) / slope
+                if 2.0 * error < self.converged_bound:
+                    break
+        threshold = near * math.exp((P_CORRECT - float(np.mean(p_correct))) / slope)
+        return Converged(threshold, (2.0 * error + chain.plan.bound / slope) * threshold, slope)
+
+    def estimators(self, converged: Converged) -> tuple[MonteCarlo | Quadrature, ...]:
+        """The literal Monte Carlo, on folded scores, expected decisions, and a lattice of places."""
+        snr, contrast = self._shown(converged.threshold)
+
+        def trials() -> Callable[[int, np.random.Generator], Trials]:
+            chain = self._chain(self._plan())
+
+            def draw(n: int, rng: np.random.Generator) -> Trials:
+                drawn = [chain.phases(1, rng)[0] for _ in range(n)]
+                score = np.stack([contrast * one.signal[0, :1] for one in drawn])
+                noise = np.stack([(contrast / snr) ** 2 * one.noise for one in drawn])
+                return Trials(score, chain.noise_covariance + noise, np.array([drawn[0].correct]))
+
+            return draw
+
+        def closed_form() -> Callable[[int, np.random.Generator], Estimate]:
+            chain = self._chain(self._plan())
+            return lambda n, rng: self._estimate(chain, math.isqrt(n // 2), converged, rng)
+
+        return (
+            *monte_carlos(lambda: self._answers(snr, contrast), trials),
+            Quadrature(
+                "closed_form",
+                "closed form, lattice of places",
+                closed_form,
+                # Each place is seen with two opposite displacements of the retina.
+                tuple(2 * places**2 for places in PLACES if self._is_fair(places)),
+                0.2,
+                REPEATS,
+            ),
+        )
+
+    def variants(self, converged: Converged) -> tuple[Variant, ...]:
+        """What the plan leaves out kept, one thing at a time and all of it; planning is part of the time."""
+
+        def variant(label: str, plan: Callable[[], CurvePlan]) -> Variant:
+            def prepare() -> Callable[[np.random.Generator], Estimate]:
+                chain = self._chain(plan())
+                return lambda rng: self._estimate(chain, VARIANT_PLACES, converged, rng)
+
+            return Variant(label, prepare)
+
+        def everything() -> CurvePlan:
+            # One orientation still, for the same trials: four would see each lattice from four sides.
+            return replace(self._plan("full"), orientations=ORIENTATIONS[:1])
+
+        planned, full = self._plan(), everything()
+        return (
+            variant(f"as planned: {planned.field}² detectors, {np.dtype(planned.dtype)}", self._plan),
+            variant("float64", lambda: replace(self._plan(), dtype=np.float64)),
+            variant(
+                f"{full.field}² detectors",
+                lambda: replace(self._plan(), field=full.field, sampler=full.sampler),
+            ),
+            variant("one pyramid level more", lambda: replace(self._plan(), observer=PyramidObserver().full())),
+            variant("nothing left out", everything),
+        )
+
+    def estimate(self, outcomes: FloatArray, converged: Converged) -> Estimate:
+        """From P(correct) at the converged threshold."""
+        return estimate_at_one_level(outcomes, converged)
+
+    def non_gaussian_bound(self) -> float:
+        """As the chain states it."""
+        return self._chain(self._plan()).non_gaussian_bound()
+
+    def _shown(self, level: float) -> tuple[float, float]:
+        """Signal-to-noise ratio and contrast of the triangle at a level."""
+        if self.level == "snr":
+            return level, 1.0
+        return (level / self.noise_contrast if self.noise_contrast else math.inf), level
+
+    def _plan(self, name: Literal["needed", "full"] = "needed") -> CurvePlan:
+        noisy = self.level == "snr" or self.noise_contrast > 0.0
+        return plan_curve(
+            self.sensor,
+            PyramidObserver(),
+            self.size_detectors,
+            name=name,
+            p_correct=P_CORRECT,
+            external_noise=noisy,
+        )
+
+    def _chain(self, plan: CurvePlan) -> FoldedChain:
+        return FoldedChain(self.sensor, plan.observer, self.size_detectors, plan)
+
+    def _is_fair(self, places: int) -> bool:
+        """Whether a lattice does not see all pixels of a detector alike, or is too coarse for that to matter."""
+        return places == min(PLACES) or math.gcd(places, self.sensor.display.pixels_per_detector) == 1
+
+    def _proportion(self, chain: FoldedChain, phases: list[Phases], level: float) -> float:
+        return chain.proportion_correct(phases, *self._shown(level))
+
+    def _threshold(self, chain: FoldedChain, phases: list[Phases]) -> float:
+        def proportion(level: float) -> float:
+            return self._proportion(chain, phases, level)
+
+        if self.level == "snr":
+            _, threshold = crossing(proportion, P_CORRECT, near=None, slope=math.nan)
+        else:
+            _, threshold = find_crossing(proportion, P_CORRECT, bounds=CONTRAST_RANGE, start=1.0, factor=2.0)
+        return math.nan if threshold is None else threshold
+
+    def _estimate(
+        self, chain: FoldedChain, places: int, converged: Converged, rng: np.random.Generator
+    ) -> Estimate:
+        phases = chain.phases(places, rng)
+        p_correct = self._proportion(chain, phases, converged.threshold)
+        return Estimate(p_correct, self._threshold(chain, phases))
+
+    def _answers(self, snr: float, contrast: float) -> Callable[[int, np.random.Generator], FloatArray]:
+        """Frames drawn and displayed one by one, each looked at with noise on every neuron."""
+        sensor, display, observer = self.sensor, self.sensor.display, PyramidObserver()
+        stimulus = Stimulus(self.size_detectors * display.detector_pitch_mrad)
+        observer.templates(stimulus)
+        grid, field = observer.grid(stimulus), field_detectors(sensor, self.size_detectors)
+        sampler = field_sampler(sensor, self.size_detectors)
+        hold = axis_matrix(field, display=display, electronics=sensor.electronics)
+        samples_per_pixel = display.pixel_pitch_mrad / grid.pitch_mrad
+        distribution = sensor.noise.distribution
+
+        def some(n: int, rng: np.random.Generator) -> FloatArray:
+            orientations = rng.integers(4, size=n)
+            places = rng.uniform(-0.5, 0.5, (n, 2))
+            samples = np.empty((n, field, field))
+            for orientation in ORIENTATIONS:
+                these = orientations == orientation.quarter_turns
+                samples[these] = sampler.samples(*places[these].T, orientation=orientation)
+            samples = contrast * samples + draw(
+                samples.shape, sd=contrast / snr, distribution=distribution, rng=rng
+            )
+            jitter = rng.uniform(-1.0, 1.0, (n, 2)) * observer.position_jitter_samples / samples_per_pixel
+            right = np.empty((n, 1))
+            for trial in range(n):
+                luminance = luminance_cd_m2(display_signal(samples[trial], hold), display=display)
+                x_px, y_px = (
+                    display_position_px(at, n_detectors=field, display=display) + by
+                    for at, by in zip(places[trial], jitter[trial], strict=True)
+                )
+                seen = resample(
+                    luminance / display.background_luminance_cd_m2 - 1.0,
+                    grid,
+                    x_px=x_px,
+                    y_px=y_px,
+                    pixel_pitch_mrad=display.pixel_pitch_mrad,
+                )
+                answer = observer.respond(seen, stimulus, rng)
+                right[trial] = answer.quarter_turns == orientations[trial]
+            return right
+
+        return lambda n, rng: np.concatenate(
+            [some(min(AT_ONCE, n - start), rng) for start in range(0, n, AT_ONCE)]
+        )
+
+
+def external_noise() -> Camera:
+    """Detector noise decides: seven eighths of the variance of a decision at threshold."""
+    return Camera("camera_external_noise", "staring camera, external noise decides: 6 detectors", "snr")
+
+
+def internal_noise() -> Camera:
+    """The observer's noise decides."""
+    title = "staring camera, internal noise decides: 6 detectors, detector noise 0.1 in contrast"
+    return Camera("camera_internal_noise", title, "contrast", noise_contrast=0.1)
+
+
+def no_noise() -> Camera:
+    """There is no detector noise; the observer has its own."""
+    return Camera("camera_no_noise", "staring camera without noise: 6 detectors", "contrast")

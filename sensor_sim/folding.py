@@ -1,0 +1,112 @@
+"""Weights on the retina → weights on the detectors: retina, display, blur and hold, backwards.
+
+All of it is separable. A place of the retina on the display is one sparse overlap matrix an axis; behind it comes
+the adjoint of sample & hold and post-sample blur. Where nothing blurs, the pixels of a detector are alike and
+count as one.
+
+Hogervorst et al. 2001, sections 3.4 to 4.1.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+from sensor_sim.reconstruction import axis_matrix
+from sensor_sim.sensor import Sensor
+from todframes.retina import RetinaGrid, overlap_matrix
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
+FloatArray = NDArray[np.float64]
+
+
+def is_unblurred(sensor: Sensor) -> bool:
+    """Whether nothing blurs what the display shows, so that the pixels of a detector are alike."""
+    return sensor.electronics.blur_sigma_px == 0.0 and sensor.display.blur_sigma_px == 0.0
+
+
+class Folding:
+    """Some images of weights on a retina, to be seen by detectors at any place of the retina.
+
+    Parameters
+    ----------
+    sensor : Sensor
+    grid : RetinaGrid
+    images : ndarray, shape (n, side, side)
+    field : int
+        Detectors along each side of the square field.
+    reach_detectors : float
+        The retina's middle stays within so much of the field's middle along each axis. Retina samples that then
+        never see the field are dropped.
+    dtype : float32 or float64
+        Of the folding; weights are float64 in any case.
+    merge_pixels : bool
+        Whether pixels that must be alike count as one.
+    """
+
+    def __init__(
+        self,
+        sensor: Sensor,
+        grid: RetinaGrid,
+        images: FloatArray,
+        *,
+        field: int,
+        reach_detectors: float,
+        dtype: DTypeLike = np.float64,
+        merge_pixels: bool = True,
+    ) -> None:
+        self.n, self.field, self.dtype = len(images), field, np.dtype(dtype)
+        pitch = sensor.display.detector_pitch_mrad
+        self.pixels = 1 if merge_pixels and is_unblurred(sensor) else sensor.display.pixels_per_detector
+        self.pixel_pitch_mrad = pitch / self.pixels
+        self.hold = None
+        if self.pixels > 1 or not is_unblurred(sensor):
+            hold = axis_matrix(field, display=sensor.display, electronics=sensor.electronics)
+            self.hold = hold.T.astype(self.dtype)
+        seen = 2 * math.ceil((field / 2.0 + reach_detectors) * pitch / grid.pitch_mrad) + 1
+        margin = max((grid.side - seen) // 2, 0)
+        self.grid = RetinaGrid(grid.side - 2 * margin, grid.pitch_mrad)
+        images = images[:, margin : margin + self.grid.side, margin : margin + self.grid.side]
+        by_column = np.ascontiguousarray(images.transpose(2, 0, 1), dtype=self.dtype)
+        self._along_x_first = by_column.reshape(self.grid.side, self.n * self.grid.side)
+
+    def weights_by_row(self, places_x: FloatArray, places_y: FloatArray) -> list[FloatArray]:
+        """For each place along y, the weights at all places along x: (places_x, n, field²), in float64.
+
+        Places are of the retina's middle, in detectors from the field's middle.
+        """
+        side, field, places = self.grid.side, self.field, len(places_x)
+        on_columns = np.stack([self._fold(x, self._along_x_first) for x in places_x])
+        on_columns = on_columns.reshape(places, field, self.n, side).transpose(3, 0, 2, 1)
+        on_columns = np.ascontiguousarray(on_columns).reshape(side, places * self.n * field)
+        rows = []
+        for y in places_y:
+            folded = self._fold(y, on_columns).reshape(field, places, self.n, field)
+            by_place = folded.transpose(1, 2, 0, 3).reshape(places, self.n, field**2)
+            rows.append(by_place.astype(np.float64))
+        return rows
+
+    def weights(self, place_x: float, place_y: float) -> FloatArray:
+        """Weights at one place: (n, field²)."""
+        (row,) = self.weights_by_row(np.array([place_x]), np.array([place_y]))
+        return np.asarray(row[0])
+
+    def _retina(self, place: float) -> csr_array:
+        """Share of each retina sample on each display pixel along an axis; its middle at a place in detectors."""
+        return overlap_matrix(
+            self.grid,
+            centre_px=(self.field / 2.0 + place) * self.pixels - 0.5,
+            pixel_pitch_mrad=self.pixel_pitch_mrad,
+            first_pixel=0,
+            n_pixels=self.field * self.pixels,
+        )
+
+    def _fold(self, place: float, weights: NDArray[Any]) -> NDArray[Any]:
+        """Weights on retina samples along the first axis, (side, n), to weights on detectors, (field, n)."""
+        on_pixels: NDArray[Any] = np.asarray(self._retina(place).astype(self.dtype).T @ weights)
+        return on_pixels if self.hold is None else np.asarray(self.hold @ on_pixels)

@@ -1,0 +1,184 @@
+"""The first Edgeworth term against differences of orthants, sums of uniform numbers and an exact inversion."""
+
+from __future__ import annotations
+
+from itertools import combinations, permutations
+from math import comb, factorial
+
+import numpy as np
+import pytest
+
+from todframes.decision import answer_probabilities
+from todframes.edgeworth import edgeworth_correction, fourth_cumulants
+from todframes.observer import PyramidObserver, PyramidSettings
+from todframes.readout import Stimulus
+from todframes.stimulus import Orientation, coverage
+
+UNIFORM = -1.2
+
+
+# The derivatives
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_term_is_the_fourth_derivative_along_each_neuron_s_weights(seed):
+    rng = np.random.default_rng(seed)
+    covariance = np.cov(rng.normal(size=(4, 9))) + np.eye(4)
+    score = rng.normal(size=4)
+    neurons = rng.normal(size=(4, 20))
+    # Central differences: the error is 7/240 h⁴ of the eighth derivative, up to 10³ for
+    # weights up to 3 in noise of 1 and more; orthants round by 1e-15, times 20 neurons · 19 / (24 h⁴).
+    h, c = 0.02, np.array([-1, 12, -39, 56, -39, 12, -1]) / 6.0
+    steps = h * np.arange(-3, 4)[:, None, None] * neurons.T
+    by_differences = np.einsum("s,snk->k", c, answer_probabilities(score + steps, covariance)) / h**4 / 24.0
+    found = edgeworth_correction(score, covariance, fourth_cumulants(neurons, excess_kurtosis=1.0))
+    assert found == pytest.approx(by_differences, abs=1e-5)
+    assert np.abs(found).max() > 0.03
+
+
+def test_corrections_add_up_to_zero_and_follow_their_answers():
+    rng = np.random.default_rng(7)
+    factor, score = rng.normal(size=(4, 30)), 3.0 * rng.normal(size=(50, 4))
+    covariance, cumulant = factor @ factor.T, fourth_cumulants(factor, excess_kurtosis=UNIFORM)
+    found = edgeworth_correction(score, covariance, cumulant)
+    # Terms of order 0.1 cancel; each is a few roundings.
+    assert found.sum(axis=1) == pytest.approx(np.zeros(50), abs=1e-13)
+    assert np.abs(found).max() > 1e-3
+    for order in map(list, permutations(range(4))):
+        permuted = edgeworth_correction(
+            score[:, order], covariance[np.ix_(order, order)], cumulant[np.ix_(*[order] * 4)]
+        )
+        assert permuted == pytest.approx(found[:, order], abs=1e-12)
+    scaled = edgeworth_correction(1e3 * score, 1e6 * covariance, 1e12 * cumulant)
+    assert scaled == pytest.approx(found, abs=1e-13)
+
+
+def test_arguments_are_broadcast():
+    rng = np.random.default_rng(8)
+    factor, score = rng.normal(size=(3, 4, 6)), rng.normal(size=(5, 1, 4))
+    covariance = factor @ factor.swapaxes(1, 2)
+    cumulant = np.stack([fourth_cumulants(rows, excess_kurtosis=UNIFORM) for rows in factor])
+    found = edgeworth_correction(score, covariance, cumulant)
+    assert found.shape == (5, 3, 4)
+    alone = edgeworth_correction(score[4, 0], covariance[2], cumulant[2])
+    # The same operations on the same numbers, but for vectorised exponentials.
+    assert found[4, 2] == pytest.approx(alone, abs=1e-14)
+
+
+def test_cumulants_are_those_of_the_sums():
+    factor = np.array([[1.0, 2.0, 0.0], [0.0, 1.0, 1.0], [3.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    found = fourth_cumulants(factor, excess_kurtosis=UNIFORM)
+    assert found[0, 0, 0, 0] == pytest.approx(UNIFORM * 17.0, rel=1e-15)
+    assert found[0, 1, 1, 0] == pytest.approx(UNIFORM * 4.0, rel=1e-15)
+    assert found[0, 2, 0, 0] == pytest.approx(UNIFORM * 3.0, rel=1e-15)
+    assert not found[3].any() and not found[1, 2].any()
+
+
+def test_nothing_where_noise_does_not_decide_or_lies_in_a_plane():
+    plane = np.array([[0.0, 1.0], [1.0, 0.0], [0.0, -1.0], [-1.0, 0.0]])
+    for factor in (np.zeros((4, 2)), np.ones((4, 2)), plane):
+        cumulant = fourth_cumulants(factor, excess_kurtosis=UNIFORM)
+        assert not edgeworth_correction([1.0, 0.0, 0.0, 0.0], factor @ factor.T, cumulant).any()
+
+
+# Sums of uniform numbers
+
+
+def irwin_hall(x, n, power):
+    """(x − k)₊^power summed with signs: density (power n − 1) and distribution (power n) of n uniform numbers."""
+    return sum((-1) ** k * comb(n, k) * np.maximum(x - k, 0.0) ** power for k in range(n + 1)) / factorial(power)
+
+
+@pytest.mark.parametrize(("n", "most"), [(4, 3e-3), (8, 8e-4)])
+def test_four_independent_sums_of_uniform_numbers(n, most):
+    """P(correct) = ∫ f(x) F(x + d)³ dx exactly; what is left falls as 1/n², the square of the term itself."""
+    sd = np.sqrt(n / 12.0)
+    neurons = np.kron(np.eye(4), np.full(n, np.sqrt(1.0 / 12.0)))
+    node, weight = np.polynomial.legendre.leggauss(40)
+    x = (np.arange(n)[:, None] + (1.0 + node) / 2.0).ravel()  # a polynomial on each interval
+    weight = np.tile(weight / 2.0, n)
+    cumulant = fourth_cumulants(neurons, excess_kurtosis=UNIFORM)
+    covariance = neurons @ neurons.T
+    left, gaussian = [], []
+    for lead in np.arange(0, n, 1):  # whole, so that the kinks of F stay between the intervals
+        exact = weight @ (irwin_hall(x, n, n - 1) * irwin_hall(np.minimum(x + lead, n), n, n) ** 3)
+        score = [float(lead), 0.0, 0.0, 0.0]
+        plain = answer_probabilities(score, covariance)[0]
+        gaussian.append(abs(plain - exact))
+        left.append(abs(plain + edgeworth_correction(score, covariance, cumulant)[0] - exact))
+    assert sd > 0.5
+    assert max(left) < most
+    assert max(left) < max(gaussian) / 4.0
+
+
+# The observer's neurons
+
+
+def sign_series_probability(score, weights, answer):
+    """P(answer) for uniform noise on every neuron, by inverting its characteristic function.
+
+    Π (1 + sgn D_j)/8, each sign as the Fourier series of a square wave of half-period 4π > 12 standard deviations,
+    so that the expectation is a sum of values of the characteristic function. It is a product over the 400 or so
+    neurons with weights above 1/250; the others enter by their second and fourth cumulants.
+    """
+    others = [k for k in range(4) if k != answer]
+    difference = weights[answer] - weights[others]
+    sd = np.linalg.norm(difference, axis=1)
+    alpha, mean = difference / sd[:, None], (score[answer] - score[others]) / sd
+    heavy = np.abs(alpha).max(axis=0) > 0.004
+    light = alpha[:, ~heavy]
+    second, fourth = light @ light.T, np.einsum("in,jn,kn,ln->ijkl", *[light] * 4, optimize=True)
+
+    def characteristic(t):
+        squares = t[:, :, None] * t[:, None, :]
+        exponent = np.einsum("nij,ij->n", squares, second) / 2.0
+        exponent += np.einsum("nij,nkl,ijkl->n", squares, squares, fourth, optimize=True) / 20.0
+        value = np.exp(-exponent + 1j * t @ mean)
+        for one in alpha[:, heavy].T:
+            value *= np.sinc(np.sqrt(3.0) / np.pi * (t @ one))
+        return value
+
+    correlation = alpha @ alpha.T
+    # exp(−17) = 4e-8 is what the characteristic function has fallen to at the ends of the grids.
+    ends = np.ceil(2.0 * np.sqrt(2.0 * 17.0 * np.diag(np.linalg.inv(correlation)))).astype(int)
+    odd = [np.arange(-end, end) + 0.5 for end in ends]
+    total = 1.0
+    for size in (1, 2, 3):
+        for axes in combinations(range(3), size):
+            grid = np.stack(np.meshgrid(*[odd[axis] for axis in axes], indexing="ij"), axis=-1).reshape(-1, size)
+            t = np.zeros((len(grid), 3))
+            t[:, axes] = 0.5 * grid
+            t, grid = (kept[np.einsum("ni,ij,nj->n", t, correlation, t) < 40.0] for kept in (t, grid))
+            total += np.sum(characteristic(t) / (np.pi * 1j * grid).prod(axis=1)).real
+    return total / 8.0
+
+
+@pytest.mark.parametrize(("size_mrad", "gaussian", "corrected"), [(0.3, 1.5e-3, 1e-4), (1.0, 5e-4, 1e-5)])
+def test_uniform_noise_on_the_observer_s_neurons(size_mrad, gaussian, corrected):
+    observer = PyramidObserver(PyramidSettings())
+    stimulus = Stimulus(size_mrad)
+    readout = observer.readout(stimulus)
+    side = readout.grid.side
+    image = coverage(
+        (side, side),
+        size_px=size_mrad / 0.153,
+        x_px=side // 2 + 0.3,
+        y_px=side // 2 - 0.2,
+        orientation=Orientation.UP,
+    )
+    weights = np.array(
+        [np.concatenate([band.ravel() for band in bands]) for bands in observer.templates(stimulus)]
+    )
+    weights = observer.settings.noise_sd * (weights - weights.mean(axis=0))
+    cumulant = fourth_cumulants(weights, excess_kurtosis=UNIFORM)
+    scores = readout.score_deviations(image)
+    largest = 0.0
+    for lead in (0.5, 1.5, 2.5):
+        score = lead * scores / np.ptp(scores) * np.sqrt(readout.noise_covariance[0, 0]) * 2.0
+        plain = answer_probabilities(score, readout.noise_covariance)
+        better = plain + edgeworth_correction(score, readout.noise_covariance, cumulant)
+        for answer in (0, 2):
+            exact = sign_series_probability(score, weights, answer)
+            largest = max(largest, abs(plain[answer] - exact))
+            assert abs(better[answer] - exact) < corrected
+    assert largest > gaussian

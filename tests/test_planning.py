@@ -1,0 +1,258 @@
+"""Plans: bounds that hold, work that is not done, and what is left alone."""
+
+from __future__ import annotations
+
+import importlib.util
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import sensor_sim.curve_plan
+import sensor_sim.sampling
+import sensor_sim.transfer
+from sensor_sim.cli import cli as sensor_cli
+from sensor_sim.curve_plan import full_plan
+from sensor_sim.planning import plan_curve
+from sensor_sim.predict import FoldedChain, predict_threshold
+from sensor_sim.sensor import Optics, load_sensor
+from todframes.cli import cli
+from todframes.dataset import load_dataset
+from todframes.decision import answer_probabilities
+from todframes.frame_writing import write_frame
+from todframes.frames import FrameFile
+from todframes.observer import PyramidObserver, PyramidSettings
+from todframes.planning import LEFT_OUT_SHARE, Step, decision_change, plan_object, total_bound
+from todframes.readout import Stimulus
+from todframes.scoring import score_dataset
+from todframes.stimulus import ORIENTATIONS, coverage
+
+ROOT = Path(__file__).parent.parent
+STAR_LIKE = load_sensor(ROOT / "sample_frames" / "star_like.toml")
+NAKED_EYE = ROOT / "sample_frames" / "naked_eye"
+
+_spec = importlib.util.spec_from_file_location("plan_scenes", ROOT / "tests" / "benchmarks" / "plan_scenes.py")
+assert _spec is not None
+assert _spec.loader is not None
+plan_scenes = importlib.util.module_from_spec(_spec)
+_spec.loader.exec_module(plan_scenes)
+
+
+def forbidden(*_args, **_more):
+    raise AssertionError("this was to be left out")
+
+
+# The bound itself ---------------------------------------------------------------------------------------------
+
+
+def test_decisions_change_by_less_than_the_bound():
+    """Random scores, covariances and changes of both, small and large, against the decision itself."""
+    rng = np.random.default_rng(1)
+    mixing = rng.normal(size=(400, 4, 6))
+    covariance = mixing @ mixing.swapaxes(1, 2)
+    scores = 2.0 * rng.normal(size=(400, 4))
+    size = 10.0 ** rng.uniform(-4.0, -0.5, (400, 1, 1))
+    change = size[..., 0] * rng.normal(size=(400, 4))
+    # First order in the change of covariance: it stays small.
+    other = mixing + 0.3 * size * rng.normal(size=mixing.shape)
+    other_covariance = other @ other.swapaxes(1, 2)
+    bound = decision_change(change, covariance, other_covariance - covariance)
+    moved = answer_probabilities(scores + change, other_covariance) - answer_probabilities(scores, covariance)
+    assert (np.abs(moved) <= bound * (1.0 + 5.0 * size[..., 0]) + 1e-9).all()
+    # Nor is it so loose that it says nothing.
+    assert np.median(np.abs(moved).max(axis=1) / bound.max(axis=1)) > 0.05
+
+
+def test_without_noise_anything_may_change():
+    assert (
+        decision_change(np.full(4, 1e-300) * np.arange(4), np.zeros((4, 4)), np.zeros((4, 4))).tolist() == [1] * 4
+    )
+
+
+def test_only_what_is_left_out_counts():
+    steps = (Step("a", False, "", 1e-3, saves_s=2.0), Step("b", True, "", 0.5), Step("c", False, "", 2e-3))
+    assert total_bound(steps) == pytest.approx(3e-3, rel=1e-15)
+    assert [one["saves_s"] for one in plan_object(steps, 10.0)] == [20.0, 0.0, 0.0]
+
+
+@pytest.mark.parametrize("settings", [{}, {"centre": "bounding_box"}, {"kernel_a": 0.4, "band_gain": 2.0}])
+@pytest.mark.parametrize("size_samples", [12.0, 40.0])
+def test_left_out_bands_are_those_of_a_wider_readout(size_samples, settings):
+    """The readout with two octaves more, less the usual one, over the triangle itself."""
+    observer = PyramidObserver(PyramidSettings(retina_pitch_mrad=1.0, position_jitter_samples=0.0, **settings))
+    stimulus = Stimulus(size_samples)
+    wide = PyramidObserver(observer.settings, more_levels=2).readout(stimulus)
+    usual, missing = observer.readout(stimulus), observer.left_out(stimulus)
+    side = wide.grid.side
+    shape = {"size_px": size_samples, "orientation": ORIENTATIONS[0], "centre": observer.centre}
+    image = coverage((side, side), x_px=side // 2, y_px=side // 2, **shape)
+    margin = (side - usual.grid.side) // 2
+    inner = image[margin:-margin, margin:-margin]
+    expected = wide.score_deviations(image) - usual.score_deviations(np.ascontiguousarray(inner))
+    coarse = missing.grid.pitch_mrad
+    shape["size_px"] = size_samples / coarse
+    small = coverage((missing.grid.side,) * 2, x_px=missing.grid.side // 2, y_px=missing.grid.side // 2, **shape)
+    found = missing.deviations.reshape(4, -1) @ small.ravel()
+    # On the coarser retina the triangle's edges are blurred by one coarse sample more.
+    assert found == pytest.approx(expected, abs=0.2 * np.abs(expected).max())
+    covariance = wide.noise_covariance - usual.noise_covariance
+    assert missing.noise_covariance == pytest.approx(covariance, abs=0.2 * np.abs(covariance).max())
+
+
+# Curves -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("number", range(6))
+def test_planned_and_full_thresholds_differ_by_less_than_their_bounds(number):
+    rng = np.random.default_rng(100 + number)
+    sensor, observer, size = plan_scenes.scene(rng)
+    size = min(size, 5.0)
+    planned, full = (plan_scenes.threshold(sensor, observer, size, name)[0] for name in ("needed", "full"))
+    assert planned.status == full.status
+    if planned.threshold is not None:
+        assert abs(planned.threshold - full.threshold) <= planned.numerical_error + full.numerical_error
+
+
+def test_at_the_same_places_the_plan_changes_next_to_nothing():
+    """The same lattice and shifts: what is left is what was left out."""
+    observer = PyramidObserver()
+    planned = FoldedChain(STAR_LIKE, observer, 4.0)
+    full = FoldedChain(STAR_LIKE, observer, 4.0, full_plan(STAR_LIKE, observer.full(), 4.0))
+    parts = [chain.phases(5, np.random.default_rng(3)) for chain in (planned, full)]
+    p, expected = (
+        chain.proportion_correct(part[:1], 2.0) for chain, part in zip((planned, full), parts, strict=True)
+    )
+    assert 0.0 < abs(p - expected) <= planned.plan.bound
+    assert planned.plan.bound < 1e-3 * LEFT_OUT_SHARE
+
+
+def test_a_tighter_tolerance_leaves_out_less():
+    observer = PyramidObserver(PyramidSettings(centre="bounding_box"))
+    loose, tight = (plan_curve(STAR_LIKE, observer, 4.0, tolerance=tolerance) for tolerance in (1e-2, 1e-6))
+    assert tight.bound < 1e-6 < loose.bound < LEFT_OUT_SHARE * 1e-2
+    kept = {step.stage for step in tight.steps if step.kept}
+    assert {"pyramid levels", "double precision"} <= kept
+    assert tight.dtype == np.float64
+    assert loose.dtype == np.float32
+
+
+def test_no_optics_blur_no_optics_blur_code(monkeypatch):
+    sensor = replace(STAR_LIKE, optics=replace(STAR_LIKE.optics, blur_sigma_mrad=0.0))
+    monkeypatch.setattr(sensor_sim.transfer, "gaussian_mtf", forbidden)
+    assert predict_threshold(FoldedChain(sensor, PyramidObserver(), 4.0), tolerance=0.1).status == "ok"
+    with pytest.raises(AssertionError, match="left out"):
+        FoldedChain(STAR_LIKE, PyramidObserver(), 4.0)
+
+
+def test_sharp_optics_are_never_computed(monkeypatch):
+    sensor = replace(STAR_LIKE, optics=Optics(aperture_mm=1e9, wavelength_um=1.0))
+    monkeypatch.setattr(sensor_sim.sampling, "pre_sample_mtf", forbidden)
+    chain = FoldedChain(sensor, PyramidObserver(), 4.0)
+    assert predict_threshold(chain, tolerance=0.1).status == "ok"
+    assert "optics" in {step.stage for step in chain.plan.steps if not step.kept}
+
+
+def test_no_external_noise_no_covariance(monkeypatch):
+    observer = PyramidObserver()
+    plan = plan_curve(STAR_LIKE, observer, 5.0)
+    with_noise = FoldedChain(STAR_LIKE, observer, 5.0, plan)
+    expected = with_noise.proportion_correct(with_noise.phases(5, np.random.default_rng(1)), np.inf)
+    monkeypatch.setattr(sensor_sim.curve_plan, "noise_covariance", forbidden)
+    plan = plan_curve(STAR_LIKE, observer, 5.0, external_noise=False)
+    quiet = FoldedChain(STAR_LIKE, observer, 5.0, plan)
+    found = quiet.proportion_correct(quiet.phases(5, np.random.default_rng(1)), np.inf)
+    assert found == pytest.approx(expected, abs=plan.bound + 1e-4)
+
+
+def test_explained_curve():
+    arguments = [
+        "curve",
+        str(ROOT / "sample_frames/star_like.toml"),
+        "--size-detectors",
+        "5",
+        "--tolerance",
+        "0.05",
+    ]
+    told = CliRunner().invoke(sensor_cli, [*arguments, "--explain"])
+    assert told.exit_code == 0
+    for text in ("orientations", "left out", "kept", "bound on P", "saves (s)"):
+        assert text in told.stdout
+    full = CliRunner().invoke(sensor_cli, [*arguments, "--explain", "--plan", "full"])
+    assert "left out" not in full.stdout
+
+
+# Scoring ------------------------------------------------------------------------------------------------------
+
+
+def test_a_large_frame_is_read_where_the_triangle_is(tmp_path, monkeypatch):
+    """20 pixels in 1920 × 1080: under 10 % of the rows, but for the one trial in twenty that is looked at wide."""
+    (tmp_path / "frames").mkdir()
+    (tmp_path / "dataset.toml").write_text(
+        "schema = 1\n[display]\neotf = 'linear'\nwhite_luminance_cd_m2 = 1.0\npixel_pitch_mrad = 0.7\n"
+        "background_luminance_cd_m2 = 50.0\n[experiment]\nlevel = 'contrast'\ngroup_by = []\n"
+    )
+    rng, rows = np.random.default_rng(0), ["frame,orientation,size_mrad,contrast"]
+    for number, orientation in enumerate(ORIENTATIONS):
+        shape = coverage((1080, 1920), size_px=20.0, x_px=959.5, y_px=539.5, orientation=orientation)
+        noise = np.tile(rng.normal(0.0, 0.03, (1080, 64)), 30)
+        write_frame(tmp_path / f"frames/{number}.exr", 50.0 * (1.0 + 0.04 * shape + noise))
+        rows.append(f"frames/{number}.exr,{orientation.value},14.0,{0.04 + 0.001 * number}")
+    (tmp_path / "manifest.csv").write_text("\n".join(rows) + "\n")
+    decoded, decode = [], FrameFile._decode
+
+    def counted(self, top, bottom, left, right):
+        decoded.append(bottom - top)
+        return decode(self, top, bottom, left, right)
+
+    monkeypatch.setattr(FrameFile, "_decode", counted)
+    dataset = load_dataset(tmp_path)
+    planned = score_dataset(dataset, PyramidObserver())
+    assert sorted(decoded)[-2] < 108
+    decoded.clear()
+    full = score_dataset(dataset, PyramidObserver(), plan_name="full")
+    assert decoded == [1080] * 4
+    assert 0.0 < np.abs(planned.p_correct - full.p_correct).max() <= planned.fits[0].left_out_bound
+    assert planned.fits[0].left_out_bound < 1e-3
+
+
+def test_planned_scores_are_the_full_ones_within_the_bound():
+    planned, full = (
+        score_dataset(load_dataset(NAKED_EYE), PyramidObserver(), plan_name=name) for name in ("needed", "full")
+    )
+    assert np.array_equal(planned.displacement_samples, full.displacement_samples)
+    for one, other in zip(planned.fits, full.fits, strict=True):
+        # dP / d ln level is about 0.5 at threshold, and above 0.3 for all of these.
+        assert one.fit.threshold == pytest.approx(other.fit.threshold, rel=one.left_out_bound / 0.3)
+
+
+def test_tolerance_takes_as_many_displacements_as_needed():
+    dataset = load_dataset(NAKED_EYE)
+    dataset = replace(dataset, trials=tuple(t for t in dataset.trials if t.group == (0.6,)))
+    once, loose, tight = (
+        score_dataset(dataset, PyramidObserver(), tolerance=tolerance).fits[0] for tolerance in (None, 0.02, 0.002)
+    )
+    assert (once.n_displacements, once.numerical_error) == (1, None)
+    assert loose.n_displacements == 8
+    assert 0.0 < loose.numerical_error <= 0.02 * loose.fit.threshold
+    assert tight.n_displacements > 8
+    assert tight.numerical_error < 0.75 * loose.numerical_error
+    assert loose.fit.threshold == pytest.approx(
+        tight.fit.threshold, abs=loose.numerical_error + tight.numerical_error
+    )
+
+
+@pytest.mark.parametrize("arguments", [["--tolerance", "0"], ["--tolerance", "nan"],
+                                       ["--tolerance", "0.01", "--decisions", "sampled"]])  # fmt: skip
+def test_refused_tolerances(arguments):
+    told = CliRunner().invoke(cli, ["score", str(NAKED_EYE), *arguments])
+    assert told.exit_code != 0
+    assert "tolerance" in str(told.exception)
+
+
+def test_explained_scoring():
+    told = CliRunner().invoke(cli, ["score", str(NAKED_EYE), "--explain"])
+    assert told.exit_code == 0
+    for text in ("frame rows", "field", "left out", "bound on P", "time (s)"):
+        assert text in told.stdout

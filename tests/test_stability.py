@@ -1,0 +1,180 @@
+"""Every case of `todframes stability`, and that the command tells when one falls short."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import warnings
+from importlib.metadata import entry_points
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from todframes import stability
+from todframes.cli import cli
+from todframes.command import run
+from todframes.errors import SettingsError
+from todframes.stability import (
+    ENTRY_POINT_GROUP,
+    Case,
+    cells,
+    digits_kept,
+    find_cases,
+    refusal,
+    run_case,
+    shortfall,
+)
+
+CASES = find_cases()
+PAGE = (Path(__file__).parent.parent / "docs" / "stability.md").read_text(encoding="utf-8")
+
+EXACT = Case("some", "exact", 1.5, "closed form", lambda: 1.5)
+SHORT = Case("some", "short", [2.0, 4.0], "closed form", lambda: [2.0, 4.0 + 4e-4], 6)
+
+
+@pytest.mark.parametrize("case", CASES, ids=[f"{case.group}: {case.name}" for case in CASES])
+def test_case_holds(case: Case) -> None:
+    assert shortfall([run_case(case)]) is None
+
+
+def test_both_packages_offer_cases() -> None:
+    assert {entry.name for entry in entry_points(group=ENTRY_POINT_GROUP)} >= {"todframes", "sensor_sim"}
+    groups = list(dict.fromkeys(case.group for case in CASES))
+    assert groups == ["decision", "observer", "fit", "frame", "transfer", "samples", "display", "curve"]
+    assert len({case.name for case in CASES}) == len(CASES)
+
+
+# What a case is
+
+
+@pytest.mark.parametrize(
+    ("expected", "came", "scale", "digits"),
+    [
+        (1.0, 1.0, None, 16.0),
+        (2.0, 2.0002, None, 4.0),
+        ([1e-30, 1.0], [1.01e-30, 1.0], None, 2.0),
+        ([1e-30, 1.0], [1.01e-30, 1.0], 1.0, 16.0),
+        (0.0, 1e-6, None, 0.0),
+        (0.0, 1e-6, 1.0, 6.0),
+        (0.0, 0.0, None, 16.0),
+        (1.0, 30.0, None, 0.0),
+        (1.0, math.nan, None, 0.0),
+        ([1.0, 1.0], 1.0, None, 0.0),
+    ],
+)
+def test_digits_are_those_of_the_worst_number(expected, came, scale, digits) -> None:
+    assert digits_kept(expected, came, scale=scale) == pytest.approx(digits, abs=1e-6)
+
+
+def test_warning_and_exception_are_what_came() -> None:
+    def warn() -> float:
+        warnings.warn("beware", RuntimeWarning, stacklevel=1)
+        return 1.0
+
+    for compute, came in (
+        (warn, "RuntimeWarning: beware"),
+        (lambda: [][0], "IndexError: list index out of range"),
+    ):
+        outcome = run_case(Case("some", "loud", 1.0, "closed form", compute))
+        assert (outcome.came, outcome.holds) == (came, False)
+    assert not run_case(Case("some", "text", 1.0, "closed form", lambda: "ok")).holds
+    assert not run_case(Case("some", "text", "ok", "closed form", lambda: 1.0)).holds
+    assert run_case(Case("some", "text", "ok", "closed form", lambda: "ok")).holds
+
+
+def test_refusal_is_one_line_with_the_reason() -> None:
+    def refuse() -> None:
+        raise SettingsError("size_mrad: found -1, expected a number > 0")
+
+    assert refusal(refuse, "size_mrad") == "refused"
+    assert refusal(refuse, "contrast") == "refused: size_mrad: found -1, expected a number > 0"
+    assert refusal(lambda: None, "size_mrad") == "accepted"
+
+
+# The command
+
+
+@pytest.fixture
+def few_cases(monkeypatch) -> None:
+    monkeypatch.setattr(stability, "find_cases", lambda: [EXACT, SHORT])
+
+
+@pytest.mark.usefixtures("few_cases")
+def test_command_ends_with_1_and_names_what_falls_short(capsys) -> None:
+    assert run(cli, ["stability"]) == 1
+    shown = capsys.readouterr()
+    assert re.search(r"^ *short +2 … 4 \(2\) +closed form +2 … 4\.0004 \(2\) +4\.0 +6 *$", shown.out, re.MULTILINE)
+    assert shown.err == ("error: stability: 1 case falls short: some: short (found 4.0 digits, expected 6)\n")
+
+
+def test_command_ends_with_0_where_all_hold(monkeypatch, capsys) -> None:
+    monkeypatch.setattr(stability, "find_cases", lambda: [EXACT])
+    assert run(cli, ["stability"]) == 0
+    shown = capsys.readouterr()
+    assert shown.err == ""
+    assert re.search(r"^1 cases?, \d+\.\d\d s$", shown.out, re.MULTILINE)
+
+
+@pytest.mark.usefixtures("few_cases")
+def test_json_is_one_object(capsys) -> None:
+    assert run(cli, ["stability", "--json"]) == 1
+    result = json.loads(capsys.readouterr().out)
+    assert (result["schema"], result["command"], result["fits"], result["skipped"]) == (1, "stability", [], [])
+    assert result["run_time_s"] >= 0
+    assert result["cases"] == [
+        {"group": "some", "name": "exact", "expected": 1.5, "source": "closed form", "came": 1.5,
+         "digits": 16.0, "digits_bound": 6.0, "holds": True},
+        {"group": "some", "name": "short", "expected": [2.0, 4.0], "source": "closed form", "came": [2.0, 4.0004],
+         "digits": pytest.approx(4.0, abs=1e-6), "digits_bound": 6, "holds": False},
+    ]  # fmt: skip
+
+
+def test_json_or_page(capsys) -> None:
+    assert run(cli, ["stability", "--json", "--markdown"]) == 2
+    assert "expected one of them" in capsys.readouterr().err
+
+
+# The page
+
+
+def documented(page: str) -> list[tuple[str, ...]]:
+    """Group, case, expected value, source and bound of every row."""
+    rows, group = [], ""
+    for line in page.splitlines():
+        if line.startswith("## "):
+            group = line[3:].lower()
+        elif line.startswith("| ") and not line.startswith(("| case ", "| --- ")):
+            case, expected, source, _, _, bound = (text.strip() for text in line.strip("|").split(" | "))
+            rows.append((group, case, expected, source, bound))
+    return rows
+
+
+def test_page_lists_the_cases() -> None:
+    expected = []
+    for case in CASES:
+        digits = None if isinstance(case.expected, str) else 16.0
+        name, shown, source, _, _, bound = cells(stability.Outcome(case, case.expected, digits, True))
+        expected.append((case.group, name, shown, source, bound))
+    assert documented(PAGE) == expected
+
+
+@pytest.mark.usefixtures("few_cases")
+def test_page_is_what_the_command_prints(capsys) -> None:
+    assert run(cli, ["stability", "--markdown"]) == 1
+    page = capsys.readouterr().out
+    assert documented(page) == [
+        ("some", "exact", "1.5", "closed form", "6"),
+        ("some", "short", "2 … 4 (2)", "closed form", "6"),
+    ]
+    assert page.split("tries inputs")[0] == PAGE.split("tries inputs")[0]
+    assert "| ≥ 12 | 6 |" in page
+    assert "todframes stability --markdown > docs/stability.md" in page
+
+
+def test_no_case_has_an_expectation_that_is_not_a_number() -> None:
+    for case in CASES:
+        if not isinstance(case.expected, str):
+            assert np.isfinite(np.asarray(case.expected, dtype=float)).all(), case.name
+            assert case.digits > 0

@@ -1,0 +1,183 @@
+"""Error against run time as people and programs read it: one JSON object, tables, a page with pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from todframes.accuracy import Measured
+from todframes.accuracy_figures import rounded, scene_picture
+from todframes.report import Json, encode
+from todframes.tables import number
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+ESTIMATOR_HEADERS = (
+    *("estimator", "trials", "CPU (s)", "wall (s)", "error of P", "of the threshold", "slope"),
+    *("CPU (s) at 1 %", "at 0.1 %", "times less at 1 %", "at 0.1 %"),
+)
+VARIANT_HEADERS = ("closed form, changed", "CPU", "change of P", "of the threshold")
+
+
+def scene_object(scene: Measured) -> Json:
+    """A scene as it stands in `accuracy.json`."""
+    threshold, bound, slope = scene.converged
+    return {
+        "name": scene.name,
+        "title": scene.title,
+        "level": scene.level,
+        "threshold": threshold,
+        "threshold_bound": bound,
+        "slope": slope,
+        "p_correct_error_bound": scene.p_correct_error_bound,
+        "estimators": [
+            {
+                "name": curve.name,
+                "label": curve.label,
+                "set_up_cpu_s": curve.set_up_cpu_s,
+                "slope": curve.slope,
+                "slope_standard_error": curve.slope_error,
+                "points": [point._asdict() for point in curve.points],
+                "cpu_s_at": [_renamed(at._asdict()) for at in curve.times],
+            }
+            for curve in scene.estimators
+        ],
+        "variants": [change._asdict() for change in scene.variants],
+        "speed_ratios": [_renamed(ratio._asdict()) for ratio in scene.ratios],
+    }
+
+
+def _renamed(content: Json) -> Json:
+    return {"threshold_error": content.pop("error"), **content}
+
+
+def files(result: Json) -> dict[str, bytes]:
+    """What `-o` writes, by file name: the object, a page, a picture for each scene."""
+    pictures = {_picture_name(scene): scene_picture(scene) for scene in result["scenes"]}
+    return {**pictures, "accuracy.md": page(result).encode(), "accuracy.json": encode(result)}
+
+
+def tables(scene: Json) -> tuple[Table, Table]:
+    """Estimators and variants of a scene for the terminal."""
+    return (
+        _table(_title(scene), ESTIMATOR_HEADERS, _estimator_rows(scene)),
+        _table("", VARIANT_HEADERS, _variant_rows(scene)),
+    )
+
+
+def _table(title: str, headers: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
+    from rich.box import SIMPLE_HEAD
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(title=Text(title) if title else None, title_justify="left", title_style="bold", box=SIMPLE_HEAD)
+    for place, header in enumerate(headers):
+        table.add_column(Text(header), justify="right" if place else "left", no_wrap=True)
+    for row in rows:
+        table.add_row(*map(Text, row))
+    return table
+
+
+def _title(scene: Json) -> str:
+    return (
+        f"{scene['title']}; threshold {scene['level']} {number(scene['threshold'], 6)} "
+        f"± {number(scene['threshold_bound'], 1)}"
+    )
+
+
+def _estimator_rows(scene: Json) -> list[list[str]]:
+    """A row an estimator: its largest budget, how its error falls, what two errors take."""
+    rows = []
+    literal = scene["estimators"][0]
+    for one in scene["estimators"]:
+        points = one["points"]
+        last = points[-1] if points else None
+        cells = [one["label"]]
+        cells += [str(last["trials"]) if last else "–"]
+        cells += [number(last[name] if last else None, 2) for name in ("cpu_s", "wall_s")]
+        cells += [number(last[name] if last else None, 2) for name in ("p_correct_error", "threshold_error")]
+        slope, error = one["slope"], one["slope_standard_error"]
+        cells += ["–" if slope is None else f"{slope:.2f}" + ("" if error is None else f" ± {error:.2f}")]
+        cells += [_time(at) for at in one["cpu_s_at"]]
+        cells += [
+            "–" if at["cpu_s"] is None or base["cpu_s"] is None else rounded(base["cpu_s"] / at["cpu_s"])
+            for at, base in zip(one["cpu_s_at"], literal["cpu_s_at"], strict=True)
+        ]
+        rows.append(cells)
+    return rows
+
+
+def _time(at: Json) -> str:
+    if at["cpu_s"] is None:
+        return "–"
+    return ("≤ " if at["at_most"] else "") + number(at["cpu_s"], 3) + (" *" if at["extrapolated"] else "")
+
+
+def _variant_rows(scene: Json) -> list[list[str]]:
+    return [
+        [
+            one["label"],
+            f"× {one['cpu_ratio']:.2f}",
+            *(number(one[name], 2) for name in ("p_correct_change", "threshold_change")),
+        ]
+        for one in scene["variants"]
+    ]
+
+
+NOTE = "* extrapolated along the measured 1/√N. Errors are root mean squares, that of a threshold relative."
+
+
+def _picture_name(scene: Json) -> str:
+    return f"accuracy_{scene['name']}.png"
+
+
+def page(result: Json, *, folder: str = "") -> str:
+    """Everything as a page of Markdown whose pictures lie in `folder`."""
+    settings = result["settings"]
+    blocks = [INTRODUCTION.format(seconds=settings["seconds"], version=result["version"])]
+    for scene in result["scenes"]:
+        level, bound = scene["level"], scene["p_correct_error_bound"]
+        blocks += [
+            f"## {scene['title'][0].upper()}{scene['title'][1:]}",
+            f"![Error against CPU time]({folder}{_picture_name(scene)})",
+            f"Threshold {level} {number(scene['threshold'], 6)} ± {number(scene['threshold_bound'], 1)}; "
+            f"dP / d ln {level} is {number(scene['slope'], 2)} there. To take noise as Gaussian changes P by at "
+            f"most {number(bound, 2)}.",
+            _markdown(ESTIMATOR_HEADERS, _estimator_rows(scene)),
+            _markdown(VARIANT_HEADERS, _variant_rows(scene)),
+        ]
+    return "\n\n".join(blocks) + "\n"
+
+
+def _markdown(headers: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    lines = [headers, ["---", *["---:"] * (len(headers) - 1)], *rows]
+    return "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |" for line in lines)
+
+
+INTRODUCTION = """\
+# Error against run time
+
+What each digit of a threshold costs. Every scene is computed in several ways, each with more and more work, and
+held against a converged value that carries its own bound. `todframes accuracy` measures it, here with
+`--time {seconds:g}` (CPU seconds a scene) and version {version}. Times are those of one machine; their ratios
+hardly depend on it.
+
+| estimator | what it does |
+| --- | --- |
+| literal Monte Carlo | as in the paper: frames drawn, noise on every neuron, correlation, the largest score |
+| Monte Carlo on folded scores | pyramid and templates folded into four weight images, noise into one four-vector |
+| expected decisions, random phases | no noise is drawn: P(correct) of each trial is computed |
+| closed form | the same, with trials placed evenly |
+
+- **Error**: root mean square about the converged value over independent estimates; of the threshold, relative. A
+  bar is the standard error of that root mean square, grey what is below the bound on the converged value's error.
+- **CPU**: of one estimate, set-up included. The closed form searches its threshold. The Monte Carlos are told
+  where it is and how steep P(correct) is there, the least that any choice of levels could take; only on recorded
+  frames do they fit a psychometric function, as `score` does.
+- **Slope** of the error against the CPU time beyond the set-up, both logarithmic: −½ for independent trials.
+- **Times less** CPU than the literal Monte Carlo at equal error. `*` and dashed lines: extrapolated along the
+  measured 1/√N.
+- The literal Monte Carlo draws uniform noise on detectors and neurons. The others take its sum as Gaussian; the
+  dotted line is a bound on what that changes.
+- The second table changes one thing about the closed form at a time, with equal trials."""

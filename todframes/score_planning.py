@@ -1,0 +1,195 @@
+"""The plan of a scoring: what of the frames and of the retina each stimulus needs, decided before it is scored.
+
+A few of its trials are read wide and scored in full. What the outer part of the retina and the further bands of
+the pyramid add there tells what they would add elsewhere, noise and uneven background of the real frames included.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from todframes.dataset import Dataset, Trial
+from todframes.errors import FrameError, SettingsError
+from todframes.planning import LEFT_OUT_SHARE, SAFETY, PlanName, Step, decision_change
+from todframes.readout import LeftOut, Observer, Readout, Stimulus, Thrifty
+from todframes.viewing import Reader, Shown, read_as_it_is, retina_image
+
+FloatArray = NDArray[np.float64]
+
+HALF_FIELDS_IN_SIZES = (1.5, 2.0, 2.5)
+SLOPE = 0.5
+"""dP / d ln level of a psychometric function at its threshold, about."""
+MOST_TRIED, ONE_TRIED_OF = 4, 20
+"""Trials of each stimulus that are read wide."""
+
+
+@dataclass(frozen=True, slots=True)
+class StimulusPlan:
+    """How trials of one stimulus are scored.
+
+    `half_width` is how many retina samples are looked at on each side of the middle one, None: all of the grid;
+    `full_observer` whether further pyramid bands are needed; `bounds` what leaving them out changes in P(correct)
+    at most, by stage.
+    """
+
+    half_width: int | None = None
+    full_observer: bool = False
+    bounds: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class ScorePlan:
+    """How a dataset is scored: the plan of each stimulus, whether whole frames are decoded, and the steps."""
+
+    observer: Observer
+    stimuli: Mapping[Stimulus, StimulusPlan]
+    whole_frames: bool
+    steps: tuple[Step, ...]
+
+    def observer_of(self, stimulus: Stimulus) -> Observer:
+        """The observer that looks at a stimulus."""
+        if self.stimuli[stimulus].full_observer:
+            assert isinstance(self.observer, Thrifty)
+            return self.observer.full()
+        return self.observer
+
+    def readout(self, stimulus: Stimulus) -> Readout | None:
+        """What it looks at and how, no wider than needed; None if the observer is not linear."""
+        readout = self.observer_of(stimulus).readout(stimulus)
+        half_width = self.stimuli[stimulus].half_width
+        return readout if readout is None or half_width is None else readout.cropped(half_width)
+
+    def bound(self, stimuli: set[Stimulus]) -> float:
+        """On the change of P(correct) by what is left out with these stimuli."""
+        return max(math.fsum(self.stimuli[stimulus].bounds.values()) for stimulus in stimuli)
+
+
+def plan_score(
+    dataset: Dataset,
+    trials: Sequence[Trial],
+    observer: Observer,
+    *,
+    name: PlanName = "needed",
+    tolerance: float = 2e-3,
+    expected: bool = True,
+    read: Reader = read_as_it_is,
+) -> ScorePlan:
+    """What is needed for thresholds within a relative tolerance; with the name "full", everything.
+
+    Answers that are drawn come from the literal observer, which has the whole of its grid. Where `read` gives
+    trials in several ways, the plan is for all of them.
+    """
+    of_stimulus: dict[Stimulus, list[Trial]] = {}
+    for trial in trials:
+        of_stimulus.setdefault(trial.stimulus, []).append(trial)
+    if name == "full" or not expected:
+        full = name == "full" and isinstance(observer, Thrifty)
+        plans = {stimulus: StimulusPlan(full_observer=full) for stimulus in of_stimulus}
+        why = "as --plan full asks" if name == "full" else "answers are drawn with noise on every neuron"
+        return ScorePlan(observer, plans, name == "full", (Step("everything", True, why),))
+    budget = LEFT_OUT_SHARE * tolerance * SLOPE / 2.0
+    weighed = {
+        stimulus: _weigh(dataset, sorted(these, key=lambda trial: trial.level), observer, budget, read)
+        for stimulus, these in of_stimulus.items()
+    }
+    return ScorePlan(observer, {s: w.plan for s, w in weighed.items()}, False, _steps(list(weighed.values())))
+
+
+@dataclass(frozen=True, slots=True)
+class _Weighed:
+    """The plan of one stimulus, what it saves, and the shares of the frame's rows and of the retina it needs."""
+
+    plan: StimulusPlan
+    saves_s: float = 0.0
+    rows: float = 1.0
+    retina: float = 1.0
+
+
+def _weigh(dataset: Dataset, trials: Sequence[Trial], observer: Observer, budget: float, read: Reader) -> _Weighed:
+    """Plan one stimulus, whose trials are in the order of their level; those in the middle are looked at."""
+    stimulus = trials[0].stimulus
+    n_tried = min(max(len(trials) // ONE_TRIED_OF, 1), MOST_TRIED)
+    first = (len(trials) - n_tried) // 2
+    try:
+        missing = observer.left_out(stimulus) if isinstance(observer, Thrifty) else None
+        widest = missing.grid if missing is not None else observer.grid(stimulus)
+        started = time.perf_counter()
+        tried = trials[first : first + n_tried]
+        shown = [way for trial in tried for way in read(dataset, trial, observer, lambda: widest)]
+        reading_s = (time.perf_counter() - started) / n_tried
+        readout = observer.readout(stimulus)
+        if readout is None or not readout.noise_covariance.any():
+            return _Weighed(StimulusPlan())  # without noise the least difference may decide
+    except (FrameError, SettingsError):
+        return _Weighed(StimulusPlan())  # met again, and told, when it is scored
+    bounds: dict[str, float] = {}
+    full = False
+    if missing is not None:
+        bounds["pyramid levels"] = _levels_bound(readout, missing, shown)
+        full = bounds["pyramid levels"] > budget
+        if full:
+            del bounds["pyramid levels"]
+            assert isinstance(observer, Thrifty)
+            readout = observer.full().readout(stimulus)
+            assert readout is not None
+    half_width, bounds["field"] = _half_width(readout, stimulus, shown, budget)
+    kept = readout.grid.side if half_width is None else 2 * half_width + 1
+    frame = shown[0]
+    return _Weighed(
+        StimulusPlan(half_width, full, bounds),
+        saves_s=reading_s * len(trials) * (1.0 - kept * readout.grid.pitch_mrad / widest.width_mrad),
+        rows=min(kept * readout.grid.pitch_mrad / dataset.display.pitch_mrad / frame.frame_rows, 1.0),
+        retina=(kept / readout.grid.side) ** 2,
+    )
+
+
+def _levels_bound(readout: Readout, missing: LeftOut, shown: Sequence[Shown]) -> float:
+    added = [missing.deviations.reshape(4, -1) @ retina_image(one, missing.grid).reshape(-1) for one in shown]
+    change = decision_change(np.array(added), readout.noise_covariance, missing.noise_covariance)
+    return SAFETY * float(change.max())
+
+
+def _half_width(
+    readout: Readout, stimulus: Stimulus, shown: Sequence[Shown], budget: float
+) -> tuple[int | None, float]:
+    """The narrowest of some fields whose bound fits, and the bound."""
+    grid = readout.grid
+    images = [retina_image(one, grid) for one in shown]
+    whole = np.array([readout.score_deviations(image) for image in images])
+    for sizes in HALF_FIELDS_IN_SIZES:
+        half_width = math.ceil(sizes * stimulus.size_mrad / grid.pitch_mrad) + 2
+        if 2 * half_width + 1 >= grid.side:
+            break
+        narrow = readout.cropped(half_width)
+        margin = (grid.side - narrow.grid.side) // 2
+        inner = [np.ascontiguousarray(image[margin:-margin, margin:-margin]) for image in images]
+        change = np.array([narrow.score_deviations(image) for image in inner]) - whole
+        bound = SAFETY * float(decision_change(change, readout.noise_covariance, np.zeros((4, 4))).max())
+        if bound <= budget:
+            return half_width, bound
+    return None, 0.0
+
+
+def _steps(weighed: Sequence[_Weighed]) -> tuple[Step, ...]:
+    """The plans of all stimuli in a few lines: the largest bounds, the sums of what is saved."""
+    n = len(weighed)
+    n_narrow = sum(one.plan.half_width is not None for one in weighed)
+    levels = max((one.plan.bounds.get("pyramid levels", 0.0) for one in weighed), default=0.0)
+    narrow = max((one.plan.bounds.get("field", 0.0) for one in weighed), default=0.0)
+    retina = f"{100.0 * float(np.mean([one.retina for one in weighed])):.2g} % of the retina"
+    rows = [100.0 * one.rows for one in weighed]
+    shares = f"{min(rows):.3g} % of" if max(rows) - min(rows) < 0.5 else f"{min(rows):.3g} to {max(rows):.3g} % of"
+    saves_s = sum(one.saves_s for one in weighed)
+    n_thrifty = n - sum(one.plan.full_observer for one in weighed)
+    return (
+        Step("frame rows", min(rows) >= 100.0, f"{shares} a frame's rows are looked at", saves_once_s=saves_s),
+        Step("pyramid levels", n_thrifty == 0, f"one level less than full for {n_thrifty} of {n} stimuli", levels),
+        Step("field", n_narrow == 0, f"{retina} for {n_narrow} of {n} stimuli", narrow),
+        Step("noise on neurons", False, "the decision's probability is computed, not drawn"),
+    )
