@@ -49,6 +49,20 @@ level = "contrast"
 group_by = ["size_mrad"]
 """
 
+ENHANCEMENT_TOML = """\
+schema = 1
+
+[display]
+eotf = "linear"
+white_luminance_cd_m2 = 120.0
+pixel_pitch_mrad = 0.2
+background_luminance_cd_m2 = "border"
+
+[experiment]
+level = "contrast"
+group_by = ["size_mrad"]
+"""
+
 
 def naked_eye(folder: Path) -> None:
     """The paper's first experiment: triangles of both polarities on 22 cd/m² at 8 m, 32-bit EXR in cd/m²."""
@@ -109,6 +123,38 @@ def grabbed_8bit(folder: Path) -> None:
     _write_manifest(folder, GRABBED_TOML, [], rows)
 
 
+def enhancement(folder: Path) -> None:
+    """Frames over a poor link, one pixel in six too dark or too bright, and the frames as they were sent."""
+    side, grey, bad_step, bad_share, pitch_mrad = 72, 100, 80, 1 / 6, 0.2
+    rows = []
+    rng = np.random.default_rng(5)
+    for size_mrad, steps in (
+        (2.5, (5, 8, 12, 19, 30)),
+        (4.0, (4, 6, 9, 14, 22)),
+        (6.5, (3, 5, 7, 11, 17)),
+    ):
+        for step in steps:
+            for orientation in ORIENTATIONS:
+                triangle = coverage(
+                    (side, side),
+                    size_px=size_mrad / pitch_mrad,
+                    x_px=(side - 1) / 2,
+                    y_px=(side - 1) / 2,
+                    orientation=orientation,
+                )
+                sent = grey + step * triangle
+                reference = f"sent/s{size_mrad}_d{step}_{orientation}.png"
+                _write(folder / reference, np.rint(sent) / 255.0, "uint8")
+                for repetition in range(8):
+                    received = sent + rng.normal(0.0, 1.5, sent.shape)
+                    bad = rng.random(sent.shape) < bad_share
+                    received[bad] = rng.choice([grey - bad_step, grey + bad_step], np.count_nonzero(bad))
+                    name = f"frames/s{size_mrad}_d{step}_{orientation}_{repetition}.png"
+                    rows.append([name, orientation.value, size_mrad, step / grey, reference])
+                    _write(folder / name, np.rint(received) / 255.0, "uint8")
+    _write_manifest(folder, ENHANCEMENT_TOML, ["reference_frame"], rows)
+
+
 def staring_camera(folder: Path) -> None:
     """The paper's second experiment: a simulated staring camera with noise, 16-bit PNG.
 
@@ -139,3 +185,4 @@ if __name__ == "__main__":
     naked_eye(target / "naked_eye")
     grabbed_8bit(target / "grabbed_8bit")
     staring_camera(target / "staring_camera")
+    enhancement(target / "enhancement")

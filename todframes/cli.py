@@ -15,10 +15,11 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from todframes import __version__, cli_studies
+from todframes import __version__, cli_compare, cli_studies
 from todframes.cli_report import report as report_command
 from todframes.command import (
     Commands,
+    decisions_option,
     json_option,
     make_observer,
     numbers,
@@ -27,7 +28,9 @@ from todframes.command import (
     plan_options,
     print_result,
     progress,
+    quiet_option,
     run,
+    running_options,
     say,
     seed_option,
     set_option,
@@ -54,13 +57,7 @@ def cli() -> None:
 @click.argument("dataset", type=click.Path(path_type=Path))
 @click.option("-o", "--out", metavar="OUT", help="Folder for result.json, report.html, scores.csv and plots.")
 @observer_options
-@click.option(
-    "--decisions",
-    type=click.Choice(["expected", "sampled"]),
-    default="expected",
-    show_default=True,
-    help="Each frame's probability of a correct answer, or one answer drawn a trial.",
-)
+@decisions_option
 @click.option(
     "--tolerance",
     type=float,
@@ -71,18 +68,9 @@ def cli() -> None:
 @plan_options
 @seed_option
 @click.option("--locate", is_flag=True, help="Find the triangle's position where the manifest has none.")
-@click.option(
-    "--on-error",
-    type=click.Choice(["stop", "skip"]),
-    default="stop",
-    show_default=True,
-    help="At a frame or row that cannot be used: end, or go on and list it.",
-)
-@click.option(
-    "--workers", type=click.IntRange(1), default=1, show_default=True, help="Threads that read and score."
-)
+@running_options
 @json_option
-@click.option("--quiet", is_flag=True, help="No progress and no remarks on standard error.")
+@quiet_option
 def score(
     *,
     dataset: Path,
@@ -293,6 +281,8 @@ def validate(*, dataset: Path) -> None:
 cli.add_command(cli_studies.stability)
 cli.add_command(cli_studies.accuracy)
 cli.add_command(report_command)
+cli.add_command(cli_compare.compare)
+cli.add_command(cli_compare.enhancements)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

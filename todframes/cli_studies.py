@@ -67,7 +67,9 @@ def stability(*, as_json: bool, as_markdown: bool, quiet: bool) -> None:
     help="CPU time for the estimators of a scene. More shows smaller errors.",
 )
 @seed_option
-@click.option("-o", "--out", metavar="OUT", help="Folder for accuracy.json, report.html, accuracy.md and pictures.")
+@click.option(
+    "-o", "--out", metavar="OUT", help="Folder for accuracy.json, report.html, accuracy.md and pictures."
+)
 @json_option
 @click.option("--quiet", is_flag=True, help="No progress and no remarks on standard error.")
 def accuracy(

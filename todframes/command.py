@@ -70,6 +70,26 @@ observer_options = options(
 )
 
 
+decisions_option = click.option(
+    "--decisions",
+    type=click.Choice(["expected", "sampled"]),
+    default="expected",
+    show_default=True,
+    help="Each frame's probability of a correct answer, or one answer drawn a trial.",
+)
+running_options = options(
+    click.option(
+        "--on-error",
+        type=click.Choice(["stop", "skip"]),
+        default="stop",
+        show_default=True,
+        help="At a frame or row that cannot be used: end, or go on and list it.",
+    ),
+    click.option(
+        "--workers", type=click.IntRange(1), default=1, show_default=True, help="Threads that read and score."
+    ),
+)
+quiet_option = click.option("--quiet", is_flag=True, help="No progress and no remarks on standard error.")
 plan_options = options(
     click.option(
         "--plan",
@@ -136,7 +156,7 @@ def assigned(assignments: Sequence[str]) -> dict[str, Any]:
     SettingsError
         If an assignment has no name or no equals sign.
     """
-    import tomllib
+    from todframes.settings import toml_value
 
     table: dict[str, Any] = {}
     for assignment in assignments:
@@ -144,12 +164,9 @@ def assigned(assignments: Sequence[str]) -> dict[str, Any]:
         if not equals or not name.strip():
             raise SettingsError(f"--set: found {assignment!r}, expected NAME=VALUE")
         try:
-            parsed = tomllib.loads(f"value = {text}")
-        except tomllib.TOMLDecodeError:
-            parsed = {"value": text.strip()}
-        if list(parsed) != ["value"]:
-            raise SettingsError(f"--set: found {assignment!r}, expected one NAME=VALUE")
-        table[name.strip()] = parsed["value"]
+            table[name.strip()] = toml_value(text)
+        except ValueError:
+            raise SettingsError(f"--set: found {assignment!r}, expected one NAME=VALUE") from None
     return table
 
 

@@ -18,14 +18,19 @@ from todframes.stimulus import ORIENTATIONS, Orientation
 
 SCHEMA = 1
 BACKGROUND_COLUMN = "background_luminance_cd_m2"
+REFERENCE_COLUMN = "reference_frame"
 
 
 class FrameReference(NamedTuple):
-    """A frame as the manifest names it: path relative to the dataset, and what its row says of the pixels."""
+    """A frame as the manifest names it: path relative to the dataset, and what its row says of the pixels.
+
+    `reference` is the path of the same frame without noise, where there is one.
+    """
 
     path: str
     sha256: str | None
     background_luminance_cd_m2: float | None
+    reference: str | None = None
 
 
 class Trial(NamedTuple):
@@ -89,6 +94,10 @@ class Dataset:
     def frame_path(self, frame: FrameReference) -> Path:
         """Where the frame is on disk."""
         return self.path / frame.path
+
+    def reference_path(self, frame: FrameReference) -> Path | None:
+        """Where the same frame without noise is on disk, if there is one."""
+        return None if frame.reference is None else self.path / frame.reference
 
 
 def load_dataset(path: Path | str) -> Dataset:
@@ -220,10 +229,13 @@ class _Manifest:
             else None
         )
         sha256 = (row.get("sha256") or "").strip().lower() or None
+        reference = (row.get(REFERENCE_COLUMN) or "").strip() or None
+        if reference is not None:
+            self._inside(reference, f"{where}: {REFERENCE_COLUMN}")
         return Trial(
             number=row_number,
             name=(row.get("trial") or "").strip() or frame,
-            frames=(FrameReference(frame, sha256, background),),
+            frames=(FrameReference(frame, sha256, background, reference),),
             orientation=Orientation(orientation),
             stimulus=Stimulus(number(row["size_mrad"], f"{where}: size_mrad", positive=True), int(polarity)),
             level=number(row[self.experiment.level], f"{where}: {self.experiment.level}", positive=True),
@@ -232,14 +244,18 @@ class _Manifest:
             y_px=place[1],
         )
 
-    def _frame_path(self, frame: str, where: str) -> str:
-        if not frame or "\0" in frame:
-            raise DataError(f"{where}: frame: found {frame!r}, expected a path")
+    def _inside(self, path: str, where: str) -> str:
+        """The full path of a file that the manifest names."""
+        if not path or "\0" in path:
+            raise DataError(f"{where}: found {path!r}, expected a path")
         # Not Path.resolve, which raises for a link that leads to itself.
-        full = os.path.realpath(Path(self.folder, frame))
-        if Path(frame).is_absolute() or not full.startswith(f"{self.folder}{os.sep}"):
-            raise DataError(f"{where}: frame {frame} lies outside of the dataset")
-        first = self.seen.setdefault(full, where)
+        full = os.path.realpath(Path(self.folder, path))
+        if Path(path).is_absolute() or not full.startswith(f"{self.folder}{os.sep}"):
+            raise DataError(f"{where} {path} lies outside of the dataset")
+        return full
+
+    def _frame_path(self, frame: str, where: str) -> str:
+        first = self.seen.setdefault(self._inside(frame, f"{where}: frame"), where)
         if first != where:
             raise DataError(f"{where}: frame {frame} is there already, in {first.rpartition(', ')[2]}")
         return frame

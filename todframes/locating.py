@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 from todframes.dataset import Dataset, FrameReference, Skipped, Trial
 from todframes.errors import DataError, FrameError
 from todframes.frames import FrameFile
+from todframes.placing import to_centroid
 from todframes.readout import Stimulus
 from todframes.stimulus import ORIENTATIONS, Centre, Orientation, coverage
-from todframes.viewing import check_sha256, left_out, read_contrast, to_centroid
+from todframes.viewing import check_sha256, left_out, read_contrast
 
 FloatArray = NDArray[np.float64]
 Group = tuple[float | str, ...]

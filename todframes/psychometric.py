@@ -223,6 +223,17 @@ def _check(values: Array, valid: npt.NDArray[np.bool_], name: str, expected: str
         raise DataError(f"{name}, element {row}: found {values[row]:g}, expected {expected}")
 
 
+def curve_model(level: Array, n_trials: npt.NDArray[np.intp], settings: FitSettings) -> tuple[WeibullModel, float]:
+    """What a curve is fitted to at distinct levels, ascending, and the ln level that its `z` counts from."""
+    ln_level = np.log(level)
+    centre = float(ln_level[0] + ln_level[-1]) / 2
+    fixed = settings.lapse_rate
+    lapse_rates = (0.0, settings.lapse_rate_max) if fixed is None else (fixed, fixed)
+    lower, upper = np.array([(-600.0, 600.0), np.log(BETA_RANGE), lapse_rates]).T
+    trials = n_trials.astype(np.float64)
+    return WeibullModel(ln_level - centre, trials, settings.guess_rate, settings.p_correct, lower, upper), centre
+
+
 def _fit(observed: Observed, settings: FitSettings, rng: np.random.Generator) -> PsychometricFit:
     points = tuple(map(Point, observed.level.tolist(), observed.n_trials.tolist(), observed.p_correct.tolist()))
     nothing = PsychometricFit(
@@ -239,21 +250,10 @@ def _fit(observed: Observed, settings: FitSettings, rng: np.random.Generator) ->
     )
     if len(points) < 2:
         return nothing
-    ln_level = np.log(observed.level)
-    centre = (ln_level[0] + ln_level[-1]) / 2
-    fixed = settings.lapse_rate
-    lapse_rates = (0.0, settings.lapse_rate_max) if fixed is None else (fixed, fixed)
-    bounds = zip((-600.0, 600.0), np.log(BETA_RANGE), lapse_rates, strict=True)
-    model = WeibullModel(
-        ln_level - centre,
-        observed.n_trials.astype(np.float64),
-        settings.guess_rate,
-        settings.p_correct,
-        *np.array(list(bounds)),
-    )
+    model, centre = curve_model(observed.level, observed.n_trials, settings)
     theta, loglik = model.fit_one(observed.p_correct)
     mean = np.average(observed.p_correct, weights=observed.n_trials)
-    flat = np.clip(mean, settings.guess_rate, 1 - (fixed or 0.0))
+    flat = np.clip(mean, settings.guess_rate, 1 - (settings.lapse_rate or 0.0))
     flat_loglik = xlogy(mean, flat) + xlogy(1 - mean, 1 - flat)
     if loglik / nothing.n_trials <= flat_loglik + 1e-9:
         return replace(nothing, status="always_exceeded" if mean >= settings.p_correct else "never_reached")

@@ -26,7 +26,10 @@ Json = dict[str, Any]
 
 SCHEMA = 1
 LIBRARIES = ("numpy", "scipy", "cv2", "OpenImageIO")
-OUTPUT_NAMES = {"result.json", "report.html", "scores.csv", "psychometric.png", "tod_curve.png"}
+OUTPUT_NAMES = {
+    *("result.json", "report.html", "scores.csv", "psychometric.png", "tod_curve.png"),
+    *("compare.csv", "compare.png"),
+}
 
 
 def fit_object(group: Mapping[str, float | str], level: str, fit: PsychometricFit) -> Json:

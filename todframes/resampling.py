@@ -12,8 +12,8 @@ from scipy.special import ndtr, ndtri, xlogy
 from todframes.weibull import Array, WeibullModel
 
 _CHI2_95 = 3.841458820694124
-_CURVE_TRIALS = 5
-_PLUS_TRIALS = 4
+CURVE_TRIALS = 5
+PLUS_TRIALS = 4
 _Z_95 = 1.959963984540054
 _BATCH_ELEMENTS = 1 << 17
 
@@ -52,8 +52,8 @@ class Observed:
         """Proportions correct of `size` repeated experiments, (experiment, level)."""
         if self.trials is None:
             n, n_trials = self.n_trials, self.n_trials.sum()
-            p = (n * self.p_correct + _CURVE_TRIALS * fitted) / (n + _CURVE_TRIALS)
-            p = (n_trials * p + _PLUS_TRIALS * (1 + guess_rate) / 2) / (n_trials + _PLUS_TRIALS)
+            p = (n * self.p_correct + CURVE_TRIALS * fitted) / (n + CURVE_TRIALS)
+            p = (n_trials * p + PLUS_TRIALS * (1 + guess_rate) / 2) / (n_trials + PLUS_TRIALS)
             # Of 2^53 trials, all of them right, a rounding leaves p above 1.
             return rng.binomial(n, np.minimum(p, 1.0), (size, len(p))) / n
         drawn = np.empty((size, len(fitted)))
@@ -61,7 +61,7 @@ class Observed:
         share = np.minimum(self.dispersion(fitted) * freedom / rng.chisquare(freedom, size), 1 - 1e-6)
         for level, answers in enumerate(self.trials):
             if len(answers) > 1:
-                spread = _resampled_means(answers, size, rng) - answers.mean()
+                spread = resampled_means(answers, size, rng) - answers.mean()
                 freedom = len(answers) - 1
                 drawn[:, level] = answers.mean() + spread * np.sqrt(freedom / rng.chisquare(freedom, size))
             else:
@@ -70,12 +70,20 @@ class Observed:
         return np.clip(drawn, 0.0, 1.0)
 
 
-def _resampled_means(answers: Array, size: int, rng: np.random.Generator) -> Array:
-    """Means of `size` draws of all answers but one, with replacement; in batches, for there may be many."""
-    count = len(answers) - 1
-    batch = max(1, _BATCH_ELEMENTS // count)
-    sizes = [min(batch, size - start) for start in range(0, size, batch)]
-    return np.concatenate([answers[rng.integers(len(answers), size=(n, count))].mean(axis=1) for n in sizes])
+def resampled_means(answers: Array, size: int, rng: np.random.Generator) -> Array:
+    """Means of `size` draws of all answers but one, with replacement; in batches, for there may be many.
+
+    Answers lie along the last axis, draws along that of the result; those on other axes are drawn together.
+    """
+    n_trials = answers.shape[-1]
+    shapes = [(n, n_trials - 1) for n in batches(size, n_trials - 1)]
+    return np.concatenate([answers[..., rng.integers(n_trials, size=shape)].mean(axis=-1) for shape in shapes], -1)
+
+
+def batches(size: int, n_elements: int) -> list[int]:
+    """`size` in parts, so that arrays of `n_elements` for each in a part stay small."""
+    batch = max(1, _BATCH_ELEMENTS // n_elements)
+    return [min(batch, size - start) for start in range(0, size, batch)]
 
 
 def threshold_interval(

@@ -18,7 +18,7 @@ from todframes.dataset import Dataset, Trial
 from todframes.errors import FrameError, SettingsError
 from todframes.planning import LEFT_OUT_SHARE, SAFETY, PlanName, Step, decision_change
 from todframes.readout import LeftOut, Observer, Readout, Stimulus, Thrifty
-from todframes.viewing import Shown, read_trial, retina_image
+from todframes.viewing import Reader, Shown, read_as_it_is, retina_image
 
 FloatArray = NDArray[np.float64]
 
@@ -78,10 +78,12 @@ def plan_score(
     name: PlanName = "needed",
     tolerance: float = 2e-3,
     expected: bool = True,
+    read: Reader = read_as_it_is,
 ) -> ScorePlan:
     """What is needed for thresholds within a relative tolerance; with the name "full", everything.
 
-    Answers that are drawn come from the literal observer, which has the whole of its grid.
+    Answers that are drawn come from the literal observer, which has the whole of its grid. Where `read` gives
+    trials in several ways, the plan is for all of them.
     """
     of_stimulus: dict[Stimulus, list[Trial]] = {}
     for trial in trials:
@@ -93,7 +95,7 @@ def plan_score(
         return ScorePlan(observer, plans, name == "full", (Step("everything", True, why),))
     budget = LEFT_OUT_SHARE * tolerance * SLOPE / 2.0
     weighed = {
-        stimulus: _weigh(dataset, sorted(these, key=lambda trial: trial.level), observer, budget)
+        stimulus: _weigh(dataset, sorted(these, key=lambda trial: trial.level), observer, budget, read)
         for stimulus, these in of_stimulus.items()
     }
     return ScorePlan(observer, {s: w.plan for s, w in weighed.items()}, False, _steps(list(weighed.values())))
@@ -109,7 +111,7 @@ class _Weighed:
     retina: float = 1.0
 
 
-def _weigh(dataset: Dataset, trials: Sequence[Trial], observer: Observer, budget: float) -> _Weighed:
+def _weigh(dataset: Dataset, trials: Sequence[Trial], observer: Observer, budget: float, read: Reader) -> _Weighed:
     """Plan one stimulus, whose trials are in the order of their level; those in the middle are looked at."""
     stimulus = trials[0].stimulus
     n_tried = min(max(len(trials) // ONE_TRIED_OF, 1), MOST_TRIED)
@@ -118,7 +120,8 @@ def _weigh(dataset: Dataset, trials: Sequence[Trial], observer: Observer, budget
         missing = observer.left_out(stimulus) if isinstance(observer, Thrifty) else None
         widest = missing.grid if missing is not None else observer.grid(stimulus)
         started = time.perf_counter()
-        shown = [read_trial(dataset, trial, observer, lambda: widest) for trial in trials[first : first + n_tried]]
+        tried = trials[first : first + n_tried]
+        shown = [way for trial in tried for way in read(dataset, trial, observer, lambda: widest)]
         reading_s = (time.perf_counter() - started) / n_tried
         readout = observer.readout(stimulus)
         if readout is None or not readout.noise_covariance.any():

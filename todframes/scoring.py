@@ -129,13 +129,11 @@ def score_dataset(
     SettingsError
         If decisions are "expected" and the observer is not linear, or there is a tolerance and they are not.
     """
-    if dataset.bad_rows and not skip_bad_frames:
-        raise DataError(dataset.bad_rows[0].error)
+    whole, skipped = usable_trials(dataset, skip_bad_frames=skip_bad_frames)
     if tolerance is not None and not (tolerance > 0.0 and decisions == "expected"):
         raise SettingsError(
             f"tolerance: found {tolerance!r} with {decisions} decisions, expected > 0 and expected"
         )
-    whole = [trial for trial in dataset.trials if trial.name not in dataset.spoilt]
     expected = decisions == "expected"
     plan = plan_score(
         dataset, whole, observer, name=plan_name, tolerance=tolerance or DEFAULT_TOLERANCE, expected=expected
@@ -143,14 +141,9 @@ def score_dataset(
     scorer = TrialScorer(dataset, plan, decisions, seed, displacements=0 if tolerance is None else 1)
     see = partial(see_trials, skip_bad_frames=skip_bad_frames, workers=workers)
     seen, unread = see(scorer, whole, progress=progress)
-    skipped = list(dataset.bad_rows)
-    for trial in dataset.trials:
-        if trial.name in dataset.spoilt:
-            skipped += left_out(dataset, trial, f"another frame of trial {trial.name} cannot be used")
     skipped += unread
-    if not seen:
-        raise DataError(f"{dataset.path}: no frame can be scored; the first: {skipped[0].error}")
-    fit_groups = _GroupFitter(plan, seed, fit_settings or FitSettings(), expected)
+    check_seen(dataset, seen, skipped)
+    fit_groups = GroupFitter(plan, seed, fit_settings or FitSettings(), expected)
     decided = fit_groups(seen)
     if tolerance is not None:
         again = [
@@ -167,6 +160,23 @@ def score_dataset(
             of_number = {one.trial.number: one for one in seen + again}
             decided = fit_groups(list(of_number.values()))
     return replace(decided, skipped=tuple(skipped))
+
+
+def usable_trials(dataset: Dataset, *, skip_bad_frames: bool) -> tuple[list[Trial], list[Skipped]]:
+    """Trials whose rows are all good, and what is left out for the others; DataError if none may be left out."""
+    if dataset.bad_rows and not skip_bad_frames:
+        raise DataError(dataset.bad_rows[0].error)
+    skipped = list(dataset.bad_rows)
+    for trial in dataset.trials:
+        if trial.name in dataset.spoilt:
+            skipped += left_out(dataset, trial, f"another frame of trial {trial.name} cannot be used")
+    return [trial for trial in dataset.trials if trial.name not in dataset.spoilt], skipped
+
+
+def check_seen(dataset: Dataset, seen: Sequence[object], skipped: Sequence[Skipped]) -> None:
+    """Raise DataError if no trial could be used."""
+    if not seen:
+        raise DataError(f"{dataset.path}: no frame can be scored; the first: {skipped[0].error}")
 
 
 def _displacements_needed(group: GroupFit, tolerance: float) -> int:
@@ -189,7 +199,7 @@ def _single(displacements: FloatArray) -> FloatArray:
 
 
 @dataclass(frozen=True, slots=True)
-class _GroupFitter:
+class GroupFitter:
     """Decides on trials that were seen and fits a curve to each group."""
 
     plan: ScorePlan
@@ -198,6 +208,7 @@ class _GroupFitter:
     expected: bool
 
     def __call__(self, seen: Sequence[SeenTrial]) -> ScoredDataset:
+        """All of it but what was skipped; trials come out in the manifest's order."""
         seen = sorted(seen, key=lambda one: one.trial.number)
         trials = tuple(one.trial for one in seen)
         correct = np.array([trial.orientation.quarter_turns for trial in trials])

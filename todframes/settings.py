@@ -59,6 +59,23 @@ def read_toml(path: Path) -> dict[str, Any]:
         raise SettingsError(str(error)) from None
 
 
+def toml_value(text: str) -> Any:
+    """A value as TOML has it where the text is that, the text itself where not.
+
+    Raises
+    ------
+    ValueError
+        If the text is more than one value.
+    """
+    try:
+        parsed = tomllib.loads(f"value = {text}")
+    except tomllib.TOMLDecodeError:
+        return text.strip()
+    if list(parsed) != ["value"]:
+        raise ValueError(text)
+    return parsed["value"]
+
+
 def check_keys(found: Iterable[str], known: Iterable[str], where: str) -> None:
     """Refuse unknown keys.
 
@@ -112,7 +129,7 @@ def from_table(table: Mapping[str, Any], kind: type[T], where: str) -> T:
     values = {}
     for field in all_fields:
         if field.name in table:
-            values[field.name] = _convert(table[field.name], types[field.name], f"{where}: {field.name}")
+            values[field.name] = convert(table[field.name], types[field.name], f"{where}: {field.name}")
         elif field.default is MISSING and field.default_factory is MISSING:
             raise SettingsError(f"{where}: {field.name} is missing")
     try:
@@ -121,7 +138,14 @@ def from_table(table: Mapping[str, Any], kind: type[T], where: str) -> T:
         raise SettingsError(f"{where}: {error}") from None
 
 
-def _convert(value: object, kind: Any, where: str) -> object:
+def convert(value: object, kind: Any, where: str) -> object:
+    """A plain value as a type, such as `float`, a Literal, or one with a range (`msgspec.Meta`).
+
+    Raises
+    ------
+    SettingsError
+        If it is of another type or out of range; the message begins with `where`.
+    """
     if is_dataclass(value):
         return value  # made and checked by the caller
     literals = [part for part in (kind, *get_args(kind)) if get_origin(part) is Literal]
@@ -137,9 +161,9 @@ def _convert(value: object, kind: Any, where: str) -> object:
             ("int", "a whole number"),
             ("float", "a number"),
         ):
-            problem = re.sub(rf"\\b{kind_of_python}\\b", name, problem)
+            problem = re.sub(rf"\b{kind_of_python}\b", name, problem)
         if isinstance(value, str) and literals:
-            choices = ", ".join(get_args(literals[0]))
+            choices = ", ".join(map(str, get_args(literals[0])))
             problem = (
                 f"expected one of {choices}" if kind is literals[0] else f"expected a number or one of {choices}"
             )

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import copy
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,15 +18,18 @@ from todframes.errors import FrameError, SettingsError
 from todframes.readout import Readout
 from todframes.retina import RetinaGrid
 from todframes.score_planning import ScorePlan
-from todframes.viewing import left_out, read_trial, retina_image
+from todframes.viewing import Reader, left_out, read_as_it_is, retina_image
 
 FloatArray = NDArray[np.float64]
+T = TypeVar("T")
+T_co = TypeVar("T_co", covariant=True)
+ReadoutOf = Callable[[Trial], Readout | None]
 Decisions = Literal["expected", "sampled"]
 
 TRIALS_PER_TASK = 16
 NO_ANSWER = -1
 # First element of the spawn keys of random streams, so that no trial shares one with a fit.
-TRIAL_STREAMS, FIT_STREAMS, DISPLACEMENT_STREAMS = 0, 1, 2
+TRIAL_STREAMS, FIT_STREAMS, DISPLACEMENT_STREAMS, RATIO_STREAMS = range(4)
 SCRAMBLINGS = 8
 """Independent sets of displacements, which tell how well the displacements are averaged over."""
 KRONECKER_STEPS = np.array([0.7548776662466927, 0.5698402909980532])
@@ -60,6 +64,21 @@ class SeenTrial(NamedTuple):
     seconds: float
 
 
+class Scorer(Protocol[T_co]):
+    """What `see_trials` does with each trial, from any thread."""
+
+    @property
+    def dataset(self) -> Dataset:
+        """Where the trials are from."""
+
+    @property
+    def plan(self) -> ScorePlan:
+        """Whose readouts it is given."""
+
+    def __call__(self, trial: Trial, readout_of: ReadoutOf) -> T_co:
+        """Show one trial; FrameError if a frame cannot be used."""
+
+
 @dataclass(frozen=True, slots=True)
 class TrialScorer:
     """Scores trials; holds nothing that changes, so threads share it.
@@ -73,7 +92,7 @@ class TrialScorer:
     seed: int
     displacements: int = 0
 
-    def __call__(self, trial: Trial, readout_of: Callable[[Trial], Readout | None]) -> SeenTrial:
+    def __call__(self, trial: Trial, readout_of: ReadoutOf) -> SeenTrial:
         """Show one trial.
 
         Raises
@@ -82,6 +101,14 @@ class TrialScorer:
             If a frame cannot be used.
         SettingsError
             If the observer is not linear and its answer is not drawn.
+        """
+        (seen,) = self.see(trial, readout_of, read_as_it_is)
+        return seen
+
+    def see(self, trial: Trial, readout_of: ReadoutOf, read: Reader) -> list[SeenTrial]:
+        """Show one trial in each of the ways that `read` gives, with the same displacements and the same noise.
+
+        Errors are those of showing one, and of `read`.
         """
         started = time.perf_counter()
         observer = self.plan.observer_of(trial.stimulus)
@@ -93,20 +120,25 @@ class TrialScorer:
             readout = readout_of(trial)
             return observer.grid(trial.stimulus) if readout is None else readout.grid
 
-        shown = read_trial(self.dataset, trial, observer, grid_of, displaced, whole=self.plan.whole_frames)
+        ways = read(self.dataset, trial, observer, grid_of, displaced, whole=self.plan.whole_frames)
+        reading_s = (time.perf_counter() - started) / len(ways)
         readout, grid = readout_of(trial), grid_of()
         if readout is None and self.decisions == "expected":
             raise SettingsError("decisions: found 'expected', but this observer is not linear; expected 'sampled'")
-        scores = deviations = np.full((len(displaced), 4), np.nan)
-        answer = NO_ANSWER
-        if readout is not None:
-            pairs = [_scores(readout, retina_image(shown, grid, (dx, dy))) for dx, dy in displaced]
-            scores, deviations = (np.array(part) for part in zip(*pairs, strict=True))
-        if self.decisions == "sampled":
-            image = retina_image(shown, grid, (displaced[0, 0], displaced[0, 1]))
-            answer = observer.respond(image, trial.stimulus, rng).quarter_turns
-        seconds = time.perf_counter() - started
-        return SeenTrial(trial, displaced, scores, deviations, answer, shown.n_negative, seconds)
+        seen = []
+        for shown in ways:
+            started = time.perf_counter()
+            scores = deviations = np.full((len(displaced), 4), np.nan)
+            answer = NO_ANSWER
+            if readout is not None:
+                pairs = [_scores(readout, retina_image(shown, grid, (dx, dy))) for dx, dy in displaced]
+                scores, deviations = (np.array(part) for part in zip(*pairs, strict=True))
+            if self.decisions == "sampled":
+                image = retina_image(shown, grid, (displaced[0, 0], displaced[0, 1]))
+                answer = observer.respond(image, trial.stimulus, copy.deepcopy(rng)).quarter_turns
+            seconds = reading_s + time.perf_counter() - started
+            seen.append(SeenTrial(trial, displaced, scores, deviations, answer, shown.n_negative, seconds))
+        return seen
 
     def _displacements(self, trial: Trial, rng: np.random.Generator, jitter: float) -> FloatArray:
         if not self.displacements:
@@ -128,13 +160,13 @@ def _scores(readout: Readout, contrast: FloatArray) -> tuple[FloatArray, FloatAr
 
 
 def see_trials(
-    scorer: TrialScorer,
+    scorer: Scorer[T],
     trials: Sequence[Trial],
     *,
     skip_bad_frames: bool,
     workers: int,
     progress: Callable[[int], None] | None,
-) -> tuple[list[SeenTrial], list[Skipped]]:
+) -> tuple[list[T], list[Skipped]]:
     """Show trials, in threads, and list the frames of those that cannot be used, if they may be skipped.
 
     Raises
@@ -147,7 +179,7 @@ def see_trials(
     tasks = [order[start : start + TRIALS_PER_TASK] for start in range(0, len(order), TRIALS_PER_TASK)]
     readout_of_stimulus = lru_cache(maxsize=4)(scorer.plan.readout)
 
-    def see(task: list[Trial]) -> tuple[list[SeenTrial], list[Skipped]]:
+    def see(task: list[Trial]) -> tuple[list[T], list[Skipped]]:
         seen, skipped = [], []
         for trial in task:
             try:
@@ -158,7 +190,7 @@ def see_trials(
                 skipped += left_out(scorer.dataset, trial, error)
         return seen, skipped
 
-    all_seen: list[SeenTrial] = []
+    all_seen: list[T] = []
     all_skipped: list[Skipped] = []
     for seen, skipped in _map(see, tasks, workers):
         all_seen += seen
@@ -169,8 +201,8 @@ def see_trials(
 
 
 def _map(
-    see: Callable[[list[Trial]], tuple[list[SeenTrial], list[Skipped]]], tasks: list[list[Trial]], workers: int
-) -> Iterator[tuple[list[SeenTrial], list[Skipped]]]:
+    see: Callable[[list[Trial]], tuple[list[T], list[Skipped]]], tasks: list[list[Trial]], workers: int
+) -> Iterator[tuple[list[T], list[Skipped]]]:
     if workers == 1:
         yield from map(see, tasks)
         return

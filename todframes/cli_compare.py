@@ -1,0 +1,199 @@
+"""The commands about enhancement: `compare` and `enhancements`."""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+from collections.abc import Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from todframes.command import (
+    decisions_option,
+    json_option,
+    make_observer,
+    observer_options,
+    plan_options,
+    print_table,
+    progress,
+    quiet_option,
+    running_options,
+    say,
+    seed_option,
+)
+from todframes.errors import SettingsError
+
+if TYPE_CHECKING:
+    from todframes.enhancement import Enhancement
+
+
+@click.command()
+@click.argument("dataset", type=click.Path(path_type=Path))
+@click.option(
+    "--enhance",
+    "specs",
+    multiple=True,
+    required=True,
+    metavar="SPEC",
+    help="Algorithm: NAME, MODULE:FUNCTION, or either with :PARAMETER=VALUE,… behind; repeatable.",
+)
+@click.option(
+    "-o", "--out", metavar="OUT", help="Folder for result.json, compare.csv, scores.csv and compare.png."
+)
+@click.option(
+    "--white", type=float, default=1.0, show_default=True, help="Code value that algorithms take as white."
+)
+@click.option("--allow-clipping", is_flag=True, help="Clip what algorithms take beyond the display's range.")
+@observer_options
+@decisions_option
+@plan_options
+@seed_option
+@running_options
+@json_option
+@quiet_option
+def compare(
+    *,
+    dataset: Path,
+    specs: Sequence[str],
+    out: str | None,
+    white: float,
+    allow_clipping: bool,
+    decisions: Any,
+    plan_name: Any,
+    explain: bool,
+    seed: int,
+    on_error: str,
+    workers: int,
+    as_json: bool,
+    quiet: bool,
+    **observer_arguments: Any,
+) -> None:
+    """Tell whether enhancement algorithms lower the thresholds of DATASET, by how much and how surely.
+
+    Each is compared with the frames as they are, on the same frames and with the same random draws.
+    `todframes enhancements` lists the algorithms that come along. Without -o nothing is written.
+    """
+    start = time.perf_counter()
+    observer, fit_settings, settings = make_observer(**observer_arguments)
+    import cv2
+
+    from todframes import report
+    from todframes.compare_plot import compare_plot
+    from todframes.compare_report import algorithm_objects, verdict_sentences
+    from todframes.compare_tables import compare_csv, compare_scores_csv, measures_table, ratio_table
+    from todframes.comparing import compare_dataset
+    from todframes.dataset import load_dataset
+    from todframes.enhanced import Screen
+    from todframes.planning import plan_object
+    from todframes.tables import plan_table
+
+    cv2.setNumThreads(1)  # --workers says how many processors are used, and the algorithms' time is known
+    algorithms = _found(specs)
+    data = load_dataset(dataset)
+    group_by, level = data.experiment.group_by, data.experiment.level
+    screen = Screen(data.display, white, allow_clipping)
+    with ExitStack() as stack:
+        staging = stack.enter_context(report.output_folder(out)) if out is not None else None
+        with progress("comparing", len(data.trials), quiet=quiet) as advance:
+            results = compare_dataset(
+                data,
+                observer,
+                algorithms,
+                decisions=decisions,
+                seed=seed,
+                fit_settings=fit_settings,
+                screen=screen,
+                plan_name=plan_name,
+                skip_bad_frames=on_error == "skip",
+                workers=workers,
+                progress=advance,
+            )
+        reference = results[0].scored
+        objects = algorithm_objects(results, group_by, level)
+        black, peak = screen.luminance_range
+        result = report.result_object(
+            "compare",
+            settings=settings
+            | {"decisions": decisions, "plan": plan_name, "white": white, "allow_clipping": allow_clipping},
+            seed=seed,
+            fits=[],
+            dataset=str(dataset),
+            algorithms=objects,
+            data_range_cd_m2=peak - black,
+            verdict=verdict_sentences(objects, fit_settings.p_correct),
+            plan=plan_object(reference.plan, 1.0),
+            skipped=[one._asdict() for one in reference.skipped],
+            negative_luminance_pixels=reference.n_negative,
+            run_time_s=time.perf_counter() - start,
+        )
+        if staging is not None:
+            report.write_files(
+                staging,
+                {
+                    "compare.csv": compare_csv(objects),
+                    "scores.csv": compare_scores_csv(results, group_by, level),
+                    "compare.png": compare_plot(objects),
+                    "result.json": report.encode(result),
+                },
+            )
+    if not quiet:
+        for one in reference.skipped:
+            say(f"skipped: {one.error}")
+        for of_algorithm in objects:
+            if of_algorithm["n_clipped"]:
+                say(f"note: {of_algorithm['spec']}: {of_algorithm['n_clipped']} values were clipped")
+    if as_json:
+        click.echo(report.encode(result), nl=False)
+        return
+    if explain:
+        print_table(plan_table(result))
+    print_table(ratio_table(objects, f"{dataset}: {len(reference.trials)} trials"))
+    if any(one["psnr_db"] is not None or one["ssim"] is not None for one in objects):
+        print_table(measures_table(objects))
+    for sentence in result["verdict"]:
+        click.echo(sentence)
+    click.echo(f"{result['run_time_s']:.2f} s")
+    if out is not None:
+        click.echo(f"written: {out}")
+
+
+def _found(specs: Sequence[str]) -> list[Enhancement]:
+    """The algorithms that `--enhance` names."""
+    from todframes.enhancement_specs import find_enhancement
+
+    # The console script has its own folder first on the path, `python -m` this one, where a user's module lies.
+    if (here := os.getcwd()) not in sys.path and "" not in sys.path:  # noqa: PTH109 - a text, as the path has them
+        sys.path.insert(0, here)
+    return [find_enhancement(spec) for spec in specs]
+
+
+@click.command()
+@json_option
+def enhancements(*, as_json: bool) -> None:
+    """List the enhancement algorithms that are registered, with their parameters."""
+    from todframes import __version__, report
+    from todframes.compare_report import enhancement_object
+    from todframes.compare_tables import enhancements_table
+    from todframes.enhancement_specs import enhancement_names, find_enhancement
+
+    found = []
+    for name in enhancement_names():
+        try:
+            found.append(find_enhancement(name))
+        except SettingsError as error:  # of another package
+            say(f"left out: {error}")
+    objects = [enhancement_object(one) for one in found]
+    if as_json:
+        result = {
+            "schema": report.SCHEMA,
+            "command": "enhancements",
+            "version": __version__,
+            "enhancements": objects,
+        }
+        click.echo(report.encode(result), nl=False)
+        return
+    print_table(enhancements_table(objects))

@@ -1,0 +1,203 @@
+"""What an enhancement algorithm is: a function of an image and named parameters, and what it says of itself.
+
+    @enhancement(domain="luminance")
+    def brighten(image, *, gain: Annotated[float, parameter(0.1, 10.0, what="factor")] = 2.0):
+        \"\"\"All pixels brighter.\"\"\"
+        return gain * image
+
+Nothing of that is needed: any function that takes an image and gives one of the same shape is an algorithm of code
+values.
+"""
+
+from __future__ import annotations
+
+import inspect
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from todframes.errors import DataError, SettingsError
+
+Domain = Literal["code_value", "luminance"]
+Image = NDArray[np.floating]
+F = TypeVar("F", bound=Callable[..., Any])
+
+REFERENCE = "none"
+DECLARATION = "todframes_enhancement"
+ROUNDING = 1e-6
+"""By how much a value may lie outside of its range: 32-bit arithmetic of values near 1."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Declaration:
+    """What a function says of itself.
+
+    Attributes
+    ----------
+    domain : {"code_value", "luminance"}
+        What it takes and gives: code values, white being 1, or luminance, black being 0 and white 1.
+    magnification : float or str
+        Pixels that it gives for one along each axis, or the name of the parameter that says so.
+    each_channel : bool
+        Whether it takes one channel at a time; otherwise a colour image is handed over whole.
+    writes : bool
+        Whether it may write into the image, and so gets a copy.
+    library : str
+        Where the work is done.
+    """
+
+    domain: Domain = "code_value"
+    magnification: float | str = 1.0
+    each_channel: bool = False
+    writes: bool = True
+    library: str = ""
+
+    def __post_init__(self) -> None:
+        if self.domain not in get_args(Domain):
+            raise SettingsError(f"domain: found {self.domain!r}, expected one of {', '.join(get_args(Domain))}")
+
+
+def enhancement(
+    *,
+    domain: Domain = "code_value",
+    magnification: float | str = 1.0,
+    each_channel: bool = False,
+    writes: bool = True,
+    library: str = "",
+) -> Callable[[F], F]:
+    """Declare what a function of `function(image, **parameters)` is; see `Declaration`.
+
+    The image has shape (rows, columns), or (rows, columns, 3) where a frame is in colour, and 32-bit values. The
+    function gives another one of this shape times the magnification. Its docstring's first line says what it does;
+    parameters may be annotated with `parameter`.
+
+    Raises
+    ------
+    SettingsError
+        If the domain is neither.
+    """
+    declaration = Declaration(
+        domain=domain, magnification=magnification, each_channel=each_channel, writes=writes, library=library
+    )
+
+    def declare(function: F) -> F:
+        setattr(function, DECLARATION, declaration)
+        return function
+
+    return declare
+
+
+def parameter(low: float, high: float, *, unit: str = "", what: str = "") -> msgspec.Meta:
+    """Range, unit and meaning of a parameter for its annotation: `Annotated[float, parameter(0.1, 50.0)]`."""
+    return msgspec.Meta(ge=low, le=high, description=what, extra={"unit": unit})
+
+
+def meaning(what: str) -> msgspec.Meta:
+    """Meaning of a parameter without a range, for its annotation."""
+    return msgspec.Meta(description=what)
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """A parameter of an algorithm: `kind` is its type, with a range if it declares one."""
+
+    name: str
+    kind: Any
+    default: Any
+
+    @property
+    def meta(self) -> msgspec.Meta:
+        """Range, unit and meaning; empty where the function does not declare them."""
+        found = [part for part in get_args(self.kind) if isinstance(part, msgspec.Meta)]
+        return found[0] if found else msgspec.Meta()
+
+    @property
+    def choices(self) -> tuple[Any, ...]:
+        """The values that it may have, if they are few."""
+        kind = get_args(self.kind)[0] if get_origin(self.kind) is Annotated else self.kind
+        return get_args(kind) if get_origin(kind) is Literal else ()
+
+
+@dataclass(frozen=True, slots=True)
+class Enhancement:
+    """An algorithm with the values of its parameters.
+
+    `spec` is what the user wrote, `name` the part of it before the parameters. `any_parameter` tells that the
+    function takes others than those it names.
+    """
+
+    name: str
+    spec: str
+    function: Callable[..., Any]
+    declaration: Declaration
+    parameters: tuple[Parameter, ...]
+    any_parameter: bool
+    values: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def what(self) -> str:
+        """What it does, in a line."""
+        return (inspect.getdoc(self.function) or "").partition("\n")[0]
+
+    @property
+    def is_reference(self) -> bool:
+        """Whether it leaves the frame as it is."""
+        return self.name == REFERENCE
+
+    @property
+    def magnification(self) -> float:
+        """Pixels that it gives for one along each axis."""
+        declared = self.declaration.magnification
+        return float(self.values[declared] if isinstance(declared, str) else declared)
+
+    def run(self, image: Image) -> tuple[Image, float]:
+        """What it makes of an image, and the processor time in seconds that its function took.
+
+        Parameters
+        ----------
+        image : ndarray of float32, shape (rows, columns) or (rows, columns, 3)
+
+        Returns
+        -------
+        (ndarray, float)
+            Of a floating-point type and this shape times the magnification.
+
+        Raises
+        ------
+        DataError
+            If the function fails or gives anything else, NaN and infinity included; the message names the
+            algorithm.
+        """
+        if self.declaration.each_channel and image.ndim == 3:
+            channels, times = zip(*(self.run(np.ascontiguousarray(image[..., k])) for k in range(3)), strict=True)
+            return np.stack(channels, axis=-1), sum(times)
+        given = image.copy() if self.declaration.writes else image
+        started = time.thread_time()
+        try:
+            found = self.function(given, **self.values)
+        except Exception as error:
+            reason = " ".join(str(error).split())
+            raise DataError(f"{self.spec}: {type(error).__name__}: {reason}") from None
+        cpu_s = time.thread_time() - started
+        sides = [self.magnification * side for side in image.shape[:2]]
+        expected = (*map(round, sides), *image.shape[2:])
+        if not isinstance(found, np.ndarray) or found.dtype.kind != "f":
+            kind = f"values of {found.dtype}" if isinstance(found, np.ndarray) else type(found).__name__
+            raise DataError(f"{self.spec}: gave {kind}, expected an array of floating-point numbers")
+        if found.shape != expected or any(abs(side - round(side)) > 1e-6 for side in sides):
+            raise DataError(
+                f"{self.spec}: gave shape {found.shape} for {image.shape}, expected {expected} with the declared "
+                f"magnification of {self.magnification:g}"
+            )
+        if not (np.isfinite(found.min()) and np.isfinite(found.max())):
+            bad = np.argwhere(~np.isfinite(found))
+            raise DataError(
+                f"{self.spec}: gave {len(bad)} values that are NaN or infinite, the first at row {bad[0, 0]}, "
+                f"column {bad[0, 1]}"
+            )
+        return found, cpu_s

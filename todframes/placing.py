@@ -1,0 +1,117 @@
+"""Where on a frame a trial's triangle lies, and the retina that looks at it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from todframes.dataset import Dataset, Trial
+from todframes.errors import FrameError, SettingsError
+from todframes.frames import FrameFile, FrameHeader
+from todframes.readout import Observer
+from todframes.retina import RetinaGrid
+from todframes.stimulus import Centre, bounding_box_offset, vertices
+
+FloatArray = NDArray[np.float64]
+
+
+class Placement(NamedTuple):
+    """Where a grid has its middle on a frame if it is not displaced, and the rows and columns that it touches."""
+
+    x_px: float
+    y_px: float
+    rows: tuple[int, int]
+    columns: tuple[int, int]
+
+
+def place_grid(
+    dataset: Dataset,
+    trial: Trial,
+    file: FrameFile,
+    observer: Observer,
+    grid_of: Callable[[], RetinaGrid],
+    displacement_samples: Sequence[tuple[float, float]] | FloatArray,
+) -> Placement:
+    """Where the observer's grid lies on an open frame of a trial, displaced by any of `displacement_samples`.
+
+    Raises
+    ------
+    FrameError
+        If the triangle does not lie on the frame, or the observer has no grid for it.
+    """
+    pitch, header = dataset.display.pitch_mrad, file.header
+    x, y = centroid_position(trial, header, observer.centre, pitch)
+    check_on_frame(file.path, trial, header, x, y, pitch)
+    try:
+        grid = grid_of()
+    except SettingsError as error:  # of this row's size alone
+        raise FrameError(file.path, str(error)) from None
+    offsets = np.array(displacement_samples) * grid.pitch_mrad / pitch
+    to_centre_x, to_centre_y = _from_centroid(trial, observer.centre, pitch)
+    x, y = x + to_centre_x, y + to_centre_y
+    rows, columns = (
+        _touched(grid, at + offsets[:, axis], pitch, n_pixels)
+        for axis, at, n_pixels in ((1, y, header.height), (0, x, header.width))
+    )
+    return Placement(x, y, rows, columns)
+
+
+def _touched(grid: RetinaGrid, middles: FloatArray, pitch: float, n_pixels: int) -> tuple[int, int]:
+    ranges = [grid.pixel_range(centre_px=at, pixel_pitch_mrad=pitch, n_pixels=n_pixels)
+              for at in (float(middles.min()), float(middles.max()))]  # fmt: skip
+    return ranges[0][0], ranges[1][1]
+
+
+def centroid_position(
+    trial: Trial, header: FrameHeader, centre: Centre, pixel_pitch_mrad: float
+) -> tuple[float, float]:
+    """(x, y) of the triangle's centroid in pixels.
+
+    The manifest's; without one, the triangle's `centre` lies at the frame's.
+    """
+    if trial.x_px is not None and trial.y_px is not None:
+        return trial.x_px, trial.y_px
+    return to_centroid(trial, (header.width - 1) / 2.0, (header.height - 1) / 2.0, centre, pixel_pitch_mrad)
+
+
+def to_centroid(
+    trial: Trial, x_px: float, y_px: float, centre: Centre, pixel_pitch_mrad: float
+) -> tuple[float, float]:
+    """(x, y) of the centroid of a trial's triangle whose `centre` lies at (x_px, y_px)."""
+    dx, dy = _from_centroid(trial, centre, pixel_pitch_mrad)
+    return x_px - dx, y_px - dy
+
+
+def _from_centroid(trial: Trial, centre: Centre, pixel_pitch_mrad: float) -> tuple[float, float]:
+    if centre == "centroid":
+        return 0.0, 0.0
+    dx, dy = bounding_box_offset(trial.orientation)
+    size_px = trial.stimulus.size_mrad / pixel_pitch_mrad
+    return dx * size_px, dy * size_px
+
+
+def check_on_frame(
+    path: Path, trial: Trial, header: FrameHeader, x: float, y: float, pixel_pitch_mrad: float
+) -> None:
+    """Raise FrameError if not the whole triangle lies on pixels that the file has."""
+    size_px = min(trial.stimulus.size_mrad / pixel_pitch_mrad, 1e300)  # whose corners are numbers still
+    corners = vertices(size=size_px, orientation=trial.orientation, x=x, y=y)
+    (left, top), (right, bottom) = corners.min(axis=0), corners.max(axis=0)
+    first_x, first_y = header.first_column - 0.5, header.first_row - 0.5
+    last_x, last_y = first_x + header.n_columns, first_y + header.n_rows
+    if right - left > header.n_columns or bottom - top > header.n_rows:
+        raise FrameError(
+            path,
+            f"the frame has {header.n_columns} × {header.n_rows} pixels, smaller than the triangle of "
+            f"{trial.stimulus.size_mrad:g} mrad ({right - left:.6g} × {bottom - top:.6g} pixels)",
+        )
+    if left < first_x or right > last_x or top < first_y or bottom > last_y:
+        raise FrameError(
+            path,
+            f"the triangle reaches from ({left:.6g}, {top:.6g}) to ({right:.6g}, {bottom:.6g}) px, off the frame "
+            f"({first_x:.1f}, {first_y:.1f}) to ({last_x:.1f}, {last_y:.1f}) px",
+        )
