@@ -16,10 +16,11 @@ from numpy.typing import NDArray
 
 from todframes.dataset import Dataset, Trial
 from todframes.frames import FrameFile
+from todframes.placing import centroid_position
 from todframes.readout import Observer, Stimulus
 from todframes.result import evenly
 from todframes.scoring import GroupFit, ScoredDataset
-from todframes.viewing import Patch, centroid_position, check_sha256, read_contrast, view_trial
+from todframes.viewing import Patch, check_sha256, read_contrast, view_trial
 
 FloatArray = NDArray[np.float64]
 Json = dict[str, Any]
@@ -61,7 +62,7 @@ def examples(dataset: Dataset, scored: ScoredDataset, observer: Observer) -> lis
     known = [one for one in scored.fits if one.fit.threshold is not None]
     found = []
     for one in evenly(known, MOST_EXAMPLES):
-        place = _nearest(scored, one)
+        place = nearest_trial(scored, one)
         trial = scored.trials[place]
         # Not a number where the trial was seen at several displacements.
         dx, dy = np.nan_to_num(scored.displacement_samples[place]).tolist()
@@ -86,7 +87,7 @@ def examples(dataset: Dataset, scored: ScoredDataset, observer: Observer) -> lis
     return found
 
 
-def _nearest(scored: ScoredDataset, one: GroupFit) -> int:
+def nearest_trial(scored: ScoredDataset, one: GroupFit) -> int:
     """The trial: of those at the level nearest to threshold the one with P(correct) nearest to the criterion."""
     threshold, criterion = one.fit.threshold, one.fit.p_correct
     assert threshold is not None
