@@ -236,10 +236,11 @@ def _remarks(result: Result) -> list[str]:
 
 def _details(result: Result) -> list[Json]:
     """How it was made, as tables to open by hand."""
+    plan = result.plan + [dict(fit.group) | step for fit in result.fits for step in fit.plan]
     records: list[tuple[str, str, list[Record], bool]] = [
         ("Frames left out", "skipped.csv", result.skipped, False),
         ("Positions found", "located.csv", result.located, True),
-        ("Plan: what was computed and what was left out", "plan.csv", result.plan, False),
+        ("Plan: what was computed and what was left out", "plan.csv", plan, True),
     ]
     found = [
         {"table": report_tables.records_table(caption, file, rows), "folded": folded}

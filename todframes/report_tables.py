@@ -17,10 +17,11 @@ from todframes.verdict import interval, level_name, plain
 LONGEST_TABLE = 200
 """Rows shown; the CSV has all of them."""
 
-IN_FILE_ONLY = {"p_correct", "gamma", "p_correct_error_bound"}
+IN_FILE_ONLY = {"p_correct", "gamma", "p_correct_error_bound", "p_correct_left_out_bound"}
 FIT_COLUMNS = {
     "status": "status",
     "threshold_numerical_error": "numerical error",
+    "threshold_displacement_error": "displacement error",
     "delta_t_mk": "ΔT (mK)",
     "points_threshold": "from points",
     "p_correct": "p_correct",
@@ -30,6 +31,8 @@ FIT_COLUMNS = {
     "delta": "δ",
     "n_trials": "trials",
     "p_correct_error_bound": "p_correct_error_bound",
+    "p_correct_left_out_bound": "p_correct_left_out_bound",
+    "run_time_s": "time (s)",
 }
 RATIO_COLUMNS = {
     "ratio": "ratio",

@@ -56,6 +56,7 @@ class Fit(Struct, frozen=True):
     threshold: Positive | None = None
     threshold_ci95: Interval | None = None
     threshold_numerical_error: float | None = None
+    threshold_displacement_error: float | None = None
     points_threshold: Positive | None = None
     alpha: Positive | None = None
     beta: Positive | None = None
@@ -64,7 +65,10 @@ class Fit(Struct, frozen=True):
     n_trials: int = 0
     points: list[Point] = []
     p_correct_error_bound: float | None = None
+    p_correct_left_out_bound: float | None = None
     delta_t_mk: float | None = None
+    run_time_s: float | None = None
+    plan: list[Record] = []
 
 
 class Ratio(Struct, frozen=True):
