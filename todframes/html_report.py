@@ -217,7 +217,7 @@ def _remarks(result: Result) -> list[str]:
     bound = max((fit.p_correct_error_bound or 0.0 for fit in fits), default=0.0)
     if bound:
         told.append(
-            f"P(correct) is right within {plain(bound, 1)}: the summed internal noise is taken as Gaussian."
+            f"P(correct) is right within {plain(bound, 1)}, as the summed noise is not quite Gaussian."
         )
     apart = [
         100 * abs(fit.points_threshold / fit.threshold - 1)
