@@ -126,6 +126,7 @@ class PyramidObserver:
         # Per observer, not per class: a cache on the method would keep every observer alive.
         self.templates = lru_cache(maxsize=4)(self._templates)
         self.readout = lru_cache(maxsize=4)(self._readout)
+        self.full = lru_cache(maxsize=1)(self._full)
 
     @property
     def centre(self) -> Centre:
@@ -169,7 +170,7 @@ class PyramidObserver:
         """Size of a triangle as wide as this one is seen."""
         return stimulus.size_mrad
 
-    def full(self) -> Self:
+    def _full(self) -> Self:
         """The same with one band, and one octave of the field, more than a triangle needs."""
         return type(self)(self.settings, more_levels=1)
 
@@ -259,14 +260,15 @@ class PyramidObserver:
         """Pyramid and templates folded onto the retina: A_k = Lᵀ t_k."""
         grid = self.grid(stimulus)
         common, upright = self._template(stimulus)
-        three = [self.turned(upright, turns) for turns in range(3)]
+        beside = self.turned(upright, 1)
+        turned = (upright, beside, self.turned(beside, 1))
         folded = self._fold(upright, grid)
         return Readout(
             grid=grid,
             common=self._fold(common, grid),
             deviations=np.stack([np.rot90(folded, -k) for k in range(4)]),
-            noise_covariance=self.settings.noise_sd**2 * overlaps(three),
-            excess_kurtosis=UNIFORM_EXCESS_KURTOSIS * participation(three),
+            noise_covariance=self.settings.noise_sd**2 * overlaps(turned),
+            excess_kurtosis=UNIFORM_EXCESS_KURTOSIS * participation(turned),
         )
 
     def _fold(self, bands: Sequence[FloatArray], grid: RetinaGrid) -> FloatArray:

@@ -34,8 +34,8 @@ def participation(turned: Sequence[Bands]) -> float:
     """
     largest = 0.0
     for other in turned[1:3]:
-        squares = np.concatenate([np.square(a - b).ravel() for a, b in zip(turned[0], other, strict=True)])
-        total = squares.sum()
+        squares = [np.square(a - b) for a, b in zip(turned[0], other, strict=True)]
+        total = sum(float(one.sum()) for one in squares)
         if total > 0.0:
-            largest = max(largest, float(np.square(squares / total).sum()))
+            largest = max(largest, sum(map(inner_product, squares, squares)) / total**2)
     return largest
