@@ -90,7 +90,7 @@ class InformativeObserver(PyramidObserver):
 
     Its display is described by two transfer functions, which a subclass may replace by any that are real and even
     along both axes: `presample_mtf` for what happens to the triangle alone, and `postsample_mtf` for what happens
-    to the triangle and to the noise of its samples.
+    to the triangle and to the noise of its samples. How wide a field they need is up to the settings still.
 
     Parameters
     ----------
@@ -185,8 +185,8 @@ class InformativeObserver(PyramidObserver):
         """
         from scipy.sparse.linalg import LinearOperator, cg
 
-        samples = max(self.settings.sample_pitch_mrad / grid.pitch_mrad, 1.0)
-        internal, external = self.settings.noise_sd**2, (self.settings.sample_noise_sd * samples) ** 2
+        retina_samples = (self.settings.sample_pitch_mrad or grid.pitch_mrad) / grid.pitch_mrad
+        internal, external = self.settings.noise_sd**2, (self.settings.sample_noise_sd * retina_samples) ** 2
         if external == 0.0:
             return difference
         internal, external = internal / (internal + external), external / (internal + external)

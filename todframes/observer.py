@@ -125,6 +125,7 @@ class PyramidObserver:
         # Per observer, not per class: a cache on the method would keep every observer alive.
         self.templates = lru_cache(maxsize=4)(self._templates)
         self.readout = lru_cache(maxsize=4)(self._readout)
+        self.full = lru_cache(maxsize=1)(self._full)
 
     @property
     def centre(self) -> Centre:
@@ -168,7 +169,7 @@ class PyramidObserver:
         """Size of a triangle as wide as this one is seen."""
         return stimulus.size_mrad
 
-    def full(self) -> Self:
+    def _full(self) -> Self:
         """The same with one band, and one octave of the field, more than a triangle needs."""
         return type(self)(self.settings, more_levels=1)
 
@@ -259,7 +260,9 @@ class PyramidObserver:
         grid = self.grid(stimulus)
         common, upright = self._template(stimulus)
         folded = self._fold(upright, grid)
-        noise = summed_noise([self.turned(upright, turns) for turns in range(4)], self.settings.noise_sd)
+        beside = self.turned(upright, 1)
+        opposite = self.turned(beside, 1)
+        noise = summed_noise((upright, beside, opposite, self.turned(opposite, 1)), self.settings.noise_sd)
         return Readout(
             grid=grid,
             common=self._fold(common, grid),

@@ -133,13 +133,17 @@ class OrientedObserver(PyramidObserver):
         return bands
 
     def _turned_once(self, band: FloatArray) -> FloatArray:
-        turned = np.rot90(band, -1, axes=(-2, -1))
+        turned = np.ascontiguousarray(np.rot90(band, -1, axes=(-2, -1)))
         if band.ndim == 2:  # the residual
-            return np.ascontiguousarray(turned)
+            return turned
         half = self.settings.orientations // 2
-        signs = np.array((1,) if self.settings.complex_cells else self.settings.filters(0).signs)
+        turned = np.roll(turned, half, axis=1)
         # What a quarter carries beyond 180° is the first half again, seen from the other side.
-        return np.concatenate([signs[:, None, None, None] * turned[:, half:], turned[:, :half]], axis=1)
+        for phase, sign in zip(
+            turned, (1,) if self.settings.complex_cells else self.settings.filters(0).signs, strict=True
+        ):
+            phase[:half] *= sign
+        return turned
 
     def _template(self, stimulus: Stimulus) -> tuple[Bands, Bands]:
         if not self.settings.complex_cells:

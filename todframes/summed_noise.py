@@ -55,8 +55,10 @@ def _participation(turned: Sequence[Bands]) -> float:
     """Σw⁴ / (Σw²)² of the weights of a score difference, the larger of the two kinds."""
     largest = 0.0
     for other in turned[1:3]:
-        squares = np.concatenate([np.square(a - b).ravel() for a, b in zip(turned[0], other, strict=True)])
-        total = squares.sum()
+        squares = [np.square(a - b) for a, b in zip(turned[0], other, strict=True)]
+        total = sum(float(one.sum()) for one in squares)
         if total > 0.0:
-            largest = max(largest, float(np.square(squares / total).sum()))
+            for one in squares:
+                one /= total
+            largest = max(largest, sum(map(inner_product, squares, squares)))
     return largest
