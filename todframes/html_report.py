@@ -216,9 +216,7 @@ def _remarks(result: Result) -> list[str]:
         told.append(f"Numerical error of the thresholds: {plain(100 * max(relative), 2)} % at most.")
     bound = max((fit.p_correct_error_bound or 0.0 for fit in fits), default=0.0)
     if bound:
-        told.append(
-            f"P(correct) is right within {plain(bound, 1)}, as the summed noise is not quite Gaussian."
-        )
+        told.append(f"P(correct) is right within {plain(bound, 1)}, as the summed noise is not quite Gaussian.")
     apart = [
         100 * abs(fit.points_threshold / fit.threshold - 1)
         for fit in fits

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from todframes.errors import SettingsError
 from todframes.pyramid import LaplacianPyramid
 from todframes.readout import LeftOut, Readout, Stimulus, inner_product
-from todframes.retina import RetinaGrid
+from todframes.retina import RetinaGrid, gaussian_blur
 from todframes.settings import check_ranges
 from todframes.stimulus import HEIGHT_PER_SIZE, ORIENTATIONS, Centre, Orientation, coverage
 from todframes.summed_noise import Bands, summed_noise
@@ -249,11 +249,7 @@ class PyramidObserver:
 
     def _expected(self, image: FloatArray) -> Bands:
         """Activity that is expected from an image, whose place is not quite known."""
-        from scipy.ndimage import gaussian_filter
-
-        # Cut at 8 standard deviations, where the kernel is 1e-14 of its middle.
-        blurred = gaussian_filter(image, self.settings.template_blur_samples, mode="mirror", truncate=8.0)
-        return self.activity(blurred)
+        return self.activity(gaussian_blur(image, self.settings.template_blur_samples))
 
     def _readout(self, stimulus: Stimulus) -> Readout:
         """Pyramid and templates folded onto the retina: A_k = Lᵀ t_k."""
