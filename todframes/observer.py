@@ -24,11 +24,10 @@ from todframes.readout import LeftOut, Readout, Stimulus, inner_product
 from todframes.retina import RetinaGrid
 from todframes.settings import check_ranges
 from todframes.stimulus import HEIGHT_PER_SIZE, ORIENTATIONS, Centre, Orientation, coverage
-from todframes.templates import Bands, overlaps, participation
+from todframes.templates import Bands, score_noise
 
 FloatArray = NDArray[np.float64]
 
-UNIFORM_EXCESS_KURTOSIS = -1.2
 FEWEST_LEVELS = 4
 MOST_LEVELS = 11
 """A retina image then takes half a GB."""
@@ -260,15 +259,15 @@ class PyramidObserver:
         """Pyramid and templates folded onto the retina: A_k = Lᵀ t_k."""
         grid = self.grid(stimulus)
         common, upright = self._template(stimulus)
-        beside = self.turned(upright, 1)
-        turned = (upright, beside, self.turned(beside, 1))
         folded = self._fold(upright, grid)
+        noise = score_noise(upright, self.turned, self.settings.noise_sd)
         return Readout(
             grid=grid,
             common=self._fold(common, grid),
             deviations=np.stack([np.rot90(folded, -k) for k in range(4)]),
-            noise_covariance=self.settings.noise_sd**2 * overlaps(turned),
-            excess_kurtosis=UNIFORM_EXCESS_KURTOSIS * participation(turned),
+            noise_covariance=noise.covariance,
+            excess_kurtosis=noise.excess_kurtosis,
+            fourth_cumulants=noise.fourth_cumulants,
         )
 
     def _fold(self, bands: Sequence[FloatArray], grid: RetinaGrid) -> FloatArray:
