@@ -169,7 +169,7 @@ def test_answers_are_as_frequent_as_computed(linear_observer: Observer) -> None:
     stimulus = Stimulus(1.0)
     readout, rng = linear_observer.readout(stimulus), np.random.default_rng(3)
     seen = 0.1 * triangle_on(readout.grid, 1.0, Orientation.RIGHT, dx=0.2)
-    expected = N_ANSWERS * answer_probabilities(readout.score_deviations(seen), readout.noise_covariance)
+    expected = N_ANSWERS * readout.answer_probabilities(readout.score_deviations(seen))
     assert expected.min() > 5.0
     answers = [linear_observer.respond(seen, stimulus, rng).quarter_turns for _ in range(N_ANSWERS)]
     counts = np.bincount(answers, minlength=4)
