@@ -182,7 +182,8 @@ class Enhancement:
         given = image.copy() if self.declaration.writes else image
         started = time.thread_time()
         try:
-            found = self.function(given, **self.values)
+            with np.errstate(all="ignore"):  # what comes of it is looked at below
+                found = self.function(given, **self.values)
         except Exception as error:
             reason = " ".join(str(error).split())
             raise DataError(f"{self.spec}: {type(error).__name__}: {reason}") from None
