@@ -5,6 +5,7 @@ Images are code values, white being 1, of shape (rows, columns).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Annotated, Any, Literal, TypeVar
 
@@ -138,8 +139,7 @@ def wiener(
     """Wiener–Hunt deconvolution of a Gaussian blur."""
     from skimage.restoration import wiener as deconvolve
 
-    psf, margin = _gaussian_psf(sigma)
-    return _cropped(deconvolve(_reflected(image, margin), psf, balance, clip=False), margin)
+    return _deconvolved(image, lambda wide, psf: deconvolve(wide, psf, balance, clip=False), sigma, 16.0)
 
 
 @_built_in("scikit-image: restoration.richardson_lucy")
@@ -147,10 +147,10 @@ def richardson_lucy(image: Image, *, sigma: Sigma = 1.0, iterations: Iterations 
     """Richardson–Lucy deconvolution of a Gaussian blur."""
     from skimage.restoration import richardson_lucy as deconvolve
 
-    psf, margin = _gaussian_psf(sigma)
-    return _cropped(
-        deconvolve(_reflected(_not_negative(image), margin), psf, num_iter=iterations, clip=False), margin
-    )
+    # What lies beyond the border creeps inwards like a random walk, a blur's width at each iteration.
+    reach = 5.0 * math.sqrt(iterations)
+    image = _not_negative(image)
+    return _deconvolved(image, lambda wide, psf: deconvolve(wide, psf, iterations, clip=False), sigma, reach)
 
 
 @_built_in("OpenCV contrib: ximgproc.guidedFilter")
@@ -194,20 +194,17 @@ def lanczos(image: Image, *, factor: Factor = 2) -> Image:
     return np.asarray(cv2.resize(image, None, fx=factor, fy=factor, interpolation=cv2.INTER_LANCZOS4))
 
 
-def _gaussian_psf(sigma: float) -> tuple[Image, int]:
-    """A Gaussian of sum 1, cut at 4 standard deviations, and how far beyond the frame it is to be reflected."""
-    reach = int(np.ceil(4.0 * sigma))
-    line = cv2.getGaussianKernel(2 * reach + 1, sigma)
-    return line @ line.T, 2 * reach
+def _deconvolved(
+    image: Image, deconvolve: Callable[[Image, Image], Any], sigma: float, reach_in_sigmas: float
+) -> Image:
+    """A Gaussian blur undone; the image is reflected at its borders as far as they are felt.
 
-
-def _reflected(image: Image, margin: int) -> Image:
-    # Or deconvolution would see the other side of the frame, or black, beyond its border.
-    return np.pad(image, margin, mode="symmetric")
-
-
-def _cropped(image: Image, margin: int) -> Image:
-    return np.ascontiguousarray(image[margin:-margin, margin:-margin])
+    Or deconvolution would see the other side of the frame, or black, beyond them.
+    """
+    line = cv2.getGaussianKernel(2 * math.ceil(4.0 * sigma) + 1, sigma)
+    margin = math.ceil(reach_in_sigmas * sigma)
+    found = deconvolve(np.pad(image, margin, mode="symmetric"), line @ line.T)
+    return np.ascontiguousarray(found[margin:-margin, margin:-margin])
 
 
 def _not_negative(image: Image) -> Image:

@@ -12,6 +12,7 @@ values.
 from __future__ import annotations
 
 import inspect
+import math
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -60,6 +61,8 @@ class Declaration:
     def __post_init__(self) -> None:
         if self.domain not in get_args(Domain):
             raise SettingsError(f"domain: found {self.domain!r}, expected one of {', '.join(get_args(Domain))}")
+        if not isinstance(self.magnification, str) and not 0.0 < self.magnification < math.inf:
+            raise SettingsError(f"magnification: found {self.magnification!r}, expected a finite number > 0")
 
 
 def enhancement(
@@ -179,7 +182,8 @@ class Enhancement:
         given = image.copy() if self.declaration.writes else image
         started = time.thread_time()
         try:
-            found = self.function(given, **self.values)
+            with np.errstate(all="ignore"):  # what comes of it is looked at below
+                found = self.function(given, **self.values)
         except Exception as error:
             reason = " ".join(str(error).split())
             raise DataError(f"{self.spec}: {type(error).__name__}: {reason}") from None

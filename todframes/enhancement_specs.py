@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import inspect
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, get_type_hints
@@ -134,8 +135,10 @@ def _values(algorithm: Enhancement, assignments: str, where: str) -> dict[str, A
             raise SettingsError(f"{where}: parameter {name!r} is missing")
     values = {name: one.default for name, one in known.items()} | assigned
     magnification = algorithm.declaration.magnification
-    if isinstance(magnification, str) and not isinstance(values.get(magnification), int | float):
-        raise SettingsError(
-            f"{where}: magnification is declared as {magnification!r}, expected a parameter that is a number"
-        )
+    if isinstance(magnification, str):
+        found = values.get(magnification)
+        if not (isinstance(found, int | float) and 0 < found < math.inf):
+            raise SettingsError(
+                f"{where}: magnification {magnification!r}: found {found!r}, expected a number > 0"
+            )
     return values

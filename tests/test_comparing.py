@@ -1,0 +1,570 @@
+"""Algorithms through the observer's eyes: what must not change does not, and physics holds."""
+
+from __future__ import annotations
+
+import math
+import sys
+
+import numpy as np
+import pytest
+from skimage.metrics import peak_signal_noise_ratio
+
+from todframes.comparing import compare_dataset
+from todframes.dataset import load_dataset
+from todframes.enhanced import DecodedFrame, Picture, Screen
+from todframes.enhancement_specs import find_enhancement
+from todframes.errors import DataError, FrameError, SettingsError
+from todframes.frame_writing import write_frame
+from todframes.frames import FrameFile, read_frame
+from todframes.observer import PyramidObserver, PyramidSettings
+from todframes.psychometric import FitSettings
+from todframes.readout import Readout, Stimulus
+from todframes.scoring import score_dataset
+from todframes.stimulus import ORIENTATIONS, coverage
+
+FAST = FitSettings(resamples=200)
+OBSERVER = PyramidObserver()
+STEADY = PyramidObserver(PyramidSettings(position_jitter_samples=0.0))
+SCORED = ("scores", "probabilities", "p_correct", "answers", "displacement_samples")
+
+OWN = """
+import numpy as np
+from todframes.enhancement import enhancement
+
+def same(image):
+    return image
+
+def again(image):
+    return 1.0 * image
+
+def gain(image, by=2.0, middle=0.5):
+    return (middle + by * (image.astype(np.float64) - middle))
+
+def brighter(image, by=1.25):
+    return by * image
+
+@enhancement(magnification="factor")
+def pixels_divided(image, *, factor: int = 3):
+    return np.repeat(np.repeat(image, factor, axis=0), factor, axis=1)
+
+@enhancement(magnification=0.5)
+def pixels_joined(image):
+    return image.reshape(image.shape[0] // 2, 2, image.shape[1] // 2, 2).mean(axis=(1, 3))
+
+@enhancement(domain="luminance")
+def light(image):
+    assert image.ndim == 2
+    return image
+
+@enhancement(domain="luminance")
+def half_light(image, by=0.5):
+    return by * image
+
+def noisy(image, sigma=0.01):
+    seed = int(abs(float(image.sum())) * 1e6) % 2**32
+    return image + np.random.default_rng(seed).normal(0.0, sigma, image.shape)
+
+def nothing(image):
+    return np.full_like(image, 0.5)
+
+def not_when_large(image):
+    if image.max() > 0.65:
+        raise ValueError("too large")
+    return image
+
+def shape_of(image):
+    assert image.ndim == 3
+    return image
+"""
+
+
+@pytest.fixture(autouse=True)
+def own(tmp_path_factory, monkeypatch):
+    folder = tmp_path_factory.mktemp("own")
+    (folder / "own_enhancements.py").write_text(OWN, encoding="utf-8")
+    monkeypatch.syspath_prepend(folder)
+    yield
+    sys.modules.pop("own_enhancements", None)
+
+
+def compare(path, *specs: str, observer=OBSERVER, white: float = 1.0, **arguments):
+    dataset = load_dataset(path)
+    screen = Screen(dataset.display, white, arguments.pop("allow_clipping", False))
+    algorithms = [find_enhancement(spec) for spec in specs]
+    return compare_dataset(dataset, observer, algorithms, **{"fit_settings": FAST, "screen": screen} | arguments)
+
+
+def same_scores(one, other) -> bool:
+    return all(np.array_equal(getattr(one, name), getattr(other, name), equal_nan=True) for name in SCORED)
+
+
+# The reference is what `score` gives, and an algorithm that does nothing gives the same
+
+
+@pytest.mark.parametrize("background", [50.0, "border", "frame_mean"])
+@pytest.mark.parametrize(
+    "more", [{"plan_name": "full"}, {"plan_name": "needed"}, {"decisions": "sampled", "seed": 3}]
+)
+def test_reference_and_identity_are_what_score_gives(make_dataset, background, more) -> None:
+    made = make_dataset(
+        suffix=".png",
+        sizes_mrad=(1.0, 2.0),
+        contrasts=(0.04, 0.1, 0.3),
+        display={"background_luminance_cd_m2": background},
+    )
+    scored = score_dataset(load_dataset(made.path), OBSERVER, fit_settings=FAST, **more)
+    for result in compare(made.path, "own_enhancements:same", "own_enhancements:light", "none", **more):
+        # Luminance goes through 32 bits.
+        if result.enhancement.name == "own_enhancements:light":
+            assert np.allclose(result.scored.scores, scored.scores, rtol=0.0, atol=1e-4)
+            continue
+        assert same_scores(result.scored, scored)
+        assert [one.fit for one in result.scored.fits] == [one.fit for one in scored.fits]
+        assert [one.ratio.ratio for one in result.compared] == [1.0, 1.0][: len(result.compared)]
+        assert {one.verdict for one in result.compared} <= {"no difference shown"}
+
+
+def test_colour_windows_and_trials_of_several_frames(make_dataset) -> None:
+    """EXR in colour, code values up to 200, frames averaged: the reference is still what `score` gives."""
+    made = make_dataset(contrasts=(0.1, 0.2, 0.4), repeats=2)
+    for number, row in enumerate(made.rows):
+        luminance = read_frame(made.frame(number)).values
+        write_frame(made.frame(number), luminance * [1.2, 1.0, 0.7])
+        row["trial"] = f"t{number // 2}"
+    made.save()
+    scored = score_dataset(load_dataset(made.path), OBSERVER, fit_settings=FAST)
+    reference, colour = compare(made.path, "own_enhancements:shape_of", white=200.0)
+    assert len(scored.trials) == 12
+    assert same_scores(reference.scored, scored)
+    # Divided by white and multiplied again in 32 bits: 2⁻²³ of the light, and of some hundred weights of 0.1.
+    assert np.allclose(colour.scored.scores, scored.scores, rtol=0.0, atol=1e-5)
+
+
+def test_grey_in_three_channels_is_one_image(make_dataset) -> None:
+    """The algorithm sees it as grey; the display weighs the channels, which add up to one."""
+    made = make_dataset(suffix=".png", contrasts=(0.1, 0.4))
+    grey = compare(made.path, "unsharp")[1].scored
+    for number in range(len(made.rows)):
+        write_frame(made.frame(number), np.repeat(read_frame(made.frame(number)).values, 3, axis=2))
+    assert np.allclose(compare(made.path, "unsharp")[1].scored.scores, grey.scores, rtol=0.0, atol=1e-10)
+
+
+@pytest.mark.parametrize("background", [50.0, "border"])
+@pytest.mark.parametrize(
+    "spec", ["own_enhancements:pixels_divided:factor=3", "own_enhancements:pixels_divided:factor=2"]
+)
+def test_the_same_light_on_finer_pixels_is_seen_the_same(make_dataset, background, spec: str) -> None:
+    """Pixels are uniform squares: cut in pieces they shine as before. Triangles lie off the middle here."""
+    made = make_dataset(suffix=".png", contrasts=(0.1, 0.4), display={"background_luminance_cd_m2": background})
+    for row in made.rows:
+        row |= {"x_px": "21.3", "y_px": "26.9"}
+    made.save()
+    reference, finer = compare(made.path, spec)
+    assert np.allclose(finer.scored.scores, reference.scored.scores, rtol=0.0, atol=1e-10)
+    assert finer.enhancement.magnification == float(spec[-1])
+
+
+def test_joining_pixels_is_seeing_a_coarser_display(make_dataset) -> None:
+    """As many frames with pixels of twice the size, made beforehand."""
+    fine = make_dataset("fine", suffix=".png", contrasts=(0.1, 0.4))
+    coarse = make_dataset("coarse", suffix=".png", contrasts=(0.1, 0.4), display={"pixel_pitch_mrad": 0.5})
+    for number in range(len(fine.rows)):
+        values = read_frame(fine.frame(number)).values[..., 0]
+        write_frame(coarse.frame(number), values.reshape(24, 2, 24, 2).mean(axis=(1, 3)))
+    joined = compare(fine.path, "own_enhancements:pixels_joined")[1].scored
+    expected = compare(coarse.path, "none")[0].scored
+    # The coarse frames are rounded to 2⁻¹⁶, 3e-5 of the background.
+    assert np.allclose(joined.scores, expected.scores, rtol=0.0, atol=2e-4)
+
+
+# Physics
+
+
+def test_gain_is_as_good_as_less_internal_noise(make_dataset) -> None:
+    """Contrast twice as high and twice the internal noise: the same answers, trial by trial."""
+    made = make_dataset(suffix=".png", contrasts=(0.03, 0.06, 0.1))
+    twice = compare(made.path, "own_enhancements:gain:by=2")[1].scored
+    quiet = score_dataset(
+        load_dataset(made.path), PyramidObserver(PyramidSettings(internal_noise=0.25)), fit_settings=FAST
+    )
+    # Code values are 32-bit numbers, rounded by 3e-8 of 0.5.
+    assert np.allclose(twice.p_correct, quiet.p_correct, rtol=0.0, atol=1e-5)
+
+
+def test_gain_of_noise_limited_frames_does_nothing(make_dataset) -> None:
+    """A linear, invertible change: signal and noise are what they were to each other, so is the threshold."""
+    made = noisy_frames(make_dataset, sigma=0.4)
+    quiet = PyramidObserver(PyramidSettings(internal_noise=1e-3))
+    (one,) = compare(made.path, "own_enhancements:gain:by=1.5", observer=quiet, white=100.0)[1].compared
+    assert one.verdict == "no difference shown"
+    assert one.ratio.ratio == pytest.approx(1.0, abs=0.01)
+
+
+def test_blur_beyond_the_pixel_hurts_small_triangles_most(make_dataset) -> None:
+    made = make_dataset(suffix=".png", sizes_mrad=(1.0, 3.0), contrasts=(0.05, 0.1, 0.2, 0.4), repeats=3)
+    blurred = compare(made.path, "gaussian:sigma=2")[1]
+    small, large = blurred.compared
+    assert (small.verdict, large.verdict, blurred.overall.verdict) == ("worse", "worse", "worse")
+    # The triangle is 4 pixels wide, or 12: of a blur of 2 the smaller one suffers more.
+    assert small.ratio.ratio is None or small.ratio.ratio > 1.5 * large.ratio.ratio
+
+
+def noisy_frames(
+    make_dataset, *, sigma: float, repeats: int = 12, name: str = "noisy", levels=(0.15, 0.3, 0.6, 1.2)
+):
+    """Frames whose noise, in contrast, is far above the observer's."""
+    made = make_dataset(name, contrasts=levels, repeats=repeats)
+    rng = np.random.default_rng(7)
+    for number in range(len(made.rows)):
+        luminance = read_frame(made.frame(number)).values[..., 0]
+        write_frame(made.frame(number), luminance + 50.0 * rng.normal(0.0, sigma, luminance.shape))
+    return made
+
+
+def test_averaging_n_noisy_frames_lowers_the_threshold_by_the_root_of_n(make_dataset) -> None:
+    """By √4, within the intervals: one frame a trial, and four a trial of half the contrast."""
+    observer = PyramidObserver(PyramidSettings(internal_noise=0.02))  # 2 % of the noise on the retina
+    levels = np.array([0.25, 0.4, 0.65, 1.0])
+    alone = noisy_frames(make_dataset, sigma=1.0, repeats=16, levels=levels, name="alone")
+    four = noisy_frames(make_dataset, sigma=1.0, repeats=64, levels=levels / 2, name="four")
+    for number, row in enumerate(four.rows):
+        row["trial"] = f"t{number // 4}"
+    four.save()
+    fits = [score_dataset(load_dataset(made.path), observer).fits[0].fit for made in (alone, four)]
+    (low, high), (low_4, high_4) = (fit.threshold_ci95 for fit in fits)
+    assert [fit.n_trials for fit in fits] == [256, 256]
+    assert 0.25 < low_4 / high < 0.5 < high_4 / low < 1.0  # sure enough to tell √4 from 4 and from 1
+
+
+def test_removing_noise_helps_and_adding_it_hurts(make_dataset) -> None:
+    """Averaging twice by hand: noise that an algorithm adds raises the threshold, paired frame by frame."""
+    made = make_dataset(suffix=".png", contrasts=(0.03, 0.06, 0.12, 0.25), repeats=6)
+    (one,) = compare(made.path, "own_enhancements:noisy:sigma=0.1")[1].compared
+    assert (one.verdict, one.ratio.ratio > 1.0) == ("worse", True)
+
+
+# The background
+
+
+@pytest.mark.parametrize("background", [50.0, "border", "frame_mean", "column"])
+def test_what_brightens_everything_alike_changes_nothing(make_dataset, background) -> None:
+    """Contrast refers to the background that the algorithm makes: a given one is scaled as the border is."""
+    made = make_dataset(suffix=".png", contrasts=(0.1, 0.4), display={"background_luminance_cd_m2": background})
+    for row in made.rows:
+        row["background_luminance_cd_m2"] = "50"
+    made.save()
+    reference, brighter, darker = compare(
+        made.path, "own_enhancements:brighter:by=1.25", "own_enhancements:half_light:by=0.5"
+    )
+    # 32-bit code values: rounding of 6e-8 of each.
+    for other in (brighter, darker):
+        assert np.allclose(other.scored.scores, reference.scored.scores, rtol=0.0, atol=1e-5)
+
+
+def test_a_border_without_light_has_no_background(make_dataset) -> None:
+    made = make_dataset(contrasts=(0.2,), suffix=".png")
+    values = read_frame(made.frame(0)).values[..., 0]
+    values[[0, -1]] = values[:, [0, -1]] = 0.0
+    write_frame(made.frame(0), values)
+    with pytest.raises(FrameError, match=r"up_0.png: the frame's border has a luminance of 0 cd/m², expected > 0"):
+        compare(made.path, "gaussian")
+
+
+# Luminance, code values and their range
+
+
+def test_luminance_is_between_black_and_white(make_dataset) -> None:
+    display = {"eotf": "srgb", "white_luminance_cd_m2": 120.0, "black_luminance_cd_m2": 0.5}
+    made = make_dataset(suffix=".png", contrasts=(0.2,), display=display)
+    screen = Screen(load_dataset(made.path).display)
+    with FrameFile(made.frame(0)) as file:
+        decoded = DecodedFrame(file, screen)
+    assert screen.luminance_range == (0.5, 120.0)
+    expected = (decoded.original.luminance() - 0.5) / 119.5
+    assert np.allclose(decoded.relative_luminance, expected, rtol=0.0, atol=1e-7)
+    half = decoded.after(find_enhancement("own_enhancements:half_light"))
+    assert np.allclose(half.luminance(), 0.5 + 119.5 * 0.5 * expected, rtol=1e-6, atol=0.0)
+
+
+def test_a_border_is_the_outermost_ring() -> None:
+    values = np.zeros((4, 5, 1), np.float32)
+    values[[0, -1]] = values[:, [0, -1]] = 1.0
+    dataset_display = {"eotf": "linear", "background_luminance_cd_m2": 50.0, "pixel_pitch_mrad": 0.5}
+    from todframes.display import Display
+
+    screen = Screen(Display(**dataset_display, white_luminance_cd_m2=80.0))
+    assert Picture(screen, values).border_luminance() == 80.0
+    assert Picture(screen, values[:1]).border_luminance() == 80.0
+
+
+@pytest.mark.parametrize("eotf", ["srgb", "linear"])
+def test_values_that_the_display_cannot_show(make_dataset, eotf: str) -> None:
+    made = make_dataset(suffix=".png", contrasts=(0.6,), display={"eotf": eotf})
+    message = r"_up_0.png: own_enhancements:gain:by=6: \d+ of 2304 values lie beyond 0 to 1, from .* to 2.3; "
+    with pytest.raises(FrameError, match=message):
+        compare(made.path, "own_enhancements:gain:by=6")
+    clipped = compare(made.path, "own_enhancements:gain:by=6", allow_clipping=True)[1]
+    frames = [read_frame(made.frame(number)).values for number in range(4)]
+    assert clipped.n_clipped == sum(np.count_nonzero(np.abs(6 * (f - 0.5)) > 0.5 + 1e-6) for f in frames)
+
+
+def test_linear_exr_has_no_upper_end(make_dataset) -> None:
+    made = make_dataset(contrasts=(0.6,))
+    assert compare(made.path, "own_enhancements:gain:by=6", white=100.0)[1].n_clipped == 0
+
+
+def test_white_must_be_said_of_frames_in_luminance(make_dataset) -> None:
+    made = make_dataset(contrasts=(0.2,))
+    with pytest.raises(
+        FrameError, match=r"code values have a mean of 50.\d+, above white \(1\); say which .*--white"
+    ):
+        compare(made.path, "gaussian")
+    assert compare(made.path, "gaussian", white=100.0)[1].scored.fits
+
+
+@pytest.mark.parametrize(
+    ("white", "display", "message"),
+    [
+        (0.0, {}, "white: found 0.0, expected a finite number > 0"),
+        (math.nan, {}, "white: found nan, expected a finite number > 0"),
+        (2.0, {"eotf": "srgb"}, 'white: found 2, expected 1 with eotf = "srgb"'),
+    ],
+)
+def test_white_that_cannot_be(make_dataset, white: float, display, message: str) -> None:
+    made = make_dataset(suffix=".png", contrasts=(0.2,), display=display)
+    with pytest.raises(SettingsError, match=message):
+        compare(made.path, "gaussian", white=white)
+
+
+def test_white_of_integers_is_one(make_dataset) -> None:
+    with pytest.raises(FrameError, match="white: found 100, expected 1 for integer code values"):
+        compare(make_dataset(suffix=".png", contrasts=(0.2,)).path, "gaussian", white=100.0)
+
+
+# PSNR and SSIM
+
+
+def with_reference(make_dataset, error: float):
+    """Frames that are brighter by a given code value everywhere than those without noise."""
+    made = make_dataset(suffix=".png", contrasts=(0.1, 0.2, 0.4))
+    (made.path / "clean").mkdir()
+    for number, row in enumerate(made.rows):
+        clean = read_frame(made.frame(number)).values
+        row["reference_frame"] = f"clean/{number}.png"
+        write_frame(made.path / row["reference_frame"], clean)
+        write_frame(made.frame(number), clean + error)
+    made.save()
+    return made
+
+
+def test_psnr_of_a_known_error(make_dataset) -> None:
+    """A tenth of white everywhere is 20 dB, whatever the display's luminance; gone, there is no error left."""
+    made = with_reference(make_dataset, 0.1)
+    reference, mended, again = compare(made.path, "own_enhancements:brighter:by=1", "own_enhancements:gain:by=1.0")
+    assert reference.psnr_db == pytest.approx(20.0, abs=1e-3)  # code values are rounded to 2⁻¹⁶
+    assert (mended.psnr_db, again.psnr_db) == (pytest.approx(20.0, abs=1e-3),) * 2
+    assert 0.9 < reference.ssim < 1.0
+    exact = compare(with_reference(lambda **k: make_dataset("exact", **k), 0.0).path, "gaussian:sigma=3")
+    assert (exact[0].psnr_db, exact[0].ssim) == (None, 1.0)
+    assert exact[1].psnr_db is not None
+    assert exact[1].ssim < 1.0
+
+
+def test_psnr_is_that_of_all_frames_together(make_dataset) -> None:
+    made = with_reference(make_dataset, 0.05)
+    clean = np.array([read_frame(made.path / row["reference_frame"]).values for row in made.rows])
+    blurred = [
+        DecodedFrame(FrameFile(made.frame(number)), Screen(load_dataset(made.path).display)).after(
+            find_enhancement("gaussian:sigma=2")
+        )
+        for number in range(len(made.rows))
+    ]
+    expected = peak_signal_noise_ratio(
+        100.0 * clean[..., 0].astype(np.float64), np.array([one.luminance() for one in blurred]), data_range=100.0
+    )
+    assert compare(made.path, "gaussian:sigma=2")[1].psnr_db == pytest.approx(expected, abs=1e-9)
+
+
+def test_frames_with_other_pixels_are_not_measured(make_dataset) -> None:
+    made = with_reference(make_dataset, 0.1)
+    finer = compare(made.path, "bicubic")[1]
+    assert (finer.psnr_db, finer.ssim) == (None, None)
+
+
+def test_rows_without_a_reference_are_left_out_of_the_measures(make_dataset) -> None:
+    made = with_reference(make_dataset, 0.1)
+    for row in made.rows[1:]:
+        row["reference_frame"] = ""
+    made.save()
+    assert compare(made.path, "gaussian")[0].psnr_db == pytest.approx(20.0, abs=1e-3)
+
+
+def test_small_frames_have_no_ssim(make_dataset) -> None:
+    made = make_dataset(suffix=".png", sizes_mrad=(1.0,), contrasts=(0.2, 0.4), side_px=10)
+    for number, row in enumerate(made.rows):
+        row["reference_frame"] = "clean.png"
+        write_frame(made.path / "clean.png", read_frame(made.frame(number)).values)
+    made.save()
+    reference = compare(made.path, "gaussian")[0]
+    assert reference.ssim is None
+    assert reference.psnr_db > 20.0
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [("clean/none.png", "none.png: cannot be opened"), ("dataset.toml", "dataset.toml: found a file that starts")],
+)
+def test_a_reference_that_cannot_be_read(make_dataset, name: str, message: str) -> None:
+    made = with_reference(make_dataset, 0.1)
+    made.rows[2]["reference_frame"] = name
+    made.save()
+    with pytest.raises(FrameError, match=message):
+        compare(made.path, "gaussian")
+
+
+def test_a_reference_may_not_leave_the_dataset(make_dataset) -> None:
+    made = with_reference(make_dataset, 0.1)
+    made.rows[2]["reference_frame"] = "../clean.png"
+    made.save()
+    with pytest.raises(DataError, match=r"line 4: reference_frame ../clean.png lies outside of the dataset"):
+        compare(made.path, "gaussian")
+
+
+# Verdicts
+
+
+def test_an_algorithm_that_takes_the_triangle_away(make_dataset) -> None:
+    made = make_dataset(suffix=".png", contrasts=(0.05, 0.1, 0.2, 0.4), repeats=3)
+    gone = compare(made.path, "own_enhancements:nothing")[1]
+    (one,) = gone.compared
+    assert gone.scored.fits[0].fit.status == "never_reached"
+    assert (one.ratio.ratio, one.verdict, gone.overall) == (None, "worse", None)
+
+
+def test_corrected_for_all_comparisons(make_dataset) -> None:
+    """Each p-value times those not smaller: two algorithms, two groups and their means are six."""
+    made = make_dataset(suffix=".png", sizes_mrad=(1.0, 2.0), contrasts=(0.05, 0.1, 0.2, 0.4), repeats=2)
+    results = compare(made.path, "gaussian:sigma=2", "own_enhancements:again")
+    every = [one for result in results[1:] for one in (*result.compared, result.overall)]
+    assert len(every) == 6
+    smallest = min(every, key=lambda one: one.ratio.p_value)
+    assert smallest.p_value_holm == pytest.approx(6 * smallest.ratio.p_value)
+    # More resamples than 200, or no verdict could survive the correction: 80 for each comparison.
+    assert smallest.ratio.p_value == pytest.approx(2 / 481)
+
+
+def test_draws_are_common_and_do_not_depend_on_workers(make_dataset) -> None:
+    made = make_dataset(suffix=".png", sizes_mrad=(1.0, 1.5), contrasts=(0.1, 0.2, 0.4), repeats=2)
+    for decisions in ("expected", "sampled"):
+        one, three = (
+            compare(made.path, "median", "unsharp", workers=workers, decisions=decisions) for workers in (1, 3)
+        )
+        for ours, theirs in zip(one, three, strict=True):
+            assert same_scores(ours.scored, theirs.scored)
+            assert (ours.compared, ours.overall) == (theirs.compared, theirs.overall)
+            assert np.array_equal(ours.scored.displacement_samples, one[0].scored.displacement_samples)
+
+
+class Contrarian:
+    """An observer that is not linear: it looks for the brightest of four halves, with a little noise."""
+
+    settings_type = PyramidSettings
+    centre = "centroid"
+    position_jitter_samples = 0.5
+
+    def __init__(self, settings: PyramidSettings) -> None:
+        del settings
+
+    def grid(self, stimulus: Stimulus):
+        return STEADY.grid(stimulus)
+
+    def readout(self, stimulus: Stimulus) -> Readout | None:
+        del stimulus
+
+    def respond(self, contrast: np.ndarray, stimulus: Stimulus, rng: np.random.Generator):
+        del stimulus
+        middle = contrast.shape[0] // 2
+        halves = contrast[middle + 1 :], contrast[:, :middle], contrast[:middle], contrast[:, middle + 1 :]
+        return ORIENTATIONS[int(np.argmax([half.sum() + rng.normal() for half in halves]))]
+
+
+def test_an_observer_that_is_not_linear(make_dataset) -> None:
+    """Its answers are drawn, with the same noise for all algorithms."""
+    made = make_dataset(suffix=".png", contrasts=(0.05, 0.1, 0.2, 0.4), repeats=8)
+    observer = Contrarian(PyramidSettings())
+    results = compare(
+        made.path, "own_enhancements:same", "own_enhancements:gain", observer=observer, decisions="sampled"
+    )
+    scored = score_dataset(load_dataset(made.path), observer, decisions="sampled", fit_settings=FAST)
+    assert same_scores(results[0].scored, scored)
+    assert same_scores(results[1].scored, scored)
+    assert results[2].compared[0].ratio.ratio < 1.0
+    with pytest.raises(SettingsError, match="this observer is not linear"):
+        compare(made.path, "own_enhancements:same", observer=observer)
+
+
+# What fails
+
+
+def test_an_algorithm_that_fails_with_one_frame(make_dataset) -> None:
+    made = make_dataset(suffix=".png", contrasts=(0.1, 0.2, 0.6))
+    message = r"s2.0_c0.6_up_0.png: own_enhancements:not_when_large: ValueError: too large"
+    with pytest.raises(FrameError, match=message):
+        compare(made.path, "own_enhancements:not_when_large", "median")
+    results = compare(made.path, "own_enhancements:not_when_large", "median", skip_bad_frames=True)
+    for result in results:  # all algorithms have the same trials
+        assert [trial.level for trial in result.scored.trials] == [0.1] * 4 + [0.2] * 4
+        assert len(result.scored.skipped) == 4
+    with pytest.raises(DataError, match=r"no frame can be scored; the first: .*NaN or infinite"):
+        compare(made.path, "own_enhancements:brighter:by=1e39", skip_bad_frames=True, allow_clipping=True)
+
+
+def test_no_resamples_no_comparison(make_dataset) -> None:
+    with pytest.raises(SettingsError, match="resamples: found 0, expected 40 or more"):
+        compare(make_dataset(suffix=".png").path, "median", fit_settings=FitSettings(resamples=0))
+
+
+def test_an_algorithm_named_twice(make_dataset) -> None:
+    with pytest.raises(SettingsError, match="enhance 'median': found twice, expected once"):
+        compare(make_dataset(suffix=".png").path, "median", "median")
+    results = compare(make_dataset("other", suffix=".png").path, "median", "median:radius=2", "none")
+    assert [one.enhancement.spec for one in results] == ["none", "median", "median:radius=2"]
+
+
+def test_part_of_an_exr(make_dataset) -> None:
+    """A data window smaller than the frame: finer pixels lie where the coarser ones did."""
+    import OpenImageIO as oiio
+
+    made = make_dataset(contrasts=(0.3,))
+    for number in range(len(made.rows)):
+        values = np.ascontiguousarray(read_frame(made.frame(number)).values[5:44, 3:46])
+        spec = oiio.ImageSpec(43, 39, 1, "float")
+        spec.channelnames = ("Y",)
+        spec.x, spec.y, spec.full_width, spec.full_height = 3, 5, 48, 48
+        output = oiio.ImageOutput.create(str(made.frame(number)))
+        assert output.open(str(made.frame(number)), spec)
+        assert output.write_image(values)
+        assert output.close()
+    scored = score_dataset(load_dataset(made.path), OBSERVER, fit_settings=FAST)
+    reference, finer = compare(made.path, "own_enhancements:pixels_divided", white=100.0)
+    assert same_scores(reference.scored, scored)
+    assert np.allclose(finer.scored.scores, scored.scores, rtol=0.0, atol=1e-5)  # 32-bit code values
+
+
+def test_triangles_of_the_sample_frames_are_helped_hurt_and_left_alone() -> None:
+    """What docs/enhancement.md says of them."""
+    from pathlib import Path
+
+    samples = Path(__file__).parent.parent / "sample_frames" / "enhancement"
+    results = compare(samples, "median", "gaussian:sigma=2", "wiener:sigma=0.7", fit_settings=FitSettings())
+    verdicts = [one.overall.verdict for one in results[1:]]
+    assert verdicts == ["better", "worse", "no difference shown"]
+    psnr_db = [one.psnr_db for one in results]
+    assert min(psnr_db[1:]) > psnr_db[0] + 3.0  # by which all three would help
+
+
+def test_coverage_is_what_the_helper_draws(make_dataset) -> None:
+    """The frames of these tests: 50 cd/m² and a triangle, in code values of white."""
+    made = make_dataset(suffix=".png", contrasts=(0.4,))
+    triangle = coverage((48, 48), size_px=8.0, x_px=23.5, y_px=23.5, orientation=ORIENTATIONS[0])
+    assert np.allclose(read_frame(made.frame(0)).values[..., 0], 0.5 * (1 + 0.4 * triangle), rtol=0.0, atol=1e-5)

@@ -1,0 +1,407 @@
+"""Algorithms: how they are named, what is refused, and one contract for all that are registered."""
+
+from __future__ import annotations
+
+import math
+import sys
+from typing import Annotated
+
+import numpy as np
+import pytest
+from scipy import ndimage
+
+from todframes import enhancement_specs
+from todframes.enhancement import Declaration, enhancement, meaning, parameter
+from todframes.enhancement_specs import enhancement_names, find_enhancement
+from todframes.errors import DataError, SettingsError
+
+NAMES = enhancement_names()
+BUILT_IN = [
+    *("none", "clahe", "unsharp", "gaussian", "median", "bilateral", "nlm", "tv", "wiener", "richardson_lucy"),
+    *("guided", "gamma", "equalize", "bicubic", "lanczos"),
+]
+
+
+def picture(rows: int = 40, columns: int = 48, seed: int = 0) -> np.ndarray:
+    """A step and noise within 0.2 and 0.8, float32."""
+    image = np.random.default_rng(seed).uniform(0.2, 0.4, (rows, columns)).astype(np.float32)
+    image[rows // 4 : rows // 2, columns // 3 :] += 0.4
+    return image
+
+
+def run(spec: str, image: np.ndarray) -> np.ndarray:
+    return find_enhancement(spec).run(image)[0]
+
+
+# The contract
+
+
+def test_all_that_are_promised_are_registered() -> None:
+    assert set(BUILT_IN) <= set(NAMES)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_gives_an_image_and_leaves_its_own_alone(name: str) -> None:
+    algorithm, image = find_enhancement(name), picture()
+    before = image.copy()
+    found, cpu_s = algorithm.run(image)
+    assert found.shape == tuple(round(algorithm.magnification * side) for side in image.shape)
+    assert found.dtype.kind == "f"
+    assert np.isfinite(found).all()
+    assert np.array_equal(image, before)
+    assert cpu_s >= 0.0
+    assert np.array_equal(algorithm.run(image)[0], found)  # nothing is drawn, nothing remembered
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_colour_image_is_three_images(name: str) -> None:
+    algorithm = find_enhancement(name)
+    channels = [picture(seed=seed) for seed in range(3)]
+    found, _ = algorithm.run(np.stack(channels, axis=-1))
+    for k, channel in enumerate(channels):
+        assert np.array_equal(found[..., k], algorithm.run(channel)[0])
+
+
+# As their libraries have them, TV takes differences forwards only, the fast non-local means compares patches of an
+# even side, and CLAHE's tiles have their middles half a pixel off: they see a turned image not quite alike.
+@pytest.mark.parametrize("name", [name for name in BUILT_IN if name not in ("tv", "nlm", "clahe")])
+def test_no_direction_is_preferred(name: str) -> None:
+    """Or an algorithm would help one orientation of the triangle against the others."""
+    image = picture(48, 48)
+    turned = run(name, np.ascontiguousarray(np.rot90(image)))
+    # Sums of some thousand 32-bit numbers below 1, in another order.
+    assert np.allclose(np.rot90(turned, -1), run(name, image), rtol=0.0, atol=2e-5)
+
+
+@pytest.mark.parametrize("name", [name for name in BUILT_IN if name not in ("clahe", "equalize", "gamma")])
+def test_uniform_stays_as_it_is(name: str) -> None:
+    """What a filter does to a uniform field is what it does to the background."""
+    # As above; deconvolution feels the border by 1e-6.
+    assert np.allclose(run(name, np.full((30, 36), 0.4, np.float32)), 0.4, rtol=0.0, atol=2e-5)
+
+
+# What the single ones do, by other means
+
+
+def test_gaussian_is_scipys() -> None:
+    image = picture()
+    expected = ndimage.gaussian_filter(image, 1.5, mode="mirror", radius=6)
+    # Both cut at 4 standard deviations; OpenCV's table of weights has 32 bits.
+    assert np.allclose(run("gaussian:sigma=1.5", image), expected, rtol=0.0, atol=1e-6)
+
+
+@pytest.mark.parametrize("radius", [1, 2, 3])
+def test_median_is_that_of_the_window(radius: int) -> None:
+    image, side = picture(), 2 * radius + 1
+    windows = np.lib.stride_tricks.sliding_window_view(image, (side, side))
+    inner = run(f"median:radius={radius}", image)[radius:-radius, radius:-radius]
+    assert np.array_equal(inner, np.median(windows, axis=(2, 3)))
+
+
+def test_unsharp_adds_what_a_blur_takes_away() -> None:
+    image = picture().astype(np.float64)
+    blurred = ndimage.gaussian_filter(image, 2.0, mode="reflect")
+    found = run("unsharp:radius=2,amount=1.5", image.astype(np.float32))
+    assert np.allclose(found, image + 1.5 * (image - blurred), rtol=0.0, atol=1e-5)
+
+
+@pytest.mark.parametrize("name", ["wiener:sigma=1.5,balance=0.01", "richardson_lucy:sigma=1.5,iterations=30"])
+def test_deconvolution_undoes_most_of_a_blur(name: str) -> None:
+    sharp = picture().astype(np.float64)
+    sharp = ndimage.gaussian_filter(sharp, 1.0, mode="reflect")
+    blurred = ndimage.gaussian_filter(sharp, 1.5, mode="reflect").astype(np.float32)
+    assert np.abs(run(name, blurred) - sharp).max() < 0.5 * np.abs(blurred - sharp).max()
+
+
+@pytest.mark.parametrize("name", ["bilateral", "guided", "nlm", "tv:weight=0.02"])
+def test_edges_outlast_noise(name: str) -> None:
+    rng = np.random.default_rng(3)
+    clean = np.where(np.arange(60) < 30, 0.3, 0.7) * np.ones((60, 1))
+    noisy = (clean + rng.normal(0.0, 0.02, clean.shape)).astype(np.float32)
+    error = run(name, noisy) - clean
+    assert error.std() < 0.6 * 0.02
+    assert np.abs(error[:, 28:32].mean(axis=0)).max() < 0.05  # of a step of 0.4
+
+
+def test_equalize_makes_all_values_as_frequent() -> None:
+    found = np.sort(run("equalize:bins=4096", picture()), axis=None)
+    # Bins of 1/4096 of the range hold one value or two of 1920.
+    assert np.allclose(found, np.arange(1, found.size + 1) / found.size, rtol=0.0, atol=5 / found.size)
+
+
+def test_gamma_is_a_power() -> None:
+    image = picture()
+    assert np.allclose(run("gamma:gamma=2", image), image.astype(np.float64) ** 2, rtol=0.0, atol=1e-7)
+
+
+def test_clahe_without_limits_is_the_histogram_of_its_tile() -> None:
+    """One tile and no limit: every code value's rank among all."""
+    image = np.rint(255 * picture(64, 64)) / 255
+    found = run("clahe:tiles=1,clip_limit=0", image.astype(np.float32))
+    rank = np.searchsorted(np.sort(image, axis=None), image, side="right") / image.size
+    assert np.allclose(found, rank, rtol=0.0, atol=0.51 / 255)
+
+
+@pytest.mark.parametrize("name", ["bicubic", "lanczos"])
+def test_interpolation_goes_on_with_a_ramp_where_its_pixels_are(name: str) -> None:
+    """Pixel j of the finer image lies at (j + ½)/3 − ½ of the coarser one."""
+    ramp = np.tile(np.linspace(0.2, 0.8, 31, dtype=np.float32), (20, 1))
+    found = run(f"{name}:factor=3", ramp)
+    place = (np.arange(93) + 0.5) / 3 - 0.5
+    expected = 0.2 + 0.02 * place
+    inner = slice(15, -15)  # beyond the kernel's reach of the border
+    # Keys' kernel with a = −0.75 is off a straight line by t(1 − t)(1 − 2t)/2, at most 0.049 steps between pixels,
+    # Lanczos' by less. A grid half a pixel off would be 0.33 steps off.
+    assert np.allclose(found[10, inner], expected[inner], rtol=0.0, atol=0.05 * 0.02)
+
+
+@pytest.mark.parametrize(
+    ("spec", "image", "message"),
+    [
+        (
+            "clahe",
+            np.full((9, 9), 1.2, np.float32),
+            r"clahe: ValueError: code values run from 1.2 to 1.2 of white",
+        ),
+        ("gamma", np.full((9, 9), -0.1, np.float32), r"gamma: ValueError: code values start at -0.1 of white"),
+        ("richardson_lucy", np.full((9, 9), -0.1, np.float32), r"start at -0.1 of white, expected 0 or more"),
+    ],
+)
+def test_values_that_an_algorithm_cannot_take(spec: str, image: np.ndarray, message: str) -> None:
+    with pytest.raises(DataError, match=message):
+        run(spec, image)
+
+
+# Names and parameters
+
+
+@pytest.mark.parametrize(
+    ("spec", "message"),
+    [
+        ("unsharpen", r"enhance 'unsharpen': .*unknown key 'unsharpen'; the nearest valid one is 'unsharp'"),
+        ("unsharp:radus=2", r"enhance 'unsharp:radus=2': unknown key 'radus'; the nearest valid one is 'radius'"),
+        ("unsharp:radius=wide", r"radius: found 'wide' \(expected a number, got text\)"),
+        ("unsharp:radius=0", r"radius: found 0 \(expected a number >= 0.1\)"),
+        ("unsharp:radius=nan", r"radius: found nan \(expected a number >= 0.1\)"),
+        ("median:radius=1.5", r"radius: found 1.5 \(expected a whole number, got a number\)"),
+        ("clahe:bits=12", r"bits: found 12"),
+        ("unsharp:radius=2,radius=3", r"found radius twice, expected it once"),
+        ("unsharp:radius", r"module 'unsharp' cannot be imported"),
+        ("unsharp:radius=", r"found 'radius=', expected parameter=value"),
+        ("unsharp:=2", r"found '=2', expected parameter=value"),
+        ("none:x=1", r"unknown key 'x'"),
+        ("", r"unknown key ''"),
+    ],
+)
+def test_bad_specs(spec: str, message: str) -> None:
+    with pytest.raises(SettingsError, match=message):
+        find_enhancement(spec)
+
+
+def test_parameters_have_their_defaults_and_what_is_assigned() -> None:
+    algorithm = find_enhancement("unsharp:amount=2.5")
+    assert (algorithm.name, algorithm.spec, algorithm.what) == ("unsharp", "unsharp:amount=2.5", "Unsharp mask.")
+    assert algorithm.values == {"radius": 2.0, "amount": 2.5}
+    radius = algorithm.parameters[0]
+    assert (radius.name, radius.default, radius.meta.ge, radius.meta.extra) == ("radius", 2.0, 0.1, {"unit": "px"})
+    assert find_enhancement("clahe").parameters[2].choices == (8, 16)
+
+
+OWN = """
+import numpy as np
+
+def stretched(image, gain=2, *, middle: float = 0.5, note="x", **more):
+    \"\"\"Contrast about the middle.
+
+    In a second paragraph.
+    \"\"\"
+    return middle + gain * (image - middle) + sum(more.values())
+
+def needs(image, level):
+    return image + level
+
+def spoils(image):
+    image[:] = 0.25
+    return image
+
+def fails(image):
+    raise KeyError("no such\\nthing")
+
+def leaves(image):
+    raise SystemExit
+
+class Sharper:
+    def __call__(self, image, *, by: "float" = 1.0):
+        return by * image
+
+object_that_can_be_called = Sharper()
+number = 3
+
+def nothing():
+    return 0.0
+
+def bare(*, image):
+    return image
+
+def of(value):
+    def function(image):
+        return value(image)
+    function.__name__ = "of"
+    return function
+
+as_list = of(lambda image: image.tolist())
+as_codes = of(lambda image: (255 * image).astype(np.uint8))
+smaller = of(lambda image: image[1:])
+channels = of(lambda image: image[..., None])
+undefined = of(lambda image: np.where(image > image.min(), image, np.nan))
+infinite = of(lambda image: image / np.zeros_like(image))
+"""
+
+
+@pytest.fixture
+def own(tmp_path, monkeypatch):
+    (tmp_path / "own_algorithms.py").write_text(OWN, encoding="utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
+    yield
+    sys.modules.pop("own_algorithms", None)
+
+
+@pytest.mark.usefixtures("own")
+def test_own_functions() -> None:
+    image = picture()
+    algorithm = find_enhancement("own_algorithms:stretched")
+    assert (algorithm.name, algorithm.what) == ("own_algorithms:stretched", "Contrast about the middle.")
+    assert algorithm.declaration == Declaration()
+    assert algorithm.values == {"gain": 2, "middle": 0.5, "note": "x"}
+    assert np.allclose(algorithm.run(image)[0], 2 * image - 0.5, rtol=0.0, atol=1e-6)
+    # Any number for one whose default is a whole one; other names where the function takes any.
+    more = find_enhancement("own_algorithms:stretched:gain=0.5,offset=0.1")
+    assert np.allclose(more.run(image)[0], 0.5 * image + 0.35, rtol=0.0, atol=1e-6)
+    assert find_enhancement("own_algorithms:needs:level=0.25").run(image)[0] == pytest.approx(image + 0.25)
+    assert np.array_equal(find_enhancement("own_algorithms:object_that_can_be_called").run(image)[0], image)
+
+
+@pytest.mark.usefixtures("own")
+def test_own_functions_may_write_into_their_image() -> None:
+    image = picture()
+    before = image.copy()
+    assert (run("own_algorithms:spoils", image) == 0.25).all()
+    assert np.array_equal(image, before)
+
+
+@pytest.mark.usefixtures("own")
+@pytest.mark.parametrize(
+    ("spec", "message"),
+    [
+        (
+            "own_algorithms:stretchd",
+            r"own_algorithms: unknown key 'stretchd'; the nearest valid one is 'stretched'",
+        ),
+        ("own_algorithms:needs", r"parameter 'level' is missing"),
+        ("own_algorithms:stretched:gain=much", r"gain: found 'much' \(expected a number"),
+        ("own_algorithms:stretched:note=3", r"note: found 3 \(expected text"),
+        ("own_algorithms:number", r"found int, expected a function of an image"),
+        ("own_algorithms:nothing", r"takes no image; expected function\(image, \*\*parameters\)"),
+        ("own_algorithms:bare", r"takes no image"),
+        ("no_such_module:f", r"module 'no_such_module' cannot be imported \(ModuleNotFoundError"),
+        ("own_algorithms.deeper:f", r"module 'own_algorithms.deeper' cannot be imported"),
+    ],
+)
+def test_own_functions_that_cannot_be_used(spec: str, message: str) -> None:
+    with pytest.raises(SettingsError, match=message):
+        find_enhancement(spec)
+
+
+@pytest.mark.parametrize("text", ["def f(:", "1 / 0", "import sys; sys.exit(3)", "raise ValueError('a\\nb')"])
+def test_a_module_that_fails_when_it_is_imported(text: str, tmp_path, monkeypatch) -> None:
+    (tmp_path / "broken_algorithms.py").write_text(text, encoding="utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(SettingsError, match=r"module 'broken_algorithms' cannot be imported \(\w+:") as raised:
+        find_enhancement("broken_algorithms:f")
+    assert "\n" not in str(raised.value)
+
+
+@pytest.mark.usefixtures("own")
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("fails", r"own_algorithms:fails: KeyError: 'no such\\nthing'"),
+        ("as_list", r"own_algorithms:as_list: gave list, expected an array of floating-point numbers"),
+        ("as_codes", r"gave values of uint8, expected an array of floating-point numbers"),
+        (
+            "smaller",
+            r"gave shape \(39, 48\) for \(40, 48\), expected \(40, 48\) with the declared magnification of 1",
+        ),
+        ("channels", r"gave shape \(40, 48, 1\) for \(40, 48\)"),
+        ("undefined", r"gave 1 values that are NaN or infinite, the first at row"),
+        ("infinite", r"gave 1920 values that are NaN or infinite, the first at row 0, column 0"),
+    ],
+)
+@pytest.mark.filterwarnings("ignore:divide by zero")
+def test_own_functions_that_give_something_else(name: str, message: str) -> None:
+    with pytest.raises(DataError, match=message):
+        run(f"own_algorithms:{name}", picture())
+
+
+# Declarations
+
+
+@enhancement(domain="luminance", magnification="factor")
+def finer(
+    image,
+    *,
+    factor: Annotated[int, parameter(1, 4, what="how much")] = 2,
+    way: Annotated[str, meaning("no")] = "a",
+):
+    """Each pixel several times."""
+    del way
+    return np.kron(image, np.ones((factor, factor), image.dtype))
+
+
+def register(monkeypatch, **functions) -> None:
+    """Entry points of another package."""
+
+    class Entry:
+        group = "todframes.enhancements"
+
+        def __init__(self, name, load):
+            self.name, self.value, self.load = name, f"another_package:{name}", load
+
+    entries = [Entry(name, load) for name, load in functions.items()]
+    monkeypatch.setattr("importlib.metadata.entry_points", lambda **_: entries)
+
+
+def test_a_registered_function_with_a_declaration(monkeypatch) -> None:
+    register(monkeypatch, finer=lambda: finer)
+    algorithm = find_enhancement("finer:factor=3")
+    assert enhancement_specs.enhancement_names() == ["finer"]
+    assert (algorithm.declaration.domain, algorithm.magnification) == ("luminance", 3.0)
+    assert algorithm.run(picture())[0].shape == (120, 144)
+    with pytest.raises(SettingsError, match=r"factor: found 9 \(expected a whole number <= 4\)"):
+        find_enhancement("finer:factor=9")
+
+
+def test_a_registered_function_that_cannot_be_loaded(monkeypatch) -> None:
+    def load():
+        raise ImportError("no module of that name")
+
+    register(monkeypatch, lost=load)
+    with pytest.raises(SettingsError, match=r"another_package:lost cannot be loaded \(ImportError: no module"):
+        find_enhancement("lost")
+
+
+def test_a_magnification_that_is_no_parameter(monkeypatch) -> None:
+    register(monkeypatch, odd=lambda: enhancement(magnification="scale")(lambda image: image))
+    with pytest.raises(SettingsError, match="magnification 'scale': found None, expected a number > 0"):
+        find_enhancement("odd")
+
+
+@pytest.mark.parametrize("magnification", [0.0, -1.0, math.nan, math.inf])
+def test_a_magnification_must_be_positive(magnification: float) -> None:
+    with pytest.raises(SettingsError, match=r"magnification: found .*, expected a finite number > 0"):
+        enhancement(magnification=magnification)
+
+
+def test_a_domain_that_there_is_not() -> None:
+    with pytest.raises(SettingsError, match="domain: found 'contrast', expected one of code_value, luminance"):
+        enhancement(domain="contrast")

@@ -1,0 +1,234 @@
+"""Ratios of thresholds from the same trials: scale, identity, honest intervals, groups without a threshold."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from todframes.decision import answer_probability
+from todframes.naked_eye import contrast_threshold
+from todframes.observer import PyramidObserver
+from todframes.pairing import RatioDraws, holm, ratio_draws, threshold_ratio
+from todframes.psychometric import FitSettings, fit_trials
+from todframes.readout import Stimulus
+from todframes.stimulus import Orientation, coverage
+from todframes.weibull import weibull
+
+SETTINGS = FitSettings(resamples=400)
+LEVELS = np.geomspace(0.5, 2.0, 7)
+
+
+def p_of(level, threshold: float, lapse_rate: float = 0.0):
+    """A Weibull curve with β = 2 that is right in 75 % at the threshold."""
+    span = 0.75 - lapse_rate
+    alpha = threshold / math.sqrt(math.log2(span / (0.25 - lapse_rate)))
+    return weibull(level, alpha=alpha, beta=2.0, guess_rate=0.25, lapse_rate=lapse_rate)
+
+
+def compared(level, *series, seed: int = 1):
+    """Ratio of each series but the first to the first."""
+    p_correct, rng = np.array(series, dtype=np.float64), np.random.default_rng(seed)
+    fits = [fit_trials(level, p, settings=FitSettings(resamples=0), rng=rng) for p in p_correct]
+    draws = ratio_draws(np.asarray(level), p_correct, fits, settings=SETTINGS, rng=rng)
+    return [threshold_ratio([one]) for one in draws]
+
+
+@pytest.mark.parametrize("sampled", [False, True])
+@pytest.mark.parametrize("n_trials", [1, 2, 12])
+def test_the_same_answers_have_ratio_one_and_nothing_else(sampled: bool, n_trials: int) -> None:
+    rng, level = np.random.default_rng(0), np.repeat(LEVELS, n_trials)
+    p = np.clip(p_of(level, 1.0) + rng.normal(0.0, 0.05, level.size), 0.0, 1.0)
+    answers = (rng.random(level.size) < p).astype(np.float64) if sampled else p
+    same, again = compared(level, answers, answers, answers)
+    assert same == again
+    assert (same.ratio, same.p_value) == (1.0, 1.0)
+    assert same.ratio_ci95 == (1.0, 1.0)
+
+
+def test_a_ratio_known_from_the_curves() -> None:
+    """Noise is the same in both; the second threshold is 0.8 of the first."""
+    rng, level = np.random.default_rng(1), np.repeat(LEVELS, 20)
+    noise = rng.normal(0.0, 0.3, level.size)  # of ln level
+    (found,) = compared(level, p_of(level * np.exp(noise), 1.0), p_of(level * np.exp(noise), 0.8))
+    low, high = found.ratio_ci95
+    assert low <= 0.8 <= high
+    # Noise moves a threshold by 0.3/√(trials near it), some 4 % or 16 % from end to end, but both alike.
+    assert math.log(high / low) < 0.08
+    assert (found.p_value, found.is_lower) == (2 / 401, True)
+
+
+def test_pairs_are_surer_than_strangers() -> None:
+    """The same answers with their pairs broken: the interval of the ratio is several times as wide."""
+    rng, level = np.random.default_rng(2), np.repeat(LEVELS, 20)
+    noise = rng.normal(0.0, 0.5, level.size)
+    first, second = (p_of(level * np.exp(noise), threshold) for threshold in (1.0, 0.95))
+    broken = np.concatenate([rng.permutation(answers) for answers in second.reshape(7, 20)])
+    paired, unpaired = compared(level, first, second, broken)
+    width, wide = (math.log(one.ratio_ci95[1] / one.ratio_ci95[0]) for one in (paired, unpaired))
+    assert paired.ratio == pytest.approx(unpaired.ratio, rel=1e-9)
+    assert wide > 4 * width
+    assert paired.p_value < 0.05 < unpaired.p_value
+
+
+@pytest.mark.parametrize("sampled", [False, True])
+def test_units_and_order_do_not_matter(sampled: bool) -> None:
+    rng, level = np.random.default_rng(3), np.repeat(LEVELS, 10)
+    noise = rng.normal(0.0, 0.2, level.size)
+    series = np.array([p_of(level * np.exp(noise), threshold) for threshold in (1.0, 1.2)])
+    if sampled:
+        series = (rng.random(level.size) < series).astype(np.float64)
+    (found,) = compared(level, *series)
+    (scaled,) = compared(1e-3 * level, *series)
+    assert scaled.ratio == pytest.approx(found.ratio, rel=1e-9)
+    assert scaled.ratio_ci95 == pytest.approx(found.ratio_ci95, rel=1e-6)
+    order = np.argsort(np.tile(np.arange(10), 7), kind="stable")  # levels mixed, trials of a level in their order
+    assert compared(level[order], *series[:, order])[0] == found
+
+
+def answers_of_two_alike(*, common: float, own: float, sampled: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Levels, and answers of the real observer to two algorithms that are alike: (level, 400, 2).
+
+    External noise, in units of the internal noise, is common to both or each one's own. Every pair is there the
+    other way round as well: nothing tells the two apart.
+    """
+    observer, size_mrad, rng = PyramidObserver(), 1.0, np.random.default_rng(1)
+    readout = observer.readout(Stimulus(size_mrad))
+    side = readout.grid.side
+    triangles = (
+        coverage(
+            (side, side),
+            size_px=size_mrad / readout.grid.pitch_mrad,
+            x_px=side // 2 + dx,
+            y_px=side // 2 + dy,
+            orientation=Orientation.UP,
+        )
+        for dx, dy in rng.uniform(-0.5, 0.5, (200, 2))
+    )
+    signal = np.array([readout.score_deviations(triangle) for triangle in triangles])[:, None]
+    weights = readout.deviations.reshape(4, -1)
+    external = weights @ weights.T
+    external *= np.trace(readout.noise_covariance) / np.trace(external)
+
+    def noise(covariance, *shape):
+        values, vectors = np.linalg.eigh(covariance)
+        return rng.normal(size=(*shape, 4)) @ (vectors * np.sqrt(np.clip(values, 0.0, None))).T
+
+    middle = contrast_threshold(observer, size_mrad=size_mrad).threshold * math.sqrt(1 + common**2 + own**2)
+    answers = []
+    for level in middle * LEVELS:
+        scores = level * signal + common * noise(external, 200, 1) + own * noise(external, 200, 2)
+        if sampled:
+            right = (scores + noise(readout.noise_covariance, 200, 1)).argmax(axis=2) == 0
+        else:
+            right = answer_probability(scores, readout.noise_covariance, 0, nodes=24)
+        answers.append(np.concatenate([right, right[:, ::-1]]))
+    return middle * LEVELS, np.array(answers, dtype=np.float64)
+
+
+@pytest.mark.parametrize(("common", "own", "sampled"), [(1.0, 0.5, False), (0.0, 0.5, True)])
+def test_algorithms_that_are_alike_are_hardly_ever_called_different(
+    common: float, own: float, sampled: bool
+) -> None:
+    """At most 5 % of 300 simulated experiments of 12 trials a level; more in benchmarks/bench_pairing.py."""
+    levels, answers = answers_of_two_alike(common=common, own=own, sampled=sampled)
+    rng, level, different = np.random.default_rng(8), np.repeat(levels, 12), 0
+    for _ in range(300):
+        chosen = rng.integers(answers.shape[1], size=(7, 12))
+        p_correct = answers[np.arange(7)[:, None], chosen].reshape(-1, 2).T
+        fits = [fit_trials(level, p, settings=FitSettings(resamples=0), rng=rng) for p in p_correct]
+        draws = ratio_draws(level, p_correct, fits, settings=FitSettings(resamples=199), rng=rng)
+        different += threshold_ratio(draws).p_value < 0.05
+    assert different <= 0.05 * 300
+
+
+# Groups without a threshold
+
+
+@pytest.mark.parametrize("sampled", [False, True])
+@pytest.mark.parametrize(
+    ("reference", "other", "is_lower"),
+    [(9.0, 1.0, True), (1.0, 9.0, False), (0.05, 1.0, False), (1.0, 0.05, True), (9.0, 0.05, True)],
+)
+def test_a_threshold_that_one_of_the_two_lacks(
+    reference: float, other: float, is_lower: bool, sampled: bool
+) -> None:
+    rng, level = np.random.default_rng(4), np.repeat(LEVELS, 20)
+    series = [
+        p_of(level * np.exp(rng.normal(0.0, 0.1, level.size)), threshold) for threshold in (reference, other)
+    ]
+    if sampled:
+        series = [(rng.random(level.size) < p).astype(np.float64) for p in series]
+    (found,) = compared(level, *series)
+    assert (found.ratio, found.ratio_ci95, found.is_lower) == (None, None, is_lower)
+    assert found.p_value == 2 / 401
+
+
+@pytest.mark.parametrize("threshold", [9.0, 0.05])
+def test_a_threshold_that_both_lack(threshold: float) -> None:
+    level = np.repeat(LEVELS, 20)
+    spread = np.random.default_rng(5).normal(0.0, 0.02, (2, level.size))
+    (found,) = compared(level, *np.clip(p_of(level, threshold) + spread, 0.0, 1.0))
+    assert (found.ratio, found.p_value) == (None, 1.0)
+
+
+def test_one_level_tells_nothing() -> None:
+    (found,) = compared(np.ones(30), np.full(30, 0.4), np.full(30, 0.9))
+    assert (found.ratio, found.p_value) == (None, 1.0)
+
+
+def test_the_criterion_hardly_reached_is_no_proof() -> None:
+    """One fit ends just above the criterion, one just below it, and answers are few: nothing is shown."""
+    level = np.repeat(LEVELS, 4)
+    rng = np.random.default_rng(6)
+    answers = [(rng.random(level.size) < p_of(level, threshold)).astype(np.float64) for threshold in (2.2, 2.0)]
+    (found,) = compared(level, *answers)
+    assert found.p_value > 0.05
+
+
+# Several groups
+
+
+def draws(ratio: float | None, spread: float, points_ratio: float | None = None, seed: int = 0) -> RatioDraws:
+    middle = math.log(ratio) if ratio is not None else -math.inf
+    return RatioDraws(ratio, points_ratio, middle + np.random.default_rng(seed).normal(0.0, spread, 1999))
+
+
+def test_several_groups_have_their_geometric_mean() -> None:
+    """Each alone is not sure; of four independent ones the spread is halved."""
+    groups = [draws(0.9, 0.07, seed=seed) for seed in range(4)]
+    alone, together = threshold_ratio(groups[:1]), threshold_ratio(groups)
+    assert together.ratio == pytest.approx(0.9, rel=1e-12)
+    width, wide = (math.log(one.ratio_ci95[1] / one.ratio_ci95[0]) for one in (together, alone))
+    # Quantiles of 1999 normal deviates have an SD of 0.06 of theirs.
+    assert width == pytest.approx(wide / 2, rel=0.15)
+    assert together.p_value < 0.05 < alone.p_value
+    mixed = threshold_ratio([draws(0.5, 0.01), draws(2.0, 0.01, seed=1)])
+    assert (mixed.ratio, mixed.p_value) == (pytest.approx(1.0, rel=1e-12), 1.0)
+
+
+def test_a_group_without_a_ratio_leaves_none_for_all() -> None:
+    found = threshold_ratio([draws(0.9, 0.01), draws(None, 0.0)])
+    assert (found.ratio, found.ratio_ci95, found.is_lower) == (None, None, True)
+
+
+def test_a_difference_that_the_points_do_not_share_is_not_shown() -> None:
+    """A curve that fits one series worse than the other moves its threshold; the points say what is so."""
+    sure = threshold_ratio([draws(0.97, 0.002, points_ratio=0.975)])
+    unsure = threshold_ratio([draws(0.97, 0.002, points_ratio=1.01)])
+    assert sure.p_value == 2 / 2000
+    assert sure.ratio_ci95[1] == 0.975
+    assert (unsure.p_value, unsure.ratio_ci95[1]) == (1.0, 1.01)
+
+
+def test_less_than_one_percent_is_no_difference() -> None:
+    found = threshold_ratio([draws(0.995, 1e-5)])
+    assert (found.p_value, found.ratio_ci95[1] < 1.0) == (1.0, True)
+
+
+def test_holm() -> None:
+    """The example of Holm's own rule: of three, the smallest is tripled, the next doubled."""
+    assert holm([0.01, 0.04, 0.03]).tolist() == pytest.approx([0.03, 0.06, 0.06])
+    assert holm([0.6, 0.7]).tolist() == [1.0, 1.0]
+    assert holm([]).size == 0
