@@ -17,8 +17,8 @@ Bands = tuple[FloatArray, ...]
 
 UNIFORM_EXCESS_KURTOSIS = -1.2
 LEAST_KURTOSIS = 2e-3
-"""Of summed noise that is not taken as Gaussian. What is below, of so many neurons that their fourth cumulants cost
-more than all else, changes P(correct) by less than 1.4e-4."""
+"""Of summed noise that is not taken as Gaussian. What is below comes from so many neurons that their fourth
+cumulants cost more than all else, and changes P(correct) by less than 1.4e-4."""
 
 
 class SummedNoise(NamedTuple):
