@@ -238,7 +238,7 @@ class _Trial:
     def _precision(self, plan: CurvePlan) -> tuple[CurvePlan, Step]:
         stage, single = "double precision", replace(plan, dtype=np.float32)
         weights, single_s = self._weights(single, self.readout, TRIED_AT[:1])
-        exact, double_s = self._weights(plan, self.readout, TRIED_AT[:1])
+        exact, double_s = self.weights[:1], self.fold_s
         noise = (plan.noise(weights) - plan.noise(exact)) / self.snr**2
         bound = self.bound(self._scores(weights - exact, self.samples[:1]), noise)
         self.unit_s = self.sample_s + min(single_s, double_s)
