@@ -117,8 +117,8 @@ def test_planned_and_full_thresholds_differ_by_less_than_their_bounds(number):
     change = plan_scenes.change_at_the_same_places(planned_chain, full_chain, snr)
     assert change <= planned_chain.plan.bound
     if planned.threshold is not None:
-        # The intervals stated are of 95 %, 2.8 standard errors from eight lattices; twice as much is passed once in
-        # a thousand (Student's t, 7 degrees of freedom).
+        # The intervals stated are of 95 %, 2.8 standard errors from eight lattices; twice as much is passed once
+        # in a thousand (Student's t, 7 degrees of freedom).
         assert abs(planned.threshold - full.threshold) <= 2.0 * (planned.numerical_error + full.numerical_error)
 
 
