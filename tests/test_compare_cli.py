@@ -1,0 +1,326 @@
+"""`todframes compare` and `todframes enhancements` as a user meets them."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from todframes.cli import cli
+from todframes.command import run
+from todframes.enhancement_specs import enhancement_names
+from todframes.frame_writing import write_frame
+from todframes.frames import read_frame
+
+OWN = """
+from typing import Annotated
+from todframes.enhancement import enhancement, parameter
+
+def twice(image, gain=2.0):
+    return 0.5 + gain * (image - 0.5)
+
+@enhancement(domain="luminance")
+def flat(image, *, note: object = object()):
+    return 0.0 * image + 0.5
+"""
+
+
+@pytest.fixture
+def todframes(capsys: pytest.CaptureFixture[str]):
+    """Runs a command line; gives exit status, standard output and standard error."""
+
+    def call(*arguments: str | Path) -> tuple[int, str, str]:
+        status = run(cli, [str(argument) for argument in arguments])
+        return status, *capsys.readouterr()
+
+    return call
+
+
+@pytest.fixture
+def dataset(make_dataset) -> Path:
+    made = make_dataset(suffix=".png", sizes_mrad=(1.0, 2.0), contrasts=(0.05, 0.1, 0.2, 0.4))
+    (made.path / "clean").mkdir()
+    for number, row in enumerate(made.rows):
+        row["reference_frame"] = f"clean/{number}.png"
+        values = read_frame(made.frame(number)).values
+        write_frame(made.path / row["reference_frame"], values)
+        noise = np.random.default_rng(number).normal(0.0, 0.01, values.shape)
+        write_frame(made.frame(number), values + noise)
+    made.save()
+    return made.path
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """A folder with a user's module, from which commands are run."""
+    folder = tmp_path / "here"
+    folder.mkdir()
+    (folder / "my_algorithms.py").write_text(OWN, encoding="utf-8")
+    monkeypatch.chdir(folder)
+    monkeypatch.setattr(sys, "path", [path for path in sys.path if path])
+    yield folder
+    sys.modules.pop("my_algorithms", None)
+
+
+SPECS = ("--enhance", "gaussian:sigma=2", "--enhance", "my_algorithms:twice", "--enhance", "my_algorithms:flat")
+
+
+@pytest.mark.usefixtures("here")
+def test_json(todframes, dataset: Path) -> None:
+    status, out, err = todframes("compare", dataset, *SPECS, "--json", "--internal-noise", "0.25")
+    assert (status, err) == (0, "")
+    result = json.loads(out)
+    assert {"schema", "command", "version", "settings", "seed", "algorithms", "verdict", "skipped"} <= set(result)
+    assert (result["schema"], result["command"], result["seed"], result["skipped"]) == (1, "compare", 1, [])
+    assert (result["settings"]["internal_noise"], result["settings"]["white"]) == (0.25, 1.0)
+    assert result["data_range_cd_m2"] == 100.0
+    none, blur, twice, flat = result["algorithms"]
+    assert [one["name"] for one in result["algorithms"]] == [
+        *("none", "gaussian", "my_algorithms:twice", "my_algorithms:flat")
+    ]
+    assert [one["domain"] for one in result["algorithms"]] == ["code_value"] * 3 + ["luminance"]
+    assert (blur["spec"], blur["parameters"], twice["parameters"]) == (
+        "gaussian:sigma=2",
+        {"sigma": 2.0},
+        {"gain": 2.0},
+    )
+    assert flat["parameters"]["note"].startswith("<object object")
+    assert (none["ratios"], none["overall"], none["verdict"]) == ([], None, None)
+    for one in (blur, twice, flat):
+        assert [ratio["group"] for ratio in one["ratios"]] == [{"size_mrad": 1.0}, {"size_mrad": 2.0}]
+        for ratio, fit, before in zip(one["ratios"], one["fits"], none["fits"], strict=True):
+            assert 0.0 < ratio["p_value"] <= ratio["p_value_holm"] <= 1.0
+            if ratio["ratio"] is not None:
+                assert ratio["ratio"] == pytest.approx(fit["threshold"] / before["threshold"], rel=1e-12)
+                low, high = ratio["ratio_ci95"]
+                assert low <= ratio["ratio"] <= high
+        assert one["cpu_s"] >= 0.0
+    assert (blur["verdict"], twice["verdict"], flat["verdict"]) == ("worse", "better", "worse")
+    # The noise of 0.01 is gone, but so is the triangle.
+    assert blur["psnr_change_db"] > 1.0
+    assert blur["psnr_db"] == pytest.approx(none["psnr_db"] + blur["psnr_change_db"])
+    assert blur["disagrees"] == ["psnr", "ssim"]
+    assert [sentence.partition(":")[0] for sentence in result["verdict"]] == [
+        "gaussian",
+        "my_algorithms",
+        "my_algorithms",
+    ]
+    assert "The usual measures disagree: PSNR changes by +" in result["verdict"][0]
+    assert "75 % correct is never reached with it and is reached without" in result["verdict"][2]
+    assert result["run_time_s"] > 0.0
+
+
+def test_output_folder(todframes, dataset: Path, here: Path) -> None:
+    status, out, _ = todframes("compare", dataset, *SPECS, "-o", "result", "--json")
+    assert status == 0
+    folder = here / "result"
+    assert {file.name for file in folder.iterdir()} == {"result.json", "compare.csv", "scores.csv", "compare.png"}
+    assert (folder / "result.json").read_text(encoding="utf-8") == out
+    algorithms = json.loads(out)["algorithms"]
+    rows = list(csv.DictReader(io.StringIO((folder / "compare.csv").read_text(encoding="utf-8"))))
+    assert [(row["algorithm"], row["size_mrad"]) for row in rows[:5]] == [
+        *(("none", "1.0"), ("none", "2.0"), ("gaussian", "1.0"), ("gaussian", "2.0"), ("gaussian", "all"))
+    ]
+    assert (rows[6]["algorithm"], rows[6]["size_mrad"]) == ("my_algorithms:twice", "2.0")
+    assert float(rows[6]["ratio"]) == algorithms[2]["ratios"][1]["ratio"]
+    assert float(rows[6]["threshold_low"]) == algorithms[2]["fits"][1]["threshold_ci95"][0]
+    assert (rows[0]["ratio"], rows[0]["verdict"]) == ("", "")
+    scores = list(csv.DictReader(io.StringIO((folder / "scores.csv").read_text(encoding="utf-8"))))
+    assert len(scores) == 4 * 32
+    for name in ("none", "gaussian:sigma=2"):
+        mine = [row for row in scores if row["algorithm"] == name]
+        assert [row["trial"] for row in mine] == [row["trial"] for row in scores[:32]]
+        assert [row["displacement_x_samples"] for row in mine] == [
+            r["displacement_x_samples"] for r in scores[:32]
+        ]
+    assert read_frame(folder / "compare.png").height > 400
+    # What a result of another command left there would be taken for this one's.
+    assert todframes("score", dataset, "-o", "result")[0] == 0
+    assert not (folder / "compare.csv").exists()
+
+
+def test_the_same_picture_from_the_same_result(todframes, dataset: Path, here: Path) -> None:
+    pictures = []
+    for folder in ("one", "two"):
+        assert todframes("compare", dataset, "--enhance", "median", "-o", folder)[0] == 0
+        pictures.append((here / folder / "compare.png").read_bytes())
+    assert pictures[0] == pictures[1]
+
+
+def test_tables_and_sentences(todframes, dataset: Path, here: Path) -> None:
+    status, out, err = todframes("compare", dataset, *SPECS, "--explain")
+    assert (status, err) == (0, "")
+    for text in (
+        *(
+            "ratio",
+            "95 % interval",
+            "p (Holm)",
+            "verdict",
+            "reference",
+            "never_reached",
+            "all",
+            "PSNR (dB)",
+            "SSIM",
+        ),
+        *("PSNR and SSIM disagree", "Plan", "pyramid levels"),
+        "my_algorithms:twice: better; the threshold contrast is 0.",
+        "times that without it (95 % interval 0.",
+    ):
+        assert text in out
+    assert sorted(here.iterdir()) == [here / "my_algorithms.py"] or (here / "__pycache__").exists()
+
+
+def test_one_group(todframes, make_dataset) -> None:
+    made = make_dataset(suffix=".png", contrasts=(0.05, 0.1, 0.2, 0.4), experiment={"group_by": []})
+    status, out, _ = todframes("compare", made.path, "--enhance", "gaussian:sigma=3", "--json")
+    one = json.loads(out)["algorithms"][1]
+    assert (status, one["overall"], len(one["ratios"]), one["ratios"][0]["group"]) == (0, None, 1, {})
+    assert one["verdict"] == "worse"
+    assert (one["psnr_db"], one["ssim"], one["disagrees"]) == (None, None, [])
+    assert todframes("compare", made.path, "--enhance", "gaussian:sigma=3")[1].count("PSNR") == 0
+
+
+def test_two_of_one_name_have_their_parameters_as_names(todframes, dataset: Path) -> None:
+    _, out, _ = todframes(
+        "compare",
+        dataset,
+        "--enhance",
+        "median",
+        "--enhance",
+        "gaussian",
+        "--enhance",
+        "gaussian:sigma=2",
+        "--json",
+    )
+    assert [one["name"] for one in json.loads(out)["algorithms"]] == [
+        "none",
+        "median",
+        "gaussian",
+        "gaussian:sigma=2",
+    ]
+
+
+@pytest.mark.parametrize("start", [["-c", "from todframes.cli import main; main()"], ["-m", "todframes"]])
+def test_own_module_from_the_present_folder(dataset: Path, here: Path, start: list[str], tmp_path: Path) -> None:
+    """As by `python -m`, and as by a console script, which has its own folder first on the path."""
+    (tmp_path / "bin").mkdir()
+    script = tmp_path / "bin" / "todframes"
+    script.write_text("from todframes.cli import main\nmain()\n", encoding="utf-8")
+    command = [str(script)] if start[0] == "-c" else start
+    done = subprocess.run(
+        [sys.executable, *command, "compare", str(dataset), "--enhance", "my_algorithms:twice", "--json"],
+        cwd=here,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert json.loads(done.stdout)["algorithms"][1]["verdict"] == "better"
+    assert done.stderr == ""
+
+
+@pytest.mark.parametrize(
+    ("arguments", "status", "message"),
+    [
+        (["--enhance", "medain"], 2, "enhance 'medain': expected a registered name or module:function: "
+         "unknown key 'medain'; the nearest valid one is 'median'"),
+        (["--enhance", "median:radius=0"], 2, "radius: found 0 (expected a whole number >= 1)"),
+        (["--enhance", "my_algorithm:twice"], 2, "module 'my_algorithm' cannot be imported (ModuleNotFoundError"),
+        ([], 2, "Missing option '--enhance'"),
+        (["--enhance", "median", "--white", "0"], 2, "white: found 0.0, expected a finite number > 0"),
+        (["--enhance", "median", "--set", "resamples=0"], 2, "resamples: found 0, expected 40 or more"),
+        (["--enhance", "my_algorithms:twice:gain=9"], 1, "my_algorithms:twice:gain=9: "),
+    ],
+)  # fmt: skip
+@pytest.mark.usefixtures("here")
+def test_failures_are_one_line(todframes, dataset: Path, arguments: list[str], status: int, message: str) -> None:
+    found, out, err = todframes("compare", dataset, *arguments, "-o", "result")
+    assert (found, out, err.count("\n")) == (status, "", 1)
+    assert message in err
+    assert not Path("result").exists()
+
+
+@pytest.mark.usefixtures("here")
+def test_clipping_and_skipping_are_told(todframes, dataset: Path) -> None:
+    arguments = ("compare", dataset, "--enhance", "my_algorithms:twice:gain=4")
+    status, _, err = todframes(*arguments, "--allow-clipping")
+    assert status == 0
+    assert "note: my_algorithms:twice:gain=4: " in err
+    assert "values were clipped" in err
+    status, out, err = todframes(*arguments, "--on-error", "skip", "--json")
+    assert status == 0
+    skipped = json.loads(out)["skipped"]
+    assert len(skipped) == err.count("skipped: ")
+    assert 0 < len(skipped) < 32
+    assert all("values lie beyond 0 to 1" in one["error"] for one in skipped)
+
+
+def test_list_of_enhancements(todframes) -> None:
+    status, out, err = todframes("enhancements")
+    assert (status, err) == (0, "")
+    for text in (
+        *enhancement_names(),
+        "clip_limit",
+        "0.1 – 50",
+        "2 px",
+        "8, 16",
+        "OpenCV: createCLAHE",
+        "code values",
+    ):
+        assert text in out
+
+
+def test_list_of_enhancements_as_json(todframes) -> None:
+    status, out, _ = todframes("enhancements", "--json")
+    result = json.loads(out)
+    assert (status, result["command"], result["schema"]) == (0, "enhancements", 1)
+    listed = {one["name"]: one for one in result["enhancements"]}
+    assert set(listed) == set(enhancement_names())
+    assert [one["changes_pitch"] for one in (listed["median"], listed["lanczos"])] == [False, True]
+    (sigma,) = listed["gaussian"]["parameters"]
+    assert sigma == {
+        "name": "sigma",
+        "default": 1.0,
+        "unit": "px",
+        "range": [0.1, 50.0],
+        "choices": None,
+        "what": "standard deviation of the Gaussian",
+    }
+    for one in listed.values():
+        assert one["what"].endswith(".")
+        assert one["library"]
+        for parameter in one["parameters"]:
+            assert parameter["what"], (one["name"], parameter["name"])
+            low, high = parameter["range"] or (min(parameter["choices"]), max(parameter["choices"]))
+            assert low <= parameter["default"] <= high
+
+
+def test_a_registered_one_that_cannot_be_loaded_is_left_out(todframes, monkeypatch) -> None:
+    class Entry:
+        name, value = "lost", "another_package:lost"
+
+        def load(self):
+            raise ImportError("gone")
+
+    monkeypatch.setattr("importlib.metadata.entry_points", lambda **_: [Entry()])
+    status, out, err = todframes("enhancements", "--json")
+    assert (status, json.loads(out)["enhancements"]) == (0, [])
+    assert "left out: enhance 'lost': another_package:lost cannot be loaded (ImportError: gone)" in err
+
+
+@pytest.mark.usefixtures("here")
+def test_names_are_not_markup(todframes, make_dataset) -> None:
+    """Brackets and dollar signs in a group's name and in a parameter are shown as they are."""
+    made = make_dataset(suffix=".png", contrasts=(0.1, 0.4), experiment={"group_by": ["[bold]$x$"]})
+    for row in made.rows:
+        row["[bold]$x$"] = "_[red]$y$"
+    made.save()
+    status, out, err = todframes("compare", made.path, "--enhance", "median", "-o", "result")
+    assert (status, err) == (0, "")
+    assert "[bold]$x$" in out
+    assert "_[red]$y$" in out
