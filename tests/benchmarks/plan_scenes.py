@@ -100,7 +100,7 @@ def main(n_scenes: int) -> None:
         print(line, flush=True)
     print(
         f"{n_scenes} scenes: P beyond its bound in {beyond_bound}; {n_found} with a threshold, beyond the "
-        f"intervals in {beyond_interval}; full ÷ planned time: median {np.median(ratios):.2f}, least {min(ratios):.2f}"
+        f"intervals in {beyond_interval}; full ÷ planned: median {np.median(ratios):.2f}, least {min(ratios):.2f}"
     )
     sys.exit(beyond_bound > 0)
 
