@@ -18,6 +18,9 @@ from todframes.stimulus import ORIENTATIONS, Orientation, bounding_box_offset
 
 FloatArray = NDArray[np.float64]
 
+FULL_PLACES = 17
+"""Of a plan that leaves nothing out; twelve times as many trials as are enough for most."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CurvePlan:
@@ -41,6 +44,8 @@ class CurvePlan:
         Count display pixels that must be alike as one.
     external_noise : bool
         Whether detector noise is looked at.
+    fewest_places : int
+        Along each axis of a detector, to begin with.
     steps : tuple of Step
     unit_s : float
         Time that folding and sampling took at each place tried.
@@ -54,6 +59,7 @@ class CurvePlan:
     three_templates: bool = False
     merge_pixels: bool = False
     external_noise: bool = True
+    fewest_places: int = 1
     steps: tuple[Step, ...] = ()
     unit_s: float = math.inf
 
@@ -106,6 +112,7 @@ def full_plan(sensor: Sensor, observer: Observer, size_detectors: float) -> Curv
         observer=observer,
         field=detectors,
         sampler=field_sampler(sensor, size_detectors),
+        fewest_places=FULL_PLACES,
         steps=(Step("everything", True, f"as --plan full asks; the field is {detectors} detectors"),),
     )
 

@@ -75,7 +75,9 @@ class _Trial:
     ) -> None:
         self.sensor, self.observer, self.size = sensor, observer, size_detectors
         started = time.perf_counter()
-        self.full = replace(full_plan(sensor, observer, size_detectors), external_noise=external_noise, steps=())
+        self.full = replace(
+            full_plan(sensor, observer, size_detectors), external_noise=external_noise, fewest_places=1, steps=()
+        )
         self.sampler_s = time.perf_counter() - started
         started = time.perf_counter()
         self.readout = linear_readout(sensor, observer, size_detectors)

@@ -223,7 +223,7 @@ def predict_threshold(
     if not tolerance > 0:
         raise SettingsError(f"tolerance: found {tolerance!r}, expected a number > 0")
     pixels = chain.sensor.display.pixels_per_detector
-    ladder = [places for places in PLACES if math.gcd(places, pixels) == 1]
+    ladder = [n for n in PLACES if math.gcd(n, pixels) == 1 and n >= chain.plan.fewest_places]
     threshold: float | None = None
     slope = math.nan
     for places in ladder:
@@ -235,13 +235,15 @@ def predict_threshold(
         if threshold is None:
             return PredictedThreshold(chain.size_detectors, status, None, None, n_phases, ())
         error, slope = _error(chain, parts, threshold)
-        error += chain.plan.bound / slope * threshold
-        if error <= tolerance * threshold:
+        left_out = chain.plan.bound / slope * threshold
+        # More trials do not help against what is left out: on a curve that is flat, the error stated may stay above
+        # the tolerance.
+        if error <= max(tolerance * threshold - left_out, tolerance * threshold / 2.0):
             break
     assert threshold is not None
     levels = (threshold * 2.0 ** np.linspace(-1.0, 1.0, 7)).tolist()
     points = tuple((snr, chain.proportion_correct(parts[0], snr)) for snr in levels)
-    return PredictedThreshold(chain.size_detectors, status, threshold, error, n_phases, points)
+    return PredictedThreshold(chain.size_detectors, status, threshold, error + left_out, n_phases, points)
 
 
 def _pool(parts: list[Phases]) -> Phases:

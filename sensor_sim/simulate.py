@@ -108,8 +108,8 @@ class Simulator:
         side = self.field * per_detector
         if side > MOST_SIDE_PX:
             raise SettingsError(
-                f"pixels_per_detector: found {per_detector}, for a triangle of {size_detectors:g} detectors a frame "
-                f"of {side} × {side} pixels, expected at most {MOST_SIDE_PX} × {MOST_SIDE_PX}"
+                f"pixels_per_detector: found {per_detector}, for a triangle of {size_detectors:g} detectors a "
+                f"frame of {side} × {side} pixels, expected at most {MOST_SIDE_PX} × {MOST_SIDE_PX}"
             )
         self.sampler = field_sampler(sensor, size_detectors)
         self.matrix = axis_matrix(self.field, display=sensor.display, electronics=sensor.electronics)

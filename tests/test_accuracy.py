@@ -51,10 +51,10 @@ def draws(constant: float, each_s: float, set_up_s: float) -> list[Point]:
 
 def test_time_of_draws_along_the_square_root():
     points = draws(constant=0.2, each_s=0.01, set_up_s=0.5)
-    # 0.2/√N is 0.05 at 16 trials, and 0.001 at 40,000.
-    assert time_of_draws(points, 0.5, 0.05) == TimeAt(0.05, pytest.approx(0.66), extrapolated=False)
-    assert time_of_draws(points, 0.5, 0.001) == TimeAt(0.001, pytest.approx(400.5), extrapolated=True)
-    assert time_of_draws([], 0.5, 0.001) == TimeAt(0.001, None)
+    # 0.2/√N is 0.05 at 16 trials, and 0.001 at 40,000, of which 640 were drawn.
+    assert time_of_draws(points, 0.5, 640, 0.05) == TimeAt(0.05, pytest.approx(0.66), extrapolated=False)
+    assert time_of_draws(points, 0.5, 640, 0.001) == TimeAt(0.001, pytest.approx(400.5), extrapolated=True)
+    assert time_of_draws([], 0.5, 0, 0.001) == TimeAt(0.001, None)
 
 
 def test_time_of_a_rule_between_its_budgets():

@@ -13,7 +13,8 @@ import math
 import time
 import zlib
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from functools import partial
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +24,7 @@ from todframes.estimators import P_CORRECT, Converged, Estimate, MonteCarlo, Qua
 from todframes.timing import Point, Ratio, TimeAt, fitted_slope, speed_ratio, time_of_draws, time_of_rule
 
 FloatArray = NDArray[np.float64]
+T = TypeVar("T")
 
 TARGETS = (0.01, 0.001)
 """Errors of a threshold at which estimators are compared."""
@@ -33,8 +35,8 @@ MOST_TRIALS = 2**17
 """Drawn of an estimator; their blocks of all sizes then take seconds to estimate from."""
 LARGEST_SHOWN = 0.5
 """Error of a threshold beyond which an estimate is none."""
-TIMED = 3
-"""Runs of a set-up or variant, for the median of their times."""
+TIMED, LONG_S = 3, 0.5
+"""Runs of a set-up or variant, for the median of their times, and when they are enough."""
 
 
 class Curve(NamedTuple):
@@ -124,16 +126,21 @@ class _Clock:
         return time.process_time() - self._cpu, time.perf_counter() - self._wall
 
 
+def _timed(run: Callable[[], T]) -> tuple[tuple[float, float], T]:
+    """Median CPU and wall time of some runs, fewer if they are long, and what the last one gave."""
+    times: list[tuple[float, float]] = []
+    while len(times) < TIMED and sum(cpu_s for cpu_s, _ in times) < LONG_S:
+        clock = _Clock()
+        result = run()
+        times.append(clock.read())
+    cpu_s, wall_s = np.median(times, axis=0).tolist()
+    return (cpu_s, wall_s), result
+
+
 def _prepared(prepare: Callable[[], Callable[..., object]], *arguments: object) -> tuple[float, float]:
     """Time of the set-up, after a first run that loads what has to be loaded."""
     prepare()(*arguments)
-    times = []
-    for _ in range(TIMED):
-        clock = _Clock()
-        prepare()
-        times.append(clock.read())
-    cpu_s, wall_s = np.median(times, axis=0).tolist()
-    return cpu_s, wall_s
+    return _timed(prepare)[0]
 
 
 def _measure_draws(
@@ -160,7 +167,7 @@ def _measure_draws(
             cpu_s, wall_s = (np.array(set_up) + size * each).tolist()
             points.append(Point(size, blocks, cpu_s, wall_s, *errors))
         size *= BLOCK_GROWTH
-    times = tuple(time_of_draws(points, set_up[0], at) for at in TARGETS)
+    times = tuple(time_of_draws(points, set_up[0], total, at) for at in TARGETS)
     shown = [point for point in points if point.threshold_error <= LARGEST_SHOWN]
     return _curve(estimator, set_up[0], shown, times)
 
@@ -206,15 +213,13 @@ def _curve(
 
 
 def _changes(variants: Sequence[Variant], seed: int) -> list[Change]:
+    def run(variant: Variant) -> Estimate:
+        return variant.prepare()(np.random.default_rng(np.random.SeedSequence(seed)))
+
     results: list[tuple[str, float, Estimate]] = []
     for variant in variants:
-        times = []
-        for _ in range(TIMED):
-            rng = np.random.default_rng(np.random.SeedSequence(seed))
-            clock = _Clock()
-            estimate = variant.prepare()(rng)
-            times.append(clock.read()[0])
-        results.append((variant.label, float(np.median(times)), estimate))
+        (cpu_s, _), estimate = _timed(partial(run, variant))
+        results.append((variant.label, cpu_s, estimate))
     _, cpu_s, reference = results[0]
     return [
         Change(

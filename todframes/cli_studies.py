@@ -61,7 +61,7 @@ def stability(*, as_json: bool, as_markdown: bool, quiet: bool) -> None:
     "--time",
     "seconds",
     type=float,
-    default=20.0,
+    default=10.0,
     show_default=True,
     metavar="SECONDS",
     help="CPU time for the estimators of a scene. More shows smaller errors.",

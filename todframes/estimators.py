@@ -194,9 +194,9 @@ def monte_carlos(
         return outcomes
 
     return (
-        MonteCarlo("literal", "literal Monte Carlo", answers, 0.5, smallest, fewest),
-        MonteCarlo("folded", "Monte Carlo on folded scores", drawn, 0.15, smallest, fewest),
-        MonteCarlo("expected", "expected decisions, random phases", expected, 0.15, smallest, fewest),
+        MonteCarlo("literal", "literal Monte Carlo", answers, 0.6, smallest, fewest),
+        MonteCarlo("folded", "Monte Carlo on folded scores", drawn, 0.1, smallest, fewest),
+        MonteCarlo("expected", "expected decisions, random phases", expected, 0.1, smallest, fewest),
     )
 
 

@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from todframes.crossing import find_crossing
-from todframes.decision import answer_probabilities
 from todframes.errors import SettingsError
 from todframes.readout import Observer, Readout, Stimulus
 from todframes.stimulus import ORIENTATIONS, coverage
@@ -150,7 +149,7 @@ def _responses(observer: Observer, size_mrad: float, nodes: int) -> tuple[Readou
 def _proportion_correct(contrast: float, readout: Readout, deviations: FloatArray, weights: FloatArray) -> float:
     if not (math.isfinite(contrast) and contrast > 0):
         raise SettingsError(f"contrast: found {contrast!r}, expected a finite number > 0")
-    answers = answer_probabilities(contrast * deviations, readout.noise_covariance)
+    answers = readout.answer_probabilities(contrast * deviations)
     correct = np.stack([answers[k, :, k] for k in range(4)])
     return float((correct @ weights).mean())
 

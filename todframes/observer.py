@@ -18,6 +18,7 @@ from typing import ClassVar, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from todframes.edgeworth import fourth_cumulants
 from todframes.errors import SettingsError
 from todframes.pyramid import LaplacianPyramid
 from todframes.readout import LeftOut, Readout, Stimulus, inner_product
@@ -27,6 +28,8 @@ from todframes.stimulus import HEIGHT_PER_SIZE, ORIENTATIONS, Centre, Orientatio
 FloatArray = NDArray[np.float64]
 
 UNIFORM_EXCESS_KURTOSIS = -1.2
+LEAST_KURTOSIS = 1e-4
+"""Of summed noise that is not taken as Gaussian; below, that changes P(correct) by less than 7e-6."""
 FEWEST_LEVELS = 4
 MOST_LEVELS = 11
 """A retina image then takes half a GB."""
@@ -253,13 +256,19 @@ class PyramidObserver:
         common, upright = self._expected(mean), self._expected(image - mean)
         folded = self._fold(upright, grid)
         deviations = np.stack([np.rot90(folded, -k) for k in range(4)])
+        kurtosis = UNIFORM_EXCESS_KURTOSIS * _participation(upright)
         return Readout(
             grid=grid,
             common=self._fold(common, grid),
             deviations=deviations,
             noise_covariance=self.settings.noise_sd**2 * _overlaps(upright),
-            excess_kurtosis=UNIFORM_EXCESS_KURTOSIS * _participation(upright),
+            excess_kurtosis=kurtosis,
+            fourth_cumulants=self._cumulants(upright) if abs(kurtosis) > LEAST_KURTOSIS else None,
         )
+
+    def _cumulants(self, upright: Sequence[FloatArray]) -> FloatArray:
+        rows = [np.concatenate([np.rot90(band, -k).ravel() for band in upright]) for k in range(4)]
+        return fourth_cumulants(self.settings.noise_sd * np.array(rows), excess_kurtosis=UNIFORM_EXCESS_KURTOSIS)
 
     def _fold(self, bands: Sequence[FloatArray], grid: RetinaGrid) -> FloatArray:
         settings = self.settings

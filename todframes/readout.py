@@ -12,6 +12,8 @@ from typing import Any, ClassVar, NamedTuple, Protocol, cast, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from todframes.decision import answer_probabilities
+from todframes.edgeworth import edgeworth_correction
 from todframes.errors import SettingsError
 from todframes.retina import RetinaGrid
 from todframes.settings import check_keys
@@ -20,6 +22,7 @@ from todframes.stimulus import Centre, Orientation
 FloatArray = NDArray[np.float64]
 
 ENTRY_POINT_GROUP = "todframes.observers"
+SECOND_ORDER = 20.0
 
 
 def inner_product(a: FloatArray, b: FloatArray) -> float:
@@ -60,6 +63,8 @@ class Readout:
         Of the internal noise on the four scores less the noise they share.
     excess_kurtosis : float
         Of the summed noise on the difference of two scores: the one farthest from the Gaussian's 0.
+    fourth_cumulants : ndarray, shape (4, 4, 4, 4), or None
+        Of the same noise as `noise_covariance`; None: decisions take it as Gaussian.
     """
 
     grid: RetinaGrid
@@ -67,6 +72,7 @@ class Readout:
     deviations: FloatArray
     noise_covariance: FloatArray
     excess_kurtosis: float
+    fourth_cumulants: FloatArray | None = None
 
     def scores(self, contrast: FloatArray) -> FloatArray:
         """Noise-free inner products of a retina image, shape (side, side), with the four templates: (4,)."""
@@ -91,10 +97,32 @@ class Readout:
             deviations=np.ascontiguousarray(self.deviations[:, inner, inner]),
         )
 
+    def answer_probabilities(self, deviations: FloatArray) -> FloatArray:
+        """Probability of each answer under the internal noise, for score deviations of shape (..., 4).
+
+        To first order in what the summed noise is not Gaussian, if its fourth cumulants are known.
+        """
+        probability = answer_probabilities(deviations, self.noise_covariance)
+        if self.fourth_cumulants is None or not self.noise_covariance.any():
+            return probability
+        change = edgeworth_correction(deviations, self.noise_covariance, self.fourth_cumulants)
+        # The change of an improbable answer is a factor: the term itself could make it negative.
+        factor = np.exp(np.clip(change / np.maximum(probability, 1e-300), -1.0, 1.0))
+        changed = probability * factor
+        largest = probability.argmax(axis=-1)[..., None]
+        np.put_along_axis(changed, largest, 0.0, axis=-1)
+        np.put_along_axis(changed, largest, 1.0 - changed.sum(axis=-1, keepdims=True), axis=-1)
+        return changed
+
     @property
     def non_gaussian_bound(self) -> float:
-        """Bound on the error in P(correct) from taking the summed internal noise as Gaussian, to first order."""
-        return non_gaussian_bound(self.excess_kurtosis)
+        """Bound on the error in P(correct) from noise that is not Gaussian.
+
+        To first order in its kurtosis. Where that order is corrected for: twenty times its square, which is two to
+        five times the errors found for triangles of 0.1 to 2 mrad.
+        """
+        first_order = non_gaussian_bound(self.excess_kurtosis)
+        return first_order if self.fourth_cumulants is None else SECOND_ORDER * first_order**2
 
 
 class LeftOut(NamedTuple):

@@ -74,7 +74,7 @@ def closing_line(result: Json) -> str:
         line = f"{remark}; the intervals cover both.\n{line}"
     bound = max((fit.get("p_correct_error_bound") or 0.0 for fit in result["fits"]), default=0.0)
     if bound:
-        line += f"; P(correct) within {bound:.1g}: the summed noise is taken as Gaussian"
+        line += f"; P(correct) within {bound:.1g}, as the summed noise is not quite Gaussian"
     return line
 
 

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from todframes.dataset import Dataset, Skipped, Trial
-from todframes.decision import answer_probabilities
 from todframes.errors import DataError, SettingsError
 from todframes.planning import PlanName, Step
 from todframes.psychometric import FitSettings, PsychometricFit, fit_trials
@@ -255,7 +254,7 @@ class GroupFitter:
             if readout is None:
                 continue
             deviations = np.concatenate([seen[k].deviations for k in these])
-            answers = answer_probabilities(deviations, readout.noise_covariance)
+            answers = readout.answer_probabilities(deviations)
             ends = np.cumsum([len(seen[k].deviations) for k in these])[:-1]
             for k, of_trial in zip(these, np.split(answers, ends), strict=True):
                 probabilities[k], p_each[k] = of_trial.mean(axis=0), of_trial[:, correct[k]]

@@ -26,7 +26,8 @@ class Point(NamedTuple):
 class TimeAt(NamedTuple):
     """CPU time that a threshold error takes; None if no budget tried has it.
 
-    `extrapolated` along the measured 1/√N; `at_most` where even the smallest budget has it.
+    `extrapolated` along the measured 1/√N, to more trials than were drawn; `at_most` where even the smallest
+    budget has it.
     """
 
     error: float
@@ -74,14 +75,17 @@ def fitted_slope(
     return float(line[1]), math.sqrt(inverse[1, 1])
 
 
-def time_of_draws(points: Sequence[Point], set_up: float, error: float) -> TimeAt:
-    """Along 1/√N through the smallest blocks: there are the most of them, and larger ones hold no more of it."""
+def time_of_draws(points: Sequence[Point], set_up: float, drawn: int, error: float) -> TimeAt:
+    """Along 1/√N through the smallest blocks: there are the most of them, and larger ones hold no more of it.
+
+    It is extrapolated beyond the number of trials that were `drawn` in all.
+    """
     if not points:
         return TimeAt(error, None)
     first = points[0]
     trials = first.trials * (first.threshold_error / error) ** 2
     each = (first.cpu_s - set_up) / first.trials
-    return TimeAt(error, set_up + each * math.ceil(trials), extrapolated=trials > points[-1].trials)
+    return TimeAt(error, set_up + each * math.ceil(trials), extrapolated=trials > drawn)
 
 
 def time_of_rule(points: Sequence[Point], error: float) -> TimeAt:

@@ -1,0 +1,42 @@
+"""Makes accuracy.md and its pictures: python docs/make_accuracy.py SECONDS [FOLDER].
+
+Runs `todframes accuracy --time SECONDS` on all scenes. Pictures go to FOLDER/accuracy, the page to
+FOLDER/accuracy.md; by default that is the folder of this script.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import tempfile
+from pathlib import Path
+
+# Small matrix products gain nothing from BLAS threads.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+from todframes.accuracy_report import page
+from todframes.cli import cli
+from todframes.command import run
+
+HERE = Path(__file__).parent
+FRAMES = HERE.parent / "sample_frames" / "naked_eye"
+
+
+def main(seconds: str, folder: Path) -> int:
+    """Make page and pictures; the exit status of the command."""
+    with tempfile.TemporaryDirectory() as made:
+        status = run(cli, ["accuracy", "--time", seconds, "--dataset", str(FRAMES), "-o", made])
+        if status:
+            return status
+        result = json.loads((Path(made) / "accuracy.json").read_text(encoding="utf-8"))
+        (folder / "accuracy").mkdir(parents=True, exist_ok=True)
+        for picture in Path(made).glob("*.png"):
+            (folder / "accuracy" / picture.name).write_bytes(picture.read_bytes())
+    closing = f"\nThis page and its pictures are made by `python docs/make_accuracy.py {seconds}`.\n"
+    (folder / "accuracy.md").write_text(page(result, folder="accuracy/") + closing, encoding="utf-8")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1], Path(sys.argv[2]) if len(sys.argv) > 2 else HERE))
