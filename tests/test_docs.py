@@ -9,15 +9,20 @@ import shlex
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from todframes.cli import cli
 from todframes.command import run
+from todframes.enhancement import Declaration
+from todframes.enhancement_specs import find_enhancement
 from todframes.naked_eye import contrast_threshold
 from todframes.observer import PyramidObserver
 
 ROOT = Path(__file__).parent.parent
+SAMPLES = ["naked_eye", "grabbed_8bit", "staring_camera", "enhancement"]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
+ENHANCEMENT = (ROOT / "docs" / "enhancement.md").read_text(encoding="utf-8")
 
 
 def block(language: str) -> str:
@@ -62,6 +67,47 @@ def test_python_example(monkeypatch, capsys) -> None:
 def test_documented_files_exist() -> None:
     for name in re.findall(r"\]\(([\w./]+)\)", README):
         assert (ROOT / name).exists(), name
+    for name in re.findall(r"\]\(([\w./]+)(?:#[\w-]+)?\)", ENHANCEMENT):
+        assert (ROOT / "docs" / name).exists(), name
+
+
+def test_own_functions_of_the_enhancement_page(tmp_path: Path, monkeypatch) -> None:
+    """The functions it shows can be used as it says."""
+    found = re.search(r"^```python\n(.*?)^```$", ENHANCEMENT, re.MULTILINE | re.DOTALL)
+    (tmp_path / "own_of_docs.py").write_text(found[1], encoding="utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
+    image = np.full((6, 8), 0.6, np.float32)
+    assert np.allclose(find_enhancement("own_of_docs:stretched:gain=3").run(image)[0], 0.8, atol=1e-6)
+    finer = find_enhancement("own_of_docs:finer")
+    assert (finer.declaration.domain, finer.magnification) == ("luminance", 2.0)
+    assert finer.run(image)[0].shape == (12, 16)
+
+
+def test_declarations_of_the_enhancement_page() -> None:
+    """Its table of what the decorator takes has all of it."""
+    from dataclasses import fields
+
+    table = ENHANCEMENT.partition("What the decorator")[2].partition("\n\nA package")[0]
+    assert re.findall(r"^\| `(\w+)` \|", table, re.MULTILINE) == [field.name for field in fields(Declaration)]
+
+
+def test_enhancement_of_the_samples_is_as_shown(tmp_path: Path, monkeypatch, capsys) -> None:
+    """The page's command gives the page's thresholds, ratios and verdicts."""
+    command = re.search(r"^```sh\n(.*?)^```$", ENHANCEMENT, re.MULTILINE | re.DOTALL)[1]
+    (tmp_path / "sample_frames").symlink_to(ROOT / "sample_frames")
+    monkeypatch.chdir(tmp_path)
+    program, *arguments = shlex.split(command.replace("\\\n", " "))
+    assert (program, run(cli, arguments)) == ("todframes", 0)
+    page = re.search(r"^```text\n(.*?)^```$", ENHANCEMENT, re.MULTILINE | re.DOTALL)[1]
+    rows = re.compile(
+        r"(all|[\d.]+) +([\d.]+)(?: +([\d.]+))? .* (better|worse|no difference shown|reference) *$", re.M
+    )
+    shown, found = (rows.findall(text.partition("Beside")[0]) for text in (page, capsys.readouterr().out))
+    assert len(shown) == len(found) == 3 + 3 * 4
+    for (size, *ours, verdict), (found_size, *theirs, found_verdict) in zip(shown, found, strict=True):
+        assert (size, verdict) == (found_size, found_verdict)
+        # Other versions of the libraries that do the enhancement may round otherwise.
+        assert [float(x or 0) for x in ours] == pytest.approx([float(x or 0) for x in theirs], rel=0.02)
 
 
 def test_documented_settings_are_the_settings() -> None:
@@ -85,7 +131,7 @@ def made_again(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.mark.parametrize("name", ["naked_eye", "grabbed_8bit", "staring_camera"])
+@pytest.mark.parametrize("name", SAMPLES)
 def test_samples_can_be_made_again(made_again: Path, name: str) -> None:
     ours, theirs = ROOT / "sample_frames" / name, made_again / name
     files = sorted(path.relative_to(ours) for path in ours.rglob("*") if path.is_file())
@@ -95,7 +141,7 @@ def test_samples_can_be_made_again(made_again: Path, name: str) -> None:
         assert (ours / file).read_bytes() == (theirs / file).read_bytes(), file
 
 
-@pytest.mark.parametrize("name", ["naked_eye", "grabbed_8bit", "staring_camera"])
+@pytest.mark.parametrize("name", SAMPLES)
 def test_samples_are_valid(name: str, capsys) -> None:
     assert run(cli, ["validate", str(ROOT / "sample_frames" / name)]) == 0
     assert "all good" in capsys.readouterr().out
