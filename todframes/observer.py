@@ -31,6 +31,8 @@ FloatArray = NDArray[np.float64]
 FEWEST_LEVELS = 4
 MOST_LEVELS = 11
 """A retina image then takes half a GB."""
+LEAST_FIELD = 0.6
+"""Half the field's half width, in sizes of the triangle."""
 LARGEST_SIZE_SAMPLES = 2**MOST_LEVELS / 0.9
 SETTING_RANGES = (
     ("retina_pitch_mrad", 1e-6, 1e6),
@@ -172,6 +174,17 @@ class PyramidObserver:
     def _full(self) -> Self:
         """The same with one band, and one octave of the field, more than a triangle needs."""
         return type(self)(self.settings, more_levels=1)
+
+    def leaner(self, stimulus: Stimulus) -> Self | None:
+        """The same with one band less; None where the triangle would not fit."""
+        if self.settings.levels is not None or self._more_levels or self._levels(stimulus) == FEWEST_LEVELS:
+            return None
+        lean = type(self)(self.settings, more_levels=-1)
+        size = stimulus.size_mrad / self.settings.retina_pitch_mrad
+        try:
+            return lean if lean.grid(stimulus).side > 4.0 * LEAST_FIELD * size else None
+        except SettingsError:
+            return None
 
     def left_out(self, stimulus: Stimulus) -> LeftOut | None:
         """What the bands and the field beyond those of the readout would add to it, seen on a coarser retina.

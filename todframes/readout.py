@@ -189,6 +189,9 @@ class Thrifty(Protocol):
     def full(self) -> Observer:
         """The same observer, leaving nothing of weight out."""
 
+    def leaner(self, stimulus: Stimulus) -> Observer | None:
+        """The same observer, leaving more out; None where that cannot be."""
+
     def left_out(self, stimulus: Stimulus) -> LeftOut | None:
         """What its readout leaves out; None: nothing."""
 
