@@ -228,7 +228,7 @@ def converged(scene) -> Converged:
 def test_every_monte_carlo_has_the_converged_mean(scene, converged):
     """Its trials' own P(correct) where it is one level; recorded frames through the fit of their mean."""
     for estimator in scene.estimators(converged)[:3]:
-        n = 10 if scene.name == "recorded" else 300
+        n = 25 if scene.name == "recorded" else 300
         outcomes = estimator.prepare()(n, np.random.default_rng(1))
         assert len(outcomes) == n
         found = scene.estimate(outcomes.mean(axis=0), converged).p_correct
@@ -403,7 +403,9 @@ def test_out(todframes, tmp_path: Path):
     folder = tmp_path / "result"
     status, out, err = todframes("accuracy", "--scene", "known", "--time", "0.1", "-o", folder)
     assert (status, err) == (0, "")
-    assert {file.name for file in folder.iterdir()} == {"accuracy.json", "accuracy.md", "accuracy_known.png"}
+    assert {file.name for file in folder.iterdir()} == {
+        *("accuracy.json", "accuracy.md", "accuracy_known.png", "report.html")
+    }
     picture = (folder / "accuracy_known.png").read_bytes()
     assert picture.startswith(b"\x89PNG") and 5_000 < len(picture) < 60_000
     result = json.loads((folder / "accuracy.json").read_text(encoding="utf-8"))
