@@ -21,6 +21,7 @@ from todframes.psychometric import FitSettings
 from todframes.readout import Readout, Stimulus
 from todframes.scoring import score_dataset
 from todframes.stimulus import ORIENTATIONS, coverage
+from todframes.viewing import frame_problems
 
 FAST = FitSettings(resamples=200)
 OBSERVER = PyramidObserver()
@@ -297,6 +298,19 @@ def test_a_border_is_the_outermost_ring() -> None:
     assert Picture(screen, values[:1]).border_luminance() == 80.0
 
 
+def test_a_measured_display_has_the_range_of_its_table(make_dataset) -> None:
+    made = make_dataset(suffix=".png", contrasts=(0.2,))
+    (made.path / "lut.csv").write_text("code_value,luminance_cd_m2\n0.1,2\n0.5,30\n0.9,90\n", encoding="utf-8")
+    made.toml["display"] |= {"eotf": "lut", "lut": "lut.csv", "background_luminance_cd_m2": "border"}
+    made.save()
+    screen = Screen(load_dataset(made.path).display)
+    assert (screen.code_range, screen.luminance_range) == (pytest.approx((0.1, 0.9)), (2.0, 90.0))
+    results = compare(made.path, "own_enhancements:gain:by=1.5", "own_enhancements:light")
+    assert np.allclose(results[2].scored.scores, results[0].scored.scores, rtol=0.0, atol=1e-4)  # of 32 bits
+    with pytest.raises(FrameError, match=r"values lie beyond 0.1 to 0.9"):
+        compare(made.path, "own_enhancements:gain:by=9")
+
+
 @pytest.mark.parametrize("eotf", ["srgb", "linear"])
 def test_values_that_the_display_cannot_show(make_dataset, eotf: str) -> None:
     made = make_dataset(suffix=".png", contrasts=(0.6,), display={"eotf": eotf})
@@ -420,6 +434,15 @@ def test_a_reference_that_cannot_be_read(make_dataset, name: str, message: str) 
     made.save()
     with pytest.raises(FrameError, match=message):
         compare(made.path, "gaussian")
+
+
+def test_validate_looks_at_references(make_dataset) -> None:
+    made = with_reference(make_dataset, 0.1)
+    (made.path / made.rows[2]["reference_frame"]).write_bytes(b"")
+    data = load_dataset(made.path)
+    problems = [str(error) for trial in data.trials for error in frame_problems(data, trial)]
+    assert len(problems) == 1
+    assert "clean/2.png: found an empty file, expected EXR or PNG" in problems[0]
 
 
 def test_a_reference_may_not_leave_the_dataset(make_dataset) -> None:

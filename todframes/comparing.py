@@ -63,7 +63,7 @@ class AlgorithmResult:
 
     `compared` has one item for each group, in the order of `scored.fits`; for several groups `overall` is their
     geometric mean. Both are empty for the reference itself. `psnr_db` and `ssim` are those of the displayed
-    luminance against the frames without noise, over all trials that have one; None if there are none. `n_clipped`
+    luminance against the frames without noise, over all frames that have one; None if there are none. `n_clipped`
     values were beyond the display's range. `cpu_s` is the algorithm's own running time over all frames.
     """
 

@@ -57,6 +57,9 @@ class Screen:
     @property
     def luminance_range(self) -> tuple[float, float]:
         """Luminance of black and white in cd/m²; the data range of PSNR and SSIM is their difference."""
+        if self.display.lut is not None:
+            measured = self.display.lut.luminance_cd_m2
+            return float(measured.min()), float(measured.max())
         black, white = self.display.luminance(np.array(self.code_range).reshape(2, 1, 1))[:, 0]
         return float(black), float(white)
 

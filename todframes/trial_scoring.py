@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -125,7 +124,7 @@ class TrialScorer:
         readout, grid = readout_of(trial), grid_of()
         if readout is None and self.decisions == "expected":
             raise SettingsError("decisions: found 'expected', but this observer is not linear; expected 'sampled'")
-        seen = []
+        seen, state = [], rng.bit_generator.state
         for shown in ways:
             started = time.perf_counter()
             scores = deviations = np.full((len(displaced), 4), np.nan)
@@ -135,7 +134,8 @@ class TrialScorer:
                 scores, deviations = (np.array(part) for part in zip(*pairs, strict=True))
             if self.decisions == "sampled":
                 image = retina_image(shown, grid, (displaced[0, 0], displaced[0, 1]))
-                answer = observer.respond(image, trial.stimulus, copy.deepcopy(rng)).quarter_turns
+                rng.bit_generator.state = state
+                answer = observer.respond(image, trial.stimulus, rng).quarter_turns
             seconds = reading_s + time.perf_counter() - started
             seen.append(SeenTrial(trial, displaced, scores, deviations, answer, shown.n_negative, seconds))
         return seen
