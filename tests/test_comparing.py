@@ -574,18 +574,6 @@ def test_part_of_an_exr(make_dataset) -> None:
     assert np.allclose(finer.scored.scores, scored.scores, rtol=0.0, atol=1e-5)  # 32-bit code values
 
 
-def test_triangles_of_the_sample_frames_are_helped_hurt_and_left_alone() -> None:
-    """What docs/enhancement.md says of them."""
-    from pathlib import Path
-
-    samples = Path(__file__).parent.parent / "sample_frames" / "enhancement"
-    results = compare(samples, "median", "gaussian:sigma=2", "wiener:sigma=0.7", fit_settings=FitSettings())
-    verdicts = [one.overall.verdict for one in results[1:]]
-    assert verdicts == ["better", "worse", "no difference shown"]
-    psnr_db = [one.psnr_db for one in results]
-    assert min(psnr_db[1:]) > psnr_db[0] + 3.0  # by which all three would help
-
-
 def test_coverage_is_what_the_helper_draws(make_dataset) -> None:
     """The frames of these tests: 50 cd/m² and a triangle, in code values of white."""
     made = make_dataset(suffix=".png", contrasts=(0.4,))

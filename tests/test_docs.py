@@ -92,7 +92,7 @@ def test_declarations_of_the_enhancement_page() -> None:
 
 
 def test_enhancement_of_the_samples_is_as_shown(tmp_path: Path, monkeypatch, capsys) -> None:
-    """The page's command gives the page's thresholds, ratios and verdicts."""
+    """The page's command gives the page's thresholds, ratios and verdicts: one helps, one hurts, one does nothing."""
     command = re.search(r"^```sh\n(.*?)^```$", ENHANCEMENT, re.MULTILINE | re.DOTALL)[1]
     (tmp_path / "sample_frames").symlink_to(ROOT / "sample_frames")
     monkeypatch.chdir(tmp_path)
@@ -104,6 +104,7 @@ def test_enhancement_of_the_samples_is_as_shown(tmp_path: Path, monkeypatch, cap
     )
     shown, found = (rows.findall(text.partition("Beside")[0]) for text in (page, capsys.readouterr().out))
     assert len(shown) == len(found) == 3 + 3 * 4
+    assert [row[-1] for row in found if row[0] == "all"] == ["better", "worse", "no difference shown"]
     for (size, *ours, verdict), (found_size, *theirs, found_verdict) in zip(shown, found, strict=True):
         assert (size, verdict) == (found_size, found_verdict)
         # Other versions of the libraries that do the enhancement may round otherwise.

@@ -14,7 +14,7 @@ Json = dict[str, Any]
 
 PSNR_STEP_DB, SSIM_STEP = 0.1, 0.005
 """Changes of PSNR and SSIM that count as none."""
-SAME = "no difference shown"
+NO_DIFFERENCE = "no difference shown"
 REACHED = {
     "never_reached": "is never reached",
     "always_exceeded": "is always exceeded",
@@ -90,7 +90,7 @@ def _disagreeing(measures: Mapping[str, float | None], verdict: str) -> list[str
     for name, key, step in (("psnr", "psnr_change_db", PSNR_STEP_DB), ("ssim", "ssim_change", SSIM_STEP)):
         change = measures[key]
         if change is not None:
-            opinion = SAME if abs(change) < step else "better" if change > 0 else "worse"
+            opinion = NO_DIFFERENCE if abs(change) < step else "better" if change > 0 else "worse"
             found += [name] if opinion != verdict else []
     return found
 
@@ -113,7 +113,7 @@ def _sentence(one: Json, reference: Json, p_correct: float) -> str:
     if one["overall"] and len(set(verdicts)) > 1:
         told = [
             f"{verdict} at {_groups([r['group'] for r in one['ratios'] if r['verdict'] == verdict])}"
-            for verdict in ("better", "worse", SAME)
+            for verdict in ("better", "worse", NO_DIFFERENCE)
             if verdict in verdicts
         ]
         text += f"; {'; '.join(told)}"
