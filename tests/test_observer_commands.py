@@ -161,6 +161,16 @@ def test_documented_thresholds_are_the_thresholds() -> None:
         assert found.threshold == pytest.approx(documented, rel=1e-2 + 2e-3 + 5e-3)
 
 
+@pytest.mark.parametrize("name", OWN_SETTINGS)
+def test_documented_naked_eye_is_what_the_command_says(name: str, capsys) -> None:
+    header, row = (
+        re.search(rf"^\| {first} \| (.*) \|$", DOCS, re.MULTILINE)[1].split(" | ") for first in ("observer", name)
+    )
+    (fit,) = succeed(todframes, capsys, "naked-eye", "--size-mrad", "1", "--observer", name, "--json")["fits"]
+    # Four digits, and the search's own error.
+    assert fit["threshold"] == pytest.approx(float(row[header.index("1 mrad")]), rel=5e-4)
+
+
 def test_settings_that_are_shown_for_a_sensor_can_be_had(monkeypatch, capsys) -> None:
     monkeypatch.chdir(ROOT)
     exec(re.search(r"^```python matched\n(.*?)^```$", DOCS, re.MULTILINE | re.DOTALL)[1], {})
