@@ -92,7 +92,7 @@ def test_declarations_of_the_enhancement_page() -> None:
 
 
 def test_enhancement_of_the_samples_is_as_shown(tmp_path: Path, monkeypatch, capsys) -> None:
-    """The page's command gives the page's thresholds, ratios and verdicts: one helps, one hurts, one does nothing."""
+    """The page's command gives its thresholds, ratios and verdicts: one helps, one hurts, one does nothing."""
     command = re.search(r"^```sh\n(.*?)^```$", ENHANCEMENT, re.MULTILINE | re.DOTALL)[1]
     (tmp_path / "sample_frames").symlink_to(ROOT / "sample_frames")
     monkeypatch.chdir(tmp_path)
