@@ -29,7 +29,6 @@ from scipy.optimize import brentq
 from sensor_sim.noise import delta_t_mk, excess_kurtosis, k_factor, noise_parts
 from sensor_sim.pictures import trial_stages
 from sensor_sim.predict import FoldedChain, PredictedThreshold, predict_threshold
-from sensor_sim.reconstruction import detector_weights, display_position_px
 from sensor_sim.sensor import Sensor, load_sensor
 from sensor_sim.simulate import Simulator, plan_trials
 from sensor_sim.transfer import diffraction_mtf, pre_sample_mtf
@@ -39,7 +38,7 @@ from todframes.observer import PyramidObserver, PyramidSettings
 from todframes.psychometric import FitSettings, PsychometricFit, fit_trials
 from todframes.pyramid import LaplacianPyramid
 from todframes.readout import Stimulus
-from todframes.retina import overlap_matrix, resample
+from todframes.retina import resample
 from todframes.stimulus import ORIENTATIONS, Orientation, coverage
 from todframes.weibull import weibull
 
@@ -382,19 +381,7 @@ def weibull_numbers() -> Values:
 
 def weights_on_detectors(chain: FoldedChain, x: float, y: float) -> np.ndarray:
     """Weights of the four score deviations on the detectors, the retina's middle at a place: (4, field²)."""
-    display, grid = chain.sensor.display, chain.readout.grid
-    columns, rows = (
-        overlap_matrix(
-            grid,
-            centre_px=display_position_px(place, n_detectors=chain.field, display=display),
-            pixel_pitch_mrad=display.pixel_pitch_mrad,
-            first_pixel=0,
-            n_pixels=len(chain.hold),
-        )
-        for place in (x, y)
-    )
-    on_display = np.stack([rows.T @ weights @ columns for weights in chain.readout.deviations])
-    return display.gain * detector_weights(on_display, chain.hold).reshape(4, -1)
+    return chain.sensor.display.gain * chain.plan.all_four(chain.folding.weights(x, y))
 
 
 SENSORS = 24

@@ -116,7 +116,7 @@ def simulate(
 )
 @plan_options
 @seed_option
-@click.option("-o", "--out", metavar="OUT", help="Folder for result.json and plots.")
+@click.option("-o", "--out", metavar="OUT", help="Folder for result.json, report.html and plots.")
 @json_option
 @click.option("--quiet", is_flag=True, help="No progress on standard error.")
 def curve(
@@ -175,18 +175,26 @@ def curve(
                     one["delta_t_mk"] = None if snr is None else float(delta_t_mk(snr, noise=settings.noise))
                 fits.append(one)
                 advance(1)
+        more: Json = {}
+        if staging is not None:
+            from sensor_sim.pictures import threshold_examples
+
+            more["examples"] = threshold_examples(settings, observer, fits, seed=seed)
         result = report.result_object(
             "curve",
             settings=described | {"sensor": asdict(settings), "tolerance": tolerance, "plan": plan_name},
             seed=seed,
             fits=fits,
             skipped=[],
+            **more,
             run_time_s=time.perf_counter() - start,
         )
         if staging is not None:
+            from todframes.html_report import report_html
             from todframes.plots import plots
 
-            report.write_files(staging, {**plots(result), "result.json": report.encode(result)})
+            files = {**plots(result), "report.html": report_html(result), "result.json": report.encode(result)}
+            report.write_files(staging, files)
     print_result(result, f"{settings.name}: TOD curve", as_json=as_json, explain=explain)
     if not as_json:
         click.echo(report.closing_line(result))

@@ -70,13 +70,12 @@ class CurvePlan:
 
     def folding(self, sensor: Sensor, readout: Readout, size_detectors: float) -> Folding:
         """The readout's weights on the way to the detectors."""
-        # What all four share decides nothing.
-        images = readout.deviations - readout.deviations.mean(axis=0)
         offsets = [centre_offset(self.observer, orientation, size_detectors) for orientation in ORIENTATIONS]
         return Folding(
             sensor,
             readout.grid,
-            images[:3] if self.three_templates else images,
+            readout.deviations,
+            n=3 if self.three_templates else 4,
             field=self.field,
             reach_detectors=0.5 + max(map(abs, np.ravel(offsets))),
             dtype=self.dtype,

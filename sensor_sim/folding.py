@@ -37,7 +37,10 @@ class Folding:
     ----------
     sensor : Sensor
     grid : RetinaGrid
-    images : ndarray, shape (n, side, side)
+    images : ndarray, shape (4, side, side)
+        What they have in common decides nothing and is taken out.
+    n : int
+        How many of them are folded.
     field : int
         Detectors along each side of the square field.
     reach_detectors : float
@@ -55,12 +58,13 @@ class Folding:
         grid: RetinaGrid,
         images: FloatArray,
         *,
+        n: int = 4,
         field: int,
         reach_detectors: float,
         dtype: DTypeLike = np.float64,
         merge_pixels: bool = True,
     ) -> None:
-        self.n, self.field, self.dtype = len(images), field, np.dtype(dtype)
+        self.n, self.field, self.dtype = n, field, np.dtype(dtype)
         pitch = sensor.display.detector_pitch_mrad
         self.pixels = 1 if merge_pixels and is_unblurred(sensor) else sensor.display.pixels_per_detector
         self.pixel_pitch_mrad = pitch / self.pixels
@@ -72,6 +76,7 @@ class Folding:
         margin = max((grid.side - seen) // 2, 0)
         self.grid = RetinaGrid(grid.side - 2 * margin, grid.pitch_mrad)
         images = images[:, margin : margin + self.grid.side, margin : margin + self.grid.side]
+        images = images[:n] - images.mean(axis=0)
         by_column = np.ascontiguousarray(images.transpose(2, 0, 1), dtype=self.dtype)
         self._along_x_first = by_column.reshape(self.grid.side, self.n * self.grid.side)
 

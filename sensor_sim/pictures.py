@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,7 +17,11 @@ from sensor_sim.simulate import Simulator, Trial
 from sensor_sim.transfer import stages
 from todframes import __version__
 from todframes.frame_writing import write_frame
-from todframes.stimulus import coverage
+from todframes.readout import Observer, Stimulus
+from todframes.result import evenly
+from todframes.retina import resample
+from todframes.stimulus import Orientation, bounding_box_offset, coverage
+from todframes.viewing import Patch
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -143,6 +148,52 @@ def trial_stages(sensor: Sensor, trial: Trial, *, seed: int) -> dict[str, FloatA
         "e_noise": noisy,
         "f_hold": np.kron(noisy, np.ones((per_detector, per_detector))),
         "g_display": contrast / sensor.display.gain,
+    }
+
+
+def threshold_examples(sensor: Sensor, observer: Observer, fits: Sequence[Json], *, seed: int) -> list[Json]:
+    """A simulated frame at threshold, as displayed and as the observer sees it, of sizes that have a threshold.
+
+    Parameters
+    ----------
+    fits : sequence of dict
+        As in `result.json`, with levels in SNR and grouped by size_detectors.
+    """
+    from todframes.examples import MOST_EXAMPLES
+
+    known = [fit for fit in fits if fit["threshold"] is not None]
+    return [_threshold_example(sensor, observer, fit, seed) for fit in evenly(known, MOST_EXAMPLES)]
+
+
+def _threshold_example(sensor: Sensor, observer: Observer, fit: Json, seed: int) -> Json:
+    from todframes.examples import FramePart, pictures
+
+    size, pitch_mrad = fit["group"]["size_detectors"], sensor.display.pixel_pitch_mrad
+    trial = Trial((0, 0, 0), size, fit["threshold"], Orientation.UP)
+    (frame,) = Simulator(sensor, size, seed=seed).frames([trial])
+    contrast = frame.luminance_cd_m2 / sensor.display.background_luminance_cd_m2 - 1.0
+    stimulus = Stimulus(size * sensor.display.detector_pitch_mrad)
+    dx, dy = bounding_box_offset(trial.orientation) if observer.centre == "bounding_box" else (0.0, 0.0)
+    size_px = size * sensor.display.pixels_per_detector
+    retina = resample(
+        contrast,
+        observer.grid(stimulus),
+        x_px=frame.x_px + dx * size_px,
+        y_px=frame.y_px + dy * size_px,
+        pixel_pitch_mrad=pitch_mrad,
+    )
+    return {
+        "group": fit["group"],
+        "level": fit["level"],
+        "strength": trial.snr,
+        "orientation": trial.orientation.value,
+        **pictures(
+            [FramePart(Patch(contrast, 0, 0, 0), frame.x_px, frame.y_px)],
+            retina,
+            observer=observer,
+            stimulus=stimulus,
+            pixel_pitch_mrad=pitch_mrad,
+        ),
     }
 
 

@@ -11,6 +11,7 @@ import math
 import time
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,7 +59,18 @@ def plan_curve(
     """
     if name == "full":
         return full_plan(sensor, observer.full() if isinstance(observer, Thrifty) else observer, size_detectors)
-    return _Trial(sensor, observer, size_detectors, p_correct, tolerance, external_noise).plan()
+    started = time.perf_counter()
+    full = replace(
+        full_plan(sensor, observer, size_detectors), external_noise=external_noise, fewest_places=1, steps=()
+    )
+    sampler_s = time.perf_counter() - started
+    stimulus = Stimulus(size_detectors * sensor.display.detector_pitch_mrad)
+    leaner = observer.leaner(stimulus) if isinstance(observer, Thrifty) else None
+    if leaner is not None:
+        trial = _Trial(sensor, size_detectors, replace(full, observer=leaner), sampler_s, p_correct, tolerance)
+        if trial.levels_suffice():
+            return trial.plan()
+    return _Trial(sensor, size_detectors, full, sampler_s, p_correct, tolerance).plan()
 
 
 class _Trial:
@@ -67,20 +79,16 @@ class _Trial:
     def __init__(
         self,
         sensor: Sensor,
-        observer: Observer,
         size_detectors: float,
+        full: CurvePlan,
+        sampler_s: float,
         p_correct: float,
         tolerance: float,
-        external_noise: bool,
     ) -> None:
-        self.sensor, self.observer, self.size = sensor, observer, size_detectors
+        self.sensor, self.observer, self.size = sensor, full.observer, size_detectors
+        self.full, self.sampler_s = full, sampler_s
         started = time.perf_counter()
-        self.full = replace(
-            full_plan(sensor, observer, size_detectors), external_noise=external_noise, fewest_places=1, steps=()
-        )
-        self.sampler_s = time.perf_counter() - started
-        started = time.perf_counter()
-        self.readout = linear_readout(sensor, observer, size_detectors)
+        self.readout = linear_readout(sensor, self.observer, size_detectors)
         self.readout_s = time.perf_counter() - started
         self.weights, self.fold_s = self._weights(self.full, self.readout)
         self.samples, self.sample_s = self._samples(self.full.sampler)
@@ -149,19 +157,30 @@ class _Trial:
             plan, steps=(*levels, optics, field_step, *period, precision, *identities), unit_s=self.unit_s
         )
 
-    def _levels(self, plan: CurvePlan) -> tuple[CurvePlan, Sequence[Step]]:
+    @cached_property
+    def levels_bound(self) -> float | None:
+        """On the change of P(correct) by further levels; None where the observer leaves none out."""
         stimulus = Stimulus(self.size * self.sensor.display.detector_pitch_mrad)
         missing = self.observer.left_out(stimulus) if isinstance(self.observer, Thrifty) else None
         if missing is None:
-            return plan, ()
-        assert isinstance(self.observer, Thrifty)
+            return None
+        plan = self.full
         added, _ = self._weights(plan, replace(self.readout, grid=missing.grid, deviations=missing.deviations))
         noise = (plan.noise(self.weights + added) - plan.noise(self.weights)) / self.snr**2
-        bound = self.bound(self._scores(added, self.samples), noise + missing.noise_covariance)
-        stage, side = "pyramid levels", self.readout.grid.side
+        return self.bound(self._scores(added, self.samples), noise + missing.noise_covariance)
+
+    def levels_suffice(self) -> bool:
+        """Whether no further levels are needed."""
+        return self.levels_bound is None or self.levels_bound <= LARGEST_SHARE * self.budget
+
+    def _levels(self, plan: CurvePlan) -> tuple[CurvePlan, Sequence[Step]]:
+        bound, stage, side = self.levels_bound, "pyramid levels", self.readout.grid.side
+        if bound is None:
+            return plan, ()
         if self._affordable(bound):
-            why = f"a retina of {side} × {side} samples is wide enough; one level less than full"
+            why = f"a retina of {side} × {side} samples is wide enough for this tolerance"
             return plan, [Step(stage, False, why, bound, saves_once_s=3.0 * self.readout_s)]
+        assert isinstance(self.observer, Thrifty)
         why = f"one level more than for {side} × {side} samples, which would change P by up to {bound:.1g}"
         return replace(plan, observer=self.observer.full()), [Step(stage, True, why)]
 
@@ -238,7 +257,7 @@ class _Trial:
     def _precision(self, plan: CurvePlan) -> tuple[CurvePlan, Step]:
         stage, single = "double precision", replace(plan, dtype=np.float32)
         weights, single_s = self._weights(single, self.readout, TRIED_AT[:1])
-        exact, double_s = self._weights(plan, self.readout, TRIED_AT[:1])
+        exact, double_s = self.weights[:1], self.fold_s
         noise = (plan.noise(weights) - plan.noise(exact)) / self.snr**2
         bound = self.bound(self._scores(weights - exact, self.samples[:1]), noise)
         self.unit_s = self.sample_s + min(single_s, double_s)

@@ -236,8 +236,8 @@ def predict_threshold(
             return PredictedThreshold(chain.size_detectors, status, None, None, n_phases, ())
         error, slope = _error(chain, parts, threshold)
         left_out = chain.plan.bound / slope * threshold
-        # More trials do not help against what is left out: on a curve that is flat, the error stated may stay above
-        # the tolerance.
+        # More trials do not help against what is left out: on a curve that is flat, the error stated may stay
+        # above the tolerance.
         if error <= max(tolerance * threshold - left_out, tolerance * threshold / 2.0):
             break
     assert threshold is not None

@@ -106,23 +106,6 @@ def display_signal(samples: FloatArray, matrix: FloatArray) -> FloatArray:
     return _product(_product(matrix, samples), matrix.T)
 
 
-def detector_weights(weights: FloatArray, matrix: FloatArray) -> FloatArray:
-    """Weights on the detector samples that do the same as weights on the display: Bᵀ Y B.
-
-    The adjoint of `display_signal`: ⟨Y, B X Bᵀ⟩ = ⟨Bᵀ Y B, X⟩.
-
-    Parameters
-    ----------
-    weights : ndarray, shape (..., n_px, n_px)
-    matrix : ndarray, shape (n_px, n)
-
-    Returns
-    -------
-    ndarray, shape (..., n, n)
-    """
-    return _product(matrix.T, _product(weights, matrix))
-
-
 def _product(a: FloatArray, b: FloatArray) -> FloatArray:
     """a @ b, by blocks of rows so small that BLAS starts no threads.
 

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import copy
 import csv
 import io
 import json
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +19,8 @@ from todframes.stimulus import ORIENTATIONS, coverage
 
 PITCH_MRAD = 0.25
 WHITE, BACKGROUND = 100.0, 50.0  # cd/m²
+# A grey PNG of one pixel, in base64.
+ONE_PIXEL = "iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAAAAAA6fptVAAAACklEQVR4nGNoAAAAggCBd81ytgAAAABJRU5ErkJggg=="
 
 
 @dataclass
@@ -153,3 +157,109 @@ def _toml_text(content: Mapping[str, Any]) -> str:
 def _toml_value(value: Any) -> str:
     # JSON's texts, lists, true and false are TOML's too; NaN and infinity are not.
     return repr(value) if isinstance(value, float) else json.dumps(value)
+
+
+def fits_on_curves(
+    sizes: Sequence[float], *, name: str = "size_mrad", level: str = "contrast", factor: float = 1.0, **more: Any
+) -> list[dict[str, Any]]:
+    """Fits as in `result.json`, threshold `factor` ÷ size, their points on Weibull curves with β = 2."""
+    fits = []
+    for size in sizes:
+        threshold = factor / size
+        alpha = threshold / math.sqrt(math.log2(3.0))
+        levels = [threshold * 2.0**k for k in (-1.0, -0.5, 0.0, 0.5, 1.0)]
+        fits.append(
+            {
+                "group": {name: size},
+                "level": level,
+                "status": "ok",
+                "threshold": threshold,
+                "threshold_ci95": [threshold / 1.1, threshold * 1.1],
+                "points_threshold": 1.05 * threshold,
+                "p_correct": 0.75,
+                "alpha": alpha,
+                "beta": 2.0,
+                "gamma": 0.25,
+                "delta": 0.0,
+                "n_trials": 200,
+                "points": [
+                    {"level": x, "n_trials": 40, "p_correct": 1.0 - 0.75 * 2.0 ** -((x / alpha) ** 2.0)}
+                    for x in levels
+                ],
+                "p_correct_error_bound": 3e-4,
+                **more,
+            }
+        )
+    return fits
+
+
+@pytest.fixture(scope="session")
+def results_of_commands() -> dict[str, dict[str, Any]]:
+    """A result of each command that has a report, as read from its JSON; not to be changed."""
+    common = {"schema": 1, "version": "1.2.3", "settings": {"internal_noise": 0.5, "levels": None}, "seed": 7}
+    common["run_time_s"] = 1.25
+    fits = fits_on_curves((1.0, 2.0, 4.0))
+    computed = fits_on_curves((4.0, 8.0), name="size_detectors", level="snr", threshold_ci95=None, n_trials=0)
+    for fit in computed:
+        fit |= {"threshold_numerical_error": 2.4e-3 * fit["threshold"], "delta_t_mk": 20.0 * fit["threshold"]}
+        fit |= dict.fromkeys(("alpha", "beta", "gamma", "delta", "points_threshold"))
+        fit["points"] = [point | {"n_trials": 0} for point in fit["points"]]
+    none = {"status": "never_reached", "threshold": None, "threshold_numerical_error": None, "delta_t_mk": None}
+    never = computed[0] | none | {"group": {"size_detectors": 2.0}, "points": []}
+    example = {"group": {"size_mrad": 2.0}, "level": "contrast", "strength": 0.5, "orientation": "up"}
+    example |= {"p_correct": 0.75, "frame": "frames/1.exr", "n_frames": 2, "width_mrad": 6.0}
+    example["pictures"] = [
+        {"name": name, "png": ONE_PIXEL, "scale": 1.0} for name in ("display", "retina", "band 0")
+    ]
+    verdicts = {0.8: "better", 1.0: "no difference shown", 1.25: "worse"}
+    algorithms = [{"name": "none", "spec": "none", "parameters": {}, "domain": "code values", "fits": fits}]
+    for name, ratios in (("clahe", (0.8, 1.0, 1.25)), ("blur", (1.25, 1.25, 1.25)), ("median", (1.0, 1.0, 1.0))):
+        of_name = [
+            {
+                "group": fit["group"],
+                "ratio": ratio,
+                "ratio_ci95": [ratio / 1.1, ratio * 1.1],
+                "p_value": 0.001,
+                "p_value_holm": 0.009,
+                "verdict": verdicts[ratio],
+            }
+            for fit, ratio in zip(fits, ratios, strict=True)
+        ]
+        more = {"parameters": {"radius": 2}, "psnr_db": 31.5, "ssim": 0.9, "cpu_s": 0.5}
+        more["overall"] = {"ratio": 1.1, "ratio_ci95": [1.05, 1.15], "p_value_holm": 0.01, "verdict": "worse"}
+        algorithms.append(algorithms[0] | {"name": name, "spec": name, "ratios": of_name} | more)
+    estimators = [
+        {
+            "name": name,
+            "label": name.replace("_", " "),
+            "set_up_cpu_s": 0.25,
+            "slope": slope,
+            "slope_standard_error": None,
+            "points": [{"trials": n, "cpu_s": 1e-3 * n, "threshold_error": n**slope} for n in (1, 10, 100)],
+            "cpu_s_at": [{"threshold_error": 0.01, "cpu_s": 1e-3 * 0.01 ** (1 / slope), "extrapolated": True}],
+        }
+        for name, slope in (("literal", -0.5), ("closed_form", -1.5))
+    ]
+    scene = {"name": "camera", "title": "camera, no noise", "estimators": estimators, "threshold": 0.5}
+    scene["speed_ratios"] = [{"threshold_error": 0.01, "ratio": 464.2, "extrapolated": True, "at_least": False}]
+    scene["variants"] = [{"label": "float32", "cpu_ratio": 0.5, "threshold_change": 1e-7}]
+    plan = [{"stage": "optics", "kept": False, "why": "no blur", "bound": 1e-7, "saves_s": 0.2}]
+    skipped = [{"frame": "frames/9.exr", "error": "frames/9.exr: the file is empty"}]
+    return {
+        "score": common
+        | {"command": "score", "dataset": "my_camera", "fits": fits, "examples": [example]}
+        | {"plan": plan, "skipped": skipped},
+        "curve": common | {"command": "curve", "fits": [never, *computed]},
+        "naked-eye": common | {"command": "naked-eye", "fits": [fit | {"points": []} for fit in computed]},
+        "fit": common | {"command": "fit", "fits": [fits[0] | {"group": {"eye": "left"}, "level": "level"}]},
+        "compare": common
+        | {"command": "compare", "dataset": "my_camera", "algorithms": algorithms}
+        | {"examples": [example | {"algorithm": name} for name in ("none", "clahe")]},
+        "accuracy": common | {"command": "accuracy", "scenes": [scene]},
+    }
+
+
+@pytest.fixture
+def results(results_of_commands: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
+    """The same, to be changed."""
+    return copy.deepcopy(results_of_commands)

@@ -13,8 +13,7 @@ import pytest
 
 from sensor_sim.accuracy_scenes import STAR_LIKE, Camera
 from sensor_sim.curve_plan import full_plan
-from sensor_sim.planning import plan_curve
-from sensor_sim.predict import FoldedChain, PredictedThreshold, predict_threshold
+from sensor_sim.predict import SCRAMBLINGS, FoldedChain, Phases, predict_threshold
 from sensor_sim.sensor import Detector, Optics, Sensor, SensorDisplay
 from todframes import accuracy_report, estimators
 from todframes.accuracy import measure
@@ -35,6 +34,7 @@ from todframes.estimators import (
 from todframes.naked_eye import contrast_threshold
 from todframes.observer import PyramidObserver
 from todframes.timing import Point, TimeAt, fitted_slope, speed_ratio, time_of_draws, time_of_rule
+from todframes.weibull import weibull, weibull_level
 
 ROOT = Path(__file__).parent.parent
 
@@ -116,6 +116,7 @@ class Known:
 
     name: str = "known"
     title: str = "known"
+    description: str = "As it is."
     level: str = "contrast"
 
     def converge(self) -> Converged:
@@ -196,7 +197,7 @@ UNDER_SAMPLED = Sensor(
         blur_sigma_px=1.0,
     ),
 )
-CAMERA = Camera("camera", "", "snr", sensor=UNDER_SAMPLED, size_detectors=3.0, converged_bound=1e-3)
+CAMERA = Camera("camera", "", "", "snr", sensor=UNDER_SAMPLED, size_detectors=3.0, converged_bound=1e-3)
 
 
 def some_recorded() -> Scene:
@@ -206,7 +207,7 @@ def some_recorded() -> Scene:
 
 
 SCENES = {
-    "naked eye": lambda: NakedEye("eye", "", 0.6, converged_nodes=(6, 8)),
+    "naked eye": lambda: NakedEye("eye", "", "", 0.6, converged_nodes=(6, 8)),
     "external noise": lambda: CAMERA,
     "internal noise": lambda: replace(CAMERA, level="contrast", noise_contrast=0.1),
     "no noise": lambda: replace(CAMERA, level="contrast"),
@@ -227,7 +228,7 @@ def converged(scene) -> Converged:
 def test_every_monte_carlo_has_the_converged_mean(scene, converged):
     """Its trials' own P(correct) where it is one level; recorded frames through the fit of their mean."""
     for estimator in scene.estimators(converged)[:3]:
-        n = 10 if scene.name == "recorded" else 300
+        n = 25 if scene.name == "recorded" else 300
         outcomes = estimator.prepare()(n, np.random.default_rng(1))
         assert len(outcomes) == n
         found = scene.estimate(outcomes.mean(axis=0), converged).p_correct
@@ -265,7 +266,7 @@ def test_variants_change_little(scene, converged):
 
 
 def test_naked_eye_converges_to_its_threshold():
-    scene = NakedEye("eye", "", 1.0, converged_nodes=(8, 12))
+    scene = NakedEye("eye", "", "", 1.0, converged_nodes=(8, 12))
     found, other = scene.converge(), contrast_threshold(PyramidObserver(), size_mrad=1.0)
     assert abs(found.threshold - other.threshold) <= found.bound + other.numerical_error
     assert found.bound < 1e-3 * found.threshold
@@ -291,10 +292,10 @@ def test_contrast_is_the_gain_of_a_display(noise):
     assert abs(np.mean(p) - 0.75) < 6.9 * np.std(p, ddof=1) / math.sqrt(6) + found.bound / found.threshold
 
 
-def test_cost_of_noise_kinds():
-    """Detector noise decides in one scene and hardly counts in the others, as their titles say."""
+def test_detector_noise_decides_where_the_title_says_so():
+    """By as much as the scenes' descriptions say."""
     chain = FoldedChain(STAR_LIKE, PyramidObserver(), 6.0)
-    (part,) = chain.phases(5, np.random.default_rng(0))
+    (part,) = chain.phases(11, np.random.default_rng(0))
 
     def share(noise_sd: float) -> float:
         """Of detector noise in the variance of a score difference."""
@@ -303,32 +304,44 @@ def test_cost_of_noise_kinds():
         difference = np.array([1.0, -1.0, 0.0, 0.0])
         return float(difference @ external @ difference / (difference @ whole @ difference))
 
-    assert share(1.0 / 1.05) > 0.8
-    assert 0.02 < share(0.1) < 0.1
+    assert share(1.0 / 1.05) == pytest.approx(0.88, abs=0.01)
+    assert share(0.1) == pytest.approx(0.07, abs=0.01)
 
 
 # The stated error -----------------------------------------------------------------------------------------------
 
 
-def test_error_that_ended_a_refinement_is_honest():
-    """Stopping at the first error below the tolerance favours errors that are small by chance.
+class NoisyChain(FoldedChain):
+    """A chain whose P(correct) is a known curve, but for an error that falls with the root of the trials."""
 
-    Of the scenes tried this one suffers most: three numbers of places come into question. The benchmarks do this
-    with 200 seeds.
+    def __init__(self, spread: float) -> None:
+        whole = FoldedChain(UNDER_SAMPLED, PyramidObserver(), 3.0)
+        self.sensor, self.size_detectors, self.plan = whole.sensor, 3.0, replace(whole.plan, steps=())
+        self.spread = spread
+
+    def scramblings(self, places: int, seed: int) -> list[list[Phases]]:
+        off = self.spread / places * np.random.default_rng([seed, places]).normal(size=SCRAMBLINGS)
+        return [[Phases(np.full((places, 1, 4), one), np.zeros((places, 4, 4)), 0)] for one in off]
+
+    def proportion_correct(self, phases: list[Phases], snr: float, contrast: float = 1.0) -> float:
+        assert contrast == 1.0
+        off = np.mean([part.signal[..., 0].mean() for part in phases])
+        return float(weibull(snr, alpha=2.0, beta=1.3, guess_rate=0.25, lapse_rate=0.0) + off)
+
+
+@pytest.mark.parametrize("spread", [0.05, 0.07, 0.1])
+def test_error_that_ends_a_refinement_is_honest(spread):
+    """The first error below the tolerance is small by chance more often than not: the stated one makes up for it.
+
+    With the 2.36 standard errors of a single look it would hold the threshold in 91 %, with more and smaller steps
+    in 87 to 91 %.
     """
-    observer = PyramidObserver()
-    plan = plan_curve(UNDER_SAMPLED, observer, 2.5)
-
-    def threshold(tolerance: float, seed: int) -> PredictedThreshold:
-        chain = FoldedChain(UNDER_SAMPLED, observer, 2.5, plan)
-        return predict_threshold(chain, tolerance=tolerance, seed=seed)
-
-    reference = threshold(3e-4, 1000)
-    found = [threshold(2e-3, seed) for seed in range(24)]
-    assert len({one.n_phases for one in found}) > 1
-    covered = [abs(one.threshold - reference.threshold) <= one.numerical_error for one in found]
-    # At 93 %, fewer than 18 of 24 come once in 1,000 runs (binomial).
-    assert sum(covered) >= 18
+    chain = NoisyChain(spread)
+    exact = weibull_level(0.75, alpha=2.0, beta=1.3, guess_rate=0.25, lapse_rate=0.0)
+    found = [predict_threshold(chain, tolerance=1e-2, seed=seed) for seed in range(400)]
+    # The refinement ended after one number of places or another.
+    assert len({one.n_phases for one in found}) >= 4
+    assert np.mean([abs(one.threshold - exact) <= one.numerical_error for one in found]) >= 0.93
 
 
 # The command ----------------------------------------------------------------------------------------------------
@@ -390,7 +403,9 @@ def test_out(todframes, tmp_path: Path):
     folder = tmp_path / "result"
     status, out, err = todframes("accuracy", "--scene", "known", "--time", "0.1", "-o", folder)
     assert (status, err) == (0, "")
-    assert {file.name for file in folder.iterdir()} == {"accuracy.json", "accuracy.md", "accuracy_known.png"}
+    assert {file.name for file in folder.iterdir()} == {
+        *("accuracy.json", "accuracy.md", "accuracy_known.png", "report.html")
+    }
     picture = (folder / "accuracy_known.png").read_bytes()
     assert picture.startswith(b"\x89PNG") and 5_000 < len(picture) < 60_000
     result = json.loads((folder / "accuracy.json").read_text(encoding="utf-8"))

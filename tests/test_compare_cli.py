@@ -121,7 +121,8 @@ def test_output_folder(todframes, dataset: Path, here: Path) -> None:
     status, out, _ = todframes("compare", dataset, *SPECS, "-o", "result", "--json")
     assert status == 0
     folder = here / "result"
-    assert {file.name for file in folder.iterdir()} == {"result.json", "compare.csv", "scores.csv", "compare.png"}
+    names = {"result.json", "report.html", "compare.csv", "scores.csv", "compare.png"}
+    assert {file.name for file in folder.iterdir()} == names
     assert (folder / "result.json").read_text(encoding="utf-8") == out
     algorithms = json.loads(out)["algorithms"]
     rows = list(csv.DictReader(io.StringIO((folder / "compare.csv").read_text(encoding="utf-8"))))

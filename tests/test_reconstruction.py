@@ -12,7 +12,6 @@ from scipy.ndimage import gaussian_filter
 
 from sensor_sim.reconstruction import (
     axis_matrix,
-    detector_weights,
     display_position_px,
     display_signal,
     gaussian_kernel,
@@ -128,19 +127,6 @@ def test_a_quarter_turn_of_the_samples_is_one_of_the_display():
     turned = display_signal(np.rot90(samples), matrix)
     # Rows and columns are summed in another order.
     np.testing.assert_allclose(turned, np.rot90(display_signal(samples, matrix)), atol=1e-14)
-
-
-# The adjoint
-
-
-@given(SIGMA, SIGMA, st.integers(1, 8))
-def test_weights_on_the_display_fold_onto_detectors(electronics, display, pixels):
-    matrix = matrix_of(electronics=electronics, display=display, pixels=pixels)
-    samples, weights = random(9, 9), random(9 * pixels, 9 * pixels)
-    on_display = np.vdot(weights, display_signal(samples, matrix))
-    on_detectors = np.vdot(detector_weights(weights, matrix), samples)
-    # Some 5,000 products of size 1 at most, each with its rounding.
-    assert on_detectors == pytest.approx(on_display, rel=1e-12, abs=1e-12)
 
 
 # Luminance and place

@@ -214,6 +214,13 @@ def test_curve_writes_what_it_prints(sensor_sim, sensor_file, tmp_path):
     assert (status, errors) == (0, [])
     assert (tmp_path / "out" / "result.json").read_text(encoding="utf-8") == out
     assert [file.name for file in (tmp_path / "out").glob("*.png")]
+    result = json.loads(out)
+    known = [fit for fit in result["fits"] if fit["threshold"] is not None]
+    assert [one["strength"] for one in result["examples"]] == [fit["threshold"] for fit in known]
+    page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    for one in result["examples"]:
+        assert [picture["name"] for picture in one["pictures"]][:3] == ["display", "retina", "band 0"]
+        assert all(picture["png"] in page for picture in one["pictures"])
     assert {path.name for path in tmp_path.iterdir()} == {"SENSOR.toml", "out"}
 
 

@@ -69,6 +69,7 @@ class Measured(NamedTuple):
 
     name: str
     title: str
+    description: str
     level: str
     converged: Converged
     estimators: tuple[Curve, ...]
@@ -107,6 +108,7 @@ def measure(scene: Scene, *, seconds: float, seed: int = 1) -> Measured:
     return Measured(
         scene.name,
         scene.title,
+        scene.description,
         scene.level,
         converged,
         tuple(curves),

@@ -45,7 +45,7 @@ def scene_picture(scene: Json) -> bytes:
     model = scene["p_correct_error_bound"] / scene["slope"]
     if bottom < model < TOP:
         axes.axhline(model, color="C3", ls=":", lw=1.0, zorder=1)
-        text = "bound: noise taken as Gaussian "
+        text = "bound: noise not Gaussian "
         axes.annotate(text, (high, model), fontsize="x-small", color="C3", ha="right", va="bottom", bbox=BOX)
     axes.xaxis.set_major_locator(LogLocator(numticks=20))
     axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: _seconds(value)))
@@ -119,7 +119,4 @@ def rounded(value: float) -> str:
 
 def _seconds(value: float) -> str:
     """A power of ten in seconds, for an axis."""
-    for size, unit in ((86400.0, "d"), (3600.0, "h"), (1.0, "s"), (1e-3, "ms")):
-        if value >= 0.999 * size and not (unit in "dh" and value < 9.0 * size):
-            return f"{value / size:.3g} {unit}"
-    return f"{value:.0e} s"
+    return f"{1e3 * value:g} ms" if value < 0.999 else f"{value:,.0f} s"

@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from todframes.dataset import Dataset, Trial, load_dataset
-from todframes.decision import answer_probabilities
 from todframes.errors import DataError
 from todframes.estimators import (
     P_CORRECT,
@@ -93,8 +92,13 @@ class Frames:
 
     def p_correct(self, displacements: FloatArray, dtype: type[np.floating] = np.float64) -> FloatArray:
         """Probability of the correct answer, (n, trials)."""
-        answers = answer_probabilities(self.score(displacements, dtype), self.covariance)
+        answers = self.answer_probabilities(self.score(displacements, dtype))
         return np.asarray(answers[:, np.arange(len(self.correct)), self.correct])
+
+    def answer_probabilities(self, score: FloatArray) -> FloatArray:
+        """Probability of each answer at score deviations, both (n, trials, 4)."""
+        answers = [readout.answer_probabilities(score[:, number]) for number, readout in enumerate(self.readouts)]
+        return np.stack(answers, axis=1)
 
 
 @dataclass(frozen=True)
@@ -118,6 +122,10 @@ class Recorded:
     converged_nodes: tuple[int, int] = (6, 8)
 
     name: ClassVar[str] = "recorded"
+    description: ClassVar[str] = (
+        "The frames are given, their noise included. What is averaged is the displacement of the retina and the "
+        "observer's own noise; the threshold is that of the fitted psychometric function."
+    )
 
     @property
     def title(self) -> str:
@@ -167,7 +175,8 @@ class Recorded:
 
             def draw(n: int, rng: np.random.Generator) -> Trials:
                 displacements = rng.uniform(-1.0, 1.0, (n, len(self.trials), 2))
-                return Trials(frames.score(displacements), frames.covariance, frames.correct)
+                score = frames.score(displacements)
+                return Trials(score, frames.covariance, frames.correct, frames.answer_probabilities)
 
             return draw
 
@@ -181,7 +190,7 @@ class Recorded:
         return (
             # Fits to fewer answers of each frame are off by more than that.
             *monte_carlos(answers, trials, smallest=4, fewest=16),
-            Quadrature("closed_form", label, closed_form, DISPLACEMENTS, 0.2, REPEATS),
+            Quadrature("closed_form", label, closed_form, DISPLACEMENTS, 0.3, REPEATS),
         )
 
     def variants(self, converged: Converged) -> tuple[Variant, ...]:

@@ -26,6 +26,7 @@ def scene_object(scene: Measured) -> Json:
     return {
         "name": scene.name,
         "title": scene.title,
+        "description": scene.description,
         "level": scene.level,
         "threshold": threshold,
         "threshold_bound": bound,
@@ -111,7 +112,8 @@ def _estimator_rows(scene: Json) -> list[list[str]]:
 def _time(at: Json) -> str:
     if at["cpu_s"] is None:
         return "–"
-    return ("≤ " if at["at_most"] else "") + number(at["cpu_s"], 3) + (" *" if at["extrapolated"] else "")
+    value = rounded(at["cpu_s"]) if at["cpu_s"] >= 100.0 else number(at["cpu_s"], 2)
+    return ("≤ " if at["at_most"] else "") + value + (" *" if at["extrapolated"] else "")
 
 
 def _variant_rows(scene: Json) -> list[list[str]]:
@@ -140,10 +142,11 @@ def page(result: Json, *, folder: str = "") -> str:
         level, bound = scene["level"], scene["p_correct_error_bound"]
         blocks += [
             f"## {scene['title'][0].upper()}{scene['title'][1:]}",
+            scene["description"],
             f"![Error against CPU time]({folder}{_picture_name(scene)})",
             f"Threshold {level} {number(scene['threshold'], 6)} ± {number(scene['threshold_bound'], 1)}; "
-            f"dP / d ln {level} is {number(scene['slope'], 2)} there. To take noise as Gaussian changes P by at "
-            f"most {number(bound, 2)}.",
+            f"dP / d ln {level} is {number(scene['slope'], 2)} there. That summed noise is not quite Gaussian "
+            f"changes P by at most {number(bound, 2)}.",
             _markdown(ESTIMATOR_HEADERS, _estimator_rows(scene)),
             _markdown(VARIANT_HEADERS, _variant_rows(scene)),
         ]
@@ -178,6 +181,6 @@ hardly depend on it.
 - **Slope** of the error against the CPU time beyond the set-up, both logarithmic: −½ for independent trials.
 - **Times less** CPU than the literal Monte Carlo at equal error. `*` and dashed lines: extrapolated along the
   measured 1/√N.
-- The literal Monte Carlo draws uniform noise on detectors and neurons. The others take its sum as Gaussian; the
-  dotted line is a bound on what that changes.
+- The literal Monte Carlo draws uniform noise on detectors and neurons. On folded scores the noise is Gaussian;
+  expected decisions and closed forms correct that for neurons. The dotted line bounds what is left.
 - The second table changes one thing about the closed form at a time, with equal trials."""

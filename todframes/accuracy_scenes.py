@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from todframes.crossing import find_crossing
-from todframes.decision import answer_probability
 from todframes.estimators import (
     P_CORRECT,
     Converged,
@@ -44,6 +43,7 @@ class NakedEye:
 
     name: str
     title: str
+    description: str
     size_mrad: float
     converged_nodes: tuple[int, ...] = (24, 32, 48)
 
@@ -93,7 +93,10 @@ class NakedEye:
                     for (x, y), k in zip(places, correct, strict=True)
                 ]
                 return Trials(
-                    converged.threshold * np.array(score)[:, None], readout.noise_covariance, correct[:, None]
+                    converged.threshold * np.array(score)[:, None],
+                    readout.noise_covariance,
+                    correct[:, None],
+                    readout.answer_probabilities,
                 )
 
             return draw
@@ -105,7 +108,7 @@ class NakedEye:
 
         trials_of = tuple(nodes**2 for nodes in NODES)
         label = "closed form, Gauss–Legendre nodes"
-        return (*monte_carlos(answers, trials), Quadrature("closed_form", label, closed_form, trials_of, 0.2))
+        return (*monte_carlos(answers, trials), Quadrature("closed_form", label, closed_form, trials_of, 0.3))
 
     def variants(self, converged: Converged) -> tuple[Variant, ...]:
         """Single precision, and pyramid levels with the field that goes with them."""
@@ -170,7 +173,7 @@ class NakedEye:
             ]
         )
         share = np.outer(shares, shares).ravel() / 4.0
-        return lambda contrast: float(answer_probability(contrast * score, readout.noise_covariance, 0) @ share)
+        return lambda contrast: float(readout.answer_probabilities(contrast * score)[:, 0] @ share)
 
 
 def _threshold(proportion: Callable[[float], float]) -> float:
@@ -183,15 +186,18 @@ def _estimate(proportion: Callable[[float], float], converged: Converged) -> Est
 
 
 def small() -> NakedEye:
-    """Near the acuity, where the four templates are nearly alike."""
-    return NakedEye("naked_eye_small", "naked eye, small: 0.6 mrad", 0.6)
+    """Half as large again as at the acuity."""
+    description = "The activity that the four triangles cause is 94 to 97 % alike."
+    return NakedEye("naked_eye_small", "naked eye, small: 0.6 mrad", description, 0.6)
 
 
 def acuity() -> NakedEye:
     """Where the threshold contrast is 1."""
-    return NakedEye("naked_eye_acuity", "naked eye, at the acuity: 0.4 mrad", 0.4)
+    description = "About the smallest triangle that is seen at a contrast of 1; the four are 99 % alike."
+    return NakedEye("naked_eye_acuity", "naked eye, at the acuity: 0.4 mrad", description, 0.4)
 
 
 def large() -> NakedEye:
     """Where the pyramid has more bands."""
-    return NakedEye("naked_eye_large", "naked eye, large: 6 mrad", 6.0)
+    description = "The pyramid has two bands more than for the small ones; the displacement hardly matters."
+    return NakedEye("naked_eye_large", "naked eye, large: 6 mrad", description, 6.0)

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from todframes import __version__, cli_compare, cli_studies
+from todframes.cli_report import report as report_command
 from todframes.command import (
     Commands,
     decisions_option,
@@ -54,7 +55,7 @@ def cli() -> None:
 
 @cli.command()
 @click.argument("dataset", type=click.Path(path_type=Path))
-@click.option("-o", "--out", metavar="OUT", help="Folder for result.json, scores.csv and plots.")
+@click.option("-o", "--out", metavar="OUT", help="Folder for result.json, report.html, scores.csv and plots.")
 @observer_options
 @decisions_option
 @click.option(
@@ -123,6 +124,10 @@ def score(
                 workers=workers,
                 progress=advance,
             )
+        if staging is not None:
+            from todframes.examples import examples
+
+            more["examples"] = examples(data, scored, observer)
         result = report.result_object(
             "score",
             settings=settings | {"decisions": decisions, "tolerance": tolerance, "plan": plan_name},
@@ -132,17 +137,21 @@ def score(
                 for one in scored.fits
             ],
             plan=plan_object(scored.plan, 1.0),
+            dataset=str(dataset),
             skipped=[one._asdict() for one in scored.skipped],
             negative_luminance_pixels=scored.n_negative,
             **more,
             run_time_s=time.perf_counter() - start,
         )
         if staging is not None:
+            from todframes.html_report import report_html
+
             report.write_files(
                 staging,
                 {
                     "scores.csv": report.scores_csv(scored, group_by, level),
                     **plots.plots(result),
+                    "report.html": report_html(result),
                     "result.json": report.encode(result),
                 },
             )
@@ -271,6 +280,7 @@ def validate(*, dataset: Path) -> None:
 
 cli.add_command(cli_studies.stability)
 cli.add_command(cli_studies.accuracy)
+cli.add_command(report_command)
 cli.add_command(cli_compare.compare)
 cli.add_command(cli_compare.enhancements)
 

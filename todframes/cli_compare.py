@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     help="Algorithm: NAME, MODULE:FUNCTION, or either with :PARAMETER=VALUE,… behind; repeatable.",
 )
 @click.option(
-    "-o", "--out", metavar="OUT", help="Folder for result.json, compare.csv, scores.csv and compare.png."
+    "-o", "--out", metavar="OUT", help="Folder for result.json, report.html, compare.csv, scores.csv, compare.png."
 )
 @click.option(
     "--white", type=float, default=1.0, show_default=True, help="Code value that algorithms take as white."
@@ -115,6 +115,11 @@ def compare(
         reference = results[0].scored
         objects = algorithm_objects(results, group_by, level)
         black, peak = screen.luminance_range
+        more: dict[str, Any] = {}
+        if staging is not None:
+            from todframes.compare_examples import compare_examples
+
+            more["examples"] = compare_examples(data, results, observer, screen)
         result = report.result_object(
             "compare",
             settings=settings
@@ -128,15 +133,19 @@ def compare(
             plan=plan_object(reference.plan, 1.0),
             skipped=[one._asdict() for one in reference.skipped],
             negative_luminance_pixels=reference.n_negative,
+            **more,
             run_time_s=time.perf_counter() - start,
         )
         if staging is not None:
+            from todframes.html_report import report_html
+
             report.write_files(
                 staging,
                 {
                     "compare.csv": compare_csv(objects),
                     "scores.csv": compare_scores_csv(results, group_by, level),
                     "compare.png": compare_plot(objects),
+                    "report.html": report_html(result),
                     "result.json": report.encode(result),
                 },
             )

@@ -67,7 +67,9 @@ def stability(*, as_json: bool, as_markdown: bool, quiet: bool) -> None:
     help="CPU time for the estimators of a scene. More shows smaller errors.",
 )
 @seed_option
-@click.option("-o", "--out", metavar="OUT", help="Folder for accuracy.json, accuracy.md and a picture a scene.")
+@click.option(
+    "-o", "--out", metavar="OUT", help="Folder for accuracy.json, report.html, accuracy.md and pictures."
+)
 @json_option
 @click.option("--quiet", is_flag=True, help="No progress and no remarks on standard error.")
 def accuracy(
@@ -124,7 +126,9 @@ def accuracy(
             run_time_s=time.perf_counter() - start,
         )
         if staging is not None:
-            report.write_files(staging, accuracy_report.files(result))
+            from todframes.html_report import report_html
+
+            report.write_files(staging, accuracy_report.files(result) | {"report.html": report_html(result)})
     if as_json:
         click.echo(report.encode(result), nl=False)
         return

@@ -51,10 +51,16 @@ set_option = click.option(
     "assignments",
     multiple=True,
     metavar="NAME=VALUE",
-    help="Any setting by name, such as kernel_a=0.4; repeatable. All are in docs/model.md.",
+    help="Any setting by name, such as kernel_a=0.4; repeatable. All are in docs/model.md and docs/observers.md.",
 )
 observer_options = options(
-    click.option("--observer", "observer_name", default="pyramid", show_default=True, help="Observer, by name."),
+    click.option(
+        "--observer",
+        "observer_name",
+        default="pyramid",
+        show_default=True,
+        help="Observer, by name: pyramid, informative, oriented or one's own.",
+    ),
     click.option(
         "--internal-noise", type=float, metavar="N", help="Full width of each neuron's noise.  [default: 0.5]"
     ),

@@ -55,11 +55,14 @@ class Trials(NamedTuple):
     covariance : ndarray, broadcast against (n, columns, 4, 4)
         Of the noise on the scores.
     correct : ndarray of int, broadcast against (n, columns)
+    probabilities : callable
+        That of each answer at such scores; by default under Gaussian noise of this covariance.
     """
 
     score: FloatArray
     covariance: FloatArray
     correct: IntArray
+    probabilities: Callable[[FloatArray], FloatArray] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,6 +137,10 @@ class Scene(Protocol):
         """In a few words."""
 
     @property
+    def description(self) -> str:
+        """What decides in it, in a sentence or two."""
+
+    @property
     def level(self) -> str:
         """What a threshold is one of: contrast, snr."""
 
@@ -150,7 +157,7 @@ class Scene(Protocol):
         """From the mean of independent trials: (columns,)."""
 
     def non_gaussian_bound(self) -> float:
-        """Bound on the error in P(correct) of all that take noise as Gaussian, that is, all but the literal."""
+        """Bound on the error in P(correct) of expected decisions from noise that is not Gaussian."""
 
 
 def monte_carlos(
@@ -187,14 +194,17 @@ def monte_carlos(
 
         def outcomes(n: int, rng: np.random.Generator) -> FloatArray:
             shown = draw(n, rng)
-            answers = answer_probabilities(shown.score, shown.covariance)
+            if shown.probabilities is not None:
+                answers = shown.probabilities(shown.score)
+            else:
+                answers = answer_probabilities(shown.score, shown.covariance)
             correct = np.broadcast_to(shown.correct, answers.shape[:-1])[..., None]
             return np.take_along_axis(answers, correct, axis=-1)[..., 0]
 
         return outcomes
 
     return (
-        MonteCarlo("literal", "literal Monte Carlo", answers, 0.6, smallest, fewest),
+        MonteCarlo("literal", "literal Monte Carlo", answers, 0.5, smallest, fewest),
         MonteCarlo("folded", "Monte Carlo on folded scores", drawn, 0.1, smallest, fewest),
         MonteCarlo("expected", "expected decisions, random phases", expected, 0.1, smallest, fewest),
     )

@@ -13,26 +13,26 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import ClassVar, get_args
+from typing import ClassVar, Self, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
-from todframes.edgeworth import fourth_cumulants
 from todframes.errors import SettingsError
 from todframes.pyramid import LaplacianPyramid
 from todframes.readout import LeftOut, Readout, Stimulus, inner_product
-from todframes.retina import RetinaGrid
+from todframes.retina import RetinaGrid, gaussian_blur
+from todframes.settings import check_ranges
 from todframes.stimulus import HEIGHT_PER_SIZE, ORIENTATIONS, Centre, Orientation, coverage
+from todframes.summed_noise import Bands, summed_noise
 
 FloatArray = NDArray[np.float64]
 
-UNIFORM_EXCESS_KURTOSIS = -1.2
-LEAST_KURTOSIS = 1e-4
-"""Of summed noise that is not taken as Gaussian; below, that changes P(correct) by less than 7e-6."""
 FEWEST_LEVELS = 4
 MOST_LEVELS = 11
 """A retina image then takes half a GB."""
+LEAST_FIELD = 0.6
+"""Half the field's half width, in sizes of the triangle."""
 LARGEST_SIZE_SAMPLES = 2**MOST_LEVELS / 0.9
 SETTING_RANGES = (
     ("retina_pitch_mrad", 1e-6, 1e6),
@@ -95,10 +95,7 @@ class PyramidSettings:
     def __post_init__(self) -> None:
         if self.centre not in get_args(Centre):
             raise SettingsError(f"centre: found {self.centre!r}, expected one of {', '.join(get_args(Centre))}")
-        for name, smallest, largest in SETTING_RANGES:
-            value = getattr(self, name)
-            if value is not None and not smallest <= value <= largest:
-                raise SettingsError(f"{name}: found {value!r}, expected a number from {smallest:g} to {largest:g}")
+        check_ranges(self, SETTING_RANGES)
         if self.levels is not None and not 1 <= self.levels <= MOST_LEVELS:
             raise SettingsError(f"levels: found {self.levels!r}, expected a whole number from 1 to {MOST_LEVELS}")
 
@@ -108,9 +105,6 @@ class PyramidSettings:
         if self.internal_noise_sd is not None:
             return self.internal_noise_sd
         return self.internal_noise / math.sqrt(12.0)
-
-
-Bands = tuple[FloatArray, ...]
 
 
 class PyramidObserver:
@@ -128,11 +122,12 @@ class PyramidObserver:
     settings_type: ClassVar[type[PyramidSettings]] = PyramidSettings
 
     def __init__(self, settings: PyramidSettings | None = None, *, more_levels: int = 0) -> None:
-        self.settings = settings if settings is not None else PyramidSettings()
+        self.settings = settings if settings is not None else self.settings_type()
         self._more_levels = more_levels
         # Per observer, not per class: a cache on the method would keep every observer alive.
         self.templates = lru_cache(maxsize=4)(self._templates)
         self.readout = lru_cache(maxsize=4)(self._readout)
+        self.full = lru_cache(maxsize=1)(self._full)
 
     @property
     def centre(self) -> Centre:
@@ -152,7 +147,7 @@ class PyramidObserver:
         """
         levels = self._levels(stimulus)
         side = 4 * 2**levels + 1
-        apex = 2.0 / 3.0 * HEIGHT_PER_SIZE * stimulus.size_mrad / self.settings.retina_pitch_mrad
+        apex = 2.0 / 3.0 * HEIGHT_PER_SIZE * self._seen_size_mrad(stimulus) / self.settings.retina_pitch_mrad
         needed = apex + self.settings.position_jitter_samples + 2.0 * self.settings.template_blur_samples
         if side / 2.0 < needed:
             raise SettingsError(
@@ -164,7 +159,7 @@ class PyramidObserver:
     def _levels(self, stimulus: Stimulus) -> int:
         if self.settings.levels is not None:
             return self.settings.levels
-        size = stimulus.size_mrad / self.settings.retina_pitch_mrad
+        size = self._seen_size_mrad(stimulus) / self.settings.retina_pitch_mrad
         if size > LARGEST_SIZE_SAMPLES:
             raise SettingsError(
                 f"retina_pitch_mrad: a triangle of {stimulus.size_mrad:g} mrad is {size:g} retina samples, "
@@ -172,9 +167,24 @@ class PyramidObserver:
             )
         return min(max(FEWEST_LEVELS, math.ceil(math.log2(0.9 * size))) + self._more_levels, MOST_LEVELS)
 
-    def full(self) -> PyramidObserver:
+    def _seen_size_mrad(self, stimulus: Stimulus) -> float:
+        """Size of a triangle as wide as this one is seen."""
+        return stimulus.size_mrad
+
+    def _full(self) -> Self:
         """The same with one band, and one octave of the field, more than a triangle needs."""
-        return PyramidObserver(self.settings, more_levels=1)
+        return type(self)(self.settings, more_levels=1)
+
+    def leaner(self, stimulus: Stimulus) -> Self | None:
+        """The same with one band less; None where the triangle would not fit."""
+        if self.settings.levels is not None or self._more_levels or self._levels(stimulus) == FEWEST_LEVELS:
+            return None
+        lean = type(self)(self.settings, more_levels=-1)
+        size = stimulus.size_mrad / self.settings.retina_pitch_mrad
+        try:
+            return lean if lean.grid(stimulus).side > 4.0 * LEAST_FIELD * size else None
+        except SettingsError:
+            return None
 
     def left_out(self, stimulus: Stimulus) -> LeftOut | None:
         """What the bands and the field beyond those of the readout would add to it, seen on a coarser retina.
@@ -185,16 +195,9 @@ class PyramidObserver:
         if self.settings.levels is not None:
             return None
         octaves = self._levels(stimulus) - FEWEST_LEVELS
-        variance = self.settings.template_blur_samples**2
-        variance += max(2.5 - 4.0 * self.settings.kernel_a, 0.0) * (4.0**octaves - 1.0) / 3.0
-        coarse = replace(
-            self.settings,
-            retina_pitch_mrad=self.settings.retina_pitch_mrad * 2.0**octaves,
-            template_blur_samples=math.sqrt(variance) / 2.0**octaves,
-            position_jitter_samples=0.0,
-        )
+        coarse = self._coarser(octaves)
         narrow, wide = (
-            PyramidObserver(replace(coarse, levels=levels)).readout(stimulus)
+            type(self)(replace(coarse, levels=levels)).readout(stimulus)
             for levels in (FEWEST_LEVELS, FEWEST_LEVELS + 2)
         )
         margin = (wide.grid.side - narrow.grid.side) // 2
@@ -202,6 +205,17 @@ class PyramidObserver:
         added[:, margin:-margin, margin:-margin] -= narrow.deviations
         gain = self.settings.band_gain ** (2 * octaves)
         return LeftOut(wide.grid, gain * added, gain * (wide.noise_covariance - narrow.noise_covariance))
+
+    def _coarser(self, octaves: int) -> PyramidSettings:
+        """Settings that see coarse bands as these do, on a retina of so many octaves less."""
+        variance = self.settings.template_blur_samples**2
+        variance += max(2.5 - 4.0 * self.settings.kernel_a, 0.0) * (4.0**octaves - 1.0) / 3.0
+        return replace(
+            self.settings,
+            retina_pitch_mrad=self.settings.retina_pitch_mrad * 2.0**octaves,
+            template_blur_samples=math.sqrt(variance) / 2.0**octaves,
+            position_jitter_samples=0.0,
+        )
 
     def activity(self, contrast: FloatArray) -> Bands:
         """Noise-free activity of all neurons, finest band first, for a retina image of shape (side, side)."""
@@ -212,20 +226,27 @@ class PyramidObserver:
             bands.pop()
         return tuple(settings.band_gain**k * band for k, band in enumerate(bands))
 
+    def turned(self, bands: Bands, quarter_turns: int) -> Bands:
+        """The activity that an image turned clockwise causes, from that of the image.
+
+        The grid's middle is every band's middle, so that is the turned activity.
+        """
+        return tuple(np.ascontiguousarray(np.rot90(band, -quarter_turns)) for band in bands)
+
     def _templates(self, stimulus: Stimulus) -> tuple[Bands, ...]:
-        """Expected activity for each orientation, in the order of `ORIENTATIONS`."""
-        activity = self._expected_upright(stimulus)
+        """Weights of all neurons in each score, in the order of `ORIENTATIONS`: expected activity."""
+        common, upright = self._template(stimulus)
         return tuple(
-            tuple(np.ascontiguousarray(np.rot90(band, -orientation.quarter_turns)) for band in activity)
-            for orientation in ORIENTATIONS
+            tuple(mean + band for mean, band in zip(common, self.turned(upright, turns), strict=True))
+            for turns in range(4)
         )
 
-    def _expected_upright(self, stimulus: Stimulus) -> Bands:
-        """Expected activity for the upright triangle.
-
-        The grid's middle is every band's middle, so the activity of a turned triangle is the turned activity.
-        """
-        return self._expected(self._upright(stimulus))
+    def _template(self, stimulus: Stimulus) -> tuple[Bands, Bands]:
+        """What all four templates have in common, and what that of the upright triangle has besides."""
+        image = self._upright(stimulus)
+        # The difference is taken before blur and bands, whose rounding is that of what all four have in common.
+        mean = np.asarray(sum(np.rot90(image, -k) for k in range(4)) / 4.0)
+        return self._expected(mean), self._expected(image - mean)
 
     def _upright(self, stimulus: Stimulus) -> FloatArray:
         """The upright triangle on the retina, times its polarity."""
@@ -241,34 +262,22 @@ class PyramidObserver:
 
     def _expected(self, image: FloatArray) -> Bands:
         """Activity that is expected from an image, whose place is not quite known."""
-        from scipy.ndimage import gaussian_filter
-
-        # Cut at 8 standard deviations, where the kernel is 1e-14 of its middle.
-        return self.activity(
-            gaussian_filter(image, self.settings.template_blur_samples, mode="mirror", truncate=8.0)
-        )
+        return self.activity(gaussian_blur(image, self.settings.template_blur_samples))
 
     def _readout(self, stimulus: Stimulus) -> Readout:
         """Pyramid and templates folded onto the retina: A_k = Lᵀ t_k."""
-        grid, image = self.grid(stimulus), self._upright(stimulus)
-        # The difference is taken before blur and bands, whose rounding is that of what all four have in common.
-        mean = np.asarray(sum(np.rot90(image, -k) for k in range(4)) / 4.0)
-        common, upright = self._expected(mean), self._expected(image - mean)
+        grid = self.grid(stimulus)
+        common, upright = self._template(stimulus)
         folded = self._fold(upright, grid)
-        deviations = np.stack([np.rot90(folded, -k) for k in range(4)])
-        kurtosis = UNIFORM_EXCESS_KURTOSIS * _participation(upright)
+        beside = self.turned(upright, 1)
+        opposite = self.turned(beside, 1)
+        noise = summed_noise((upright, beside, opposite, self.turned(opposite, 1)), self.settings.noise_sd)
         return Readout(
             grid=grid,
             common=self._fold(common, grid),
-            deviations=deviations,
-            noise_covariance=self.settings.noise_sd**2 * _overlaps(upright),
-            excess_kurtosis=kurtosis,
-            fourth_cumulants=self._cumulants(upright) if abs(kurtosis) > LEAST_KURTOSIS else None,
+            deviations=np.stack([np.rot90(folded, -k) for k in range(4)]),
+            **noise._asdict(),
         )
-
-    def _cumulants(self, upright: Sequence[FloatArray]) -> FloatArray:
-        rows = [np.concatenate([np.rot90(band, -k).ravel() for band in upright]) for k in range(4)]
-        return fourth_cumulants(self.settings.noise_sd * np.array(rows), excess_kurtosis=UNIFORM_EXCESS_KURTOSIS)
 
     def _fold(self, bands: Sequence[FloatArray], grid: RetinaGrid) -> FloatArray:
         settings = self.settings
@@ -297,21 +306,3 @@ class PyramidObserver:
         """One answer: the largest score, ties at random."""
         scores = self.literal_scores(contrast, stimulus, rng)
         return ORIENTATIONS[int(rng.choice(np.flatnonzero(scores == scores.max())))]
-
-
-def _overlaps(upright: Sequence[FloatArray]) -> FloatArray:
-    """Inner products of the four template deviations, a circulant matrix by symmetry."""
-    same, beside, opposite = (sum(inner_product(band, np.rot90(band, -k)) for band in upright) for k in range(3))
-    row = [same, beside, opposite, beside]
-    return np.array([np.roll(row, k) for k in range(4)])
-
-
-def _participation(upright: Sequence[FloatArray]) -> float:
-    """Σw⁴ / (Σw²)² of the weights of a score difference, the larger of the two kinds."""
-    largest = 0.0
-    for turns in (1, 2):
-        squares = np.concatenate([np.square(band - np.rot90(band, -turns)).ravel() for band in upright])
-        total = squares.sum()
-        if total > 0.0:
-            largest = max(largest, float(np.square(squares / total).sum()))
-    return largest

@@ -63,7 +63,7 @@ class LaplacianPyramid:
         """The image Lᵀy with ⟨y, Lx⟩ = ⟨Lᵀy, x⟩ for every image x, L being `build`."""
         image = bands[-1]
         for band in reversed(bands[:-1]):
-            image = band + self._reduce_adjoint(image - self._expand_adjoint(band), band.shape)
+            image = band + self.reduce_adjoint(image - self._expand_adjoint(band), band.shape)
         return np.array(image)
 
     def reduce(self, image: FloatArray) -> FloatArray:
@@ -79,7 +79,8 @@ class LaplacianPyramid:
             return _expand_binomial(image, shape)
         return self._filter(_spread(image, shape), gain=2.0)
 
-    def _reduce_adjoint(self, image: FloatArray, shape: tuple[int, ...]) -> FloatArray:
+    def reduce_adjoint(self, image: FloatArray, shape: tuple[int, ...]) -> FloatArray:
+        """The adjoint of `reduce` for images of a shape."""
         return self._filter_adjoint(_spread(image, shape))
 
     def _expand_adjoint(self, image: FloatArray) -> FloatArray:

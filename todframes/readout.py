@@ -26,12 +26,12 @@ SECOND_ORDER = 20.0
 
 
 def inner_product(a: FloatArray, b: FloatArray) -> float:
-    """Sum of products of two images of one shape.
+    """Sum of products of two arrays of one shape.
 
     Not by BLAS, whose threads wait for each other a hundred times longer than the sum takes when other
     threads keep the processors busy.
     """
-    return float(np.einsum("ij,ij->", a, b))
+    return float(np.einsum("i,i->", a.reshape(-1), b.reshape(-1)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -188,6 +188,9 @@ class Thrifty(Protocol):
 
     def full(self) -> Observer:
         """The same observer, leaving nothing of weight out."""
+
+    def leaner(self, stimulus: Stimulus) -> Observer | None:
+        """The same observer, leaving more out; None where that cannot be."""
 
     def left_out(self, stimulus: Stimulus) -> LeftOut | None:
         """What its readout leaves out; None: nothing."""

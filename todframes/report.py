@@ -5,7 +5,9 @@ from __future__ import annotations
 import csv
 import io
 import os
+import platform
 import shutil
+import sys
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -23,7 +25,11 @@ from todframes.stimulus import ORIENTATIONS
 Json = dict[str, Any]
 
 SCHEMA = 1
-OUTPUT_NAMES = {"result.json", "scores.csv", "psychometric.png", "tod_curve.png", "compare.csv", "compare.png"}
+LIBRARIES = ("numpy", "scipy", "cv2", "OpenImageIO")
+OUTPUT_NAMES = {
+    *("result.json", "report.html", "scores.csv", "psychometric.png", "tod_curve.png"),
+    *("compare.csv", "compare.png"),
+}
 
 
 def fit_object(group: Mapping[str, float | str], level: str, fit: PsychometricFit) -> Json:
@@ -92,12 +98,19 @@ def result_object(
         "schema": SCHEMA,
         "command": command,
         "version": __version__,
+        "versions": _versions(),
         "settings": settings,
         "seed": seed,
         "fits": list(fits),
         **more,
         "run_time_s": round(run_time_s, 4),
     }
+
+
+def _versions() -> dict[str, str]:
+    """Of Python, and of what was used and may move the last digits."""
+    used = {name: sys.modules[name].__version__ for name in LIBRARIES if name in sys.modules}
+    return {"python": platform.python_version(), **used}
 
 
 def encode(result: Json) -> bytes:

@@ -92,6 +92,20 @@ def check_keys(found: Iterable[str], known: Iterable[str], where: str) -> None:
             raise SettingsError(f"{where}: unknown key {key!r}{hint}")
 
 
+def check_ranges(settings: object, ranges: Iterable[tuple[str, float, float]]) -> None:
+    """Refuse numbers that lie outside of their ranges: name, smallest, largest. None lies within.
+
+    Raises
+    ------
+    SettingsError
+        For the first attribute of `settings` that does.
+    """
+    for name, smallest, largest in ranges:
+        value = getattr(settings, name)
+        if value is not None and not smallest <= value <= largest:
+            raise SettingsError(f"{name}: found {value!r}, expected a number from {smallest:g} to {largest:g}")
+
+
 def from_table(table: Mapping[str, Any], kind: type[T], where: str) -> T:
     """A frozen dataclass from a table of plain values.
 

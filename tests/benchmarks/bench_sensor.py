@@ -46,7 +46,7 @@ def literal_s(chain: FoldedChain, threshold: float) -> float:
     the threshold that a Weibull curve through 7 levels gives, half to twice the threshold, 300 answers at each.
     """
     rng = np.random.default_rng(1)
-    scene = Camera("literal", "", "snr", sensor=chain.sensor, size_detectors=chain.size_detectors)
+    scene = Camera("literal", "", "", "snr", sensor=chain.sensor, size_detectors=chain.size_detectors)
     literal, *_ = scene.estimators(Converged(threshold, bound=0.0, slope=1.0))
     draw = literal.prepare()
     draw(1, rng)

@@ -1,0 +1,208 @@
+"""The pictures of a trial at threshold, against what was drawn."""
+
+from __future__ import annotations
+
+import base64
+import json
+from collections.abc import Sequence
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from todframes.cli import cli
+from todframes.command import run
+from todframes.dataset import load_dataset
+from todframes.examples import FloatArray, FramePart, examples, pictures
+from todframes.observer import PyramidObserver, PyramidSettings
+from todframes.readout import Stimulus
+from todframes.retina import RetinaGrid
+from todframes.scoring import score_dataset
+from todframes.viewing import Patch
+
+# Code values of sRGB (IEC 61966-2-1) for linear light 1/2, 3/4 and 1.
+HALF, THREE_QUARTERS, WHITE = 188, 225, 255
+
+
+def decoded(one: dict[str, Any]) -> dict[str, np.ndarray]:
+    """The pictures of an example by name, as integers."""
+    return {
+        picture["name"]: cv2.imdecode(
+            np.frombuffer(base64.b64decode(picture["png"]), np.uint8), cv2.IMREAD_UNCHANGED
+        ).astype(int)
+        for picture in one["pictures"]
+    }
+
+
+def scales(one: dict[str, Any]) -> dict[str, float]:
+    return {picture["name"]: picture["scale"] for picture in one["pictures"]}
+
+
+class Watcher(PyramidObserver):
+    """The paper's observer, but it sees what it is told."""
+
+    def __init__(self, bands: Sequence[FloatArray], settings: PyramidSettings) -> None:
+        super().__init__(settings)
+        self.bands = bands
+
+    def activity(self, _: FloatArray) -> tuple[FloatArray, ...]:
+        return tuple(self.bands)
+
+
+def watched(
+    bands: Sequence[FloatArray], *, levels: int = 4, size_mrad: float = 1.0, **more: Any
+) -> dict[str, Any]:
+    """Pictures with given bands; display pixels and retina samples of 0.1 mrad, nothing on the display."""
+    observer = Watcher(bands, PyramidSettings(retina_pitch_mrad=0.1, levels=levels))
+    side = observer.grid(Stimulus(size_mrad)).side
+    shown = [FramePart(Patch(np.zeros((99, 99)), 0, 0, 0), 49.0, 49.0)]
+    common: dict[str, Any] = {"observer": observer, "stimulus": Stimulus(size_mrad), "pixel_pitch_mrad": 0.1}
+    return pictures(shown, np.zeros((side, side)), **(common | more))
+
+
+@pytest.mark.parametrize("orientation", ["up", "right", "down", "left"])
+def test_display_shows_the_frame(make_dataset, orientation: str) -> None:
+    """A triangle of contrast 0.5 on white at twice the background: grey of ¾ of the light on grey of ½."""
+    made = make_dataset(contrasts=(0.3, 0.5, 0.8))
+    made.rows = [row for row in made.rows if row["orientation"] == orientation]
+    made.save()
+    observer = PyramidObserver(PyramidSettings(internal_noise=3.0))
+    dataset = load_dataset(made.path)
+    scored = score_dataset(dataset, observer)
+    assert [one.fit.status for one in scored.fits] == ["ok"]
+    (one,) = examples(dataset, scored, observer)
+    display, retina = decoded(one)["display"], decoded(one)["retina"]
+    assert (one["strength"], one["frame"]) == (0.5, made.rows[1]["frame"])
+    assert (one["orientation"], one["n_frames"], one["group"]) == (orientation, 1, {"size_mrad": 2.0})
+    # 1.5 sizes on each side of the middle, in pixels of 0.25 mrad.
+    assert display.shape == (25, 25)
+    assert one["width_mrad"] == 6.25
+    assert (display[0, 0], display[12, 12]) == (HALF, THREE_QUARTERS)
+    assert scales(one)["display"] == 1.0
+    # Half floats keep 11 bits of the luminance.
+    assert scales(one)["retina"] == pytest.approx(0.5, abs=1.5 * 2.0**-11)
+    assert (retina[0, 0], retina.max()) == (128, 255)
+    for image in (display, retina):
+        # Turned so that the apex is up, three quarters of the area are in the lower half of its height.
+        turned = np.rot90(image - image[0, 0], ["up", "right", "down", "left"].index(orientation))
+        rows = np.trim_zeros(turned.sum(axis=1))
+        assert rows[: len(rows) // 2].sum() < 0.5 * rows[len(rows) // 2 :].sum()
+
+
+def test_levels_nearest_to_threshold_of_some_groups(make_dataset) -> None:
+    sizes = (1.0, 1.25, 1.5, 1.75, 2.0, 2.25)
+    dataset = load_dataset(make_dataset(sizes_mrad=sizes, contrasts=(0.02, 0.06, 0.18)).path)
+    observer = PyramidObserver()
+    scored = score_dataset(dataset, observer)
+    assert all(one.fit.threshold is not None for one in scored.fits)
+    found = examples(dataset, scored, observer)
+    assert [one["group"]["size_mrad"] for one in found] == [1.0, 1.5, 1.75, 2.25]
+    for one in found:
+        (fit,) = [fit.fit for fit in scored.fits if fit.group == (one["group"]["size_mrad"],)]
+        levels = np.array([0.02, 0.06, 0.18])
+        assert one["strength"] == levels[np.abs(np.log(levels / fit.threshold)).argmin()]
+
+
+def test_no_threshold_no_example(make_dataset) -> None:
+    dataset = load_dataset(make_dataset(contrasts=(0.001, 0.002)).path)
+    scored = score_dataset(dataset, PyramidObserver())
+    assert [one.fit.status for one in scored.fits] == ["never_reached"]
+    assert examples(dataset, scored, PyramidObserver()) == []
+
+
+def test_frames_of_a_trial_are_averaged() -> None:
+    """Contrasts 0.2 and 0.6 on a common display: grey of the light of 0.4."""
+    shown = [FramePart(Patch(np.full((99, 99), contrast), 0, 0, 0), 49.0, 49.0) for contrast in (0.2, 0.6)]
+    observer = PyramidObserver()
+    one = pictures(shown, np.zeros((65, 65)), observer=observer, stimulus=Stimulus(1.0), pixel_pitch_mrad=0.1)
+    assert (decoded(one)["display"] == np.rint(255 * (1.055 * 0.7 ** (1 / 2.4) - 0.055))).all()
+
+
+def test_white_is_the_brightest_or_as_told() -> None:
+    patch = np.zeros((99, 99))
+    patch[49, 49] = 3.0
+    shown = [FramePart(Patch(patch, 0, 0, 0), 49.0, 49.0)]
+    common: dict[str, Any] = {"observer": PyramidObserver(), "stimulus": Stimulus(1.0), "pixel_pitch_mrad": 0.1}
+    one = pictures(shown, np.zeros((65, 65)), **common)
+    assert scales(one)["display"] == 3.0
+    # A quarter of the light: 137 of 255.
+    assert (decoded(one)["display"].max(), decoded(one)["display"].min()) == (WHITE, 137)
+    clipped = pictures(shown, np.zeros((65, 65)), white=1.0, **common)
+    assert (decoded(clipped)["display"].max(), decoded(clipped)["display"].min()) == (WHITE, HALF)
+
+
+@pytest.mark.parametrize(("row", "column"), [(0, 0), (40, 0), (0, 40), (-500, -500), (500, 500)])
+def test_background_where_the_frame_ends(row: int, column: int) -> None:
+    """Lit pixels from (row, column) on; the triangle is at (49, 49)."""
+    shown = [FramePart(Patch(np.ones((60, 60)), row, column, 0), 49.0, 49.0)]
+    observer = PyramidObserver()
+    one = pictures(shown, np.zeros((65, 65)), observer=observer, stimulus=Stimulus(1.0), pixel_pitch_mrad=0.1)
+    display = decoded(one)["display"]
+    reach = display.shape[0] // 2
+    places = np.arange(49 - reach, 49 + reach + 1)
+    lit = [(places >= first) & (places < first + 60) for first in (row, column)]
+    assert (display == np.where(np.outer(*lit), WHITE, HALF)).all()
+
+
+@pytest.mark.parametrize("step", [1, 2, 4, 8])
+def test_bands_lie_on_the_retina(step: int) -> None:
+    """One lit sample of a band covers `step` samples of the retina about its own place."""
+    side = 64 // step + 1
+    band = np.zeros((side, side))
+    up, right = 1, 1
+    band[side // 2 - up, side // 2 + right] = -0.25
+    one = watched([band])
+    image = decoded(one)["band 0"]
+    assert scales(one)["band 0"] == 0.25
+    rows, columns = np.nonzero(image != 128)
+    reach = image.shape[0] // 2
+    # The middle of an even number of samples lies half a sample early.
+    centre = 0.0 if step % 2 else -0.5
+    assert (image[rows, columns] == 1).all() and len(rows) == step**2
+    assert rows.mean() - reach == -up * step + centre
+    assert columns.mean() - reach == right * step + centre
+
+
+def test_nothing_is_averaged_away_in_a_large_band() -> None:
+    """A checkerboard of ±1, reduced: its peaks stay, where a mean would be 0."""
+    side = RetinaGrid(4 * 2**8 + 1, 0.1).side
+    board = 1.0 - 2.0 * (np.indices((side, side)).sum(axis=0) % 2)
+    one = watched([board], levels=8, size_mrad=25.0)
+    image = decoded(one)["band 0"]
+    assert image.shape[0] <= 96
+    assert set(np.unique(image)) <= {1, 255}
+
+
+def test_weakest_bands_are_left_out() -> None:
+    bands = [np.full((65, 65), 1.0 / (1 + (7 * k) % 12)) for k in range(12)]
+    one = watched(bands)
+    strongest = sorted(range(12), key=lambda k: (7 * k) % 12)[:8]
+    assert [name for name in scales(one) if name.startswith("band")] == [f"band {k}" for k in sorted(strongest)]
+
+
+def test_observer_that_shows_nothing() -> None:
+    class Blind:
+        centre = "centroid"
+
+        def grid(self, _: Stimulus) -> RetinaGrid:
+            return RetinaGrid(65, 0.1)
+
+    shown = [FramePart(Patch(np.zeros((99, 99)), 0, 0, 0), 49.0, 49.0)]
+    blind: Any = Blind()
+    one = pictures(shown, np.zeros((65, 65)), observer=blind, stimulus=Stimulus(1.0), pixel_pitch_mrad=0.1)
+    assert list(decoded(one)) == ["display", "retina"]
+
+
+@pytest.mark.parametrize("decisions", ["expected", "sampled"])
+def test_examples_are_in_the_result_that_is_written(make_dataset, tmp_path, capsys, decisions: str) -> None:
+    path = make_dataset(contrasts=(0.02, 0.06, 0.18), repeats=2).path
+    arguments = ["score", str(path), "--json", "--decisions", decisions]
+    assert run(cli, arguments) == 0
+    assert "examples" not in json.loads(capsys.readouterr().out)
+    assert run(cli, [*arguments, "-o", str(tmp_path / "out")]) == 0
+    (one,) = json.loads(capsys.readouterr().out)["examples"]
+    assert set(scales(one)) == {"display", "retina", "band 0", "band 1", "band 2", "band 3"}
+    page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    for picture in one["pictures"]:
+        assert f'src="data:image/png;base64,{picture["png"]}"' in page

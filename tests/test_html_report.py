@@ -1,0 +1,642 @@
+"""The report: a well-formed page that loads nothing, says what the result says, and is always the same."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+import os
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from html.parser import HTMLParser
+from itertools import count, cycle, islice, pairwise
+from pathlib import Path
+from typing import Any
+from urllib.parse import unquote
+from xml.etree import ElementTree
+
+import pytest
+
+from todframes.cli import cli
+from todframes.command import run
+from todframes.errors import DataError
+from todframes.figure_style import COLOURS
+from todframes.html_report import report_html
+from todframes.report import encode
+from todframes.result import read_result
+from todframes.verdict import verdict
+
+COMMANDS = ["score", "curve", "naked-eye", "fit", "compare", "accuracy"]
+NASTY = [
+    "<script>alert(1)</script>",
+    "</style></svg></title><img src=x onerror=alert(1)>",
+    "\"'><a href='javascript:alert(1)'>",
+    "]]>-->&amp;{{ 7 * 7 }}{% raw %}",
+    "$\\frac{1}$ _hidden $x$",
+    "two\nlines\rand\ttabs",
+    "n" * 3000,
+    "größe 大きさ 🔺",
+    "שלום \u202eabc\u202c",
+    "\x00\x07\x1b[31m\ufffe",
+    "=HYPERLINK(1)",
+]
+SVG_TAGS = {"svg", "g", "defs", "path", "clipPath", "rect", "use", "text", "tspan"}
+
+
+class Page(HTMLParser):
+    """Elements of a page as a browser's parser meets them."""
+
+    def __init__(self, content: bytes) -> None:
+        super().__init__()
+        self.elements: list[tuple[str, dict[str, str | None]]] = []
+        self.feed(content.decode())
+        self.close()
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.elements.append((tag, dict(attrs)))
+
+    def values(self, *names: str) -> list[str]:
+        return [value or "" for _, found in self.elements for name, value in found.items() if name in names]
+
+
+def tree(content: bytes) -> ElementTree.Element:
+    """The page as XML, which it is too: every element is closed, every attribute quoted."""
+    return ElementTree.fromstring(content)
+
+
+def words(element: ElementTree.Element) -> str:
+    return " ".join("".join(element.itertext()).split())
+
+
+@pytest.fixture(scope="module")
+def pages(results_of_commands) -> dict[str, bytes]:
+    """The page of each result."""
+    return {command: report_html(result) for command, result in results_of_commands.items()}
+
+
+def verdict_of(result: dict[str, Any]) -> list[str]:
+    return verdict(read_result(encode(result), "result"))
+
+
+def tables_of(content: bytes) -> dict[str, list[dict[str, str]]]:
+    """The CSV files that can be saved from a page, by name."""
+    links = [link for link in tree(content).iter("a") if "download" in link.attrib]
+    found = {}
+    for link in links:
+        kind, _, text = link.attrib["href"].partition(",")
+        assert kind == "data:text/csv;charset=utf-8"
+        found[link.attrib["download"]] = list(csv.DictReader(io.StringIO(unquote(text), newline="")))
+    return found
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_page_is_whole_and_loads_nothing(pages, command: str) -> None:
+    content = pages[command]
+    root, page = tree(content), Page(content)
+    assert content.startswith(b"<!DOCTYPE html>\n")
+    assert root.tag == "html" and root.get("lang") == "en"
+    ids = page.values("id")
+    assert len(ids) == len(set(ids))
+    for value in page.values("aria-labelledby"):
+        assert value in ids
+    for value in page.values("href", "src"):
+        if value.startswith("#"):
+            assert value[1:] in ids
+        else:
+            assert value.startswith("data:")
+    references = re.findall(r"url\(#([^)]*)\)", content.decode())
+    assert set(references) <= set(ids)
+    assert not {"script", "iframe", "object", "form", "base"} & {tag for tag, _ in page.elements}
+    assert b"http://" not in content and b"https://" not in content
+    assert b"@import" not in content
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_page_can_be_read_by_those_who_do_not_see_it(pages, command: str) -> None:
+    root = tree(pages[command])
+    levels = [int(element.tag[1]) for element in root.iter() if re.fullmatch("h[1-6]", element.tag)]
+    assert levels[0] == 1 and levels.count(1) == 1
+    assert all(below - above <= 1 for above, below in pairwise(levels))
+    for table in root.iter("table"):
+        assert table[0].tag == "caption" and words(table[0])
+        assert all(header.get("scope") in ("col", "row") for header in table.iter("th"))
+    for picture in root.iter("img"):
+        assert picture.get("alt")
+    for drawing in root.iter("svg"):
+        assert drawing.get("role") == "img" and drawing.get("aria-label")
+
+
+@pytest.mark.parametrize("command", ["score", "compare"])
+def test_same_result_same_bytes(results, pages, command: str) -> None:
+    assert report_html(json.loads(encode(results[command]))) == pages[command]
+
+
+def test_same_bytes_in_another_process(results, pages, tmp_path: Path) -> None:
+    """One that orders its sets otherwise."""
+    path = tmp_path / "result.json"
+    path.write_bytes(encode(results["score"]))
+    arguments = [sys.executable, "-m", "todframes", "report", str(path)]
+    subprocess.run(arguments, check=True, capture_output=True, env=os.environ | {"PYTHONHASHSEED": "99"})
+    assert (tmp_path / "report.html").read_bytes() == pages["score"]
+
+
+def test_order_of_the_page(pages) -> None:
+    text = pages["score"].decode()
+    marks = [
+        'class="verdict"',
+        "TOD curve.",
+        "Psychometric functions.",
+        "Thresholds at 75 % correct",
+        "At threshold",
+    ]
+    marks += ["How it was made", "Frames left out", "Plan: ", "Settings, seed and versions"]
+    places = [text.index(mark) for mark in marks]
+    assert places == sorted(places)
+
+
+# What is said --------------------------------------------------------------------------------------------------
+
+
+def test_verdict_of_scored_frames(results) -> None:
+    """Threshold 1 ÷ size with ±10 % at 1, 2 and 4 mrad."""
+    assert verdict_of(results["score"]) == [
+        "At 75 % correct the threshold contrast is 1.00 (95 % interval 0.909 to 1.10) at 1 mrad, "
+        "falling to 0.250 (95 % interval 0.227 to 0.275) at 4 mrad.",
+        "1 frame could not be used and is left out.",
+    ]
+
+
+def test_verdict_of_a_curve(results) -> None:
+    assert verdict_of(results["curve"]) == [
+        "At 75 % correct the threshold SNR is 0.250 (ΔT 5.00 mK, ± 0.0006 numerical error) at 4 detectors, "
+        "falling to 0.125 (ΔT 2.50 mK, ± 0.0003 numerical error) at 8 detectors.",
+        "At 2 detectors there is no threshold: 75 % correct is never reached, however strong the signal.",
+    ]
+
+
+def test_verdict_of_a_comparison(results) -> None:
+    first, clahe, blur, median = verdict_of(results["compare"])
+    assert first == (
+        "Of 3 algorithms, 1 lowers the threshold somewhere, 2 raise it somewhere and 1 shows no difference."
+    )
+    assert clahe.startswith("clahe lowers the threshold at 1 mrad (ratio 0.800, 95 % interval 0.727 to 0.880), ")
+    assert "raises it at 4 mrad (ratio 1.25" in clahe and "shows no difference at 2 mrad (ratio 1.00" in clahe
+    assert clahe.endswith("Corrected for all comparisons (Holm), p is 0.0090 at most.")
+    assert blur.startswith("blur raises the threshold at 1 mrad")
+    assert median.startswith("median shows no difference at 1 mrad") and "Holm" not in median
+
+
+def test_verdict_of_an_accuracy_study(results) -> None:
+    assert verdict_of(results["accuracy"]) == [
+        "Camera, no noise: the CPU time of closed form is 464 times less at 1 % error (extrapolated) than that of "
+        "literal."
+    ]
+    results["accuracy"]["scenes"][0]["speed_ratios"] = []
+    assert verdict_of(results["accuracy"]) == ["1 scene: error against run time."]
+
+
+def test_error_falls_along_straight_lines(pages) -> None:
+    """Errors are powers of the CPU time: markers of an estimator lie on a line, steeper by the ratio of powers."""
+    drawing = drawings(pages["accuracy"])["Camera, no noise"]
+    slopes = []
+    for colour in (COLOURS[0], COLOURS[-1]):
+        uses = [use for use in drawing.iter("use") if f"fill: {colour}" in use.get("style", "")]
+        # The last one is the legend's.
+        (x0, y0), (x1, y1), (x2, y2) = [(float(use.attrib["x"]), float(use.attrib["y"])) for use in uses][:3]
+        # Places are rounded to 0.01 of about 100 units.
+        assert (y1 - y0) / (x1 - x0) == pytest.approx((y2 - y1) / (x2 - x1), rel=5e-4)
+        slopes.append((y2 - y0) / (x2 - x0))
+    assert slopes[1] / slopes[0] == pytest.approx(3.0, rel=5e-4)
+
+
+def test_sentences_of_the_result_itself_go_first(results) -> None:
+    assert verdict_of(results["compare"] | {"verdict": ["It helps.", "A little."]}) == ["It helps.", "A little."]
+    assert verdict_of(results["compare"] | {"verdict": "It helps."}) == ["It helps."]
+
+
+@pytest.mark.parametrize(
+    ("changes", "sentence"),
+    [
+        ({"status": "extrapolated", "threshold": 0.1}, "is extrapolated from the levels shown: show weaker ones."),
+        (
+            {"status": "extrapolated", "threshold": 9.0},
+            "is extrapolated from the levels shown: show stronger ones.",
+        ),
+        ({"threshold_ci95": [None, 1.1]}, "The data leave an end of the 95 % interval at 1 mrad open."),
+        ({"threshold": None, "status": "never_reached"}, "answers stay below 75 % correct at the levels shown"),
+        ({"threshold": None, "status": "always_exceeded"}, "answers stay above 75 % correct at the levels shown"),
+        ({"threshold": None, "status": "too_few_levels"}, "fewer than two levels were shown"),
+        ({"threshold": None, "status": "out_of_order"}, "the status is out_of_order"),
+    ],
+)
+def test_verdict_names_what_the_data_leave_open(results, changes, sentence: str) -> None:
+    results["score"]["fits"][0] |= changes
+    (found,) = [told for told in verdict_of(results["score"]) if sentence in told]
+    assert "1 mrad" in found
+
+
+def test_groups_without_sizes_are_told_one_by_one(results) -> None:
+    assert verdict_of(results["fit"]) == [
+        "At 75 % correct with eye left the threshold level is 1.00 (95 % interval 0.909 to 1.10)."
+    ]
+    many = [results["fit"]["fits"][0] | {"group": {"eye": str(number)}} for number in range(9)]
+    told = verdict_of(results["fit"] | {"fits": many})
+    assert len(told) == 7 and told[-1] == "3 more are in the table."
+
+
+def test_remarks_on_error(pages) -> None:
+    """The points cross 5 % away from the curve in every fit."""
+    text = words(tree(pages["score"]))
+    assert "Run time 1.25 s." in text
+    assert "P(correct) is right within 0.0003" in text
+    assert "up to 5.0 % away from the fitted curve" in text
+    assert "Numerical error of the thresholds: 0.24 % at most." in words(tree(pages["curve"]))
+
+
+# Tables --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("command", ["score", "curve", "fit", "naked-eye"])
+def test_thresholds_come_back_from_csv(results, pages, command: str) -> None:
+    fits = results[command]["fits"]
+    rows = tables_of(pages[command])["thresholds.csv"]
+    assert len(rows) == len(fits)
+    for row, fit in zip(rows, fits, strict=True):
+        for name in (
+            "threshold",
+            "alpha",
+            "beta",
+            "delta",
+            "p_correct",
+            "threshold_numerical_error",
+            "delta_t_mk",
+        ):
+            if name in row:
+                assert (float(row[name]) if row[name] else None) == fit.get(name)
+            else:
+                assert all(other.get(name) is None for other in fits)
+        assert row["status"] == fit["status"]
+        for name, value in fit["group"].items():
+            assert type(value)(row[name]) == value
+        if "threshold_ci95_low" in row:
+            assert [float(row[f"threshold_ci95_{end}"]) for end in ("low", "high")] == fit["threshold_ci95"]
+
+
+@pytest.mark.parametrize("command", ["score", "curve", "compare"])
+def test_points_come_back_from_csv(results, pages, command: str) -> None:
+    result = results[command]
+    fits = result.get("fits") or [fit for one in result["algorithms"] for fit in one["fits"]]
+    points = [point for fit in fits for point in fit["points"]]
+    rows = tables_of(pages[command])["points.csv"]
+    found = [{key: float(row[key]) for key in ("level", "n_trials", "p_correct")} for row in rows]
+    assert found == points
+
+
+def test_comparison_comes_back_from_csv(results, pages) -> None:
+    tables = tables_of(pages["compare"])
+    expected = [(one, ratio) for one in results["compare"]["algorithms"] for ratio in one.get("ratios", [])]
+    rows = [row for row in tables["ratios.csv"] if row["size_mrad"] != "all"]
+    assert len(rows) == len(expected) == 9
+    assert [row["ratio"] for row in tables["ratios.csv"] if row["size_mrad"] == "all"] == ["1.1"] * 3
+    for row, (one, ratio) in zip(rows, expected, strict=True):
+        assert (row["algorithm"], row["verdict"]) == (one["name"], ratio["verdict"])
+        assert [float(row[key]) for key in ("ratio", "ratio_ci95_low", "ratio_ci95_high")] == [
+            ratio["ratio"],
+            *ratio["ratio_ci95"],
+        ]
+    assert [row["algorithm"] for row in tables["algorithms.csv"]] == ["none", "clahe", "blur", "median"]
+    assert [row["algorithm"] for row in tables["thresholds.csv"]] == [
+        name for name in ("none", "clahe", "blur", "median") for _ in range(3)
+    ]
+
+
+def test_settings_are_all_there(results) -> None:
+    results["curve"]["settings"] = {"sensor": {"name": "a", "optics": {"aperture_mm": 0.1 + 0.2}}, "levels": None}
+    rows = {row["name"]: row["value"] for row in tables_of(report_html(results["curve"]))["settings.csv"]}
+    assert rows["settings.sensor.optics.aperture_mm"] == "0.30000000000000004"
+    assert rows["settings.levels"] == ""
+    assert (rows["seed"], rows["version"], rows["run_time_s"]) == ("7", "1.2.3", "1.25")
+
+
+def test_long_tables_are_cut_and_their_files_are_not(results) -> None:
+    results["score"]["skipped"] = [{"frame": f"frames/{n}.exr", "error": "empty"} for n in range(500)]
+    content = report_html(results["score"])
+    assert len(tables_of(content)["skipped.csv"]) == 500
+    (table,) = [one for one in tree(content).iter("table") if words(one[0]) == "Frames left out"]
+    assert len(list(table.iter("tr"))) == 201
+    assert "300 more rows are in the file." in words(tree(content))
+
+
+# Figures -------------------------------------------------------------------------------------------------------
+
+
+def drawings(content: bytes) -> dict[str, ElementTree.Element]:
+    """The figures of a page by their title."""
+    found = {}
+    for figure in tree(content).iter("figure"):
+        drawing = figure.find("svg")
+        if drawing is not None:
+            found[words(figure.find("figcaption/strong")).rstrip(".")] = drawing  # type: ignore[arg-type]
+    return found
+
+
+def texts(drawing: ElementTree.Element) -> list[str]:
+    return ["".join(text.itertext()) for text in drawing.iter("text")]
+
+
+@pytest.mark.parametrize("command", ["score", "curve"])
+def test_tod_curve_shows_thresholds_and_intervals(results, pages, command: str) -> None:
+    """Places in the figure are as far apart as the logarithms of what they stand for."""
+    drawing = drawings(pages[command])["TOD curve"]
+    colour = "fill: #3b76c4"
+    found = {
+        (float(use.attrib["x"]), float(use.attrib["y"]))
+        for use in drawing.iter("use")
+        if colour in use.get("style", "")
+    }
+    expected = [
+        (-math.log(size), math.log(level))
+        for fit in results[command]["fits"]
+        if fit["threshold"] is not None
+        for size in fit["group"].values()
+        for level in (fit["threshold"], *(fit["threshold_ci95"] or ()))
+    ]
+    x, y = zip(*sorted(found), strict=True)
+    log_x, log_y = zip(*sorted(expected, key=lambda place: (place[0], -place[1])), strict=True)
+    assert len(found) == len(expected) >= 2
+    # Places are rounded to 0.01 of about 350 units.
+    for places, logarithms in ((x, log_x), (y, log_y)):
+        scale = (places[-1] - places[0]) / (logarithms[-1] - logarithms[0])
+        assert [place - places[0] for place in places] == pytest.approx(
+            [scale * (value - logarithms[0]) for value in logarithms], abs=0.03
+        )
+    assert ("ΔT (mK)" in texts(drawing)) == (command == "curve")
+
+
+def test_psychometric_figure_shows_the_points(results, pages) -> None:
+    drawing = drawings(pages["fit"])["Psychometric functions"]
+    heights = {
+        text: float(label.attrib["y"]) for label, text in zip(drawing.iter("text"), texts(drawing), strict=True)
+    }
+    scale = heights["1.0"] - heights["0.0"]
+    outlines = [path.attrib["d"] for path in drawing.iter("path") if "fill: #3b76c4" in path.get("style", "")]
+    places = [[float(y) for y in re.findall(r" (?:[\d.]+) ([\d.]+)", outline)] for outline in outlines]
+    found = [(min(y) + max(y)) / 2 for y in places if len(set(y)) > 2]
+    (fit,) = results["fit"]["fits"]
+    expected = [point["p_correct"] for point in fit["points"]]
+    # Heights are rounded to 0.01 of about 250 units.
+    assert [(y - found[0]) / scale for y in found] == pytest.approx([p - expected[0] for p in expected], abs=1e-3)
+
+
+def test_figures_follow_the_page(pages) -> None:
+    """Ink is the page's text, nothing is black or white, and no style sheet of a figure reaches the page."""
+    for drawing in drawings(pages["compare"]).values():
+        assert {element.tag for element in drawing.iter()} <= SVG_TAGS
+        styles = " ".join(element.get("style", "") for element in drawing.iter())
+        assert "currentColor" in styles
+        assert not re.search(r"#000000|#ffffff|#1f2328|font-family", styles)
+
+
+def luminance(colour: str) -> float:
+    """Relative luminance as the Web Content Accessibility Guidelines 2.2 define it."""
+    parts = [int(colour[place : place + 2], 16) / 255 for place in (1, 3, 5)]
+    red, green, blue = (c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in parts)
+    return 0.2126 * red + 0.7152 * green + 0.0722 * blue
+
+
+def test_colours_stand_out_on_both_pages(pages) -> None:
+    """Text has a contrast of 4.5 at least, lines and points 3, as the guidelines ask."""
+
+    def contrast(one: str, other: str) -> float:
+        dark, bright = sorted((luminance(one), luminance(other)))
+        return (bright + 0.05) / (dark + 0.05)
+
+    found = re.findall(r"--(\w+): (#\w{6});", pages["score"].decode())
+    names = [name for name, _ in found]
+    half = len(found) // 2
+    assert names[:half] == names[half:] and {"paper", "ink", "muted", "accent"} <= set(names)
+    for theme in (dict(found[:half]), dict(found[half:])):
+        for name in ("ink", "muted", "accent"):
+            assert contrast(theme[name], theme["paper"]) >= 4.5, (name, theme)
+        for colour in COLOURS:
+            assert contrast(colour, theme["paper"]) >= 3.0, (colour, theme)
+
+
+def test_many_curves(results) -> None:
+    """100 groups: a figure of some, a table of all, and a page of a size to send by mail."""
+    one = results["score"]["fits"][0]
+    fits = [one | {"group": {"size_mrad": 1.0 + 0.1 * n}, "threshold": 1.0 / (1.0 + 0.1 * n)} for n in range(100)]
+    content = report_html(results["score"] | {"fits": fits})
+    assert "24 of 100 curves are drawn." in words(tree(content))
+    assert len(tables_of(content)["thresholds.csv"]) == 100
+    assert len(content) < 2**20
+
+
+# Names are data ------------------------------------------------------------------------------------------------
+
+
+def with_texts(result: Any, texts: Iterator[str]) -> Any:
+    """A result with texts in every place where a user's text can stand, the next one in each."""
+    changed = json.loads(json.dumps(result))
+    changed |= {"dataset": next(texts), "version": next(texts), "versions": {next(texts): next(texts)}}
+    changed |= {"settings": {next(texts): {next(texts): next(texts)}}}
+    changed["skipped"] = [{"frame": text, "error": text, next(texts): "x"} for text in NASTY]
+    changed["plan"] = [{"stage": next(texts), "kept": True, "why": next(texts)}]
+    changed["located"] = [{"group": {next(texts): next(texts)}, "x_px": 1.0}]
+    algorithms = changed.get("algorithms", [])
+    column, level = next(texts), next(texts)
+    for fit in [*changed.get("fits", []), *(fit for one in algorithms for fit in one["fits"])]:
+        fit["group"] |= {column: next(texts)}
+        fit["level"] = level
+    for one in algorithms:
+        one |= {"name": one["name"] + next(texts), "spec": next(texts), "domain": next(texts)}
+        one["parameters"] = {next(texts): next(texts)}
+        for ratio in one.get("ratios", []):
+            ratio["group"] |= {column: next(texts)}
+    for number, one in enumerate(changed.get("examples", [])):
+        one |= {"group": {"n": float(number)}, "frame": next(texts), "orientation": next(texts)}
+        one |= {"level": next(texts), "algorithm": next(texts)}
+        for picture in one["pictures"]:
+            picture["name"] = next(texts)
+    for scene in changed.get("scenes", []):
+        scene |= {"name": next(texts), "title": next(texts)}
+        for one in scene["estimators"]:
+            one |= {"name": next(texts), "label": next(texts)}
+            one["points"] = [point | {"more": next(texts)} for point in one["points"]]
+    return changed
+
+
+@pytest.mark.parametrize("command", ["score", "compare", "accuracy"])
+def test_names_are_data_never_markup(results, command: str) -> None:
+    """The page has the very elements that it has with harmless names, and shows the texts."""
+    results["compare"]["algorithms"] = results["compare"]["algorithms"][:2]
+    harmless = report_html(with_texts(results[command], map(str, count())))
+    for first in (0, 5):  # every place is given two of them
+        content = report_html(with_texts(results[command], islice(cycle(NASTY), first, None)))
+        assert elements_of(content) == elements_of(harmless)
+        for drawing in tree(content).iter("svg"):
+            assert {element.tag for element in drawing.iter()} <= SVG_TAGS
+        cells = {"".join(cell.itertext()) for cell in tree(content).iter("td")}
+        for text, row in zip(NASTY, tables_of(content)["skipped.csv"], strict=True):
+            # XML takes a carriage return for a line break.
+            assert (
+                re.sub(r"[\x00-\x08\x0b\x0c\x0e-\x1f\u202a-\u202e\ufffe]", "\ufffd", text).replace("\r", "\ufffd")
+                in cells
+            )
+            assert row["frame"] == row["error"] == text
+
+
+def elements_of(content: bytes) -> list[tuple[str, list[str]]]:
+    """Elements of a page in their order, each with its attributes' names; those within figures left out."""
+    drawn = {tag.lower() for tag in SVG_TAGS}
+    return [(tag, sorted(found)) for tag, found in Page(content).elements if tag not in drawn]
+
+
+def test_hidden_letters_do_not_turn_the_text_beside_them(results) -> None:
+    content = report_html(with_texts(results["score"], cycle(["\u202etxt.exe\u2066"])))
+    text = re.sub(r'href="[^"]*"', "", content.decode())
+    assert "\ufffdtxt.exe\ufffd" in text
+    assert not re.search("[\u202a-\u202e\u2066-\u2069]", text)
+
+
+# Odd results ---------------------------------------------------------------------------------------------------
+
+
+def test_keys_that_may_be_missing() -> None:
+    """The least that a fit can be, and keys that this version does not know."""
+    fit = {"group": {}, "level": "contrast", "status": "ok", "p_correct": 0.75, "threshold": 0.2, "new": [1]}
+    content = report_html({"schema": 1, "command": "score", "fits": [fit], "new": {"key": 1}})
+    assert "At 75 % correct the threshold contrast is 0.200." in words(tree(content))
+    report_html({"schema": 1, "command": "compare", "algorithms": [{"name": "none"}]})
+    bare = {"name": "closed_form", "points": [{"cpu_s": None}, {}, {"cpu_s": 1.0, "threshold_error": 0}]}
+    report_html(
+        {"schema": 1, "command": "accuracy", "scenes": [{"name": "a"}, {"name": "b", "estimators": [bare]}]}
+    )
+
+
+@pytest.mark.parametrize("extreme", [5e-324, 1e-200, 1e200, 1.7e308])
+def test_numbers_at_the_edge_of_all_numbers(results, extreme: float) -> None:
+    """They are drawn at the edge of what an axis can show; the tables have them as they are."""
+    for result in (results["score"], results["compare"]["algorithms"][1]):
+        result["fits"][0] |= {"threshold": extreme, "threshold_ci95": [None, extreme], "alpha": extreme}
+        result["fits"][1]["points"][0] |= {"level": extreme}
+        result["fits"][2]["group"]["size_mrad"] = extreme
+    results["compare"]["algorithms"][1]["ratios"][0] |= {"ratio": extreme}
+    for command in ("score", "compare"):
+        tables = tables_of(report_html(results[command]))
+        assert str(extreme) in {row["threshold"] for row in tables["thresholds.csv"]}
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"schema": 2}, "schema: found 2, expected 1"),
+        ({"schema": None}, "schema: found null, expected int"),
+        ({"command": "mtf"}, "command: found 'mtf', expected one of score"),
+        ({"fits": []}, "fits: found none, expected at least one"),
+        ({"fits": "none"}, "fits: found str, expected array"),
+        ({"fits": [{}]}, r"fits\[0\].group is missing"),
+        ({"fits": [{"group": {"size_mrad": [1]}}]}, r"fits\[0\].group\[...\]: found array, expected float | str"),
+        ({"settings": 3}, "settings: found int, expected object"),
+        ({"examples": [{"group": {}, "pictures": [{"name": "a", "png": "AAAA"}]}]}, "picture 'a' is no PNG"),
+        ({"examples": [{"group": {}, "pictures": [{"name": "a", "png": "?"}]}]}, "base64"),
+    ],
+)
+def test_odd_values_are_named(results, changes, message: str) -> None:
+    with pytest.raises(DataError, match=f"^result: .*{message}"):
+        report_html(results["score"] | changes)
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [("threshold", -1.0), ("p_correct", 1.5), ("level", 3), ("status", None), ("points", [{"level": 0.0}])],
+)
+def test_odd_values_of_a_fit_are_named(results, key: str, value: object) -> None:
+    results["score"]["fits"][1] |= {key: value}
+    with pytest.raises(DataError, match=rf"^result: fits\[1\].{key}.*expected"):
+        report_html(results["score"])
+
+
+def test_fits_of_different_groups_are_refused(results) -> None:
+    results["score"]["fits"][1]["group"] = {"camera": "left"}
+    with pytest.raises(DataError, match=r"fits\[1\].group: found 'camera', expected 'size_mrad' as in the first"):
+        report_html(results["score"])
+
+
+@pytest.fixture
+def report(capsys: pytest.CaptureFixture[str]):
+    """Runs `todframes report`; gives exit status, standard output and standard error."""
+
+    def call(*arguments: object) -> tuple[int, str, str]:
+        status = run(cli, ["report", *map(str, arguments)])
+        return status, *capsys.readouterr()
+
+    return call
+
+
+def test_command_writes_beside_the_result_or_elsewhere(results, report, tmp_path: Path) -> None:
+    path = tmp_path / "result.json"
+    path.write_bytes(b"\xef\xbb\xbf" + encode(results["score"]))
+    assert report(path) == (0, f"written: {tmp_path / 'report.html'}\n", "")
+    other = tmp_path / "other.html"
+    other.write_text("old", encoding="utf-8")
+    assert report(path, "-o", other)[0] == 0
+    expected = report_html(results["score"])
+    assert (tmp_path / "report.html").read_bytes() == other.read_bytes() == expected
+    assert {file.name for file in tmp_path.iterdir()} == {"result.json", "report.html", "other.html"}
+
+
+@pytest.mark.parametrize(
+    ("content", "wanted"),
+    [
+        (b"", "not a result in JSON"),
+        (b"not JSON", "not a result in JSON"),
+        (b'{"settings":' + b'{"a":' * 100_000, "not a result in JSON"),
+        (b"[1]", "the result: found array, expected object"),
+        (b"\xff\xfe{}", "not a result in JSON"),
+        (b"{}", "schema is missing"),
+        (b'{"schema": 1, "command": "score", "fits": [{"threshold": 1e999}]}', "fits[0]"),
+    ],
+)
+def test_files_that_are_no_results(report, tmp_path: Path, content: bytes, wanted: str) -> None:
+    path = tmp_path / "result.json"
+    path.write_bytes(content)
+    status, out, err = report(path)
+    assert (status, out, err.count("\n")) == (1, "", 1)
+    assert err.startswith(f"error: {path}: ") and wanted in err
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_file_that_is_too_long(report, tmp_path: Path) -> None:
+    path = tmp_path / "result.json"
+    with path.open("wb") as file:
+        file.truncate(65 * 2**20)
+    status, _, err = report(path)
+    assert (status, err) == (1, f"error: {path}: is longer than 64 MB, expected the result of a command\n")
+
+
+def test_file_that_is_not_there(report, tmp_path: Path) -> None:
+    for path, wanted in ((tmp_path / "no.json", "No such file"), (tmp_path, "Is a directory")):
+        status, out, err = report(path)
+        assert (status, out, err.count("\n")) == (1, "", 1)
+        assert wanted in err
+
+
+def test_places_that_cannot_be_written(results, report, tmp_path: Path) -> None:
+    path = tmp_path / "result.json"
+    path.write_bytes(encode(results["fit"]))
+    for place, wanted in (
+        (path, "is the result itself"),
+        (tmp_path, "is a folder"),
+        (tmp_path / "no" / "report.html", "No such file"),
+        (path / "report.html", "Not a directory"),
+        ("", "is a folder"),
+    ):
+        status, out, err = report(path, "-o", place)
+        assert (status, out, err.count("\n")) == (2, "", 1)
+        assert wanted in err
+    assert list(tmp_path.iterdir()) == [path]
+    assert path.read_bytes() == encode(results["fit"])

@@ -1,0 +1,170 @@
+"""The observer of oriented neurons, linear and with complex cells."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from todframes.dataset import load_dataset
+from todframes.errors import SettingsError
+from todframes.naked_eye import contrast_threshold
+from todframes.observer import PyramidObserver
+from todframes.oriented import OrientedObserver, OrientedSettings
+from todframes.readout import Stimulus
+from todframes.scoring import score_dataset
+from todframes.stimulus import ORIENTATIONS, Orientation, coverage
+
+
+def observer(**changes: object) -> OrientedObserver:
+    return OrientedObserver(OrientedSettings(**changes))
+
+
+@pytest.fixture
+def complex_observer() -> OrientedObserver:
+    return observer(complex_cells=True)
+
+
+def test_how_finely_orientation_and_phase_are_divided_is_no_matter() -> None:
+    """Their noise is independent and their energy shared, so neither adds anything once the circle is covered."""
+    reference = contrast_threshold(observer(), size_mrad=1.5).threshold
+    for changes in ({"orientations": 16}, {"phases": "even"}, {"phases": "odd"}):
+        # Even ones are blind to a uniform field by a part that odd ones need not have: 2e-3 of their energy.
+        assert contrast_threshold(observer(**changes), size_mrad=1.5).threshold == pytest.approx(
+            reference, rel=3e-3
+        )
+    # Four leave gaps of 45° between fields that are half as sensitive at 18°.
+    assert contrast_threshold(observer(orientations=4), size_mrad=1.5).threshold == pytest.approx(
+        reference, rel=1e-2
+    )
+
+
+@pytest.mark.parametrize("size_mrad", [1.0, 3.0])
+def test_noise_means_the_same_as_to_the_papers_observer(size_mrad: float) -> None:
+    """Both kinds of neurons keep the energy of what they respond to, so thresholds are the same within a tenth."""
+    ratio = (
+        contrast_threshold(observer(), size_mrad=size_mrad).threshold
+        / contrast_threshold(PyramidObserver(), size_mrad=size_mrad).threshold
+    )
+    assert 1.0 < ratio < 1.1
+
+
+@pytest.mark.parametrize("samples", [2.0, 17.5, 35.0])
+def test_more_octaves_and_a_wider_field_change_nothing_that_matters(samples: float) -> None:
+    """What is left out of the templates, at the worst sizes for the rule: below 1e-3 of the threshold."""
+    stimulus = Stimulus(samples * 0.153)
+    chosen = observer()
+    levels = (chosen.grid(stimulus).side - 1).bit_length() - 3
+    few, many = (one.readout(stimulus).noise_covariance[0, 0] for one in (chosen, observer(levels=levels + 1)))
+    assert few == pytest.approx(many, rel=2e-3)
+
+
+def test_what_is_left_out_is_what_a_wider_readout_adds() -> None:
+    stimulus = Stimulus(3.0)
+    settings = OrientedSettings(position_jitter_samples=0.0, orientations=4)
+    usual, wide = (OrientedObserver(settings, more_levels=n).readout(stimulus) for n in (0, 2))
+    added = wide.noise_covariance - usual.noise_covariance
+    said = OrientedObserver(settings).left_out(stimulus).noise_covariance
+    # The triangle on the coarser retina is blurred by one coarse sample more.
+    assert np.allclose(said, added, rtol=0.0, atol=0.2 * np.abs(added).max())
+    assert observer(complex_cells=True).left_out(stimulus) is None
+
+
+# Complex cells.
+
+
+def test_complex_cells_see_neither_polarity_nor_uniform_fields(complex_observer: OrientedObserver) -> None:
+    image = np.random.default_rng(0).normal(size=(65, 65))
+    activity = complex_observer.activity(image)
+    for band, of_negative, brighter in zip(
+        activity, complex_observer.activity(-image), complex_observer.activity(image + 3.0), strict=True
+    ):
+        assert np.array_equal(band, of_negative)
+        assert np.allclose(band, brighter, rtol=0.0, atol=1e-13)
+        assert (band >= 0.0).all()
+
+
+def test_complex_cells_do_not_mind_where_in_their_field_a_grating_lies(complex_observer: OrientedObserver) -> None:
+    x = np.arange(65) - 32
+    gratings = [np.tile(np.cos(2.0 * np.pi * x / 4.0 + phase), (65, 1)) for phase in np.linspace(0.0, 3.0, 7)]
+    best = [complex_observer.activity(one)[0][0, 0, 32, 32] for one in gratings]
+    # A uniform field's 2e-3 of the even ones and the envelope's end, 3e-4, are what they differ by.
+    assert np.ptp(best) < 5e-3 * np.mean(best)
+
+
+def test_complex_cells_answer_but_have_no_readout(complex_observer: OrientedObserver) -> None:
+    stimulus = Stimulus(1.0, -1)
+    assert complex_observer.readout(stimulus) is None
+    with pytest.raises(SettingsError, match="observer: it is not linear"):
+        contrast_threshold(complex_observer, size_mrad=1.0)
+    grid, rng = complex_observer.grid(stimulus), np.random.default_rng(2)
+    right = []
+    for contrast in (0.02, 0.2, 0.6):
+        answers = [
+            complex_observer.respond(
+                -contrast
+                * coverage(
+                    (grid.side,) * 2,
+                    size_px=1.0 / grid.pitch_mrad,
+                    x_px=grid.side // 2,
+                    y_px=grid.side // 2,
+                    orientation=orientation,
+                ),
+                stimulus,
+                rng,
+            )
+            for orientation in ORIENTATIONS
+            for _ in range(15)
+        ]
+        right.append(sum(answer is ORIENTATIONS[n // 15] for n, answer in enumerate(answers)))
+    # Of 60: a guess is within 15 ± 10 (3 standard errors), and 0.6 is three times the threshold.
+    assert 5 <= right[0] <= 25
+    assert right[0] < right[1] < right[2]
+    assert right[2] >= 58
+
+
+def test_complex_cells_score_frames_by_drawn_answers(make_dataset, complex_observer: OrientedObserver) -> None:
+    dataset = load_dataset(make_dataset(contrasts=(0.02, 1.0), repeats=3).path)
+    with pytest.raises(SettingsError, match="decisions: found 'expected', but this observer is not linear"):
+        score_dataset(dataset, complex_observer)
+    scored = score_dataset(dataset, complex_observer, decisions="sampled")
+    assert np.isnan(scored.probabilities).all()
+    level = np.array([trial.level for trial in scored.trials])
+    assert (scored.p_correct[level == 1.0] == 1.0).all()
+    assert scored.p_correct[level < 1.0].mean() < 0.75
+    assert scored.fits[0].non_gaussian_bound == 0.0
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"orientations": 7}, "orientations: found 7, expected an even number"),
+        ({"complex_cells": True, "phases": "odd"}, "phases: found 'odd' with complex_cells, expected both"),
+        ({"kernel_a": 2.0}, "kernel_a: found 2.0"),
+    ],
+)
+def test_bad_settings(changes: dict, message: str) -> None:
+    with pytest.raises(SettingsError, match=message):
+        OrientedSettings(**changes)
+
+
+def test_more_neurons_than_memory_holds_are_refused() -> None:
+    with pytest.raises(
+        SettingsError, match=r"orientations: found 8; for a triangle of 90 mrad they are 3\.6e\+08"
+    ):
+        observer().grid(Stimulus(90.0))
+    assert observer(orientations=2, phases="odd").grid(Stimulus(90.0)).side == 4097
+
+
+def test_orientation_is_what_the_neurons_are_named_by(complex_observer: OrientedObserver) -> None:
+    """The base of an upright triangle is a horizontal edge: modulated along y, 90°, which is 4 of 8."""
+    grid = complex_observer.grid(Stimulus(3.0))
+    image = coverage(
+        (grid.side,) * 2,
+        size_px=3.0 / grid.pitch_mrad,
+        x_px=grid.side // 2,
+        y_px=grid.side // 2,
+        orientation=Orientation.UP,
+    )
+    finest = complex_observer.activity(np.ascontiguousarray(image))[0][0]
+    below = grid.side // 2 + round(3.0**0.25 / 3.0 * 3.0 / grid.pitch_mrad)
+    assert finest[:, below, grid.side // 2].argmax() == 4
