@@ -127,20 +127,22 @@ def answers_of_two_alike(*, common: float, own: float, sampled: bool) -> tuple[n
     return middle * LEVELS, np.array(answers, dtype=np.float64)
 
 
-@pytest.mark.parametrize(("common", "own", "sampled"), [(1.0, 0.5, False), (0.0, 0.5, True)])
+@pytest.mark.parametrize(
+    ("experiments", "common", "own", "sampled"), [(300, 1.0, 0.5, False), (100, 0.0, 0.5, True)]
+)
 def test_algorithms_that_are_alike_are_hardly_ever_called_different(
-    common: float, own: float, sampled: bool
+    experiments: int, common: float, own: float, sampled: bool
 ) -> None:
-    """At most 5 % of 300 simulated experiments of 12 trials a level; more in benchmarks/bench_pairing.py."""
+    """At most 5 % of simulated experiments of 12 trials a level; more of them in benchmarks/bench_pairing.py."""
     levels, answers = answers_of_two_alike(common=common, own=own, sampled=sampled)
     rng, level, different = np.random.default_rng(8), np.repeat(levels, 12), 0
-    for _ in range(300):
+    for _ in range(experiments):
         chosen = rng.integers(answers.shape[1], size=(7, 12))
         p_correct = answers[np.arange(7)[:, None], chosen].reshape(-1, 2).T
         fits = [fit_trials(level, p, settings=FitSettings(resamples=0), rng=rng) for p in p_correct]
-        draws = ratio_draws(level, p_correct, fits, settings=FitSettings(resamples=199), rng=rng)
+        draws = ratio_draws(level, p_correct, fits, settings=FitSettings(resamples=119), rng=rng)
         different += threshold_ratio(draws).p_value < 0.05
-    assert different <= 0.05 * 300
+    assert different <= 0.05 * experiments
 
 
 # Groups without a threshold
