@@ -13,10 +13,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from todframes.dataset import load_dataset
+from todframes.decision import answer_probabilities
 from todframes.frame_writing import write_frame
 from todframes.frames import PixelType
 from todframes.observer import PyramidObserver, PyramidSettings
 from todframes.psychometric import FitSettings, PsychometricFit, fit_counts, fit_trials
+from todframes.readout import Stimulus
 from todframes.scoring import ScoredDataset, score_dataset
 from todframes.stability import MPMATH, Case, refusal
 from todframes.stimulus import Orientation, coverage
@@ -189,6 +191,11 @@ def frame(background: float, *, contrast: FloatArray | float = CONTRAST * PATTER
     return background * (1.0 + np.broadcast_to(contrast, (SIDE_PX, SIDE_PX)))
 
 
+def frame_observer() -> PyramidObserver:
+    """Each pixel is a retina sample, and stays in its place."""
+    return PyramidObserver(PyramidSettings(retina_pitch_mrad=1.0, position_jitter_samples=0.0))
+
+
 def scored(
     values: FloatArray, pixel_type: PixelType, *, background: float | str, white: float = 1.0
 ) -> ScoredDataset:
@@ -202,8 +209,7 @@ def scored(
             f'schema = 1\n[display]\n{display}\npixel_pitch_mrad = 1.0\n[experiment]\nlevel = "contrast"\n'
         )
         (folder / "manifest.csv").write_text("frame,orientation,size_mrad,contrast\nframe.exr,up,5.0,0.25\n")
-        observer = PyramidObserver(PyramidSettings(retina_pitch_mrad=1.0, position_jitter_samples=0.0))
-        return score_dataset(load_dataset(folder), observer)
+        return score_dataset(load_dataset(folder), frame_observer())
 
 
 def frame_cases() -> list[Case]:
@@ -214,7 +220,12 @@ def frame_cases() -> list[Case]:
     def right(
         values: FloatArray, pixel_type: PixelType = "float", *, background: float | str, white: float = 1.0
     ) -> float:
-        return float(scored(values, pixel_type, background=background, white=white).p_correct[0])
+        # Under Gaussian noise, as the expected number is.
+        found = scored(values, pixel_type, background=background, white=white)
+        readout = frame_observer().readout(Stimulus(5.0))
+        assert readout is not None
+        covariance = readout.noise_covariance
+        return float(answer_probabilities(found.scores[0], covariance)[Orientation.UP.quarter_turns])
 
     one_pixel = np.zeros((SIDE_PX, SIDE_PX))
     one_pixel[29, 32] = 1.0  # in the upright triangle's apex
