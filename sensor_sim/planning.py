@@ -170,8 +170,8 @@ class _Trial:
         return self.bound(self._scores(added, self.samples), noise + missing.noise_covariance)
 
     def levels_suffice(self) -> bool:
-        """Whether no further levels are needed."""
-        return self.levels_bound is None or self.levels_bound <= LARGEST_SHARE * self.budget
+        """Whether no further levels are needed, as far as the observer tells what they would add."""
+        return self.levels_bound is not None and self.levels_bound <= LARGEST_SHARE * self.budget
 
     def _levels(self, plan: CurvePlan) -> tuple[CurvePlan, Sequence[Step]]:
         bound, stage, side = self.levels_bound, "pyramid levels", self.readout.grid.side

@@ -180,7 +180,7 @@ class PyramidObserver:
         if self.settings.levels is not None or self._more_levels or self._levels(stimulus) == FEWEST_LEVELS:
             return None
         lean = type(self)(self.settings, more_levels=-1)
-        size = stimulus.size_mrad / self.settings.retina_pitch_mrad
+        size = self._seen_size_mrad(stimulus) / self.settings.retina_pitch_mrad
         try:
             return lean if lean.grid(stimulus).side > 4.0 * LEAST_FIELD * size else None
         except SettingsError:
