@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -17,11 +18,9 @@ from numpy.typing import NDArray
 
 from sensor_sim.crossing import crossing
 from sensor_sim.curve_plan import CurvePlan
-from sensor_sim.noise import draw
+from sensor_sim.literal import literal_answers
 from sensor_sim.planning import plan_curve
 from sensor_sim.predict import FoldedChain, Phases
-from sensor_sim.reconstruction import axis_matrix, display_position_px, display_signal, luminance_cd_m2
-from sensor_sim.sampling import field_detectors, field_sampler
 from sensor_sim.sensor import Detector, Optics, Sensor, SensorDisplay
 from todframes.crossing import find_crossing
 from todframes.estimators import (
@@ -37,8 +36,7 @@ from todframes.estimators import (
 )
 from todframes.naked_eye import CONTRAST_RANGE
 from todframes.observer import PyramidObserver
-from todframes.readout import Stimulus
-from todframes.retina import resample
+from todframes.planning import PlanName
 from todframes.stimulus import ORIENTATIONS
 
 FloatArray = NDArray[np.float64]
@@ -64,8 +62,8 @@ CONVERGED_PLACES, FEWEST_LATTICES, MOST_LATTICES = 17, 8, 64
 CONVERGED_BOUND = 1e-4
 """Of the threshold: a tenth of the smallest error at which estimators are compared."""
 VARIANT_PLACES = 11
-AT_ONCE = 32
-"""Frames of the literal Monte Carlo; their samples cost less together."""
+COARSE_TOLERANCE, TOLERANCE = 0.0196, 0.00196
+"""Half-widths of 95 % intervals: standard errors of 1 % and 0.1 %."""
 
 
 @dataclass(frozen=True)
@@ -112,8 +110,11 @@ class Camera:
         return Converged(threshold, (2.0 * error + chain.plan.bound / slope) * threshold, slope)
 
     def estimators(self, converged: Converged) -> tuple[MonteCarlo | Quadrature, ...]:
-        """The literal Monte Carlo, on folded scores, expected decisions, and a lattice of places."""
+        """The literal Monte Carlo, on folded scores, expected decisions, and lattices of places."""
         snr, contrast = self._shown(converged.threshold)
+        answers = partial(literal_answers, self.sensor, self.size_detectors, snr=snr, contrast=contrast)
+        # Each place is seen with two opposite displacements of the retina.
+        budgets = tuple(2 * places**2 for places in PLACES if self._is_fair(places))
 
         def trials() -> Callable[[int, np.random.Generator], Trials]:
             chain = self._chain(self._plan())
@@ -126,21 +127,15 @@ class Camera:
 
             return draw
 
-        def closed_form() -> Callable[[int, np.random.Generator], Estimate]:
-            chain = self._chain(self._plan())
+        def closed_form(tolerance: float) -> Callable[[int, np.random.Generator], Estimate]:
+            chain = self._chain(self._plan(tolerance=tolerance))
             return lambda n, rng: self._estimate(chain, math.isqrt(n // 2), converged, rng)
 
+        coarse, fine = (partial(closed_form, tolerance) for tolerance in (COARSE_TOLERANCE, TOLERANCE))
         return (
-            *monte_carlos(lambda: self._answers(snr, contrast), trials),
-            Quadrature(
-                "closed_form",
-                "closed form, lattice of places",
-                closed_form,
-                # Each place is seen with two opposite displacements of the retina.
-                tuple(2 * places**2 for places in PLACES if self._is_fair(places)),
-                0.3,
-                REPEATS,
-            ),
+            *monte_carlos(answers, trials),
+            Quadrature("closed_form_coarse", "closed form, planned for 1 %", coarse, budgets, 0.15, REPEATS),
+            Quadrature("closed_form", "closed form, planned for 0.1 %", fine, budgets, 0.25, REPEATS),
         )
 
     def variants(self, converged: Converged) -> tuple[Variant, ...]:
@@ -183,13 +178,14 @@ class Camera:
             return level, 1.0
         return (level / self.noise_contrast if self.noise_contrast else math.inf), level
 
-    def _plan(self, name: Literal["needed", "full"] = "needed") -> CurvePlan:
+    def _plan(self, name: PlanName = "needed", tolerance: float = TOLERANCE) -> CurvePlan:
         noisy = self.level == "snr" or self.noise_contrast > 0.0
         return plan_curve(
             self.sensor,
             PyramidObserver(),
             self.size_detectors,
             name=name,
+            tolerance=tolerance,
             p_correct=P_CORRECT,
             external_noise=noisy,
         )
@@ -220,50 +216,6 @@ class Camera:
         phases = chain.phases(places, rng)
         p_correct = self._proportion(chain, phases, converged.threshold)
         return Estimate(p_correct, self._threshold(chain, phases))
-
-    def _answers(self, snr: float, contrast: float) -> Callable[[int, np.random.Generator], FloatArray]:
-        """Frames drawn and displayed one by one, each looked at with noise on every neuron."""
-        sensor, display, observer = self.sensor, self.sensor.display, PyramidObserver()
-        stimulus = Stimulus(self.size_detectors * display.detector_pitch_mrad)
-        observer.templates(stimulus)
-        grid, field = observer.grid(stimulus), field_detectors(sensor, self.size_detectors)
-        sampler = field_sampler(sensor, self.size_detectors)
-        hold = axis_matrix(field, display=display, electronics=sensor.electronics)
-        samples_per_pixel = display.pixel_pitch_mrad / grid.pitch_mrad
-        distribution = sensor.noise.distribution
-
-        def some(n: int, rng: np.random.Generator) -> FloatArray:
-            orientations = rng.integers(4, size=n)
-            places = rng.uniform(-0.5, 0.5, (n, 2))
-            samples = np.empty((n, field, field))
-            for orientation in ORIENTATIONS:
-                these = orientations == orientation.quarter_turns
-                samples[these] = sampler.samples(*places[these].T, orientation=orientation)
-            samples = contrast * samples + draw(
-                samples.shape, sd=contrast / snr, distribution=distribution, rng=rng
-            )
-            jitter = rng.uniform(-1.0, 1.0, (n, 2)) * observer.position_jitter_samples / samples_per_pixel
-            right = np.empty((n, 1))
-            for trial in range(n):
-                luminance = luminance_cd_m2(display_signal(samples[trial], hold), display=display)
-                x_px, y_px = (
-                    display_position_px(at, n_detectors=field, display=display) + by
-                    for at, by in zip(places[trial], jitter[trial], strict=True)
-                )
-                seen = resample(
-                    luminance / display.background_luminance_cd_m2 - 1.0,
-                    grid,
-                    x_px=x_px,
-                    y_px=y_px,
-                    pixel_pitch_mrad=display.pixel_pitch_mrad,
-                )
-                answer = observer.respond(seen, stimulus, rng)
-                right[trial] = answer.quarter_turns == orientations[trial]
-            return right
-
-        return lambda n, rng: np.concatenate(
-            [some(min(AT_ONCE, n - start), rng) for start in range(0, n, AT_ONCE)]
-        )
 
 
 def external_noise() -> Camera:

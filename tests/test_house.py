@@ -41,7 +41,7 @@ FLOORS = {
         {"sensor", "crossing"},
         {"transfer"},
         {"sampling", "noise", "reconstruction"},
-        {"folding", "simulate", "scenes", "stability_optics_cases", "matched"},
+        {"folding", "simulate", "literal", "scenes", "stability_optics_cases", "matched"},
         {"curve_plan"},
         {"planning"},
         {"predict"},

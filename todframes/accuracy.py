@@ -96,7 +96,7 @@ def measure(scene: Scene, *, seconds: float, seed: int = 1) -> Measured:
     if not 0.0 < seconds < math.inf:
         raise SettingsError(f"time: found {seconds!r}, expected a finite number of seconds > 0")
     converged = scene.converge()
-    curves = []
+    curves, closed_forms = [], []
     for number, estimator in enumerate(scene.estimators(converged)):
         key = (zlib.crc32(scene.name.encode()), number)
         rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))
@@ -105,6 +105,7 @@ def measure(scene: Scene, *, seconds: float, seed: int = 1) -> Measured:
             curves.append(_measure_draws(scene, estimator, converged, share, rng))
         else:
             curves.append(_measure_rule(estimator, converged, share, rng))
+            closed_forms.append(curves[-1])
     return Measured(
         scene.name,
         scene.title,
@@ -113,7 +114,10 @@ def measure(scene: Scene, *, seconds: float, seed: int = 1) -> Measured:
         converged,
         tuple(curves),
         tuple(_changes(scene.variants(converged), seed)),
-        tuple(map(speed_ratio, curves[0].times, curves[-1].times)),
+        tuple(
+            speed_ratio(literal, {one.name: one.times[place] for one in closed_forms})
+            for place, literal in enumerate(curves[0].times)
+        ),
         scene.non_gaussian_bound(),
     )
 

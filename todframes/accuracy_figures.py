@@ -13,8 +13,14 @@ if TYPE_CHECKING:
 
 Json = dict[str, Any]
 
-COLOURS = {"literal": "0.35", "folded": "C1", "expected": "C2", "closed_form": "C0"}
-MARKERS = {"literal": "s", "folded": "^", "expected": "v", "closed_form": "o"}
+COLOURS = {
+    "literal": "0.35",
+    "folded": "C1",
+    "expected": "C2",
+    "closed_form_coarse": "C9",
+    "closed_form": "C0",
+}
+MARKERS = {"literal": "s", "folded": "^", "expected": "v", "closed_form_coarse": "D", "closed_form": "o"}
 BOX = {"facecolor": "white", "edgecolor": "none", "pad": 0.5, "alpha": 0.8}
 TOP = 0.7
 
@@ -22,8 +28,8 @@ TOP = 0.7
 def scene_picture(scene: Json) -> bytes:
     """PNG of one scene of `accuracy.json`: threshold error against CPU time, a line an estimator.
 
-    Dashed lines are extrapolated along 1/√N; arrows tell how many times less CPU the closed form takes than the
-    literal Monte Carlo at equal error. What lies in grey is below the error of the converged value.
+    Dashed lines are extrapolated along 1/√N; arrows tell how many times less CPU the fastest closed form takes
+    than the literal Monte Carlo at equal error. What lies in grey is below the error of the converged value.
     """
     from matplotlib.figure import Figure
     from matplotlib.ticker import FuncFormatter, LogLocator
@@ -90,9 +96,10 @@ def _draw_ratio(axes: Axes, scene: Json, ratio: Json) -> None:
     axes.axhline(error, color="0.6", ls="--", lw=0.8, zorder=0)
     if ratio["ratio"] is None:
         return
+    times = {one["name"]: one["cpu_s_at"] for one in scene["estimators"]}
     literal, closed_form = (
-        next(at["cpu_s"] for at in scene["estimators"][k]["cpu_s_at"] if at["threshold_error"] == error)
-        for k in (0, -1)
+        next(at["cpu_s"] for at in times[name] if at["threshold_error"] == error)
+        for name in ("literal", ratio["closed_form"])
     )
     arrow = {"arrowstyle": "<|-|>", "color": "C0", "lw": 1.2, "shrinkA": 0, "shrinkB": 0}
     axes.annotate("", (closed_form, error), (literal, error), arrowprops=arrow)

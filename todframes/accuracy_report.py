@@ -171,7 +171,7 @@ hardly depend on it.
 | literal Monte Carlo | as in the paper: frames drawn, noise on every neuron, correlation, the largest score |
 | Monte Carlo on folded scores | pyramid and templates folded into four weight images, noise into one four-vector |
 | expected decisions, random phases | no noise is drawn: P(correct) of each trial is computed |
-| closed form | the same, with trials placed evenly |
+| closed form | the same, with trials placed evenly; for cameras, planned for an error (`--tolerance`) |
 
 - **Error**: root mean square about the converged value over independent estimates; of the threshold, relative. A
   bar is the standard error of that root mean square, grey what is below the bound on the converged value's error.

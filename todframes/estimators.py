@@ -148,7 +148,7 @@ class Scene(Protocol):
         """The threshold, with far less error than any estimator is given time for."""
 
     def estimators(self, converged: Converged) -> Sequence[MonteCarlo | Quadrature]:
-        """The literal Monte Carlo first, the closed form last."""
+        """The literal Monte Carlo first; `Quadrature` is a closed form."""
 
     def variants(self, converged: Converged) -> Sequence[Variant]:
         """The closed form as it is, then with something changed."""

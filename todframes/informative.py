@@ -128,8 +128,7 @@ class InformativeObserver(PyramidObserver):
 
     def informative_neurons(self, stimulus: Stimulus) -> tuple[NDArray[np.bool_], ...]:
         """Which neurons of each band are used; the bands' shapes."""
-        _, upright = super()._template(stimulus)
-        return self._informative(upright)
+        return self._informative(super()._template_deviation(stimulus))
 
     def _seen_size_mrad(self, stimulus: Stimulus) -> float:
         settings = self.settings
@@ -159,11 +158,13 @@ class InformativeObserver(PyramidObserver):
     def _expected(self, image: FloatArray) -> Bands:
         return super()._expected(self.displayed(image))
 
-    def _template(self, stimulus: Stimulus) -> tuple[Bands, Bands]:
-        common, upright = super()._template(stimulus)
+    def _common_template(self, stimulus: Stimulus) -> Bands:
+        return self.activity(np.zeros((self.grid(stimulus).side,) * 2))
+
+    def _template_deviation(self, stimulus: Stimulus) -> Bands:
+        upright = super()._template_deviation(stimulus)
         used = self._informative(upright)
-        nothing = tuple(np.zeros_like(band) for band in common)
-        return nothing, self._ideal(tuple(map(np.multiply, upright, used)), used, self.grid(stimulus))
+        return self._ideal(tuple(map(np.multiply, upright, used)), used, self.grid(stimulus))
 
     def _informative(self, upright: Bands) -> tuple[NDArray[np.bool_], ...]:
         share = self.settings.informative_share

@@ -235,18 +235,23 @@ class PyramidObserver:
 
     def _templates(self, stimulus: Stimulus) -> tuple[Bands, ...]:
         """Weights of all neurons in each score, in the order of `ORIENTATIONS`: expected activity."""
-        common, upright = self._template(stimulus)
+        common, upright = self._common_template(stimulus), self._template_deviation(stimulus)
         return tuple(
             tuple(mean + band for mean, band in zip(common, self.turned(upright, turns), strict=True))
             for turns in range(4)
         )
 
-    def _template(self, stimulus: Stimulus) -> tuple[Bands, Bands]:
-        """What all four templates have in common, and what that of the upright triangle has besides."""
+    def _common_template(self, stimulus: Stimulus) -> Bands:
+        """What all four templates have in common."""
+        return self._expected(_mean_of_turns(self._upright(stimulus)))
+
+    def _template_deviation(self, stimulus: Stimulus) -> Bands:
+        """What the template of the upright triangle has besides.
+
+        The difference is taken before blur and bands, whose rounding is that of what all four have in common.
+        """
         image = self._upright(stimulus)
-        # The difference is taken before blur and bands, whose rounding is that of what all four have in common.
-        mean = np.asarray(sum(np.rot90(image, -k) for k in range(4)) / 4.0)
-        return self._expected(mean), self._expected(image - mean)
+        return self._expected(image - _mean_of_turns(image))
 
     def _upright(self, stimulus: Stimulus) -> FloatArray:
         """The upright triangle on the retina, times its polarity."""
@@ -267,14 +272,14 @@ class PyramidObserver:
     def _readout(self, stimulus: Stimulus) -> Readout:
         """Pyramid and templates folded onto the retina: A_k = Lᵀ t_k."""
         grid = self.grid(stimulus)
-        common, upright = self._template(stimulus)
+        upright = self._template_deviation(stimulus)
         folded = self._fold(upright, grid)
         beside = self.turned(upright, 1)
         opposite = self.turned(beside, 1)
         noise = summed_noise((upright, beside, opposite, self.turned(opposite, 1)), self.settings.noise_sd)
         return Readout(
             grid=grid,
-            common=self._fold(common, grid),
+            find_common=lambda: self._fold(self._common_template(stimulus), grid),
             deviations=np.stack([np.rot90(folded, -k) for k in range(4)]),
             **noise._asdict(),
         )
@@ -306,3 +311,7 @@ class PyramidObserver:
         """One answer: the largest score, ties at random."""
         scores = self.literal_scores(contrast, stimulus, rng)
         return ORIENTATIONS[int(rng.choice(np.flatnonzero(scores == scores.max())))]
+
+
+def _mean_of_turns(image: FloatArray) -> FloatArray:
+    return np.asarray(sum(np.rot90(image, -k) for k in range(4)) / 4.0)

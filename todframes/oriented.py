@@ -145,13 +145,20 @@ class OrientedObserver(PyramidObserver):
             phase[:half] *= sign
         return turned
 
-    def _template(self, stimulus: Stimulus) -> tuple[Bands, Bands]:
+    def _common_template(self, stimulus: Stimulus) -> Bands:
         if not self.settings.complex_cells:
-            return super()._template(stimulus)
+            return super()._common_template(stimulus)
+        return self._mean_of_turned(self._expected(self._upright(stimulus)))
+
+    def _template_deviation(self, stimulus: Stimulus) -> Bands:
+        if not self.settings.complex_cells:
+            return super()._template_deviation(stimulus)
         expected = self._expected(self._upright(stimulus))
-        turned = [self.turned(expected, turns) for turns in range(4)]
-        common = tuple(np.asarray(sum(bands) / 4.0) for bands in zip(*turned, strict=True))
-        return common, tuple(map(np.subtract, expected, common))
+        return tuple(map(np.subtract, expected, self._mean_of_turned(expected)))
+
+    def _mean_of_turned(self, bands: Bands) -> Bands:
+        turned = [self.turned(bands, turns) for turns in range(4)]
+        return tuple(np.asarray(sum(same) / 4.0) for same in zip(*turned, strict=True))
 
     def _fold(self, bands: Sequence[FloatArray], grid: RetinaGrid) -> FloatArray:
         weights = [self.settings.band_gain**k * band for k, band in enumerate(bands)]

@@ -80,11 +80,21 @@ class LaplacianPyramid:
         return self._filter(_spread(image, shape), gain=2.0)
 
     def reduce_adjoint(self, image: FloatArray, shape: tuple[int, ...]) -> FloatArray:
-        """The adjoint of `reduce` for images of a shape."""
-        return self._filter_adjoint(_spread(image, shape))
+        """The adjoint of `reduce` for images of a shape.
+
+        The mirrored filter F is symmetric under weights D of one half on the outermost samples: D F = Fᵀ D. With
+        S, which keeps every second sample, (S F)ᵀ = D (F Sᵀ) (S D Sᵀ)⁻¹, and F Sᵀ is EXPAND less its gain.
+        """
+        expanded = self.expand(_weigh_border(image, 2.0, shape), shape)
+        expanded /= _expand_gain(shape)
+        return _weigh_border(expanded, 0.5, shape, every=1)
 
     def _expand_adjoint(self, image: FloatArray) -> FloatArray:
-        return self._filter_adjoint(image, gain=2.0)[::2, ::2]
+        """The adjoint of `expand` to the image's shape: (F Sᵀ)ᵀ = (S D Sᵀ) (S F) D⁻¹, times the gain."""
+        reduced = self.reduce(_weigh_border(image, 2.0, image.shape, every=1))
+        reduced = _weigh_border(reduced, 0.5, image.shape)
+        reduced *= _expand_gain(image.shape)
+        return reduced
 
     def _filter(self, image: FloatArray, gain: float = 1.0) -> FloatArray:
         tail = 0.25 - self.kernel_a / 2.0
@@ -94,13 +104,6 @@ class LaplacianPyramid:
         # cv2.pyrUp is wrong in the last row and column of odd sizes; a plain separable filter is exact.
         filtered = cv2.sepFilter2D(image, cv2.CV_64F, along_x, along_y, borderType=cv2.BORDER_REFLECT_101)
         return np.asarray(filtered)
-
-    def _filter_adjoint(self, image: FloatArray, gain: float = 1.0) -> FloatArray:
-        """The mirrored filter is symmetric under weights of one half on the outermost samples.
-
-        With D those weights, D F = Fᵀ D, hence Fᵀ = D F D⁻¹.
-        """
-        return _weigh_border(self._filter(_weigh_border(image, 2.0), gain), 0.5)
 
 
 def _expand_binomial(image: FloatArray, shape: tuple[int, ...]) -> FloatArray:
@@ -121,10 +124,18 @@ def _spread(image: FloatArray, shape: tuple[int, ...]) -> FloatArray:
     return spread
 
 
-def _weigh_border(image: FloatArray, weight: float) -> FloatArray:
+def _weigh_border(image: FloatArray, weight: float, shape: tuple[int, ...], *, every: int = 2) -> FloatArray:
+    """A copy with the outermost lines of an image of this shape weighted, of which it has every second or each."""
     weighted = image.copy()
-    for axis in (0, 1):
-        if weighted.shape[axis] > 1:
+    for axis, length in enumerate(shape):
+        if length > 1:
             lines = np.moveaxis(weighted, axis, 0)
-            lines[[0, -1]] *= weight
+            lines[0] *= weight
+            if (length - 1) % every == 0:
+                lines[-1] *= weight
     return weighted
+
+
+def _expand_gain(shape: tuple[int, ...]) -> float:
+    """What EXPAND makes up for the zeros between samples; along an axis of one sample there are none."""
+    return float(np.prod([2.0 if length > 1 else 1.0 for length in shape]))

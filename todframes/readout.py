@@ -6,7 +6,9 @@ the noise on all its neurons reaches the decision as one four-vector. One that i
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, ClassVar, NamedTuple, Protocol, cast, runtime_checkable
 
 import numpy as np
@@ -45,7 +47,7 @@ class Stimulus:
     polarity: int = 1
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Readout:
     """A linear observer of one stimulus: the weight of each retina sample in each of the four scores.
 
@@ -55,8 +57,9 @@ class Readout:
     Attributes
     ----------
     grid : RetinaGrid
-    common : ndarray, shape (side, side)
-        Weights that all four scores share.
+    find_common : function of no arguments
+        Finds `common`, the weights that all four scores share, (side, side): no decision needs them, so they are
+        computed when the scores themselves are asked for.
     deviations : ndarray, shape (4, side, side)
         Weights of each score less `common`, in the order of `ORIENTATIONS`.
     noise_covariance : ndarray, shape (4, 4)
@@ -68,11 +71,16 @@ class Readout:
     """
 
     grid: RetinaGrid
-    common: FloatArray
+    find_common: Callable[[], FloatArray]
     deviations: FloatArray
     noise_covariance: FloatArray
     excess_kurtosis: float
     fourth_cumulants: FloatArray | None = None
+
+    @cached_property
+    def common(self) -> FloatArray:
+        """Weights that all four scores share: (side, side)."""
+        return self.find_common()
 
     def scores(self, contrast: FloatArray) -> FloatArray:
         """Noise-free inner products of a retina image, shape (side, side), with the four templates: (4,)."""
@@ -93,7 +101,7 @@ class Readout:
         return replace(
             self,
             grid=RetinaGrid(2 * half_width + 1, self.grid.pitch_mrad),
-            common=np.ascontiguousarray(self.common[inner, inner]),
+            find_common=lambda: np.ascontiguousarray(self.common[inner, inner]),
             deviations=np.ascontiguousarray(self.deviations[:, inner, inner]),
         )
 

@@ -211,14 +211,24 @@ def _second_divided_difference_of_exp(phase: FloatArray) -> NDArray[np.complex12
     """exp[i a, i b, i c] for real phases (..., 3), to a relative error of about 1e-15 of its bound 1/2."""
     a, b, c = np.moveaxis(np.sort(phase, axis=-1), -1, 0)
     # Widest pair in the denominator: the sort puts it first and last.
-    width = c - a
-    wide = width > 1.0
-    safe = np.where(wide, width, 1.0)
-    quotient = (_first_divided_difference_of_exp(b, c) - _first_divided_difference_of_exp(a, b)) / (1j * safe)
-    # Narrow: Taylor about the middle, sum of complete homogeneous polynomials h_n / (n + 2)!. |z| <= 1/2
-    # there, so h_n <= (n + 1)(n + 2)/2 · 2^-n and 16 terms leave less than 1e-17.
+    wide = c - a > 1.0
+    differences = np.empty(wide.shape, dtype=np.complex128)
+    narrow = ~wide
+    differences[narrow] = _by_series(a[narrow], b[narrow], c[narrow])
+    a, b, c = a[wide], b[wide], c[wide]
+    rise = _first_divided_difference_of_exp(b, c) - _first_divided_difference_of_exp(a, b)
+    differences[wide] = rise / (1j * (c - a))
+    return differences
+
+
+def _by_series(a: FloatArray, b: FloatArray, c: FloatArray) -> NDArray[np.complex128]:
+    """exp[i a, i b, i c] where c − a ≤ 1: Taylor about the middle, sum of h_n / (n + 2)!.
+
+    h_n are complete homogeneous polynomials. |z| ≤ 1/2, so h_n ≤ (n + 1)(n + 2)/2 · 2^-n and 16 terms leave less
+    than 1e-17.
+    """
     middle = (a + c) / 2.0
-    z = [1j * np.where(wide, 0.0, p - middle) for p in (a, b, c)]
+    z = [1j * (p - middle) for p in (a, b, c)]
     h1 = h2 = h3 = np.ones_like(z[0])
     series = h3 / 2.0
     factorial = 2.0
@@ -228,7 +238,7 @@ def _second_divided_difference_of_exp(phase: FloatArray) -> NDArray[np.complex12
         h3 = h2 + h3 * z[2]
         factorial *= n + 2
         series = series + h3 / factorial
-    return np.asarray(np.where(wide, quotient, series * np.exp(1j * middle)))
+    return np.asarray(series * np.exp(1j * middle))
 
 
 def _first_divided_difference_of_exp(a: FloatArray, b: FloatArray) -> NDArray[np.complex128]:

@@ -56,8 +56,11 @@ def _participation(turned: Sequence[Bands]) -> float:
     """Σw⁴ / (Σw²)² of the weights of a score difference, the larger of the two kinds."""
     largest = 0.0
     for other in turned[1:3]:
-        squares = [np.square(a - b) for a, b in zip(turned[0], other, strict=True)]
-        total = sum(float(one.sum()) for one in squares)
+        squares = [a - b for a, b in zip(turned[0], other, strict=True)]
+        total = 0.0
+        for one in squares:
+            np.square(one, out=one)
+            total += float(one.sum())
         if total > 0.0:
             for one in squares:
                 one /= total

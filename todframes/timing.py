@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -37,10 +37,14 @@ class TimeAt(NamedTuple):
 
 
 class Ratio(NamedTuple):
-    """How many times less CPU the closed form takes than the literal Monte Carlo, at equal error."""
+    """How many times less CPU the fastest closed form takes than the literal Monte Carlo, at equal error.
+
+    `closed_form` is its name; None if none of them has this error.
+    """
 
     error: float
     ratio: float | None
+    closed_form: str | None
     extrapolated: bool
     at_least: bool
 
@@ -101,9 +105,10 @@ def time_of_rule(points: Sequence[Point], error: float) -> TimeAt:
     return TimeAt(error, before.cpu_s * (after.cpu_s / before.cpu_s) ** share)
 
 
-def speed_ratio(literal: TimeAt, closed_form: TimeAt) -> Ratio:
-    """CPU time of one over that of the other, both at the same error."""
-    ratio = None
-    if literal.cpu_s is not None and closed_form.cpu_s is not None:
-        ratio = literal.cpu_s / closed_form.cpu_s
-    return Ratio(literal.error, ratio, literal.extrapolated, closed_form.at_most)
+def speed_ratio(literal: TimeAt, closed_forms: Mapping[str, TimeAt]) -> Ratio:
+    """CPU time of one over that of the fastest of the others by name, all at the same error."""
+    times = {at.cpu_s: (name, at.at_most) for name, at in closed_forms.items() if at.cpu_s is not None}
+    if literal.cpu_s is None or not times:
+        return Ratio(literal.error, None, None, literal.extrapolated, at_least=False)
+    name, at_most = times[min(times)]
+    return Ratio(literal.error, literal.cpu_s / min(times), name, literal.extrapolated, at_most)

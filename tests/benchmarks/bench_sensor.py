@@ -10,13 +10,12 @@ from pathlib import Path
 import numpy as np
 from timing import Row, best_s, process
 
-from sensor_sim.accuracy_scenes import Camera
+from sensor_sim.literal import literal_answers
 from sensor_sim.predict import FoldedChain, predict_threshold
 from sensor_sim.reconstruction import axis_matrix, display_signal
 from sensor_sim.sampling import TriangleSampler
 from sensor_sim.sensor import Sensor, load_sensor
 from sensor_sim.transfer import optics_mtf
-from todframes.estimators import Converged
 from todframes.observer import PyramidObserver
 from todframes.psychometric import FitSettings, fit_counts
 from todframes.stimulus import Orientation, coverage
@@ -46,9 +45,7 @@ def literal_s(chain: FoldedChain, threshold: float) -> float:
     the threshold that a Weibull curve through 7 levels gives, half to twice the threshold, 300 answers at each.
     """
     rng = np.random.default_rng(1)
-    scene = Camera("literal", "", "", "snr", sensor=chain.sensor, size_detectors=chain.size_detectors)
-    literal, *_ = scene.estimators(Converged(threshold, bound=0.0, slope=1.0))
-    draw = literal.prepare()
+    draw = literal_answers(chain.sensor, chain.size_detectors, snr=threshold)
     draw(1, rng)
     started = time.process_time()
     draw(20, rng)
