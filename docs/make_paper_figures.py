@@ -34,9 +34,10 @@ from sensor_sim.simulate import Simulator, plan_trials
 from sensor_sim.transfer import diffraction_mtf, pre_sample_mtf
 from todframes.decision import answer_probability
 from todframes.naked_eye import Threshold, acuity, contrast_threshold, proportion_correct
-from todframes.observer import PyramidObserver, PyramidSettings
+from todframes.observer import PyramidObserver
 from todframes.psychometric import FitSettings, PsychometricFit, fit_trials
 from todframes.pyramid import LaplacianPyramid
+from todframes.pyramid_settings import PyramidSettings
 from todframes.readout import Stimulus
 from todframes.retina import resample
 from todframes.stimulus import ORIENTATIONS, Orientation, coverage

@@ -16,7 +16,8 @@ from sensor_sim.predict import FoldedChain, predict_threshold
 from sensor_sim.reconstruction import axis_matrix, display_position_px, display_signal, gaussian_kernel
 from sensor_sim.sensor import Electronics, Noise, Optics, Sensor, SensorDisplay
 from sensor_sim.simulate import Simulator
-from todframes.observer import PyramidObserver, PyramidSettings
+from todframes.observer import PyramidObserver
+from todframes.pyramid_settings import PyramidSettings
 from todframes.retina import RetinaGrid, resample
 from todframes.stability import Case, refusal
 

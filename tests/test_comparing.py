@@ -16,8 +16,9 @@ from todframes.enhancement_specs import find_enhancement
 from todframes.errors import DataError, FrameError, SettingsError
 from todframes.frame_writing import write_frame
 from todframes.frames import FrameFile, read_frame
-from todframes.observer import PyramidObserver, PyramidSettings
+from todframes.observer import PyramidObserver
 from todframes.psychometric import FitSettings
+from todframes.pyramid_settings import PyramidSettings
 from todframes.readout import Readout, Stimulus
 from todframes.scoring import score_dataset
 from todframes.stimulus import ORIENTATIONS, coverage

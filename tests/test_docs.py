@@ -114,8 +114,8 @@ def test_enhancement_of_the_samples_is_as_shown(tmp_path: Path, monkeypatch, cap
 def test_documented_settings_are_the_settings() -> None:
     from dataclasses import fields
 
-    from todframes.observer import PyramidSettings
     from todframes.psychometric import FitSettings
+    from todframes.pyramid_settings import PyramidSettings
 
     text = (ROOT / "docs" / "model.md").read_text(encoding="utf-8")
     documented = re.findall(r"^\| `(\w+)` \|", text, re.MULTILINE)

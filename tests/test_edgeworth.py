@@ -10,7 +10,8 @@ import pytest
 
 from todframes.decision import answer_probabilities
 from todframes.edgeworth import edgeworth_correction, fourth_cumulants
-from todframes.observer import PyramidObserver, PyramidSettings
+from todframes.observer import PyramidObserver
+from todframes.pyramid_settings import PyramidSettings
 from todframes.readout import Stimulus
 from todframes.stimulus import Orientation, coverage
 

@@ -15,7 +15,8 @@ from todframes.cli import cli
 from todframes.command import run
 from todframes.dataset import load_dataset
 from todframes.examples import FloatArray, FramePart, examples, pictures
-from todframes.observer import PyramidObserver, PyramidSettings
+from todframes.observer import PyramidObserver
+from todframes.pyramid_settings import PyramidSettings
 from todframes.readout import Stimulus
 from todframes.retina import RetinaGrid
 from todframes.scoring import score_dataset

@@ -15,7 +15,7 @@ FLOORS = {
         {"result"},
         {"verdict"},
         {"settings", "stimulus", "frames", "retina", "pyramid", "tetrahedron", "resampling", "display"},
-        {"decision", "edgeworth", "planning", "stability"},
+        {"decision", "edgeworth", "planning", "stability", "pyramid_settings"},
         {"readout", "counts", "psychometric", "frame_writing", "estimators", "enhancement"},
         {"summed_noise", "gabor", "dataset", "accuracy", "pairing", "enhancement_specs", "algorithms"},
         {"observer"},

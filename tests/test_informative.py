@@ -16,7 +16,8 @@ from todframes.decision import answer_probabilities
 from todframes.errors import SettingsError
 from todframes.informative import InformativeObserver, InformativeSettings
 from todframes.naked_eye import contrast_threshold
-from todframes.observer import PyramidObserver, PyramidSettings
+from todframes.observer import PyramidObserver
+from todframes.pyramid_settings import PyramidSettings
 from todframes.readout import Readout, Stimulus
 from todframes.retina import RetinaGrid, resample
 from todframes.stimulus import ORIENTATIONS, Orientation, coverage

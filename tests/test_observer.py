@@ -11,7 +11,8 @@ import pytest
 from todframes.decision import answer_probabilities
 from todframes.errors import SettingsError
 from todframes.naked_eye import acuity, contrast_threshold, proportion_correct
-from todframes.observer import PyramidObserver, PyramidSettings
+from todframes.observer import PyramidObserver
+from todframes.pyramid_settings import PyramidSettings
 from todframes.readout import ENTRY_POINT_GROUP, Observer, Stimulus, find_observer
 from todframes.retina import RetinaGrid
 from todframes.stimulus import ORIENTATIONS, Orientation, coverage

@@ -19,7 +19,8 @@ from sensor_sim.sensor import load_sensor
 from todframes.cli import cli as todframes
 from todframes.command import run
 from todframes.informative import InformativeObserver
-from todframes.observer import PyramidObserver, PyramidSettings
+from todframes.observer import PyramidObserver
+from todframes.pyramid_settings import PyramidSettings
 from todframes.readout import find_observer
 
 ROOT = Path(__file__).parent.parent

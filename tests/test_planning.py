@@ -23,8 +23,9 @@ from todframes.dataset import load_dataset
 from todframes.decision import answer_probabilities
 from todframes.frame_writing import write_frame
 from todframes.frames import FrameFile
-from todframes.observer import PyramidObserver, PyramidSettings
+from todframes.observer import PyramidObserver
 from todframes.planning import LEFT_OUT_SHARE, Step, decision_change, plan_object, total_bound
+from todframes.pyramid_settings import PyramidSettings
 from todframes.readout import Stimulus
 from todframes.scoring import score_dataset
 from todframes.stimulus import ORIENTATIONS, coverage

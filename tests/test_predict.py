@@ -19,8 +19,9 @@ from sensor_sim.simulate import Simulator, plan_trials
 from todframes.decision import answer_probabilities
 from todframes.errors import SettingsError
 from todframes.naked_eye import contrast_threshold
-from todframes.observer import PyramidObserver, PyramidSettings
+from todframes.observer import PyramidObserver
 from todframes.psychometric import FitSettings, fit_trials
+from todframes.pyramid_settings import PyramidSettings
 from todframes.readout import Observer, Readout, Stimulus
 from todframes.retina import overlap_matrix, resample
 from todframes.stimulus import ORIENTATIONS, bounding_box_offset

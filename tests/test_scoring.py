@@ -11,8 +11,9 @@ from todframes.frame_writing import write_frame
 from todframes.frames import read_frame
 from todframes.locating import locate_triangles
 from todframes.naked_eye import contrast_threshold
-from todframes.observer import PyramidObserver, PyramidSettings
+from todframes.observer import PyramidObserver
 from todframes.psychometric import FitSettings
+from todframes.pyramid_settings import PyramidSettings
 from todframes.readout import Readout, Stimulus
 from todframes.scoring import score_dataset
 from todframes.stimulus import ORIENTATIONS, Orientation, coverage

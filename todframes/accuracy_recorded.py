@@ -24,8 +24,9 @@ from todframes.estimators import (
     Variant,
     monte_carlos,
 )
-from todframes.observer import PyramidObserver, PyramidSettings
+from todframes.observer import PyramidObserver
 from todframes.psychometric import FitSettings, PsychometricFit, fit_trials
+from todframes.pyramid_settings import PyramidSettings
 from todframes.readout import Readout, Stimulus
 from todframes.score_planning import plan_score
 from todframes.trial_scoring import KRONECKER_STEPS

@@ -23,7 +23,8 @@ from todframes.estimators import (
     monte_carlos,
 )
 from todframes.naked_eye import CONTRAST_RANGE
-from todframes.observer import PyramidObserver, PyramidSettings
+from todframes.observer import PyramidObserver
+from todframes.pyramid_settings import PyramidSettings
 from todframes.readout import Readout, Stimulus
 from todframes.stimulus import ORIENTATIONS, Orientation, coverage
 

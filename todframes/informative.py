@@ -19,7 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from todframes.errors import SettingsError
-from todframes.observer import LARGEST_SIZE_SAMPLES, PyramidObserver, PyramidSettings
+from todframes.observer import LARGEST_SIZE_SAMPLES, PyramidObserver
+from todframes.pyramid_settings import PyramidSettings
 from todframes.readout import LeftOut, Stimulus
 from todframes.retina import RetinaGrid
 from todframes.settings import check_ranges

@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 from todframes.errors import SettingsError
 from todframes.gabor import GaborPyramid, Phases
-from todframes.observer import PyramidObserver, PyramidSettings
+from todframes.observer import PyramidObserver
+from todframes.pyramid_settings import PyramidSettings
 from todframes.readout import LeftOut, Stimulus
 from todframes.retina import RetinaGrid
 from todframes.summed_noise import Bands

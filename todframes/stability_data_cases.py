@@ -16,8 +16,9 @@ from todframes.dataset import load_dataset
 from todframes.decision import answer_probabilities
 from todframes.frame_writing import write_frame
 from todframes.frames import PixelType
-from todframes.observer import PyramidObserver, PyramidSettings
+from todframes.observer import PyramidObserver
 from todframes.psychometric import FitSettings, PsychometricFit, fit_counts, fit_trials
+from todframes.pyramid_settings import PyramidSettings
 from todframes.readout import Stimulus
 from todframes.scoring import ScoredDataset, score_dataset
 from todframes.stability import MPMATH, Case, refusal

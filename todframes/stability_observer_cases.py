@@ -13,7 +13,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from todframes.decision import answer_probabilities
 from todframes.naked_eye import contrast_threshold, proportion_correct
-from todframes.observer import PyramidObserver, PyramidSettings
+from todframes.observer import PyramidObserver
+from todframes.pyramid_settings import PyramidSettings
 from todframes.readout import Readout, Stimulus
 from todframes.stability import MPMATH, Case, refusal
 from todframes.stimulus import Orientation, coverage

@@ -18,7 +18,8 @@ import numpy as np
 from sensor_sim.planning import plan_curve
 from sensor_sim.predict import FoldedChain, PredictedThreshold, predict_threshold
 from sensor_sim.sensor import Detector, Electronics, Noise, Optics, Sensor, SensorDisplay
-from todframes.observer import PyramidObserver, PyramidSettings
+from todframes.observer import PyramidObserver
+from todframes.pyramid_settings import PyramidSettings
 
 TOLERANCE = 1e-2
 
