@@ -9,7 +9,7 @@ import csv
 import io
 import math
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, NamedTuple
@@ -26,6 +26,7 @@ from todframes.errors import SettingsError
 from todframes.frame_writing import write_frame
 from todframes.frames import MAX_DECODED_MB, MAX_SIDE_PX, frame_sha256
 from todframes.stimulus import ORIENTATIONS, Orientation
+from todframes.threads import map_in_threads
 
 FloatArray = NDArray[np.float64]
 FrameFormat = Literal["exr", "png"]
@@ -220,16 +221,12 @@ def write_dataset(
 
     all_rows: list[list[str]] = []
     n_clipped = n_pixels = 0
-    with ThreadPoolExecutor(workers) as pool:
-        try:
-            for rows, clipped, pixels in pool.map(write, tasks):
-                all_rows += rows
-                n_clipped, n_pixels = n_clipped + clipped, n_pixels + pixels
-                if progress is not None:
-                    progress(len(rows))
-        except BaseException:
-            pool.shutdown(wait=True, cancel_futures=True)
-            raise
+    with closing(map_in_threads(write, tasks, workers)) as written:
+        for rows, clipped, pixels in written:
+            all_rows += rows
+            n_clipped, n_pixels = n_clipped + clipped, n_pixels + pixels
+            if progress is not None:
+                progress(len(rows))
     share = n_clipped / n_pixels if n_pixels else 0.0
     if share > MOST_CLIPPED and not allow_clipping:
         raise SettingsError(

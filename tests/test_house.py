@@ -11,7 +11,7 @@ import todframes
 
 FLOORS = {
     "todframes": [
-        {"errors", "weibull", "crossing", "timing", "figure_style", "likeness"},
+        {"errors", "weibull", "crossing", "timing", "figure_style", "likeness", "threads"},
         {"result"},
         {"verdict"},
         {"settings", "stimulus", "frames", "retina", "pyramid", "tetrahedron", "resampling", "display"},

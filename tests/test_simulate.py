@@ -687,7 +687,10 @@ def test_interruption_leaves_nothing(tmp_path, workers, stop):
             time.sleep(0.05)
         assert running.poll() is None
         running.send_signal(stop)
-        out, err = running.communicate(timeout=20)
+        try:
+            out, err = running.communicate(timeout=20)
+        finally:
+            running.kill()  # it may hang, the tests may not
     assert (running.returncode, out) == (INTERRUPTED, "")
     assert err.splitlines() == ["error: interrupted, nothing was written"]
     assert tree(tmp_path) == before

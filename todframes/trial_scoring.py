@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Literal, NamedTuple, Protocol, TypeVar
@@ -17,6 +17,7 @@ from todframes.errors import FrameError, SettingsError
 from todframes.readout import Readout
 from todframes.retina import RetinaGrid
 from todframes.score_planning import ScorePlan
+from todframes.threads import map_in_threads
 from todframes.viewing import Reader, left_out, read_as_it_is, retina_image
 
 FloatArray = NDArray[np.float64]
@@ -190,26 +191,13 @@ def see_trials(
                 skipped += left_out(scorer.dataset, trial, error)
         return seen, skipped
 
+    # Threads: decoding releases the interpreter lock, and no worker process can die and take results along.
     all_seen: list[T] = []
     all_skipped: list[Skipped] = []
-    for seen, skipped in _map(see, tasks, workers):
-        all_seen += seen
-        all_skipped += skipped
-        if progress is not None:
-            progress(len(seen) + len(skipped))
+    with closing(map_in_threads(see, tasks, workers)) as results:
+        for seen, skipped in results:
+            all_seen += seen
+            all_skipped += skipped
+            if progress is not None:
+                progress(len(seen) + len(skipped))
     return all_seen, all_skipped
-
-
-def _map(
-    see: Callable[[list[Trial]], tuple[list[T], list[Skipped]]], tasks: list[list[Trial]], workers: int
-) -> Iterator[tuple[list[T], list[Skipped]]]:
-    if workers == 1:
-        yield from map(see, tasks)
-        return
-    # Threads: decoding releases the interpreter lock, and no worker process can die and take results along.
-    with ThreadPoolExecutor(workers) as pool:
-        try:
-            yield from pool.map(see, tasks)
-        except BaseException:
-            pool.shutdown(wait=True, cancel_futures=True)
-            raise

@@ -1,0 +1,76 @@
+"""Work in threads that ends cleanly: in order, few results ahead, interrupted only where that is safe."""
+
+from __future__ import annotations
+
+import signal
+import threading
+from collections import deque
+from collections.abc import Callable, Generator, Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor, wait
+from contextlib import contextmanager
+from typing import TypeVar
+
+T = TypeVar("T")
+R = TypeVar("R")
+
+AHEAD_PER_WORKER = 4
+"""Tasks begun before their turn; their results wait in memory."""
+POLL_S = 0.1
+"""So long, at most, does an interruption go unnoticed."""
+
+
+def map_in_threads(work: Callable[[T], R], tasks: Iterable[T], workers: int) -> Generator[R, None, None]:
+    """Results in the order of the tasks; those of one worker are done in this thread.
+
+    What a task raises is raised in its turn, and tasks not yet begun are dropped, as they are by `close`. Ctrl-C
+    and a request to end wait until a result is asked for: as exceptions they could strike inside the pool while it
+    holds a lock, and what cleans up would then wait for ever.
+    """
+    if workers == 1:
+        yield from map(work, tasks)
+        return
+    ahead: deque[Future[R]] = deque()
+    with _interruption_held_back() as interrupt_if_asked, ThreadPoolExecutor(workers) as pool:
+
+        def next_result() -> R:
+            future = ahead.popleft()
+            interrupt_if_asked()
+            while not wait([future], timeout=POLL_S).done:
+                interrupt_if_asked()
+            return future.result()
+
+        try:
+            for task in tasks:
+                ahead.append(pool.submit(work, task))
+                if len(ahead) > AHEAD_PER_WORKER * workers:
+                    yield next_result()
+            while ahead:
+                yield next_result()
+        except BaseException:
+            pool.shutdown(wait=True, cancel_futures=True)
+            raise
+
+
+@contextmanager
+def _interruption_held_back() -> Iterator[Callable[[], None]]:
+    """Yields what does then, if it came, what a signal would have done at once. In the main thread only."""
+    came: list[int] = []
+    handlers = {}
+    if threading.current_thread() is threading.main_thread():
+        for number in (signal.SIGINT, signal.SIGTERM):
+            handler = signal.getsignal(number)
+            if callable(handler):
+                handlers[number] = handler
+                signal.signal(number, lambda number, _: came.append(number))
+
+    def interrupt_if_asked() -> None:
+        if came:
+            number = signal.Signals(came.pop(0))
+            handlers[number](number, None)
+
+    try:
+        yield interrupt_if_asked
+    finally:
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+        interrupt_if_asked()
