@@ -6,6 +6,7 @@ import io
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
+from todframes.figure_style import label_text, plain_ticks
 from todframes.plots import group_label
 
 if TYPE_CHECKING:
@@ -15,6 +16,8 @@ Json = dict[str, Any]
 
 WIDTH = 0.8
 """Of all algorithms of a group together; groups are 1 apart."""
+WIDEST_IN = 40.0
+"""Of the picture, however many points it has."""
 
 
 def compare_plot(algorithms: Sequence[Json]) -> bytes:
@@ -22,7 +25,7 @@ def compare_plot(algorithms: Sequence[Json]) -> bytes:
     from matplotlib.figure import Figure
 
     groups = [group_label(fit["group"]) or "all trials" for fit in algorithms[0]["fits"]]
-    width = max(6.4, 1.6 + 0.25 * len(groups) * len(algorithms))
+    width = min(max(6.4, 1.6 + 0.25 * len(groups) * len(algorithms)), WIDEST_IN)
     figure = Figure(figsize=(width, 6.4), layout="constrained")
     above, below = figure.subplots(2, 1, sharex=True)
     for number, one in enumerate(algorithms):
@@ -31,7 +34,7 @@ def compare_plot(algorithms: Sequence[Json]) -> bytes:
         fits, ratios = one["fits"], one["ratios"]
         _draw(above, places, [fit["threshold"] for fit in fits], [fit["threshold_ci95"] for fit in fits], colour)
         _draw(below, places, [r["ratio"] for r in ratios], [r["ratio_ci95"] for r in ratios], colour)
-        above.plot([], [], "o", color=colour, label=_plain(one["name"]))
+        above.plot([], [], "o", color=colour, label=label_text(one["name"]))
         for place, fit in zip(places, fits, strict=True):
             side = {"never_reached": (0.97, "^"), "always_exceeded": (0.03, "v")}.get(fit["status"])
             if side is not None:
@@ -39,13 +42,13 @@ def compare_plot(algorithms: Sequence[Json]) -> bytes:
                     place, side[0], side[1], color=colour, transform=above.get_xaxis_transform(), clip_on=False
                 )
     below.axhline(1.0, color="0.35", lw=0.8)
-    above.set(ylabel=_plain(f"threshold {algorithms[0]['fits'][0]['level']}"), title="Thresholds")
+    above.set(ylabel=label_text(f"threshold {algorithms[0]['fits'][0]['level']}"), title="Thresholds")
     below.set(ylabel="ratio to the reference", title="Below 1: the algorithm helps")
-    below.set_xticks(range(len(groups)), [_plain(group) for group in groups])
+    below.set_xticks(range(len(groups)), [label_text(group) for group in groups])
     for axes in (above, below):
         axes.set_yscale("log")
         axes.grid(True, axis="y", which="both", alpha=0.25)
-        _plain_numbers(axes)
+        plain_ticks(axes.yaxis, axes.get_ylim())
     figure.legend(loc="outside right upper", fontsize="small")
     buffer = io.BytesIO()
     # No software version among the attributes: the same result gives the same bytes.
@@ -65,18 +68,3 @@ def _draw(
                 axes.plot([place, place], [low, high], "-", color=colour, lw=1.5)
             else:
                 axes.plot(place, value, "o", color=colour, markersize=5, markerfacecolor="white")
-
-
-def _plain_numbers(axes: Axes) -> None:
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
-
-    low, high = axes.get_ylim()
-    if high / low < 1e4:
-        axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high / low > 4 else range(1, 10)))
-        axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-        axes.yaxis.set_minor_formatter(NullFormatter())
-
-
-def _plain(text: str) -> str:
-    """Names are data: no mathematics between dollar signs, and no label hidden by an underscore."""
-    return " " * text.startswith("_") + text.replace("$", r"\$")

@@ -89,7 +89,7 @@ def plain_ticks(axis: Any, values: Sequence[float]) -> None:
     span = max(values) / min(values)
     if span >= 1e4:
         return
-    subs = (1.0, 2.0, 5.0) if span > 8.0 else (1.0, 2.0, 3.0, 4.0, 5.0, 7.0)
+    subs = (1.0, 2.0, 5.0) if span > 8.0 else (1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0)
     axis.set_major_locator(LogLocator(subs=subs) if span > 2.5 else MaxNLocator(5, steps=[1, 2, 5, 10]))
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axis.set_minor_locator(NullLocator())
