@@ -17,6 +17,7 @@ from todframes.command import run
 from todframes.enhancement_specs import enhancement_names
 from todframes.frame_writing import write_frame
 from todframes.frames import read_frame
+from todframes.stimulus import Orientation, coverage
 
 OWN = """
 from typing import Annotated
@@ -326,3 +327,25 @@ def test_names_are_not_markup(todframes, make_dataset) -> None:
     assert (status, err) == (0, "")
     assert "[bold]$x$" in out
     assert "_[red]$y$" in out
+
+
+def test_located_frames_are_compared_where_the_triangle_is(todframes, make_dataset) -> None:
+    """As `score --locate`, number for number: positions are those of the frames as they are."""
+    made = make_dataset(side_px=40)
+    for number, row in enumerate(made.rows):
+        triangle = coverage(
+            (40, 40), size_px=8.0, x_px=15.5, y_px=20.2, orientation=Orientation(row["orientation"])
+        )
+        write_frame(made.frame(number), 50.0 * (1.0 + float(row["contrast"]) * triangle), pixel_type="float")
+    arguments = ("compare", made.path, "--enhance", "median", "--white", "100", "--json")
+    status, out, err = todframes(*arguments, "--locate")
+    assert status == 0
+    assert err.startswith("located: size_mrad 2: x_px 15.50, y_px 20.20 (±")
+    compared = json.loads(out)
+    assert json.loads(todframes(*arguments)[1])["algorithms"][0]["fits"] != compared["algorithms"][0]["fits"]
+    _, out, _ = todframes("score", made.path, "--locate", "--json", "--set", "resamples=200")
+    scored = json.loads(out)
+    assert compared["located"] == scored["located"]
+    assert [fit["threshold"] for fit in compared["algorithms"][0]["fits"]] == [
+        fit["threshold"] for fit in scored["fits"]
+    ]

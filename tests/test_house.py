@@ -34,7 +34,8 @@ FLOORS = {
         {"compare_tables"},
         {"html_report", "accuracy_report"},
         {"command", "stability_cases"},
-        {"cli_studies", "cli_report", "cli_compare"},
+        {"cli_studies", "cli_report", "cli_locating"},
+        {"cli_compare"},
         {"cli"},
     ],
     "sensor_sim": [

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from todframes import __version__, cli_compare, cli_studies
+from todframes.cli_locating import locate_option, located
 from todframes.cli_report import report as report_command
 from todframes.command import (
     Commands,
@@ -38,8 +39,6 @@ from todframes.command import (
 from todframes.errors import DataError, SettingsError
 
 if TYPE_CHECKING:
-    from todframes.dataset import Dataset
-    from todframes.locating import Location
     from todframes.report import Json
 
 
@@ -67,7 +66,7 @@ def cli() -> None:
 )
 @plan_options
 @seed_option
-@click.option("--locate", is_flag=True, help="Find the triangle's position where the manifest has none.")
+@locate_option
 @running_options
 @json_option
 @quiet_option
@@ -95,7 +94,6 @@ def score(
     observer, fit_settings, settings = make_observer(**observer_arguments)
     from todframes import plots, report
     from todframes.dataset import load_dataset
-    from todframes.locating import locate_triangles
     from todframes.planning import plan_object
     from todframes.scoring import score_dataset
 
@@ -106,11 +104,7 @@ def score(
         staging = stack.enter_context(report.output_folder(out)) if out is not None else None
         more: Json = {}
         if locate:
-            with progress("locating", len(data.trials), quiet=quiet) as advance:
-                data, locations = locate_triangles(
-                    data, centre=observer.centre, skip_bad_frames=skip, progress=advance
-                )
-            more["located"] = _described(data, locations, quiet=quiet)
+            data, more["located"] = located(data, centre=observer.centre, skip_bad_frames=skip, quiet=quiet)
         with progress("scoring", len(data.trials), quiet=quiet) as advance:
             scored = score_dataset(
                 data,
@@ -165,22 +159,6 @@ def score(
         click.echo(report.closing_line(result))
         if out is not None:
             click.echo(f"written: {out}")
-
-
-def _described(data: Dataset, locations: Sequence[Location], *, quiet: bool) -> list[Json]:
-    """What locating found, said and as JSON."""
-    from todframes import plots
-
-    described: list[Json] = []
-    for place in locations:
-        group = dict(zip(data.experiment.group_by, place.group, strict=True))
-        described.append({**place._asdict(), "group": group})
-        if not quiet:
-            where = f"x_px {place.x_px:.2f}, y_px {place.y_px:.2f} (± {place.standard_error_px:.1g} px)"
-            say(f"located: {plots.group_label(group) or 'all trials'}: {where}")
-    if not locations and not quiet:
-        say("located: nothing; the manifest gives all positions")
-    return described
 
 
 @cli.command("naked-eye")

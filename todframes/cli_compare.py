@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from todframes.cli_locating import locate_option, located
 from todframes.command import (
     decisions_option,
     json_option,
@@ -52,6 +53,7 @@ if TYPE_CHECKING:
 @decisions_option
 @plan_options
 @seed_option
+@locate_option
 @running_options
 @json_option
 @quiet_option
@@ -66,6 +68,7 @@ def compare(
     plan_name: Any,
     explain: bool,
     seed: int,
+    locate: bool,
     on_error: str,
     workers: int,
     as_json: bool,
@@ -93,11 +96,15 @@ def compare(
 
     cv2.setNumThreads(1)  # --workers says how many processors are used, and the algorithms' time is known
     algorithms = _found(specs)
+    skip = on_error == "skip"
     data = load_dataset(dataset)
     group_by, level = data.experiment.group_by, data.experiment.level
     screen = Screen(data.display, white, allow_clipping)
     with ExitStack() as stack:
         staging = stack.enter_context(report.output_folder(out)) if out is not None else None
+        more: dict[str, Any] = {}
+        if locate:
+            data, more["located"] = located(data, centre=observer.centre, skip_bad_frames=skip, quiet=quiet)
         with progress("comparing", len(data.trials), quiet=quiet) as advance:
             results = compare_dataset(
                 data,
@@ -108,14 +115,13 @@ def compare(
                 fit_settings=fit_settings,
                 screen=screen,
                 plan_name=plan_name,
-                skip_bad_frames=on_error == "skip",
+                skip_bad_frames=skip,
                 workers=workers,
                 progress=advance,
             )
         reference = results[0].scored
         objects = algorithm_objects(results, group_by, level)
         black, peak = screen.luminance_range
-        more: dict[str, Any] = {}
         if staging is not None:
             from todframes.compare_examples import compare_examples
 
