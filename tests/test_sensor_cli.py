@@ -284,6 +284,18 @@ def test_mtf_shows_a_table_and_writes_files(sensor_sim, sensor_file, tmp_path):
     assert {path.name for path in tmp_path.iterdir()} == {"SENSOR.toml", "out"}
 
 
+def test_mtf_goes_beside_a_curve(sensor_sim, sensor_file, tmp_path) -> None:
+    """No result of another command is taken for a stale one."""
+    out = tmp_path / "out"
+    assert sensor_sim(*curve(sensor_file), "-o", out)[0] == 0
+    before = tree(out)
+    assert "result.json" in {Path(name).name for name in before}
+    assert sensor_sim("mtf", sensor_file, "-o", out)[0] == 0
+    after = tree(out)
+    assert {name: after[name] for name in before} == before
+    assert (out / "mtf.csv").exists()
+
+
 @pytest.mark.parametrize("command", ["curve", "mtf"])
 def test_nothing_is_written_without_out(sensor_sim, sensor_file, tmp_path, monkeypatch, command):
     monkeypatch.chdir(tmp_path)

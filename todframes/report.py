@@ -168,12 +168,13 @@ def output_folder(name: str) -> Iterator[Path]:
                 if (path / file.name).is_dir():
                     raise OutputError(f"{path / file.name}: is a folder, expected a file or none")
             path.mkdir(exist_ok=True)
-            made = sorted(staging.iterdir())
-            for file in made:
-                file.replace(path / file.name)
-            # What an earlier run wrote here and this one did not would be taken for its result.
-            for stale in OUTPUT_NAMES - {file.name for file in made}:
-                (path / stale).unlink(missing_ok=True)
+            made = {file.name for file in staging.iterdir()}
+            for file_name in sorted(made):
+                (staging / file_name).replace(path / file_name)
+            if "result.json" in made:
+                # What an earlier run wrote here and this one did not would be taken for its result.
+                for stale in OUTPUT_NAMES - made:
+                    (path / stale).unlink(missing_ok=True)
         except OutputError:
             raise
         except OSError as error:
