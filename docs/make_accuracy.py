@@ -12,8 +12,9 @@ import sys
 import tempfile
 from pathlib import Path
 
-# Small matrix products gain nothing from BLAS threads.
+# Small matrices and images gain nothing from threads of BLAS and OpenCV.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+os.environ.setdefault("OPENCV_FOR_THREADS_NUM", "1")
 
 from todframes.accuracy_report import page
 from todframes.cli import cli

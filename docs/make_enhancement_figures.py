@@ -19,8 +19,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-# Small matrix products gain nothing from BLAS threads.
+# Small matrices and images gain nothing from threads of BLAS and OpenCV.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+os.environ.setdefault("OPENCV_FOR_THREADS_NUM", "1")
 
 from matplotlib.figure import Figure
 

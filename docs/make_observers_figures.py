@@ -13,8 +13,9 @@ from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
-# Small matrix products gain nothing from BLAS threads.
+# Small matrices and images gain nothing from threads of BLAS and OpenCV.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+os.environ.setdefault("OPENCV_FOR_THREADS_NUM", "1")
 
 import numpy as np
 from matplotlib.figure import Figure

@@ -17,8 +17,9 @@ from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
-# Small matrix products gain nothing from BLAS threads.
+# Small matrices and images gain nothing from threads of BLAS and OpenCV.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+os.environ.setdefault("OPENCV_FOR_THREADS_NUM", "1")
 
 import numpy as np
 from matplotlib.axes import Axes

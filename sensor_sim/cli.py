@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import sys
 import time
 from collections.abc import Iterator
@@ -16,6 +15,7 @@ from todframes import __version__
 from todframes.command import (
     Commands,
     json_option,
+    keep_libraries_to_one_thread,
     make_observer,
     numbers,
     observer_options,
@@ -238,6 +238,5 @@ def mtf(*, sensor: Path, out: str | None, as_json: bool) -> None:
 
 def main(arguments: list[str] | None = None) -> None:
     """Run the command line and end the process: status 0 done, 1 bad data, 2 bad usage or settings."""
-    # Small matrix products gain nothing from BLAS threads, which wait for each other on busy processors.
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    keep_libraries_to_one_thread()
     sys.exit(run(cli, arguments))

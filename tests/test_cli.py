@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -246,3 +247,16 @@ def test_settings_that_make_no_sense_here(todframes, arguments: list[str]) -> No
     status, out, err = todframes("naked-eye", "--size-mrad", "1", *arguments)
     assert (status, out) == (2, "")
     assert arguments[1].partition("=")[0] in err or "levels" in err
+
+
+def test_libraries_are_kept_to_one_thread() -> None:
+    """Unless the environment says otherwise."""
+    ask = "keep_libraries_to_one_thread(); import cv2; print(cv2.getNumThreads())"
+    script = f"from todframes.command import keep_libraries_to_one_thread; {ask}"
+    names = ("OPENBLAS_NUM_THREADS", "OPENCV_FOR_THREADS_NUM")
+    bare = {name: value for name, value in os.environ.items() if name not in names}
+    for environment, expected in ((bare, "1\n"), (bare | {names[1]: "2"}, "2\n")):
+        found = subprocess.run(
+            [sys.executable, "-c", script], capture_output=True, text=True, env=environment, check=True
+        )
+        assert found.stdout == expected

@@ -5,7 +5,6 @@ What a command needs is imported when it runs: `--help` answers before numpy is 
 
 from __future__ import annotations
 
-import os
 import sys
 import time
 from collections.abc import Sequence
@@ -22,6 +21,7 @@ from todframes.command import (
     Commands,
     decisions_option,
     json_option,
+    keep_libraries_to_one_thread,
     make_observer,
     numbers,
     observer_options,
@@ -265,6 +265,5 @@ cli.add_command(cli_compare.enhancements)
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line and end the process: status 0 done, 1 bad data, 2 bad usage or settings."""
-    # Small matrix products gain nothing from BLAS threads, which fight the reading threads for processors.
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    keep_libraries_to_one_thread()
     sys.exit(run(cli, arguments))

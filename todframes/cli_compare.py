@@ -82,8 +82,6 @@ def compare(
     """
     start = time.perf_counter()
     observer, fit_settings, settings = make_observer(**observer_arguments)
-    import cv2
-
     from todframes import report
     from todframes.compare_plot import compare_plot
     from todframes.compare_report import algorithm_objects, verdict_sentences
@@ -94,7 +92,6 @@ def compare(
     from todframes.planning import plan_object
     from todframes.tables import plan_table
 
-    cv2.setNumThreads(1)  # --workers says how many processors are used, and the algorithms' time is known
     algorithms = _found(specs)
     skip = on_error == "skip"
     data = load_dataset(dataset)

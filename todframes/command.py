@@ -225,6 +225,16 @@ def progress(task: str, total: int, *, quiet: bool = False) -> Iterator[Callable
         yield lambda done: bar.advance(running, done)
 
 
+def keep_libraries_to_one_thread() -> None:
+    """For BLAS and OpenCV, unless they are loaded already or the environment says otherwise.
+
+    Our matrices and images are so small that their threads gain nothing: they wait for each other, and fight the
+    reading threads for processors.
+    """
+    for name in ("OPENBLAS_NUM_THREADS", "OPENCV_FOR_THREADS_NUM"):
+        os.environ.setdefault(name, "1")
+
+
 def run(command: click.Command, arguments: Sequence[str] | None) -> int:
     """Run a command line; its exit status: 0 done, 1 bad data, 2 bad usage or settings.
 

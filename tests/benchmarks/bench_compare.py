@@ -7,7 +7,6 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-import cv2
 from bench_scoring import make_dataset
 from timing import Row
 
@@ -32,7 +31,6 @@ def cpu_s(run: Callable[[], object]) -> float:
 
 def rows() -> list[Row]:
     """Share of time beyond algorithms and decoding: the usual algorithms, and some that take next to no time."""
-    cv2.setNumThreads(1)
     found = []
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name) / "png"

@@ -26,7 +26,6 @@ STANDARD_ERROR = 0.01
 # A 95 % interval of ± 1.96 standard errors of 1 % each.
 TOLERANCE = 1.96 * STANDARD_ERROR
 CURVES = f"""
-import os; os.environ["OPENBLAS_NUM_THREADS"] = "1"
 from sensor_sim.predict import FoldedChain, predict_threshold
 from sensor_sim.sensor import load_sensor
 from todframes.observer import PyramidObserver

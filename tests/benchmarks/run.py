@@ -6,11 +6,14 @@ import importlib
 import sys
 from pathlib import Path
 
+from todframes.command import keep_libraries_to_one_thread
+
 HERE = Path(__file__).parent
 
 
 def main(names: list[str]) -> None:
     """Run the named ones, or all."""
+    keep_libraries_to_one_thread()
     sys.path.insert(0, str(HERE))
     for path in sorted(HERE.glob("bench_*.py")):
         if not names or path.stem.removeprefix("bench_") in names:
