@@ -592,3 +592,10 @@ def test_exit_statuses(sensor_file, tmp_path):
         )
         assert done.returncode == expected
         assert len(done.stderr.splitlines()) == (expected != 0)
+
+
+def test_python_m_is_the_command() -> None:
+    found = subprocess.run(
+        [sys.executable, "-m", "sensor_sim", "--version"], capture_output=True, text=True, check=True
+    )
+    assert found.stdout.startswith("sensor-sim, version ")

@@ -1,0 +1,5 @@
+"""`python -m sensor_sim` is the command `sensor-sim`."""
+
+from sensor_sim.cli import main
+
+main()
