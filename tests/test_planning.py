@@ -28,7 +28,7 @@ from todframes.planning import LEFT_OUT_SHARE, Step, decision_change, plan_objec
 from todframes.pyramid_settings import PyramidSettings
 from todframes.readout import Stimulus
 from todframes.scoring import score_dataset
-from todframes.stimulus import ORIENTATIONS, coverage
+from todframes.stimulus import ORIENTATIONS, Orientation, coverage
 
 ROOT = Path(__file__).parent.parent
 STAR_LIKE = load_sensor(ROOT / "sample_frames" / "star_like.toml")
@@ -233,6 +233,24 @@ def test_planned_scores_are_the_full_ones_within_the_bound():
     for one, other in zip(planned.fits, full.fits, strict=True):
         # dP / d ln level is about 0.5 at threshold, and above 0.3 for all of these.
         assert one.fit.threshold == pytest.approx(other.fit.threshold, rel=one.left_out_bound / 0.3)
+
+
+@pytest.mark.parametrize("side_px", [25, 26, 27, 28, 29])
+def test_a_frame_that_ends_where_the_field_does(make_dataset, side_px):
+    """On an uneven background, whose edge a displaced retina sees elsewhere than one that is not displaced."""
+    made = make_dataset(side_px=side_px)
+    for number, row in enumerate(made.rows):
+        middle = (side_px - 1) / 2
+        orientation = Orientation(row["orientation"])
+        triangle = coverage((side_px,) * 2, size_px=8.0, x_px=middle, y_px=middle, orientation=orientation)
+        contrast = 0.05 * triangle - 0.2 * np.square(np.linspace(-1.0, 1.0, side_px))[:, None]
+        write_frame(made.frame(number), 50.0 * (1.0 + contrast), pixel_type="float")
+    planned, full = (
+        score_dataset(load_dataset(made.path), PyramidObserver(), plan_name=name) for name in ("needed", "full")
+    )
+    bound = planned.fits[0].left_out_bound
+    assert np.abs(planned.p_correct - full.p_correct).max() <= bound + 1e-12
+    assert bound < 1e-3
 
 
 def test_tolerance_takes_as_many_displacements_as_needed():

@@ -114,10 +114,11 @@ class PyramidObserver:
             return None
 
     def left_out(self, stimulus: Stimulus) -> LeftOut | None:
-        """What the bands and the field beyond those of the readout would add to it, seen on a coarser retina.
+        """What one more band and octave of the field would add to the readout, seen on a coarser retina.
 
         The coarse bands of a large triangle are those of a small one on a coarse retina, which cost little: the
-        finer bands add no more than the blur of their REDUCE kernels. None if the settings name the levels.
+        finer bands add no more than the blur of their REDUCE kernels. At the same gain, a second band would add a
+        sixth of that or less. None if the settings name the levels.
         """
         if self.settings.levels is not None:
             return None
@@ -125,7 +126,7 @@ class PyramidObserver:
         coarse = self._coarser(octaves)
         narrow, wide = (
             type(self)(replace(coarse, levels=levels)).readout(stimulus)
-            for levels in (FEWEST_LEVELS, FEWEST_LEVELS + 2)
+            for levels in (FEWEST_LEVELS, FEWEST_LEVELS + 1)
         )
         margin = (wide.grid.side - narrow.grid.side) // 2
         added = wide.deviations.copy()

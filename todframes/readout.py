@@ -66,8 +66,9 @@ class Readout:
         Of the internal noise on the four scores less the noise they share.
     excess_kurtosis : float
         Of the summed noise on the difference of two scores: the one farthest from the Gaussian's 0.
-    fourth_cumulants : ndarray, shape (4, 4, 4, 4), or None
-        Of the same noise as `noise_covariance`; None: decisions take it as Gaussian.
+    find_fourth_cumulants : function of no arguments, or None
+        Finds `fourth_cumulants`, (4, 4, 4, 4), of the same noise as `noise_covariance`, when a decision needs
+        them; None: decisions take it as Gaussian.
     """
 
     grid: RetinaGrid
@@ -75,12 +76,17 @@ class Readout:
     deviations: FloatArray
     noise_covariance: FloatArray
     excess_kurtosis: float
-    fourth_cumulants: FloatArray | None = None
+    find_fourth_cumulants: Callable[[], FloatArray] | None = None
 
     @cached_property
     def common(self) -> FloatArray:
         """Weights that all four scores share: (side, side)."""
         return self.find_common()
+
+    @cached_property
+    def fourth_cumulants(self) -> FloatArray | None:
+        """Fourth cumulants of the noise on the scores, (4, 4, 4, 4); None: it is taken as Gaussian."""
+        return None if self.find_fourth_cumulants is None else self.find_fourth_cumulants()
 
     def scores(self, contrast: FloatArray) -> FloatArray:
         """Noise-free inner products of a retina image, shape (side, side), with the four templates: (4,)."""
@@ -130,7 +136,7 @@ class Readout:
         five times the errors found for triangles of 0.1 to 2 mrad.
         """
         first_order = non_gaussian_bound(self.excess_kurtosis)
-        return first_order if self.fourth_cumulants is None else SECOND_ORDER * first_order**2
+        return first_order if self.find_fourth_cumulants is None else SECOND_ORDER * first_order**2
 
 
 class LeftOut(NamedTuple):

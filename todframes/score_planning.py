@@ -18,6 +18,7 @@ from todframes.dataset import Dataset, Trial
 from todframes.errors import FrameError, SettingsError
 from todframes.planning import LEFT_OUT_SHARE, SAFETY, PlanName, Step, decision_change
 from todframes.readout import LeftOut, Observer, Readout, Stimulus, Thrifty
+from todframes.retina import RetinaGrid
 from todframes.viewing import Reader, Shown, read_as_it_is, retina_image
 
 FloatArray = NDArray[np.float64]
@@ -119,9 +120,11 @@ def _weigh(dataset: Dataset, trials: Sequence[Trial], observer: Observer, budget
     try:
         missing = observer.left_out(stimulus) if isinstance(observer, Thrifty) else None
         widest = missing.grid if missing is not None else observer.grid(stimulus)
+        displaced_mrad = _displaced_mrad(observer, stimulus)
         started = time.perf_counter()
         tried = trials[first : first + n_tried]
-        shown = [way for trial in tried for way in read(dataset, trial, observer, lambda: widest)]
+        displaced = displaced_mrad / widest.pitch_mrad
+        shown = [way for trial in tried for way in read(dataset, trial, observer, lambda: widest, displaced)]
         reading_s = (time.perf_counter() - started) / n_tried
         readout = observer.readout(stimulus)
         if readout is None or not readout.noise_covariance.any():
@@ -131,14 +134,15 @@ def _weigh(dataset: Dataset, trials: Sequence[Trial], observer: Observer, budget
     bounds: dict[str, float] = {}
     full = False
     if missing is not None:
-        bounds["pyramid levels"] = _levels_bound(readout, missing, shown)
+        bounds["pyramid levels"] = _levels_bound(readout, missing, _images(shown, missing.grid, displaced_mrad))
         full = bounds["pyramid levels"] > budget
         if full:
             del bounds["pyramid levels"]
             assert isinstance(observer, Thrifty)
             readout = observer.full().readout(stimulus)
             assert readout is not None
-    half_width, bounds["field"] = _half_width(readout, stimulus, shown, budget)
+    images = _images(shown, readout.grid, displaced_mrad)
+    half_width, bounds["field"] = _half_width(readout, stimulus, images, budget)
     kept = readout.grid.side if half_width is None else 2 * half_width + 1
     frame = shown[0]
     return _Weighed(
@@ -149,18 +153,33 @@ def _weigh(dataset: Dataset, trials: Sequence[Trial], observer: Observer, budget
     )
 
 
-def _levels_bound(readout: Readout, missing: LeftOut, shown: Sequence[Shown]) -> float:
-    added = [missing.deviations.reshape(4, -1) @ retina_image(one, missing.grid).reshape(-1) for one in shown]
+def _displaced_mrad(observer: Observer, stimulus: Stimulus) -> FloatArray:
+    """The retina's displacements that are looked at, (n, 2): none, and where what happens to the edges is largest.
+
+    What is left out changes about linearly with a displacement, so corners of its range are enough, and of
+    opposite ones one.
+    """
+    most = observer.position_jitter_samples * observer.grid(stimulus).pitch_mrad
+    return most * np.array([[0.0, 0.0], [1.0, 1.0], [1.0, -1.0]])[: 3 if most else 1]
+
+
+def _images(shown: Sequence[Shown], grid: RetinaGrid, displaced_mrad: FloatArray) -> list[FloatArray]:
+    """Each trial on the retina at each displacement."""
+    displacements = (displaced_mrad / grid.pitch_mrad).tolist()
+    return [retina_image(one, grid, (dx, dy)) for one in shown for dx, dy in displacements]
+
+
+def _levels_bound(readout: Readout, missing: LeftOut, images: Sequence[FloatArray]) -> float:
+    added = [missing.deviations.reshape(4, -1) @ image.reshape(-1) for image in images]
     change = decision_change(np.array(added), readout.noise_covariance, missing.noise_covariance)
     return SAFETY * float(change.max())
 
 
 def _half_width(
-    readout: Readout, stimulus: Stimulus, shown: Sequence[Shown], budget: float
+    readout: Readout, stimulus: Stimulus, images: Sequence[FloatArray], budget: float
 ) -> tuple[int | None, float]:
     """The narrowest of some fields whose bound fits, and the bound."""
     grid = readout.grid
-    images = [retina_image(one, grid) for one in shown]
     whole = np.array([readout.score_deviations(image) for image in images])
     for sizes in HALF_FIELDS_IN_SIZES:
         half_width = math.ceil(sizes * stimulus.size_mrad / grid.pitch_mrad) + 2

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -26,7 +26,7 @@ class SummedNoise(NamedTuple):
 
     noise_covariance: FloatArray
     excess_kurtosis: float
-    fourth_cumulants: FloatArray | None
+    find_fourth_cumulants: Callable[[], FloatArray] | None
 
 
 def summed_noise(turned: Sequence[Bands], noise_sd: float) -> SummedNoise:
@@ -38,11 +38,13 @@ def summed_noise(turned: Sequence[Bands], noise_sd: float) -> SummedNoise:
         Template deviations: that of the upright triangle, turned by none to three quarters.
     """
     kurtosis = UNIFORM_EXCESS_KURTOSIS * _participation(turned)
-    cumulants = None
-    if abs(kurtosis) > LEAST_KURTOSIS:
+
+    def find_fourth_cumulants() -> FloatArray:
         rows = [np.concatenate([band.ravel() for band in bands]) for bands in turned]
-        cumulants = fourth_cumulants(noise_sd * np.array(rows), excess_kurtosis=UNIFORM_EXCESS_KURTOSIS)
-    return SummedNoise(noise_sd**2 * _overlaps(turned), kurtosis, cumulants)
+        return fourth_cumulants(noise_sd * np.array(rows), excess_kurtosis=UNIFORM_EXCESS_KURTOSIS)
+
+    is_gaussian = abs(kurtosis) <= LEAST_KURTOSIS
+    return SummedNoise(noise_sd**2 * _overlaps(turned), kurtosis, None if is_gaussian else find_fourth_cumulants)
 
 
 def _overlaps(turned: Sequence[Bands]) -> FloatArray:
