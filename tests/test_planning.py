@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 from dataclasses import replace
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 import pytest
@@ -34,11 +35,18 @@ ROOT = Path(__file__).parent.parent
 STAR_LIKE = load_sensor(ROOT / "sample_frames" / "star_like.toml")
 NAKED_EYE = ROOT / "sample_frames" / "naked_eye"
 
-_spec = importlib.util.spec_from_file_location("plan_scenes", ROOT / "tests" / "benchmarks" / "plan_scenes.py")
-assert _spec is not None
-assert _spec.loader is not None
-plan_scenes = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(plan_scenes)
+
+def benchmark(name: str) -> ModuleType:
+    """A script among the benchmarks."""
+    spec = importlib.util.spec_from_file_location(name, ROOT / "tests" / "benchmarks" / f"{name}.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+plan_scenes, plan_datasets = benchmark("plan_scenes"), benchmark("plan_datasets")
 
 
 def forbidden(*_args, **_more):
@@ -251,6 +259,16 @@ def test_a_frame_that_ends_where_the_field_does(make_dataset, side_px):
     bound = planned.fits[0].left_out_bound
     assert np.abs(planned.p_correct - full.p_correct).max() <= bound + 1e-12
     assert bound < 1e-3
+
+
+@pytest.mark.parametrize("seed", [1, 56, 88, 184])
+def test_planned_and_full_scores_of_random_frames(tmp_path, seed):
+    """Triangles in the middle and elsewhere, frames that end within the retina's field."""
+    rng = np.random.default_rng(seed)
+    observer = plan_datasets.observer_at_random(rng)
+    dataset = plan_datasets.dataset_at_random(tmp_path, observer, rng)
+    planned, full = (plan_datasets.scored(dataset, observer, name)[0] for name in ("needed", "full"))
+    assert np.abs(planned.p_correct - full.p_correct).max() <= planned.fits[0].left_out_bound + 1e-12
 
 
 def test_tolerance_takes_as_many_displacements_as_needed():

@@ -19,6 +19,7 @@ from todframes.errors import FrameError, SettingsError
 from todframes.planning import LEFT_OUT_SHARE, SAFETY, PlanName, Step, decision_change
 from todframes.readout import LeftOut, Observer, Readout, Stimulus, Thrifty
 from todframes.retina import RetinaGrid
+from todframes.stimulus import bounding_box_offset
 from todframes.viewing import Reader, Shown, read_as_it_is, retina_image
 
 FloatArray = NDArray[np.float64]
@@ -28,6 +29,8 @@ SLOPE = 0.5
 """dP / d ln level of a psychometric function at its threshold, about."""
 MOST_TRIED, ONE_TRIED_OF = 4, 20
 """Trials of each stimulus that are read wide."""
+OUTWARDS = np.array([[1.0, 1.0, 1.0, 0.0, 0.0, -1.0, -1.0, -1.0], [1.0, 0.0, -1.0, 1.0, -1.0, 1.0, 0.0, -1.0]])
+"""Directions from the middle of a frame."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,17 +118,15 @@ class _Weighed:
 def _weigh(dataset: Dataset, trials: Sequence[Trial], observer: Observer, budget: float, read: Reader) -> _Weighed:
     """Plan one stimulus, whose trials are in the order of their level; those in the middle are looked at."""
     stimulus = trials[0].stimulus
-    n_tried = min(max(len(trials) // ONE_TRIED_OF, 1), MOST_TRIED)
-    first = (len(trials) - n_tried) // 2
+    tried = _tried(trials, observer, dataset.display.pitch_mrad)
     try:
         missing = observer.left_out(stimulus) if isinstance(observer, Thrifty) else None
         widest = missing.grid if missing is not None else observer.grid(stimulus)
         displaced_mrad = _displaced_mrad(observer, stimulus)
         started = time.perf_counter()
-        tried = trials[first : first + n_tried]
         displaced = displaced_mrad / widest.pitch_mrad
         shown = [way for trial in tried for way in read(dataset, trial, observer, lambda: widest, displaced)]
-        reading_s = (time.perf_counter() - started) / n_tried
+        reading_s = (time.perf_counter() - started) / len(tried)
         readout = observer.readout(stimulus)
         if readout is None or not readout.noise_covariance.any():
             return _Weighed(StimulusPlan())  # without noise the least difference may decide
@@ -151,6 +152,22 @@ def _weigh(dataset: Dataset, trials: Sequence[Trial], observer: Observer, budget
         rows=min(kept * readout.grid.pitch_mrad / dataset.display.pitch_mrad / frame.frame_rows, 1.0),
         retina=(kept / readout.grid.side) ** 2,
     )
+
+
+def _tried(trials: Sequence[Trial], observer: Observer, pitch_mrad: float) -> list[Trial]:
+    """Some in the middle of the levels, and where the retina's places differ those nearest to a frame's edges."""
+    n_tried = min(max(len(trials) // ONE_TRIED_OF, 1), MOST_TRIED)
+    first = (len(trials) - n_tried) // 2
+    chosen = list(trials[first : first + n_tried])
+    # Either all places are known, or those that are not are the frame's middle.
+    placed = [trial for trial in trials if trial.x_px is not None] or trials
+    place = np.array([(trial.x_px or 0.0, trial.y_px or 0.0) for trial in placed])
+    if observer.centre == "bounding_box":
+        offset = np.array([bounding_box_offset(trial.orientation) for trial in placed])
+        place += offset * placed[0].stimulus.size_mrad / pitch_mrad
+    if np.ptp(place, axis=0).any():
+        chosen += [placed[k] for k in np.argmax(place @ OUTWARDS, axis=0)]
+    return list(dict.fromkeys(chosen))
 
 
 def _displaced_mrad(observer: Observer, stimulus: Stimulus) -> FloatArray:

@@ -58,20 +58,31 @@ def dataset_at_random(folder: Path, observer: PyramidObserver, rng: np.random.Ge
     uneven = tilt[0] * x + tilt[1] * y - vignetting * (x**2 + y**2)
     corner = (np.hypot(x - 0.42, y + 0.42) < 0.06) * rng.choice([0.0, 0.5])
     polarity = float(rng.choice([1.0, -1.0]))
+    # Anywhere on the frame, not necessarily the same place in each.
+    room = max(side / 2.0 - 1.1 * size_px, 0.0) * rng.choice([0.0, 1.0])
     (folder / "frames").mkdir()
-    rows = [["frame", "orientation", "size_mrad", "contrast", "polarity"]]
+    rows = [["frame", "orientation", "size_mrad", "contrast", "polarity", "x_px", "y_px"]]
     for level in LEVELS:
         contrast = min(sharp * level * (1.0 + noise_sd / sharp), 0.9)
         for orientation in ORIENTATIONS:
-            triangle = coverage(
-                (side, side), size_px=size_px, x_px=(side - 1) / 2, y_px=(side - 1) / 2, orientation=orientation
-            )
             for repeat in range(REPEATS):
+                x_px, y_px = ((side - 1) / 2.0 + rng.uniform(-room, room, 2)).tolist()
+                triangle = coverage((side, side), size_px=size_px, x_px=x_px, y_px=y_px, orientation=orientation)
                 seen = 1.0 + uneven + corner + polarity * contrast * triangle
                 seen = np.maximum(seen + rng.normal(0.0, noise_sd, seen.shape), 0.0)
                 name = f"frames/{level}_{orientation}_{repeat}.{suffix}"
                 write_frame(folder / name, BACKGROUND * seen if suffix == "exr" else np.minimum(seen / 4.0, 1.0))
-                rows.append([name, orientation.value, repr(size_mrad), repr(float(contrast)), str(int(polarity))])
+                rows.append(
+                    [
+                        name,
+                        orientation.value,
+                        repr(size_mrad),
+                        repr(float(contrast)),
+                        str(int(polarity)),
+                        x_px,
+                        y_px,
+                    ]
+                )
     with (folder / "manifest.csv").open("w", newline="", encoding="utf-8") as file:
         csv.writer(file).writerows(rows)
     (folder / "dataset.toml").write_text(
