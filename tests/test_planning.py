@@ -203,7 +203,7 @@ def test_explained_curve():
 
 
 def test_a_large_frame_is_read_where_the_triangle_is(tmp_path, monkeypatch):
-    """20 pixels in 1920 × 1080: under 10 % of the rows, but for the one trial in twenty that is looked at wide."""
+    """20 pixels in 1920 × 1080: under 10 % of the rows, but for the one trial in forty that is looked at wide."""
     (tmp_path / "frames").mkdir()
     (tmp_path / "dataset.toml").write_text(
         "schema = 1\n[display]\neotf = 'linear'\nwhite_luminance_cd_m2 = 1.0\npixel_pitch_mrad = 0.7\n"
@@ -269,6 +269,18 @@ def test_planned_and_full_scores_of_random_frames(tmp_path, seed):
     dataset = plan_datasets.dataset_at_random(tmp_path, observer, rng)
     planned, full = (plan_datasets.scored(dataset, observer, name)[0] for name in ("needed", "full"))
     assert np.abs(planned.p_correct - full.p_correct).max() <= planned.fits[0].left_out_bound + 1e-12
+
+
+def test_a_bad_frame_leaves_no_bound_out(make_dataset):
+    """Whichever frames cannot be read: what the plan leaves out of the others is weighed all the same."""
+    made = make_dataset(side_px=48)
+    for number in range(len(made.rows)):
+        made.frame(number).write_bytes(b"")
+        rest = score_dataset(load_dataset(made.path), PyramidObserver(), skip_bad_frames=True)
+        assert len(rest.skipped) == 1
+        assert rest.fits[0].left_out_bound > 0.0
+        whole = coverage((48, 48), size_px=8.0, x_px=23.5, y_px=23.5, orientation=ORIENTATIONS[number % 4])
+        write_frame(made.frame(number), 50.0 * (1.0 + 0.1 * whole))
 
 
 def test_tolerance_takes_as_many_displacements_as_needed():

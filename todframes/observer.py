@@ -129,10 +129,11 @@ class PyramidObserver:
             for levels in (FEWEST_LEVELS, FEWEST_LEVELS + 1)
         )
         margin = (wide.grid.side - narrow.grid.side) // 2
-        added = wide.deviations.copy()
-        added[:, margin:-margin, margin:-margin] -= narrow.deviations
+        kept = np.zeros_like(wide.deviations)
+        kept[:, margin:-margin, margin:-margin] = narrow.deviations
         gain = self.settings.band_gain ** (2 * octaves)
-        return LeftOut(wide.grid, gain * added, gain * (wide.noise_covariance - narrow.noise_covariance))
+        added, noise = wide.deviations - kept, wide.noise_covariance - narrow.noise_covariance
+        return LeftOut(wide.grid, gain * kept, gain * added, gain * noise)
 
     def _coarser(self, octaves: int) -> PyramidSettings:
         """Settings that see coarse bands as these do, on a retina of so many octaves less."""

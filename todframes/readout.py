@@ -146,13 +146,16 @@ class LeftOut(NamedTuple):
     ----------
     grid : RetinaGrid
         May be coarser than the readout's; its middle lies at the same place.
+    kept : ndarray, shape (4, side, side)
+        The readout's own weights on this grid, about.
     deviations : ndarray, shape (4, side, side)
-        What is missing from the readout's weights.
+        What is missing from them.
     noise_covariance : ndarray, shape (4, 4)
         What is missing from that of the readout.
     """
 
     grid: RetinaGrid
+    kept: FloatArray
     deviations: FloatArray
     noise_covariance: FloatArray
 

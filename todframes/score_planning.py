@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -27,7 +28,7 @@ FloatArray = NDArray[np.float64]
 HALF_FIELDS_IN_SIZES = (1.5, 2.0, 2.5)
 SLOPE = 0.5
 """dP / d ln level of a psychometric function at its threshold, about."""
-MOST_TRIED, ONE_TRIED_OF = 4, 20
+MOST_TRIED, ONE_TRIED_OF = 4, 40
 """Trials of each stimulus that are read wide."""
 OUTWARDS = np.array([[1.0, 1.0, 1.0, 0.0, 0.0, -1.0, -1.0, -1.0], [1.0, 0.0, -1.0, 1.0, -1.0, 1.0, 0.0, -1.0]])
 """Directions from the middle of a frame."""
@@ -123,27 +124,36 @@ def _weigh(dataset: Dataset, trials: Sequence[Trial], observer: Observer, budget
         missing = observer.left_out(stimulus) if isinstance(observer, Thrifty) else None
         widest = missing.grid if missing is not None else observer.grid(stimulus)
         displaced_mrad = _displaced_mrad(observer, stimulus)
-        started = time.perf_counter()
-        displaced = displaced_mrad / widest.pitch_mrad
-        shown = [way for trial in tried for way in read(dataset, trial, observer, lambda: widest, displaced)]
-        reading_s = (time.perf_counter() - started) / len(tried)
         readout = observer.readout(stimulus)
-        if readout is None or not readout.noise_covariance.any():
-            return _Weighed(StimulusPlan())  # without noise the least difference may decide
-    except (FrameError, SettingsError):
+    except SettingsError:
         return _Weighed(StimulusPlan())  # met again, and told, when it is scored
+    started = time.perf_counter()
+    shown: list[Shown] = []
+    n_read = 0
+    # Frames that cannot be read are met again, too; others take their places.
+    for trial in dict.fromkeys((*tried, *trials)):
+        with suppress(FrameError):
+            shown += read(dataset, trial, observer, lambda: widest, displaced_mrad / widest.pitch_mrad)
+            n_read += 1
+        if n_read == len(tried):
+            break
+    reading_s = (time.perf_counter() - started) / len(tried)
+    if not shown or readout is None or not readout.noise_covariance.any():
+        return _Weighed(StimulusPlan())  # without noise the least difference may decide
+    images = _images(shown, widest, displaced_mrad)
+    weights = readout.deviations if missing is None else missing.kept
     bounds: dict[str, float] = {}
     full = False
     if missing is not None:
-        bounds["pyramid levels"] = _levels_bound(readout, missing, _images(shown, missing.grid, displaced_mrad))
+        bounds["pyramid levels"] = _levels_bound(readout, missing, images)
         full = bounds["pyramid levels"] > budget
         if full:
             del bounds["pyramid levels"]
             assert isinstance(observer, Thrifty)
             readout = observer.full().readout(stimulus)
             assert readout is not None
-    images = _images(shown, readout.grid, displaced_mrad)
-    half_width, bounds["field"] = _half_width(readout, stimulus, images, budget)
+            weights = weights + missing.deviations
+    half_width, bounds["field"] = _half_width(readout, stimulus, widest.pitch_mrad, weights, images, budget)
     kept = readout.grid.side if half_width is None else 2 * half_width + 1
     frame = shown[0]
     return _Weighed(
@@ -180,36 +190,50 @@ def _displaced_mrad(observer: Observer, stimulus: Stimulus) -> FloatArray:
     return most * np.array([[0.0, 0.0], [1.0, 1.0], [1.0, -1.0]])[: 3 if most else 1]
 
 
-def _images(shown: Sequence[Shown], grid: RetinaGrid, displaced_mrad: FloatArray) -> list[FloatArray]:
-    """Each trial on the retina at each displacement."""
+def _images(shown: Sequence[Shown], grid: RetinaGrid, displaced_mrad: FloatArray) -> FloatArray:
+    """Each trial on the retina at each displacement: (n, side, side)."""
     displacements = (displaced_mrad / grid.pitch_mrad).tolist()
-    return [retina_image(one, grid, (dx, dy)) for one in shown for dx, dy in displacements]
+    return np.array([retina_image(one, grid, (dx, dy)) for one in shown for dx, dy in displacements])
 
 
-def _levels_bound(readout: Readout, missing: LeftOut, images: Sequence[FloatArray]) -> float:
-    added = [missing.deviations.reshape(4, -1) @ image.reshape(-1) for image in images]
-    change = decision_change(np.array(added), readout.noise_covariance, missing.noise_covariance)
+def _levels_bound(readout: Readout, missing: LeftOut, images: FloatArray) -> float:
+    change = decision_change(
+        _score(missing.deviations, images), readout.noise_covariance, missing.noise_covariance
+    )
     return SAFETY * float(change.max())
 
 
 def _half_width(
-    readout: Readout, stimulus: Stimulus, images: Sequence[FloatArray], budget: float
+    readout: Readout,
+    stimulus: Stimulus,
+    pitch_mrad: float,
+    weights: FloatArray,
+    images: FloatArray,
+    budget: float,
 ) -> tuple[int | None, float]:
-    """The narrowest of some fields whose bound fits, and the bound."""
-    grid = readout.grid
-    whole = np.array([readout.score_deviations(image) for image in images])
+    """The narrowest of some fields whose bound fits, and the bound.
+
+    What a field leaves out is weighed with the readout's weights on a grid of this pitch, which may be coarse:
+    they vary slowly out there.
+    """
+    middle = weights.shape[-1] // 2
     for sizes in HALF_FIELDS_IN_SIZES:
-        half_width = math.ceil(sizes * stimulus.size_mrad / grid.pitch_mrad) + 2
-        if 2 * half_width + 1 >= grid.side:
+        half_width = math.ceil(sizes * stimulus.size_mrad / readout.grid.pitch_mrad) + 2
+        if 2 * half_width + 1 >= readout.grid.side:
             break
-        narrow = readout.cropped(half_width)
-        margin = (grid.side - narrow.grid.side) // 2
-        inner = [np.ascontiguousarray(image[margin:-margin, margin:-margin]) for image in images]
-        change = np.array([narrow.score_deviations(image) for image in inner]) - whole
-        bound = SAFETY * float(decision_change(change, readout.noise_covariance, np.zeros((4, 4))).max())
+        inner = math.floor(half_width * readout.grid.pitch_mrad / pitch_mrad)
+        outer = weights.copy()
+        outer[:, middle - inner : middle + inner + 1, middle - inner : middle + inner + 1] = 0.0
+        change = decision_change(_score(outer, images), readout.noise_covariance, np.zeros((4, 4)))
+        bound = SAFETY * float(change.max())
         if bound <= budget:
             return half_width, bound
     return None, 0.0
+
+
+def _score(weights: FloatArray, images: FloatArray) -> FloatArray:
+    """Four scores of each image: (n, 4)."""
+    return np.asarray(np.einsum("kyx,nyx->nk", weights, images, optimize=True))
 
 
 def _steps(weighed: Sequence[_Weighed]) -> tuple[Step, ...]:
