@@ -1,7 +1,7 @@
 """The plan of a scoring: what of the frames and of the retina each stimulus needs, decided before it is scored.
 
-A few of its trials are read wide and scored in full. What the outer part of the retina and the further bands of
-the pyramid add there tells what they would add elsewhere, noise and uneven background of the real frames included.
+A few of its trials are read wide and seen on a coarse retina. What its outer part and the further bands of the
+pyramid add there tells what they would add elsewhere, noise and uneven background of the real frames included.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ HALF_FIELDS_IN_SIZES = (1.5, 2.0, 2.5)
 SLOPE = 0.5
 """dP / d ln level of a psychometric function at its threshold, about."""
 MOST_TRIED, ONE_TRIED_OF = 4, 40
-"""Trials of each stimulus that are read wide."""
+"""Trials of each stimulus that are read wide, besides those nearest to the edges."""
 OUTWARDS = np.array([[1.0, 1.0, 1.0, 0.0, 0.0, -1.0, -1.0, -1.0], [1.0, 0.0, -1.0, 1.0, -1.0, 1.0, 0.0, -1.0]])
 """Directions from the middle of a frame."""
 
@@ -117,7 +117,7 @@ class _Weighed:
 
 
 def _weigh(dataset: Dataset, trials: Sequence[Trial], observer: Observer, budget: float, read: Reader) -> _Weighed:
-    """Plan one stimulus, whose trials are in the order of their level; those in the middle are looked at."""
+    """Plan one stimulus, whose trials are in the order of their level; some are looked at."""
     stimulus = trials[0].stimulus
     tried = _tried(trials, observer, dataset.display.pitch_mrad)
     try:
@@ -138,8 +138,9 @@ def _weigh(dataset: Dataset, trials: Sequence[Trial], observer: Observer, budget
         if n_read == len(tried):
             break
     reading_s = (time.perf_counter() - started) / len(tried)
+    # Without noise the least difference may decide.
     if not shown or readout is None or not readout.noise_covariance.any():
-        return _Weighed(StimulusPlan())  # without noise the least difference may decide
+        return _Weighed(StimulusPlan())
     images = _images(shown, widest, displaced_mrad)
     weights = readout.deviations if missing is None else missing.kept
     bounds: dict[str, float] = {}
