@@ -1,5 +1,17 @@
 """`python -m sensor_sim` is the command `sensor-sim`."""
 
+import os
+import sys
+
+# `python -m` puts the current folder first on the import path. A dataset of unknown origin may lie there, and its
+# files must not be imported; so this comes before any other import.
+try:
+    here = os.getcwd()  # noqa: PTH109 - pathlib would be an import
+except FileNotFoundError:
+    here = ""
+if not sys.flags.safe_path and sys.path[0] in ("", here):
+    del sys.path[0]
+
 from sensor_sim.cli import main
 
 main()

@@ -14,6 +14,7 @@ import click
 from todframes import __version__
 from todframes.command import (
     Commands,
+    echo,
     json_option,
     keep_libraries_to_one_thread,
     make_observer,
@@ -104,7 +105,7 @@ def simulate(
             write_stages(folder / "stages", settings, planned[0], seed=seed)
     if written.clipped_share and not quiet:
         say(f"note: {100 * written.clipped_share:.2g} % of the pixels were clipped")
-    click.echo(f"{out}: {written.n_frames} frames")
+    echo(f"{out}: {written.n_frames} frames")
 
 
 @cli.command()
@@ -197,9 +198,9 @@ def curve(
             report.write_files(staging, files)
     print_result(result, f"{settings.name}: TOD curve", as_json=as_json, explain=explain)
     if not as_json:
-        click.echo(report.closing_line(result))
+        echo(*report.closing_line(result).splitlines())
         if out is not None:
-            click.echo(f"written: {out}")
+            echo(f"written: {out}")
 
 
 @contextmanager
@@ -233,7 +234,7 @@ def mtf(*, sensor: Path, out: str | None, as_json: bool) -> None:
         return
     print_table(mtf_table(result))
     if out is not None:
-        click.echo(f"written: {out}")
+        echo(f"written: {out}")
 
 
 def main(arguments: list[str] | None = None) -> None:

@@ -21,6 +21,7 @@ from todframes.readout import Observer, Stimulus
 from todframes.result import evenly
 from todframes.retina import resample
 from todframes.stimulus import Orientation, bounding_box_offset, coverage
+from todframes.tables import add_row, new_table
 from todframes.viewing import Patch
 
 if TYPE_CHECKING:
@@ -52,18 +53,12 @@ def mtf_object(sensor: Sensor) -> Json:
 
 def mtf_table(result: Json) -> Table:
     """Every twentieth frequency, as a table for the terminal."""
-    from rich.box import SIMPLE_HEAD
-    from rich.table import Table
-    from rich.text import Text
-
     cut_off, nyquist = result["cut_off_cyc_per_mrad"], result["nyquist_cyc_per_mrad"]
     title = f"{result['sensor']}: MTF along x; optics' cut-off {cut_off:.4g}, Nyquist {nyquist:.4g} cycles/mrad"
-    table = Table(title=Text(title), title_justify="left", title_style="bold", box=SIMPLE_HEAD)
-    for name in ("cycles/mrad", *result["mtf"]):
-        table.add_column(name, justify="right", no_wrap=True)
+    table = new_table(title, ("cycles/mrad", *result["mtf"]))
     for n in range(0, POINTS, TABLE_STEP):
         values = [f"{stage[n]:.4f}" for stage in result["mtf"].values()]
-        table.add_row(f"{result['frequency_cyc_per_mrad'][n]:.4g}", *values)
+        add_row(table, [f"{result['frequency_cyc_per_mrad'][n]:.4g}", *values])
     return table
 
 

@@ -167,7 +167,9 @@ class FoldedChain:
         """
         weights = self.plan.all_four(self.folding.weights(0.0, 0.0)[None])[0]
         squares = np.square(weights[:, None] - weights)[np.triu_indices(4, 1)]
-        participation = (np.square(squares).sum(axis=1) / np.square(squares.sum(axis=1))).max()
+        sums = squares.sum(axis=1, keepdims=True)  # 0 where the detectors' noise does not reach the difference
+        shares = np.divide(squares, sums, out=np.zeros_like(squares), where=sums > 0.0)
+        participation = np.square(shares).sum(axis=1).max()
         of_detectors = non_gaussian_bound(excess_kurtosis(self.sensor.noise) * float(participation))
         return max(self.readout.non_gaussian_bound, of_detectors)
 

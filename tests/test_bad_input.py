@@ -289,6 +289,13 @@ def assert_validate_finds(dataset, problems, todframes):
     assert_says(errors[-1], (re.escape(str(dataset.path)), rf"\b{len(problems)} problem"))
 
 
+@pytest.mark.parametrize("case", ["exr declares 60000", "exr declares too many bytes", "png declares 60000"])
+def test_nobody_is_asked_to_raise_limits(case, make_dataset, fails):
+    """OpenImageIO's advice, which no user of this package can follow."""
+    dataset = FRAMES[case].of(make_dataset)
+    fails("score", dataset.path, status=BAD_DATA, wanted=(re.escape(str(dataset.frame(BAD))), "^(?!.*attribute)"))
+
+
 def test_wrong_sha256(make_dataset, fails, todframes):
     dataset = make_dataset(row_changes={BAD: {"sha256": "0" * 64}})
     wanted = ("sha256", "0{64}", "[0-9a-f]{64}")
@@ -349,6 +356,17 @@ def test_nothing_left_after_skipping(make_dataset, fails, tmp_path):
         "score", dataset.path, "--on-error", "skip", "-o", tmp_path / "out",
         status=BAD_DATA, wanted=(re.escape(str(dataset.path)), "no frame can be scored; the first: "),
     )  # fmt: skip
+
+
+@pytest.mark.parametrize("line", ["score", "score --locate", "compare --enhance median"])
+def test_no_good_row(line, make_dataset, fails):
+    dataset = make_dataset(contrasts=(0.5,))
+    for row in dataset.rows:
+        row["orientation"] = "north"
+    dataset.save()
+    command, *options = line.split()
+    wanted = (re.escape(str(dataset.path)), "no frame can be scored; the first: ", "line 2", "'north'")
+    fails(command, dataset.path, *options, "--on-error", "skip", status=BAD_DATA, wanted=wanted)
 
 
 def test_validate_lists_all_problems(make_dataset, todframes):
@@ -582,6 +600,7 @@ MANIFESTS = {
     "only nul bytes": (bytes(100), ("column 'frame' is missing",)),
     "quote never closed": (f'{HEADER}\n"a.exr,up,2,1\n'.encode(), ("line 2", "not valid CSV")),
     "huge field": (f"{HEADER}\n{'a' * 200_000},up,2,1\n".encode(), ("line 2", "not valid CSV")),
+    "60,000 columns": (",".join(map(str, range(60_000))).encode(), ("found 0, 1, .*, 19 and 59980 more$",)),
 }  # fmt: skip
 
 
@@ -636,7 +655,108 @@ def test_dataset_is_no_folder(command, fails, tmp_path):
 def test_dataset_without_settings(make_dataset, fails):
     dataset = make_dataset(contrasts=(0.5,))
     dataset.settings_file.unlink()
-    fails("score", dataset.path, status=BAD_DATA, wanted=(re.escape(str(dataset.settings_file)), "no such file"))
+    fails(
+        "score", dataset.path, status=BAD_SETTINGS, wanted=(re.escape(str(dataset.settings_file)), "no such file")
+    )
+
+
+# Files that are none, and those of others --------------------------------------------------------------------
+
+SECRET = "root:x:0:0,secret\n"
+
+
+def as_pipe(path):
+    path.unlink()
+    os.mkfifo(path)
+
+
+def as_endless_device(path):
+    path.unlink()
+    path.symlink_to("/dev/zero")
+
+
+def as_link(path):
+    """To a file of somebody else."""
+    path.unlink()
+    secret = path.parent.parent / "passwd"
+    secret.write_text(SECRET)
+    path.symlink_to(secret)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "wanted"),
+    [(as_pipe, "is a pipe or device, expected a file"), (as_endless_device, "outside"), (as_link, "outside")],
+)
+@pytest.mark.parametrize("command", ["score", "validate"])
+@pytest.mark.parametrize("name", ["dataset.toml", "manifest.csv", "lut.csv"])
+def test_files_of_a_dataset(name, command, spoil, wanted, make_dataset, fails):
+    """A pipe would be waited for, a device read for ever, and a message might show a stranger's file."""
+    dataset = make_dataset(display={"eotf": "lut", "lut": "lut.csv", "white_luminance_cd_m2": None})
+    (dataset.path / "lut.csv").write_text("code_value,luminance_cd_m2\n0,0\n1,100\n")
+    spoil(dataset.path / name)
+    status = BAD_DATA if name == "manifest.csv" else BAD_SETTINGS
+    fails(command, dataset.path, status=status, wanted=(name.replace(".", r"\."), wanted, "^(?!.*root:x)"))
+
+
+@pytest.mark.parametrize("name", ["../passwd", "{}/passwd", "/etc/passwd"])
+def test_luminance_table_outside_of_the_dataset(name, make_dataset, fails, tmp_path):
+    (tmp_path / "passwd").write_text(SECRET)
+    name = name.format(tmp_path)
+    dataset = make_dataset(display={"eotf": "lut", "lut": name, "white_luminance_cd_m2": None})
+    wanted = (
+        re.escape(str(dataset.settings_file)),
+        r"\[display\]: lut",
+        re.escape(name),
+        "outside",
+        "^(?!.*root:x)",
+    )
+    fails("score", dataset.path, status=BAD_SETTINGS, wanted=wanted)
+
+
+def test_paths_of_the_dataset_itself(make_dataset, todframes, tmp_path):
+    """An absolute path and a link are as good as any other if they lead to a file of the dataset."""
+    dataset = make_dataset(display={"eotf": "lut", "lut": "lut.csv", "white_luminance_cd_m2": None}, suffix=".png")
+    (dataset.path / "table.csv").write_text("code_value,luminance_cd_m2\n0,0\n1,100\n")
+    (dataset.path / "lut.csv").symlink_to("table.csv")
+    (dataset.path / "link").symlink_to("frames")
+    (tmp_path / "other").symlink_to(dataset.path)
+    dataset.rows[0]["frame"] = str(dataset.frame(0))
+    dataset.rows[1]["frame"] = str(tmp_path / "other" / dataset.rows[1]["frame"])
+    dataset.rows[2]["frame"] = dataset.rows[2]["frame"].replace("frames", "link")
+    dataset.save()
+    for path in (dataset.path, tmp_path / "other"):
+        status, _, errors = todframes("validate", path)
+        assert (status, errors) == (0, [])
+        status, _, errors = todframes("score", path)
+        assert (status, errors) == (0, [])
+
+
+@pytest.mark.parametrize("path", ["pipe", "/dev/zero", "/dev/null"])
+def test_what_is_no_file(path, fails, tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    path = tmp_path / path
+    wanted = (
+        re.escape(str(path)),
+        "is a pipe or device, expected a file; save what comes from it to a file first",
+    )
+    fails("fit", path, status=BAD_DATA, wanted=wanted)
+    fails("score", "x", "--observer-settings", path, status=BAD_SETTINGS, wanted=wanted)
+
+
+def test_pipe_on_standard_input():
+    done = process("fit", "/dev/stdin", input="level,n_correct,n_trials\n1,10,40\n")
+    assert done.returncode == BAD_DATA
+    assert done.stderr == (
+        "error: /dev/stdin: is a pipe or device, expected a file; save what comes from it to a file first\n"
+    )
+
+
+def test_files_that_are_too_long(fails, tmp_path):
+    with (tmp_path / "long").open("wb") as file:
+        file.truncate(2**40)  # a hole that takes no space
+    fails("fit", tmp_path / "long", status=BAD_DATA, wanted=("long: is longer than 256 MB",))
+    wanted = ("long: is longer than 1 MB",)
+    fails("score", "x", "--observer-settings", tmp_path / "long", status=BAD_SETTINGS, wanted=wanted)
 
 
 # dataset.toml -------------------------------------------------------------------------------------------------
@@ -764,6 +884,13 @@ TOML = {
         ("schema = 1\n" + DISPLAY_TABLE.replace("0.25", "1" + "0" * 400) + EXPERIMENT_TABLE).encode(),
         ("pixel_pitch_mrad",),
     ),
+    "nested lists": (b"schema = 1\nx = " + b"[" * 2000 + b"]" * 2000, ("not valid TOML", "nested too deep")),
+    "nested tables": (b"schema" + b".a" * 100 + b" = 1\n", ("not valid TOML", "nested more than 16 deep")),
+    "a key of many parts": (b"schema" + b".a" * 200_000 + b" = 1\n", ("not valid TOML", "line 1", "500 dots")),
+    "5,000 digits": (b"schema = " + b"9" * 5000 + b"\n", ("not valid TOML", "whole number", "digits")),
+    "5,000 hexadecimal digits": (b"schema = 0x" + b"f" * 5000 + b"\n", ("schema", "whole number", "64 bits")),
+    "long key": (b"k" * 900_000 + b" = 1\n", ("unknown key 'kkk", "…")),
+    "long file": (b"# " + b"x" * 2**20 + b"\n", ("longer than 1 MB",)),
     "lut as a table": (
         ("schema = 1\n" + DISPLAY_TABLE.replace("'linear'", "'lut'") + "lut = {code_value = [0, 1]}\n"
          + EXPERIMENT_TABLE).encode(),
@@ -837,6 +964,10 @@ USAGES = {
     "set date": ("score x --set internal_noise=2001-01-01", ("internal_noise", "2001")),
     "set levels to a date": ("score x --set levels=2001-01-01", ("levels", "2001")),
     "set levels to a fraction": ("score x --set levels=4.5", ("levels", "4.5")),
+    "set nested list": (f"score x --set levels={'[' * 2000}{']' * 2000}", ("levels", "whole number")),
+    "set 5,000 digits": (f"score x --set levels={'9' * 5000}", ("levels", "whole number")),
+    "set 5,000 hexadecimal digits": (f"score x --set levels=0x{'f' * 5000}", ("levels", "whole number")),
+    "set long name": (f"score x --set {'k' * 100_000}=1", ("unknown key 'kkk", "…")),
     "set levels beyond": ("score x --set levels=99", ("levels", "99", "1 to 11")),
     "set centre": ("score x --set centre=middle", ("centre", "'middle'", "centroid", "bounding_box")),
     "set lapse rate": ("score x --set lapse_rate=0.9", ("lapse_rate", "0.9")),
@@ -1091,6 +1222,56 @@ def test_names_are_not_markup(text, make_dataset, todframes, tmp_path):
     assert status == 0, errors
     assert text in out
     assert json.loads((tmp_path / "out" / "result.json").read_text())["fits"][0]["group"] == {"lens": text}
+
+
+HOSTILE = "\x1b]0;title\x07\x1b[31mred\x7f\x9b2J\u202eabc\u2066"
+SHOWN = r"\x1b]0;title\x07\x1b[31mred\x7f\x9b2J\u202eabc\u2066"
+"""Sets a terminal's title and colour, clears it and turns the direction of text; and how it is shown."""
+
+
+def test_terminals_are_left_alone(make_dataset, todframes, tmp_path):
+    """By names and values of data, on both streams."""
+    dataset = make_dataset(f"set {HOSTILE}", experiment={"group_by": [f"column {HOSTILE}"]})
+    for row in dataset.rows:
+        row[f"column {HOSTILE}"] = f"value {HOSTILE} two\nlines"
+    dataset.rows[0]["frame"] = f"frames/{HOSTILE}.exr"
+    dataset.save()
+    options = ("--set", "resamples=0", "--on-error", "skip", "--explain", "-o", tmp_path / HOSTILE)
+    status, out, errors = todframes("score", dataset.path, *options)
+    assert status == 0, errors
+    for line in (*out.splitlines(), *errors):
+        assert line.isprintable(), line
+    for shown in (f"set {SHOWN}: 7 trials", f"column {SHOWN}", rf"value {SHOWN} two\nlines", f"/{SHOWN}\n"):
+        assert shown in out
+    assert f"frames/{SHOWN}.exr" in errors[0]
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        (HOSTILE,),
+        ("score", HOSTILE),
+        ("score", "x", f"--{HOSTILE}"),
+        ("score", "x", "--decisions", HOSTILE),
+        ("score", "x", "--set", f"{HOSTILE}=1"),
+        ("compare", "x", "--enhance", HOSTILE),
+        ("fit", "folder\udcff"),
+    ],
+)
+def test_arguments_are_shown_without_control_characters(arguments, todframes):
+    status, out, errors = todframes(*arguments)
+    assert (status != 0, out, len(errors)) == (True, "", 1)
+    assert errors[0].isprintable(), errors
+
+
+def test_values_in_json_are_as_they_were(make_dataset, todframes):
+    dataset = make_dataset(experiment={"group_by": ["lens"]})
+    for row in dataset.rows:
+        row["lens"] = HOSTILE
+    dataset.save()
+    _, out, _ = todframes("score", dataset.path, "--set", "resamples=0", "--json")
+    assert json.loads(out)["fits"][0]["group"] == {"lens": HOSTILE}
+    assert all(line.isprintable() for line in out.splitlines())
 
 
 # In a process of its own --------------------------------------------------------------------------------------

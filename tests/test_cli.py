@@ -78,6 +78,21 @@ def test_score_writes_what_it_prints(todframes, make_dataset, tmp_path: Path) ->
     assert sorted(path.parent.glob(".*")) == []  # no temporary folder is left
 
 
+def test_no_formula_in_scores(todframes, make_dataset, tmp_path: Path) -> None:
+    """A text that a spreadsheet would compute has an apostrophe before it, in rows and above them."""
+    dataset = make_dataset(contrasts=(0.1, 0.4), experiment={"group_by": ["@lens", "shift"]})
+    for number, row in enumerate(dataset.rows):
+        row |= {"@lens": "=HYPERLINK(1)", "shift": "-1.5", "trial": f"+{number}%"}
+    dataset.save()
+    out_folder = tmp_path / "result"
+    assert todframes("score", dataset.path, "-o", out_folder, "--set", "resamples=0")[0] == 0
+    with (out_folder / "scores.csv").open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert {row["'@lens"] for row in rows} == {"'=HYPERLINK(1)"}
+    assert [row["trial"] for row in rows] == [f"'+{number}%" for number in range(8)]
+    assert {row["shift"] for row in rows} == {"-1.5"}
+
+
 def test_writing_again_replaces(todframes, make_dataset, tmp_path: Path) -> None:
     path = make_dataset().path
     for seed in ("1", "2"):

@@ -23,6 +23,12 @@ OWN = """
 from typing import Annotated
 from todframes.enhancement import enhancement, parameter
 
+def leaves(image):
+    raise SystemExit(7)
+
+def shouts(image):
+    raise ValueError("\x1b[31mno\\n\u202e")
+
 def twice(image, gain=2.0):
     return 0.5 + gain * (image - 0.5)
 
@@ -227,6 +233,62 @@ def test_own_module_from_the_present_folder(dataset: Path, here: Path, start: li
     assert done.stderr == ""
 
 
+HOSTILE = "import pathlib, sys\npathlib.Path(__file__).with_name('ran').touch()\nsys.exit('ran')\n"
+
+
+@pytest.mark.parametrize("spec", ["median", "my_algorithms:twice"])
+@pytest.mark.parametrize("start", ["script", "-m"])
+def test_nothing_else_runs_from_the_present_folder(
+    dataset: Path, here: Path, start: str, spec: str, tmp_path: Path
+) -> None:
+    """A dataset may hold files that are called as modules are, installed ones or Python's own."""
+    for name in ("skimage", "cv2", "numpy", "click", "tomllib", "typing"):
+        (here / f"{name}.py").write_text(HOSTILE, encoding="utf-8")
+    (tmp_path / "bin").mkdir()
+    script = tmp_path / "bin" / "todframes"
+    script.write_text("from todframes.cli import main\nmain()\n", encoding="utf-8")
+    command = [str(script)] if start == "script" else ["-m", "todframes"]
+    done = subprocess.run(
+        [sys.executable, *command, "compare", str(dataset), "--enhance", spec, "--json"],
+        cwd=here,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert not (here / "ran").exists(), done.stderr
+    assert json.loads(done.stdout)["algorithms"][1]["name"] == spec
+
+
+@pytest.mark.parametrize("options", [["--json"], []])
+def test_standard_output_is_for_the_result_alone(dataset: Path, here: Path, options: list[str]) -> None:
+    """Whatever a user's module prints, in whatever way, goes to standard error."""
+    (here / "talks.py").write_text(
+        "import os, sys\n"
+        "from sys import stdout\n"
+        "print('chatter: import')\n"
+        "def same(image):\n"
+        "    print('chatter: print')\n"
+        "    stdout.write('chatter: write\\n')\n"
+        "    os.write(1, b'chatter: descriptor\\n')\n"
+        "    return image\n",
+        encoding="utf-8",
+    )
+    done = subprocess.run(
+        [sys.executable, "-m", "todframes", "compare", str(dataset), "--enhance", "talks:same", *options],
+        cwd=here,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert "chatter" not in done.stdout
+    for what in ("import", "print", "write", "descriptor"):
+        assert f"chatter: {what}\n" in done.stderr
+    if options:
+        assert json.loads(done.stdout)["command"] == "compare"
+    else:
+        assert "Beside the usual measures" in done.stdout
+
+
 @pytest.mark.parametrize(
     ("arguments", "status", "message"),
     [
@@ -238,6 +300,9 @@ def test_own_module_from_the_present_folder(dataset: Path, here: Path, start: li
         (["--enhance", "median", "--white", "0"], 2, "white: found 0.0, expected a finite number > 0"),
         (["--enhance", "median", "--set", "resamples=0"], 2, "resamples: found 0, expected 40 or more"),
         (["--enhance", "my_algorithms:twice:gain=9"], 1, "my_algorithms:twice:gain=9: "),
+        (["--enhance", "my_algorithms:leaves"], 1, "my_algorithms:leaves: SystemExit: 7"),
+        (["--enhance", "my_algorithms:leaves", "--workers", "2"], 1, "my_algorithms:leaves: SystemExit: 7"),
+        (["--enhance", "my_algorithms:shouts"], 1, r"my_algorithms:shouts: ValueError: \x1b[31mno \u202e"),
     ],
 )  # fmt: skip
 @pytest.mark.usefixtures("here")

@@ -11,10 +11,11 @@ import todframes
 
 FLOORS = {
     "todframes": [
-        {"errors", "weibull", "crossing", "timing", "figure_style", "likeness", "threads"},
-        {"result"},
+        {"errors", "weibull", "crossing", "timing", "figure_style", "likeness", "threads", "safe_text"},
+        {"settings"},
+        {"result", "user_code"},
         {"verdict"},
-        {"settings", "stimulus", "frames", "retina", "pyramid", "tetrahedron", "resampling", "display"},
+        {"stimulus", "frames", "retina", "pyramid", "tetrahedron", "resampling", "display"},
         {"decision", "edgeworth", "planning", "stability", "pyramid_settings"},
         {"readout", "counts", "psychometric", "frame_writing", "estimators", "enhancement"},
         {"summed_noise", "gabor", "dataset", "accuracy", "pairing", "enhancement_specs", "algorithms"},

@@ -200,6 +200,13 @@ def test_curve_shows_a_table(sensor_sim, sensor_file):
     assert f"{fit['delta_t_mk']:.4g}" in out
 
 
+def test_curve_of_a_triangle_that_no_detector_sees(sensor_sim, sensor_file):
+    """The detectors' noise has no part in any score then; a warning would be an error here."""
+    status, out, errors = sensor_sim("curve", sensor_file, "--size-detectors", "0.003", "--json")
+    assert (status, errors) == (0, [])
+    assert json.loads(out)["fits"][0]["status"] == "never_reached"
+
+
 def test_curve_without_netd_has_no_temperatures(sensor_sim, sensor_file):
     sensor_file.write_text(SENSOR.replace("netd_mk = 25.0\n", ""), encoding="utf-8")
     assert "ΔT" not in sensor_sim(*curve(sensor_file))[1]
@@ -421,6 +428,8 @@ FILES = {
     "unknown table": (SENSOR.replace("[optics]", "[optic]"), ("'optic'", "'optics'")),
     "no optics": (SENSOR.replace("[optics]", "[noise.x]"), ("noise|optics",)),
     "name no text": (SENSOR.replace('"bench"', "7"), ("name", "found 7", "text")),
+    "nested lists": (SENSOR + "x = " + "[" * 2000 + "]" * 2000, ("not valid TOML", "nested too deep")),
+    "5,000 digits": (SENSOR + "x = " + "9" * 5000, ("not valid TOML", "whole number", "digits")),
     "latin-1": (SENSOR.replace("bench", "b\udce4nk"), ("not UTF-8",)),
 }
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from todframes.accuracy import Measured
 from todframes.accuracy_figures import rounded, scene_picture
 from todframes.report import Json, encode
-from todframes.tables import number
+from todframes.tables import add_row, new_table, number
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -68,15 +68,9 @@ def tables(scene: Json) -> tuple[Table, Table]:
 
 
 def _table(title: str, headers: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
-    from rich.box import SIMPLE_HEAD
-    from rich.table import Table
-    from rich.text import Text
-
-    table = Table(title=Text(title) if title else None, title_justify="left", title_style="bold", box=SIMPLE_HEAD)
-    for place, header in enumerate(headers):
-        table.add_column(Text(header), justify="right" if place else "left", no_wrap=True)
+    table = new_table(title, headers, left={0})
     for row in rows:
-        table.add_row(*map(Text, row))
+        add_row(table, row)
     return table
 
 

@@ -20,6 +20,7 @@ from todframes.cli_report import report as report_command
 from todframes.command import (
     Commands,
     decisions_option,
+    echo,
     json_option,
     keep_libraries_to_one_thread,
     make_observer,
@@ -156,9 +157,9 @@ def score(
             say(f"note: {scored.n_negative} of the display pixels read have a luminance below zero")
     print_result(result, f"{dataset}: {len(scored.trials)} trials", as_json=as_json, explain=explain)
     if not as_json:
-        click.echo(report.closing_line(result))
+        echo(*report.closing_line(result).splitlines())
         if out is not None:
-            click.echo(f"written: {out}")
+            echo(f"written: {out}")
 
 
 @cli.command("naked-eye")
@@ -193,7 +194,7 @@ def naked_eye(*, contrast: float | None, size_mrad: str | None, as_json: bool, *
     )
     print_result(result, "Naked eye", as_json=as_json)
     if not as_json:
-        click.echo(report.closing_line(result))
+        echo(*report.closing_line(result).splitlines())
 
 
 @cli.command()
@@ -230,7 +231,7 @@ def fit(*, counts: Path, p_correct: float | None, assignments: Sequence[str], se
     )
     print_result(result, str(counts), as_json=as_json)
     if not as_json:
-        click.echo(report.closing_line(result))
+        echo(*report.closing_line(result).splitlines())
 
 
 @cli.command()
@@ -253,7 +254,7 @@ def validate(*, dataset: Path) -> None:
     if problems:
         raise DataError(f"{dataset}: {len(problems)} {'problems' if len(problems) > 1 else 'problem'} found")
     n_frames = sum(len(trial.frames) for trial in data.trials)
-    click.echo(f"{dataset}: {n_frames} frames in {len(data.trials)} trials, all good")
+    echo(f"{dataset}: {n_frames} frames in {len(data.trials)} trials, all good")
 
 
 cli.add_command(cli_studies.stability)

@@ -2,24 +2,24 @@
 
 from __future__ import annotations
 
-import os
-import sys
 import time
 from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
 from todframes.cli_locating import locate_option, located
 from todframes.command import (
     decisions_option,
+    echo,
     json_option,
     make_observer,
     observer_options,
     plan_options,
     print_table,
+    prints_go_to_stderr,
     progress,
     quiet_option,
     running_options,
@@ -27,9 +27,6 @@ from todframes.command import (
     seed_option,
 )
 from todframes.errors import SettingsError
-
-if TYPE_CHECKING:
-    from todframes.enhancement import Enhancement
 
 
 @click.command()
@@ -89,15 +86,18 @@ def compare(
     from todframes.comparing import compare_dataset
     from todframes.dataset import load_dataset
     from todframes.enhanced import Screen
+    from todframes.enhancement_specs import find_enhancement
     from todframes.planning import plan_object
     from todframes.tables import plan_table
 
-    algorithms = _found(specs)
+    with prints_go_to_stderr():
+        algorithms = [find_enhancement(spec) for spec in specs]
     skip = on_error == "skip"
     data = load_dataset(dataset)
     group_by, level = data.experiment.group_by, data.experiment.level
     screen = Screen(data.display, white, allow_clipping)
     with ExitStack() as stack:
+        stack.enter_context(prints_go_to_stderr())
         staging = stack.enter_context(report.output_folder(out)) if out is not None else None
         more: dict[str, Any] = {}
         if locate:
@@ -167,20 +167,10 @@ def compare(
     if any(one["psnr_db"] is not None or one["ssim"] is not None for one in objects):
         print_table(measures_table(objects))
     for sentence in result["verdict"]:
-        click.echo(sentence)
-    click.echo(f"{result['run_time_s']:.2f} s")
+        echo(sentence)
+    echo(f"{result['run_time_s']:.2f} s")
     if out is not None:
-        click.echo(f"written: {out}")
-
-
-def _found(specs: Sequence[str]) -> list[Enhancement]:
-    """The algorithms that `--enhance` names."""
-    from todframes.enhancement_specs import find_enhancement
-
-    # The console script has its own folder first on the path, `python -m` this one, where a user's module lies.
-    if (here := os.getcwd()) not in sys.path and "" not in sys.path:  # noqa: PTH109 - a text, as the path has them
-        sys.path.insert(0, here)
-    return [find_enhancement(spec) for spec in specs]
+        echo(f"written: {out}")
 
 
 @click.command()
@@ -195,7 +185,8 @@ def enhancements(*, as_json: bool) -> None:
     found = []
     for name in enhancement_names():
         try:
-            found.append(find_enhancement(name))
+            with prints_go_to_stderr():
+                found.append(find_enhancement(name))
         except SettingsError as error:  # of another package
             say(f"left out: {error}")
     objects = [enhancement_object(one) for one in found]

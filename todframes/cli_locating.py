@@ -39,6 +39,6 @@ def located(data: Dataset, *, centre: Centre, skip_bad_frames: bool, quiet: bool
         if not quiet:
             where = f"x_px {place.x_px:.2f}, y_px {place.y_px:.2f} (± {place.standard_error_px:.1g} px)"
             say(f"located: {group_label(group) or 'all trials'}: {where}")
-    if not locations and not quiet:
+    if not locations and data.trials and not quiet:
         say("located: nothing; the manifest gives all positions")
     return data, described

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import click
 
-from todframes.errors import OutputError
+from todframes.command import echo
+from todframes.errors import DataError, OutputError
 
 
 @click.command("report")
@@ -21,10 +22,13 @@ def report(*, result: Path, out: str | None) -> None:
     from todframes.html_report import page
     from todframes.result import load_result
 
-    made = page(load_result(result))
+    try:
+        made = page(load_result(result))
+    except RecursionError:
+        raise DataError(f"{result}: nested too deep, expected the result of a command") from None
     path = Path(out) if out is not None else result.with_name("report.html")
     _write(path, made, not_over=result)
-    click.echo(f"written: {path}")
+    echo(f"written: {path}")
 
 
 def _write(path: Path, content: bytes, *, not_over: Path) -> None:

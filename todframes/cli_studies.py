@@ -8,7 +8,7 @@ from pathlib import Path
 
 import click
 
-from todframes.command import json_option, print_table, progress, say, seed_option
+from todframes.command import echo, json_option, print_table, progress, say, seed_option
 from todframes.errors import DataError, SettingsError
 
 RECORDED = "recorded"
@@ -47,7 +47,7 @@ def stability(*, as_json: bool, as_markdown: bool, quiet: bool) -> None:
         click.echo(markdown(outcomes), nl=False)
     else:
         print_table(outcome_table(outcomes))
-        click.echo(f"{len(outcomes)} cases, {run_time_s:.2f} s")
+        echo(f"{len(outcomes)} cases, {run_time_s:.2f} s")
     if (short := shortfall(outcomes)) is not None:
         raise DataError(short)
 
@@ -135,6 +135,6 @@ def accuracy(
     for one in result["scenes"]:
         for table in accuracy_report.tables(one):
             print_table(table)
-    click.echo(f"{accuracy_report.NOTE}\n{result['run_time_s']:.0f} s")
+    echo(accuracy_report.NOTE, f"{result['run_time_s']:.0f} s")
     if out is not None:
-        click.echo(f"written: {out}")
+        echo(f"written: {out}")

@@ -8,13 +8,14 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stdout
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
 from todframes.errors import SettingsError, TodframesError
+from todframes.safe_text import visible
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -26,6 +27,10 @@ if TYPE_CHECKING:
 F = TypeVar("F", bound=Callable[..., Any])
 
 INTERRUPTED = 130
+STDOUT, STDERR = 1, 2
+
+LONGEST_REMARK = 8000
+"""Characters of a line on standard error; of longer ones the two ends are shown."""
 
 
 def options(*decorators: Callable[[F], F]) -> Callable[[F], F]:
@@ -202,12 +207,40 @@ def print_table(table: Table) -> None:
 
     # A table that is wider than the terminal is better than one whose numbers are cut.
     needed = Console(width=1000).measure(table).maximum
-    Console(width=max(Console().width, needed)).print(table)
+    Console(width=max(Console().width, needed), markup=False).print(table)
+
+
+def echo(*lines: str) -> None:
+    """Lines on standard output, with escapes for characters that a terminal would obey."""
+    for line in lines:
+        click.echo(visible(line))
 
 
 def say(text: str) -> None:
-    """A remark, one line on standard error."""
-    click.echo(" ".join(text.split()), err=True)
+    """A remark, one line on standard error, with escapes for characters that a terminal would obey."""
+    line = visible(" ".join(text.split()))
+    if len(line) > LONGEST_REMARK:
+        line = f"{line[: LONGEST_REMARK // 2]} […] {line[-LONGEST_REMARK // 2 :]}"
+    click.echo(line, err=True)
+
+
+@contextmanager
+def prints_go_to_stderr() -> Iterator[None]:
+    """Send what a user's code prints in the block to standard error: standard output is for the result alone.
+
+    All threads are affected, and what native libraries print as well.
+    """
+    stdout = sys.stdout
+    stdout.flush()
+    kept = os.dup(STDOUT)
+    try:
+        os.dup2(STDERR, STDOUT)
+        with redirect_stdout(sys.stderr):
+            yield
+    finally:
+        stdout.flush()  # of code that has kept `sys.stdout` for itself
+        os.dup2(kept, STDOUT)
+        os.close(kept)
 
 
 @contextmanager

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 from todframes.compare_report import value_text
 from todframes.comparing import AlgorithmResult
 from todframes.report import scores_csv
-from todframes.tables import interval, number
+from todframes.safe_text import csv_text
+from todframes.tables import add_row, interval, new_table, number
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -43,10 +44,8 @@ def ratio_rows(algorithms: Sequence[Json]) -> list[Json]:
 
 def compare_csv(algorithms: Sequence[Json]) -> bytes:
     """A row for each algorithm and group: threshold, ratio, verdict, and the usual measures."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
     groups = list(algorithms[0]["fits"][0]["group"])
-    writer.writerow(["algorithm", "spec", *groups, *CSV_COLUMNS])
+    rows: list[list[object]] = [["algorithm", "spec", *groups, *CSV_COLUMNS]]
     of_algorithm = {one["name"]: one for one in algorithms}
     for row in ratio_rows(algorithms):
         fit, one = row.get("fit", {}), of_algorithm[row["algorithm"]]
@@ -54,31 +53,27 @@ def compare_csv(algorithms: Sequence[Json]) -> bytes:
         values += [row.get("ratio"), *(row.get("ratio_ci95") or (None, None))]
         values += [row.get("p_value"), row.get("p_value_holm"), row.get("verdict")]
         values += [one["psnr_db"], one["ssim"], one["n_clipped"], one["cpu_s"]]
-        writer.writerow(
-            [row["algorithm"], one["spec"], *row["group"].values()] + ["" if v is None else v for v in values]
-        )
-    return text.getvalue().encode()
+        rows.append([row["algorithm"], one["spec"], *row["group"].values(), *values])
+    return csv_text(rows).encode()
 
 
 def compare_scores_csv(results: Sequence[AlgorithmResult], group_by: Sequence[str], level: str) -> bytes:
     """A row for each algorithm and trial, as in the `scores.csv` of `score` with the algorithm before it."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
+    table: list[list[str]] = []
     for place, one in enumerate(results):
         header, *rows = csv.reader(io.StringIO(scores_csv(one.scored, group_by, level).decode(), newline=""))
         if place == 0:
-            writer.writerow(["algorithm", *header])
-        writer.writerows([one.enhancement.spec, *row] for row in rows)
-    return text.getvalue().encode()
+            table.append(["algorithm", *header])
+        table += ([one.enhancement.spec, *row] for row in rows)
+    return csv_text(table).encode()
 
 
 def ratio_table(algorithms: Sequence[Json], title: str) -> Table:
     """Thresholds and their ratios as a table for the terminal."""
     groups = list(algorithms[0]["fits"][0]["group"])
     level = algorithms[0]["fits"][0]["level"]
-    table = _table(
-        title, ["algorithm"], [*groups, f"threshold {level}", "ratio", "95 % interval", "p (Holm)"], ["verdict"]
-    )
+    headers = ["algorithm", *groups, f"threshold {level}", "ratio", "95 % interval", "p (Holm)", "verdict"]
+    table = new_table(title, headers, left={0, len(headers) - 1})
     last = None
     for row in ratio_rows(algorithms):
         fit = row.get("fit")
@@ -96,46 +91,28 @@ def ratio_table(algorithms: Sequence[Json], title: str) -> Table:
         else:
             cells += ["1", "", "", "reference"]
         last = row["algorithm"]
-        _add(table, cells)
+        add_row(table, cells)
     return table
 
 
 def measures_table(algorithms: Sequence[Json]) -> Table:
     """PSNR and SSIM beside the observer's verdict as a table for the terminal."""
-    table = _table("Beside the usual measures", ["algorithm"], ["PSNR (dB)", "SSIM"], ["the observer says", ""])
+    headers = ["algorithm", "PSNR (dB)", "SSIM", "the observer says", ""]
+    table = new_table("Beside the usual measures", headers, left={0, 3, 4})
     for one in algorithms:
         names = " and ".join(name.upper() for name in one["disagrees"])
         verb = "disagree" if len(one["disagrees"]) > 1 else "disagrees"
         cells = [one["name"], number(one["psnr_db"]), number(one["ssim"]), one["verdict"] or "reference"]
-        _add(table, [*cells, f"{names} {verb}" if names else ""])
+        add_row(table, [*cells, f"{names} {verb}" if names else ""])
     return table
-
-
-def _table(title: str, names: Sequence[str], numbers: Sequence[str], words: Sequence[str]) -> Table:
-    from rich.box import SIMPLE_HEAD
-    from rich.table import Table
-    from rich.text import Text
-
-    # Text, not str: names are data, and rich would take brackets in them for markup.
-    table = Table(title=Text(title), title_justify="left", title_style="bold", box=SIMPLE_HEAD)
-    for headers, side in ((names, "left"), (numbers, "right"), (words, "left")):
-        for header in headers:
-            table.add_column(Text(header), justify="left" if side == "left" else "right", no_wrap=True)
-    return table
-
-
-def _add(table: Table, cells: Sequence[str]) -> None:
-    from rich.text import Text
-
-    table.add_row(*map(Text, cells))
 
 
 def enhancements_table(algorithms: Sequence[Json]) -> Table:
     """Algorithms, each with its parameters below it, for the terminal; from what `enhancements` prints."""
-    headers = ["name", "what it does; what a parameter is"], ["default", "range"], ["takes", "from"]
-    table = _table("Enhancement algorithms", *headers)
+    headers = ["name", "what it does; what a parameter is", "default", "range", "takes", "from"]
+    table = new_table("Enhancement algorithms", headers, left={0, 1, 4, 5})
     for one in algorithms:
-        _add(
+        add_row(
             table,
             [
                 one["name"],
@@ -157,5 +134,5 @@ def enhancements_table(algorithms: Sequence[Json]) -> Table:
                 shown + (f" {unit}" if unit else ""),
                 joined,
             ]
-            _add(table, [*cells, "", ""])
+            add_row(table, [*cells, "", ""])
     return table

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from todframes.errors import DataError
-from todframes.settings import check_fields, number, number_or_text, read_csv
+from todframes.settings import check_fields, column_names, number, number_or_text, read_csv
 
 COLUMNS = ("level", "n_correct", "n_trials")
 MOST_TRIALS = 2**53
@@ -33,7 +33,7 @@ def read_counts(path: Path) -> list[tuple[dict[str, float | str], NDArray[np.flo
     _, header = next(rows)
     for name in COLUMNS:
         if name not in header:
-            raise DataError(f"{path}: column {name!r} is missing; found {', '.join(header) or 'none'}")
+            raise DataError(f"{path}: column {name!r} is missing; found {column_names(header)}")
     names = [name for name in header if name not in COLUMNS]
     groups: dict[tuple[float | str, ...], list[list[float]]] = {}
     for where, row in rows:

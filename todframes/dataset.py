@@ -13,7 +13,16 @@ import numpy as np
 from todframes.display import Display, LuminanceTable
 from todframes.errors import DataError, SettingsError
 from todframes.readout import Stimulus
-from todframes.settings import check_fields, check_keys, from_table, number, number_or_text, read_csv, read_toml
+from todframes.settings import (
+    check_fields,
+    check_keys,
+    column_names,
+    from_table,
+    number,
+    number_or_text,
+    read_csv,
+    read_toml,
+)
 from todframes.stimulus import ORIENTATIONS, Orientation
 
 SCHEMA = 1
@@ -106,16 +115,14 @@ def load_dataset(path: Path | str) -> Dataset:
     Raises
     ------
     SettingsError
-        If `dataset.toml` has an unknown, missing or contradictory key.
+        If `dataset.toml` is missing or unreadable, or has an unknown, missing or contradictory key.
     DataError
-        If a file is missing or unreadable, a column is missing, or there is no frame at all. A row that is
+        If the manifest is missing or unreadable, a column is missing, or there is no frame at all. A row that is
         wrong raises nothing: it goes to `bad_rows`.
     """
     path = Path(path)
-    if not path.is_dir():
+    if not os.path.isdir(path):  # noqa: PTH112 - Path.is_dir raises for a name that is too long
         raise DataError(f"{path}: not a folder; expected a dataset with dataset.toml and manifest.csv")
-    if not (path / "dataset.toml").is_file():
-        raise DataError(f"{path / 'dataset.toml'}: no such file")
     display, experiment = _read_settings(path / "dataset.toml")
     manifest = _Manifest(path, display, experiment)
     trials = manifest.trials()
@@ -124,7 +131,28 @@ def load_dataset(path: Path | str) -> Dataset:
     return Dataset(path, display, experiment, trials, tuple(manifest.bad_rows), frozenset(manifest.spoilt))
 
 
+def _inside(folder: str, name: str, where: str) -> str:
+    """Full path, links followed, of a file that a dataset names; in `folder` they have been followed.
+
+    Raises
+    ------
+    DataError
+        If it is not in the dataset's folder: a message might show what it holds.
+    """
+    if not name or "\0" in name:
+        raise DataError(f"{where}: found {name!r}, expected a path")
+    # Not Path.resolve, which raises for a link that leads to itself.
+    full = os.path.realpath(os.path.join(folder, name))  # noqa: PTH118
+    if not f"{full}{os.sep}".startswith(folder.rstrip(os.sep) + os.sep):
+        raise DataError(f"{where} {name} lies outside of the dataset: it is {full}, expected a file in {folder}")
+    return full
+
+
 def _read_settings(path: Path) -> tuple[Display, Experiment]:
+    try:
+        _inside(os.path.realpath(path.parent), path.name, f"{path}:")
+    except DataError as error:
+        raise SettingsError(str(error)) from None
     content = read_toml(path)
     check_keys(content, ["schema", "display", "experiment"], str(path))
     if content.get("schema") != SCHEMA:
@@ -142,21 +170,22 @@ def _read_settings(path: Path) -> tuple[Display, Experiment]:
     if "lut" in table and table.get("eotf") == "lut":
         if not isinstance(table["lut"], str):
             raise SettingsError(f"{path}: [display]: lut: found {table['lut']!r}, expected the name of a CSV file")
-        table["lut"] = _read_lut(path.parent / table["lut"])
+        table["lut"] = _read_lut(path.parent, table["lut"], f"{path}: [display]: lut")
     elif "lut" in table:
         raise SettingsError(f"{path}: [display]: lut: is given but not used with eotf = {table.get('eotf')!r}")
     display = from_table(table, Display, f"{path}: [display]")
     return display, from_table(content["experiment"], Experiment, f"{path}: [experiment]")
 
 
-def _read_lut(path: Path) -> LuminanceTable:
-    columns = ("code_value", "luminance_cd_m2")
+def _read_lut(folder: Path, name: str, named: str) -> LuminanceTable:
+    path, columns = folder / name, ("code_value", "luminance_cd_m2")
     try:
+        _inside(os.path.realpath(folder), name, named)
         rows = read_csv(path)
         _, header = next(rows)
         for name in columns:
             if name not in header:
-                raise SettingsError(f"{path}: column {name!r} is missing; found {', '.join(header) or 'none'}")
+                raise SettingsError(f"{path}: column {name!r} is missing; found {column_names(header)}")
         values = []
         for where, row in rows:
             check_fields(row, len(header), where)
@@ -183,6 +212,7 @@ class _Manifest:
         self.seen: dict[str, str] = {}
 
     def trials(self) -> tuple[Trial, ...]:
+        _inside(self.folder, self.path.name, f"{self.path}:")
         rows = read_csv(self.path)
         _, header = next(rows)
         self._check_columns(header)
@@ -205,7 +235,7 @@ class _Manifest:
             needed.append(BACKGROUND_COLUMN)
         for name in needed:
             if name not in found:
-                raise DataError(f"{self.path}: column {name!r} is missing; found {', '.join(found) or 'none'}")
+                raise DataError(f"{self.path}: column {name!r} is missing; found {column_names(found)}")
         if ("x_px" in found) != ("y_px" in found):
             raise DataError(f"{self.path}: found one of the columns x_px and y_px, expected both or none")
 
@@ -231,7 +261,7 @@ class _Manifest:
         sha256 = (row.get("sha256") or "").strip().lower() or None
         reference = (row.get(REFERENCE_COLUMN) or "").strip() or None
         if reference is not None:
-            self._inside(reference, f"{where}: {REFERENCE_COLUMN}")
+            _inside(self.folder, reference, f"{where}: {REFERENCE_COLUMN}")
         return Trial(
             number=row_number,
             name=(row.get("trial") or "").strip() or frame,
@@ -244,18 +274,8 @@ class _Manifest:
             y_px=place[1],
         )
 
-    def _inside(self, path: str, where: str) -> str:
-        """The full path of a file that the manifest names."""
-        if not path or "\0" in path:
-            raise DataError(f"{where}: found {path!r}, expected a path")
-        # Not Path.resolve, which raises for a link that leads to itself.
-        full = os.path.realpath(Path(self.folder, path))
-        if Path(path).is_absolute() or not full.startswith(f"{self.folder}{os.sep}"):
-            raise DataError(f"{where} {path} lies outside of the dataset")
-        return full
-
     def _frame_path(self, frame: str, where: str) -> str:
-        first = self.seen.setdefault(self._inside(frame, f"{where}: frame"), where)
+        first = self.seen.setdefault(_inside(self.folder, frame, f"{where}: frame"), where)
         if first != where:
             raise DataError(f"{where}: frame {frame} is there already, in {first.rpartition(', ')[2]}")
         return frame

@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from todframes.errors import DataError, SettingsError
+from todframes.user_code import in_words
 
 Domain = Literal["code_value", "luminance"]
 Image = NDArray[np.floating]
@@ -184,9 +185,8 @@ class Enhancement:
         try:
             with np.errstate(all="ignore"):  # what comes of it is looked at below
                 found = self.function(given, **self.values)
-        except Exception as error:
-            reason = " ".join(str(error).split())
-            raise DataError(f"{self.spec}: {type(error).__name__}: {reason}") from None
+        except (Exception, SystemExit) as error:
+            raise DataError(f"{self.spec}: {in_words(error)}") from None
         cpu_s = time.thread_time() - started
         sides = [self.magnification * side for side in image.shape[:2]]
         expected = (*map(round, sides), *image.shape[2:])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import inspect
 import math
 from collections.abc import Callable
@@ -12,6 +11,7 @@ from typing import Any, get_type_hints
 from todframes.enhancement import DECLARATION, Declaration, Enhancement, Parameter
 from todframes.errors import SettingsError
 from todframes.settings import check_keys, convert, toml_value
+from todframes.user_code import import_named, in_words
 
 ENTRY_POINT_GROUP = "todframes.enhancements"
 
@@ -23,7 +23,7 @@ def find_enhancement(spec: str) -> Enhancement:
     ----------
     spec : str
         `name`, that of an entry point of the group `todframes.enhancements`, or `module:function`; either may be
-        followed by `:parameter=value,…`.
+        followed by `:parameter=value,…`. `module:function` runs the module, which may lie in the current folder.
 
     Raises
     ------
@@ -33,7 +33,10 @@ def find_enhancement(spec: str) -> Enhancement:
     head, _, rest = spec.partition(":")
     function_name, _, assignments = ("", "", rest) if "=" in rest.partition(":")[0] else rest.partition(":")
     where = f"enhance {spec!r}"
-    function = _imported(head, function_name, where) if function_name else _registered(head, where)
+    if function_name:
+        function = _function(import_named(head, function_name, where), where)
+    else:
+        function = _registered(head, where)
     found = _described(f"{head}:{function_name}" if function_name else head, spec, function, where)
     return replace(found, values=_values(found, assignments, where))
 
@@ -54,23 +57,8 @@ def _registered(name: str, where: str) -> Callable[..., Any]:
         check_keys([name], found, f"{where}: expected a registered name or module:function")
     try:
         return _function(found[name].load(), where)
-    except Exception as error:
-        raise SettingsError(f"{where}: {found[name].value} cannot be loaded ({_reason(error)})") from None
-
-
-def _imported(module: str, function: str, where: str) -> Callable[..., Any]:
-    try:
-        found: Any = importlib.import_module(module)
-    except (Exception, SystemExit) as error:  # whatever a user's module does when it is imported
-        raise SettingsError(f"{where}: module {module!r} cannot be imported ({_reason(error)})") from None
-    if not hasattr(found, function):
-        names = [name for name, value in vars(found).items() if inspect.isfunction(value)]
-        check_keys([function], names, f"{where}: {module}")
-    return _function(getattr(found, function), where)
-
-
-def _reason(error: BaseException) -> str:
-    return f"{type(error).__name__}: {' '.join(str(error).split())}"
+    except (Exception, SystemExit) as error:
+        raise SettingsError(f"{where}: {found[name].value} cannot be loaded ({in_words(error)})") from None
 
 
 def _function(found: Any, where: str) -> Callable[..., Any]:

@@ -293,4 +293,6 @@ def openimageio_reason(source: Any) -> str:
         message = oiio.geterror() if source is None else source.geterror()
     except UnicodeDecodeError:
         message = ""
+    # What follows asks users to raise the limits of this module, which they cannot.
+    message = message.partition("Possible corrupt input?")[0]
     return " ".join(message.split()) or "OpenImageIO gives no reason"

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import os
 import platform
 import shutil
@@ -19,6 +17,7 @@ import msgspec
 from todframes import __version__
 from todframes.errors import OutputError
 from todframes.psychometric import PsychometricFit
+from todframes.safe_text import csv_text, visible_json
 from todframes.scoring import GroupFit, ScoredDataset
 from todframes.stimulus import ORIENTATIONS
 
@@ -114,21 +113,24 @@ def _versions() -> dict[str, str]:
 
 
 def encode(result: Json) -> bytes:
-    """Indented JSON with a final line break; what is not a number becomes null."""
-    return msgspec.json.format(msgspec.json.encode(result), indent=2) + b"\n"
+    """Indented JSON with a final line break; what is not a number becomes null.
+
+    Characters that a terminal would obey are escaped, which changes nothing of what the JSON says.
+    """
+    text = msgspec.json.format(msgspec.json.encode(result), indent=2).decode()
+    return (visible_json(text) + "\n").encode()
 
 
 def scores_csv(scored: ScoredDataset, group_by: Sequence[str], level: str) -> bytes:
     """A row a trial: what was shown, the four scores, the probability of each answer, the answer."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
     shown = list(dict.fromkeys(["orientation", "size_mrad", "polarity", level, *group_by]))
-    writer.writerow(
+    header = (
         ["trial", "n_frames", *shown, "displacement_x_samples", "displacement_y_samples"]
         + [f"score_{orientation}" for orientation in ORIENTATIONS]
         + [f"p_{orientation}" for orientation in ORIENTATIONS]
         + ["answer", "p_correct"]
     )
+    rows: list[list[object]] = [[*header]]
     for place, trial in enumerate(scored.trials):
         values: dict[str, object] = dict(zip(group_by, trial.group, strict=True))
         values |= {
@@ -138,12 +140,12 @@ def scores_csv(scored: ScoredDataset, group_by: Sequence[str], level: str) -> by
             level: trial.level,
         }
         numbers = [*scored.displacement_samples[place], *scored.scores[place], *scored.probabilities[place]]
-        writer.writerow(
+        rows.append(
             [trial.name, len(trial.frames), *(values[name] for name in shown)]
             + ["" if number != number else repr(float(number)) for number in numbers]
             + [ORIENTATIONS[scored.answers[place]].value, repr(float(scored.p_correct[place]))]
         )
-    return text.getvalue().encode()
+    return csv_text(rows).encode()
 
 
 @contextmanager

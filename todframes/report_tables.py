@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -12,6 +10,7 @@ from urllib.parse import quote
 import msgspec
 
 from todframes.result import Algorithm, Fit, Record, Result
+from todframes.safe_text import csv_text
 from todframes.verdict import interval, level_name, plain
 
 LONGEST_TABLE = 200
@@ -122,16 +121,15 @@ def cell(value: Any, digits: int = 4) -> str:
 
 def _csv(keys: Sequence[str], records: Sequence[Record]) -> str:
     pairs = {key for key in keys if any(isinstance(record.get(key), tuple) for record in records)}
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow([name for key in keys for name in ([f"{key}_low", f"{key}_high"] if key in pairs else [key])])
+    rows: list[list[object]] = []
+    rows.append([name for key in keys for name in ([f"{key}_low", f"{key}_high"] if key in pairs else [key])])
     for record in records:
         fields: list[object] = []
         for key in keys:
             value = record.get(key)
             fields += (value or (None, None)) if key in pairs else [value]
-        writer.writerow([_field(value) for value in fields])
-    return text.getvalue()
+        rows.append([_field(value) for value in fields])
+    return csv_text(rows)
 
 
 def _field(value: object) -> str:

@@ -14,11 +14,12 @@ import msgspec
 from msgspec import Meta, Struct
 
 from todframes.errors import DataError
+from todframes.settings import read_file
 
 T = TypeVar("T")
 
 SCHEMA = 1
-MAX_BYTES = 64 * 2**20
+MAX_MB = 64
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 CONTENT = {
     "score": "fits",
@@ -195,14 +196,7 @@ def load_result(path: Path) -> Result:
     DataError
         If it cannot be read, or is not a result.
     """
-    try:
-        with path.open("rb") as file:
-            content = file.read(MAX_BYTES + 1)
-    except OSError as error:
-        raise DataError(f"{path}: cannot be read ({error.strerror})") from None
-    if len(content) > MAX_BYTES:
-        raise DataError(f"{path}: is longer than {MAX_BYTES // 2**20} MB, expected the result of a command")
-    return read_result(content, str(path))
+    return read_result(read_file(path, most_mb=MAX_MB), str(path))
 
 
 def read_result(content: bytes, where: str) -> Result:
@@ -225,6 +219,8 @@ def read_result(content: bytes, where: str) -> Result:
         result = msgspec.json.decode(content.removeprefix(b"\xef\xbb\xbf"), type=Result)
     except msgspec.ValidationError as error:
         raise DataError(f"{where}: {_in_words(str(error))}") from None
+    except UnicodeDecodeError:
+        raise DataError(f"{where}: not UTF-8, expected a result in JSON") from None
     except (msgspec.DecodeError, RecursionError) as error:
         raise DataError(f"{where}: not a result in JSON ({error})") from None
     if result.schema != SCHEMA:

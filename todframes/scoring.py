@@ -163,14 +163,22 @@ def score_dataset(
 
 
 def usable_trials(dataset: Dataset, *, skip_bad_frames: bool) -> tuple[list[Trial], list[Skipped]]:
-    """Trials whose rows are all good, and what is left out for the others; DataError if none may be left out."""
+    """Trials whose rows are all good, and what is left out for the others.
+
+    Raises
+    ------
+    DataError
+        If there are bad rows and they may not be skipped, or no trial is left.
+    """
     if dataset.bad_rows and not skip_bad_frames:
         raise DataError(dataset.bad_rows[0].error)
     skipped = list(dataset.bad_rows)
     for trial in dataset.trials:
         if trial.name in dataset.spoilt:
             skipped += left_out(dataset, trial, f"another frame of trial {trial.name} cannot be used")
-    return [trial for trial in dataset.trials if trial.name not in dataset.spoilt], skipped
+    usable = [trial for trial in dataset.trials if trial.name not in dataset.spoilt]
+    check_seen(dataset, usable, skipped)
+    return usable, skipped
 
 
 def check_seen(dataset: Dataset, seen: Sequence[object], skipped: Sequence[Skipped]) -> None:

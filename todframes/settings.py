@@ -7,7 +7,9 @@ import difflib
 import io
 import math
 import re
+import stat
 import tomllib
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import MISSING, fields, is_dataclass
 from pathlib import Path
@@ -19,28 +21,59 @@ from todframes.errors import DataError, SettingsError
 
 T = TypeVar("T")
 
+MAX_TOML_MB, MAX_CSV_MB = 1, 256
+"""Longest files that are read, of 2**20 bytes."""
+MAX_NESTING, MAX_DOTS = 16, 500
+COLUMNS_SHOWN = 20
+LONGEST_KEY = 100
+"""Characters of an unknown key that the nearest valid one is looked up by; time goes with their square."""
+
 FIELDS_FOUND = "\0fields"
 """Key under which a row of `read_csv` tells how many fields it has, if not as many as the header."""
 
 
-def read_text(path: Path) -> str:
+def read_file(path: Path, *, most_mb: int) -> bytes:
+    """Content of a file that is neither a pipe nor a device, whose readers may wait or read for ever.
+
+    Raises
+    ------
+    DataError
+        If it is no file, cannot be read, or is longer than `most_mb` (of 2**20 bytes).
+    """
+    content = b""
+    try:
+        status = path.stat()
+        is_file = stat.S_ISREG(status.st_mode)
+        if is_file and status.st_size <= most_mb * 2**20:
+            with path.open("rb") as file:
+                content = file.read(most_mb * 2**20 + 1)
+    except FileNotFoundError:
+        raise DataError(f"{path}: no such file") from None
+    except OSError as error:
+        raise DataError(f"{path}: cannot be read ({error.strerror})") from None
+    except ValueError as error:  # a NUL in the name
+        raise DataError(f"{str(path)!r}: cannot be read ({error})") from None
+    if stat.S_ISDIR(status.st_mode):
+        raise DataError(f"{path}: is a folder, expected a file")
+    if not is_file:
+        raise DataError(f"{path}: is a pipe or device, expected a file; save what comes from it to a file first")
+    if max(status.st_size, len(content)) > most_mb * 2**20:
+        raise DataError(f"{path}: is longer than {most_mb} MB, the limit for such files")
+    return content
+
+
+def read_text(path: Path, *, most_mb: int) -> str:
     """Content of a UTF-8 text file, with or without a byte-order mark.
 
     Raises
     ------
     DataError
-        If it cannot be read or is not UTF-8.
+        As `read_file` does, or if it is not UTF-8.
     """
     try:
-        return path.read_bytes().decode("utf-8-sig")
-    except FileNotFoundError:
-        raise DataError(f"{path}: no such file") from None
+        return read_file(path, most_mb=most_mb).decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise DataError(f"{path}: not UTF-8 (byte {error.start})") from None
-    except OSError as error:
-        raise DataError(f"{path}: cannot be read ({error.strerror})") from None
-    except ValueError as error:  # a NUL in the name
-        raise DataError(f"{str(path)!r}: cannot be read ({error})") from None
 
 
 def read_toml(path: Path) -> dict[str, Any]:
@@ -52,7 +85,7 @@ def read_toml(path: Path) -> dict[str, Any]:
         If it cannot be read or is not TOML.
     """
     try:
-        return tomllib.loads(read_text(path))
+        return _parsed_toml(read_text(path, most_mb=MAX_TOML_MB))
     except tomllib.TOMLDecodeError as error:
         raise SettingsError(f"{path}: not valid TOML: {error}") from None
     except DataError as error:
@@ -68,12 +101,48 @@ def toml_value(text: str) -> Any:
         If the text is more than one value.
     """
     try:
-        parsed = tomllib.loads(f"value = {text}")
+        parsed = _parsed_toml(f"value = {text}")
     except tomllib.TOMLDecodeError:
         return text.strip()
     if list(parsed) != ["value"]:
         raise ValueError(text)
     return parsed["value"]
+
+
+def _parsed_toml(text: str) -> dict[str, Any]:
+    """Content of TOML whose values are as TOML says: whole numbers of 64 bits, and not nested endlessly.
+
+    Raises
+    ------
+    tomllib.TOMLDecodeError
+        If it is anything else. Others would be Python's errors, here or where a value is printed.
+    """
+    # The time for a key goes with the square of its parts.
+    for number_of_line, line in enumerate(text.split("\n"), 1):
+        if line.count(".") > MAX_DOTS:
+            raise tomllib.TOMLDecodeError(f"line {number_of_line} has more than {MAX_DOTS} dots")
+    try:
+        content = tomllib.loads(text)
+    except RecursionError:
+        raise tomllib.TOMLDecodeError("nested too deep") from None
+    except tomllib.TOMLDecodeError:
+        raise
+    except ValueError:
+        raise tomllib.TOMLDecodeError("a whole number of too many digits") from None
+    level: list[tuple[str, Any]] = list(content.items())
+    for _ in range(MAX_NESTING):
+        for name, value in level:
+            if isinstance(value, int) and not -(2**63) <= value < 2**63:
+                raise tomllib.TOMLDecodeError(f"{name}: found a whole number of more than 64 bits")
+        level = [
+            (f"{name}.{key}", inner)
+            for name, value in level
+            if isinstance(value, dict | list)
+            for key, inner in (value.items() if isinstance(value, dict) else enumerate(value))
+        ]
+    if level:
+        raise tomllib.TOMLDecodeError(f"nested more than {MAX_NESTING} deep")
+    return content
 
 
 def check_keys(found: Iterable[str], known: Iterable[str], where: str) -> None:
@@ -87,9 +156,13 @@ def check_keys(found: Iterable[str], known: Iterable[str], where: str) -> None:
     known = {key.lower(): key for key in known}
     for key in found:
         if key not in known.values():
-            nearest = difflib.get_close_matches(key.lower(), known, n=1, cutoff=0.0)
+            nearest = difflib.get_close_matches(key[:LONGEST_KEY].lower(), known, n=1, cutoff=0.0)
             hint = f"; the nearest valid one is {known[nearest[0]]!r}" if nearest else ""
-            raise SettingsError(f"{where}: unknown key {key!r}{hint}")
+            raise SettingsError(f"{where}: unknown key {_shortened(key)!r}{hint}")
+
+
+def _shortened(text: str) -> str:
+    return text if len(text) <= LONGEST_KEY else f"{text[:LONGEST_KEY]}…"
 
 
 def check_ranges(settings: object, ranges: Iterable[tuple[str, float, float]]) -> None:
@@ -180,12 +253,12 @@ def read_csv(path: Path) -> Iterator[tuple[str, dict[str, str]]]:
     DataError
         If the file cannot be read or is not CSV, or a column stands there twice.
     """
-    reader = csv.reader(io.StringIO(read_text(path), newline=""), strict=True)
+    reader = csv.reader(io.StringIO(read_text(path, most_mb=MAX_CSV_MB), newline=""), strict=True)
     try:
         header = [name.strip() for name in next(reader, [])]
-        for name in header:
-            if header.count(name) > 1:
-                raise DataError(f"{path}: found column {name!r} {header.count(name)} times, expected once")
+        for name, count in Counter(header).items():
+            if count > 1:
+                raise DataError(f"{path}: found column {name!r} {count} times, expected once")
         yield str(path), dict.fromkeys(header, "")
         for fields_found in reader:
             if not fields_found:
@@ -197,6 +270,13 @@ def read_csv(path: Path) -> Iterator[tuple[str, dict[str, str]]]:
             yield where, row
     except csv.Error as error:
         raise DataError(f"{path}, line {reader.line_num}: not valid CSV ({error})") from None
+
+
+def column_names(header: Iterable[str]) -> str:
+    """The columns that were found, for a message: the first of them where there are many."""
+    names = list(header)
+    more = f" and {len(names) - COLUMNS_SHOWN} more" if len(names) > COLUMNS_SHOWN else ""
+    return (", ".join(map(_shortened, names[:COLUMNS_SHOWN])) or "none") + more
 
 
 def check_fields(row: Mapping[str, str], n_columns: int, where: str) -> None:

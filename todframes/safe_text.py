@@ -1,0 +1,52 @@
+"""Text that comes from data, made harmless where it is shown: on a terminal and in a spreadsheet."""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+from collections.abc import Iterable
+
+FORMULA_STARTS = ("=", "+", "-", "@", "\t", "\r", "\n", "＝", "＋", "－", "＠")
+_UNESCAPED_BY_JSON = re.compile(r"[\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069]")
+"""Control characters, and what turns the direction of the text beside it."""
+
+
+def visible(text: str) -> str:
+    r"""Replace every character that is not printable by its escape: an ESC becomes `\x1b`.
+
+    Such characters move the cursor of a terminal, set its title or turn the direction of the text beside them.
+    Line breaks are among them, so the result is one line.
+    """
+    if text.isprintable():
+        return text
+    return "".join(one if one.isprintable() else ascii(one)[1:-1] for one in text)
+
+
+def visible_json(text: str) -> str:
+    """Escape characters in JSON that a terminal would obey: the same values, in other words of JSON."""
+    return _UNESCAPED_BY_JSON.sub(lambda found: f"\\u{ord(found[0]):04x}", text)
+
+
+def csv_text(rows: Iterable[Iterable[object]]) -> str:
+    """Write rows as CSV in which no text is a formula: `'` stands before one that a spreadsheet would compute."""
+    # The writer quotes what its line ends are made of; a carriage return that is not quoted would begin a row.
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\r\n")
+    lines = []
+    for row in rows:
+        writer.writerow([_no_formula(value) for value in row])
+        lines.append(text.getvalue().removesuffix("\r\n"))
+        text.seek(0)
+        text.truncate()
+    return "\n".join([*lines, ""])
+
+
+def _no_formula(value: object) -> object:
+    if not isinstance(value, str) or not value.startswith(FORMULA_STARTS):
+        return value
+    try:
+        float(value)
+    except ValueError:
+        return f"'{value}"
+    return value
