@@ -29,7 +29,7 @@ FLOORS = {
         {"comparing"},
         {"stability_data_cases", "stability_observer_cases"},
         {"report", "examples", "figures", "report_tables", "tables"},
-        {"compare_examples", "compare_report"},
+        {"compare_examples", "compare_report", "checksums"},
         {"plots", "svg_figures", "scene_report", "accuracy_figures"},
         {"compare_plot"},
         {"compare_tables"},

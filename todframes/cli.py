@@ -94,6 +94,7 @@ def score(
     start = time.perf_counter()
     observer, fit_settings, settings = make_observer(**observer_arguments)
     from todframes import plots, report
+    from todframes.checksums import dataset_warnings
     from todframes.dataset import load_dataset
     from todframes.planning import plan_object
     from todframes.scoring import score_dataset
@@ -119,6 +120,7 @@ def score(
                 workers=workers,
                 progress=advance,
             )
+        warnings = dataset_warnings(data, scored.trials)
         if staging is not None:
             from todframes.examples import examples
 
@@ -134,6 +136,7 @@ def score(
             plan=plan_object(scored.plan, 1.0),
             dataset=str(dataset),
             skipped=[one._asdict() for one in scored.skipped],
+            warnings=[one._asdict() for one in warnings],
             negative_luminance_pixels=scored.n_negative,
             **more,
             run_time_s=time.perf_counter() - start,
@@ -155,6 +158,8 @@ def score(
             say(f"skipped: {one.error}")
         if scored.n_negative:
             say(f"note: {scored.n_negative} of the display pixels read have a luminance below zero")
+        for warning in warnings:
+            say(f"warning: {warning.message}")
     print_result(result, f"{dataset}: {len(scored.trials)} trials", as_json=as_json, explain=explain)
     if not as_json:
         echo(*report.closing_line(result).splitlines())
@@ -236,12 +241,22 @@ def fit(*, counts: Path, p_correct: float | None, assignments: Sequence[str], se
 
 @cli.command()
 @click.argument("dataset", type=click.Path(path_type=Path))
-def validate(*, dataset: Path) -> None:
+@click.option(
+    "--add-sha256",
+    is_flag=True,
+    help="If all is good, write the checksum of each frame that has none into manifest.csv.",
+)
+def validate(*, dataset: Path, add_sha256: bool) -> None:
     """Check every file and row of DATASET without scoring; each problem is one line."""
+    from todframes.checksums import check_writable, dataset_warnings, write_sha256
     from todframes.dataset import load_dataset
+    from todframes.frames import frame_sha256
     from todframes.viewing import frame_problems
 
     data = load_dataset(dataset)
+    if add_sha256:
+        check_writable(data)
+    sha256_of: dict[str, str] = {}
     problems = [row.error for row in data.bad_rows]
     for problem in problems:
         say(f"error: {problem}")
@@ -250,11 +265,23 @@ def validate(*, dataset: Path) -> None:
             for error in frame_problems(data, trial):
                 problems.append(str(error))
                 say(f"error: {error}")
+            if add_sha256 and not problems:
+                missing = [frame for frame in trial.frames if frame.sha256 is None]
+                sha256_of |= {frame.path: frame_sha256(data.frame_path(frame)) for frame in missing}
             advance(1)
     if problems:
         raise DataError(f"{dataset}: {len(problems)} {'problems' if len(problems) > 1 else 'problem'} found")
     n_frames = sum(len(trial.frames) for trial in data.trials)
     echo(f"{dataset}: {n_frames} frames in {len(data.trials)} trials, all good")
+    if add_sha256:
+        write_sha256(data, sha256_of)
+        agree = n_frames - len(sha256_of)
+        echo(
+            f"{dataset / 'manifest.csv'}: sha256 of {len(sha256_of)} frames added; {agree} had one, and agree"
+        )
+    else:
+        for warning in dataset_warnings(data, data.trials):
+            say(f"warning: {warning.message}")
 
 
 cli.add_command(cli_studies.stability)

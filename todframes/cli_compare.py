@@ -80,6 +80,7 @@ def compare(
     start = time.perf_counter()
     observer, fit_settings, settings = make_observer(**observer_arguments)
     from todframes import report
+    from todframes.checksums import dataset_warnings
     from todframes.compare_plot import compare_plot
     from todframes.compare_report import algorithm_objects, verdict_sentences
     from todframes.compare_tables import compare_csv, compare_scores_csv, measures_table, ratio_table
@@ -117,6 +118,7 @@ def compare(
                 progress=advance,
             )
         reference = results[0].scored
+        warnings = dataset_warnings(data, reference.trials)
         objects = algorithm_objects(results, group_by, level)
         black, peak = screen.luminance_range
         if staging is not None:
@@ -135,6 +137,7 @@ def compare(
             verdict=verdict_sentences(objects, fit_settings.p_correct),
             plan=plan_object(reference.plan, 1.0),
             skipped=[one._asdict() for one in reference.skipped],
+            warnings=[one._asdict() for one in warnings],
             negative_luminance_pixels=reference.n_negative,
             **more,
             run_time_s=time.perf_counter() - start,
@@ -158,6 +161,8 @@ def compare(
         for of_algorithm in objects:
             if of_algorithm["n_clipped"]:
                 say(f"note: {of_algorithm['spec']}: {of_algorithm['n_clipped']} values were clipped")
+        for warning in warnings:
+            say(f"warning: {warning.message}")
     if as_json:
         click.echo(report.encode(result), nl=False)
         return

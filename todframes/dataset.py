@@ -68,6 +68,20 @@ class Skipped(NamedTuple):
     error: str
 
 
+class DatasetWarning(NamedTuple):
+    """A fact about a dataset that makes results less sure, as it stands under `warnings` in `result.json`.
+
+    `code` is for programs, `message` for people. `group` has the `group_by` values that it is about, by column; it
+    is empty where it is about the whole dataset.
+    """
+
+    code: str
+    group: dict[str, float | str]
+    message: str
+    found: float
+    expected: float
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Experiment:
     """What was varied: the manifest column with the stimulus strength, and those with one curve a value."""

@@ -37,6 +37,7 @@ NUMPY_TYPES: dict[PixelType, Any] = {
     "half": np.float16, "float": np.float32, "uint8": np.uint8, "uint16": np.uint16
 }  # fmt: skip
 FULL_SCALE: dict[PixelType, int] = {"uint8": 255, "uint16": 65535}
+PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _LAYOUT_ATTRIBUTES = ("oiio:", "openexr:", "compression")
 
 
@@ -231,6 +232,20 @@ def frame_sha256(path: PathLike) -> str:
         raise FrameError(path, f"cannot be read: {error.strerror}") from None
 
 
+def has_own_checksums(path: PathLike) -> bool:
+    """Tell whether a frame file has a checksum over all of its bytes: a PNG has, an EXR has none over its header.
+
+    Raises FrameError if it cannot be read.
+    """
+    path = Path(path)
+    try:
+        _check_is_file(path)
+        with path.open("rb") as file:
+            return file.read(len(PNG_SIGNATURE)) == PNG_SIGNATURE
+    except OSError as error:
+        raise FrameError(path, f"cannot be read: {error.strerror}") from None
+
+
 def _check_is_file(path: Path) -> int:
     """Size in bytes; a pipe would keep its reader waiting for ever."""
     status = path.stat()
@@ -243,10 +258,10 @@ def _recognise(path: Path) -> str:
     """OpenImageIO's name of the format, from the content."""
     size = _check_is_file(path)
     with path.open("rb") as file:
-        start = file.read(8)
+        start = file.read(len(PNG_SIGNATURE))
         if start[:4] == b"\x76\x2f\x31\x01":
             return "openexr"
-        if start == b"\x89PNG\r\n\x1a\n":
+        if start == PNG_SIGNATURE:
             _check_png(path, file, size)
             return "png"
     found = f"a file that starts with {start!r}" if start else "an empty file"

@@ -55,6 +55,7 @@ def page(result: Result) -> bytes:
     content = {
         "title": TITLES[result.command],
         "about": _about(result),
+        "warnings": [warning.message for warning in result.warnings],
         "verdict": verdict(result),
         "figures": _figures(result),
         "tables_shown": _tables(result),

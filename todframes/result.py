@@ -166,6 +166,13 @@ class Example(Struct, frozen=True):
     algorithm: str | None = None
 
 
+class ResultWarning(Struct, frozen=True):
+    """A fact that makes the result less sure."""
+
+    message: str
+    code: str = ""
+
+
 class Result(Struct, frozen=True):
     """What `result.json` holds."""
 
@@ -184,6 +191,7 @@ class Result(Struct, frozen=True):
     examples: list[Example] = []
     plan: list[Record] = []
     skipped: list[Record] = []
+    warnings: list[ResultWarning] = []
     located: list[Record] = []
     negative_luminance_pixels: int = 0
 

@@ -1,0 +1,182 @@
+"""Frames that nothing checks are told of, and `validate --add-sha256` has them checked."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import shlex
+from pathlib import Path
+
+import pytest
+
+from todframes import checksums
+from todframes.checksums import dataset_warnings, write_sha256
+from todframes.cli import cli
+from todframes.command import run
+from todframes.dataset import load_dataset
+from todframes.errors import DataError
+
+ROOT = Path(__file__).parent.parent
+SAMPLES = ["naked_eye", "grabbed_8bit", "staring_camera", "enhancement"]
+
+
+@pytest.fixture
+def todframes(capsys):
+    """Runs a command line; status, standard output, standard error."""
+
+    def command_line(*arguments):
+        capsys.readouterr()
+        status = run(cli, [str(argument) for argument in arguments])
+        return status, *capsys.readouterr()
+
+    return command_line
+
+
+def sha256(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def test_exr_without_a_checksum_is_warned_of(make_dataset, todframes, tmp_path) -> None:
+    """In the JSON, in one line on standard error and at the top of the report; not with --quiet."""
+    made = make_dataset("my frames", contrasts=(0.05, 0.1, 0.2))
+    made.rows[0]["sha256"] = sha256(made.frame(0))
+    made.save()
+    for command in (["score"], ["compare", "--enhance", "gaussian", "--white", "100"]):
+        status, out, err = todframes(command[0], made.path, *command[1:], "--json", "-o", tmp_path / "out")
+        assert status == 0, err
+        (found,) = json.loads(out)["warnings"]
+        message = found.pop("message")
+        assert found == {"code": "unverified_frames", "group": {}, "found": 11, "expected": 0}
+        assert err == f"warning: {message}\n"
+        assert "11 of 12 frames" in message
+        report = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+        assert "11 of 12 frames" in report.partition('class="verdict"')[0]
+        assert todframes(command[0], made.path, *command[1:], "--quiet")[2] == ""
+    # The command that the message names has it gone.
+    program, *arguments = shlex.split(message.split("`")[1])
+    assert (program, todframes(*arguments)[0]) == ("todframes", 0)
+    status, out, err = todframes("score", made.path, "--json")
+    assert (status, json.loads(out)["warnings"], err) == (0, [], "")
+
+
+def test_frames_left_out_are_not_counted(make_dataset) -> None:
+    data = load_dataset(make_dataset().path)
+    assert dataset_warnings(data, data.trials[:3])[0].found == 3
+    assert dataset_warnings(data, []) == []
+
+
+def test_png_has_checksums_whatever_its_name(make_dataset) -> None:
+    made = make_dataset(suffix=".png")
+    made.frame(0).rename(made.path / "frames" / "first.exr")
+    made.rows[0]["frame"] = "frames/first.exr"
+    made.save()
+    data = load_dataset(made.path)
+    assert dataset_warnings(data, data.trials) == []
+
+
+@pytest.mark.parametrize("name", SAMPLES)
+def test_samples_are_checked(name: str) -> None:
+    data = load_dataset(ROOT / "sample_frames" / name)
+    assert all(frame.sha256 for trial in data.trials for frame in trial.frames)
+    assert dataset_warnings(data, data.trials) == []
+
+
+@pytest.mark.parametrize("end", ["\n", "\r\n"])
+@pytest.mark.parametrize("mark", ["", "\ufeff"])
+def test_column_is_added(make_dataset, todframes, mark: str, end: str) -> None:
+    """All else stays: quoted fields, empty lines, line ends, byte-order mark, the file's mode."""
+    made = make_dataset(contrasts=(0.5,))
+    for number, row in enumerate(made.rows):
+        row["remark"] = ["", "a, b", 'say "x"', "two\nlines"][number]
+    made.save()
+    before = mark + made.manifest_file.read_text(encoding="utf-8").replace("\n", end) + end
+    before = before.replace(f"two{end}lines", "two\nlines")
+    made.manifest_file.write_bytes(before.encode())
+    made.manifest_file.chmod(0o640)
+    status, out, err = todframes("validate", made.path, "--add-sha256")
+    assert (status, err) == (0, "")
+    assert out.splitlines()[1] == f"{made.manifest_file}: sha256 of 4 frames added; 0 had one, and agree"
+    expected = before.replace(f"remark{end}", f"remark,sha256{end}")
+    for number, field in enumerate(["", '"a, b"', '"say ""x"""', '"two\nlines"']):
+        expected = expected.replace(f"0.5,{field}{end}", f"0.5,{field},{sha256(made.frame(number))}{end}")
+    assert made.manifest_file.read_bytes().decode() == expected
+    assert made.manifest_file.stat().st_mode & 0o777 == 0o640
+    assert [path.name for path in made.path.iterdir() if path.name.startswith(".")] == []
+
+
+def test_only_empty_fields_are_filled(make_dataset, todframes) -> None:
+    """A value stays as it was written, and a second run has nothing to do."""
+    made = make_dataset()
+    for row in made.rows:
+        row |= {"sha256": "", "note": "last"}
+    made.rows[2]["sha256"] = sha256(made.frame(2)).upper()
+    made.save()
+    assert "sha256 of 7 frames added; 1 had one" in todframes("validate", made.path, "--add-sha256")[1]
+    for number, row in enumerate(made.rows):
+        row["sha256"] = row["sha256"] or sha256(made.frame(number))
+    written = made.manifest_file.read_bytes()
+    made.save()
+    assert made.manifest_file.read_bytes() == written
+    modified = made.manifest_file.stat().st_mtime_ns
+    assert "sha256 of 0 frames added; 8 had one" in todframes("validate", made.path, "--add-sha256")[1]
+    assert made.manifest_file.stat().st_mtime_ns == modified
+
+
+@pytest.mark.parametrize(
+    "spoil", [lambda frame: frame.write_bytes(frame.read_bytes()[:200]), Path.unlink], ids=["damaged", "missing"]
+)
+def test_a_bad_frame_leaves_the_manifest(make_dataset, todframes, spoil) -> None:
+    made = make_dataset()
+    before = made.manifest_file.read_bytes()
+    spoil(made.frame(5))
+    status, out, err = todframes("validate", made.path, "--add-sha256")
+    assert (status, out) == (1, "")
+    assert str(made.frame(5)) in err.splitlines()[0]
+    assert made.manifest_file.read_bytes() == before
+
+
+def test_a_wrong_checksum_is_never_mended(make_dataset, todframes) -> None:
+    made = make_dataset(row_changes={3: {"sha256": "0" * 64}})
+    before = made.manifest_file.read_bytes()
+    assert todframes("validate", made.path, "--add-sha256")[0] == 1
+    assert made.manifest_file.read_bytes() == before
+
+
+def test_manifest_that_changes_meanwhile(make_dataset) -> None:
+    made = make_dataset()
+    data = load_dataset(made.path)
+    sums = {frame.path: "0" * 64 for trial in data.trials for frame in trial.frames}
+    made.rows[0]["frame"] = "frames/other.exr"
+    made.save()
+    before = made.manifest_file.read_bytes()
+    with pytest.raises(DataError, match=r"manifest\.csv: was changed while its frames were checked, nothing was"):
+        write_sha256(data, sums)
+    assert made.manifest_file.read_bytes() == before
+
+
+def test_manifest_that_cannot_be_written(make_dataset, todframes, monkeypatch) -> None:
+    """Told before the work where that is possible; a failure while writing leaves the old file, and no other."""
+    made = make_dataset()
+    before = made.manifest_file.read_bytes()
+
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    for broken in ((checksums, "write_files", full), (checksums.os, "access", lambda _, mode: not mode & os.W_OK)):
+        with monkeypatch.context() as patch:
+            patch.setattr(*broken)
+            status, _, err = todframes("validate", made.path, "--add-sha256")
+        assert (status, len(err.splitlines())) == (2, 1)
+        assert f"{made.manifest_file}: cannot be written" in err
+        assert made.manifest_file.read_bytes() == before
+        assert sorted(path.name for path in made.path.iterdir()) == ["dataset.toml", "frames", "manifest.csv"]
+
+
+def test_manifest_behind_a_link(make_dataset, todframes, tmp_path) -> None:
+    made = make_dataset()
+    made.manifest_file.rename(tmp_path / "shared.csv")
+    made.manifest_file.symlink_to(tmp_path / "shared.csv")
+    assert todframes("validate", made.path, "--add-sha256")[0] == 0
+    assert made.manifest_file.is_symlink()
+    assert "sha256" in (tmp_path / "shared.csv").read_text(encoding="utf-8")
