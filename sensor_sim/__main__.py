@@ -1,5 +1,15 @@
-"""`python -m sensor_sim` is the command `sensor-sim`."""
+"""The commands `sensor-sim` and `python -m sensor_sim`, ready for Ctrl-C before anything else is imported."""
 
-from sensor_sim.cli import main
+from todframes.__main__ import start
 
-main()
+
+def main() -> None:
+    """Run the command line and end the process."""
+    start()
+    from sensor_sim.cli import main as run
+
+    run()
+
+
+if __name__ == "__main__":
+    main()

@@ -11,8 +11,8 @@ import todframes
 
 FLOORS = {
     "todframes": [
-        {"errors", "weibull", "crossing", "timing", "figure_style", "likeness", "threads"},
-        {"result"},
+        {"errors", "weibull", "crossing", "timing", "figure_style", "likeness", "signals"},
+        {"result", "threads", "output"},
         {"verdict"},
         {"settings", "stimulus", "frames", "retina", "pyramid", "tetrahedron", "resampling", "display"},
         {"decision", "edgeworth", "planning", "stability", "pyramid_settings"},

@@ -92,7 +92,7 @@ def score(
     """
     start = time.perf_counter()
     observer, fit_settings, settings = make_observer(**observer_arguments)
-    from todframes import plots, report
+    from todframes import output, plots, report
     from todframes.dataset import load_dataset
     from todframes.planning import plan_object
     from todframes.scoring import score_dataset
@@ -101,7 +101,7 @@ def score(
     data = load_dataset(dataset)
     group_by, level = data.experiment.group_by, data.experiment.level
     with ExitStack() as stack:
-        staging = stack.enter_context(report.output_folder(out)) if out is not None else None
+        staging = stack.enter_context(output.output_folder(out)) if out is not None else None
         more: Json = {}
         if locate:
             data, more["located"] = located(data, centre=observer.centre, skip_bad_frames=skip, quiet=quiet)
@@ -140,7 +140,7 @@ def score(
         if staging is not None:
             from todframes.html_report import report_html
 
-            report.write_files(
+            output.write_files(
                 staging,
                 {
                     "scores.csv": report.scores_csv(scored, group_by, level),

@@ -82,7 +82,7 @@ def compare(
     """
     start = time.perf_counter()
     observer, fit_settings, settings = make_observer(**observer_arguments)
-    from todframes import report
+    from todframes import output, report
     from todframes.compare_plot import compare_plot
     from todframes.compare_report import algorithm_objects, verdict_sentences
     from todframes.compare_tables import compare_csv, compare_scores_csv, measures_table, ratio_table
@@ -98,7 +98,7 @@ def compare(
     group_by, level = data.experiment.group_by, data.experiment.level
     screen = Screen(data.display, white, allow_clipping)
     with ExitStack() as stack:
-        staging = stack.enter_context(report.output_folder(out)) if out is not None else None
+        staging = stack.enter_context(output.output_folder(out)) if out is not None else None
         more: dict[str, Any] = {}
         if locate:
             data, more["located"] = located(data, centre=observer.centre, skip_bad_frames=skip, quiet=quiet)
@@ -142,7 +142,7 @@ def compare(
         if staging is not None:
             from todframes.html_report import report_html
 
-            report.write_files(
+            output.write_files(
                 staging,
                 {
                     "compare.csv": compare_csv(objects),

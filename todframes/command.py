@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import io
 import os
-import signal
 import sys
-import threading
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
+from todframes import signals
 from todframes.errors import SettingsError, TodframesError
 
 if TYPE_CHECKING:
@@ -24,8 +23,6 @@ if TYPE_CHECKING:
     from todframes.report import Json
 
 F = TypeVar("F", bound=Callable[..., Any])
-
-INTERRUPTED = 130
 
 
 def options(*decorators: Callable[[F], F]) -> Callable[[F], F]:
@@ -240,6 +237,7 @@ def run(command: click.Command, arguments: Sequence[str] | None) -> int:
 
     Every failure that a user can cause is one line on standard error.
     """
+    signals.written.clear()
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # a terminal or file whose encoding has no α
@@ -255,7 +253,7 @@ def run(command: click.Command, arguments: Sequence[str] | None) -> int:
     except click.ClickException as error:
         return _fail(error.format_message(), 2)
     except (Interruption, click.Abort, KeyboardInterrupt):
-        return _fail("interrupted, nothing was written", INTERRUPTED)
+        return _fail(signals.interruption_message(), signals.INTERRUPTED)
     except MemoryError:
         return _fail("out of memory", 1)
     except OSError as error:
@@ -265,7 +263,8 @@ def run(command: click.Command, arguments: Sequence[str] | None) -> int:
 
 
 def _fail(message: str, status: int) -> int:
-    say("error: " + message)
+    with suppress(OSError):  # the terminal may be gone
+        say("error: " + message)
     return status
 
 
@@ -278,13 +277,8 @@ class Commands(click.Group):
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command that the context names."""
-        if threading.current_thread() is threading.main_thread():
-            signal.signal(signal.SIGTERM, _interrupt)
         try:
-            return super().invoke(ctx)
+            with signals.raised():
+                return super().invoke(ctx)
         except KeyboardInterrupt:
             raise Interruption from None
-
-
-def _interrupt(*_: object) -> None:
-    raise KeyboardInterrupt

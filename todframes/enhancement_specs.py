@@ -54,7 +54,7 @@ def _registered(name: str, where: str) -> Callable[..., Any]:
         check_keys([name], found, f"{where}: expected a registered name or module:function")
     try:
         return _function(found[name].load(), where)
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise SettingsError(f"{where}: {found[name].value} cannot be loaded ({_reason(error)})") from None
 
 

@@ -1,0 +1,95 @@
+"""Signals that ask a run to end: Ctrl-C, a request to terminate, a connection that is gone.
+
+This module is imported before all others, so it imports little itself.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+SIGNALS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
+INTERRUPTED = 130
+"""Exit status."""
+
+written: list[str] = []
+"""Places that the present run has written; `output` adds to them, `interruption_message` tells the last."""
+
+
+def interruption_message() -> str:
+    """Tell what an interrupted run has written."""
+    if written:
+        return f"interrupted, but {written[-1]} was written before"
+    return "interrupted, nothing was written"
+
+
+def end_at_once() -> None:
+    """End the process with one line when a signal arrives, without cleaning up.
+
+    This is for the time before a command runs: an exception would end as a traceback, or strike in the middle of
+    an import, where a C extension prints it and goes on.
+    """
+
+    def end(*_: object) -> None:
+        os.write(2, f"error: {interruption_message()}\n".encode(errors="replace"))
+        os._exit(INTERRUPTED)
+
+    _handle(end)
+
+
+@contextmanager
+def raised() -> Iterator[None]:
+    """Raise KeyboardInterrupt in the main thread when a signal arrives."""
+
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    before = _handle(interrupt)
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+@contextmanager
+def held_back() -> Iterator[Callable[[], None]]:
+    """Defer signals to the end of the block. Yields a function that lets one act that has arrived.
+
+    A signal acts as its handler says: its exception leaves the block at the end, or where that function is called.
+    Without effect outside the main thread, and on signals that end the process without a handler.
+    """
+    arrived: list[int] = []
+    handlers: dict[int, Any] = {}
+
+    def act() -> None:
+        if arrived:
+            number = arrived.pop(0)
+            handlers[number](number, None)
+
+    try:
+        if threading.current_thread() is threading.main_thread():
+            for number in SIGNALS:
+                if callable(handler := signal.getsignal(number)):
+                    handlers[number] = handler
+                    signal.signal(number, lambda number, _: arrived.append(number))
+        yield act
+    finally:
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+        act()
+
+
+def _handle(handler: Callable[..., None]) -> dict[int, Any]:
+    """Install a handler for all signals that are not ignored (as by nohup). Returns the handlers before."""
+    if threading.current_thread() is not threading.main_thread():
+        return {}
+    before = {number: signal.getsignal(number) for number in SIGNALS}
+    before = {number: found for number, found in before.items() if found not in (signal.SIG_IGN, None)}
+    for number in before:
+        signal.signal(number, handler)
+    return before
