@@ -7,14 +7,18 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from types import FrameType
 from typing import Any
 
 SIGNALS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
 INTERRUPTED = 130
 """Exit status."""
+RETRY_S, MOST_RETRIES = 0.02, 100
+"""Of an interruption during an import; if that takes longer, it is interrupted."""
 
 written: list[str] = []
 """Places that the present run has written; `output` adds to them, `interruption_message` tells the last."""
@@ -43,10 +47,19 @@ def end_at_once() -> None:
 
 @contextmanager
 def raised() -> Iterator[None]:
-    """Raise KeyboardInterrupt in the main thread when a signal arrives."""
+    """Raise KeyboardInterrupt in the main thread when a signal arrives, after an import that is under way.
 
-    def interrupt(*_: object) -> None:
-        raise KeyboardInterrupt
+    Within an import the exception may be lost: in a callback of the import system, or in a C extension.
+    """
+    retries = MOST_RETRIES
+
+    def interrupt(number: int, frame: FrameType | None) -> None:
+        nonlocal retries
+        if retries and _imports(frame):
+            retries -= 1
+            threading.Timer(RETRY_S, _send, [number, threading.get_ident()]).start()
+        else:
+            raise KeyboardInterrupt
 
     before = _handle(interrupt)
     try:
@@ -82,6 +95,21 @@ def held_back() -> Iterator[Callable[[], None]]:
         for number, handler in handlers.items():
             signal.signal(number, handler)
         act()
+
+
+def _send(number: int, thread: int) -> None:
+    if sys.platform == "win32":
+        signal.raise_signal(number)
+    else:
+        signal.pthread_kill(thread, number)  # so that it wakes
+
+
+def _imports(frame: FrameType | None) -> bool:
+    while frame is not None:
+        if frame.f_code.co_filename.startswith("<frozen importlib"):
+            return True
+        frame = frame.f_back
+    return False
 
 
 def _handle(handler: Callable[..., None]) -> dict[int, Any]:
