@@ -81,7 +81,7 @@ def simulate(
     """Make a dataset of display frames that `todframes score` reads."""
     from sensor_sim.sensor import load_sensor
     from sensor_sim.simulate import plan_trials, write_dataset
-    from todframes.report import new_folder
+    from todframes.output import new_folder
 
     settings = load_sensor(sensor)
     planned = plan_trials(numbers(sizes, "--size-detectors"), numbers(snrs, "--snr"), trials)
@@ -142,7 +142,7 @@ def curve(
     from sensor_sim.planning import plan_curve
     from sensor_sim.predict import FoldedChain, predict_threshold
     from sensor_sim.sensor import load_sensor
-    from todframes import report
+    from todframes import output, report
     from todframes.planning import Step, plan_object
 
     settings = load_sensor(sensor)
@@ -195,7 +195,7 @@ def curve(
             from todframes.plots import plots
 
             files = {**plots(result), "report.html": report_html(result), "result.json": report.encode(result)}
-            report.write_files(staging, files)
+            output.write_files(staging, files)
     print_result(result, f"{settings.name}: TOD curve", as_json=as_json, explain=explain)
     if not as_json:
         echo(*report.closing_line(result).splitlines())
@@ -205,7 +205,7 @@ def curve(
 
 @contextmanager
 def _staging(out: str | None) -> Iterator[Path | None]:
-    from todframes.report import output_folder
+    from todframes.output import output_folder
 
     if out is None:
         yield None
@@ -222,13 +222,13 @@ def mtf(*, sensor: Path, out: str | None, as_json: bool) -> None:
     """Modulation transfer of every stage along x, before and after sampling."""
     from sensor_sim.pictures import mtf_files, mtf_object, mtf_table
     from sensor_sim.sensor import load_sensor
-    from todframes import report
+    from todframes import output, report
 
     settings = load_sensor(sensor)
     result = mtf_object(settings)
     with _staging(out) as staging:
         if staging is not None:
-            report.write_files(staging, mtf_files(result))
+            output.write_files(staging, mtf_files(result))
     if as_json:
         click.echo(report.encode(result), nl=False)
         return

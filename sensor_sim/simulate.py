@@ -189,7 +189,7 @@ def write_dataset(
     ------
     SettingsError
         If too much would be clipped.
-    FrameError
+    OutputError
         If a frame cannot be written.
     """
     (folder / "frames").mkdir()

@@ -21,7 +21,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from todframes import cli, report
+from todframes import cli, output
 from todframes.command import run
 from todframes.frame_writing import write_frame
 
@@ -1160,7 +1160,7 @@ def test_disk_full(make_dataset, fails, tmp_path, monkeypatch):
     def no_space(_):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    monkeypatch.setattr(report.os, "fsync", no_space)
+    monkeypatch.setattr(output.os, "fsync", no_space)
     fails("score", make_dataset().path, "-o", tmp_path / "out",
           status=BAD_SETTINGS, wanted=(re.escape(str(tmp_path / "out")), "No space left"))  # fmt: skip
 

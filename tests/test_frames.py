@@ -14,7 +14,7 @@ import numpy as np
 import OpenImageIO as oiio
 import pytest
 
-from todframes.errors import FrameError, SettingsError
+from todframes.errors import FrameError, OutputError, SettingsError
 from todframes.frame_writing import write_frame
 from todframes.frames import FrameFile, frame_sha256, read_frame, read_header
 
@@ -683,14 +683,14 @@ def test_bad_options(tmp_path, name, options, problem):
 
 @pytest.mark.parametrize("name", ["a.exr", "a.png"])
 def test_a_file_that_cannot_be_written(tmp_path, name):
-    with pytest.raises(FrameError, match="cannot be written: No such file"):
+    with pytest.raises(OutputError, match="cannot be written: No such file"):
         write_frame(tmp_path / "none" / name, noise(4, 4))
     (tmp_path / name).mkdir()
-    with pytest.raises(FrameError, match="cannot be written: Is a directory"):
+    with pytest.raises(OutputError, match="cannot be written: Is a directory"):
         write_frame(tmp_path / name, noise(4, 4))
     assert [entry.name for entry in tmp_path.iterdir()] == [name]
     (tmp_path / "file").write_text("")
-    with pytest.raises(FrameError, match="cannot be written: Not a directory"):
+    with pytest.raises(OutputError, match="cannot be written: Not a directory"):
         write_frame(tmp_path / "file" / name, noise(4, 4))
 
 
@@ -703,7 +703,7 @@ def test_disk_full_leaves_the_old_file(tmp_path, suffix):
         import resource
         from pathlib import Path
         import numpy as np
-        from todframes.errors import FrameError
+        from todframes.errors import OutputError
         from todframes.frame_writing import write_frame
         values = np.random.default_rng(0).random((100, 100))
         write_frame("whole{suffix}", values)
@@ -713,7 +713,7 @@ def test_disk_full_leaves_the_old_file(tmp_path, suffix):
             resource.setrlimit(resource.RLIMIT_FSIZE, (limit, resource.RLIM_INFINITY))
             try:
                 write_frame({str(path)!r}, values)
-            except FrameError as error:
+            except OutputError as error:
                 assert str(error).startswith("{path}: cannot be written: ") and "\\n" not in str(error), error
             else:
                 raise AssertionError(f"{{size}} bytes are in a file of {{limit}}")

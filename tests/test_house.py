@@ -11,8 +11,8 @@ import todframes
 
 FLOORS = {
     "todframes": [
-        {"errors", "weibull", "crossing", "timing", "figure_style", "likeness", "threads", "safe_text"},
-        {"settings"},
+        {"errors", "weibull", "crossing", "timing", "figure_style", "likeness", "signals", "safe_text"},
+        {"settings", "threads", "output"},
         {"result", "user_code"},
         {"verdict"},
         {"stimulus", "frames", "retina", "pyramid", "tetrahedron", "resampling", "display"},

@@ -22,7 +22,7 @@ from sensor_sim import cli, simulate
 from sensor_sim.pictures import trial_stages
 from sensor_sim.sensor import Detector, Electronics, Noise, Optics, Sensor, SensorDisplay
 from sensor_sim.simulate import Simulator, Trial, plan_trials, white_luminance_cd_m2, write_dataset
-from todframes import __version__
+from todframes import __version__, frame_writing
 from todframes.command import run
 from todframes.dataset import load_dataset
 from todframes.errors import FrameError, SettingsError
@@ -30,6 +30,7 @@ from todframes.frames import read_frame, read_header
 from todframes.observer import PyramidObserver
 from todframes.psychometric import FitSettings
 from todframes.scoring import score_dataset
+from todframes.signals import SIGNALS
 from todframes.stimulus import ORIENTATIONS, Orientation, coverage
 from todframes.viewing import frame_problems
 
@@ -531,7 +532,9 @@ def assert_refused(done, status, *texts):
 def test_settings_file_gives_the_frames_of_the_settings(simulate_command, tmp_path):
     assert simulate_command(tmp_path / "dataset") == (0, f"{tmp_path / 'dataset'}: 4 frames\n", [])
     expected = contents(written(tmp_path, "expected", snrs=(2.0,)))
-    assert contents(tmp_path / "dataset") == expected
+    mark = contents(tmp_path / "dataset").keys() - expected.keys()
+    assert mark == {".todframes.json"}
+    assert contents(tmp_path / "dataset").items() >= expected.items()
     assert {path.name for path in tmp_path.iterdir()} == {"SENSOR.toml", "dataset", "expected"}
 
 
@@ -545,13 +548,21 @@ def test_folder_that_is_not_empty_is_refused(simulate_command, tmp_path):
     assert tree(tmp_path) == before
 
 
-def test_overwrite_replaces_the_whole_folder(simulate_command, tmp_path):
+def test_overwrite_replaces_the_whole_dataset(simulate_command, tmp_path):
     assert simulate_command(tmp_path / "dataset", "--trials", "8", "--stages")[0] == 0
-    (tmp_path / "dataset" / "notes.txt").write_text("mine", encoding="utf-8")
     assert simulate_command(tmp_path / "dataset", "--overwrite", "--seed", "2")[0] == 0
     expected = contents(written(tmp_path, "expected", snrs=(2.0,), seed=2))
-    assert contents(tmp_path / "dataset") == expected
+    assert contents(tmp_path / "dataset").keys() == expected.keys() | {".todframes.json"}
+    assert contents(tmp_path / "dataset").items() >= expected.items()
     assert {path.name for path in tmp_path.iterdir()} == {"SENSOR.toml", "dataset", "expected"}
+
+
+def test_overwrite_removes_nothing_that_it_did_not_write(simulate_command, tmp_path):
+    (tmp_path / "dataset").mkdir()
+    (tmp_path / "dataset" / "notes.txt").write_text("mine", encoding="utf-8")
+    before = tree(tmp_path)
+    assert_refused(simulate_command(tmp_path / "dataset", "--overwrite"), BAD_SETTINGS, ".todframes.json")
+    assert tree(tmp_path) == before
 
 
 def test_empty_folder_is_filled(simulate_command, tmp_path):
@@ -615,16 +626,17 @@ def test_disk_full_at_a_frame(simulate_command, tmp_path, monkeypatch, workers, 
     before = tree(tmp_path)
     calls = []
 
-    def no_space(path, values, **options):
+    def no_space(path, *rest):
         calls.append(path)
         if len(calls) > 35:
-            raise FrameError(path, f"cannot be written: {os.strerror(errno.ENOSPC)}")
-        return write_frame(path, values, **options)
+            raise FrameError(path, os.strerror(errno.ENOSPC))
+        return write(path, *rest)
 
-    write_frame = simulate.write_frame
-    monkeypatch.setattr(simulate, "write_frame", no_space)
+    write = frame_writing._write
+    monkeypatch.setattr(frame_writing, "_write", no_space)
     options = ["--trials", "40", "--workers", workers, *["--overwrite"] * overwrite]
-    assert_refused(simulate_command(tmp_path / "dataset", *options), BAD_DATA, "No space left on device")
+    done = simulate_command(tmp_path / "dataset", *options)
+    assert_refused(done, BAD_SETTINGS, "No space left on device", f"{tmp_path}/dataset/frames/")
     assert len(calls) > 35
     assert tree(tmp_path) == before
 
@@ -666,13 +678,13 @@ def test_file_that_cannot_grow(tmp_path):
          "--trials", "4", "-o", "dataset"],
         capture_output=True, text=True, timeout=60, check=False, cwd=tmp_path,
     )  # fmt: skip
-    assert (done.returncode, done.stdout) == (BAD_DATA, "")
+    assert (done.returncode, done.stdout) == (BAD_SETTINGS, "")
     assert len(done.stderr.splitlines()) == 1
     assert "File too large" in done.stderr or "cannot be written" in done.stderr
     assert tree(tmp_path) == before
 
 
-@pytest.mark.parametrize("stop", [signal.SIGINT, signal.SIGTERM], ids=["ctrl-c", "sigterm"])
+@pytest.mark.parametrize("stop", SIGNALS, ids=lambda number: number.name)
 @pytest.mark.parametrize("workers", [1, 2])
 def test_interruption_leaves_nothing(tmp_path, workers, stop):
     (tmp_path / "SENSOR.toml").write_text(SENSOR_TOML, encoding="utf-8")
@@ -683,7 +695,7 @@ def test_interruption_leaves_nothing(tmp_path, workers, stop):
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=tmp_path,
     ) as running:  # fmt: skip
         deadline = time.monotonic() + 30
-        while not [*tmp_path.glob(".*/frames/*.exr")] and time.monotonic() < deadline:
+        while not [*tmp_path.rglob("frames/*.exr")] and time.monotonic() < deadline:
             time.sleep(0.05)
         assert running.poll() is None
         running.send_signal(stop)

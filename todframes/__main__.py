@@ -1,17 +1,37 @@
-"""`python -m todframes` is the command `todframes`."""
+"""The commands `todframes` and `python -m todframes`, ready for Ctrl-C before anything else is imported."""
 
 import os
 import sys
 
 # `python -m` puts the current folder first on the import path. A dataset of unknown origin may lie there, and its
 # files must not be imported; so this comes before any other import.
-try:
-    here = os.getcwd()  # noqa: PTH109 - pathlib would be an import
-except FileNotFoundError:
-    here = ""
-if not sys.flags.safe_path and sys.path[0] in ("", here):
-    del sys.path[0]
+if __name__ == "__main__" and not sys.flags.safe_path:
+    try:
+        here = os.getcwd()  # noqa: PTH109 - pathlib would be an import
+    except FileNotFoundError:
+        here = ""
+    if sys.path[0] in ("", here):
+        del sys.path[0]
 
-from todframes.cli import main
 
-main()
+def start() -> None:
+    """Make Ctrl-C end the process with one line from here on, also while modules are imported."""
+    try:
+        from todframes.signals import end_at_once
+
+        end_at_once()
+    except KeyboardInterrupt:
+        os.write(2, b"error: interrupted, nothing was written\n")
+        os._exit(130)
+
+
+def main() -> None:
+    """Run the command line and end the process."""
+    start()
+    from todframes.cli import main as run
+
+    run()
+
+
+if __name__ == "__main__":
+    main()

@@ -6,15 +6,13 @@ import csv
 import io
 import os
 import shlex
-import shutil
-import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from todframes.dataset import Dataset, DatasetWarning, Trial
 from todframes.errors import DataError, OutputError
 from todframes.frames import has_own_checksums
-from todframes.report import write_files
+from todframes.output import write_file
 
 COLUMN = "sha256"
 BYTE_ORDER_MARK = "\ufeff"
@@ -78,13 +76,7 @@ def write_sha256(dataset: Dataset, sha256_of: Mapping[str, str]) -> None:
         raise DataError(
             f"{path}: was changed while its frames were checked, nothing was written; try again"
         ) from None
-    try:
-        with tempfile.TemporaryDirectory(prefix=".todframes-", dir=path.parent) as folder:
-            write_files(Path(folder), {path.name: content.encode()})
-            shutil.copymode(path, Path(folder) / path.name)
-            (Path(folder) / path.name).replace(path)
-    except OSError as error:
-        raise OutputError(f"{path}: cannot be written ({error.strerror})") from None
+    write_file(path, content.encode())
 
 
 def _manifest(dataset: Dataset) -> Path:

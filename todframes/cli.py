@@ -93,7 +93,7 @@ def score(
     """
     start = time.perf_counter()
     observer, fit_settings, settings = make_observer(**observer_arguments)
-    from todframes import plots, report
+    from todframes import output, plots, report
     from todframes.checksums import dataset_warnings
     from todframes.dataset import load_dataset
     from todframes.planning import plan_object
@@ -103,7 +103,7 @@ def score(
     data = load_dataset(dataset)
     group_by, level = data.experiment.group_by, data.experiment.level
     with ExitStack() as stack:
-        staging = stack.enter_context(report.output_folder(out)) if out is not None else None
+        staging = stack.enter_context(output.output_folder(out)) if out is not None else None
         more: Json = {}
         if locate:
             data, more["located"] = located(data, centre=observer.centre, skip_bad_frames=skip, quiet=quiet)
@@ -144,7 +144,7 @@ def score(
         if staging is not None:
             from todframes.html_report import report_html
 
-            report.write_files(
+            output.write_files(
                 staging,
                 {
                     "scores.csv": report.scores_csv(scored, group_by, level),
@@ -276,9 +276,7 @@ def validate(*, dataset: Path, add_sha256: bool) -> None:
     if add_sha256:
         write_sha256(data, sha256_of)
         agree = n_frames - len(sha256_of)
-        echo(
-            f"{dataset / 'manifest.csv'}: sha256 of {len(sha256_of)} frames added; {agree} had one, and agree"
-        )
+        echo(f"{dataset / 'manifest.csv'}: sha256 of {len(sha256_of)} frames added; {agree} had one, and agree")
     else:
         for warning in dataset_warnings(data, data.trials):
             say(f"warning: {warning.message}")

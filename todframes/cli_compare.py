@@ -79,7 +79,7 @@ def compare(
     """
     start = time.perf_counter()
     observer, fit_settings, settings = make_observer(**observer_arguments)
-    from todframes import report
+    from todframes import output, report
     from todframes.checksums import dataset_warnings
     from todframes.compare_plot import compare_plot
     from todframes.compare_report import algorithm_objects, verdict_sentences
@@ -99,7 +99,7 @@ def compare(
     screen = Screen(data.display, white, allow_clipping)
     with ExitStack() as stack:
         stack.enter_context(prints_go_to_stderr())
-        staging = stack.enter_context(report.output_folder(out)) if out is not None else None
+        staging = stack.enter_context(output.output_folder(out)) if out is not None else None
         more: dict[str, Any] = {}
         if locate:
             data, more["located"] = located(data, centre=observer.centre, skip_bad_frames=skip, quiet=quiet)
@@ -145,7 +145,7 @@ def compare(
         if staging is not None:
             from todframes.html_report import report_html
 
-            report.write_files(
+            output.write_files(
                 staging,
                 {
                     "compare.csv": compare_csv(objects),

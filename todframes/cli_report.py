@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import tempfile
 from pathlib import Path
 
 import click
 
 from todframes.command import echo
-from todframes.errors import DataError, OutputError
+from todframes.errors import DataError
 
 
 @click.command("report")
@@ -20,6 +19,7 @@ def report(*, result: Path, out: str | None) -> None:
     One page with nothing else to load; the same bytes from the same result.
     """
     from todframes.html_report import page
+    from todframes.output import write_file
     from todframes.result import load_result
 
     try:
@@ -27,29 +27,5 @@ def report(*, result: Path, out: str | None) -> None:
     except RecursionError:
         raise DataError(f"{result}: nested too deep, expected the result of a command") from None
     path = Path(out) if out is not None else result.with_name("report.html")
-    _write(path, made, not_over=result)
+    write_file(path, made, not_over=result)
     echo(f"written: {path}")
-
-
-def _write(path: Path, content: bytes, *, not_over: Path) -> None:
-    """Write a file whole or not at all, over an older one of its name.
-
-    Raises
-    ------
-    OutputError
-        If the place cannot be written, or is that of `not_over`.
-    """
-    from todframes.report import write_files
-
-    try:
-        if path.is_dir():
-            raise OutputError(f"{path}: is a folder, expected the name of a file")
-        if path.exists() and path.samefile(not_over):
-            raise OutputError(f"{path}: is the result itself, expected another name")
-        with tempfile.TemporaryDirectory(prefix=".todframes-", dir=path.absolute().parent) as folder:
-            write_files(Path(folder), {"report.html": content})
-            (Path(folder) / "report.html").replace(path)
-    except OutputError:
-        raise
-    except OSError as error:
-        raise OutputError(f"{path}: cannot be written ({error.strerror})") from None

@@ -90,7 +90,7 @@ def accuracy(
     start = time.perf_counter()
     from functools import partial
 
-    from todframes import accuracy_report, report
+    from todframes import accuracy_report, output, report
     from todframes.accuracy import measure
     from todframes.accuracy_recorded import recorded
     from todframes.estimators import Scene, find_scenes
@@ -110,7 +110,7 @@ def accuracy(
             if not quiet:
                 say(f"left out: {name}: {error}")
     with ExitStack() as stack:
-        staging = stack.enter_context(report.output_folder(out)) if out is not None else None
+        staging = stack.enter_context(output.output_folder(out)) if out is not None else None
         measured = []
         with progress("measuring", len(scenes), quiet=quiet) as advance:
             for scene in scenes:
@@ -128,7 +128,7 @@ def accuracy(
         if staging is not None:
             from todframes.html_report import report_html
 
-            report.write_files(staging, accuracy_report.files(result) | {"report.html": report_html(result)})
+            output.write_files(staging, accuracy_report.files(result) | {"report.html": report_html(result)})
     if as_json:
         click.echo(report.encode(result), nl=False)
         return

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import io
 import os
-import signal
 import sys
-import threading
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, redirect_stdout
+from contextlib import contextmanager, redirect_stdout, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
+from todframes import signals
 from todframes.errors import SettingsError, TodframesError
 from todframes.safe_text import visible
 
@@ -26,7 +25,6 @@ if TYPE_CHECKING:
 
 F = TypeVar("F", bound=Callable[..., Any])
 
-INTERRUPTED = 130
 STDOUT, STDERR = 1, 2
 
 LONGEST_REMARK = 8000
@@ -273,6 +271,7 @@ def run(command: click.Command, arguments: Sequence[str] | None) -> int:
 
     Every failure that a user can cause is one line on standard error.
     """
+    signals.written.clear()
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # a terminal or file whose encoding has no α
@@ -288,7 +287,7 @@ def run(command: click.Command, arguments: Sequence[str] | None) -> int:
     except click.ClickException as error:
         return _fail(error.format_message(), 2)
     except (Interruption, click.Abort, KeyboardInterrupt):
-        return _fail("interrupted, nothing was written", INTERRUPTED)
+        return _fail(signals.interruption_message(), signals.INTERRUPTED)
     except MemoryError:
         return _fail("out of memory", 1)
     except OSError as error:
@@ -298,7 +297,8 @@ def run(command: click.Command, arguments: Sequence[str] | None) -> int:
 
 
 def _fail(message: str, status: int) -> int:
-    say("error: " + message)
+    with suppress(OSError):  # the terminal may be gone
+        say("error: " + message)
     return status
 
 
@@ -311,13 +311,8 @@ class Commands(click.Group):
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command that the context names."""
-        if threading.current_thread() is threading.main_thread():
-            signal.signal(signal.SIGTERM, _interrupt)
         try:
-            return super().invoke(ctx)
+            with signals.raised():
+                return super().invoke(ctx)
         except KeyboardInterrupt:
             raise Interruption from None
-
-
-def _interrupt(*_: object) -> None:
-    raise KeyboardInterrupt

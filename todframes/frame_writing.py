@@ -11,7 +11,7 @@ import numpy as np
 import OpenImageIO as oiio
 from numpy.typing import ArrayLike, NDArray
 
-from todframes.errors import FrameError, SettingsError
+from todframes.errors import FrameError, OutputError, SettingsError
 from todframes.frames import FULL_SCALE, NUMPY_TYPES, FrameFile, PathLike, PixelType, openimageio_reason
 
 Compression = Literal["none", "rle", "zips", "zip", "piz", "pxr24", "b44", "b44a", "dwaa", "dwab"]
@@ -48,7 +48,9 @@ def write_frame(
     SettingsError
         If the extension, pixel type or compression is none of these, or an attribute would not be kept as it is.
     FrameError, a ValueError
-        If values have another shape, are not finite or beyond the pixel type's range, or if writing fails.
+        If values have another shape, are not finite or beyond the pixel type's range.
+    OutputError, an OSError
+        If the file cannot be written.
     """
     path, attributes = Path(path), attributes or {}
     suffix = path.suffix.lower()
@@ -77,9 +79,9 @@ def write_frame(
             raise SettingsError(f"{path}: {suffix} does not keep attribute {lost[0]!r} as it is, expected {like}")
         temporary.replace(path)
     except FrameError as error:
-        raise FrameError(path, f"cannot be written: {error.problem}") from None
+        raise OutputError(f"{path}: cannot be written: {error.problem}") from None
     except OSError as error:
-        raise FrameError(path, f"cannot be written: {error.strerror}") from None
+        raise OutputError(f"{path}: cannot be written: {error.strerror}") from None
     finally:
         if path.parent.is_dir():
             temporary.unlink(missing_ok=True)

@@ -2,20 +2,14 @@
 
 from __future__ import annotations
 
-import os
 import platform
-import shutil
 import sys
-import tempfile
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from pathlib import Path
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import msgspec
 
 from todframes import __version__
-from todframes.errors import OutputError
 from todframes.psychometric import PsychometricFit
 from todframes.safe_text import csv_text, visible_json
 from todframes.scoring import GroupFit, ScoredDataset
@@ -25,10 +19,6 @@ Json = dict[str, Any]
 
 SCHEMA = 1
 LIBRARIES = ("numpy", "scipy", "cv2", "OpenImageIO")
-OUTPUT_NAMES = {
-    *("result.json", "report.html", "scores.csv", "psychometric.png", "tod_curve.png"),
-    *("compare.csv", "compare.png"),
-}
 
 
 def fit_object(group: Mapping[str, float | str], level: str, fit: PsychometricFit) -> Json:
@@ -146,100 +136,3 @@ def scores_csv(scored: ScoredDataset, group_by: Sequence[str], level: str) -> by
             + [ORIENTATIONS[scored.answers[place]].value, repr(float(scored.p_correct[place]))]
         )
     return csv_text(rows).encode()
-
-
-@contextmanager
-def output_folder(name: str) -> Iterator[Path]:
-    """A temporary folder beside the one named whose files move into it, all of them, if the block ends well.
-
-    Made at once, so that a place that cannot be written is found before the work and not after it.
-
-    Raises
-    ------
-    OutputError
-        If the place cannot be written.
-    """
-    staging: Path | None = None
-    path = Path(name)
-    try:
-        _check_place(name, path)
-        try:
-            staging = Path(tempfile.mkdtemp(prefix=".todframes-", dir=path.absolute().parent))
-            yield staging
-            for file in staging.iterdir():
-                if (path / file.name).is_dir():
-                    raise OutputError(f"{path / file.name}: is a folder, expected a file or none")
-            path.mkdir(exist_ok=True)
-            made = {file.name for file in staging.iterdir()}
-            for file_name in sorted(made):
-                (staging / file_name).replace(path / file_name)
-            if "result.json" in made:
-                # What an earlier run wrote here and this one did not would be taken for its result.
-                for stale in OUTPUT_NAMES - made:
-                    (path / stale).unlink(missing_ok=True)
-        except OutputError:
-            raise
-        except OSError as error:
-            raise OutputError(f"{path}: cannot be written ({error.strerror})") from None
-    finally:
-        if staging is not None:
-            shutil.rmtree(staging, ignore_errors=True)
-
-
-@contextmanager
-def new_folder(name: str, *, overwrite: bool) -> Iterator[Path]:
-    """A temporary folder that takes the name if the block ends well: it appears whole or not at all.
-
-    Raises
-    ------
-    OutputError
-        If the place cannot be written, or holds something that is not to be overwritten.
-    """
-    _check_place(name, Path(name))
-    path = Path(os.path.realpath(name))  # of a link, where it leads
-    temporary: list[Path] = []
-    try:
-        if path.is_dir() and any(path.iterdir()) and not overwrite:
-            raise OutputError(f"{name}: is not empty; expected a new name, or --overwrite")
-        try:
-            temporary.append(Path(tempfile.mkdtemp(prefix=".todframes-", dir=path.parent)))
-            temporary[0].chmod(0o755)
-            yield temporary[0]
-            if path.is_dir():
-                temporary.append(Path(tempfile.mkdtemp(prefix=".todframes-", dir=path.parent)))
-                path.replace(temporary[1])
-            try:
-                temporary[0].replace(path)
-            except OSError:
-                if len(temporary) > 1:
-                    temporary.pop().replace(path)  # what was there before
-                raise
-        except OutputError:
-            raise
-        except OSError as error:
-            raise OutputError(f"{name}: cannot be written ({error.strerror})") from None
-    finally:
-        for folder in temporary:
-            shutil.rmtree(folder, ignore_errors=True)
-
-
-def _check_place(name: str, path: Path) -> None:
-    """Raise OutputError if a folder cannot be made or filled at a place."""
-    if not name or "\0" in name:
-        raise OutputError(f"found {name!r} as the folder for results, expected a name")
-    if path.exists() and not path.is_dir():
-        raise OutputError(f"{path}: is a file, expected a folder or a new name")
-    if path.is_dir() and not os.access(path, os.W_OK | os.X_OK):
-        raise OutputError(f"{path}: the folder is not writable")
-    parent = path.absolute().parent
-    if not parent.is_dir():
-        raise OutputError(f"{path}: {parent} is not a folder")
-
-
-def write_files(folder: Path, files: Mapping[str, bytes]) -> None:
-    """Write files into a folder, each safely on disk before the next."""
-    for name, content in files.items():
-        with (folder / name).open("wb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())

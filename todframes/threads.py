@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import signal
-import threading
 from collections import deque
-from collections.abc import Callable, Generator, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable
 from concurrent.futures import Future, ThreadPoolExecutor, wait
-from contextlib import contextmanager
 from typing import TypeVar
+
+from todframes.signals import held_back
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -30,7 +29,7 @@ def map_in_threads(work: Callable[[T], R], tasks: Iterable[T], workers: int) -> 
         yield from map(work, tasks)
         return
     ahead: deque[Future[R]] = deque()
-    with _interruption_held_back() as interrupt_if_asked, ThreadPoolExecutor(workers) as pool:
+    with held_back() as interrupt_if_asked, ThreadPoolExecutor(workers) as pool:
 
         def next_result() -> R:
             future = ahead.popleft()
@@ -49,28 +48,3 @@ def map_in_threads(work: Callable[[T], R], tasks: Iterable[T], workers: int) -> 
         except BaseException:
             pool.shutdown(wait=True, cancel_futures=True)
             raise
-
-
-@contextmanager
-def _interruption_held_back() -> Iterator[Callable[[], None]]:
-    """Yields what does then, if it came, what a signal would have done at once. In the main thread only."""
-    came: list[int] = []
-    handlers = {}
-    if threading.current_thread() is threading.main_thread():
-        for number in (signal.SIGINT, signal.SIGTERM):
-            handler = signal.getsignal(number)
-            if callable(handler):
-                handlers[number] = handler
-                signal.signal(number, lambda number, _: came.append(number))
-
-    def interrupt_if_asked() -> None:
-        if came:
-            number = signal.Signals(came.pop(0))
-            handlers[number](number, None)
-
-    try:
-        yield interrupt_if_asked
-    finally:
-        for number, handler in handlers.items():
-            signal.signal(number, handler)
-        interrupt_if_asked()

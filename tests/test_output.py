@@ -1,0 +1,634 @@
+"""On disk is after a run all that it made or nothing, whatever ends it; the files of others stay as they are."""
+
+from __future__ import annotations
+
+import errno
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from todframes import output, signals
+from todframes.errors import OutputError
+from todframes.output import MARK, STAGING, new_folder, output_folder, write_file, write_files
+
+SIGNALS = [*signals.SIGNALS, signal.SIGKILL] if hasattr(signal, "SIGKILL") else signals.SIGNALS
+CALLS = ("mkdir", "open", "link", "rename", "replace", "unlink", "rmdir", "chmod")
+"""Of `os`, each one that changes something on disk."""
+NOT_REACHED, INTERRUPTED = 99, 130
+
+forks = pytest.mark.skipif(not hasattr(os, "fork"), reason="processes cannot fork here")
+# The children use neither BLAS nor anything else that has threads.
+forks_with_threads = pytest.mark.filterwarnings("ignore:This process:DeprecationWarning")
+
+
+def dataset(text: str, frames: str = "ab") -> dict[str, str]:
+    return {f"frames/{name}.exr": text for name in frames} | {"manifest.csv": text, "dataset.toml": text}
+
+
+def write(folder: Path, files: dict[str, str]) -> None:
+    for name, text in files.items():
+        (folder / name).parent.mkdir(exist_ok=True)
+        (folder / name).write_text(text, encoding="utf-8")
+
+
+def simulate(
+    path: Path, files: dict[str, str], *, overwrite: bool = False, meanwhile: dict[str, str] | None = None
+) -> None:
+    """Make a dataset, while somebody else writes other files into the same folder."""
+    with new_folder(str(path), overwrite=overwrite) as folder:
+        write(folder, files)
+        write(path, meanwhile or {})
+
+
+def score(path: Path, files: dict[str, str]) -> None:
+    with output_folder(str(path)) as folder:
+        write(folder, files)
+
+
+def contents(path: Path) -> dict[str, str] | None:
+    """Texts of all files but the mark and what is in staging folders; None if there is no folder."""
+    if not path.is_dir():
+        return None
+    files = [file for file in path.rglob("*") if file.is_file() and STAGING not in str(file.relative_to(path))]
+    return {str(file.relative_to(path)): file.read_text(encoding="utf-8") for file in files if file.name != MARK}
+
+
+def names(path: Path) -> set[str]:
+    return {file.name for file in path.iterdir()}
+
+
+def staging_folders(path: Path) -> list[Path]:
+    return [*path.rglob(f"{STAGING}*")]
+
+
+def tree(path: Path) -> dict[Path, object]:
+    return {file: file.is_dir() or file.lstat().st_mtime_ns for file in path.rglob("*")}
+
+
+# Signals and kills at every call ------------------------------------------------------------------------------
+
+
+def ended_at(call: int, number: int, act: Callable[[], None], *, after: bool) -> tuple[int, str]:
+    """Send a signal to a child process at one of its calls that change something on disk.
+
+    Returns
+    -------
+    (int, str)
+        Exit status: 0, that of an interruption, minus the signal, or NOT_REACHED if there are fewer calls. The
+        message that the child has about its interruption.
+    """
+    reading, writing = os.pipe()
+    if not (child := os.fork()):
+        status, calls = 0, 0
+
+        def interrupting(function: Callable[..., Any]) -> Callable[..., Any]:
+            def inner(*arguments: Any, **options: Any) -> Any:
+                nonlocal calls
+                calls += 1
+                if calls == call and not after:
+                    os.kill(os.getpid(), number)
+                try:
+                    return function(*arguments, **options)
+                finally:
+                    if calls == call and after:
+                        os.kill(os.getpid(), number)
+
+            return inner
+
+        try:
+            for name in CALLS:
+                setattr(os, name, interrupting(getattr(os, name)))
+            output._rename = interrupting(output._rename)
+            os.sync = lambda: None
+            signals.written.clear()
+            with signals.raised():
+                act()
+            status = 0 if calls >= call else NOT_REACHED
+        except KeyboardInterrupt:
+            status = INTERRUPTED
+        except BaseException as error:
+            os.write(writing, repr(error).encode())
+            status = 1
+        finally:
+            os.write(writing, signals.interruption_message().encode())
+            os._exit(status)
+    os.close(writing)
+    with os.fdopen(reading, encoding="utf-8") as message:
+        said = message.read()
+    return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), said
+
+
+def endings(
+    tmp_path: Path, number: int, prepare: Callable[[Path], None], act: Callable[[Path], None]
+) -> Iterator[tuple[Path, bool]]:
+    """Places in which a run was ended by a signal before or after each of its calls; whether it says it wrote."""
+    for call in range(1, 1000):
+        for after in (False, True):
+            path = tmp_path / f"{call}{after}" / "out"
+            path.parent.mkdir()
+            prepare(path)
+            status, said = ended_at(call, number, lambda path=path: act(path), after=after)  # type: ignore[misc]
+            if status == NOT_REACHED:
+                assert call > 5
+                return
+            if number == getattr(signal, "SIGKILL", None):
+                assert status == -number
+            else:
+                assert status == INTERRUPTED, said
+                assert staging_folders(path.parent) == []
+            yield path, "was written before" in said
+    raise AssertionError("the run has no end")
+
+
+OLD, NEW, NEXT = dataset("old", "abc"), dataset("new"), dataset("next")
+
+
+@forks
+@forks_with_threads
+@pytest.mark.parametrize("number", SIGNALS, ids=lambda number: number.name)
+def test_a_dataset_is_replaced_whole_or_not_at_all(tmp_path: Path, number: int) -> None:
+    seen = []
+    for path, says_written in endings(
+        tmp_path, number, lambda path: simulate(path, OLD), lambda path: simulate(path, NEW, overwrite=True)
+    ):
+        found = contents(path)
+        assert found in (OLD, NEW)
+        seen.append(found == NEW)
+        if number in signals.SIGNALS:
+            assert says_written == (found == NEW)
+        simulate(path, NEXT, overwrite=True)
+        assert contents(path) == NEXT
+        assert staging_folders(path.parent) == []
+        assert names(path.parent) == {"out"}
+    assert set(seen) == {False, True}
+
+
+@forks
+@forks_with_threads
+@pytest.mark.parametrize("there", [False, True], ids=["absent", "empty"])
+@pytest.mark.parametrize("number", SIGNALS, ids=lambda number: number.name)
+def test_a_dataset_appears_whole_or_not_at_all(tmp_path: Path, number: int, there: bool) -> None:
+    """After a kill there may be parts, but no dataset.toml; the next run takes them away."""
+    seen = []
+    for path, says_written in endings(
+        tmp_path, number, lambda path: path.mkdir() if there else None, lambda path: simulate(path, NEW)
+    ):
+        found = contents(path)
+        is_dataset = "dataset.toml" in (found or {})
+        seen.append(is_dataset)
+        if is_dataset:
+            assert found == NEW
+            with pytest.raises(OutputError, match="is not empty; expected a new name"):
+                simulate(path, NEXT)
+            assert contents(path) == NEW
+        else:
+            if number in signals.SIGNALS:
+                assert found == ({} if there else None)
+            simulate(path, NEXT)
+            assert contents(path) == NEXT
+        if number in signals.SIGNALS:
+            assert says_written == is_dataset
+        assert staging_folders(path.parent) == []
+    assert set(seen) == {False, True}
+
+
+@forks
+@forks_with_threads
+@pytest.mark.parametrize("number", SIGNALS, ids=lambda number: number.name)
+def test_results_are_replaced_together_and_result_json_last(tmp_path: Path, number: int) -> None:
+    old = dict.fromkeys(("notes.txt", "scores.csv", "psychometric.png"), "old")
+    old["result.json"] = '{"command": "score", "seed": 1}'
+    made = dict.fromkeys(("report.html", "scores.csv"), "new") | {"result.json": '{"command": "score"}'}
+    new = {"notes.txt": "old"} | made
+    seen = []
+    for path, says_written in endings(
+        tmp_path, number, lambda path: score(path, old), lambda path: score(path, made)
+    ):
+        found = contents(path)
+        assert found is not None and found["notes.txt"] == "old"
+        is_new = found["result.json"] == new["result.json"]
+        seen.append(is_new)
+        if is_new:
+            assert found == new
+        elif number in signals.SIGNALS:
+            assert found == old
+        if number in signals.SIGNALS:
+            assert says_written == is_new
+        score(path, {"scores.csv": "next"})
+        assert contents(path) == found | {"scores.csv": "next"}
+        assert staging_folders(path.parent) == []
+    assert set(seen) == {False, True}
+
+
+@forks
+@forks_with_threads
+@pytest.mark.parametrize("number", SIGNALS, ids=lambda number: number.name)
+def test_a_file_is_replaced_whole_or_not_at_all(tmp_path: Path, number: int) -> None:
+    seen = []
+    for path, says_written in endings(
+        tmp_path,
+        number,
+        lambda path: path.write_text("old", encoding="utf-8") and None,
+        lambda path: write_file(path, b"new", not_over=tmp_path),
+    ):
+        found = path.read_text(encoding="utf-8")
+        assert found in ("old", "new")
+        seen.append(found == "new")
+        if number in signals.SIGNALS:
+            assert says_written == (found == "new")
+        write_file(path, b"next", not_over=tmp_path)
+        assert names(path.parent) == {"out"}
+    assert set(seen) == {False, True}
+
+
+# Files that the run did not write -----------------------------------------------------------------------------
+
+
+def unmarked(path: Path) -> None:
+    write(path, OLD)
+    (path / MARK).unlink()
+
+
+def with_notes(path: Path) -> None:
+    write(path, {"frames/notes.txt": "mine"})
+
+
+def edited(path: Path) -> None:
+    write(path, {"dataset.toml": "OLD"})
+
+
+def with_a_link(path: Path) -> None:
+    (path.parent / "a.exr").write_text("old", encoding="utf-8")
+    (path / "frames" / "a.exr").unlink()
+    (path / "frames" / "a.exr").symlink_to(path.parent / "a.exr")
+
+
+def with_an_empty_folder(path: Path) -> None:
+    (path / "mine").mkdir()
+
+
+def with_a_broken_mark(path: Path) -> None:
+    write(path, {MARK: "[" * 100})
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        (unmarked, "no .todframes.json"),
+        (with_notes, "holds frames/notes.txt"),
+        (edited, "holds dataset.toml"),
+        (with_a_link, "holds frames/a.exr"),
+        (with_an_empty_folder, "holds mine"),
+        (with_a_broken_mark, "holds "),
+    ],
+    ids=lambda value: getattr(value, "__name__", ""),
+)
+def test_only_what_a_run_wrote_is_replaced(tmp_path: Path, change: Callable[[Path], None], named: str) -> None:
+    path = tmp_path / "out"
+    simulate(path, OLD)
+    change(path)
+    before = tree(path)
+    with pytest.raises(OutputError, match=named):
+        simulate(path, NEW, overwrite=True)
+    assert tree(path) == before
+    assert staging_folders(tmp_path) == []
+
+
+@pytest.mark.parametrize("name", ["notes.txt", "frames/notes.txt", "dataset.toml"])
+def test_a_file_that_comes_during_the_work_is_kept(tmp_path: Path, name: str) -> None:
+    path = tmp_path / "out"
+    simulate(path, OLD)
+    with pytest.raises(OutputError, match=f"{name} was put there or changed meanwhile; nothing was replaced"):
+        simulate(path, NEW, overwrite=True, meanwhile={name: "mine"})
+    assert contents(path) == OLD | {name: "mine"}
+    assert staging_folders(tmp_path) == []
+
+
+def test_a_file_that_comes_in_the_last_moment_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "out"
+    simulate(path, OLD)
+
+    def rename(source: Path, target: Path, flag: int) -> None:
+        if target == path and not (path / "notes.txt").exists() and not (source / "notes.txt").exists():
+            write(path, {"notes.txt": "mine"})
+        swap(source, target, flag)
+
+    swap = output._rename
+    monkeypatch.setattr(output, "_rename", rename)
+    with pytest.raises(OutputError, match=r"notes.txt was put there or changed meanwhile"):
+        simulate(path, NEW, overwrite=True)
+    assert contents(path) == OLD | {"notes.txt": "mine"}
+    assert staging_folders(tmp_path) == []
+
+
+@pytest.mark.parametrize("has_no_replace", [True, False])
+def test_a_file_that_comes_into_an_empty_folder_is_kept(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, has_no_replace: bool
+) -> None:
+    if not has_no_replace:  # a file system that cannot do it in one step
+        monkeypatch.setattr(output, "_rename", not_here)
+    path = tmp_path / "out"
+    simulate(path, NEW, meanwhile={"notes.txt": "mine"})
+    assert contents(path) == NEW | {"notes.txt": "mine"}
+    path = tmp_path / "other"
+    with pytest.raises(OutputError, match=r"manifest\.csv was put there meanwhile; expected a new name"):
+        simulate(path, NEW, meanwhile={"manifest.csv": "mine"})
+    assert contents(path) == {"manifest.csv": "mine"}
+    assert staging_folders(tmp_path) == []
+
+
+def test_a_result_takes_only_its_own_files_with_it(tmp_path: Path) -> None:
+    """`compare.csv` does not belong to a score, whoever wrote it; `psychometric.png` does."""
+    path = tmp_path / "out"
+    score(path, {"compare.csv": "mine", "psychometric.png": "old", "result.json": '{"command": "score"}'})
+    score(path, {"result.json": '{"command": "curve"}'})
+    assert contents(path) == {"compare.csv": "mine", "result.json": '{"command": "curve"}'}
+    other = tmp_path / "other"
+    write(tmp_path, {"other/psychometric.png": "mine", "other/result.json": "mine"})
+    score(other, {"result.json": "{}"})
+    assert contents(other) == {"psychometric.png": "mine", "result.json": "{}"}
+
+
+def test_older_results_come_back_if_one_cannot_be_replaced(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As on Windows, where a file that is open elsewhere cannot be."""
+    path = tmp_path / "out"
+    old = {"report.html": "old", "result.json": '{"command": "score"}', "tod_curve.png": "old"}
+    score(path, old)
+
+    def replace(source: str, target: Path) -> None:
+        if target == path / "result.json":
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+        os_replace(source, target)
+
+    os_replace = os.replace
+    monkeypatch.setattr(os, "replace", replace)
+    with pytest.raises(OutputError, match=r"cannot be written \(Permission denied\)"):
+        score(path, {"report.html": "new", "result.json": "{}", "scores.csv": "new"})
+    assert contents(path) == old
+
+
+def test_no_device_is_replaced_by_a_file(tmp_path: Path) -> None:
+    with pytest.raises(OutputError, match="is a folder or device"):
+        write_file(Path(os.devnull), b"new", not_over=tmp_path)
+    assert not Path(os.devnull).is_file()
+
+
+@pytest.mark.parametrize("kind", ["link", "folder"])
+def test_a_staging_folder_of_somebody_else(tmp_path: Path, kind: str) -> None:
+    write(tmp_path, {"theirs/notes.txt": "mine"})
+    path = tmp_path / "out"
+    path.mkdir()
+    if kind == "link":
+        (path / STAGING).symlink_to(tmp_path / "theirs")
+    else:
+        (tmp_path / "theirs").rename(path / STAGING)
+    before = tree(tmp_path)
+    for act in (lambda: score(path, {"a": "new"}), lambda: simulate(path, NEW)):
+        with pytest.raises(OutputError, match="was not made by todframes"):
+            act()
+    assert tree(tmp_path) == before
+
+
+# Places -------------------------------------------------------------------------------------------------------
+
+
+def not_here(*_: object) -> None:
+    raise OSError(errno.ENOSYS, os.strerror(errno.ENOSYS))
+
+
+def test_without_a_swap_in_one_step_nothing_is_replaced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """On file systems and systems that cannot swap: found before the work."""
+    path = tmp_path / "out"
+    monkeypatch.setattr(output, "_rename", not_here)
+    simulate(path, OLD)
+    with (
+        pytest.raises(OutputError, match=r"cannot be replaced in one step .*; expected a new name"),
+        new_folder(str(path), overwrite=True),
+    ):
+        raise AssertionError("the work has begun")
+    assert contents(path) == OLD
+    assert staging_folders(tmp_path) == []
+
+
+@pytest.mark.parametrize("below", [".", "frames"])
+def test_the_present_folder_is_filled_but_not_replaced(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, below: str
+) -> None:
+    """A shell would stay in the older one, which is gone."""
+    path = tmp_path / "out"
+    path.mkdir()
+    monkeypatch.chdir(path)
+    simulate(Path(), OLD)
+    monkeypatch.chdir(path / below)
+    with pytest.raises(OutputError, match="present folder"):
+        simulate(path, NEW, overwrite=True)
+    assert contents(path) == OLD
+    assert staging_folders(tmp_path) == []
+
+
+@pytest.fixture
+def other_disk(tmp_path: Path) -> Iterator[Path]:
+    memory = Path("/dev/shm")
+    if not memory.is_dir() or memory.stat().st_dev == tmp_path.stat().st_dev:
+        pytest.skip("there is no other disk than that of temporary files")
+    with tempfile.TemporaryDirectory(dir=memory) as folder:
+        yield Path(folder)
+
+
+def test_a_link_to_another_disk(tmp_path: Path, other_disk: Path) -> None:
+    for name in ("results", "dataset"):
+        (other_disk / name).mkdir()
+        (tmp_path / name).symlink_to(other_disk / name)
+    score(tmp_path / "results", {"result.json": "{}"})
+    assert contents(other_disk / "results") == {"result.json": "{}"}
+    simulate(tmp_path / "dataset", OLD)
+    simulate(tmp_path / "dataset", NEW, overwrite=True)
+    assert contents(other_disk / "dataset") == NEW
+    assert names(other_disk) == names(tmp_path) == {"dataset", "results"}
+
+
+@contextmanager
+def read_only(folder: Path) -> Iterator[None]:
+    folder.chmod(0o555)
+    try:
+        yield
+    finally:
+        folder.chmod(0o755)
+
+
+def as_somebody(act: Callable[[], None]) -> str:
+    """Act in a child process whose user is not root; what went wrong, or nothing."""
+    reading, writing = os.pipe()
+    if not (child := os.fork()):
+        try:
+            if os.geteuid() == 0:
+                os.setgroups([])
+                os.setgid(65534)
+                os.setuid(65534)
+            act()
+        except BaseException as error:
+            os.write(writing, str(error).encode())
+        finally:
+            os._exit(0)
+    os.close(writing)
+    with os.fdopen(reading, encoding="utf-8") as message:
+        said = message.read()
+    os.waitpid(child, 0)
+    return said
+
+
+@forks
+@forks_with_threads
+def test_a_writable_folder_in_a_parent_that_is_not() -> None:
+    """Results and new datasets are written; a dataset there cannot be swapped."""
+    with tempfile.TemporaryDirectory() as name:
+        parent = Path(name).resolve()
+        parent.chmod(0o755)
+        for folder in ("results", "dataset"):
+            (parent / folder).mkdir()
+            (parent / folder).chmod(0o777)
+        with read_only(parent):
+            assert as_somebody(lambda: score(parent / "results", {"result.json": "{}"})) == ""
+            assert as_somebody(lambda: simulate(parent / "dataset", OLD)) == ""
+            said = as_somebody(lambda: simulate(parent / "dataset", NEW, overwrite=True))
+            assert "cannot be" in said and "Permission denied" in said
+        assert contents(parent / "results") == {"result.json": "{}"}
+        assert contents(parent / "dataset") == OLD
+        assert staging_folders(parent) == []
+
+
+@forks
+@forks_with_threads
+def test_a_place_that_cannot_be_written_is_found_before_the_work() -> None:
+    with tempfile.TemporaryDirectory() as name:
+        parent = Path(name).resolve()
+        (parent / "out").mkdir()
+        parent.chmod(0o755)
+
+        def begin(path: Path, place: Callable[..., Any], **options: Any) -> None:
+            with place(str(path), **options):
+                raise AssertionError("the work has begun")
+
+        for path in (parent / "out", parent / "new"):
+            with read_only(parent), read_only(parent / "out"):
+                for place, options in ((output_folder, {}), (new_folder, {"overwrite": False})):
+                    said = as_somebody(lambda: begin(path, place, **options))  # noqa: B023 - called at once
+                    assert said == f"{path}: cannot be written (Permission denied)"
+        assert contents(parent) == {}
+
+
+# Two runs -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("second", ["results", "dataset", "overwriting"])
+@pytest.mark.parametrize("first", ["results", "dataset", "overwriting"])
+def test_the_second_run_into_a_folder_is_refused_at_once(tmp_path: Path, first: str, second: str) -> None:
+    path = tmp_path / "out"
+    if first == "overwriting":
+        simulate(path, OLD)
+
+    def begin(kind: str) -> Any:
+        return (
+            output_folder(str(path)) if kind == "results" else new_folder(str(path), overwrite=kind != "dataset")
+        )
+
+    with begin(first) as folder:
+        with pytest.raises(OutputError, match="another run is writing there"), begin(second):
+            raise AssertionError("the second run has begun")
+        write(folder, NEW)
+    assert contents(path) == NEW
+    assert staging_folders(tmp_path) == []
+
+
+def test_files_beside_each_other_do_not_wait(tmp_path: Path) -> None:
+    """Reports of many results may be made into one folder at the same time."""
+    with output._staging(output._beside(tmp_path / "a.html"), "a.html"):
+        write_file(tmp_path / "b.html", b"new", not_over=tmp_path)
+        with pytest.raises(OutputError, match="another run is writing there"):
+            write_file(tmp_path / "a.html", b"new", not_over=tmp_path)
+    assert names(tmp_path) == {"b.html"}
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no locks to do without")
+def test_where_files_cannot_be_locked_the_folder_is_the_lock(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(output.fcntl, "flock", not_here)
+    path = tmp_path / "out"
+    score(path, {"result.json": "{}"})
+    with output_folder(str(path)) as folder:
+        with pytest.raises(OutputError, match="belongs to another run, or to one that was killed; remove it"):
+            score(path, {"result.json": "[]"})
+        write_files(folder, {"result.json": b"[1]"})
+    assert contents(path) == {"result.json": "[1]"}
+    assert staging_folders(tmp_path) == []
+
+
+# Signals ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="no such signal")
+def test_a_signal_that_is_ignored_stays_so() -> None:
+    """As nohup asks for."""
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        with signals.raised(), signals.held_back():
+            signal.raise_signal(signal.SIGHUP)
+            assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+    finally:
+        signal.signal(signal.SIGHUP, before)
+
+
+def test_an_import_is_not_interrupted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An exception could be lost there."""
+    lines = ["import signal, time", "signal.raise_signal(signal.SIGINT)", "time.sleep(0.1)", "done = True"]
+    (tmp_path / "slow_to_import.py").write_text("\n".join(lines), encoding="utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
+
+    def imported_and_waited() -> None:
+        import slow_to_import  # type: ignore[import-not-found]
+
+        assert slow_to_import.done
+        monkeypatch.delitem(sys.modules, "slow_to_import")
+        time.sleep(20.0)
+        raise AssertionError("the signal was lost")
+
+    started = time.monotonic()
+    with pytest.raises(KeyboardInterrupt, match=r"^$"), signals.raised():
+        imported_and_waited()
+    assert time.monotonic() - started < 10.0
+
+
+@pytest.mark.parametrize("package", ["todframes", "sensor_sim"])
+@pytest.mark.parametrize("module", ["todframes.signals", "click", "todframes.command", "{package}.cli"])
+def test_ctrl_c_during_the_first_imports(package: str, module: str) -> None:
+    """One line and no traceback, from the first module on that a command imports."""
+    module = module.format(package=package)
+    interrupting = f"""
+import runpy, signal, sys
+
+class Interrupting:
+    def find_spec(self, name, *_):
+        if name == {module!r}:
+            signal.raise_signal(signal.SIGINT)
+
+sys.meta_path.insert(0, Interrupting())
+sys.argv = [{package!r}, "--version"]
+runpy.run_module({package!r}, run_name="__main__")
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", interrupting], capture_output=True, text=True, timeout=60, check=False
+    )
+    assert (done.returncode, done.stdout) == (INTERRUPTED, "")
+    assert done.stderr == "error: interrupted, nothing was written\n"

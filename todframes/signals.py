@@ -1,0 +1,123 @@
+"""Signals that ask a run to end: Ctrl-C, a request to terminate, a connection that is gone.
+
+This module is imported before all others, so it imports little itself.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from types import FrameType
+from typing import Any
+
+SIGNALS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
+INTERRUPTED = 130
+"""Exit status."""
+RETRY_S, MOST_RETRIES = 0.02, 100
+"""Of an interruption during an import; if that takes longer, it is interrupted."""
+
+written: list[str] = []
+"""Places that the present run has written; `output` adds to them, `interruption_message` tells the last."""
+
+
+def interruption_message() -> str:
+    """Tell what an interrupted run has written."""
+    if written:
+        return f"interrupted, but {written[-1]} was written before"
+    return "interrupted, nothing was written"
+
+
+def end_at_once() -> None:
+    """End the process with one line when a signal arrives, without cleaning up.
+
+    This is for the time before a command runs: an exception would end as a traceback, or strike in the middle of
+    an import, where a C extension prints it and goes on.
+    """
+
+    def end(*_: object) -> None:
+        os.write(2, f"error: {interruption_message()}\n".encode(errors="replace"))
+        os._exit(INTERRUPTED)
+
+    _handle(end)
+
+
+@contextmanager
+def raised() -> Iterator[None]:
+    """Raise KeyboardInterrupt in the main thread when a signal arrives, after an import that is under way.
+
+    Within an import the exception may be lost: in a callback of the import system, or in a C extension.
+    """
+    retries = MOST_RETRIES
+
+    def interrupt(number: int, frame: FrameType | None) -> None:
+        nonlocal retries
+        if retries and _imports(frame):
+            retries -= 1
+            threading.Timer(RETRY_S, _send, [number, threading.get_ident()]).start()
+        else:
+            raise KeyboardInterrupt
+
+    before = _handle(interrupt)
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+@contextmanager
+def held_back() -> Iterator[Callable[[], None]]:
+    """Defer signals to the end of the block. Yields a function that lets one act that has arrived.
+
+    A signal acts as its handler says: its exception leaves the block at the end, or where that function is called.
+    Without effect outside the main thread, and on signals that end the process without a handler.
+    """
+    arrived: list[int] = []
+    handlers: dict[int, Any] = {}
+
+    def act() -> None:
+        if arrived:
+            number = arrived.pop(0)
+            handlers[number](number, None)
+
+    try:
+        if threading.current_thread() is threading.main_thread():
+            for number in SIGNALS:
+                if callable(handler := signal.getsignal(number)):
+                    handlers[number] = handler
+                    signal.signal(number, lambda number, _: arrived.append(number))
+        yield act
+    finally:
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+        act()
+
+
+def _send(number: int, thread: int) -> None:
+    if sys.platform == "win32":
+        signal.raise_signal(number)
+    else:
+        signal.pthread_kill(thread, number)  # so that it wakes
+
+
+def _imports(frame: FrameType | None) -> bool:
+    while frame is not None:
+        if frame.f_code.co_filename.startswith("<frozen importlib"):
+            return True
+        frame = frame.f_back
+    return False
+
+
+def _handle(handler: Callable[..., None]) -> dict[int, Any]:
+    """Install a handler for all signals that are not ignored (as by nohup). Returns the handlers before."""
+    if threading.current_thread() is not threading.main_thread():
+        return {}
+    before = {number: signal.getsignal(number) for number in SIGNALS}
+    before = {number: found for number, found in before.items() if found not in (signal.SIG_IGN, None)}
+    for number in before:
+        signal.signal(number, handler)
+    return before
