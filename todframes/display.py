@@ -210,8 +210,19 @@ def bt1886_luminance(
 
 def border_mean(luminance: FloatArray) -> float:
     """Mean over the outermost ring of pixels of a frame, shape (rows, columns)."""
-    inner = luminance[1:-1, 1:-1]
-    return float((luminance.sum() - inner.sum()) / (luminance.size - inner.size))
+    return float(border_values(luminance).mean())
+
+
+def border_values(luminance: FloatArray, *, top: bool = True, bottom: bool = True) -> FloatArray:
+    """Those of a band of rows, shape (rows, columns), that lie on the border of a frame; 1-D.
+
+    `top` and `bottom` say whether the band's first and last rows are the frame's.
+    """
+    on_border = np.zeros(luminance.shape, np.bool_)
+    on_border[:, [0, -1]] = True
+    on_border[0] |= top
+    on_border[-1] |= bottom
+    return luminance[on_border]
 
 
 def weber_contrast(luminance: FloatArray, background_luminance_cd_m2: float) -> FloatArray:
