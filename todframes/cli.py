@@ -19,6 +19,7 @@ from todframes.cli_locating import locate_option, located
 from todframes.cli_report import report as report_command
 from todframes.command import (
     Commands,
+    ProblemLines,
     decisions_option,
     json_option,
     keep_libraries_to_one_thread,
@@ -241,17 +242,17 @@ def validate(*, dataset: Path) -> None:
     from todframes.viewing import frame_problems
 
     data = load_dataset(dataset)
-    problems = [row.error for row in data.bad_rows]
-    for problem in problems:
-        say(f"error: {problem}")
+    problems = ProblemLines()
+    for row in data.bad_rows:
+        problems.add(row.error)
     with progress("checking", len(data.trials)) as advance:
         for trial in data.trials:
             for error in frame_problems(data, trial):
-                problems.append(str(error))
-                say(f"error: {error}")
+                problems.add(str(error), kind=error.problem)
             advance(1)
-    if problems:
-        raise DataError(f"{dataset}: {len(problems)} {'problems' if len(problems) > 1 else 'problem'} found")
+    problems.close()
+    if problems.count:
+        raise DataError(f"{dataset}: {problems.count} {'problems' if problems.count > 1 else 'problem'} found")
     n_frames = sum(len(trial.frames) for trial in data.trials)
     click.echo(f"{dataset}: {n_frames} frames in {len(data.trials)} trials, all good")
 

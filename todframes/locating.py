@@ -26,8 +26,9 @@ LEAST_PEAK = 6.0
 """Height a peak of the correlation must have over its surroundings, in their standard deviations."""
 MOST_LOCATED_PX = 2**21
 """Of a frame; of a larger one means over square blocks of pixels are looked at."""
+MOST_BLOCKS = 2**24
 LEAST_BLOCKS = 16
-"""Along a triangle's size: what its edges tell of its place is lost in larger blocks."""
+"""Along a triangle's size, if they are larger than a pixel: what its edges tell of its place is lost in larger blocks."""
 
 
 class Location(NamedTuple):
@@ -152,7 +153,14 @@ class _Sums:
             raise FrameError(path, "has no pixels in part of the frame; its triangle cannot be located")
         if self.shape is None:
             self.shape = shape
-            self.block_px = _block_px(shape, stimulus.size_mrad / self.dataset.display.pitch_mrad)
+            size_px = stimulus.size_mrad / self.dataset.display.pitch_mrad
+            self.block_px = _block_px(shape, size_px)
+            if shape[0] * shape[1] / self.block_px**2 > MOST_BLOCKS:
+                raise FrameError(
+                    path,
+                    f"{_size(shape)} pixels are too many to find a triangle of {size_px:.3g} pixels among them, "
+                    f"expected at most {MOST_BLOCKS / 1e6:.1f} million; give x_px and y_px in the manifest",
+                )
         if self.shape != shape:
             found, expected = _size(shape), _size(self.shape)
             raise FrameError(path, f"found {found} pixels, expected {expected} as in the group's other frames")
