@@ -19,6 +19,7 @@ from todframes.cli_locating import locate_option, located
 from todframes.cli_report import report as report_command
 from todframes.command import (
     Commands,
+    ProblemLines,
     decisions_option,
     echo,
     json_option,
@@ -257,20 +258,20 @@ def validate(*, dataset: Path, add_sha256: bool) -> None:
     if add_sha256:
         check_writable(data)
     sha256_of: dict[str, str] = {}
-    problems = [row.error for row in data.bad_rows]
-    for problem in problems:
-        say(f"error: {problem}")
+    problems = ProblemLines()
+    for row in data.bad_rows:
+        problems.add(row.error)
     with progress("checking", len(data.trials)) as advance:
         for trial in data.trials:
             for error in frame_problems(data, trial):
-                problems.append(str(error))
-                say(f"error: {error}")
-            if add_sha256 and not problems:
+                problems.add(str(error), kind=error.problem)
+            if add_sha256 and not problems.count:
                 missing = [frame for frame in trial.frames if frame.sha256 is None]
                 sha256_of |= {frame.path: frame_sha256(data.frame_path(frame)) for frame in missing}
             advance(1)
-    if problems:
-        raise DataError(f"{dataset}: {len(problems)} {'problems' if len(problems) > 1 else 'problem'} found")
+    problems.close()
+    if problems.count:
+        raise DataError(f"{dataset}: {problems.count} {'problems' if problems.count > 1 else 'problem'} found")
     n_frames = sum(len(trial.frames) for trial in data.trials)
     echo(f"{dataset}: {n_frames} frames in {len(data.trials)} trials, all good")
     if add_sha256:

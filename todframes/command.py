@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import os
+import re
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, redirect_stdout, suppress
@@ -29,6 +30,8 @@ STDOUT, STDERR = 1, 2
 
 LONGEST_REMARK = 8000
 """Characters of a line on standard error; of longer ones the two ends are shown."""
+MOST_ALIKE = 10
+"""Problems of a kind that are told."""
 
 
 def options(*decorators: Callable[[F], F]) -> Callable[[F], F]:
@@ -239,6 +242,29 @@ def prints_go_to_stderr() -> Iterator[None]:
         stdout.flush()  # of code that has kept `sys.stdout` for itself
         os.dup2(kept, STDOUT)
         os.close(kept)
+
+
+class ProblemLines:
+    """Problems on standard error, one line each; of those alike the first few, and how many more there are."""
+
+    def __init__(self) -> None:
+        self.count = 0
+        self._alike: dict[str, tuple[str, int]] = {}
+
+    def add(self, problem: str, *, kind: str | None = None) -> None:
+        """Tell a problem; those are alike whose `kind`, by default the problem itself, differs in numbers alone."""
+        self.count += 1
+        kind = re.sub(r"\b[0-9a-f]{64}\b|[0-9][0-9.]*", "#", problem if kind is None else kind)
+        first, count = self._alike.get(kind, (problem, 0))
+        self._alike[kind] = first, count + 1
+        if count < MOST_ALIKE:
+            say(f"error: {problem}")
+
+    def close(self) -> None:
+        """Tell how many were not told."""
+        for first, count in self._alike.values():
+            if count > MOST_ALIKE:
+                say(f"error: … and {count - MOST_ALIKE} more like it: {first}")
 
 
 @contextmanager

@@ -22,6 +22,7 @@ from todframes.enhancement_specs import find_enhancement
 from todframes.errors import SettingsError
 from todframes.likeness import psnr_db
 from todframes.pairing import RatioDraws, ThresholdRatio, holm, ratio_draws, threshold_ratio
+from todframes.placing import check_places
 from todframes.planning import PlanName
 from todframes.psychometric import MAX_RESAMPLES, FitSettings
 from todframes.readout import Observer
@@ -127,6 +128,8 @@ def compare_dataset(
             raise SettingsError(f"enhance {one.spec!r}: found twice, expected once")
     screen = screen or Screen(dataset.display)
     whole, skipped = usable_trials(dataset, skip_bad_frames=skip_bad_frames)
+    if not skip_bad_frames:
+        check_places(dataset, whole, observer.centre)
     reader, expected = TrialReader(algorithms, screen), decisions == "expected"
     # Of frames after the algorithms as well: what is left out of one view is left out of all.
     plan = plan_score(dataset, whole, observer, name=plan_name, expected=expected, read=reader)

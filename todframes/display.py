@@ -18,6 +18,8 @@ BackgroundRule = Literal["border", "frame_mean", "column"]
 REC_709_LUMINANCE_WEIGHTS = np.array([0.2126, 0.7152, 0.0722])
 LARGEST_LUMINANCE_CD_M2 = 1e12
 """A thousand times the sun's; beyond is a slip of the pen."""
+PITCH_RANGE_MRAD = (1e-6, 1e6)
+"""What is not in here is a slip of the pen, and might overflow."""
 PITCH_TOLERANCE = 1e-3
 """Relative difference up to which a pitch given in both ways counts as the same."""
 
@@ -137,11 +139,18 @@ class Display:
             raise SettingsError("pixel_pitch_mm and viewing_distance_mm: found one of them, expected both or none")
         if self.pixel_pitch_mrad is not None and None not in lengths:
             other = self._pitch_from_lengths()
-            if abs(other / self.pixel_pitch_mrad - 1.0) > PITCH_TOLERANCE:
+            if abs(other - self.pixel_pitch_mrad) > PITCH_TOLERANCE * self.pixel_pitch_mrad:
                 raise SettingsError(
                     f"pixel_pitch_mrad: found {self.pixel_pitch_mrad:g}, but pixel_pitch_mm and "
                     f"viewing_distance_mm give {other:g}; expected one of the two or equal values"
                 )
+
+        low, high = PITCH_RANGE_MRAD
+        if not low <= self.pitch_mrad <= high:
+            name = (
+                "pixel_pitch_mrad" if self.pixel_pitch_mrad is not None else "pixel_pitch_mm, viewing_distance_mm"
+            )
+            raise SettingsError(f"{name}: found a pitch of {self.pitch_mrad:g} mrad, expected {low:g} to {high:g}")
 
     def _pitch_from_lengths(self) -> float:
         assert self.pixel_pitch_mm is not None and self.viewing_distance_mm is not None
@@ -210,8 +219,19 @@ def bt1886_luminance(
 
 def border_mean(luminance: FloatArray) -> float:
     """Mean over the outermost ring of pixels of a frame, shape (rows, columns)."""
-    inner = luminance[1:-1, 1:-1]
-    return float((luminance.sum() - inner.sum()) / (luminance.size - inner.size))
+    return float(border_values(luminance).mean())
+
+
+def border_values(luminance: FloatArray, *, top: bool = True, bottom: bool = True) -> FloatArray:
+    """Those of a band of rows, shape (rows, columns), that lie on the border of a frame; 1-D.
+
+    `top` and `bottom` say whether the band's first and last rows are the frame's.
+    """
+    on_border = np.zeros(luminance.shape, np.bool_)
+    on_border[:, [0, -1]] = True
+    on_border[0] |= top
+    on_border[-1] |= bottom
+    return luminance[on_border]
 
 
 def weber_contrast(luminance: FloatArray, background_luminance_cd_m2: float) -> FloatArray:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from todframes.display import Display, border_mean
 from todframes.enhancement import ROUNDING, Enhancement, Image
 from todframes.errors import DataError, SettingsError
-from todframes.frames import FULL_SCALE, Frame, FrameFile
+from todframes.frames import FULL_SCALE, FrameFile
 from todframes.placing import Placement
 from todframes.viewing import Patch, finite_contrast
 
@@ -120,14 +120,15 @@ class DecodedFrame:
 
     def __init__(self, file: FrameFile, screen: Screen) -> None:
         self.screen = screen
-        self.frame: Frame = file.read()
+        frame = file.read()
+        self.first_row, self.first_column = frame.first_row, frame.first_column
         self.is_integer = file.header.pixel_type in FULL_SCALE
-        self.original = Picture(screen, self.frame.values)
+        self.original = Picture(screen, frame.values)
 
     @cached_property
     def code_values(self) -> Image:
         """What algorithms of code values get, white being 1; two-dimensional where all channels are alike."""
-        values, white = self.frame.values, self.screen.white
+        values, white = self.original.values, self.screen.white
         if self.is_integer and white != 1.0:
             raise DataError(f"white: found {white:g}, expected 1 for integer code values")
         if (mean := float(values.mean())) > white:
@@ -198,11 +199,11 @@ class DecodedFrame:
         DataError
             If the background is not a positive number, or contrast overflows.
         """
-        rule, m, frame = self.screen.display.background_luminance_cd_m2, picture.magnification, self.frame
+        rule, m = self.screen.display.background_luminance_cd_m2, picture.magnification
         of_frame = rule in ("border", "frame_mean")
         whole = whole or of_frame
-        y = _Axis.of(picture.values.shape[0], None if whole else place.rows, place.y_px, frame.first_row, m)
-        x = _Axis.of(picture.values.shape[1], None if whole else place.columns, place.x_px, frame.first_column, m)
+        y = _Axis.of(picture.values.shape[0], None if whole else place.rows, place.y_px, self.first_row, m)
+        x = _Axis.of(picture.values.shape[1], None if whole else place.columns, place.x_px, self.first_column, m)
         luminance = picture.luminance(y.used, x.used)
         if of_frame:
             background = border_mean(luminance) if rule == "border" else float(luminance.mean())

@@ -170,15 +170,17 @@ def pictures(
 
 def _crop(shown: FramePart, reach_px: int) -> FloatArray:
     """Contrast within so many pixels of the triangle's centroid; 0 where there is no pixel."""
-    patch, side = shown.patch, 2 * reach_px + 1
+    side = 2 * reach_px + 1
     top, left = (round(place) - reach_px for place in (shown.y_px, shown.x_px))
-    rows, columns = (
-        slice(max(first - start, 0), max(min(first + n - start, side), 0))
-        for first, start, n in zip((patch.row, patch.column), (top, left), patch.contrast.shape, strict=True)
-    )
     cropped = np.zeros((side, side))
-    part = patch.contrast[max(top - patch.row, 0) :, max(left - patch.column, 0) :]
-    cropped[rows, columns] = part[: rows.stop - rows.start, : columns.stop - columns.start]
+    for band in shown.patch.bands():
+        contrast = band.values
+        rows, columns = (
+            slice(max(first - start, 0), max(min(first + n - start, side), 0))
+            for first, start, n in zip((band.row, band.column), (top, left), contrast.shape, strict=True)
+        )
+        part = contrast[max(top - band.row, 0) :, max(left - band.column, 0) :]
+        cropped[rows, columns] = part[: max(rows.stop - rows.start, 0), : columns.stop - columns.start]
     return cropped
 
 

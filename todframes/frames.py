@@ -6,6 +6,7 @@ import hashlib
 import os
 import stat
 import zlib
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO, Literal, Self
@@ -25,6 +26,10 @@ MAX_SIDE_PX = 32768
 MAX_CHANNELS = 256
 MAX_DECODED_MB = 256
 """All channels of a part, in their own pixel types. One MB is 2**20 bytes."""
+BAND_VALUES = 2**19
+"""Of all channels, in a band of rows: what is decoded at a time, unless one chunk of the file holds more."""
+MOST_ROWS_PER_CHUNK = 256
+"""Of an EXR, whatever its compression; smaller chunks divide it."""
 
 # OpenImageIO checks these before it allocates anything: a small file cannot claim all memory.
 oiio.attribute("limits:resolution", MAX_SIDE_PX)
@@ -33,7 +38,7 @@ oiio.attribute("limits:imagesize_MB", MAX_DECODED_MB)
 
 _OPEN_OPTIONS = oiio.ImageSpec()
 _OPEN_OPTIONS.attribute("oiio:UnassociatedAlpha", 1)  # or OpenImageIO multiplies PNG colours by alpha
-NUMPY_TYPES: dict[PixelType, Any] = {
+NUMPY_TYPES: dict[PixelType, type[np.generic]] = {
     "half": np.float16, "float": np.float32, "uint8": np.uint8, "uint16": np.uint16
 }  # fmt: skip
 FULL_SCALE: dict[PixelType, int] = {"uint8": 255, "uint16": 65535}
@@ -43,19 +48,32 @@ _LAYOUT_ATTRIBUTES = ("oiio:", "openexr:", "compression")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frame:
-    """A rectangle of code values of a frame as stored.
+    """A rectangle of a frame.
 
-    `values` has shape (rows, columns, channels), with one channel (grey or luminance) or three (R, G, B). Integers
-    are divided by full scale, 255 or 65535; floating-point values are as in the file, and finite. `first_row` and
-    `first_column` are where `values[0, 0]` lies in the frame, whose top left pixel is (0, 0). `height` and `width`
-    are the whole frame's in pixels; for an EXR the display window's.
+    `stored` has shape (rows, columns, channels), with one channel (grey or luminance) or three (R, G, B), in the
+    file's pixel type; floating-point values are finite. `first_row` and `first_column` are where `stored[0, 0]` lies
+    in the frame, whose top left pixel is (0, 0). `height` and `width` are the whole frame's in pixels; for an EXR
+    the display window's.
     """
 
-    values: NDArray[np.float32]
+    stored: NDArray[Any]
     first_row: int
     first_column: int
     height: int
     width: int
+
+    @property
+    def values(self) -> NDArray[np.float32]:
+        """Code values, of the shape of `stored`; see `code_values`."""
+        return code_values(self.stored)
+
+
+def code_values(stored: NDArray[Any]) -> NDArray[np.float32]:
+    """Code values of pixels as stored, of any shape: integers are divided by full scale, 255 or 65535."""
+    values = np.array(stored, np.float32, order="C")
+    if stored.dtype.kind == "u":
+        values /= np.iinfo(stored.dtype).max
+    return values
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,7 +115,9 @@ class FrameFile:
         try:
             str(self.path).encode()  # OpenImageIO takes no other names
             format_name = _recognise(self.path)
-            self._image: Any = oiio.ImageInput.open(str(self.path), _OPEN_OPTIONS)
+            # With options an EXR takes three times as long to open, and it has no use for them.
+            options = (_OPEN_OPTIONS,) if format_name == "png" else ()
+            self._image: Any = oiio.ImageInput.open(str(self.path), *options)
             if self._image is None or self._image.format_name() != format_name:
                 raise FrameError(self.path, f"cannot be opened: {openimageio_reason(self._image)}")
             self.header = self._read_header()
@@ -113,6 +133,11 @@ class FrameFile:
     def __exit__(self, *_: object) -> None:
         self._image.close()
 
+    @property
+    def stored_type(self) -> type[np.generic]:
+        """Type of the values of `Frame.stored`."""
+        return NUMPY_TYPES[self.header.pixel_type]
+
     def read(self, *, rows: Range | None = None, columns: Range | None = None) -> Frame:
         """Decode a rectangle, and no more than the chunks of scan lines or the tiles that it touches.
 
@@ -127,22 +152,53 @@ class FrameFile:
         FrameError
             If these pixels are damaged, or one of them is NaN or infinite.
         """
+        (top, bottom), (left, right) = self.clip(rows, columns)
         header = self.header
-        top, bottom = _clip(rows, header.first_row, header.n_rows)
-        left, right = _clip(columns, header.first_column, header.n_columns)
-        if top == bottom or left == right:
-            values = np.empty((bottom - top, right - left, len(header.channels)), np.float32)
-        else:
-            stored = self._decode(top, bottom, left, right)
-            with np.errstate(invalid="ignore"):  # a signalling NaN; refused below
-                values = np.ascontiguousarray(stored, np.float32)
-        if header.pixel_type in FULL_SCALE:
-            values /= FULL_SCALE[header.pixel_type]
-        elif not np.isfinite(values).all():
-            bad = np.argwhere(~np.isfinite(values).all(axis=2))
-            where = f"row {bad[0, 0] + top}, column {bad[0, 1] + left}"
-            raise FrameError(self.path, f"{len(bad)} pixels are NaN or infinite, the first at {where}")
-        return Frame(values, top, left, header.height, header.width)
+        shape = (bottom - top, right - left, len(header.channels))
+        stored = np.empty(shape, self.stored_type)
+        for band in self.bands(rows=rows, columns=columns):
+            stored[band.first_row - top :][: len(band.stored)] = band.stored
+        return Frame(stored, top, left, header.height, header.width)
+
+    def bands(self, *, rows: Range | None = None, columns: Range | None = None) -> Iterator[Frame]:
+        """Decode a rectangle in bands of rows from top to bottom, none of which takes much memory.
+
+        Parameters and errors are those of `read`. No chunk of scan lines is decoded twice. What is wrong with pixels
+        is raised where their band should have come.
+        """
+        (top, bottom), (left, right) = self.clip(rows, columns)
+        n_bad, first_bad = 0, ""
+        for begin, end in self._band_rows(top, bottom) if left < right else ():
+            stored = self._decode(begin, end, left, right)
+            bad = _not_finite(stored)
+            if bad is not None:
+                row, column = np.argwhere(bad)[0]
+                first_bad = first_bad or f"row {row + begin}, column {column + left}"
+                n_bad += int(np.count_nonzero(bad))
+            if not n_bad:
+                yield Frame(stored, begin, left, self.header.height, self.header.width)
+        if n_bad:
+            raise FrameError(self.path, f"{n_bad} pixels are NaN or infinite, the first at {first_bad}")
+
+    def clip(self, rows: Range | None, columns: Range | None) -> tuple[Range, Range]:
+        """Rows and columns of a rectangle that the file has pixels for."""
+        header = self.header
+        return (
+            _clip(rows, header.first_row, header.n_rows),
+            _clip(columns, header.first_column, header.n_columns),
+        )
+
+    def _band_rows(self, top: int, bottom: int) -> Iterator[Range]:
+        """Rows in bands that end where chunks or tiles do."""
+        spec = self._spec
+        per_chunk = spec.tile_height or (1 if self._image.format_name() == "png" else MOST_ROWS_PER_CHUNK)
+        per_chunk = spec.get_int_attribute("oiio:RowsPerChunk", per_chunk) or per_chunk
+        n_chunks = BAND_VALUES // (spec.width * spec.nchannels * per_chunk)
+        step, origin = max(n_chunks, 1) * per_chunk, spec.y - self._top
+        while top < bottom:
+            end = min(origin + ((top - origin) // step + 1) * step, bottom)
+            yield top, end
+            top = end
 
     def _read_header(self) -> FrameHeader:
         self._part, self._channels = self._choose_channels()
@@ -277,6 +333,17 @@ def _check_png(path: Path, file: BinaryIO, size: int) -> None:
             raise FrameError(path, "the PNG is truncated or damaged: a chunk reaches beyond the end of the file")
         if zlib.crc32(file.read(length), zlib.crc32(kind)) != int.from_bytes(file.read(4), "big"):
             raise FrameError(path, f"the PNG is damaged: chunk {kind!r} does not match its checksum")
+
+
+def _not_finite(stored: NDArray[Any]) -> NDArray[np.bool_] | None:
+    """Pixels with a NaN or an infinity, (rows, columns); None if there are none."""
+    if stored.dtype.kind == "u":
+        return None
+    if stored.dtype == np.float16:  # numpy's isfinite takes five times as long for these
+        bad = (stored.view(np.uint16) & 0x7C00) == 0x7C00
+    else:
+        bad = ~np.isfinite(stored)
+    return bad.any(axis=2) if bad.any() else None
 
 
 def _clip(wanted: Range | None, first: int, count: int) -> Range:

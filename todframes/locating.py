@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import replace
@@ -16,13 +17,18 @@ from todframes.frames import FrameFile
 from todframes.placing import to_centroid
 from todframes.readout import Stimulus
 from todframes.stimulus import ORIENTATIONS, Centre, Orientation, coverage
-from todframes.viewing import check_sha256, left_out, read_contrast
+from todframes.viewing import Patch, check_sha256, left_out, read_contrast
 
 FloatArray = NDArray[np.float64]
 Group = tuple[float | str, ...]
 
 LEAST_PEAK = 6.0
 """Height a peak of the correlation must have over its surroundings, in their standard deviations."""
+MOST_LOCATED_PX = 2**21
+"""Of a frame; of a larger one means over square blocks of pixels are looked at."""
+MOST_BLOCKS = 2**24
+LEAST_BLOCKS = 16
+"""Along a triangle's size, if they are larger than a pixel: what its edges tell of its place is lost in larger blocks."""
 
 
 class Location(NamedTuple):
@@ -88,8 +94,8 @@ def locate_triangles(
             if progress is not None:
                 progress(1)
         try:
-            if sums.means():
-                locations[group] = _locate(dataset, group, sums.means(), centre)
+            if sums.totals:
+                locations[group] = _locate(dataset, group, sums, centre)
         except DataError as error:
             if not skip_bad_frames:
                 raise
@@ -116,14 +122,17 @@ class _Sums:
     def __init__(self, dataset: Dataset) -> None:
         self.dataset = dataset
         self.shape: tuple[int, ...] | None = None
+        self.block_px = 1
         self.totals: dict[tuple[Stimulus, Orientation], FloatArray] = {}
         self.counts: Counter[tuple[Stimulus, Orientation]] = Counter()
 
     def add(self, trial: Trial) -> None:
         """Add the frames of a trial, all or none."""
-        contrasts = [self._contrast(frame) for frame in trial.frames]
+        contrasts = [self._contrast(frame, trial.stimulus) for frame in trial.frames]
         key = (trial.stimulus, trial.orientation)
-        self.totals[key] = sum(contrasts, start=self.totals.get(key, np.zeros(contrasts[0].shape)))
+        total = self.totals.setdefault(key, np.zeros(contrasts[0].shape))
+        for contrast in contrasts:
+            total += contrast
         self.counts[key] += len(contrasts)
 
     def means(self) -> Means:
@@ -133,19 +142,52 @@ class _Sums:
             means.setdefault(stimulus, {})[orientation] = total / self.counts[stimulus, orientation]
         return means
 
-    def _contrast(self, frame: FrameReference) -> FloatArray:
+    def _contrast(self, frame: FrameReference, stimulus: Stimulus) -> FloatArray:
         path = self.dataset.frame_path(frame)
         check_sha256(self.dataset, frame)
         with FrameFile(path) as file:
             patch = read_contrast(file, self.dataset.display, frame)
             header = file.header
-        if (patch.row, patch.column, *patch.contrast.shape) != (0, 0, header.height, header.width):
+        shape = patch.values.shape[:2]
+        if (patch.row, patch.column, *shape) != (0, 0, header.height, header.width):
             raise FrameError(path, "has no pixels in part of the frame; its triangle cannot be located")
-        if self.shape not in (None, patch.contrast.shape):
-            found, expected = _size(patch.contrast.shape), _size(self.shape)
+        if self.shape is None:
+            self.shape = shape
+            size_px = stimulus.size_mrad / self.dataset.display.pitch_mrad
+            self.block_px = _block_px(shape, size_px)
+            if shape[0] * shape[1] / self.block_px**2 > MOST_BLOCKS:
+                raise FrameError(
+                    path,
+                    f"{_size(shape)} pixels are too many to find a triangle of {size_px:.3g} pixels among them, "
+                    f"expected at most {MOST_BLOCKS / 1e6:.1f} million; give x_px and y_px in the manifest",
+                )
+        if self.shape != shape:
+            found, expected = _size(shape), _size(self.shape)
             raise FrameError(path, f"found {found} pixels, expected {expected} as in the group's other frames")
-        self.shape = patch.contrast.shape
-        return patch.contrast
+        return _block_means(patch, self.block_px)
+
+
+def _block_px(shape: tuple[int, ...], size_px: float) -> int:
+    """Side of the blocks of pixels that a frame is located by: one pixel, unless the frame is large."""
+    wanted = math.ceil(math.sqrt(shape[0] * shape[1] / MOST_LOCATED_PX))
+    return max(min(wanted, int(min(size_px, 1e9) / LEAST_BLOCKS)), 1)
+
+
+def _block_means(patch: Patch, block_px: int) -> FloatArray:
+    """Mean contrast of whole blocks of pixels of a whole frame."""
+    if block_px == 1 and patch.to_contrast is None:
+        return patch.values
+    n_rows, n_columns = (length // block_px for length in patch.values.shape[:2])
+    means = np.zeros((n_rows, n_columns))
+    for band in patch.bands():
+        within = band.values[: max(n_rows * block_px - band.row, 0), : n_columns * block_px]
+        if len(within) == 0:
+            continue
+        by_columns = within.reshape(len(within), n_columns, block_px).sum(axis=2)
+        block_rows = (band.row + np.arange(len(within))) // block_px
+        starts = np.flatnonzero(np.diff(block_rows, prepend=-1))
+        means[block_rows[0] : block_rows[-1] + 1] += np.add.reduceat(by_columns, starts, axis=0)
+    return means / block_px**2
 
 
 def _size(shape: tuple[int, ...]) -> str:
@@ -221,16 +263,18 @@ def _less_common(images: dict[Orientation, FloatArray]) -> dict[Orientation, Flo
     return {orientation: images[orientation] - common for orientation in ORIENTATIONS if orientation in images}
 
 
-def _locate(dataset: Dataset, group: Group, means: Means, centre: Centre) -> Location:
+def _locate(dataset: Dataset, group: Group, sums: _Sums, centre: Centre) -> Location:
     from scipy.optimize import minimize
 
-    matcher = _Matcher(means, dataset.display.pitch_mrad, centre)
+    block_px = sums.block_px
+    matcher = _Matcher(sums.means(), block_px * dataset.display.pitch_mrad, centre)
     correlation = matcher.on_whole_pixels()
     rows, columns = matcher.shape
     # The centroid is nowhere nearer to an edge than a third of the height, 0.439 sizes.
     edge = int(np.ceil(0.4386 * matcher.largest_px - 0.5))
     if 2 * edge >= min(rows, columns):
-        raise DataError(f"{dataset.path}: frames of {columns} × {rows} pixels are smaller than the triangle")
+        frames = f"frames of {columns * block_px} × {rows * block_px} pixels"
+        raise DataError(f"{dataset.path}: {frames} are smaller than the triangle")
     inside = correlation[edge : rows - edge, edge : columns - edge]
     row, column = np.unravel_index(inside.argmax(), inside.shape)
     spread = 1.4826 * float(np.median(np.abs(inside - np.median(inside))))
@@ -252,4 +296,6 @@ def _locate(dataset: Dataset, group: Group, means: Means, centre: Centre) -> Loc
         },
     )
     x, y = (float(value) for value in found.x)
-    return Location(group, x, y, matcher.standard_error_px(x, y))
+    # From blocks, which count from the middle of the first one, to pixels.
+    x_px, y_px = (block_px * place + (block_px - 1) / 2.0 for place in (x, y))
+    return Location(group, x_px, y_px, block_px * matcher.standard_error_px(x, y))

@@ -15,16 +15,20 @@ from numpy.typing import NDArray
 from todframes.crossing import find_crossing
 from todframes.errors import SettingsError
 from todframes.readout import Observer, Readout, Stimulus
-from todframes.stimulus import ORIENTATIONS, coverage
+from todframes.stimulus import HEIGHT_PER_SIZE, ORIENTATIONS, coverage
 
 FloatArray = NDArray[np.float64]
 
 NODES = (6, 8, 12, 16, 24, 32, 48)
 """Gauss–Legendre displacements along each axis: more and more, until the threshold moves no further."""
+FEW_NODES, FEW_NODES_FROM_SAMPLES = (3, 4), 200.0
+"""Tried first for triangles of this size, which half a sample's displacement hardly changes."""
 TOLERANCE = 2e-4
 """Relative change of a threshold that ends this."""
 CONTRAST_RANGE = (1e-12, 1e12)
+"""Contrasts that are searched, and that an acuity may be asked for."""
 SIZE_RANGE_SAMPLES = (1e-2, 1e3)
+"""Sizes that are searched; larger ones are refused."""
 
 
 class Threshold(NamedTuple):
@@ -73,7 +77,8 @@ def contrast_threshold(observer: Observer, *, size_mrad: float, p_correct: float
         response = _responses(observer, size_mrad, nodes)
         return _crossing(lambda contrast: _proportion_correct(contrast, *response), p_correct, CONTRAST_RANGE, 1.0)
 
-    return _refined(threshold)
+    size_samples = _size_samples(observer, size_mrad)
+    return _refined(threshold, NODES if size_samples < FEW_NODES_FROM_SAMPLES else FEW_NODES + NODES)
 
 
 def acuity(observer: Observer, *, contrast: float = 1.0, p_correct: float = 0.75) -> Threshold:
@@ -116,23 +121,26 @@ def _refined(threshold: Callable[[int], Threshold], nodes_to_try: Sequence[int] 
 
 def _responses(observer: Observer, size_mrad: float, nodes: int) -> tuple[Readout, FloatArray, FloatArray]:
     """Readout, score deviations at contrast 1, shape (orientation, node, 4), and the nodes' weights."""
-    if not (math.isfinite(size_mrad) and size_mrad > 0):
-        raise SettingsError(f"size_mrad: found {size_mrad!r}, expected a finite number > 0")
+    _size_samples(observer, size_mrad)
     readout = observer.readout(Stimulus(size_mrad))
     if readout is None:
         raise SettingsError("observer: it is not linear; its naked-eye threshold cannot be computed")
     side, pitch = readout.grid.side, readout.grid.pitch_mrad
     jitter = observer.position_jitter_samples
     places, weights = np.polynomial.legendre.leggauss(nodes if jitter > 0 else 1)
+    # The triangle covers a fraction of the grid; its apex is farthest from its middle.
+    reach = 2.0 / 3.0 * HEIGHT_PER_SIZE * size_mrad / pitch + jitter
+    half_width = math.ceil(min(reach + 1.0, side // 2))
+    seen = readout.cropped(half_width)
     deviations = [
         [
-            readout.score_deviations(
+            seen.score_deviations(
                 np.ascontiguousarray(
                     coverage(
-                        (side, side),
+                        (seen.grid.side, seen.grid.side),
                         size_px=size_mrad / pitch,
-                        x_px=side // 2 + jitter * dx,
-                        y_px=side // 2 + jitter * dy,
+                        x_px=half_width + jitter * dx,
+                        y_px=half_width + jitter * dy,
                         orientation=orientation,
                         centre=observer.centre,
                     )
@@ -146,9 +154,23 @@ def _responses(observer: Observer, size_mrad: float, nodes: int) -> tuple[Readou
     return readout, np.array(deviations), np.outer(weights, weights).ravel() / 4.0
 
 
+def _size_samples(observer: Observer, size_mrad: float) -> float:
+    """Size in retina samples; SettingsError if it is no such thing, or takes minutes and gigabytes."""
+    if not (math.isfinite(size_mrad) and size_mrad > 0):
+        raise SettingsError(f"size_mrad: found {size_mrad!r}, expected a finite number > 0")
+    pitch = observer.grid(Stimulus(1.0)).pitch_mrad
+    most = SIZE_RANGE_SAMPLES[1]
+    if size_mrad / pitch > most * (1.0 + 1e-9):
+        raise SettingsError(
+            f"size_mrad: found {size_mrad:g}, {size_mrad / pitch:.6g} samples of the retina, expected at most "
+            f"{most * pitch:g}, {most:g} samples, which take half a minute"
+        )
+    return size_mrad / pitch
+
+
 def _proportion_correct(contrast: float, readout: Readout, deviations: FloatArray, weights: FloatArray) -> float:
-    if not (math.isfinite(contrast) and contrast > 0):
-        raise SettingsError(f"contrast: found {contrast!r}, expected a finite number > 0")
+    if not 0 < contrast <= CONTRAST_RANGE[1] * 1.000001:  # where the search for one ends, rounding included
+        raise SettingsError(f"contrast: found {contrast!r}, expected a number > 0 and <= {CONTRAST_RANGE[1]:g}")
     answers = readout.answer_probabilities(contrast * deviations)
     correct = np.stack([answers[k, :, k] for k in range(4)])
     return float((correct @ weights).mean())

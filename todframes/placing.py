@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -84,6 +85,33 @@ def to_centroid(
     """(x, y) of the centroid of a trial's triangle whose `centre` lies at (x_px, y_px)."""
     dx, dy = _from_centroid(trial, centre, pixel_pitch_mrad)
     return x_px - dx, y_px - dy
+
+
+def check_places(dataset: Dataset, trials: Sequence[Trial], centre: Centre) -> None:
+    """Check what takes little time, before anything large is computed.
+
+    Every file is looked for, and of each stimulus the first frame's header is read.
+
+    Raises
+    ------
+    FrameError
+        If a file is missing, or the triangle does not lie on its frame.
+    """
+    for trial in trials:
+        for frame in trial.frames:
+            path = f"{dataset.path}{os.sep}{frame.path}"
+            if not os.path.exists(path):
+                raise FrameError(path, "cannot be opened: No such file or directory")
+    of_stimulus = {trial.stimulus: trial for trial in reversed(trials)}
+    for trial in sorted(of_stimulus.values(), key=lambda trial: trial.number):
+        check_place(dataset, trial, centre)
+
+
+def check_place(dataset: Dataset, trial: Trial, centre: Centre) -> None:
+    """Raise FrameError if the triangle of a trial does not lie on its first frame, whose header alone is read."""
+    with FrameFile(dataset.frame_path(trial.frames[0])) as file:
+        x, y = centroid_position(trial, file.header, centre, dataset.display.pitch_mrad)
+        check_on_frame(file.path, trial, file.header, x, y, dataset.display.pitch_mrad)
 
 
 def _from_centroid(trial: Trial, centre: Centre, pixel_pitch_mrad: float) -> tuple[float, float]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -14,6 +15,9 @@ if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
 FloatArray = NDArray[np.float64]
+
+MOST_DENSE = 2**13
+"""Values of an overlap matrix that is not kept sparse."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,9 +78,7 @@ def overlap_matrix(
     """
     from scipy.sparse import csr_array
 
-    samples_per_pixel = pixel_pitch_mrad / grid.pitch_mrad
-    # In retina samples, the outer edge of the first sample at 0.
-    pixel_edges = (first_pixel - 0.5 - centre_px + np.arange(n_pixels + 1)) * samples_per_pixel + grid.side / 2.0
+    pixel_edges = _pixel_edges(grid, centre_px, pixel_pitch_mrad, first_pixel, n_pixels)
     inner = pixel_edges[(pixel_edges > 0.0) & (pixel_edges < grid.side)]
     edges = np.sort(np.concatenate([np.arange(grid.side + 1.0), inner]))
     length = np.diff(edges)
@@ -86,6 +88,25 @@ def overlap_matrix(
     inside = (pixel >= 0) & (pixel < n_pixels) & (length > 0.0)
     row_start = np.searchsorted(sample[inside], np.arange(grid.side + 1))
     return csr_array((length[inside], pixel[inside], row_start), shape=(grid.side, n_pixels))
+
+
+def _dense_overlap(
+    grid: RetinaGrid, *, centre_px: float, pixel_pitch_mrad: float, first_pixel: int, n_pixels: int
+) -> FloatArray:
+    """The values of `overlap_matrix`, found and multiplied in half the time where there are few."""
+    pixel_edges = _pixel_edges(grid, centre_px, pixel_pitch_mrad, first_pixel, n_pixels)
+    sample_edges = np.arange(grid.side + 1.0)[:, None]
+    overlap = np.minimum(sample_edges[1:], pixel_edges[1:])
+    overlap -= np.maximum(sample_edges[:-1], pixel_edges[:-1])
+    return np.maximum(overlap, 0.0, out=overlap)
+
+
+def _pixel_edges(
+    grid: RetinaGrid, centre_px: float, pixel_pitch_mrad: float, first_pixel: int, n_pixels: int
+) -> FloatArray:
+    """Boundaries of display pixels in retina samples, the outer edge of the first sample at 0: (n_pixels + 1,)."""
+    samples_per_pixel = pixel_pitch_mrad / grid.pitch_mrad
+    return (first_pixel - 0.5 - centre_px + np.arange(n_pixels + 1)) * samples_per_pixel + grid.side / 2.0
 
 
 def resample(
@@ -116,21 +137,45 @@ def resample(
 
     Hogervorst et al. 2001, section 4.1.
     """
-    rows = overlap_matrix(
+    image = np.zeros((grid.side, grid.side))
+    add_resampled(
+        image,
+        contrast,
         grid,
-        centre_px=y_px,
+        x_px=x_px,
+        y_px=y_px,
         pixel_pitch_mrad=pixel_pitch_mrad,
-        first_pixel=first_row,
-        n_pixels=contrast.shape[0],
+        first_row=first_row,
+        first_column=first_column,
     )
-    columns = overlap_matrix(
-        grid,
-        centre_px=x_px,
-        pixel_pitch_mrad=pixel_pitch_mrad,
-        first_pixel=first_column,
-        n_pixels=contrast.shape[1],
+    return image
+
+
+def add_resampled(
+    image: FloatArray,
+    contrast: FloatArray,
+    grid: RetinaGrid,
+    *,
+    x_px: float,
+    y_px: float,
+    pixel_pitch_mrad: float,
+    first_row: int,
+    first_column: int,
+) -> None:
+    """Add what a part of a frame contributes to a retina image, shape (side, side); parameters as for `resample`."""
+    n_rows, n_columns = contrast.shape
+    if not (n_rows and n_columns):
+        return
+    overlap = _dense_overlap if grid.side * max(n_rows, n_columns) <= MOST_DENSE else overlap_matrix
+    rows = overlap(grid, centre_px=y_px, pixel_pitch_mrad=pixel_pitch_mrad, first_pixel=first_row, n_pixels=n_rows)
+    columns = overlap(
+        grid, centre_px=x_px, pixel_pitch_mrad=pixel_pitch_mrad, first_pixel=first_column, n_pixels=n_columns
     )
-    return np.asarray(rows @ (columns @ contrast.T).T)
+    # Of a band of rows only the samples that it touches.
+    edges = _pixel_edges(grid, y_px, pixel_pitch_mrad, first_row, n_rows)
+    top, bottom = max(math.floor(edges[0]), 0), min(math.ceil(edges[-1]), grid.side)
+    if top < bottom:
+        image[top:bottom] += (columns @ (rows[top:bottom] @ contrast).T).T
 
 
 def gaussian_blur(image: FloatArray, sigma: float) -> FloatArray:

@@ -11,12 +11,14 @@ import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
+from itertools import islice
 
 import numpy as np
 from numpy.typing import NDArray
 
 from todframes.dataset import Dataset, Trial
 from todframes.errors import FrameError, SettingsError
+from todframes.placing import check_place
 from todframes.planning import LEFT_OUT_SHARE, SAFETY, PlanName, Step, decision_change
 from todframes.readout import LeftOut, Observer, Readout, Stimulus, Thrifty
 from todframes.retina import RetinaGrid
@@ -30,6 +32,8 @@ SLOPE = 0.5
 """dP / d ln level of a psychometric function at its threshold, about."""
 MOST_TRIED, ONE_TRIED_OF = 4, 40
 """Trials of each stimulus that are read wide, besides those nearest to the edges."""
+MOST_BAD = 100
+"""Frames that cannot be used, after which a stimulus is planned without any: nothing is left out."""
 OUTWARDS = np.array([[1.0, 1.0, 1.0, 0.0, 0.0, -1.0, -1.0, -1.0], [1.0, 0.0, -1.0, 1.0, -1.0, 1.0, 0.0, -1.0]])
 """Directions from the middle of a frame."""
 
@@ -120,6 +124,9 @@ def _weigh(dataset: Dataset, trials: Sequence[Trial], observer: Observer, budget
     """Plan one stimulus, whose trials are in the order of their level; some are looked at."""
     stimulus = trials[0].stimulus
     tried = _tried(trials, observer, dataset.display.pitch_mrad)
+    first = islice(dict.fromkeys((*tried, *trials)), MOST_BAD)
+    if not any(_has_place(dataset, trial, observer) for trial in first):
+        return _Weighed(StimulusPlan())  # met again, and told, when it is scored; its readout may be huge
     try:
         missing = observer.left_out(stimulus) if isinstance(observer, Thrifty) else None
         widest = missing.grid if missing is not None else observer.grid(stimulus)
@@ -131,7 +138,7 @@ def _weigh(dataset: Dataset, trials: Sequence[Trial], observer: Observer, budget
     shown: list[Shown] = []
     n_read = 0
     # Frames that cannot be read are met again, too; others take their places.
-    for trial in dict.fromkeys((*tried, *trials)):
+    for trial in islice(dict.fromkeys((*tried, *trials)), len(tried) + MOST_BAD):
         with suppress(FrameError):
             shown += read(dataset, trial, observer, lambda: widest, displaced_mrad / widest.pitch_mrad)
             n_read += 1
@@ -163,6 +170,15 @@ def _weigh(dataset: Dataset, trials: Sequence[Trial], observer: Observer, budget
         rows=min(kept * readout.grid.pitch_mrad / dataset.display.pitch_mrad / frame.frame_rows, 1.0),
         retina=(kept / readout.grid.side) ** 2,
     )
+
+
+def _has_place(dataset: Dataset, trial: Trial, observer: Observer) -> bool:
+    """Whether a trial's triangle lies on its first frame."""
+    try:
+        check_place(dataset, trial, observer.centre)
+    except FrameError:
+        return False
+    return True
 
 
 def _tried(trials: Sequence[Trial], observer: Observer, pitch_mrad: float) -> list[Trial]:

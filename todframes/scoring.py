@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from todframes.dataset import Dataset, Skipped, Trial
 from todframes.errors import DataError, SettingsError
+from todframes.placing import check_places
 from todframes.planning import PlanName, Step
 from todframes.psychometric import FitSettings, PsychometricFit, fit_trials
 from todframes.readout import Observer, Stimulus
@@ -130,6 +131,8 @@ def score_dataset(
         If decisions are "expected" and the observer is not linear, or there is a tolerance and they are not.
     """
     whole, skipped = usable_trials(dataset, skip_bad_frames=skip_bad_frames)
+    if not skip_bad_frames:
+        check_places(dataset, whole, observer.centre)
     if tolerance is not None and not (tolerance > 0.0 and decisions == "expected"):
         raise SettingsError(
             f"tolerance: found {tolerance!r} with {decisions} decisions, expected > 0 and expected"

@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from typing import NamedTuple
+from functools import partial
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from todframes.dataset import Dataset, FrameReference, Skipped, Trial
-from todframes.display import BackgroundRule, Display, border_mean, weber_contrast
+from todframes.display import BackgroundRule, Display, border_values, weber_contrast
 from todframes.errors import DataError, FrameError
-from todframes.frames import FrameFile, frame_sha256, read_frame
+from todframes.frames import BAND_VALUES, FrameFile, code_values, frame_sha256
 from todframes.placing import centroid_position, check_on_frame, place_grid
 from todframes.readout import Observer
-from todframes.retina import RetinaGrid, resample
+from todframes.retina import RetinaGrid, add_resampled
 
 FloatArray = NDArray[np.float64]
+
+MOST_HELD_PX = 2**20
+"""Of a patch that is held as contrast, eight bytes a pixel."""
 
 
 class View(NamedTuple):
@@ -31,12 +35,27 @@ class View(NamedTuple):
 
 
 class Patch(NamedTuple):
-    """Contrast of a rectangle of a frame; `row` and `column` are where its first pixel lies in the frame."""
+    """A rectangle of a frame, as contrast or as what contrast is made of.
 
-    contrast: FloatArray
+    `row` and `column` are where its first pixel lies in the frame. A large rectangle is held as it is stored, one to
+    four bytes a value instead of eight; `to_contrast` turns a part of it, whole rows, into contrast.
+    """
+
+    values: NDArray[Any]
     row: int
     column: int
     n_negative: int
+    to_contrast: Callable[[NDArray[Any]], FloatArray] | None = None
+
+    def bands(self) -> Iterator[Patch]:
+        """The same in bands of rows, each as contrast."""
+        if self.to_contrast is None:
+            yield self
+            return
+        n_rows = max(BAND_VALUES // max(self.values[:1].size, 1), 1)
+        for begin in range(0, len(self.values), n_rows):
+            contrast = self.to_contrast(self.values[begin : begin + n_rows])
+            yield Patch(contrast, self.row + begin, self.column, 0)
 
 
 class Shown(NamedTuple):
@@ -115,19 +134,22 @@ def retina_image(
 ) -> FloatArray:
     """Mean contrast of a trial's frames on a retina grid, displaced along x and y: (side, side)."""
     dx, dy = (d * grid.pitch_mrad / shown.pixel_pitch_mrad for d in displacement_samples)
-    images = [
-        resample(
-            patch.contrast,
-            grid,
-            x_px=x + dx,
-            y_px=y + dy,
-            pixel_pitch_mrad=shown.pixel_pitch_mrad,
-            first_row=patch.row,
-            first_column=patch.column,
-        )
-        for patch, x, y in zip(shown.patches, shown.x_px, shown.y_px, strict=True)
-    ]
-    return images[0] if len(images) == 1 else np.asarray(sum(images) / len(images))
+    image = np.zeros((grid.side, grid.side))
+    for patch, x, y in zip(shown.patches, shown.x_px, shown.y_px, strict=True):
+        for band in patch.bands():
+            add_resampled(
+                image,
+                band.values,
+                grid,
+                x_px=x + dx,
+                y_px=y + dy,
+                pixel_pitch_mrad=shown.pixel_pitch_mrad,
+                first_row=band.row,
+                first_column=band.column,
+            )
+    if len(shown.patches) > 1:
+        image /= len(shown.patches)
+    return image
 
 
 def view_trial(
@@ -177,10 +199,13 @@ def read_contrast(
     frame: FrameReference,
     rows: tuple[int, int] | None = None,
     columns: tuple[int, int] | None = None,
+    *,
+    every_pixel: bool = False,
 ) -> Patch:
     """Contrast of a range of rows and columns of an open frame, all of them by default.
 
-    Only the rows asked for are decoded, unless the background is a mean over the frame.
+    Only the rows asked for are decoded, unless the background is a mean over the frame or `every_pixel` is to be
+    looked at. Pixels are decoded once, in bands of rows; only those asked for stay in memory.
 
     Raises
     ------
@@ -188,15 +213,65 @@ def read_contrast(
         If the pixels cannot be read or their luminance or the background is not usable.
     """
     rule = display.background_luminance_cd_m2
-    whole = rule in ("border", "frame_mean")
-    part = file.read() if whole else file.read(rows=rows, columns=columns)
+    whole = every_pixel or rule in ("border", "frame_mean")
+    (top, bottom), (left, right) = file.clip(rows, columns)
+    (first_row, stop_row), (first_column, _) = file.clip(None, None)
+    is_small = (bottom - top) * (right - left) <= MOST_HELD_PX
+    kept: NDArray[Any] = (
+        np.empty((bottom - top, right - left))
+        if is_small
+        else np.empty((bottom - top, right - left, len(file.header.channels)), file.stored_type)
+    )
+    found = _Luminance()
     try:
-        luminance = display.luminance(part.values)
-        contrast = finite_contrast(luminance, _background(rule, luminance, frame))
+        for band in file.bands() if whole else file.bands(rows=rows, columns=columns):
+            luminance = display.luminance(band.values)
+            begin, end = band.first_row, band.first_row + len(luminance)
+            averaged = luminance
+            if rule == "border":
+                averaged = border_values(luminance, top=begin == first_row, bottom=end == stop_row)
+            found.add(luminance, averaged)
+            if begin < bottom and end > top:
+                part = (luminance if is_small else band.stored)[max(top - begin, 0) : bottom - begin]
+                kept[max(begin - top, 0) : end - top] = part[:, left - band.first_column :][:, : right - left]
+        background = _background(rule, found, frame)
+        finite_contrast(np.array([found.largest]), background)
     except DataError as error:
         raise FrameError(file.path, str(error)) from None
-    n_negative = int(np.count_nonzero(luminance < 0.0))
-    return Patch(contrast, part.first_row, part.first_column, n_negative)
+    if is_small:
+        return Patch(weber_contrast(kept, background), top, left, found.n_negative)
+    return Patch(kept, top, left, found.n_negative, partial(_contrast, display, background))
+
+
+class _Luminance:
+    """What is found out about the luminance of a frame, band by band."""
+
+    def __init__(self) -> None:
+        self.n_negative = 0
+        self.largest = 0.0
+        self.sum = 0.0
+        self.n_averaged = 0
+
+    def add(self, luminance: FloatArray, averaged: FloatArray) -> None:
+        """Add a band, and those of its pixels whose mean may be the background."""
+        lowest = float(luminance.min())
+        self.largest = max(self.largest, -lowest, float(luminance.max()))
+        if lowest < 0.0:
+            self.n_negative += int(np.count_nonzero(luminance < 0.0))
+        self.sum += float(averaged.sum())
+        self.n_averaged += averaged.size
+
+
+def _background(rule: float | BackgroundRule, found: _Luminance, frame: FrameReference) -> float:
+    if rule == "column":
+        assert frame.background_luminance_cd_m2 is not None  # the manifest was checked for it
+        return frame.background_luminance_cd_m2
+    return found.sum / found.n_averaged if isinstance(rule, str) else rule
+
+
+def _contrast(display: Display, background_luminance_cd_m2: float, stored: NDArray[Any]) -> FloatArray:
+    """Contrast of pixels as stored."""
+    return weber_contrast(display.luminance(code_values(stored)), background_luminance_cd_m2)
 
 
 def finite_contrast(luminance: FloatArray, background_luminance_cd_m2: float) -> FloatArray:
@@ -206,17 +281,6 @@ def finite_contrast(luminance: FloatArray, background_luminance_cd_m2: float) ->
     if not np.isfinite(contrast).all():
         raise DataError("the contrast is beyond all numbers; expected luminances nearer to the background's")
     return contrast
-
-
-def _background(rule: float | BackgroundRule, luminance: FloatArray, frame: FrameReference) -> float:
-    if rule == "border":
-        return border_mean(luminance)
-    if rule == "frame_mean":
-        return float(luminance.mean())
-    if rule == "column":
-        assert frame.background_luminance_cd_m2 is not None  # the manifest was checked for it
-        return frame.background_luminance_cd_m2
-    return rule
 
 
 def frame_problems(dataset: Dataset, trial: Trial) -> Iterator[FrameError]:
@@ -229,8 +293,10 @@ def frame_problems(dataset: Dataset, trial: Trial) -> Iterator[FrameError]:
                 pitch_mrad = dataset.display.pitch_mrad
                 x, y = centroid_position(trial, file.header, "centroid", pitch_mrad)
                 check_on_frame(path, trial, file.header, x, y, pitch_mrad)
-                read_contrast(file, dataset.display, frame)
+                read_contrast(file, dataset.display, frame, (0, 0), every_pixel=True)
             if (reference := dataset.reference_path(frame)) is not None:
-                read_frame(reference)
+                with FrameFile(reference) as file:
+                    for _ in file.bands():
+                        pass
         except FrameError as error:
             yield error
