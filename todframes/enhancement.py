@@ -184,7 +184,9 @@ class Enhancement:
         try:
             with np.errstate(all="ignore"):  # what comes of it is looked at below
                 found = self.function(given, **self.values)
-        except (Exception, SystemExit) as error:  # or sys.exit would end the comparison without a word
+        except SystemExit:
+            raise DataError(f"{self.spec}: called sys.exit, expected it to return an image") from None
+        except Exception as error:
             reason = " ".join(str(error).split())
             raise DataError(f"{self.spec}: {type(error).__name__}: {reason}") from None
         cpu_s = time.thread_time() - started
