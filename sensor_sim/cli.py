@@ -59,7 +59,7 @@ def cli() -> None:
 @click.option("-o", "--out", required=True, metavar="DATASET", help="Folder to make.")
 @click.option("--format", "frame_format", type=click.Choice(["exr", "png"]), default="exr", show_default=True)
 @click.option("--allow-clipping", is_flag=True, help="Let PNG clip more than 1 % of the pixels.")
-@click.option("--overwrite", is_flag=True, help="Replace DATASET if it is there.")
+@click.option("--overwrite", is_flag=True, help="Replace DATASET if simulate wrote all that is in it.")
 @click.option("--stages", is_flag=True, help="Also write the stages of the first trial as pictures.")
 @click.option("--workers", type=click.IntRange(1), default=1, show_default=True, help="Threads that draw frames.")
 @click.option("--quiet", is_flag=True, help="No progress and no remarks on standard error.")

@@ -1165,6 +1165,21 @@ def test_disk_full(make_dataset, fails, tmp_path, monkeypatch):
           status=BAD_SETTINGS, wanted=(re.escape(str(tmp_path / "out")), "No space left"))  # fmt: skip
 
 
+def test_an_interruption_says_that_results_were_written(make_dataset, todframes, tmp_path, monkeypatch):
+    """As where Ctrl-C comes while the table is printed; of the run after it nothing was written."""
+
+    def interrupted(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(cli, "print_result", interrupted)
+    out, dataset = tmp_path / "out", make_dataset()
+    status, _, errors = todframes("score", dataset.path, "-o", out)
+    assert (status, errors) == (INTERRUPTED, [f"error: interrupted, but {out} was written before"])
+    assert (out / "result.json").is_file()
+    status, _, errors = todframes("score", dataset.path)
+    assert (status, errors) == (INTERRUPTED, ["error: interrupted, nothing was written"])
+
+
 def test_old_results_stay_when_a_run_fails(make_dataset, todframes, tmp_path):
     out, dataset = tmp_path / "out", make_dataset()
     assert todframes("score", dataset.path, "-o", out)[0] == 0

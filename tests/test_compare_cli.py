@@ -124,6 +124,14 @@ def test_json(todframes, dataset: Path) -> None:
     assert result["run_time_s"] > 0.0
 
 
+@pytest.mark.parametrize("workers", ["1", "2"])
+def test_a_function_that_calls_sys_exit(todframes, dataset: Path, here: Path, workers: str) -> None:
+    (here / "my_algorithms.py").write_text("import sys\ndef leave(image):\n    sys.exit(0)\n", encoding="utf-8")
+    status, out, err = todframes("compare", dataset, "--enhance", "my_algorithms:leave", "--workers", workers)
+    assert (status, out) == (1, "")
+    assert len(err.splitlines()) == 1 and "my_algorithms:leave: called sys.exit" in err
+
+
 def test_output_folder(todframes, dataset: Path, here: Path) -> None:
     status, out, _ = todframes("compare", dataset, *SPECS, "-o", "result", "--json")
     assert status == 0

@@ -458,6 +458,29 @@ def test_a_link_to_another_disk(tmp_path: Path, other_disk: Path) -> None:
     assert names(other_disk) == names(tmp_path) == {"dataset", "results"}
 
 
+def test_a_mount_point(tmp_path: Path) -> None:
+    """It is filled, on the same disk too, and a dataset there cannot be swapped: that is found before the work."""
+    (tmp_path / "real").mkdir()
+    (tmp_path / "out").mkdir()
+    mounted = ("unshare", "--mount", "sh", "-c", 'mount --bind real out && exec "$@"', "sh")
+    script = "from todframes.output import new_folder\nwith new_folder('out', overwrite=True) as folder: "
+    script += "print('begun'); (folder / 'dataset.toml').touch()"
+    try:
+        subprocess.run([*mounted, "true"], cwd=tmp_path, check=True, capture_output=True)
+    except (OSError, subprocess.CalledProcessError):
+        pytest.skip("nothing can be mounted here")
+    first, second = (
+        subprocess.run(
+            [*mounted, sys.executable, "-c", script], cwd=tmp_path, capture_output=True, text=True, check=False
+        )
+        for _ in range(2)
+    )
+    assert (first.returncode, first.stdout) == (0, "begun\n"), first.stderr
+    assert (second.returncode, second.stdout) == (1, "")
+    assert "out: cannot be replaced in one step (Device or resource busy)" in second.stderr
+    assert names(tmp_path / "real") == {MARK, "dataset.toml"}
+
+
 @contextmanager
 def read_only(folder: Path) -> Iterator[None]:
     folder.chmod(0o555)

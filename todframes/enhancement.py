@@ -185,7 +185,9 @@ class Enhancement:
         try:
             with np.errstate(all="ignore"):  # what comes of it is looked at below
                 found = self.function(given, **self.values)
-        except (Exception, SystemExit) as error:
+        except SystemExit:
+            raise DataError(f"{self.spec}: called sys.exit, expected it to return an image") from None
+        except Exception as error:
             raise DataError(f"{self.spec}: {in_words(error)}") from None
         cpu_s = time.thread_time() - started
         sides = [self.magnification * side for side in image.shape[:2]]

@@ -276,13 +276,16 @@ def _is_locked_by(lock: int, folder: Path) -> bool:
 
 def _release(folder: Path, lock: int | None) -> None:
     """Remove a staging folder, the lock last."""
+    ours = lock is None or _is_locked_by(lock, folder)
     with suppress(OSError):  # the next run removes it
-        if lock is None or _is_locked_by(lock, folder):
+        if ours:
             _clear(folder)
             (folder / LOCK).unlink()
-            folder.rmdir()
     if lock is not None:
         os.close(lock)
+    with suppress(OSError):
+        if ours:
+            folder.rmdir()  # on NFS an open file that was removed stays until it is closed
 
 
 def _clear(folder: Path) -> None:
