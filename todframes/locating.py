@@ -27,8 +27,9 @@ LEAST_PEAK = 6.0
 MOST_LOCATED_PX = 2**21
 """Of a frame; of a larger one means over square blocks of pixels are looked at."""
 MOST_BLOCKS = 2**24
+"""Of a frame; more would fill the memory."""
 LEAST_BLOCKS = 16
-"""Along a triangle's size, if they are larger than a pixel: what its edges tell of its place is lost in larger blocks."""
+"""Along a triangle's size, unless they are single pixels: larger ones lose what its edges tell of its place."""
 
 
 class Location(NamedTuple):

@@ -37,8 +37,8 @@ class View(NamedTuple):
 class Patch(NamedTuple):
     """A rectangle of a frame, as contrast or as what contrast is made of.
 
-    `row` and `column` are where its first pixel lies in the frame. A large rectangle is held as it is stored, one to
-    four bytes a value instead of eight; `to_contrast` turns a part of it, whole rows, into contrast.
+    `row` and `column` are where its first pixel lies in the frame. A large rectangle is held as it is stored, one
+    to four bytes a value instead of eight; `to_contrast` turns a part of it, whole rows, into contrast.
     """
 
     values: NDArray[Any]
@@ -215,7 +215,7 @@ def read_contrast(
     rule = display.background_luminance_cd_m2
     whole = every_pixel or rule in ("border", "frame_mean")
     (top, bottom), (left, right) = file.clip(rows, columns)
-    (first_row, stop_row), (first_column, _) = file.clip(None, None)
+    (first_row, stop_row), _ = file.clip(None, None)
     is_small = (bottom - top) * (right - left) <= MOST_HELD_PX
     kept: NDArray[Any] = (
         np.empty((bottom - top, right - left))
