@@ -135,7 +135,8 @@ class FrameFile:
     @property
     def stored_type(self) -> np.dtype[Any]:
         """Type of the values of `Frame.stored`."""
-        return np.dtype(NUMPY_TYPES[self.header.pixel_type])
+        stored_type: np.dtype[Any] = np.dtype(NUMPY_TYPES[self.header.pixel_type])
+        return stored_type
 
     def read(self, *, rows: Range | None = None, columns: Range | None = None) -> Frame:
         """Decode a rectangle, and no more than the chunks of scan lines or the tiles that it touches.
