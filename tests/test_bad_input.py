@@ -982,6 +982,7 @@ USAGES = {
     "contrast zero": ("naked-eye --contrast 0", ("contrast", "0", "> 0")),
     "contrast negative": ("naked-eye --contrast -1", ("contrast", "-1", "> 0")),
     "contrast nan": ("naked-eye --contrast nan", ("contrast", "nan", "> 0")),
+    "contrast huge": ("naked-eye --contrast 1e160", ("contrast", r"1e\+160", "at most 1e12")),
     "contrast infinite": ("naked-eye --contrast inf", ("contrast", "inf", "finite")),
     "sizes text": ("naked-eye --size-mrad 1,two", ("--size-mrad", "1,two", "commas")),
     "sizes with semicolon": ("naked-eye --size-mrad 1;2", ("--size-mrad", "1;2", "commas")),

@@ -176,3 +176,17 @@ def test_contrast_is_signed() -> None:
 def test_bad_background(background: float) -> None:
     with pytest.raises(DataError, match="background luminance is"):
         weber_contrast(np.ones(3), background)
+
+
+@pytest.mark.parametrize(
+    "geometry",
+    [
+        {"pixel_pitch_mrad": 1e308},
+        {"pixel_pitch_mrad": 1e-300},
+        {"pixel_pitch_mm": 1e-300, "viewing_distance_mm": 1e300},
+        {"pixel_pitch_mm": 1e-300, "viewing_distance_mm": 1e300, "pixel_pitch_mrad": 1e-300},
+    ],
+)
+def test_a_pitch_beyond_reason_is_refused(geometry) -> None:
+    with pytest.raises(SettingsError, match="pixel_pitch_m"):
+        Display(eotf="linear", background_luminance_cd_m2=50.0, **geometry)

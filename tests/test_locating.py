@@ -101,3 +101,15 @@ def test_frames_of_different_sizes(make_dataset) -> None:
     write_frame(made.frame(3), np.full((60, 64), 50.0))
     with pytest.raises(DataError, match=r"found 64 × 60 pixels, expected 64 × 64"):
         locate_triangles(load_dataset(made.path))
+
+
+@pytest.mark.parametrize(("size_mrad", "wanted"), [(0.1, "no triangle stands out"), (0.5, "smaller than the")])
+def test_frames_of_one_pixel_are_refused(make_dataset, size_mrad: float, wanted: str) -> None:
+    """All orientations are alike on one pixel; warnings are errors here."""
+    made = make_dataset(contrasts=(0.5,))
+    for number, row in enumerate(made.rows):
+        row["size_mrad"] = str(size_mrad)
+        write_frame(made.frame(number), np.full((1, 1), 50.0 + number))
+    made.save()
+    with pytest.raises(DataError, match=wanted):
+        locate_triangles(load_dataset(made.path))

@@ -252,7 +252,7 @@ class ProblemLines:
         self._alike: dict[str, tuple[str, int]] = {}
 
     def add(self, problem: str, *, kind: str | None = None) -> None:
-        """Tell a problem; those are alike whose `kind`, by default the problem itself, differs in numbers alone."""
+        """Tell a problem. Alike are those whose `kind`, by default the problem, differs in numbers alone."""
         self.count += 1
         kind = re.sub(r"\b[0-9a-f]{64}\b|[0-9][0-9.]*", "#", problem if kind is None else kind)
         first, count = self._alike.get(kind, (problem, 0))

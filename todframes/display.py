@@ -144,12 +144,9 @@ class Display:
                     f"pixel_pitch_mrad: found {self.pixel_pitch_mrad:g}, but pixel_pitch_mm and "
                     f"viewing_distance_mm give {other:g}; expected one of the two or equal values"
                 )
-
         low, high = PITCH_RANGE_MRAD
         if not low <= self.pitch_mrad <= high:
-            name = (
-                "pixel_pitch_mrad" if self.pixel_pitch_mrad is not None else "pixel_pitch_mm, viewing_distance_mm"
-            )
+            name = "pixel_pitch_mm" if self.pixel_pitch_mrad is None else "pixel_pitch_mrad"
             raise SettingsError(f"{name}: found a pitch of {self.pitch_mrad:g} mrad, expected {low:g} to {high:g}")
 
     def _pitch_from_lengths(self) -> float:

@@ -38,7 +38,7 @@ oiio.attribute("limits:imagesize_MB", MAX_DECODED_MB)
 
 _OPEN_OPTIONS = oiio.ImageSpec()
 _OPEN_OPTIONS.attribute("oiio:UnassociatedAlpha", 1)  # or OpenImageIO multiplies PNG colours by alpha
-NUMPY_TYPES: dict[PixelType, type[np.generic]] = {
+NUMPY_TYPES: dict[PixelType, Any] = {
     "half": np.float16, "float": np.float32, "uint8": np.uint8, "uint16": np.uint16
 }  # fmt: skip
 FULL_SCALE: dict[PixelType, int] = {"uint8": 255, "uint16": 65535}
@@ -51,9 +51,9 @@ class Frame:
     """A rectangle of a frame.
 
     `stored` has shape (rows, columns, channels), with one channel (grey or luminance) or three (R, G, B), in the
-    file's pixel type; floating-point values are finite. `first_row` and `first_column` are where `stored[0, 0]` lies
-    in the frame, whose top left pixel is (0, 0). `height` and `width` are the whole frame's in pixels; for an EXR
-    the display window's.
+    file's pixel type; floating-point values are finite. `first_row` and `first_column` are where `stored[0, 0]`
+    lies in the frame, whose top left pixel is (0, 0). `height` and `width` are the whole frame's in pixels; for an
+    EXR the display window's.
     """
 
     stored: NDArray[Any]
@@ -134,9 +134,10 @@ class FrameFile:
         self._image.close()
 
     @property
-    def stored_type(self) -> type[np.generic]:
+    def stored_type(self) -> np.dtype[Any]:
         """Type of the values of `Frame.stored`."""
-        return NUMPY_TYPES[self.header.pixel_type]
+        stored_type: np.dtype[Any] = np.dtype(NUMPY_TYPES[self.header.pixel_type])
+        return stored_type
 
     def read(self, *, rows: Range | None = None, columns: Range | None = None) -> Frame:
         """Decode a rectangle, and no more than the chunks of scan lines or the tiles that it touches.
@@ -163,8 +164,8 @@ class FrameFile:
     def bands(self, *, rows: Range | None = None, columns: Range | None = None) -> Iterator[Frame]:
         """Decode a rectangle in bands of rows from top to bottom, none of which takes much memory.
 
-        Parameters and errors are those of `read`. No chunk of scan lines is decoded twice. What is wrong with pixels
-        is raised where their band should have come.
+        Parameters and errors are those of `read`. No chunk of scan lines is decoded twice. An error is raised
+        when the band with the bad pixels is asked for.
         """
         (top, bottom), (left, right) = self.clip(rows, columns)
         n_bad, first_bad = 0, ""
@@ -339,10 +340,8 @@ def _not_finite(stored: NDArray[Any]) -> NDArray[np.bool_] | None:
     """Pixels with a NaN or an infinity, (rows, columns); None if there are none."""
     if stored.dtype.kind == "u":
         return None
-    if stored.dtype == np.float16:  # numpy's isfinite takes five times as long for these
-        bad = (stored.view(np.uint16) & 0x7C00) == 0x7C00
-    else:
-        bad = ~np.isfinite(stored)
+    is_half = stored.dtype == np.float16  # for which numpy's isfinite takes five times as long
+    bad = (stored.view(np.uint16) & 0x7C00) == 0x7C00 if is_half else ~np.isfinite(stored)
     return bad.any(axis=2) if bad.any() else None
 
 

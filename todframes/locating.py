@@ -25,10 +25,12 @@ Group = tuple[float | str, ...]
 LEAST_PEAK = 6.0
 """Height a peak of the correlation must have over its surroundings, in their standard deviations."""
 MOST_LOCATED_PX = 2**21
-"""Of a frame; of a larger one means over square blocks of pixels are looked at."""
+"""Of a frame; of a larger one means over square blocks of pixels are looked at, `BLOCKS` of them."""
+BLOCKS = 2**19
 MOST_BLOCKS = 2**24
+"""Of a frame; more would fill the memory."""
 LEAST_BLOCKS = 16
-"""Along a triangle's size, if they are larger than a pixel: what its edges tell of its place is lost in larger blocks."""
+"""Along a triangle's size, unless they are single pixels: larger ones lose what its edges tell of its place."""
 
 
 class Location(NamedTuple):
@@ -169,7 +171,8 @@ class _Sums:
 
 def _block_px(shape: tuple[int, ...], size_px: float) -> int:
     """Side of the blocks of pixels that a frame is located by: one pixel, unless the frame is large."""
-    wanted = math.ceil(math.sqrt(shape[0] * shape[1] / MOST_LOCATED_PX))
+    n_px = shape[0] * shape[1]
+    wanted = 1 if n_px <= MOST_LOCATED_PX else math.ceil(math.sqrt(n_px / BLOCKS))
     return max(min(wanted, int(min(size_px, 1e9) / LEAST_BLOCKS)), 1)
 
 
@@ -214,7 +217,8 @@ class _Matcher:
             for orientation in self.means[stimulus]
         }
         stack = np.array(list(_less_common(triangles).values()))
-        return np.asarray(stack / np.sqrt(np.square(stack).sum()))
+        norm = float(np.sqrt(np.square(stack).sum()))
+        return np.asarray(stack / norm) if norm > 0.0 else stack  # within one pixel all orientations are alike
 
     def on_whole_pixels(self) -> FloatArray:
         """Correlation with the centroid on each pixel, shape of a frame; wraps around at its edges."""

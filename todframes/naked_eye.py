@@ -170,7 +170,7 @@ def _size_samples(observer: Observer, size_mrad: float) -> float:
 
 def _proportion_correct(contrast: float, readout: Readout, deviations: FloatArray, weights: FloatArray) -> float:
     if not 0 < contrast <= CONTRAST_RANGE[1] * 1.000001:  # where the search for one ends, rounding included
-        raise SettingsError(f"contrast: found {contrast!r}, expected a number > 0 and <= {CONTRAST_RANGE[1]:g}")
+        raise SettingsError(f"contrast: found {contrast!r}, expected a finite number > 0, at most 1e12")
     answers = readout.answer_probabilities(contrast * deviations)
     correct = np.stack([answers[k, :, k] for k in range(4)])
     return float((correct @ weights).mean())

@@ -100,7 +100,7 @@ def check_places(dataset: Dataset, trials: Sequence[Trial], centre: Centre) -> N
     for trial in trials:
         for frame in trial.frames:
             path = f"{dataset.path}{os.sep}{frame.path}"
-            if not os.path.exists(path):
+            if not os.path.exists(path):  # noqa: PTH110 - a million paths take seconds, as Path objects half a minute
                 raise FrameError(path, "cannot be opened: No such file or directory")
     of_stimulus = {trial.stimulus: trial for trial in reversed(trials)}
     for trial in sorted(of_stimulus.values(), key=lambda trial: trial.number):

@@ -84,6 +84,11 @@ class Readout:
         return self.find_common()
 
     @cached_property
+    def norm(self) -> float:
+        """Euclidean norm of `deviations`."""
+        return float(np.linalg.norm(self.deviations))
+
+    @cached_property
     def fourth_cumulants(self) -> FloatArray | None:
         """Fourth cumulants of the noise on the scores, (4, 4, 4, 4); None: it is taken as Gaussian."""
         return None if self.find_fourth_cumulants is None else self.find_fourth_cumulants()

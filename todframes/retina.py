@@ -47,9 +47,10 @@ class RetinaGrid:
         Pixels outside of [0, n_pixels) do not exist and are left out; the range is empty when all are.
         """
         half_px = self.width_mrad / pixel_pitch_mrad / 2.0
-        first = min(max(np.floor(centre_px - half_px + 0.5), 0.0), n_pixels)
-        stop = min(max(np.ceil(centre_px + half_px + 0.5), first), n_pixels)
-        return int(first), int(stop)
+        # Clipped first: floor and ceil of what lies beyond all pixels may be no integers.
+        first = math.floor(min(max(centre_px - half_px + 0.5, 0.0), n_pixels))
+        stop = math.ceil(min(max(centre_px + half_px + 0.5, first), n_pixels))
+        return first, stop
 
 
 def overlap_matrix(
@@ -98,7 +99,7 @@ def _dense_overlap(
     sample_edges = np.arange(grid.side + 1.0)[:, None]
     overlap = np.minimum(sample_edges[1:], pixel_edges[1:])
     overlap -= np.maximum(sample_edges[:-1], pixel_edges[:-1])
-    return np.maximum(overlap, 0.0, out=overlap)
+    return np.asarray(np.maximum(overlap, 0.0, out=overlap))
 
 
 def _pixel_edges(
@@ -106,7 +107,9 @@ def _pixel_edges(
 ) -> FloatArray:
     """Boundaries of display pixels in retina samples, the outer edge of the first sample at 0: (n_pixels + 1,)."""
     samples_per_pixel = pixel_pitch_mrad / grid.pitch_mrad
-    return (first_pixel - 0.5 - centre_px + np.arange(n_pixels + 1)) * samples_per_pixel + grid.side / 2.0
+    return np.asarray(
+        (np.arange(n_pixels + 1.0) + (first_pixel - 0.5 - centre_px)) * samples_per_pixel + grid.side / 2.0
+    )
 
 
 def resample(
@@ -162,7 +165,7 @@ def add_resampled(
     first_row: int,
     first_column: int,
 ) -> None:
-    """Add what a part of a frame contributes to a retina image, shape (side, side); parameters as for `resample`."""
+    """Add what a part of a frame contributes to a retina image, (side, side); parameters as for `resample`."""
     n_rows, n_columns = contrast.shape
     if not (n_rows and n_columns):
         return

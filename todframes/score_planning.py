@@ -12,6 +12,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import islice
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,8 +65,7 @@ class ScorePlan:
     def observer_of(self, stimulus: Stimulus) -> Observer:
         """The observer that looks at a stimulus."""
         if self.stimuli[stimulus].full_observer:
-            assert isinstance(self.observer, Thrifty)
-            return self.observer.full()
+            return cast("Thrifty", self.observer).full()
         return self.observer
 
     def readout(self, stimulus: Stimulus) -> Readout | None:

@@ -155,7 +155,7 @@ class TrialScorer:
 def _scores(readout: Readout, contrast: FloatArray) -> tuple[FloatArray, FloatArray]:
     deviations = readout.score_deviations(contrast)
     # Without noise, or where contrast is huge, nothing but rounding may tell scores apart that are the same.
-    rounding = 1e-13 * np.linalg.norm(readout.deviations) * np.linalg.norm(contrast)
+    rounding = 1e-13 * readout.norm * float(np.linalg.norm(contrast))
     deviations = np.where(np.abs(deviations) < rounding, 0.0, deviations)
     return deviations + readout.common_score(contrast), deviations
 

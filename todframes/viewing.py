@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from typing import Any, NamedTuple
@@ -37,8 +38,8 @@ class View(NamedTuple):
 class Patch(NamedTuple):
     """A rectangle of a frame, as contrast or as what contrast is made of.
 
-    `row` and `column` are where its first pixel lies in the frame. A large rectangle is held as it is stored, one to
-    four bytes a value instead of eight; `to_contrast` turns a part of it, whole rows, into contrast.
+    `row` and `column` are where its first pixel lies in the frame. A large rectangle is held as it is stored, one
+    to four bytes a value instead of eight; `to_contrast` turns a part of it, whole rows, into contrast.
     """
 
     values: NDArray[Any]
@@ -215,7 +216,7 @@ def read_contrast(
     rule = display.background_luminance_cd_m2
     whole = every_pixel or rule in ("border", "frame_mean")
     (top, bottom), (left, right) = file.clip(rows, columns)
-    (first_row, stop_row), (first_column, _) = file.clip(None, None)
+    (first_row, stop_row), _ = file.clip(None, None)
     is_small = (bottom - top) * (right - left) <= MOST_HELD_PX
     kept: NDArray[Any] = (
         np.empty((bottom - top, right - left))
@@ -227,15 +228,16 @@ def read_contrast(
         for band in file.bands() if whole else file.bands(rows=rows, columns=columns):
             luminance = display.luminance(band.values)
             begin, end = band.first_row, band.first_row + len(luminance)
-            averaged = luminance
+            found.add(luminance)
             if rule == "border":
-                averaged = border_values(luminance, top=begin == first_row, bottom=end == stop_row)
-            found.add(luminance, averaged)
+                found.average(border_values(luminance, top=begin == first_row, bottom=end == stop_row))
+            elif rule == "frame_mean":
+                found.average(luminance)
             if begin < bottom and end > top:
                 part = (luminance if is_small else band.stored)[max(top - begin, 0) : bottom - begin]
                 kept[max(begin - top, 0) : end - top] = part[:, left - band.first_column :][:, : right - left]
         background = _background(rule, found, frame)
-        finite_contrast(np.array([found.largest]), background)
+        check_contrast(found.largest, background)
     except DataError as error:
         raise FrameError(file.path, str(error)) from None
     if is_small:
@@ -252,14 +254,17 @@ class _Luminance:
         self.sum = 0.0
         self.n_averaged = 0
 
-    def add(self, luminance: FloatArray, averaged: FloatArray) -> None:
-        """Add a band, and those of its pixels whose mean may be the background."""
+    def add(self, luminance: FloatArray) -> None:
+        """Look at a band."""
         lowest = float(luminance.min())
         self.largest = max(self.largest, -lowest, float(luminance.max()))
         if lowest < 0.0:
             self.n_negative += int(np.count_nonzero(luminance < 0.0))
-        self.sum += float(averaged.sum())
-        self.n_averaged += averaged.size
+
+    def average(self, luminance: FloatArray) -> None:
+        """Add pixels of a band to those whose mean is the background."""
+        self.sum += float(luminance.sum())
+        self.n_averaged += luminance.size
 
 
 def _background(rule: float | BackgroundRule, found: _Luminance, frame: FrameReference) -> float:
@@ -276,11 +281,15 @@ def _contrast(display: Display, background_luminance_cd_m2: float, stored: NDArr
 
 def finite_contrast(luminance: FloatArray, background_luminance_cd_m2: float) -> FloatArray:
     """Weber contrast; DataError if it overflows, or the background is not a positive number."""
-    with np.errstate(over="ignore"):
-        contrast = weber_contrast(luminance, background_luminance_cd_m2)
-    if not np.isfinite(contrast).all():
+    check_contrast(max(-float(luminance.min()), float(luminance.max())), background_luminance_cd_m2)
+    return weber_contrast(luminance, background_luminance_cd_m2)
+
+
+def check_contrast(largest_luminance_cd_m2: float, background_luminance_cd_m2: float) -> None:
+    """Raise DataError if Weber contrast overflows, or the background is not a positive number."""
+    weber_contrast(np.zeros(0), background_luminance_cd_m2)  # for its check
+    if largest_luminance_cd_m2 > sys.float_info.max * min(background_luminance_cd_m2, 1.0):
         raise DataError("the contrast is beyond all numbers; expected luminances nearer to the background's")
-    return contrast
 
 
 def frame_problems(dataset: Dataset, trial: Trial) -> Iterator[FrameError]:
