@@ -16,9 +16,9 @@ from pathlib import Path
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("OPENCV_FOR_THREADS_NUM", "1")
 
-from todframes.accuracy_report import page
-from todframes.cli import cli
-from todframes.command import run
+from todframes.cli.console import run
+from todframes.cli.main import cli
+from todframes.studies.accuracy.report import page
 
 HERE = Path(__file__).parent
 FRAMES = HERE.parent / "sample_frames" / "naked_eye"

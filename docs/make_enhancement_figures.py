@@ -25,12 +25,12 @@ os.environ.setdefault("OPENCV_FOR_THREADS_NUM", "1")
 
 from matplotlib.figure import Figure
 
-from todframes.cli import cli
-from todframes.command import run
-from todframes.dataset import load_dataset
-from todframes.enhanced import DecodedFrame, Screen
-from todframes.enhancement_specs import enhancement_names, find_enhancement
-from todframes.frames import FrameFile
+from todframes.cli.console import run
+from todframes.cli.main import cli
+from todframes.enhancement.algorithm import enhancement_names, find_enhancement
+from todframes.enhancement.enhanced_frame import DecodedFrame, Screen
+from todframes.frames.dataset import load_dataset
+from todframes.frames.files import FrameFile
 
 HERE = Path(__file__).parent
 SAMPLES = Path("sample_frames/enhancement")

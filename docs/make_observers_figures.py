@@ -23,12 +23,12 @@ from matplotlib.figure import Figure
 from sensor_sim.matched import matched_settings
 from sensor_sim.predict import FoldedChain, PredictedThreshold, predict_threshold
 from sensor_sim.sensor import Sensor, load_sensor
-from todframes.informative import InformativeObserver
-from todframes.naked_eye import contrast_threshold
-from todframes.observer import PyramidObserver
-from todframes.oriented import OrientedObserver
-from todframes.readout import Observer, Stimulus
-from todframes.stimulus import Orientation, coverage
+from todframes.observers.hotelling import InformativeObserver
+from todframes.observers.interface import Observer
+from todframes.observers.oriented import OrientedObserver
+from todframes.observers.pyramid import PyramidObserver
+from todframes.scoring.naked_eye import contrast_threshold
+from todframes.stimulus import Orientation, Stimulus, coverage
 
 HERE = Path(__file__).parent
 STAR_LIKE = HERE.parent / "sample_frames" / "star_like.toml"

@@ -33,16 +33,14 @@ from sensor_sim.predict import FoldedChain, PredictedThreshold, predict_threshol
 from sensor_sim.sensor import Sensor, load_sensor
 from sensor_sim.simulate import Simulator, plan_trials
 from sensor_sim.transfer import diffraction_mtf, pre_sample_mtf
-from todframes.decision import answer_probability
-from todframes.naked_eye import Threshold, acuity, contrast_threshold, proportion_correct
-from todframes.observer import PyramidObserver
-from todframes.psychometric import FitSettings, PsychometricFit, fit_trials
-from todframes.pyramid import LaplacianPyramid
-from todframes.pyramid_settings import PyramidSettings
-from todframes.readout import Stimulus
-from todframes.retina import resample
-from todframes.stimulus import ORIENTATIONS, Orientation, coverage
-from todframes.weibull import weibull
+from todframes.observers.decision import answer_probability
+from todframes.observers.laplacian_pyramid import LaplacianPyramid
+from todframes.observers.pyramid import PyramidObserver, PyramidSettings
+from todframes.observers.retina import resample
+from todframes.psychometrics.fit import FitSettings, PsychometricFit, fit_trials
+from todframes.psychometrics.weibull import weibull
+from todframes.scoring.naked_eye import Threshold, acuity, contrast_threshold, proportion_correct
+from todframes.stimulus import ORIENTATIONS, Orientation, Stimulus, coverage
 
 HERE = Path(__file__).parent
 STAR_LIKE = HERE.parent / "sample_frames" / "star_like.toml"

@@ -11,9 +11,8 @@ import numpy as np
 
 from sensor_sim.sensor import load_sensor
 from sensor_sim.simulate import plan_trials, write_dataset
-from todframes.display import Display
-from todframes.frame_writing import write_frame
-from todframes.frames import frame_sha256
+from todframes.frames.display import Display
+from todframes.frames.files import frame_sha256, write_frame
 from todframes.stimulus import ORIENTATIONS, coverage
 
 REPETITIONS = 3

@@ -12,28 +12,26 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from todframes import __version__
-from todframes.command import (
+from todframes.cli.console import (
     Commands,
     echo,
-    json_option,
     keep_libraries_to_one_thread,
-    make_observer,
-    numbers,
-    observer_options,
-    plan_options,
     print_result,
     print_table,
     progress,
     run,
     say,
-    seed_option,
 )
+from todframes.cli.options import json_option, make_observer, numbers, observer_options, plan_options, seed_option
 from todframes.errors import SettingsError
 
 if TYPE_CHECKING:
-    from todframes.report import Json
+    from todframes._typing import Json
+
 
 sensor_argument = click.argument("sensor", type=click.Path(path_type=Path), metavar="SENSOR.toml")
+
+
 sizes_option = click.option(
     "--size-detectors", "sizes", required=True, metavar="S[,S…]", help="Sizes √(area) in detector pitches."
 )
@@ -138,12 +136,13 @@ def curve(
     observer, fit_settings, described = make_observer(**observer_arguments, fitted=False)
     from dataclasses import asdict
 
+    from sensor_sim.curve_plan import plan_curve
     from sensor_sim.noise import delta_t_mk
-    from sensor_sim.planning import plan_curve
     from sensor_sim.predict import FoldedChain, predict_threshold
     from sensor_sim.sensor import load_sensor
-    from todframes import output, report
-    from todframes.planning import Step, plan_object
+    from todframes import output
+    from todframes.report import convert as report
+    from todframes.scoring.error_budget import Step, plan_object
 
     settings = load_sensor(sensor)
     p_correct = fit_settings.p_correct
@@ -191,8 +190,8 @@ def curve(
             run_time_s=time.perf_counter() - start,
         )
         if staging is not None:
-            from todframes.html_report import report_html
-            from todframes.plots import plots
+            from todframes.report.figures import plots
+            from todframes.report.html import report_html
 
             files = {**plots(result), "report.html": report_html(result), "result.json": report.encode(result)}
             output.write_files(staging, files)
@@ -220,9 +219,10 @@ def _staging(out: str | None) -> Iterator[Path | None]:
 @json_option
 def mtf(*, sensor: Path, out: str | None, as_json: bool) -> None:
     """Modulation transfer of every stage along x, before and after sampling."""
-    from sensor_sim.pictures import mtf_files, mtf_object, mtf_table
+    from sensor_sim.mtf_report import mtf_files, mtf_object, mtf_table
     from sensor_sim.sensor import load_sensor
-    from todframes import output, report
+    from todframes import output
+    from todframes.report import convert as report
 
     settings = load_sensor(sensor)
     result = mtf_object(settings)

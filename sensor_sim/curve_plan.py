@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
-from numpy.typing import DTypeLike, NDArray
+from numpy.typing import DTypeLike
 
-from sensor_sim.folding import Folding
-from sensor_sim.sampling import TriangleSampler, field_detectors, field_sampler
+from sensor_sim.folding import Folding, is_unblurred
+from sensor_sim.sampling import TriangleSampler, field_detectors, field_sampler, smallest_field
 from sensor_sim.sensor import Sensor
+from todframes._typing import FloatArray
 from todframes.errors import SettingsError
-from todframes.planning import Step, total_bound
-from todframes.readout import Observer, Readout, Stimulus
-from todframes.stimulus import ORIENTATIONS, Orientation, bounding_box_offset
-
-FloatArray = NDArray[np.float64]
+from todframes.observers.decision import answer_probability
+from todframes.observers.interface import Observer, Readout, Thrifty
+from todframes.psychometrics.threshold_search import crossing
+from todframes.scoring.error_budget import LEFT_OUT_SHARE, SAFETY, PlanName, Step, decision_change, total_bound
+from todframes.stimulus import ORIENTATIONS, Orientation, Stimulus, bounding_box_offset
 
 FULL_PLACES = 17
 """Of a plan that leaves nothing out; twelve times as many trials as are enough for most."""
@@ -138,3 +142,276 @@ def is_symmetric(readout: Readout) -> bool:
         and np.allclose(np.roll(covariance[0], k), covariance[k], rtol=1e-12)
         for k in range(1, 4)
     )
+
+
+ORTHANT_NODES = 24
+"""Enough for 1e-14 where the four templates differ as those of the triangles do."""
+
+
+TRIED_AT = ((0.0, 0.0), (0.5, 0.5), (0.25, -0.375))
+"""Places, in detectors from the field's middle, where what could be left out is weighed."""
+
+
+FIELDS_IN_SIZES = (2.0, 2.5, 3.0)
+
+
+PERIODS_IN_FIELDS = (2, 3)
+
+
+LARGEST_SHARE = 0.6
+"""Of what may still be left out, for one thing."""
+
+
+FEWEST_PLACES = 400
+"""Of the triangle, in a threshold."""
+
+
+def plan_curve(
+    sensor: Sensor,
+    observer: Observer,
+    size_detectors: float,
+    *,
+    name: PlanName = "needed",
+    tolerance: float = 2e-3,
+    p_correct: float = 0.75,
+    external_noise: bool = True,
+) -> CurvePlan:
+    """What is needed for a threshold within a relative tolerance; with the name "full", everything.
+
+    Raises
+    ------
+    SettingsError
+        If the observer is not linear, or the size or field is out of range.
+    """
+    if name == "full":
+        return full_plan(sensor, observer.full() if isinstance(observer, Thrifty) else observer, size_detectors)
+    started = time.perf_counter()
+    full = replace(
+        full_plan(sensor, observer, size_detectors), external_noise=external_noise, fewest_places=1, steps=()
+    )
+    sampler_s = time.perf_counter() - started
+    stimulus = Stimulus(size_detectors * sensor.display.detector_pitch_mrad)
+    leaner = observer.leaner(stimulus) if isinstance(observer, Thrifty) else None
+    if leaner is not None:
+        trial = _Trial(sensor, size_detectors, replace(full, observer=leaner), sampler_s, p_correct, tolerance)
+        if trial.levels_suffice():
+            return trial.plan()
+    return _Trial(sensor, size_detectors, full, sampler_s, p_correct, tolerance).plan()
+
+
+class _Trial:
+    """The whole chain at a few places, and what leaving out each part would change there."""
+
+    def __init__(
+        self,
+        sensor: Sensor,
+        size_detectors: float,
+        full: CurvePlan,
+        sampler_s: float,
+        p_correct: float,
+        tolerance: float,
+    ) -> None:
+        self.sensor, self.observer, self.size = sensor, full.observer, size_detectors
+        self.full, self.sampler_s = full, sampler_s
+        started = time.perf_counter()
+        self.readout = linear_readout(sensor, self.observer, size_detectors)
+        self.readout_s = time.perf_counter() - started
+        self.weights, self.fold_s = self._weights(self.full, self.readout)
+        self.samples, self.sample_s = self._samples(self.full.sampler)
+        self.covariance = np.zeros((4, 4))
+        self._find_covariance(p_correct)
+        self.budget = LEFT_OUT_SHARE * tolerance * self.slope
+
+    def _affordable(self, bound: float) -> bool:
+        """Whether something may be left out; if so, less may be from then on."""
+        if bound > LARGEST_SHARE * self.budget:
+            return False
+        self.budget -= bound
+        return True
+
+    def _weights(
+        self, plan: CurvePlan, readout: Readout, places: Sequence[tuple[float, float]] = TRIED_AT
+    ) -> tuple[FloatArray, float]:
+        """Weights at some places, (places, 4, field²), and the time that each took."""
+        folding = plan.folding(self.sensor, readout, self.size)
+        dx, dy = centre_offset(self.observer, Orientation.UP, self.size)
+        started = time.perf_counter()
+        weights = np.stack([folding.weights(x + dx, y + dy) for x, y in places])
+        spent = (time.perf_counter() - started) / len(places)
+        return plan.all_four(weights) * self.sensor.display.gain, spent
+
+    def _samples(self, sampler: TriangleSampler) -> tuple[FloatArray, float]:
+        started = time.perf_counter()
+        samples = sampler.samples(*np.transpose(TRIED_AT), orientation=Orientation.UP)
+        spent = (time.perf_counter() - started) / len(TRIED_AT)
+        return samples.reshape(len(TRIED_AT), -1), spent
+
+    def _scores(self, weights: FloatArray, samples: FloatArray) -> FloatArray:
+        return np.asarray((weights @ samples[..., None])[..., 0])
+
+    def _find_covariance(self, p_correct: float) -> None:
+        """Covariance of the scores near threshold, the detector noise's share of it, and the slope there."""
+        signal, noise = self._scores(self.weights, self.samples), self.full.noise(self.weights)
+
+        def proportion(snr: float) -> float:
+            covariance = self.readout.noise_covariance + noise / snr**2
+            return float(answer_probability(signal, covariance, 0, nodes=ORTHANT_NODES).mean())
+
+        _, threshold = crossing(proportion, p_correct, near=None, slope=math.nan)
+        self.snr = threshold if threshold is not None and self.full.external_noise else math.inf
+        self.covariance = self.readout.noise_covariance + noise / self.snr**2
+        step = 0.05
+        rise = 0.0
+        if threshold is not None and math.isfinite(self.snr):
+            rise = proportion(self.snr * math.exp(step)) - proportion(self.snr * math.exp(-step))
+        self.slope = rise / (2.0 * step) if rise > 0.0 else 0.5
+
+    def bound(self, scores: FloatArray, noise: FloatArray | None = None) -> float:
+        """On the change of P(correct) by a change of the scores, and of their covariance by detector noise."""
+        change = np.zeros((1, 4, 4)) if noise is None else noise
+        return SAFETY * float(decision_change(scores, self.covariance, change)[..., 0].max())
+
+    def plan(self) -> CurvePlan:
+        """What is needed."""
+        plan, levels = self._levels(self.full)
+        plan, optics = self._optics(plan)
+        plan, field_step = self._field(plan)
+        plan, period = self._period(plan)
+        plan, precision = self._precision(plan)
+        plan, identities = self._identities(plan)
+        return replace(
+            plan, steps=(*levels, optics, field_step, *period, precision, *identities), unit_s=self.unit_s
+        )
+
+    @cached_property
+    def levels_bound(self) -> float | None:
+        """On the change of P(correct) by further levels; None where the observer leaves none out."""
+        stimulus = Stimulus(self.size * self.sensor.display.detector_pitch_mrad)
+        missing = self.observer.left_out(stimulus) if isinstance(self.observer, Thrifty) else None
+        if missing is None:
+            return None
+        plan = self.full
+        added, _ = self._weights(plan, replace(self.readout, grid=missing.grid, deviations=missing.deviations))
+        noise = (plan.noise(self.weights + added) - plan.noise(self.weights)) / self.snr**2
+        return self.bound(self._scores(added, self.samples), noise + missing.noise_covariance)
+
+    def levels_suffice(self) -> bool:
+        """Whether no further levels are needed, as far as the observer tells what they would add."""
+        return self.levels_bound is not None and self.levels_bound <= LARGEST_SHARE * self.budget
+
+    def _levels(self, plan: CurvePlan) -> tuple[CurvePlan, Sequence[Step]]:
+        bound, stage, side = self.levels_bound, "pyramid levels", self.readout.grid.side
+        if bound is None:
+            return plan, ()
+        if self._affordable(bound):
+            why = f"a retina of {side} × {side} samples is wide enough for this tolerance"
+            return plan, [Step(stage, False, why, bound, saves_once_s=3.0 * self.readout_s)]
+        assert isinstance(self.observer, Thrifty)
+        why = f"one level more than for {side} × {side} samples, which would change P by up to {bound:.1g}"
+        return replace(plan, observer=self.observer.full()), [Step(stage, True, why)]
+
+    def _optics(self, plan: CurvePlan) -> tuple[CurvePlan, Step]:
+        stage, sampler = "optics", plan.sampler
+        if sampler.sharp:
+            change = np.abs(self.weights).sum(axis=-1) * sampler.neglected_bound
+            why = "too sharp against the detectors for their frequencies to be counted"
+            return plan, Step(stage, False, why, self.bound(change) / SAFETY)
+        without = TriangleSampler(
+            optics=None, detector=self.sensor.detector, size_detectors=self.size, field_detectors=plan.field
+        )
+        samples, spent = self._samples(without)
+        bound = self.bound(self._scores(self.weights, samples - self.samples))
+        if self._affordable(bound):
+            self.samples = samples
+            why = "far sharper than a detector; exact areas of the triangle instead"
+            return replace(plan, sampler=without), Step(stage, False, why, bound, self.sample_s - spent)
+        return plan, Step(stage, True, "they shape the samples")
+
+    def _field(self, plan: CurvePlan) -> tuple[CurvePlan, Step]:
+        full, stage = plan.field, "field"
+        blur = self.sensor.optics.blur_sigma_mrad / self.sensor.detector.pitch_mrad
+        for sizes in FIELDS_IN_SIZES:
+            side = max(math.ceil(sizes * self.size + 6.0 * blur) + 2, smallest_field(self.size))
+            side += (full - side) % 2  # so that it lies in the middle of the full one
+            if side >= full:
+                break
+            outside = np.ones((full, full), dtype=bool)
+            margin = (full - side) // 2
+            outside[margin:-margin, margin:-margin] = False
+            weights = self.weights * outside.ravel()
+            noise = plan.noise(weights) / self.snr**2
+            # As if the signal out there had one sign throughout, and met the largest weight of its detectors.
+            most = np.abs(self._scores(np.abs(weights), np.abs(self.samples)))
+            bound = self.bound(most, noise)
+            if self._affordable(bound):
+                share_saved = 1.0 - (side / full) ** 2
+                why = f"{side} × {side} of {full} × {full} detectors; the others' weights are next to nothing"
+                self.weights = self._cut(self.weights, full, margin)
+                self.samples = self._cut(self.samples, full, margin)
+                plan = replace(plan, field=side, sampler=plan.sampler.within(side))
+                return plan, Step(stage, False, why, bound, share_saved * self.fold_s)
+        return plan, Step(stage, True, f"{full} × {full} detectors")
+
+    @staticmethod
+    def _cut(images: FloatArray, full: int, margin: int) -> FloatArray:
+        square = images.reshape(*images.shape[:-1], full, full)[..., margin:-margin, margin:-margin]
+        return square.reshape(*images.shape[:-1], -1)
+
+    def _period(self, plan: CurvePlan) -> tuple[CurvePlan, Sequence[Step]]:
+        stage, period = "period", plan.sampler.period
+        if plan.sampler.sharp:
+            return plan, ()
+        for fields in PERIODS_IN_FIELDS:
+            share = (fields * plan.field / period) ** 2
+            # Another period needs its own spectrum, which must pay.
+            if share * self.sampler_s > (1.0 - share) * self.sample_s * FEWEST_PLACES:
+                break
+            sampler = TriangleSampler(
+                optics=self.sensor.optics,
+                detector=self.sensor.detector,
+                size_detectors=self.size,
+                field_detectors=plan.field,
+                period_detectors=fields * plan.field,
+            )
+            samples, spent = self._samples(sampler)
+            bound = self.bound(self._scores(self.weights, samples - self.samples))
+            if self._affordable(bound):
+                why = f"the scene repeats after {sampler.period} detectors, not {period}"
+                return replace(plan, sampler=sampler), [Step(stage, False, why, bound, self.sample_s - spent)]
+        return plan, [Step(stage, True, f"the scene repeats after {period} detectors")]
+
+    def _precision(self, plan: CurvePlan) -> tuple[CurvePlan, Step]:
+        stage, single = "double precision", replace(plan, dtype=np.float32)
+        weights, single_s = self._weights(single, self.readout, TRIED_AT[:1])
+        exact, double_s = self.weights[:1], self.fold_s
+        noise = (plan.noise(weights) - plan.noise(exact)) / self.snr**2
+        bound = self.bound(self._scores(weights - exact, self.samples[:1]), noise)
+        self.unit_s = self.sample_s + min(single_s, double_s)
+        if self._affordable(bound):
+            return single, Step(stage, False, "single is enough for folding", bound, double_s - single_s)
+        return plan, Step(stage, True, f"single would change P by up to {bound:.1g}")
+
+    def _identities(self, plan: CurvePlan) -> tuple[CurvePlan, Sequence[Step]]:
+        """What is left out and changes nothing."""
+        steps = []
+        if is_symmetric(self.readout):
+            # Square detectors and a symmetric observer look the same to all orientations.
+            plan = replace(plan, orientations=ORIENTATIONS[:1])
+            saved = 3.0 * self.unit_s
+            steps.append(Step("orientations", False, "one stands for all four, which are its turns", 0.0, saved))
+        else:
+            steps.append(Step("orientations", True, "all four: the observer is not symmetric"))
+        plan = replace(plan, three_templates=True)
+        why = "the four score deviations add up to zero"
+        steps.append(Step("fourth template", False, why, 0.0, self.unit_s / 4.0))
+        if is_unblurred(self.sensor):
+            plan = replace(plan, merge_pixels=True)
+            why = "nothing blurs the display: a detector's pixels are alike"
+            steps.append(Step("display pixels", False, why))
+        else:
+            steps.append(Step("display pixels", True, "the display or the electronics blur"))
+        if self.sensor.optics.blur_sigma_mrad == 0.0:
+            steps.append(Step("optics blur", False, "its standard deviation is 0"))
+        noise = "the threshold is a signal-to-noise ratio" if plan.external_noise else "there is none"
+        steps.append(Step("noise covariance", plan.external_noise, noise))
+        return plan, steps

@@ -17,12 +17,11 @@ from numpy.typing import DTypeLike, NDArray
 
 from sensor_sim.reconstruction import axis_matrix
 from sensor_sim.sensor import Sensor
-from todframes.retina import RetinaGrid, overlap_matrix
+from todframes._typing import FloatArray
+from todframes.observers.retina import RetinaGrid, overlap_matrix
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
-
-FloatArray = NDArray[np.float64]
 
 
 def is_unblurred(sensor: Sensor) -> bool:

@@ -7,7 +7,7 @@ from typing import Any
 
 from sensor_sim.sensor import Sensor
 from sensor_sim.transfer import optics_mtf
-from todframes.informative import InformativeSettings
+from todframes.observers.hotelling import InformativeSettings
 
 
 def matched_settings(sensor: Sensor, **others: Any) -> InformativeSettings:

@@ -13,12 +13,11 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from sensor_sim.sensor import Distribution, Noise
+from todframes._typing import FloatArray
 from todframes.errors import SettingsError
-
-FloatArray = NDArray[np.float64]
 
 UNIFORM_EXCESS_KURTOSIS = -1.2
 

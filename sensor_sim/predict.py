@@ -19,29 +19,32 @@ from functools import partial
 from typing import Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from sensor_sim.crossing import crossing
-from sensor_sim.curve_plan import CurvePlan, centre_offset, linear_readout
+from sensor_sim.curve_plan import ORTHANT_NODES, CurvePlan, centre_offset, linear_readout, plan_curve
 from sensor_sim.noise import excess_kurtosis
-from sensor_sim.planning import ORTHANT_NODES, plan_curve
 from sensor_sim.sensor import Sensor
-from todframes.decision import answer_probability
+from todframes._typing import FloatArray
 from todframes.errors import SettingsError
-from todframes.readout import Observer, Readout, non_gaussian_bound
+from todframes.observers.decision import answer_probability
+from todframes.observers.interface import Observer, Readout, non_gaussian_bound
+from todframes.psychometrics.threshold_search import crossing
 from todframes.stimulus import Orientation
 
-FloatArray = NDArray[np.float64]
-
 SCRAMBLINGS = 8
+
+
 PLACES = (5, 7, 11, 17, 25, 37)
 """Along each axis of a detector, in each scrambling: more and more, until the error is small enough. Each takes
 twice the trials of the one before, so that few chances are had to stop by a lucky estimate of the error. Numbers
 that have a divisor in common with the display's pixels per detector are left out: P repeats with these pixels too,
 and such a lattice would see them all alike."""
+
+
 KRONECKER_STEPS = np.modf(1.1673039782614187 ** -np.arange(1.0, 5.0))[0].reshape(2, 2)
 """Powers of the root of x⁵ = x + 1: a four-dimensional low-discrepancy sequence, two of them counted by rows and
 columns of the lattice (Roberts 2018)."""
+
+
 STANDARD_ERRORS_95 = 2.8412
 """Half-width of the stated interval: the 98.75 % point of Student's t with one degree of freedom less than there
 are scramblings. Half of what an interval may miss is kept for errors that stopped the refinement by being small by

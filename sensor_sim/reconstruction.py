@@ -15,14 +15,14 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sensor_sim.sensor import Electronics, SensorDisplay
-
-FloatArray = NDArray[np.float64]
+from todframes._typing import FloatArray
 
 MAX_PRODUCT = 2**17
 """Multiplications in one call of BLAS."""
+
+
 ALIAS_FREE_SIGMA_PX = 1.5
 """From here on the variance of a sampled Gaussian is σ² to 1e-16 (Poisson summation: e^(−2π²σ²))."""
 

@@ -7,14 +7,19 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, get_args
 
+from todframes.config import check_keys, from_table, read_toml
 from todframes.errors import SettingsError
-from todframes.settings import check_keys, from_table, read_toml
 
 SCHEMA = 1
+
+
 SMALLEST, LARGEST = 1e-12, 1e12
 """Of all lengths, angles, luminances and gains: beyond is a slip of the pen."""
+
+
 MAX_PIXELS = 1000
 """Most display pixels a detector or a standard deviation of the blur may be wide."""
+
 
 Distribution = Literal["uniform", "gaussian"]
 
@@ -217,6 +222,8 @@ _TABLES = {
     "electronics": Electronics,
     "display": SensorDisplay,
 }
+
+
 _REQUIRED_TABLES = ("optics", "detector", "display")
 
 

@@ -15,27 +15,32 @@ from pathlib import Path
 from typing import Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sensor_sim.noise import displayed_noise, noise_parts, unit_fixed_pattern
 from sensor_sim.reconstruction import axis_matrix, display_position_px, display_signal, luminance_cd_m2
 from sensor_sim.sampling import field_detectors, field_sampler
 from sensor_sim.sensor import Sensor
 from todframes import __version__
+from todframes._typing import FloatArray
 from todframes.errors import SettingsError
-from todframes.frame_writing import write_frame
-from todframes.frames import MAX_DECODED_MB, MAX_SIDE_PX, frame_sha256
+from todframes.frames.files import MAX_DECODED_MB, MAX_SIDE_PX, frame_sha256, write_frame
 from todframes.stimulus import ORIENTATIONS, Orientation
 from todframes.threads import map_in_threads
 
-FloatArray = NDArray[np.float64]
 FrameFormat = Literal["exr", "png"]
+
 
 # First element of the spawn keys of random streams.
 TRIAL_STREAMS, PATTERN_STREAM = 0, 1
+
+
 MOST_CLIPPED = 0.01
+
+
 MOST_SIDE_PX = min(MAX_SIDE_PX, math.isqrt(MAX_DECODED_MB * 2**20 // 2))
 """Of square frames of two bytes a pixel that `todframes` reads."""
+
+
 TRIALS_PER_TASK = 32
 
 

@@ -14,7 +14,7 @@ from typing import Any, Protocol
 
 import pytest
 
-from todframes.frame_writing import write_frame
+from todframes.frames.files import write_frame
 from todframes.stimulus import ORIENTATIONS, coverage
 
 PITCH_MRAD = 0.25

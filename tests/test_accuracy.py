@@ -11,17 +11,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sensor_sim.accuracy_scenes import STAR_LIKE, Camera
 from sensor_sim.curve_plan import full_plan
 from sensor_sim.predict import SCRAMBLINGS, FoldedChain, Phases, predict_threshold
 from sensor_sim.sensor import Detector, Optics, Sensor, SensorDisplay
-from todframes import accuracy_report, estimators
-from todframes.accuracy import measure
-from todframes.accuracy_recorded import recorded
-from todframes.accuracy_scenes import NakedEye
-from todframes.cli import cli
-from todframes.command import run
-from todframes.estimators import (
+from sensor_sim.studies.accuracy import STAR_LIKE, Camera
+from todframes.cli.console import run
+from todframes.cli.main import cli
+from todframes.observers.pyramid import PyramidObserver
+from todframes.psychometrics.weibull import weibull, weibull_level
+from todframes.scoring.naked_eye import contrast_threshold
+from todframes.studies.accuracy import estimators
+from todframes.studies.accuracy import report as accuracy_report
+from todframes.studies.accuracy.estimators import (
     Converged,
     Estimate,
     MonteCarlo,
@@ -31,10 +32,17 @@ from todframes.estimators import (
     estimate_at_one_level,
     find_scenes,
 )
-from todframes.naked_eye import contrast_threshold
-from todframes.observer import PyramidObserver
-from todframes.timing import Point, TimeAt, fitted_slope, speed_ratio, time_of_draws, time_of_rule
-from todframes.weibull import weibull, weibull_level
+from todframes.studies.accuracy.measure import (
+    Point,
+    TimeAt,
+    fitted_slope,
+    measure,
+    speed_ratio,
+    time_of_draws,
+    time_of_rule,
+)
+from todframes.studies.accuracy.naked_eye import NakedEye
+from todframes.studies.accuracy.recorded import recorded
 
 ROOT = Path(__file__).parent.parent
 

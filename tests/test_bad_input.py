@@ -21,16 +21,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from todframes import cli, output
-from todframes.command import run
-from todframes.frame_writing import write_frame
+from todframes import output
+from todframes.cli import main as cli
+from todframes.cli.console import run
+from todframes.frames.files import write_frame
 
 BAD_DATA, BAD_SETTINGS, INTERRUPTED = 1, 2, 130
 BAD = 1
 """Number of the row that is spoilt; the manifest has the header in line 1."""
 BAD_LINE = "line 3"
 
-COMMAND = (sys.executable, "-c", "from todframes.cli import main; main()")
+COMMAND = (sys.executable, "-c", "from todframes.cli.main import main; main()")
 
 
 @pytest.fixture
@@ -1018,7 +1019,7 @@ def test_out_of_memory(make_dataset, todframes, tmp_path, monkeypatch):
         raise MemoryError("Unable to allocate 2.00 GiB for an array with shape (16385, 16385)")
 
     dataset = make_dataset(contrasts=(0.5,))
-    monkeypatch.setattr("todframes.viewing.read_trial", too_large)
+    monkeypatch.setattr("todframes.scoring.score.retina_view.read_trial", too_large)
     before = tree(tmp_path)
     status, out, errors = todframes("score", dataset.path, "-o", tmp_path / "out")
     assert status in (BAD_DATA, BAD_SETTINGS)

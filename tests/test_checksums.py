@@ -10,12 +10,12 @@ from pathlib import Path
 
 import pytest
 
-from todframes import checksums
-from todframes.checksums import dataset_warnings, write_sha256
-from todframes.cli import cli
-from todframes.command import run
-from todframes.dataset import load_dataset
+from todframes.cli.console import run
+from todframes.cli.main import cli
 from todframes.errors import DataError
+from todframes.frames import checksums
+from todframes.frames.checksums import dataset_warnings, write_sha256
+from todframes.frames.dataset import load_dataset
 
 ROOT = Path(__file__).parent.parent
 SAMPLES = ["naked_eye", "grabbed_8bit", "staring_camera", "enhancement"]

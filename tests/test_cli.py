@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from todframes.cli import cli
-from todframes.command import run
-from todframes.frame_writing import write_frame
+from todframes.cli.console import run
+from todframes.cli.main import cli
+from todframes.frames.files import write_frame
 
 SAMPLES = Path(__file__).parent.parent / "sample_frames"
 
@@ -189,7 +189,8 @@ def test_version(todframes) -> None:
 
 def test_help_imports_nothing_slow() -> None:
     code = (
-        "import sys; from todframes.command import run; from todframes.cli import cli; run(cli, ['--help']); "
+        "import sys; from todframes.cli.console import run; from todframes.cli.main import cli; "
+        "run(cli, ['--help']); "
         "slow = ('numpy', 'scipy', 'cv2', 'OpenImageIO', 'rich', 'matplotlib'); "
         "sys.exit(any(name in sys.modules for name in slow))"
     )
@@ -199,7 +200,7 @@ def test_help_imports_nothing_slow() -> None:
 def test_scoring_imports_no_plotting_or_statistics(make_dataset) -> None:
     """What takes a quarter of a second each to import, and is not needed without -o."""
     code = (
-        "import sys; from todframes.command import run; from todframes.cli import cli; "
+        "import sys; from todframes.cli.console import run; from todframes.cli.main import cli; "
         "run(cli, ['score', sys.argv[1], '--json']); "
         "sys.exit(any(name in sys.modules for name in ('matplotlib', 'scipy.stats', 'scipy.optimize', 'rich')))"
     )
@@ -267,7 +268,7 @@ def test_settings_that_make_no_sense_here(todframes, arguments: list[str]) -> No
 def test_libraries_are_kept_to_one_thread() -> None:
     """Unless the environment says otherwise."""
     ask = "keep_libraries_to_one_thread(); import cv2; print(cv2.getNumThreads())"
-    script = f"from todframes.command import keep_libraries_to_one_thread; {ask}"
+    script = f"from todframes.cli.console import keep_libraries_to_one_thread; {ask}"
     names = ("OPENBLAS_NUM_THREADS", "OPENCV_FOR_THREADS_NUM")
     bare = {name: value for name, value in os.environ.items() if name not in names}
     for environment, expected in ((bare, "1\n"), (bare | {names[1]: "2"}, "2\n")):

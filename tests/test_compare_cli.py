@@ -12,16 +12,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from todframes.cli import cli
-from todframes.command import run
-from todframes.enhancement_specs import enhancement_names
-from todframes.frame_writing import write_frame
-from todframes.frames import read_frame
+from todframes.cli.console import run
+from todframes.cli.main import cli
+from todframes.enhancement.algorithm import enhancement_names
+from todframes.frames.files import read_frame, write_frame
 from todframes.stimulus import Orientation, coverage
 
 OWN = """
 from typing import Annotated
-from todframes.enhancement import enhancement, parameter
+from todframes.enhancement.algorithm import enhancement, parameter
 
 def leaves(image):
     raise SystemExit(7)
@@ -223,12 +222,12 @@ def test_two_of_one_name_have_their_parameters_as_names(todframes, dataset: Path
     ]
 
 
-@pytest.mark.parametrize("start", [["-c", "from todframes.cli import main; main()"], ["-m", "todframes"]])
+@pytest.mark.parametrize("start", [["-c", "from todframes.cli.main import main; main()"], ["-m", "todframes"]])
 def test_own_module_from_the_present_folder(dataset: Path, here: Path, start: list[str], tmp_path: Path) -> None:
     """As by `python -m`, and as by a console script, which has its own folder first on the path."""
     (tmp_path / "bin").mkdir()
     script = tmp_path / "bin" / "todframes"
-    script.write_text("from todframes.cli import main\nmain()\n", encoding="utf-8")
+    script.write_text("from todframes.cli.main import main\nmain()\n", encoding="utf-8")
     command = [str(script)] if start[0] == "-c" else start
     done = subprocess.run(
         [sys.executable, *command, "compare", str(dataset), "--enhance", "my_algorithms:twice", "--json"],
@@ -254,7 +253,7 @@ def test_nothing_else_runs_from_the_present_folder(
         (here / f"{name}.py").write_text(HOSTILE, encoding="utf-8")
     (tmp_path / "bin").mkdir()
     script = tmp_path / "bin" / "todframes"
-    script.write_text("from todframes.cli import main\nmain()\n", encoding="utf-8")
+    script.write_text("from todframes.cli.main import main\nmain()\n", encoding="utf-8")
     command = [str(script)] if start == "script" else ["-m", "todframes"]
     done = subprocess.run(
         [sys.executable, *command, "compare", str(dataset), "--enhance", spec, "--json"],

@@ -9,20 +9,18 @@ import numpy as np
 import pytest
 from skimage.metrics import peak_signal_noise_ratio
 
-from todframes.comparing import compare_dataset
-from todframes.dataset import load_dataset
-from todframes.enhanced import DecodedFrame, Picture, Screen
-from todframes.enhancement_specs import find_enhancement
+from todframes.enhancement.algorithm import find_enhancement
+from todframes.enhancement.compare import compare_dataset
+from todframes.enhancement.enhanced_frame import DecodedFrame, Picture, Screen
 from todframes.errors import DataError, FrameError, SettingsError
-from todframes.frame_writing import write_frame
-from todframes.frames import FrameFile, read_frame
-from todframes.observer import PyramidObserver
-from todframes.psychometric import FitSettings
-from todframes.pyramid_settings import PyramidSettings
-from todframes.readout import Readout, Stimulus
-from todframes.scoring import score_dataset
-from todframes.stimulus import ORIENTATIONS, coverage
-from todframes.viewing import frame_problems
+from todframes.frames.contrast import frame_problems
+from todframes.frames.dataset import load_dataset
+from todframes.frames.files import FrameFile, read_frame, write_frame
+from todframes.observers.interface import Readout
+from todframes.observers.pyramid import PyramidObserver, PyramidSettings
+from todframes.psychometrics.fit import FitSettings
+from todframes.scoring.score import score_dataset
+from todframes.stimulus import ORIENTATIONS, Stimulus, coverage
 
 FAST = FitSettings(resamples=200)
 OBSERVER = PyramidObserver()
@@ -31,7 +29,7 @@ SCORED = ("scores", "probabilities", "p_correct", "answers", "displacement_sampl
 
 OWN = """
 import numpy as np
-from todframes.enhancement import enhancement
+from todframes.enhancement.algorithm import enhancement
 
 def same(image):
     return image
@@ -292,7 +290,7 @@ def test_a_border_is_the_outermost_ring() -> None:
     values = np.zeros((4, 5, 1), np.float32)
     values[[0, -1]] = values[:, [0, -1]] = 1.0
     dataset_display = {"eotf": "linear", "background_luminance_cd_m2": 50.0, "pixel_pitch_mrad": 0.5}
-    from todframes.display import Display
+    from todframes.frames.display import Display
 
     screen = Screen(Display(**dataset_display, white_luminance_cd_m2=80.0))
     assert Picture(screen, values).border_luminance() == 80.0

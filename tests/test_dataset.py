@@ -7,14 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from todframes.counts import read_counts
-from todframes.dataset import load_dataset
 from todframes.errors import DataError
-from todframes.observer import PyramidObserver
-from todframes.psychometric import FitSettings
-from todframes.readout import Stimulus
-from todframes.scoring import score_dataset
-from todframes.stimulus import Orientation
+from todframes.frames.dataset import load_dataset
+from todframes.observers.pyramid import PyramidObserver
+from todframes.psychometrics.counts import read_counts
+from todframes.psychometrics.fit import FitSettings
+from todframes.scoring.score import score_dataset
+from todframes.stimulus import Orientation, Stimulus
 
 
 def test_rows_become_trials(make_dataset) -> None:

@@ -14,8 +14,8 @@ from numpy.polynomial.legendre import leggauss
 from scipy.integrate import quad
 from scipy.special import ndtr
 
-from todframes.decision import answer_probabilities, answer_probability
 from todframes.errors import SettingsError
+from todframes.observers.decision import answer_probabilities, answer_probability
 
 EXACT = 1e-9
 SMOOTH = 3e-11

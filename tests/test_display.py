@@ -7,7 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from todframes.display import (
+from todframes.errors import DataError, SettingsError
+from todframes.frames.display import (
     Display,
     LuminanceTable,
     border_mean,
@@ -15,7 +16,6 @@ from todframes.display import (
     srgb_to_linear,
     weber_contrast,
 )
-from todframes.errors import DataError, SettingsError
 
 
 def display(**changes: object) -> Display:

@@ -12,12 +12,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from todframes.cli import cli
-from todframes.command import run
-from todframes.enhancement import Declaration
-from todframes.enhancement_specs import find_enhancement
-from todframes.naked_eye import contrast_threshold
-from todframes.observer import PyramidObserver
+from todframes.cli.console import run
+from todframes.cli.main import cli
+from todframes.enhancement.algorithm import Declaration, find_enhancement
+from todframes.observers.pyramid import PyramidObserver
+from todframes.scoring.naked_eye import contrast_threshold
 
 ROOT = Path(__file__).parent.parent
 SAMPLES = ["naked_eye", "grabbed_8bit", "staring_camera", "enhancement"]
@@ -114,8 +113,8 @@ def test_enhancement_of_the_samples_is_as_shown(tmp_path: Path, monkeypatch, cap
 def test_documented_settings_are_the_settings() -> None:
     from dataclasses import fields
 
-    from todframes.psychometric import FitSettings
-    from todframes.pyramid_settings import PyramidSettings
+    from todframes.observers.pyramid import PyramidSettings
+    from todframes.psychometrics.fit import FitSettings
 
     text = (ROOT / "docs" / "model.md").read_text(encoding="utf-8")
     documented = re.findall(r"^\| `(\w+)` \|", text, re.MULTILINE)

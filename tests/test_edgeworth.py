@@ -8,12 +8,10 @@ from math import comb, factorial
 import numpy as np
 import pytest
 
-from todframes.decision import answer_probabilities
-from todframes.edgeworth import edgeworth_correction, fourth_cumulants
-from todframes.observer import PyramidObserver
-from todframes.pyramid_settings import PyramidSettings
-from todframes.readout import Stimulus
-from todframes.stimulus import Orientation, coverage
+from todframes.observers.decision import answer_probabilities
+from todframes.observers.internal_noise import edgeworth_correction, fourth_cumulants
+from todframes.observers.pyramid import PyramidObserver, PyramidSettings
+from todframes.stimulus import Orientation, Stimulus, coverage
 
 UNIFORM = -1.2
 

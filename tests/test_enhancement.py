@@ -10,9 +10,15 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from todframes import enhancement_specs
-from todframes.enhancement import Declaration, enhancement, meaning, parameter
-from todframes.enhancement_specs import enhancement_names, find_enhancement
+from todframes.enhancement import algorithm as enhancement_specs
+from todframes.enhancement.algorithm import (
+    Declaration,
+    enhancement,
+    enhancement_names,
+    find_enhancement,
+    meaning,
+    parameter,
+)
 from todframes.errors import DataError, SettingsError
 
 NAMES = enhancement_names()

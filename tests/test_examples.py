@@ -11,16 +11,16 @@ import cv2
 import numpy as np
 import pytest
 
-from todframes.cli import cli
-from todframes.command import run
-from todframes.dataset import load_dataset
-from todframes.examples import FloatArray, FramePart, examples, pictures
-from todframes.observer import PyramidObserver
-from todframes.pyramid_settings import PyramidSettings
-from todframes.readout import Stimulus
-from todframes.retina import RetinaGrid
-from todframes.scoring import score_dataset
-from todframes.viewing import Patch
+from todframes._typing import FloatArray
+from todframes.cli.console import run
+from todframes.cli.main import cli
+from todframes.frames.contrast import Patch
+from todframes.frames.dataset import load_dataset
+from todframes.observers.pyramid import PyramidObserver, PyramidSettings
+from todframes.observers.retina import RetinaGrid
+from todframes.report.examples import FramePart, examples, pictures
+from todframes.scoring.score import score_dataset
+from todframes.stimulus import Stimulus
 
 # Code values of sRGB (IEC 61966-2-1) for linear light 1/2, 3/4 and 1.
 HALF, THREE_QUARTERS, WHITE = 188, 225, 255

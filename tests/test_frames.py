@@ -15,8 +15,7 @@ import OpenImageIO as oiio
 import pytest
 
 from todframes.errors import FrameError, OutputError, SettingsError
-from todframes.frame_writing import write_frame
-from todframes.frames import FrameFile, frame_sha256, read_frame, read_header
+from todframes.frames.files import FrameFile, frame_sha256, read_frame, read_header, write_frame
 
 HEIGHT, WIDTH = 40, 24
 EXR_HEADER_END = b"screenWindowWidth\0float\0\4\0\0\0" + struct.pack("<f", 1.0) + b"\0"
@@ -199,7 +198,7 @@ def test_same_values_give_the_same_bytes(tmp_path):
     script = f"""
         import time
         import numpy as np
-        from todframes.frame_writing import write_frame
+        from todframes.frames.files import write_frame
         time.sleep(1.1)
         for name in {list(names.values())}:
             values = np.random.default_rng(0).random((8, 8))
@@ -704,7 +703,7 @@ def test_disk_full_leaves_the_old_file(tmp_path, suffix):
         from pathlib import Path
         import numpy as np
         from todframes.errors import OutputError
-        from todframes.frame_writing import write_frame
+        from todframes.frames.files import write_frame
         values = np.random.default_rng(0).random((100, 100))
         write_frame("whole{suffix}", values)
         size = Path("whole{suffix}").stat().st_size
@@ -751,7 +750,7 @@ def test_threads_read_what_one_reads(tmp_path):
 def test_import_brings_no_slow_packages(tmp_path):
     script = """
         import sys
-        import todframes.frames
+        import todframes.frames.files
         print(*{"scipy", "cv2", "matplotlib", "msgspec", "rich", "click"} & set(sys.modules))
     """
     assert run_python(script, cwd=tmp_path).strip() == ""
@@ -768,7 +767,7 @@ def test_damaged_files_give_a_frame_or_an_error(tmp_path):
         from pathlib import Path
         import numpy as np
         from todframes.errors import FrameError
-        from todframes.frames import read_frame
+        from todframes.frames.files import read_frame
         resource.setrlimit(resource.RLIMIT_AS, (2**32, 2**32))
         rng = np.random.default_rng(20240)
         outcomes = [0, 0]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from todframes.errors import SettingsError
-from todframes.gabor import GaborPyramid
+from todframes.observers.gabor_pyramid import GaborPyramid
 
 VARIANTS = [
     {},

@@ -20,14 +20,14 @@ from xml.etree import ElementTree
 
 import pytest
 
-from todframes.cli import cli
-from todframes.command import run
+from todframes.cli.console import run
+from todframes.cli.main import cli
 from todframes.errors import DataError
-from todframes.figure_style import COLOURS
-from todframes.html_report import report_html
-from todframes.report import encode
-from todframes.result import read_result
-from todframes.verdict import verdict
+from todframes.report.convert import encode
+from todframes.report.figure_style import COLOURS
+from todframes.report.html import report_html
+from todframes.report.result import read_result
+from todframes.report.summary import verdict
 
 COMMANDS = ["score", "curve", "naked-eye", "fit", "compare", "accuracy"]
 NASTY = [

@@ -12,15 +12,14 @@ from sensor_sim.matched import matched_settings
 from sensor_sim.reconstruction import axis_matrix, display_position_px, display_signal
 from sensor_sim.sampling import field_detectors, field_sampler
 from sensor_sim.sensor import Detector, Electronics, Noise, Optics, Sensor, SensorDisplay
-from todframes.decision import answer_probabilities
 from todframes.errors import SettingsError
-from todframes.informative import InformativeObserver, InformativeSettings
-from todframes.naked_eye import contrast_threshold
-from todframes.observer import PyramidObserver
-from todframes.pyramid_settings import PyramidSettings
-from todframes.readout import Readout, Stimulus
-from todframes.retina import RetinaGrid, resample
-from todframes.stimulus import ORIENTATIONS, Orientation, coverage
+from todframes.observers.decision import answer_probabilities
+from todframes.observers.hotelling import InformativeObserver, InformativeSettings
+from todframes.observers.interface import Readout
+from todframes.observers.pyramid import PyramidObserver, PyramidSettings
+from todframes.observers.retina import RetinaGrid, resample
+from todframes.scoring.naked_eye import contrast_threshold
+from todframes.stimulus import ORIENTATIONS, Orientation, Stimulus, coverage
 
 RETINA_MRAD = PyramidSettings().retina_pitch_mrad
 DISPLAYS = [
@@ -383,7 +382,7 @@ def test_only_then_does_a_filter_make_no_difference() -> None:
 
 def test_weights_that_are_not_found_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     """A display that leaves next to nothing of fine detail, and an eye without noise that would want it back."""
-    monkeypatch.setattr("todframes.informative.MOST_ITERATIONS", 50)
+    monkeypatch.setattr("todframes.observers.hotelling.MOST_ITERATIONS", 50)
     with pytest.raises(SettingsError, match=r"sample_noise_sd: found 1, whose ideal weights are not found in 50"):
         observer(internal_noise=0.0, sample_noise_sd=1.0, display_blur_mrad=1.0).readout(Stimulus(1.0))
 

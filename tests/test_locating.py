@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from todframes.dataset import load_dataset
 from todframes.errors import DataError
-from todframes.frame_writing import write_frame
-from todframes.locating import locate_triangles
+from todframes.frames.dataset import load_dataset
+from todframes.frames.files import write_frame
+from todframes.frames.locate import locate_triangles
 from todframes.stimulus import Orientation, coverage
 
 

@@ -8,23 +8,22 @@ import sys
 import numpy as np
 import pytest
 
-from todframes.cli import cli
-from todframes.command import run
-from todframes.dataset import load_dataset
-from todframes.frame_writing import write_frame
-from todframes.frames import FrameFile, read_frame
-from todframes.locating import locate_triangles
-from todframes.observer import PyramidObserver
+from todframes.cli.console import run
+from todframes.cli.main import cli
+from todframes.frames.contrast import read_contrast
+from todframes.frames.dataset import load_dataset
+from todframes.frames.files import FrameFile, read_frame, write_frame
+from todframes.frames.locate import locate_triangles
+from todframes.observers.pyramid import PyramidObserver
 from todframes.stimulus import ORIENTATIONS, coverage
-from todframes.viewing import read_contrast
 
 SIDE_PX, SIZE_PX, PITCH_MRAD = 4000, 1000.0, 0.01
 DECODED_MB = SIDE_PX**2 / 2**20
 PEAK = """
 import sys
 from pathlib import Path
-from todframes.cli import cli
-from todframes.command import keep_libraries_to_one_thread, run
+from todframes.cli.main import cli
+from todframes.cli.console import keep_libraries_to_one_thread, run
 keep_libraries_to_one_thread()
 status = run(cli, sys.argv[1:])
 (line,) = [line for line in Path("/proc/self/status").read_text().splitlines() if line.startswith("VmHWM")]

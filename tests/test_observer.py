@@ -8,14 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from todframes.decision import answer_probabilities
 from todframes.errors import SettingsError
-from todframes.naked_eye import acuity, contrast_threshold, proportion_correct
-from todframes.observer import PyramidObserver
-from todframes.pyramid_settings import PyramidSettings
-from todframes.readout import ENTRY_POINT_GROUP, Observer, Stimulus, find_observer
-from todframes.retina import RetinaGrid
-from todframes.stimulus import ORIENTATIONS, Orientation, coverage
+from todframes.observers.decision import answer_probabilities
+from todframes.observers.interface import ENTRY_POINT_GROUP, Observer, find_observer
+from todframes.observers.pyramid import PyramidObserver, PyramidSettings
+from todframes.observers.retina import RetinaGrid
+from todframes.scoring.naked_eye import acuity, contrast_threshold, proportion_correct
+from todframes.stimulus import ORIENTATIONS, Orientation, Stimulus, coverage
 
 
 def registered() -> list[str]:

@@ -16,12 +16,11 @@ from sensor_sim.cli import cli as sensor_sim
 from sensor_sim.matched import matched_settings
 from sensor_sim.predict import FoldedChain, predict_threshold
 from sensor_sim.sensor import load_sensor
-from todframes.cli import cli as todframes
-from todframes.command import run
-from todframes.informative import InformativeObserver
-from todframes.observer import PyramidObserver
-from todframes.pyramid_settings import PyramidSettings
-from todframes.readout import find_observer
+from todframes.cli.console import run
+from todframes.cli.main import cli as todframes
+from todframes.observers.hotelling import InformativeObserver
+from todframes.observers.interface import find_observer
+from todframes.observers.pyramid import PyramidObserver, PyramidSettings
 
 ROOT = Path(__file__).parent.parent
 DOCS = (ROOT / "docs" / "observers.md").read_text(encoding="utf-8")

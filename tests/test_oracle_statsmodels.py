@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from todframes.pairing import holm
+from todframes.psychometrics.paired_bootstrap import holm
 
 multitest = pytest.importorskip("statsmodels.stats.multitest")
 

@@ -5,14 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from todframes.dataset import load_dataset
 from todframes.errors import SettingsError
-from todframes.naked_eye import contrast_threshold
-from todframes.observer import PyramidObserver
-from todframes.oriented import OrientedObserver, OrientedSettings
-from todframes.readout import Stimulus
-from todframes.scoring import score_dataset
-from todframes.stimulus import ORIENTATIONS, Orientation, coverage
+from todframes.frames.dataset import load_dataset
+from todframes.observers.oriented import OrientedObserver, OrientedSettings
+from todframes.observers.pyramid import PyramidObserver
+from todframes.scoring.naked_eye import contrast_threshold
+from todframes.scoring.score import score_dataset
+from todframes.stimulus import ORIENTATIONS, Orientation, Stimulus, coverage
 
 
 def observer(**changes: object) -> OrientedObserver:

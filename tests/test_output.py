@@ -634,7 +634,7 @@ def test_an_import_is_not_interrupted(tmp_path: Path, monkeypatch: pytest.Monkey
 
 
 @pytest.mark.parametrize("package", ["todframes", "sensor_sim"])
-@pytest.mark.parametrize("module", ["todframes.signals", "click", "todframes.command", "{package}.cli"])
+@pytest.mark.parametrize("module", ["todframes.signals", "click", "todframes.cli.console", "{package}.cli"])
 def test_ctrl_c_during_the_first_imports(package: str, module: str) -> None:
     """One line and no traceback, from the first module on that a command imports."""
     module = module.format(package=package)

@@ -7,14 +7,13 @@ import math
 import numpy as np
 import pytest
 
-from todframes.decision import answer_probability
-from todframes.naked_eye import contrast_threshold
-from todframes.observer import PyramidObserver
-from todframes.pairing import RatioDraws, holm, ratio_draws, threshold_ratio
-from todframes.psychometric import FitSettings, fit_trials
-from todframes.readout import Stimulus
-from todframes.stimulus import Orientation, coverage
-from todframes.weibull import weibull
+from todframes.observers.decision import answer_probability
+from todframes.observers.pyramid import PyramidObserver
+from todframes.psychometrics.fit import FitSettings, fit_trials
+from todframes.psychometrics.paired_bootstrap import RatioDraws, holm, ratio_draws, threshold_ratio
+from todframes.psychometrics.weibull import weibull
+from todframes.scoring.naked_eye import contrast_threshold
+from todframes.stimulus import Orientation, Stimulus, coverage
 
 SETTINGS = FitSettings(resamples=400)
 LEVELS = np.geomspace(0.5, 2.0, 7)

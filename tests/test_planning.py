@@ -16,21 +16,17 @@ import sensor_sim.curve_plan
 import sensor_sim.sampling
 import sensor_sim.transfer
 from sensor_sim.cli import cli as sensor_cli
-from sensor_sim.curve_plan import full_plan
-from sensor_sim.planning import plan_curve
+from sensor_sim.curve_plan import full_plan, plan_curve
 from sensor_sim.predict import FoldedChain, predict_threshold
 from sensor_sim.sensor import Optics, load_sensor
-from todframes.cli import cli
-from todframes.dataset import load_dataset
-from todframes.decision import answer_probabilities
-from todframes.frame_writing import write_frame
-from todframes.frames import FrameFile
-from todframes.observer import PyramidObserver
-from todframes.planning import LEFT_OUT_SHARE, Step, decision_change, plan_object, total_bound
-from todframes.pyramid_settings import PyramidSettings
-from todframes.readout import Stimulus
-from todframes.scoring import score_dataset
-from todframes.stimulus import ORIENTATIONS, Orientation, coverage
+from todframes.cli.main import cli
+from todframes.frames.dataset import load_dataset
+from todframes.frames.files import FrameFile, write_frame
+from todframes.observers.decision import answer_probabilities
+from todframes.observers.pyramid import PyramidObserver, PyramidSettings
+from todframes.scoring.error_budget import LEFT_OUT_SHARE, Step, decision_change, plan_object, total_bound
+from todframes.scoring.score import score_dataset
+from todframes.stimulus import ORIENTATIONS, Orientation, Stimulus, coverage
 
 ROOT = Path(__file__).parent.parent
 STAR_LIKE = load_sensor(ROOT / "sample_frames" / "star_like.toml")

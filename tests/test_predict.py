@@ -10,21 +10,20 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from sensor_sim.planning import plan_curve
+from sensor_sim.curve_plan import plan_curve
 from sensor_sim.predict import FoldedChain, predict_threshold
 from sensor_sim.reconstruction import display_position_px
 from sensor_sim.sampling import field_detectors, field_sampler
 from sensor_sim.sensor import Detector, Electronics, Noise, Optics, Sensor, SensorDisplay, load_sensor
 from sensor_sim.simulate import Simulator, plan_trials
-from todframes.decision import answer_probabilities
 from todframes.errors import SettingsError
-from todframes.naked_eye import contrast_threshold
-from todframes.observer import PyramidObserver
-from todframes.psychometric import FitSettings, fit_trials
-from todframes.pyramid_settings import PyramidSettings
-from todframes.readout import Observer, Readout, Stimulus
-from todframes.retina import overlap_matrix, resample
-from todframes.stimulus import ORIENTATIONS, bounding_box_offset
+from todframes.observers.decision import answer_probabilities
+from todframes.observers.interface import Observer, Readout
+from todframes.observers.pyramid import PyramidObserver, PyramidSettings
+from todframes.observers.retina import overlap_matrix, resample
+from todframes.psychometrics.fit import FitSettings, fit_trials
+from todframes.scoring.naked_eye import contrast_threshold
+from todframes.stimulus import ORIENTATIONS, Stimulus, bounding_box_offset
 
 STAR_LIKE = Path(__file__).parent.parent / "sample_frames" / "star_like.toml"
 

@@ -15,14 +15,13 @@ from hypothesis import strategies as st
 from scipy import optimize
 from scipy.special import xlogy
 
-from todframes.decision import answer_probability
 from todframes.errors import DataError, SettingsError
-from todframes.naked_eye import contrast_threshold
-from todframes.observer import PyramidObserver
-from todframes.psychometric import FitSettings, PsychometricFit, fit_counts, fit_trials
-from todframes.readout import Stimulus
-from todframes.stimulus import Orientation, coverage
-from todframes.weibull import weibull, weibull_level
+from todframes.observers.decision import answer_probability
+from todframes.observers.pyramid import PyramidObserver
+from todframes.psychometrics.fit import FitSettings, PsychometricFit, fit_counts, fit_trials
+from todframes.psychometrics.weibull import weibull, weibull_level
+from todframes.scoring.naked_eye import contrast_threshold
+from todframes.stimulus import Orientation, Stimulus, coverage
 
 POINT = FitSettings(resamples=0)
 LEVELS = np.geomspace(0.5, 2.0, 7)
@@ -391,9 +390,8 @@ def test_trials_are_checked(p, message):
 
 
 def test_import_does_not_load_the_slow_parts_of_scipy():
-    program = (
-        "import sys, todframes.psychometric; print(sorted({'scipy.optimize', 'scipy.stats'} & set(sys.modules)))"
-    )
+    slow = "{'scipy.optimize', 'scipy.stats'}"
+    program = f"import sys, todframes.psychometrics.fit; print(sorted({slow} & set(sys.modules)))"
     loaded = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True).stdout
     assert loaded.strip() == "[]"
 

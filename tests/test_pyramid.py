@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from todframes.errors import SettingsError
-from todframes.pyramid import LaplacianPyramid
+from todframes.observers.laplacian_pyramid import LaplacianPyramid
 
 shapes = st.tuples(st.integers(1, 70), st.integers(1, 70))
 kernels = st.one_of(st.sampled_from([0.375, 0.4]), st.floats(0.0, 1.0))

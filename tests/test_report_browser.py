@@ -15,9 +15,9 @@ from typing import NamedTuple
 
 import pytest
 
-from todframes.cli import cli
-from todframes.command import run
-from todframes.html_report import report_html
+from todframes.cli.console import run
+from todframes.cli.main import cli
+from todframes.report.html import report_html
 
 SAMPLES = Path(__file__).parent.parent / "sample_frames"
 WIDTHS = (1280, 390)

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from todframes.errors import SettingsError
-from todframes.retina import RetinaGrid, overlap_matrix, resample
+from todframes.observers.retina import RetinaGrid, overlap_matrix, resample
 from todframes.stimulus import Orientation, coverage
 
 

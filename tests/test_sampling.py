@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 from scipy.special import j0, j1
 
 from sensor_sim import sampling
-from sensor_sim.sampling import TriangleSampler
-from sensor_sim.scenes import sample_image
+from sensor_sim.sampling import TriangleSampler, sample_image
 from sensor_sim.sensor import Detector, Optics
 from todframes.errors import SettingsError
 from todframes.stimulus import ORIENTATIONS, Orientation, coverage, vertices

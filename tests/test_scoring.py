@@ -5,18 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from todframes.dataset import load_dataset
 from todframes.errors import SettingsError
-from todframes.frame_writing import write_frame
-from todframes.frames import read_frame
-from todframes.locating import locate_triangles
-from todframes.naked_eye import contrast_threshold
-from todframes.observer import PyramidObserver
-from todframes.psychometric import FitSettings
-from todframes.pyramid_settings import PyramidSettings
-from todframes.readout import Readout, Stimulus
-from todframes.scoring import score_dataset
-from todframes.stimulus import ORIENTATIONS, Orientation, coverage
+from todframes.frames.dataset import load_dataset
+from todframes.frames.files import read_frame, write_frame
+from todframes.frames.locate import locate_triangles
+from todframes.observers.interface import Readout
+from todframes.observers.pyramid import PyramidObserver, PyramidSettings
+from todframes.psychometrics.fit import FitSettings
+from todframes.scoring.naked_eye import contrast_threshold
+from todframes.scoring.score import score_dataset
+from todframes.stimulus import ORIENTATIONS, Orientation, Stimulus, coverage
 
 FAST = FitSettings(resamples=0)
 STEADY = PyramidObserver(PyramidSettings(position_jitter_samples=0.0))

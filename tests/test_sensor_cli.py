@@ -15,9 +15,9 @@ import pytest
 
 from sensor_sim.cli import cli
 from todframes import __version__
-from todframes.cli import cli as todframes_cli
-from todframes.command import run
-from todframes.frames import read_header
+from todframes.cli.console import run
+from todframes.cli.main import cli as todframes_cli
+from todframes.frames.files import read_header
 
 BAD_DATA, BAD_SETTINGS = 1, 2
 
@@ -340,7 +340,7 @@ def test_version(sensor_sim):
 
 def test_help_imports_nothing_slow():
     code = (
-        "import sys; from todframes.command import run; from sensor_sim.cli import cli; run(cli, ['--help']); "
+        "import sys; from todframes.cli.console import run; from sensor_sim.cli import cli; run(cli, ['--help']); "
         "slow = ('numpy', 'scipy', 'cv2', 'OpenImageIO', 'rich', 'matplotlib'); "
         "sys.exit(any(name in sys.modules for name in slow))"
     )

@@ -22,17 +22,18 @@ from sensor_sim import cli, simulate
 from sensor_sim.pictures import trial_stages
 from sensor_sim.sensor import Detector, Electronics, Noise, Optics, Sensor, SensorDisplay
 from sensor_sim.simulate import Simulator, Trial, plan_trials, white_luminance_cd_m2, write_dataset
-from todframes import __version__, frame_writing
-from todframes.command import run
-from todframes.dataset import load_dataset
+from todframes import __version__
+from todframes.cli.console import run
 from todframes.errors import FrameError, SettingsError
-from todframes.frames import read_frame, read_header
-from todframes.observer import PyramidObserver
-from todframes.psychometric import FitSettings
-from todframes.scoring import score_dataset
+from todframes.frames import files as frame_writing
+from todframes.frames.contrast import frame_problems
+from todframes.frames.dataset import load_dataset
+from todframes.frames.files import read_frame, read_header
+from todframes.observers.pyramid import PyramidObserver
+from todframes.psychometrics.fit import FitSettings
+from todframes.scoring.score import score_dataset
 from todframes.signals import SIGNALS
 from todframes.stimulus import ORIENTATIONS, Orientation, coverage
-from todframes.viewing import frame_problems
 
 COMMAND = (sys.executable, "-c", "from sensor_sim.cli import main; main()")
 BAD_DATA, BAD_SETTINGS, INTERRUPTED = 1, 2, 130

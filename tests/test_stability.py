@@ -12,11 +12,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from todframes import stability
-from todframes.cli import cli
-from todframes.command import run
+from todframes.cli.console import run
+from todframes.cli.main import cli
 from todframes.errors import SettingsError
-from todframes.stability import (
+from todframes.studies.stability import case as stability
+from todframes.studies.stability.case import (
     ENTRY_POINT_GROUP,
     Case,
     cells,

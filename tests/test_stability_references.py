@@ -17,9 +17,9 @@ import pytest
 from mpmath import mpf
 from numpy.typing import NDArray
 
-from sensor_sim.stability_optics_cases import BELOW_CUT_OFF
-from todframes.stability import MPMATH, Case, digits_kept, find_cases
-from todframes.stability_cases import (
+from sensor_sim.studies.stability import BELOW_CUT_OFF
+from todframes.studies.stability.case import MPMATH, Case, digits_kept, find_cases
+from todframes.studies.stability.decision import (
     D_PRIMES,
     EVEN_PARTS,
     HIGH_D_PRIMES,
@@ -29,7 +29,7 @@ from todframes.stability_cases import (
     SNRS,
     pairs,
 )
-from todframes.stability_data_cases import (
+from todframes.studies.stability.fits_and_frames import (
     CONTRAST,
     DECADES,
     LEVELS,
@@ -39,7 +39,7 @@ from todframes.stability_data_cases import (
     SINGLE,
     SINGLE_LEVELS,
 )
-from todframes.stability_observer_cases import CONTRASTS, COVARIANCES, ERRORS
+from todframes.studies.stability.observer import CONTRASTS, COVARIANCES, ERRORS
 
 Numbers = Sequence[mpf]
 Image = NDArray[Any]

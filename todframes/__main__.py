@@ -28,7 +28,7 @@ def start() -> None:
 def main() -> None:
     """Run the command line and end the process."""
     start()
-    from todframes.cli import main as run
+    from todframes.cli.main import main as run
 
     run()
 

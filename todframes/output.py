@@ -35,10 +35,17 @@ from todframes.signals import held_back
 if sys.platform != "win32":
     import fcntl
 
+
 STAGING, LOCK, STAGED, ASIDE = ".todframes-staging", "lock", "new", "old"
+
+
 MARK = ".todframes.json"
 """In a dataset: the files that this package wrote into it, with their SHA-256."""
+
+
 LAST_OF_DATASET, LAST_OF_RESULT = "dataset.toml", "result.json"
+
+
 FILES_OF_COMMAND = {
     "score": {"report.html", "scores.csv", "psychometric.png", "tod_curve.png"},
     "curve": {"report.html", "psychometric.png", "tod_curve.png"},
@@ -46,12 +53,20 @@ FILES_OF_COMMAND = {
 }
 """That belong to a `result.json`."""
 
+
 Inventory = dict[str, tuple[int, ...]]
+
+
 FOLDER: tuple[int, ...] = ()
+
+
 OTHER: tuple[int, ...] = (-1,)
+
 
 # Flags of renameat2 (Linux) and renamex_np (macOS).
 NO_REPLACE, EXCHANGE = (4, 2) if sys.platform == "darwin" else (1, 2)
+
+
 AT_FDCWD = -100
 
 

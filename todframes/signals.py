@@ -15,10 +15,15 @@ from types import FrameType
 from typing import Any
 
 SIGNALS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
+
+
 INTERRUPTED = 130
 """Exit status."""
+
+
 RETRY_S, MOST_RETRIES = 0.02, 100
 """Of an interruption during an import; if that takes longer, it is interrupted."""
+
 
 written: list[str] = []
 """Places that the present run has written; `output` adds to them, `interruption_message` tells the last."""

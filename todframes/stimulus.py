@@ -5,19 +5,23 @@ Image coordinates: x to the right, y down, pixel centres at whole numbers, so pi
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from enum import StrEnum
 from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from todframes._typing import FloatArray
 from todframes.errors import SettingsError
 
-FloatArray = NDArray[np.float64]
 Centre = Literal["centroid", "bounding_box"]
+
 
 HEIGHT_PER_SIZE = 3.0**0.25
 """Height of an equilateral triangle of unit area: area = height² / √3."""
+
+
 SIDE_PER_SIZE = 2.0 / 3.0**0.25
 """Side of an equilateral triangle of unit area."""
 
@@ -243,3 +247,14 @@ def _by_series(a: FloatArray, b: FloatArray, c: FloatArray) -> NDArray[np.comple
 
 def _first_divided_difference_of_exp(a: FloatArray, b: FloatArray) -> NDArray[np.complex128]:
     return np.asarray(np.exp(0.5j * (a + b)) * np.sinc((b - a) / (2.0 * np.pi)))
+
+
+@dataclass(frozen=True, slots=True)
+class Stimulus:
+    """What the observer knows of a trial beforehand: all but the orientation.
+
+    `size_mrad` is √(area) as displayed, `polarity` 1 for brighter and -1 for darker than the background.
+    """
+
+    size_mrad: float
+    polarity: int = 1

@@ -10,8 +10,8 @@ import os
 import sys
 from typing import Any
 
+from todframes.config import check_keys
 from todframes.errors import SettingsError
-from todframes.settings import check_keys
 
 
 def import_named(module: str, name: str, where: str) -> Any:

@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 from timing import Row
 
-from sensor_sim.accuracy_scenes import external_noise, internal_noise, no_noise
-from sensor_sim.planning import plan_curve
+from sensor_sim.curve_plan import plan_curve
 from sensor_sim.predict import FoldedChain, predict_threshold
 from sensor_sim.sensor import Detector, Optics, Sensor, SensorDisplay, load_sensor
-from todframes.accuracy import measure
-from todframes.observer import PyramidObserver
+from sensor_sim.studies.accuracy import external_noise, internal_noise, no_noise
+from todframes.observers.pyramid import PyramidObserver
+from todframes.studies.accuracy.measure import measure
 
 SECONDS = 60.0
 SEEDS = 200

@@ -10,11 +10,11 @@ from pathlib import Path
 from bench_scoring import make_dataset
 from timing import Row
 
-from todframes.comparing import compare_dataset
-from todframes.dataset import load_dataset
-from todframes.enhancement_specs import find_enhancement
-from todframes.frames import read_frame
-from todframes.observer import PyramidObserver
+from todframes.enhancement.algorithm import find_enhancement
+from todframes.enhancement.compare import compare_dataset
+from todframes.frames.dataset import load_dataset
+from todframes.frames.files import read_frame
+from todframes.observers.pyramid import PyramidObserver
 
 N_FRAMES = 500
 USUAL = ("clahe", "unsharp", "gaussian", "median", "bilateral")

@@ -12,14 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 from timing import Row
 
-from todframes.comparing import SIGNIFICANCE
-from todframes.decision import answer_probability
-from todframes.naked_eye import contrast_threshold
-from todframes.observer import PyramidObserver
-from todframes.pairing import ThresholdRatio, ratio_draws, threshold_ratio
-from todframes.psychometric import FitSettings, fit_trials
-from todframes.readout import Stimulus
-from todframes.stimulus import Orientation, coverage
+from todframes.enhancement.compare import SIGNIFICANCE
+from todframes.observers.decision import answer_probability
+from todframes.observers.pyramid import PyramidObserver
+from todframes.psychometrics.fit import FitSettings, fit_trials
+from todframes.psychometrics.paired_bootstrap import ThresholdRatio, ratio_draws, threshold_ratio
+from todframes.scoring.naked_eye import contrast_threshold
+from todframes.stimulus import Orientation, Stimulus, coverage
 
 FloatArray = NDArray[np.float64]
 

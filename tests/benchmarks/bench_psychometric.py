@@ -7,7 +7,7 @@ import warnings
 import numpy as np
 from timing import Row, best_s
 
-from todframes.psychometric import FitSettings, fit_counts
+from todframes.psychometrics.fit import FitSettings, fit_counts
 
 LEVEL = np.geomspace(0.5, 2.0, 7)
 N_CORRECT = np.array([8, 11, 14, 19, 24, 28, 30])

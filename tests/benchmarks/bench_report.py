@@ -10,12 +10,12 @@ import cv2
 import numpy as np
 from timing import Row, best_s
 
-from todframes import figures
-from todframes.examples import DISPLAY_SIDE_PX, MOST_BANDS, MOST_EXAMPLES, RETINA_SIDE_PX
-from todframes.figure_style import style
-from todframes.html_report import report_html
-from todframes.report import encode
-from todframes.result import Fit, read_result
+from todframes.report import figures
+from todframes.report.convert import encode
+from todframes.report.examples import DISPLAY_SIDE_PX, MOST_BANDS, MOST_EXAMPLES, RETINA_SIDE_PX
+from todframes.report.figure_style import style
+from todframes.report.html import report_html
+from todframes.report.result import Fit, read_result
 
 CURVES, LEVELS = 10, 9
 

@@ -10,13 +10,13 @@ from pathlib import Path
 import numpy as np
 from timing import Row, best_s, paired_ratio, process
 
-from todframes.frame_writing import write_frame
-from todframes.pyramid import LaplacianPyramid
+from todframes.frames.files import write_frame
+from todframes.observers.laplacian_pyramid import LaplacianPyramid
 from todframes.stimulus import ORIENTATIONS, coverage
 
 SIDE, PITCH_MRAD, SIZE_MRAD = 512, 0.7, 10.0
 DISTINCT = 40
-SCORE = "import sys; from todframes.cli import main; main(['score', sys.argv[1], '--json', '--quiet'])"
+SCORE = "import sys; from todframes.cli.main import main; main(['score', sys.argv[1], '--json', '--quiet'])"
 DECODE = """
 import sys, pathlib, OpenImageIO as oiio
 for path in sorted(pathlib.Path(sys.argv[1]).glob("frames/*")):

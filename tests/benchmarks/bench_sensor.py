@@ -10,14 +10,14 @@ from pathlib import Path
 import numpy as np
 from timing import Row, best_s, process
 
-from sensor_sim.literal import literal_answers
 from sensor_sim.predict import FoldedChain, predict_threshold
 from sensor_sim.reconstruction import axis_matrix, display_signal
 from sensor_sim.sampling import TriangleSampler
 from sensor_sim.sensor import Sensor, load_sensor
+from sensor_sim.studies.accuracy import literal_answers
 from sensor_sim.transfer import optics_mtf
-from todframes.observer import PyramidObserver
-from todframes.psychometric import FitSettings, fit_counts
+from todframes.observers.pyramid import PyramidObserver
+from todframes.psychometrics.fit import FitSettings, fit_counts
 from todframes.stimulus import Orientation, coverage
 
 SENSOR = Path(__file__).parents[2] / "sample_frames" / "star_like.toml"
@@ -28,7 +28,7 @@ TOLERANCE = 1.96 * STANDARD_ERROR
 CURVES = f"""
 from sensor_sim.predict import FoldedChain, predict_threshold
 from sensor_sim.sensor import load_sensor
-from todframes.observer import PyramidObserver
+from todframes.observers.pyramid import PyramidObserver
 sensor, observer = load_sensor({str(SENSOR)!r}), PyramidObserver()
 for size in {SIZES}:
     chain = FoldedChain(sensor, observer, size)

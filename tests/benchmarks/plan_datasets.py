@@ -18,14 +18,13 @@ from pathlib import Path
 
 import numpy as np
 
-from todframes.dataset import Dataset, load_dataset
 from todframes.errors import SettingsError
-from todframes.frame_writing import write_frame
-from todframes.naked_eye import contrast_threshold
-from todframes.observer import PyramidObserver
-from todframes.planning import PlanName
-from todframes.pyramid_settings import PyramidSettings
-from todframes.scoring import ScoredDataset, score_dataset
+from todframes.frames.dataset import Dataset, load_dataset
+from todframes.frames.files import write_frame
+from todframes.observers.pyramid import PyramidObserver, PyramidSettings
+from todframes.scoring.error_budget import PlanName
+from todframes.scoring.naked_eye import contrast_threshold
+from todframes.scoring.score import ScoredDataset, score_dataset
 from todframes.stimulus import ORIENTATIONS, coverage
 
 LEVELS = (0.4, 0.7, 1.0, 1.5, 2.5)

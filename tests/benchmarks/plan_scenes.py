@@ -18,12 +18,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from sensor_sim.planning import plan_curve
+from sensor_sim.curve_plan import plan_curve
 from sensor_sim.predict import FoldedChain, PredictedThreshold, predict_threshold
 from sensor_sim.sensor import Detector, Electronics, Noise, Optics, Sensor, SensorDisplay
-from todframes.observer import PyramidObserver
-from todframes.planning import PlanName
-from todframes.pyramid_settings import PyramidSettings
+from todframes.observers.pyramid import PyramidObserver, PyramidSettings
+from todframes.scoring.error_budget import PlanName
 
 TOLERANCE = 1e-2
 

@@ -6,7 +6,7 @@ import importlib
 import sys
 from pathlib import Path
 
-from todframes.command import keep_libraries_to_one_thread
+from todframes.cli.console import keep_libraries_to_one_thread
 
 HERE = Path(__file__).parent
 

@@ -1,0 +1,1 @@
+"""The sensor model's part of the studies of accuracy and stability."""

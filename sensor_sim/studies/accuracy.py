@@ -1,0 +1,332 @@
+"""Accuracy scenes of one staring camera in three kinds of noise.
+
+Where detector noise decides, the threshold is a signal-to-noise ratio. Where the observer's own noise does, that
+ratio would tell next to nothing: the threshold is then the contrast of a large triangle on the display, and the
+detector noise, if there is any, has a contrast of its own that stays.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Literal
+
+import numpy as np
+
+from sensor_sim.curve_plan import CurvePlan, plan_curve
+from sensor_sim.noise import draw
+from sensor_sim.predict import FoldedChain, Phases
+from sensor_sim.reconstruction import axis_matrix, display_position_px, display_signal, luminance_cd_m2
+from sensor_sim.sampling import field_detectors, field_sampler
+from sensor_sim.sensor import Detector, Optics, Sensor, SensorDisplay
+from todframes._typing import FloatArray
+from todframes.observers.pyramid import PyramidObserver
+from todframes.observers.retina import resample
+from todframes.psychometrics.threshold_search import crossing, find_crossing
+from todframes.scoring.error_budget import PlanName
+from todframes.scoring.naked_eye import CONTRAST_RANGE
+from todframes.stimulus import ORIENTATIONS, Stimulus
+from todframes.studies.accuracy.estimators import (
+    P_CORRECT,
+    Converged,
+    Estimate,
+    MonteCarlo,
+    Quadrature,
+    Trials,
+    Variant,
+    estimate_at_one_level,
+    monte_carlos,
+)
+
+AT_ONCE = 32
+"""Frames whose samples are made together, which costs less."""
+
+
+def literal_answers(
+    sensor: Sensor, size_detectors: float, *, snr: float, contrast: float = 1.0
+) -> Callable[[int, np.random.Generator], FloatArray]:
+    """What draws trials of random orientation and place, with noise on every detector and every neuron.
+
+    Parameters
+    ----------
+    sensor : Sensor
+        All of its noise is new in each trial, the share of the fixed pattern too.
+    size_detectors : float
+        √(area) of the triangle, > 0.
+    snr : float
+        Signal of a large triangle over the standard deviation of the detector noise; infinity: there is none.
+    contrast : float
+        Of the triangle, in units of what the display's gain gives it.
+
+    Returns
+    -------
+    callable
+        `answers(n, rng)`: 1 for a right and 0 for a wrong answer, (n, 1).
+
+    Raises
+    ------
+    SettingsError
+        If the size or field is out of range.
+    """
+    display, observer = sensor.display, PyramidObserver()
+    stimulus = Stimulus(size_detectors * display.detector_pitch_mrad)
+    observer.templates(stimulus)
+    grid, field = observer.grid(stimulus), field_detectors(sensor, size_detectors)
+    sampler = field_sampler(sensor, size_detectors)
+    hold = axis_matrix(field, display=display, electronics=sensor.electronics)
+    jitter_px = observer.position_jitter_samples * grid.pitch_mrad / display.pixel_pitch_mrad
+
+    def some(n: int, rng: np.random.Generator) -> FloatArray:
+        orientations = rng.integers(4, size=n)
+        places = rng.uniform(-0.5, 0.5, (n, 2))
+        samples = np.empty((n, field, field))
+        for orientation in ORIENTATIONS:
+            these = orientations == orientation.quarter_turns
+            samples[these] = sampler.samples(*places[these].T, orientation=orientation)
+        samples *= contrast
+        samples += draw(samples.shape, sd=contrast / snr, distribution=sensor.noise.distribution, rng=rng)
+        jitter = jitter_px * rng.uniform(-1.0, 1.0, (n, 2))
+        right = np.empty((n, 1))
+        for trial in range(n):
+            x_px, y_px = (
+                display_position_px(at, n_detectors=field, display=display) + by
+                for at, by in zip(places[trial].tolist(), jitter[trial].tolist(), strict=True)
+            )
+            luminance = luminance_cd_m2(display_signal(samples[trial], hold), display=display)
+            seen = resample(
+                luminance / display.background_luminance_cd_m2 - 1.0,
+                grid,
+                x_px=x_px,
+                y_px=y_px,
+                pixel_pitch_mrad=display.pixel_pitch_mrad,
+            )
+            right[trial] = observer.respond(seen, stimulus, rng).quarter_turns == orientations[trial]
+        return right
+
+    def answers(n: int, rng: np.random.Generator) -> FloatArray:
+        return np.concatenate([some(min(AT_ONCE, n - start), rng) for start in range(0, n, AT_ONCE)])
+
+    return answers
+
+
+STAR_LIKE = Sensor(
+    name="star-like",
+    optics=Optics(aperture_mm=220.0, wavelength_um=4.0, blur_sigma_mrad=0.01),
+    detector=Detector(pitch_mrad=0.0681, width_mrad=0.0681),
+    display=SensorDisplay(
+        pixels_per_detector=6,
+        pixel_pitch_mm=0.25,
+        viewing_distance_mm=350.0,
+        blur_sigma_px=2.0,
+        background_luminance_cd_m2=50.0,
+    ),
+)
+"""The camera of the sample frames without its fixed pattern: that of one camera would be the same in all frames of
+the literal Monte Carlo, while a computed threshold is a mean over cameras."""
+
+
+PLACES = (3, 5, 7, 11, 13, 17, 19, 23, 29)
+"""Of a lattice, along each axis of a detector."""
+
+
+REPEATS = 12
+
+
+CONVERGED_PLACES, FEWEST_LATTICES, MOST_LATTICES = 17, 8, 64
+
+
+CONVERGED_BOUND = 1e-4
+"""Of the threshold: a tenth of the smallest error at which estimators are compared."""
+
+
+VARIANT_PLACES = 11
+
+
+COARSE_TOLERANCE, TOLERANCE = 0.0196, 0.00196
+"""Half-widths of 95 % intervals: standard errors of 1 % and 0.1 %."""
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A triangle of one size through a camera.
+
+    Attributes
+    ----------
+    name, title, description : str
+    level : {"snr", "contrast"}
+        What is varied: the noise under a triangle of contrast 1, or the triangle's contrast.
+    noise_contrast : float
+        Standard deviation of the detector noise as displayed, where it is not varied; 0: none.
+    converged_bound : float
+        Relative half-width of the converged threshold's 95 % interval to reach.
+    """
+
+    name: str
+    title: str
+    description: str
+    level: Literal["snr", "contrast"]
+    noise_contrast: float = 0.0
+    sensor: Sensor = STAR_LIKE
+    size_detectors: float = 6.0
+    converged_bound: float = CONVERGED_BOUND
+
+    def converge(self) -> Converged:
+        """From as many independently shifted lattices as the bound needs; what the plan leaves out adds to it."""
+        chain = self._chain(self._plan())
+        streams = np.random.SeedSequence(0).spawn(MOST_LATTICES)
+        first = chain.phases(CONVERGED_PLACES, np.random.default_rng(streams[0]))
+        near, step = self._threshold(chain, first), 0.05
+        low, high = (self._proportion(chain, first, near * math.exp(way * step)) for way in (-1.0, 1.0))
+        slope = (high - low) / (2.0 * step)
+        p_correct: list[float] = []
+        for stream in streams:
+            lattice = chain.phases(CONVERGED_PLACES, np.random.default_rng(stream))
+            p_correct.append(self._proportion(chain, lattice, near))
+            if len(p_correct) >= FEWEST_LATTICES:
+                error = float(np.std(p_correct, ddof=1)) / math.sqrt(len(p_correct)) / slope
+                if 2.0 * error < self.converged_bound:
+                    break
+        threshold = near * math.exp((P_CORRECT - float(np.mean(p_correct))) / slope)
+        return Converged(threshold, (2.0 * error + chain.plan.bound / slope) * threshold, slope)
+
+    def estimators(self, converged: Converged) -> tuple[MonteCarlo | Quadrature, ...]:
+        """The literal Monte Carlo, on folded scores, expected decisions, and lattices of places."""
+        snr, contrast = self._shown(converged.threshold)
+        answers = partial(literal_answers, self.sensor, self.size_detectors, snr=snr, contrast=contrast)
+        # Each place is seen with two opposite displacements of the retina.
+        budgets = tuple(2 * places**2 for places in PLACES if self._is_fair(places))
+
+        def trials() -> Callable[[int, np.random.Generator], Trials]:
+            chain = self._chain(self._plan())
+
+            def draw(n: int, rng: np.random.Generator) -> Trials:
+                drawn = [chain.phases(1, rng)[0] for _ in range(n)]
+                score = np.stack([contrast * one.signal[0, :1] for one in drawn])
+                noise = np.stack([(contrast / snr) ** 2 * one.noise for one in drawn])
+                return Trials(score, chain.noise_covariance + noise, np.array([drawn[0].correct]))
+
+            return draw
+
+        def closed_form(tolerance: float) -> Callable[[int, np.random.Generator], Estimate]:
+            chain = self._chain(self._plan(tolerance=tolerance))
+            return lambda n, rng: self._estimate(chain, math.isqrt(n // 2), converged, rng)
+
+        coarse, fine = (partial(closed_form, tolerance) for tolerance in (COARSE_TOLERANCE, TOLERANCE))
+        return (
+            *monte_carlos(answers, trials),
+            Quadrature("closed_form_coarse", "closed form, planned for 1 %", coarse, budgets, 0.15, REPEATS),
+            Quadrature("closed_form", "closed form, planned for 0.1 %", fine, budgets, 0.25, REPEATS),
+        )
+
+    def variants(self, converged: Converged) -> tuple[Variant, ...]:
+        """What the plan leaves out kept, one thing at a time and all of it; planning is part of the time."""
+
+        def variant(label: str, plan: Callable[[], CurvePlan]) -> Variant:
+            def prepare() -> Callable[[np.random.Generator], Estimate]:
+                chain = self._chain(plan())
+                return lambda rng: self._estimate(chain, VARIANT_PLACES, converged, rng)
+
+            return Variant(label, prepare)
+
+        def everything() -> CurvePlan:
+            # One orientation still, for the same trials: four would see each lattice from four sides.
+            return replace(self._plan("full"), orientations=ORIENTATIONS[:1])
+
+        planned, full = self._plan(), everything()
+        return (
+            variant(f"as planned: {planned.field}² detectors, {np.dtype(planned.dtype)}", self._plan),
+            variant("float64", lambda: replace(self._plan(), dtype=np.float64)),
+            variant(
+                f"{full.field}² detectors",
+                lambda: replace(self._plan(), field=full.field, sampler=full.sampler),
+            ),
+            variant("one pyramid level more", lambda: replace(self._plan(), observer=PyramidObserver().full())),
+            variant("nothing left out", everything),
+        )
+
+    def estimate(self, outcomes: FloatArray, converged: Converged) -> Estimate:
+        """From P(correct) at the converged threshold."""
+        return estimate_at_one_level(outcomes, converged)
+
+    def non_gaussian_bound(self) -> float:
+        """As the chain states it."""
+        return self._chain(self._plan()).non_gaussian_bound()
+
+    def _shown(self, level: float) -> tuple[float, float]:
+        """Signal-to-noise ratio and contrast of the triangle at a level."""
+        if self.level == "snr":
+            return level, 1.0
+        return (level / self.noise_contrast if self.noise_contrast else math.inf), level
+
+    def _plan(self, name: PlanName = "needed", tolerance: float = TOLERANCE) -> CurvePlan:
+        noisy = self.level == "snr" or self.noise_contrast > 0.0
+        return plan_curve(
+            self.sensor,
+            PyramidObserver(),
+            self.size_detectors,
+            name=name,
+            tolerance=tolerance,
+            p_correct=P_CORRECT,
+            external_noise=noisy,
+        )
+
+    def _chain(self, plan: CurvePlan) -> FoldedChain:
+        return FoldedChain(self.sensor, plan.observer, self.size_detectors, plan)
+
+    def _is_fair(self, places: int) -> bool:
+        """Whether a lattice does not see all pixels of a detector alike, or is too coarse for that to matter."""
+        return places == min(PLACES) or math.gcd(places, self.sensor.display.pixels_per_detector) == 1
+
+    def _proportion(self, chain: FoldedChain, phases: list[Phases], level: float) -> float:
+        return chain.proportion_correct(phases, *self._shown(level))
+
+    def _threshold(self, chain: FoldedChain, phases: list[Phases]) -> float:
+        def proportion(level: float) -> float:
+            return self._proportion(chain, phases, level)
+
+        if self.level == "snr":
+            _, threshold = crossing(proportion, P_CORRECT, near=None, slope=math.nan)
+        else:
+            _, threshold = find_crossing(proportion, P_CORRECT, bounds=CONTRAST_RANGE, start=1.0, factor=2.0)
+        return math.nan if threshold is None else threshold
+
+    def _estimate(
+        self, chain: FoldedChain, places: int, converged: Converged, rng: np.random.Generator
+    ) -> Estimate:
+        phases = chain.phases(places, rng)
+        p_correct = self._proportion(chain, phases, converged.threshold)
+        return Estimate(p_correct, self._threshold(chain, phases))
+
+
+def external_noise() -> Camera:
+    """Detector noise decides."""
+    return Camera(
+        "camera_external_noise",
+        "staring camera, external noise decides: 6 detectors",
+        "At threshold 88 % of the variance of a score difference is detector noise. What is varied is its SNR.",
+        "snr",
+    )
+
+
+def internal_noise() -> Camera:
+    """The observer's own noise decides."""
+    return Camera(
+        "camera_internal_noise",
+        "staring camera, internal noise decides: 6 detectors",
+        "Detector noise of 0.1 in contrast as displayed is 7 % of the variance of a score difference, the rest is "
+        "the observer's own. What is varied is the contrast of the triangle.",
+        "contrast",
+        noise_contrast=0.1,
+    )
+
+
+def no_noise() -> Camera:
+    """The observer's own noise is the only one."""
+    return Camera(
+        "camera_no_noise",
+        "staring camera without noise: 6 detectors",
+        "Only the observer has noise. What is varied is the contrast of the triangle.",
+        "contrast",
+    )

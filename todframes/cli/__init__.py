@@ -1,0 +1,1 @@
+"""The commands; the only room that takes a user's paths and prints."""

@@ -1,0 +1,221 @@
+"""Progress, remarks, tables and errors on the terminal, and the end of a command."""
+
+from __future__ import annotations
+
+import io
+import os
+import re
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, redirect_stdout, suppress
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from todframes import signals
+from todframes._typing import Json
+from todframes.errors import TodframesError
+from todframes.safe_text import visible
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from todframes._typing import Json
+    from todframes.frames.dataset import Dataset
+    from todframes.stimulus import Centre
+
+
+STDOUT, STDERR = 1, 2
+
+
+LONGEST_REMARK = 8000
+"""Characters of a line on standard error; of longer ones the two ends are shown."""
+
+
+MOST_ALIKE = 10
+"""Problems of a kind that are told."""
+
+
+def print_result(result: Json, title: str, *, as_json: bool, explain: bool = False) -> None:
+    """A result on standard output: one JSON object, or a table, and the plan if it is to be explained."""
+    from todframes.report import convert as report
+    from todframes.report import tables
+
+    if as_json:
+        click.echo(report.encode(result), nl=False)
+        return
+    if explain:
+        print_table(tables.plan_table(result))
+    print_table(tables.threshold_table(result, title))
+
+
+def print_table(table: Table) -> None:
+    """A table on standard output, on one line a row however wide."""
+    from rich.console import Console
+
+    # A table that is wider than the terminal is better than one whose numbers are cut.
+    needed = Console(width=1000).measure(table).maximum
+    Console(width=max(Console().width, needed), markup=False).print(table)
+
+
+def echo(*lines: str) -> None:
+    """Lines on standard output, with escapes for characters that a terminal would obey."""
+    for line in lines:
+        click.echo(visible(line))
+
+
+def say(text: str) -> None:
+    """A remark, one line on standard error, with escapes for characters that a terminal would obey."""
+    line = visible(" ".join(text.split()))
+    if len(line) > LONGEST_REMARK:
+        line = f"{line[: LONGEST_REMARK // 2]} […] {line[-LONGEST_REMARK // 2 :]}"
+    click.echo(line, err=True)
+
+
+@contextmanager
+def prints_go_to_stderr() -> Iterator[None]:
+    """Send what a user's code prints in the block to standard error: standard output is for the result alone.
+
+    All threads are affected, and what native libraries print as well.
+    """
+    stdout = sys.stdout
+    stdout.flush()
+    kept = os.dup(STDOUT)
+    try:
+        os.dup2(STDERR, STDOUT)
+        with redirect_stdout(sys.stderr):
+            yield
+    finally:
+        stdout.flush()  # of code that has kept `sys.stdout` for itself
+        os.dup2(kept, STDOUT)
+        os.close(kept)
+
+
+class ProblemLines:
+    """Problems on standard error, one line each; of those alike the first few, and how many more there are."""
+
+    def __init__(self) -> None:
+        self.count = 0
+        self._alike: dict[str, tuple[str, int]] = {}
+
+    def add(self, problem: str, *, kind: str | None = None) -> None:
+        """Tell a problem. Alike are those whose `kind`, by default the problem, differs in numbers alone."""
+        self.count += 1
+        kind = re.sub(r"\b[0-9a-f]{64}\b|[0-9][0-9.]*", "#", problem if kind is None else kind)
+        first, count = self._alike.get(kind, (problem, 0))
+        self._alike[kind] = first, count + 1
+        if count < MOST_ALIKE:
+            say(f"error: {problem}")
+
+    def close(self) -> None:
+        """Tell how many were not told."""
+        for first, count in self._alike.values():
+            if count > MOST_ALIKE:
+                say(f"error: … and {count - MOST_ALIKE} more like it: {first}")
+
+
+@contextmanager
+def progress(task: str, total: int, *, quiet: bool = False) -> Iterator[Callable[[int], None]]:
+    """A progress bar on standard error, on a terminal only; yields what takes the number of things done."""
+    if quiet or not sys.stderr.isatty():
+        yield lambda _: None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        running = bar.add_task(task, total=total)
+        yield lambda done: bar.advance(running, done)
+
+
+def keep_libraries_to_one_thread() -> None:
+    """For BLAS and OpenCV, unless they are loaded already or the environment says otherwise.
+
+    Our matrices and images are so small that their threads gain nothing: they wait for each other, and fight the
+    reading threads for processors.
+    """
+    for name in ("OPENBLAS_NUM_THREADS", "OPENCV_FOR_THREADS_NUM"):
+        os.environ.setdefault(name, "1")
+
+
+def run(command: click.Command, arguments: Sequence[str] | None) -> int:
+    """Run a command line; its exit status: 0 done, 1 bad data, 2 bad usage or settings.
+
+    Every failure that a user can cause is one line on standard error.
+    """
+    signals.written.clear()
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")  # a terminal or file whose encoding has no α
+    try:
+        status = command.main(arguments, standalone_mode=False)
+        sys.stdout.flush()
+        return status if isinstance(status, int) else 0
+    except TodframesError as error:
+        return _fail(str(error), error.exit_status)
+    except click.exceptions.NoArgsIsHelpError as error:
+        click.echo(error.format_message(), err=True)
+        return 2
+    except click.ClickException as error:
+        return _fail(error.format_message(), 2)
+    except (Interruption, click.Abort, KeyboardInterrupt):
+        return _fail(signals.interruption_message(), signals.INTERRUPTED)
+    except MemoryError:
+        return _fail("out of memory", 1)
+    except OSError as error:
+        # What is still in the buffer would fail again when the interpreter ends.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return _fail(f"cannot write to standard output ({error.strerror})", 1)
+
+
+def _fail(message: str, status: int) -> int:
+    with suppress(OSError):  # the terminal may be gone
+        say("error: " + message)
+    return status
+
+
+class Interruption(Exception):  # noqa: N818 - it is no error
+    """Ctrl-C or a request to end, on its way out through everything that cleans up."""
+
+
+class Commands(click.Group):
+    """A group whose commands end by `Interruption`; click itself would print an empty line at Ctrl-C."""
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run the command that the context names."""
+        try:
+            with signals.raised():
+                return super().invoke(ctx)
+        except KeyboardInterrupt:
+            raise Interruption from None
+
+
+locate_option = click.option(
+    "--locate", is_flag=True, help="Find the triangle's position where the manifest has none."
+)
+
+
+def located(data: Dataset, *, centre: Centre, skip_bad_frames: bool, quiet: bool) -> tuple[Dataset, list[Json]]:
+    """The dataset with the positions that were found, and these as JSON, said unless `quiet`.
+
+    Raises
+    ------
+    FrameError, DataError
+        As `locate_triangles` does.
+    """
+    from todframes.frames.locate import locate_triangles
+    from todframes.report.wording import group_label
+
+    with progress("locating", len(data.trials), quiet=quiet) as advance:
+        data, locations = locate_triangles(data, centre=centre, skip_bad_frames=skip_bad_frames, progress=advance)
+    described: list[Json] = []
+    for place in locations:
+        group = dict(zip(data.experiment.group_by, place.group, strict=True))
+        described.append({**place._asdict(), "group": group})
+        if not quiet:
+            where = f"x_px {place.x_px:.2f}, y_px {place.y_px:.2f} (± {place.standard_error_px:.1g} px)"
+            say(f"located: {group_label(group) or 'all trials'}: {where}")
+    if not locations and data.trials and not quiet:
+        say("located: nothing; the manifest gives all positions")
+    return data, described

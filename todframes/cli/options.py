@@ -1,0 +1,189 @@
+"""Options that several commands share, and the settings that they give."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import click
+
+from todframes.errors import SettingsError
+
+if TYPE_CHECKING:
+    from todframes._typing import Json
+    from todframes.observers.interface import Observer
+    from todframes.psychometrics.fit import FitSettings
+
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+
+def options(*decorators: Callable[[F], F]) -> Callable[[F], F]:
+    """Several options as one decorator, in the order in which `--help` shows them."""
+
+    def decorate(function: F) -> F:
+        for decorator in reversed(decorators):
+            function = decorator(function)
+        return function
+
+    return decorate
+
+
+json_option = click.option("--json", "as_json", is_flag=True, help="Print one JSON object on standard output.")
+
+
+p_correct_option = click.option(
+    "--p-correct", type=float, metavar="P", help="Raw proportion correct at threshold.  [default: 0.75]"
+)
+
+
+seed_option = click.option(
+    "--seed", type=click.IntRange(0), default=1, show_default=True, help="Seed of all random draws."
+)
+
+
+set_option = click.option(
+    "--set",
+    "assignments",
+    multiple=True,
+    metavar="NAME=VALUE",
+    help="Any setting by name, such as kernel_a=0.4; repeatable. All are in docs/model.md and docs/observers.md.",
+)
+
+
+observer_options = options(
+    click.option(
+        "--observer",
+        "observer_name",
+        default="pyramid",
+        show_default=True,
+        help="Observer, by name: pyramid, informative, oriented or one's own.",
+    ),
+    click.option(
+        "--internal-noise", type=float, metavar="N", help="Full width of each neuron's noise.  [default: 0.5]"
+    ),
+    p_correct_option,
+    set_option,
+    click.option("--observer-settings", type=click.Path(path_type=Path), help="TOML file with settings."),
+)
+
+
+decisions_option = click.option(
+    "--decisions",
+    type=click.Choice(["expected", "sampled"]),
+    default="expected",
+    show_default=True,
+    help="Each frame's probability of a correct answer, or one answer drawn a trial.",
+)
+
+
+running_options = options(
+    click.option(
+        "--on-error",
+        type=click.Choice(["stop", "skip"]),
+        default="stop",
+        show_default=True,
+        help="At a frame or row that cannot be used: end, or go on and list it.",
+    ),
+    click.option(
+        "--workers", type=click.IntRange(1), default=1, show_default=True, help="Threads that read and score."
+    ),
+)
+
+
+quiet_option = click.option("--quiet", is_flag=True, help="No progress and no remarks on standard error.")
+
+
+plan_options = options(
+    click.option(
+        "--plan",
+        "plan_name",
+        type=click.Choice(["needed", "full"]),
+        default="needed",
+        show_default=True,
+        help="Leave out what the scene does not need, or nothing.",
+    ),
+    click.option("--explain", is_flag=True, help="Print what was kept and left out, why, and what that changes."),
+)
+
+
+def make_observer(
+    observer_name: str,
+    internal_noise: float | None,
+    p_correct: float | None,
+    assignments: Sequence[str],
+    observer_settings: Path | None,
+    *,
+    fitted: bool = True,
+) -> tuple[Observer, FitSettings, Json]:
+    """Observer, fit settings and both as JSON, from `observer_options`.
+
+    An option of its own goes before `--set`, and that before the file. Where nothing is `fitted`, the criterion is
+    the only setting of the fit.
+
+    Raises
+    ------
+    SettingsError
+        If there is no such observer or setting, or a value is refused.
+    """
+    from dataclasses import asdict, fields
+
+    from todframes.config import check_keys, from_table, read_toml
+    from todframes.observers.interface import find_observer
+    from todframes.psychometrics.fit import FitSettings
+
+    where, table = "settings", {}
+    if observer_settings is not None:
+        where, table = str(observer_settings), read_toml(observer_settings)
+    table |= assigned(assignments)
+    for name, value in (("internal_noise", internal_noise), ("p_correct", p_correct)):
+        if value is not None:
+            table[name] = value
+    if {"internal_noise", "internal_noise_sd"} <= table.keys():
+        raise SettingsError(f"{where}: found internal_noise and internal_noise_sd, expected one of them")
+    kind = find_observer(observer_name)
+    of_observer = [field.name for field in fields(kind.settings_type)]
+    of_fit = [field.name for field in fields(FitSettings) if fitted or field.name == "p_correct"]
+    check_keys(table, of_observer + of_fit, where)
+    settings = from_table({k: v for k, v in table.items() if k in of_observer}, kind.settings_type, where)
+    fit_settings = from_table({k: v for k, v in table.items() if k in of_fit}, FitSettings, where)
+    described = {"observer": observer_name, **asdict(settings)}
+    described |= {name: value for name, value in asdict(fit_settings).items() if name in of_fit}
+    return kind(settings), fit_settings, described
+
+
+def assigned(assignments: Sequence[str]) -> dict[str, Any]:
+    """Values of `--set NAME=VALUE`: read as TOML where they are, as text where not.
+
+    Raises
+    ------
+    SettingsError
+        If an assignment has no name or no equals sign.
+    """
+    from todframes.config import toml_value
+
+    table: dict[str, Any] = {}
+    for assignment in assignments:
+        name, equals, text = assignment.partition("=")
+        if not equals or not name.strip():
+            raise SettingsError(f"--set: found {assignment!r}, expected NAME=VALUE")
+        try:
+            table[name.strip()] = toml_value(text)
+        except ValueError:
+            raise SettingsError(f"--set: found {assignment!r}, expected one NAME=VALUE") from None
+    return table
+
+
+def numbers(text: str, option: str) -> list[float]:
+    """Numbers with commas between them.
+
+    Raises
+    ------
+    SettingsError
+        If they are not.
+    """
+    try:
+        return [float(part) for part in text.split(",")]
+    except ValueError:
+        raise SettingsError(f"{option}: found {text!r}, expected numbers with commas between them") from None

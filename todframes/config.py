@@ -1,0 +1,321 @@
+"""What users write, as values: text files, TOML tables to frozen dataclasses, fields of CSV files."""
+
+from __future__ import annotations
+
+import csv
+import difflib
+import io
+import math
+import re
+import stat
+import tomllib
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import MISSING, fields, is_dataclass
+from pathlib import Path
+from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
+
+import msgspec
+
+from todframes.errors import DataError, SettingsError
+
+T = TypeVar("T")
+
+
+MAX_TOML_MB, MAX_CSV_MB = 1, 256
+"""Longest files that are read, of 2**20 bytes."""
+
+
+MAX_NESTING, MAX_DOTS = 16, 500
+
+
+COLUMNS_SHOWN = 20
+
+
+LONGEST_KEY = 100
+"""Characters of an unknown key that the nearest valid one is looked up by; time goes with their square."""
+
+
+FIELDS_FOUND = "\0fields"
+"""Key under which a row of `read_csv` tells how many fields it has, if not as many as the header."""
+
+
+def read_file(path: Path, *, most_mb: int) -> bytes:
+    """Content of a file that is neither a pipe nor a device, whose readers may wait or read for ever.
+
+    Raises
+    ------
+    DataError
+        If it is no file, cannot be read, or is longer than `most_mb` (of 2**20 bytes).
+    """
+    content = b""
+    try:
+        status = path.stat()
+        is_file = stat.S_ISREG(status.st_mode)
+        if is_file and status.st_size <= most_mb * 2**20:
+            with path.open("rb") as file:
+                content = file.read(most_mb * 2**20 + 1)
+    except FileNotFoundError:
+        raise DataError(f"{path}: no such file") from None
+    except OSError as error:
+        raise DataError(f"{path}: cannot be read ({error.strerror})") from None
+    except ValueError as error:  # a NUL in the name
+        raise DataError(f"{str(path)!r}: cannot be read ({error})") from None
+    if stat.S_ISDIR(status.st_mode):
+        raise DataError(f"{path}: is a folder, expected a file")
+    if not is_file:
+        raise DataError(f"{path}: is a pipe or device, expected a file; save what comes from it to a file first")
+    if max(status.st_size, len(content)) > most_mb * 2**20:
+        raise DataError(f"{path}: is longer than {most_mb} MB, the limit for such files")
+    return content
+
+
+def read_text(path: Path, *, most_mb: int) -> str:
+    """Content of a UTF-8 text file, with or without a byte-order mark.
+
+    Raises
+    ------
+    DataError
+        As `read_file` does, or if it is not UTF-8.
+    """
+    try:
+        return read_file(path, most_mb=most_mb).decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise DataError(f"{path}: not UTF-8 (byte {error.start})") from None
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """Content of a TOML file.
+
+    Raises
+    ------
+    SettingsError
+        If it cannot be read or is not TOML.
+    """
+    try:
+        return _parsed_toml(read_text(path, most_mb=MAX_TOML_MB))
+    except tomllib.TOMLDecodeError as error:
+        raise SettingsError(f"{path}: not valid TOML: {error}") from None
+    except DataError as error:
+        raise SettingsError(str(error)) from None
+
+
+def toml_value(text: str) -> Any:
+    """A value as TOML has it where the text is that, the text itself where not.
+
+    Raises
+    ------
+    ValueError
+        If the text is more than one value.
+    """
+    try:
+        parsed = _parsed_toml(f"value = {text}")
+    except tomllib.TOMLDecodeError:
+        return text.strip()
+    if list(parsed) != ["value"]:
+        raise ValueError(text)
+    return parsed["value"]
+
+
+def _parsed_toml(text: str) -> dict[str, Any]:
+    """Content of TOML whose values are as TOML says: whole numbers of 64 bits, and not nested endlessly.
+
+    Raises
+    ------
+    tomllib.TOMLDecodeError
+        If it is anything else. Others would be Python's errors, here or where a value is printed.
+    """
+    # The time for a key goes with the square of its parts.
+    for number_of_line, line in enumerate(text.split("\n"), 1):
+        if line.count(".") > MAX_DOTS:
+            raise tomllib.TOMLDecodeError(f"line {number_of_line} has more than {MAX_DOTS} dots")
+    try:
+        content = tomllib.loads(text)
+    except RecursionError:
+        raise tomllib.TOMLDecodeError("nested too deep") from None
+    except tomllib.TOMLDecodeError:
+        raise
+    except ValueError:
+        raise tomllib.TOMLDecodeError("a whole number of too many digits") from None
+    level: list[tuple[str, Any]] = list(content.items())
+    for _ in range(MAX_NESTING):
+        for name, value in level:
+            if isinstance(value, int) and not -(2**63) <= value < 2**63:
+                raise tomllib.TOMLDecodeError(f"{name}: found a whole number of more than 64 bits")
+        level = [
+            (f"{name}.{key}", inner)
+            for name, value in level
+            if isinstance(value, dict | list)
+            for key, inner in (value.items() if isinstance(value, dict) else enumerate(value))
+        ]
+    if level:
+        raise tomllib.TOMLDecodeError(f"nested more than {MAX_NESTING} deep")
+    return content
+
+
+def check_keys(found: Iterable[str], known: Iterable[str], where: str) -> None:
+    """Refuse unknown keys.
+
+    Raises
+    ------
+    SettingsError
+        For the first key that is not known, naming the nearest that is.
+    """
+    known = {key.lower(): key for key in known}
+    for key in found:
+        if key not in known.values():
+            nearest = difflib.get_close_matches(key[:LONGEST_KEY].lower(), known, n=1, cutoff=0.0)
+            hint = f"; the nearest valid one is {known[nearest[0]]!r}" if nearest else ""
+            raise SettingsError(f"{where}: unknown key {_shortened(key)!r}{hint}")
+
+
+def _shortened(text: str) -> str:
+    return text if len(text) <= LONGEST_KEY else f"{text[:LONGEST_KEY]}…"
+
+
+def check_ranges(settings: object, ranges: Iterable[tuple[str, float, float]]) -> None:
+    """Refuse numbers that lie outside of their ranges: name, smallest, largest. None lies within.
+
+    Raises
+    ------
+    SettingsError
+        For the first attribute of `settings` that does.
+    """
+    for name, smallest, largest in ranges:
+        value = getattr(settings, name)
+        if value is not None and not smallest <= value <= largest:
+            raise SettingsError(f"{name}: found {value!r}, expected a number from {smallest:g} to {largest:g}")
+
+
+def from_table(table: Mapping[str, Any], kind: type[T], where: str) -> T:
+    """A frozen dataclass from a table of plain values.
+
+    Parameters
+    ----------
+    table : mapping
+        Values by field name.
+    kind : type
+        A dataclass that checks its own values.
+    where : str
+        File and table, or option; every message begins with it.
+
+    Raises
+    ------
+    SettingsError
+        If a key is unknown or missing, or a value is of the wrong type or refused by the dataclass.
+    """
+    all_fields = fields(kind)  # type: ignore[arg-type]
+    check_keys(table, [field.name for field in all_fields], where)
+    types = get_type_hints(kind)
+    values = {}
+    for field in all_fields:
+        if field.name in table:
+            values[field.name] = convert(table[field.name], types[field.name], f"{where}: {field.name}")
+        elif field.default is MISSING and field.default_factory is MISSING:
+            raise SettingsError(f"{where}: {field.name} is missing")
+    try:
+        return kind(**values)
+    except SettingsError as error:
+        raise SettingsError(f"{where}: {error}") from None
+
+
+def convert(value: object, kind: Any, where: str) -> object:
+    """A plain value as a type, such as `float`, a Literal, or one with a range (`msgspec.Meta`).
+
+    Raises
+    ------
+    SettingsError
+        If it is of another type or out of range; the message begins with `where`.
+    """
+    if is_dataclass(value):
+        return value  # made and checked by the caller
+    literals = [part for part in (kind, *get_args(kind)) if get_origin(part) is Literal]
+    try:
+        return msgspec.convert(value, kind)
+    except msgspec.ValidationError as error:
+        problem = (
+            str(error).split(" - at ")[0].replace("`", "").replace(" | null", "").replace("expected", "Expected")
+        )
+        for kind_of_python, name in (
+            ("array", "a list"),
+            ("str", "text"),
+            ("int", "a whole number"),
+            ("float", "a number"),
+        ):
+            problem = re.sub(rf"\b{kind_of_python}\b", name, problem)
+        if isinstance(value, str) and literals:
+            choices = ", ".join(map(str, get_args(literals[0])))
+            problem = (
+                f"expected one of {choices}" if kind is literals[0] else f"expected a number or one of {choices}"
+            )
+        raise SettingsError(f"{where}: found {value!r} ({problem[0].lower()}{problem[1:]})") from None
+
+
+def read_csv(path: Path) -> Iterator[tuple[str, dict[str, str]]]:
+    """Rows of a CSV file with a header, each with where it stands: file and line.
+
+    The first item is the header: its row is empty but for its keys.
+
+    Raises
+    ------
+    DataError
+        If the file cannot be read or is not CSV, or a column stands there twice.
+    """
+    reader = csv.reader(io.StringIO(read_text(path, most_mb=MAX_CSV_MB), newline=""), strict=True)
+    try:
+        header = [name.strip() for name in next(reader, [])]
+        for name, count in Counter(header).items():
+            if count > 1:
+                raise DataError(f"{path}: found column {name!r} {count} times, expected once")
+        yield str(path), dict.fromkeys(header, "")
+        for fields_found in reader:
+            if not fields_found:
+                continue  # an empty line
+            row = dict(zip(header, fields_found, strict=False))
+            where = f"{path}, line {reader.line_num}"
+            if len(fields_found) != len(header):
+                row[FIELDS_FOUND] = str(len(fields_found))
+            yield where, row
+    except csv.Error as error:
+        raise DataError(f"{path}, line {reader.line_num}: not valid CSV ({error})") from None
+
+
+def column_names(header: Iterable[str]) -> str:
+    """The columns that were found, for a message: the first of them where there are many."""
+    names = list(header)
+    more = f" and {len(names) - COLUMNS_SHOWN} more" if len(names) > COLUMNS_SHOWN else ""
+    return (", ".join(map(_shortened, names[:COLUMNS_SHOWN])) or "none") + more
+
+
+def check_fields(row: Mapping[str, str], n_columns: int, where: str) -> None:
+    """Raise DataError if a row of `read_csv` has more or fewer fields than the header."""
+    if FIELDS_FOUND in row:
+        raise DataError(f"{where}: found {row[FIELDS_FOUND]} fields, expected {n_columns} as in the header")
+
+
+def number(text: str, where: str, *, positive: bool = False) -> float:
+    """A finite number from a field of a CSV file.
+
+    Raises
+    ------
+    DataError
+        If it is not one, or not above zero where it must be; `where` names file, line and column.
+    """
+    text = text.strip()
+    try:
+        value = math.nan if "_" in text else float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value) or (positive and value <= 0):
+        raise DataError(f"{where}: found {text!r}, expected a finite number{' > 0' if positive else ''}")
+    return value
+
+
+def number_or_text(text: str) -> float | str:
+    """A group's value: a number if it reads as a finite one."""
+    text = text.strip()
+    try:
+        value = math.nan if "_" in text else float(text)  # Python reads 1_0 as 10
+    except ValueError:
+        return text
+    return value if math.isfinite(value) else text

@@ -1,0 +1,1 @@
+"""Image-enhancement algorithms and their comparison through the observer."""

@@ -1,0 +1,338 @@
+"""What an enhancement algorithm is: a function of an image and named parameters, and what it says of itself.
+
+    @enhancement(domain="luminance")
+    def brighten(image, *, gain: Annotated[float, parameter(0.1, 10.0, what="factor")] = 2.0):
+        \"\"\"All pixels brighter.\"\"\"
+        return gain * image
+
+Nothing of that is needed: any function that takes an image and gives one of the same shape is an algorithm of code
+values.
+"""
+
+from __future__ import annotations
+
+import inspect
+import math
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin, get_type_hints
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from todframes.config import check_keys, convert, toml_value
+from todframes.errors import DataError, SettingsError
+from todframes.user_code import import_named, in_words
+
+Domain = Literal["code_value", "luminance"]
+
+
+Image = NDArray[np.floating]
+
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+
+REFERENCE = "none"
+
+
+DECLARATION = "todframes_enhancement"
+
+
+ROUNDING = 1e-6
+"""By how much a value may lie outside of its range: 32-bit arithmetic of values near 1."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Declaration:
+    """What a function says of itself.
+
+    Attributes
+    ----------
+    domain : {"code_value", "luminance"}
+        What it takes and gives: code values, white being 1, or luminance, black being 0 and white 1.
+    magnification : float or str
+        Pixels that it gives for one along each axis, or the name of the parameter that says so.
+    each_channel : bool
+        Whether it takes one channel at a time; otherwise a colour image is handed over whole.
+    writes : bool
+        Whether it may write into the image, and so gets a copy.
+    library : str
+        Where the work is done.
+    """
+
+    domain: Domain = "code_value"
+    magnification: float | str = 1.0
+    each_channel: bool = False
+    writes: bool = True
+    library: str = ""
+
+    def __post_init__(self) -> None:
+        if self.domain not in get_args(Domain):
+            raise SettingsError(f"domain: found {self.domain!r}, expected one of {', '.join(get_args(Domain))}")
+        if not isinstance(self.magnification, str) and not 0.0 < self.magnification < math.inf:
+            raise SettingsError(f"magnification: found {self.magnification!r}, expected a finite number > 0")
+
+
+def enhancement(
+    *,
+    domain: Domain = "code_value",
+    magnification: float | str = 1.0,
+    each_channel: bool = False,
+    writes: bool = True,
+    library: str = "",
+) -> Callable[[F], F]:
+    """Declare what a function of `function(image, **parameters)` is; see `Declaration`.
+
+    The image has shape (rows, columns), or (rows, columns, 3) where a frame is in colour, and 32-bit values. The
+    function gives another one of this shape times the magnification. Its docstring's first line says what it does;
+    parameters may be annotated with `parameter`.
+
+    Raises
+    ------
+    SettingsError
+        If the domain is neither.
+    """
+    declaration = Declaration(
+        domain=domain, magnification=magnification, each_channel=each_channel, writes=writes, library=library
+    )
+
+    def declare(function: F) -> F:
+        setattr(function, DECLARATION, declaration)
+        return function
+
+    return declare
+
+
+def parameter(low: float, high: float, *, unit: str = "", what: str = "") -> msgspec.Meta:
+    """Range, unit and meaning of a parameter for its annotation: `Annotated[float, parameter(0.1, 50.0)]`."""
+    return msgspec.Meta(ge=low, le=high, description=what, extra={"unit": unit})
+
+
+def meaning(what: str) -> msgspec.Meta:
+    """Meaning of a parameter without a range, for its annotation."""
+    return msgspec.Meta(description=what)
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """A parameter of an algorithm: `kind` is its type, with a range if it declares one."""
+
+    name: str
+    kind: Any
+    default: Any
+
+    @property
+    def meta(self) -> msgspec.Meta:
+        """Range, unit and meaning; empty where the function does not declare them."""
+        found = [part for part in get_args(self.kind) if isinstance(part, msgspec.Meta)]
+        return found[0] if found else msgspec.Meta()
+
+    @property
+    def choices(self) -> tuple[Any, ...]:
+        """The values that it may have, if they are few."""
+        kind = get_args(self.kind)[0] if get_origin(self.kind) is Annotated else self.kind
+        return get_args(kind) if get_origin(kind) is Literal else ()
+
+
+@dataclass(frozen=True, slots=True)
+class Enhancement:
+    """An algorithm with the values of its parameters.
+
+    `spec` is what the user wrote, `name` the part of it before the parameters. `any_parameter` tells that the
+    function takes others than those it names.
+    """
+
+    name: str
+    spec: str
+    function: Callable[..., Any]
+    declaration: Declaration
+    parameters: tuple[Parameter, ...]
+    any_parameter: bool
+    values: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def what(self) -> str:
+        """What it does, in a line."""
+        return (inspect.getdoc(self.function) or "").partition("\n")[0]
+
+    @property
+    def is_reference(self) -> bool:
+        """Whether it leaves the frame as it is."""
+        return self.name == REFERENCE
+
+    @property
+    def magnification(self) -> float:
+        """Pixels that it gives for one along each axis."""
+        declared = self.declaration.magnification
+        return float(self.values[declared] if isinstance(declared, str) else declared)
+
+    def run(self, image: Image) -> tuple[Image, float]:
+        """What it makes of an image, and the processor time in seconds that its function took.
+
+        Parameters
+        ----------
+        image : ndarray of float32, shape (rows, columns) or (rows, columns, 3)
+
+        Returns
+        -------
+        (ndarray, float)
+            Of a floating-point type and this shape times the magnification.
+
+        Raises
+        ------
+        DataError
+            If the function fails or gives anything else, NaN and infinity included; the message names the
+            algorithm.
+        """
+        if self.declaration.each_channel and image.ndim == 3:
+            channels, times = zip(*(self.run(np.ascontiguousarray(image[..., k])) for k in range(3)), strict=True)
+            return np.stack(channels, axis=-1), sum(times)
+        given = image.copy() if self.declaration.writes else image
+        started = time.thread_time()
+        try:
+            with np.errstate(all="ignore"):  # what comes of it is looked at below
+                found = self.function(given, **self.values)
+        except SystemExit:
+            raise DataError(f"{self.spec}: called sys.exit, expected it to return an image") from None
+        except Exception as error:
+            raise DataError(f"{self.spec}: {in_words(error)}") from None
+        cpu_s = time.thread_time() - started
+        sides = [self.magnification * side for side in image.shape[:2]]
+        expected = (*map(round, sides), *image.shape[2:])
+        if not isinstance(found, np.ndarray) or found.dtype.kind != "f":
+            kind = f"values of {found.dtype}" if isinstance(found, np.ndarray) else type(found).__name__
+            raise DataError(f"{self.spec}: gave {kind}, expected an array of floating-point numbers")
+        if found.shape != expected or any(abs(side - round(side)) > 1e-6 for side in sides):
+            raise DataError(
+                f"{self.spec}: gave shape {found.shape} for {image.shape}, expected {expected} with the declared "
+                f"magnification of {self.magnification:g}"
+            )
+        if not (np.isfinite(found.min()) and np.isfinite(found.max())):
+            bad = np.argwhere(~np.isfinite(found))
+            raise DataError(
+                f"{self.spec}: gave {len(bad)} values that are NaN or infinite, the first at row {bad[0, 0]}, "
+                f"column {bad[0, 1]}"
+            )
+        return found, cpu_s
+
+
+ENTRY_POINT_GROUP = "todframes.enhancements"
+
+
+def find_enhancement(spec: str) -> Enhancement:
+    """An algorithm as users name it.
+
+    Parameters
+    ----------
+    spec : str
+        `name`, that of an entry point of the group `todframes.enhancements`, or `module:function`; either may be
+        followed by `:parameter=value,…`. `module:function` runs the module, which may lie in the current folder.
+
+    Raises
+    ------
+    SettingsError
+        If there is none of this name or it cannot be imported, or a parameter is unknown, missing or out of range.
+    """
+    head, _, rest = spec.partition(":")
+    function_name, _, assignments = ("", "", rest) if "=" in rest.partition(":")[0] else rest.partition(":")
+    where = f"enhance {spec!r}"
+    if function_name:
+        function = _function(import_named(head, function_name, where), where)
+    else:
+        function = _registered(head, where)
+    found = _described(f"{head}:{function_name}" if function_name else head, spec, function, where)
+    return replace(found, values=_values(found, assignments, where))
+
+
+def enhancement_names() -> list[str]:
+    """Names of the registered algorithms, those of this package first."""
+    from importlib.metadata import entry_points
+
+    found = {entry.name: entry for entry in entry_points(group=ENTRY_POINT_GROUP)}
+    return sorted(found, key=lambda name: (not found[name].value.startswith("todframes."), name))
+
+
+def _registered(name: str, where: str) -> Callable[..., Any]:
+    from importlib.metadata import entry_points
+
+    found = {entry.name: entry for entry in entry_points(group=ENTRY_POINT_GROUP)}
+    if name not in found:
+        check_keys([name], found, f"{where}: expected a registered name or module:function")
+    try:
+        return _function(found[name].load(), where)
+    except (Exception, SystemExit) as error:
+        raise SettingsError(f"{where}: {found[name].value} cannot be loaded ({in_words(error)})") from None
+
+
+def _function(found: Any, where: str) -> Callable[..., Any]:
+    if not callable(found):
+        raise SettingsError(f"{where}: found {type(found).__name__}, expected a function of an image")
+    return found  # type: ignore[no-any-return]
+
+
+def _described(name: str, spec: str, function: Callable[..., Any], where: str) -> Enhancement:
+    """An algorithm without values yet, from its function's signature."""
+    try:
+        signature = list(inspect.signature(function).parameters.values())
+    except (TypeError, ValueError):
+        raise SettingsError(
+            f"{where}: its parameters cannot be read; expected a function written in Python"
+        ) from None
+    if not signature or signature[0].kind is signature[0].KEYWORD_ONLY:
+        raise SettingsError(f"{where}: takes no image; expected function(image, **parameters)")
+    try:
+        kinds = get_type_hints(function, include_extras=True)
+    except Exception:  # names that exist for type checkers only
+        kinds = {}
+    named = [one for one in signature[1:] if one.kind in (one.KEYWORD_ONLY, one.POSITIONAL_OR_KEYWORD)]
+    return Enhancement(
+        name=name,
+        spec=spec,
+        function=function,
+        declaration=getattr(function, DECLARATION, Declaration()),
+        parameters=tuple(
+            Parameter(one.name, kinds.get(one.name, _kind_of(one.default)), one.default) for one in named
+        ),
+        any_parameter=any(one.kind is one.VAR_KEYWORD for one in signature),
+    )
+
+
+def _kind_of(default: object) -> Any:
+    """The type of a parameter that has no annotation."""
+    if isinstance(default, bool | str):
+        return type(default)
+    return float if isinstance(default, int | float) else Any
+
+
+def _values(algorithm: Enhancement, assignments: str, where: str) -> dict[str, Any]:
+    """All parameters: the values assigned, `name=value` with commas between them, and the others' defaults."""
+    known = {one.name: one for one in algorithm.parameters}
+    assigned: dict[str, Any] = {}
+    for assignment in filter(None, assignments.split(",")):
+        name, equals, text = (part.strip() for part in assignment.partition("="))
+        if not equals or not name or not text:
+            raise SettingsError(f"{where}: found {assignment!r}, expected parameter=value")
+        if name in assigned:
+            raise SettingsError(f"{where}: found {name} twice, expected it once")
+        if not algorithm.any_parameter:
+            check_keys([name], known, where)
+        try:
+            value = toml_value(text)
+        except ValueError:
+            raise SettingsError(f"{where}: found {assignment!r}, expected parameter=value") from None
+        assigned[name] = convert(value, known[name].kind, f"{where}: {name}") if name in known else value
+    for name, one in known.items():
+        if one.default is inspect.Parameter.empty and name not in assigned:
+            raise SettingsError(f"{where}: parameter {name!r} is missing")
+    values = {name: one.default for name, one in known.items()} | assigned
+    magnification = algorithm.declaration.magnification
+    if isinstance(magnification, str):
+        found = values.get(magnification)
+        if not (isinstance(found, int | float) and 0 < found < math.inf):
+            raise SettingsError(
+                f"{where}: magnification {magnification!r}: found {found!r}, expected a number > 0"
+            )
+    return values

@@ -1,0 +1,231 @@
+"""Dataset × observer × algorithms → thresholds of each, and their ratios to the frames as they are.
+
+All are given the same frames, and what they make of them is looked at with the same displacement of the retina and
+the same noise on its neurons.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+
+from todframes.enhancement.algorithm import REFERENCE, Enhancement, find_enhancement
+from todframes.enhancement.enhanced_frame import Measured, Screen, TrialReader
+from todframes.enhancement.image_quality import psnr_db
+from todframes.errors import SettingsError
+from todframes.frames.dataset import Dataset, Trial
+from todframes.frames.position import check_places
+from todframes.observers.interface import Observer
+from todframes.psychometrics.fit import MAX_RESAMPLES, FitSettings
+from todframes.psychometrics.paired_bootstrap import RatioDraws, ThresholdRatio, holm, ratio_draws, threshold_ratio
+from todframes.scoring.error_budget import PlanName
+from todframes.scoring.plan import ScorePlan, plan_score
+from todframes.scoring.retina_view import Shown
+from todframes.scoring.score import GroupFitter, ScoredDataset, check_seen, usable_trials
+from todframes.scoring.trials import RATIO_STREAMS, Decisions, ReadoutOf, SeenTrial, TrialScorer, see_trials
+
+Verdict = Literal["better", "worse", "no difference shown", "mixed"]
+
+
+SIGNIFICANCE = 0.05
+
+
+RESAMPLES_PER_COMPARISON = 80
+"""So that the smallest p-value there can be, 2 / resamples, is half of 5 % even after Holm's correction."""
+
+
+class Compared(NamedTuple):
+    """A ratio of thresholds, algorithm to reference, and what it says; of one group, or of all if `group` is None.
+
+    `p_value_holm` is corrected for the number of all ratios of the comparison, and the verdict rests on it.
+    """
+
+    group: tuple[float | str, ...] | None
+    ratio: ThresholdRatio
+    p_value_holm: float
+    verdict: Verdict
+
+
+@dataclass(frozen=True, slots=True)
+class AlgorithmResult:
+    """An algorithm's scores and how they compare with the reference's.
+
+    `compared` has one item for each group, in the order of `scored.fits`; for several groups `overall` is their
+    geometric mean. Both are empty for the reference itself. `psnr_db` and `ssim` are those of the displayed
+    luminance against the frames without noise, over all frames that have one; None if there are none. `n_clipped`
+    values were beyond the display's range. `cpu_s` is the algorithm's own running time over all frames.
+    """
+
+    enhancement: Enhancement
+    scored: ScoredDataset
+    compared: tuple[Compared, ...]
+    overall: Compared | None
+    psnr_db: float | None
+    ssim: float | None
+    n_clipped: int
+    cpu_s: float
+
+
+def compare_dataset(
+    dataset: Dataset,
+    observer: Observer,
+    enhancements: Sequence[Enhancement],
+    *,
+    decisions: Decisions = "expected",
+    seed: int = 1,
+    fit_settings: FitSettings | None = None,
+    screen: Screen | None = None,
+    plan_name: PlanName = "needed",
+    skip_bad_frames: bool = False,
+    workers: int = 1,
+    progress: Callable[[int], None] | None = None,
+) -> tuple[AlgorithmResult, ...]:
+    """Show every trial to the observer as it is and after each algorithm, and compare the thresholds.
+
+    Parameters
+    ----------
+    enhancements : sequence of Enhancement
+        The reference, `none`, comes first in the result, whether it is among them or not.
+    screen : Screen, optional
+        Default: the dataset's display with a white of 1, and no clipping.
+    plan_name : {"needed", "full"}
+        As in `score_dataset`; one plan for all algorithms, made from frames before and after them.
+
+    The others are as in `score_dataset`. With the same plan its scores and fits are the reference's, number for
+    number.
+
+    Returns
+    -------
+    tuple of AlgorithmResult
+
+    Raises
+    ------
+    FrameError, DataError
+        The first thing wrong with a row, a frame or what an algorithm makes of it, unless such trials are skipped:
+        for all algorithms alike.
+    SettingsError
+        If an algorithm is there twice, there are no resamples, or decisions are "expected" and the observer is not
+        linear.
+    """
+    fit_settings = fit_settings or FitSettings()
+    if not fit_settings.resamples:
+        raise SettingsError("resamples: found 0, expected 40 or more: a comparison rests on them")
+    algorithms = [find_enhancement(REFERENCE), *(one for one in enhancements if not one.is_reference)]
+    for number, one in enumerate(algorithms):
+        if one.spec in [other.spec for other in algorithms[:number]]:
+            raise SettingsError(f"enhance {one.spec!r}: found twice, expected once")
+    screen = screen or Screen(dataset.display)
+    whole, skipped = usable_trials(dataset, skip_bad_frames=skip_bad_frames)
+    if not skip_bad_frames:
+        check_places(dataset, whole, observer.centre)
+    reader, expected = TrialReader(algorithms, screen), decisions == "expected"
+    # Of frames after the algorithms as well: what is left out of one view is left out of all.
+    plan = plan_score(dataset, whole, observer, name=plan_name, expected=expected, read=reader)
+    scorer = _Scorer(TrialScorer(dataset, plan, decisions, seed), reader)
+    seen, unread = see_trials(scorer, whole, skip_bad_frames=skip_bad_frames, workers=workers, progress=progress)
+    skipped += unread
+    check_seen(dataset, seen, skipped)
+    fit_groups = GroupFitter(plan, seed, fit_settings, expected)
+    scored = [
+        replace(fit_groups([trial.seen[k] for trial in seen]), skipped=tuple(skipped))
+        for k in range(len(algorithms))
+    ]
+    compared = _compared(scored, seed, fit_settings)
+    black, white = screen.luminance_range
+    results = []
+    for k, (algorithm, own) in enumerate(zip(algorithms, compared, strict=True)):
+        measured = [one for trial in seen for one in trial.measured[k]]
+        squared_errors = [one.squared_error for one in measured if one.squared_error is not None]
+        ssims = [one.ssim for one in measured if one.ssim is not None]
+        results.append(
+            AlgorithmResult(
+                enhancement=algorithm,
+                scored=scored[k],
+                compared=tuple(one for one in own if one.group is not None),
+                overall=next((one for one in own if one.group is None), None),
+                psnr_db=psnr_db(_mean(squared_errors), data_range=white - black),
+                ssim=_mean(ssims),
+                n_clipped=sum(one.n_clipped for one in measured),
+                cpu_s=math.fsum(one.cpu_s for one in measured),
+            )
+        )
+    return tuple(results)
+
+
+class _SeenTrial(NamedTuple):
+    """What the observer made of a trial after each algorithm, and what was measured of each of its frames."""
+
+    seen: list[SeenTrial]
+    measured: list[tuple[Measured, ...]]
+
+
+class _Scorer(NamedTuple):
+    """Shows trials after each algorithm."""
+
+    scorer: TrialScorer
+    reader: TrialReader
+
+    @property
+    def dataset(self) -> Dataset:
+        return self.scorer.dataset
+
+    @property
+    def plan(self) -> ScorePlan:
+        return self.scorer.plan
+
+    def __call__(self, trial: Trial, readout_of: ReadoutOf) -> _SeenTrial:
+        measured: list[tuple[Measured, ...]] = []
+
+        def read(*arguments: Any, **more: Any) -> list[Shown]:
+            found = self.reader.read(*arguments, **more)
+            measured.extend(one.measured for one in found)
+            return [one.shown for one in found]
+
+        return _SeenTrial(self.scorer.see(trial, readout_of, read), measured)
+
+
+def _compared(scored: Sequence[ScoredDataset], seed: int, fit_settings: FitSettings) -> list[list[Compared]]:
+    """Of each algorithm, the reference first: one comparison a group, and one of all if there are several."""
+    trials, groups = scored[0].trials, [fit.group for fit in scored[0].fits]
+    several = len(groups) > 1
+    n_comparisons = (len(scored) - 1) * (len(groups) + several)
+    resamples = max(fit_settings.resamples, min(RESAMPLES_PER_COMPARISON * n_comparisons, MAX_RESAMPLES))
+    settings = replace(fit_settings, resamples=resamples)
+    level = np.array([trial.level for trial in trials])
+    p_correct = np.array([one.p_correct for one in scored])
+    draws: list[list[RatioDraws]] = []
+    for number, group in enumerate(groups):
+        these = np.array([trial.group == group for trial in trials])
+        rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(RATIO_STREAMS, number)))
+        fits = [one.fits[number].fit for one in scored]
+        draws.append(ratio_draws(level[these], p_correct[:, these], fits, settings=settings, rng=rng))
+    ratios = [
+        [threshold_ratio([of_group]) for of_group in own] + ([threshold_ratio(own)] if several else [])
+        for own in zip(*draws, strict=True)
+    ]
+    corrected = iter(holm([ratio.p_value for own in ratios for ratio in own]).tolist())
+    compared: list[list[Compared]] = [[]]
+    for own in ratios:
+        p_values = [next(corrected) for _ in own]
+        verdicts = [_verdict(ratio, p) for ratio, p in zip(own, p_values, strict=True)]
+        if several and {"better", "worse"} <= set(verdicts):
+            verdicts[-1] = "mixed"
+        elif several and verdicts[-1] == "no difference shown":
+            verdicts[-1] = next((found for found in verdicts if found != "no difference shown"), verdicts[-1])
+        names = [*groups, None] if several else groups
+        compared.append([Compared(*one) for one in zip(names, own, p_values, verdicts, strict=True)])
+    return compared
+
+
+def _verdict(ratio: ThresholdRatio, p_value: float) -> Verdict:
+    if p_value >= SIGNIFICANCE:
+        return "no difference shown"
+    return "better" if ratio.is_lower else "worse"
+
+
+def _mean(values: Sequence[float]) -> float | None:
+    return math.fsum(values) / len(values) if values else None

@@ -1,0 +1,366 @@
+"""A frame, decoded once, as a display shows it after each of several algorithms."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from todframes._typing import FloatArray
+from todframes.enhancement.algorithm import ROUNDING, Enhancement, Image
+from todframes.enhancement.image_quality import squared_error_and_ssim
+from todframes.errors import DataError, FrameError, SettingsError
+from todframes.frames.contrast import Patch, check_sha256, finite_contrast
+from todframes.frames.dataset import Dataset, FrameReference, Trial
+from todframes.frames.display import Display, border_mean
+from todframes.frames.files import FULL_SCALE, FrameFile, read_frame
+from todframes.observers.interface import Observer
+from todframes.observers.retina import RetinaGrid
+from todframes.scoring.retina_view import Placement, Shown, place_grid
+
+
+@dataclass(frozen=True, slots=True)
+class Screen:
+    """A display and what algorithms may do with it.
+
+    Attributes
+    ----------
+    display : Display
+    white : float
+        Code value that algorithms take as 1: with `eotf = "linear"` any number > 0, else 1.
+    allow_clipping : bool
+        Whether values that the display cannot show are set to the nearest that it can, or are errors.
+
+    Raises
+    ------
+    SettingsError
+        If `white` is not such a number.
+    """
+
+    display: Display
+    white: float = 1.0
+    allow_clipping: bool = False
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.white) and self.white > 0):
+            raise SettingsError(f"white: found {self.white!r}, expected a finite number > 0")
+        if self.display.eotf != "linear" and self.white != 1.0:
+            raise SettingsError(f'white: found {self.white:g}, expected 1 with eotf = "{self.display.eotf}"')
+
+    @property
+    def code_range(self) -> tuple[float, float]:
+        """Code values of black and white."""
+        table = self.display.lut
+        return (0.0, self.white) if table is None else (float(table.code_value[0]), float(table.code_value[-1]))
+
+    @property
+    def luminance_range(self) -> tuple[float, float]:
+        """Luminance of black and white in cd/m²; the data range of PSNR and SSIM is their difference."""
+        if self.display.lut is not None:
+            measured = self.display.lut.luminance_cd_m2
+            return float(measured.min()), float(measured.max())
+        black, white = self.display.luminance(np.array(self.code_range).reshape(2, 1, 1))[:, 0]
+        return float(black), float(white)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Picture:
+    """What a display shows of a frame after an algorithm.
+
+    `values` are code values, shape (rows, columns, channels), or luminance in cd/m², (rows, columns). There are
+    `magnification` pixels for one of the frame along each axis. `n_clipped` values were beyond its range;
+    `cpu_s` is the algorithm's own running time.
+    """
+
+    screen: Screen
+    values: NDArray[np.floating]
+    magnification: float = 1.0
+    n_clipped: int = 0
+    cpu_s: float = 0.0
+
+    def luminance(self, rows: slice = slice(None), columns: slice = slice(None)) -> FloatArray:
+        """Luminance of a range of its rows and columns, in cd/m²."""
+        part = self.values[rows, columns]
+        return part.astype(np.float64) if part.ndim == 2 else self.screen.display.luminance(part)
+
+    def border_luminance(self) -> float:
+        """Mean over the outermost ring of pixels, in cd/m²."""
+        sides = (0, slice(1, None)), (-1, slice(None, -1)), (slice(None, -1), 0), (slice(1, None), -1)
+        values = self.values
+        if min(values.shape[:2]) < 2:
+            return float(self.luminance().mean())
+        ring = np.concatenate([values[side] for side in sides])[None]
+        return float(Picture(self.screen, ring).luminance().mean())
+
+
+class Looked(NamedTuple):
+    """Part of a picture, and where on it the retina's middle lies if not displaced, in the picture's pixels."""
+
+    patch: Patch
+    x_px: float
+    y_px: float
+    pixel_pitch_mrad: float
+
+
+class DecodedFrame:
+    """A frame that several algorithms work on.
+
+    Parameters
+    ----------
+    file : FrameFile
+        Decoded here, whole.
+    screen : Screen
+
+    Raises
+    ------
+    FrameError
+        If its pixels are damaged or not finite.
+    """
+
+    def __init__(self, file: FrameFile, screen: Screen) -> None:
+        self.screen = screen
+        frame = file.read()
+        self.first_row, self.first_column = frame.first_row, frame.first_column
+        self.is_integer = file.header.pixel_type in FULL_SCALE
+        self.original = Picture(screen, frame.values)
+
+    @cached_property
+    def code_values(self) -> Image:
+        """What algorithms of code values get, white being 1; two-dimensional where all channels are alike."""
+        values, white = self.original.values, self.screen.white
+        if self.is_integer and white != 1.0:
+            raise DataError(f"white: found {white:g}, expected 1 for integer code values")
+        if (mean := float(values.mean())) > white:
+            raise DataError(
+                f"code values have a mean of {mean:g}, above white ({white:g}); say which code value is white to "
+                "the algorithms (--white)"
+            )
+        grey = values.shape[2] == 1 or bool((values == values[..., :1]).all())
+        image = np.ascontiguousarray(values[..., 0] if grey else values)
+        return image if white == 1.0 else image / np.float32(white)
+
+    @cached_property
+    def relative_luminance(self) -> Image:
+        """What algorithms of luminance get: float32, black being 0 and white 1."""
+        self.code_values  # noqa: B018 - for its checks
+        black, white = self.screen.luminance_range
+        return ((self.original.luminance() - black) / (white - black)).astype(np.float32)
+
+    def after(self, enhancement: Enhancement) -> Picture:
+        """What the display shows after an algorithm.
+
+        Raises
+        ------
+        DataError
+            If the algorithm fails or gives what the display cannot show.
+        """
+        if enhancement.is_reference:
+            return self.original
+        of_luminance = enhancement.declaration.domain == "luminance"
+        image = self.relative_luminance if of_luminance else self.code_values
+        found, cpu_s = enhancement.run(image)
+        n_clipped = 0
+        if self.is_integer or self.screen.display.eotf != "linear":
+            low, high = (0.0, 1.0) if of_luminance else (end / self.screen.white for end in self.screen.code_range)
+            found, n_clipped = self._clipped(found, low, high, enhancement)
+        if of_luminance:
+            black, white = self.screen.luminance_range
+            values: NDArray[np.floating] = black + (white - black) * found.astype(np.float64)
+        else:
+            values = found if found.ndim == 3 else found[..., None]
+            values = values if self.screen.white == 1.0 else values * self.screen.white
+        return Picture(self.screen, values, enhancement.magnification, n_clipped, cpu_s)
+
+    def _clipped(self, found: Image, low: float, high: float, enhancement: Enhancement) -> tuple[Image, int]:
+        smallest, largest = float(found.min()), float(found.max())
+        if low <= smallest and largest <= high:
+            return found, 0
+        n_outside = int(np.count_nonzero((found < low - ROUNDING) | (found > high + ROUNDING)))
+        if n_outside and not self.screen.allow_clipping:
+            raise DataError(
+                f"{enhancement.spec}: {n_outside} of {found.size} values lie beyond {low:g} to {high:g}, from "
+                f"{smallest:g} to {largest:g}; expected none, or leave to clip them (--allow-clipping)"
+            )
+        return np.clip(found, low, high), n_outside
+
+    def looked_at(
+        self, picture: Picture, place: Placement, given_background_cd_m2: float | None, *, whole: bool = False
+    ) -> Looked:
+        """The part of a picture that a retina grid touches, or all of it, as contrast.
+
+        Parameters
+        ----------
+        given_background_cd_m2 : float or None
+            The manifest's, where the display's rule is "column".
+
+        Raises
+        ------
+        DataError
+            If the background is not a positive number, or contrast overflows.
+        """
+        rule, m = self.screen.display.background_luminance_cd_m2, picture.magnification
+        of_frame = rule in ("border", "frame_mean")
+        whole = whole or of_frame
+        y = _Axis.of(picture.values.shape[0], None if whole else place.rows, place.y_px, self.first_row, m)
+        x = _Axis.of(picture.values.shape[1], None if whole else place.columns, place.x_px, self.first_column, m)
+        luminance = picture.luminance(y.used, x.used)
+        if of_frame:
+            background = border_mean(luminance) if rule == "border" else float(luminance.mean())
+        else:
+            given = given_background_cd_m2 if isinstance(rule, str) else rule
+            assert given is not None  # the manifest was checked for it
+            background = given * self._brightening(picture)
+        n_negative = int(np.count_nonzero(luminance < 0.0))
+        patch = Patch(finite_contrast(luminance, background), y.first, x.first, n_negative)
+        return Looked(patch, x.centre_px, y.centre_px, self.screen.display.pitch_mrad / m)
+
+    @cached_property
+    def _border_luminance(self) -> float:
+        return self.original.border_luminance()
+
+    def _brightening(self, picture: Picture) -> float:
+        """How much brighter the border is after the algorithm: what a given background becomes by it."""
+        if picture is self.original:
+            return 1.0
+        before = self._border_luminance
+        if not before > 0.0:
+            raise DataError(f"the frame's border has a luminance of {before:g} cd/m², expected > 0")
+        return picture.border_luminance() / before
+
+
+class _Axis(NamedTuple):
+    """Pixels of a picture along one axis that are looked at.
+
+    `used` counts from the picture's first pixel. `first`, the first of them, and `centre_px`, the middle of the
+    retina, count from where pixel 0 of the frame begins.
+    """
+
+    used: slice
+    first: int
+    centre_px: float
+
+    @classmethod
+    def of(cls, length: int, span: tuple[int, int] | None, centre_px: float, begins: int, m: float) -> _Axis:
+        """From a range of the frame's pixels, None for all, and a place on it.
+
+        The picture has `length` pixels, `m` for one of the frame, and begins with the frame's pixel `begins`.
+        """
+        start, stop = 0, length
+        if span is not None:
+            start = min(max(math.floor((span[0] - begins) * m), 0), length)
+            stop = min(max(math.ceil((span[1] - begins) * m), start), length)
+        offset = math.floor(begins * m)
+        centre_px = m * centre_px + (m - 1.0) / 2.0 - (begins * m - offset)
+        return cls(slice(start, stop), offset + start, centre_px)
+
+
+class Measured(NamedTuple):
+    """What is measured of a frame after an algorithm.
+
+    `squared_error`, in (cd/m²)², and `ssim` are those of the displayed luminance against the frame without noise;
+    None if there is none with as many pixels. `n_clipped` values were beyond the display's range; `cpu_s` is the
+    algorithm's own running time.
+    """
+
+    squared_error: float | None
+    ssim: float | None
+    n_clipped: int
+    cpu_s: float
+
+
+class EnhancedTrial(NamedTuple):
+    """A trial after an algorithm, and what is measured of each of its frames."""
+
+    shown: Shown
+    measured: tuple[Measured, ...]
+
+
+class TrialReader:
+    """Reads trials; calling it is reading as a `Reader` does, one way an algorithm."""
+
+    def __init__(self, algorithms: Sequence[Enhancement], screen: Screen) -> None:
+        self.algorithms = tuple(algorithms)
+        self.screen = screen
+        self.reference_luminance = lru_cache(maxsize=16)(self._reference_luminance)
+
+    def __call__(
+        self,
+        dataset: Dataset,
+        trial: Trial,
+        observer: Observer,
+        grid_of: Callable[[], RetinaGrid],
+        displacement_samples: Sequence[tuple[float, float]] | FloatArray = ((0.0, 0.0),),
+        *,
+        whole: bool = False,
+    ) -> list[Shown]:
+        """What is shown after each algorithm."""
+        found = self.read(dataset, trial, observer, grid_of, displacement_samples, whole=whole)
+        return [one.shown for one in found]
+
+    def read(
+        self,
+        dataset: Dataset,
+        trial: Trial,
+        observer: Observer,
+        grid_of: Callable[[], RetinaGrid],
+        displacement_samples: Sequence[tuple[float, float]] | FloatArray = ((0.0, 0.0),),
+        *,
+        whole: bool = False,
+    ) -> list[EnhancedTrial]:
+        """What is shown after each algorithm, and measured; parameters as those of `read_trial`.
+
+        Raises
+        ------
+        FrameError
+            If a frame cannot be used, the triangle does not lie on it, or an algorithm fails with it.
+        """
+        frames, n_rows = [], []
+        for frame in trial.frames:
+            check_sha256(dataset, frame)
+            with FrameFile(dataset.frame_path(frame)) as file:
+                place = place_grid(dataset, trial, file, observer, grid_of, displacement_samples)
+                decoded = DecodedFrame(file, self.screen)
+            n_rows.append(file.header.height)
+            looked = []
+            try:
+                for algorithm in self.algorithms:
+                    picture = decoded.after(algorithm)
+                    part = decoded.looked_at(picture, place, frame.background_luminance_cd_m2, whole=whole)
+                    looked.append((part, self._measured(dataset, frame, picture)))
+            except FrameError:
+                raise
+            except DataError as error:
+                raise FrameError(file.path, str(error)) from None
+            frames.append(looked)
+        return [_of_trial(of_algorithm, n_rows[0]) for of_algorithm in zip(*frames, strict=True)]
+
+    def _measured(self, dataset: Dataset, frame: FrameReference, picture: Picture) -> Measured:
+        path = dataset.reference_path(frame)
+        error = ssim = None
+        if path is not None:
+            reference = self.reference_luminance(path)
+            if picture.values.shape[:2] == reference.shape:
+                black, white = self.screen.luminance_range
+                error, ssim = squared_error_and_ssim(picture.luminance(), reference, data_range=white - black)
+        return Measured(error, ssim, picture.n_clipped, picture.cpu_s)
+
+    def _reference_luminance(self, path: Path) -> FloatArray:
+        try:
+            return self.screen.display.luminance(read_frame(path).values)
+        except FrameError:
+            raise
+        except DataError as error:
+            raise FrameError(path, str(error)) from None
+
+
+def _of_trial(frames: Sequence[tuple[Looked, Measured]], n_rows: int) -> EnhancedTrial:
+    """One algorithm's frames as a trial."""
+    looked, measured = zip(*frames, strict=True)
+    patches, xs, ys, pitches = zip(*looked, strict=True)
+    return EnhancedTrial(Shown(patches, xs, ys, pitches[0], n_rows), measured)

@@ -1,0 +1,1 @@
+"""Frame files, displays, datasets, and where the triangle lies on a frame."""

@@ -1,0 +1,107 @@
+"""Frames whose files nothing checks: the warning about them, and the manifest's `sha256` column as the cure."""
+
+from __future__ import annotations
+
+import csv
+import io
+import os
+import shlex
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from todframes.errors import DataError, OutputError
+from todframes.frames.dataset import Dataset, DatasetWarning, Trial
+from todframes.frames.files import has_own_checksums
+from todframes.output import write_file
+
+COLUMN = "sha256"
+
+
+BYTE_ORDER_MARK = "\ufeff"
+
+
+def dataset_warnings(dataset: Dataset, trials: Sequence[Trial]) -> list[DatasetWarning]:
+    """Collect the facts that make results from these trials less sure.
+
+    `unverified_frames`: frames with neither a checksum in the manifest nor, as PNG has, checksums of their own.
+
+    Raises
+    ------
+    FrameError
+        If a frame cannot be read any more.
+    """
+    frames = [frame for trial in trials for frame in trial.frames]
+    unverified = sum(frame.sha256 is None and not has_own_checksums(dataset.frame_path(frame)) for frame in frames)
+    if not unverified:
+        return []
+    message = (
+        f"{unverified} of {len(frames)} frames are EXR without a sha256 in manifest.csv: nothing checks these "
+        "files, and damage to them would change thresholds unseen; add checksums with "
+        f"`todframes validate {shlex.quote(str(dataset.path))} --add-sha256`"
+    )
+    return [DatasetWarning("unverified_frames", {}, message, found=unverified, expected=0)]
+
+
+def check_writable(dataset: Dataset) -> None:
+    """Raise OutputError if the manifest cannot be replaced."""
+    path = _manifest(dataset)
+    if not os.access(path.parent, os.W_OK | os.X_OK):
+        raise OutputError(f"{path}: cannot be written (its folder is not writable)")
+
+
+def write_sha256(dataset: Dataset, sha256_of: Mapping[str, str]) -> None:
+    """Write checksums into the manifest where it has none; the file is replaced whole or not at all.
+
+    Values in all other fields, the order of rows and columns and the line ends stay as they are. Without a column
+    `sha256` the manifest gets one as its last.
+
+    Parameters
+    ----------
+    sha256_of : mapping of str to str
+        Checksums by the frame's path in the manifest, one for each frame without; with none at all the manifest
+        is not touched.
+
+    Raises
+    ------
+    DataError
+        If the manifest is no longer the one that was loaded.
+    OutputError
+        If it cannot be written.
+    """
+    if not sha256_of:
+        return
+    path = _manifest(dataset)
+    try:
+        text = path.read_bytes().decode()
+        content = _filled(text, sha256_of)
+    except (OSError, ValueError, LookupError, csv.Error):
+        raise DataError(
+            f"{path}: was changed while its frames were checked, nothing was written; try again"
+        ) from None
+    write_file(path, content.encode())
+
+
+def _manifest(dataset: Dataset) -> Path:
+    """The manifest; of a link, where it leads."""
+    return Path(os.path.realpath(dataset.path / "manifest.csv"))
+
+
+def _filled(text: str, sha256_of: Mapping[str, str]) -> str:
+    """A manifest's text with checksums in its empty `sha256` fields; LookupError if a frame has none."""
+    mark = BYTE_ORDER_MARK if text.startswith(BYTE_ORDER_MARK) else ""
+    header, *rows = csv.reader(io.StringIO(text.removeprefix(mark), newline=""), strict=True)
+    names = [name.strip() for name in header]
+    at_frame = names.index("frame")
+    if COLUMN not in names:
+        for row in filter(None, [header, *rows]):  # an empty line stays one
+            row.append("")
+        header[-1] = COLUMN
+        names.append(COLUMN)
+    at_sha256 = names.index(COLUMN)
+    for row in filter(None, rows):
+        if not row[at_sha256].strip():
+            row[at_sha256] = sha256_of[row[at_frame].strip()]
+    filled = io.StringIO()
+    writer = csv.writer(filled, lineterminator="\r\n" if text.partition("\n")[0].endswith("\r") else "\n")
+    writer.writerows([header, *rows])
+    return mark + filled.getvalue()

@@ -1,0 +1,183 @@
+"""Frame files to Weber contrast, their checksums, and what is wrong with them."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from todframes._typing import FloatArray
+from todframes.errors import DataError, FrameError
+from todframes.frames.dataset import Dataset, FrameReference, Skipped, Trial
+from todframes.frames.display import BackgroundRule, Display, border_values, weber_contrast
+from todframes.frames.files import BAND_VALUES, FrameFile, code_values, frame_sha256
+from todframes.frames.position import centroid_position, check_on_frame
+
+MOST_HELD_PX = 2**20
+"""Of a patch that is held as contrast, eight bytes a pixel."""
+
+
+class Patch(NamedTuple):
+    """A rectangle of a frame, as contrast or as what contrast is made of.
+
+    `row` and `column` are where its first pixel lies in the frame. A large rectangle is held as it is stored, one
+    to four bytes a value instead of eight; `to_contrast` turns a part of it, whole rows, into contrast.
+    """
+
+    values: NDArray[Any]
+    row: int
+    column: int
+    n_negative: int
+    to_contrast: Callable[[NDArray[Any]], FloatArray] | None = None
+
+    def bands(self) -> Iterator[Patch]:
+        """The same in bands of rows, each as contrast."""
+        if self.to_contrast is None:
+            yield self
+            return
+        n_rows = max(BAND_VALUES // max(self.values[:1].size, 1), 1)
+        for begin in range(0, len(self.values), n_rows):
+            contrast = self.to_contrast(self.values[begin : begin + n_rows])
+            yield Patch(contrast, self.row + begin, self.column, 0)
+
+
+def check_sha256(dataset: Dataset, frame: FrameReference) -> None:
+    """Raise FrameError if the manifest gives a checksum and the file has another."""
+    if frame.sha256 is not None:
+        path = dataset.frame_path(frame)
+        found = frame_sha256(path)
+        if found != frame.sha256:
+            raise FrameError(path, f"sha256 is {found}, the manifest says {frame.sha256}")
+
+
+def left_out(dataset: Dataset, trial: Trial, error: FrameError | str) -> list[Skipped]:
+    """All frames of a trial that cannot be used: it is averaged over all of them or not at all."""
+    others = f"another frame of trial {trial.name} cannot be used"
+    return [
+        Skipped(
+            frame.path,
+            others if isinstance(error, FrameError) and error.path != dataset.frame_path(frame) else str(error),
+        )
+        for frame in trial.frames
+    ]
+
+
+def read_contrast(
+    file: FrameFile,
+    display: Display,
+    frame: FrameReference,
+    rows: tuple[int, int] | None = None,
+    columns: tuple[int, int] | None = None,
+    *,
+    every_pixel: bool = False,
+) -> Patch:
+    """Contrast of a range of rows and columns of an open frame, all of them by default.
+
+    Only the rows asked for are decoded, unless the background is a mean over the frame or `every_pixel` is to be
+    looked at. Pixels are decoded once, in bands of rows; only those asked for stay in memory.
+
+    Raises
+    ------
+    FrameError
+        If the pixels cannot be read or their luminance or the background is not usable.
+    """
+    rule = display.background_luminance_cd_m2
+    whole = every_pixel or rule in ("border", "frame_mean")
+    (top, bottom), (left, right) = file.clip(rows, columns)
+    (first_row, stop_row), _ = file.clip(None, None)
+    is_small = (bottom - top) * (right - left) <= MOST_HELD_PX
+    kept: NDArray[Any] = (
+        np.empty((bottom - top, right - left))
+        if is_small
+        else np.empty((bottom - top, right - left, len(file.header.channels)), file.stored_type)
+    )
+    found = _Luminance()
+    try:
+        for band in file.bands() if whole else file.bands(rows=rows, columns=columns):
+            luminance = display.luminance(band.values)
+            begin, end = band.first_row, band.first_row + len(luminance)
+            found.add(luminance)
+            if rule == "border":
+                found.average(border_values(luminance, top=begin == first_row, bottom=end == stop_row))
+            elif rule == "frame_mean":
+                found.average(luminance)
+            if begin < bottom and end > top:
+                part = (luminance if is_small else band.stored)[max(top - begin, 0) : bottom - begin]
+                kept[max(begin - top, 0) : end - top] = part[:, left - band.first_column :][:, : right - left]
+        background = _background(rule, found, frame)
+        check_contrast(found.largest, background)
+    except DataError as error:
+        raise FrameError(file.path, str(error)) from None
+    if is_small:
+        return Patch(weber_contrast(kept, background), top, left, found.n_negative)
+    return Patch(kept, top, left, found.n_negative, partial(_contrast, display, background))
+
+
+class _Luminance:
+    """What is found out about the luminance of a frame, band by band."""
+
+    def __init__(self) -> None:
+        self.n_negative = 0
+        self.largest = 0.0
+        self.sum = 0.0
+        self.n_averaged = 0
+
+    def add(self, luminance: FloatArray) -> None:
+        """Look at a band."""
+        lowest = float(luminance.min())
+        self.largest = max(self.largest, -lowest, float(luminance.max()))
+        if lowest < 0.0:
+            self.n_negative += int(np.count_nonzero(luminance < 0.0))
+
+    def average(self, luminance: FloatArray) -> None:
+        """Add pixels of a band to those whose mean is the background."""
+        self.sum += float(luminance.sum())
+        self.n_averaged += luminance.size
+
+
+def _background(rule: float | BackgroundRule, found: _Luminance, frame: FrameReference) -> float:
+    if rule == "column":
+        assert frame.background_luminance_cd_m2 is not None  # the manifest was checked for it
+        return frame.background_luminance_cd_m2
+    return found.sum / found.n_averaged if isinstance(rule, str) else rule
+
+
+def _contrast(display: Display, background_luminance_cd_m2: float, stored: NDArray[Any]) -> FloatArray:
+    """Contrast of pixels as stored."""
+    return weber_contrast(display.luminance(code_values(stored)), background_luminance_cd_m2)
+
+
+def finite_contrast(luminance: FloatArray, background_luminance_cd_m2: float) -> FloatArray:
+    """Weber contrast; DataError if it overflows, or the background is not a positive number."""
+    check_contrast(max(-float(luminance.min()), float(luminance.max())), background_luminance_cd_m2)
+    return weber_contrast(luminance, background_luminance_cd_m2)
+
+
+def check_contrast(largest_luminance_cd_m2: float, background_luminance_cd_m2: float) -> None:
+    """Raise DataError if Weber contrast overflows, or the background is not a positive number."""
+    weber_contrast(np.zeros(0), background_luminance_cd_m2)  # for its check
+    if largest_luminance_cd_m2 > sys.float_info.max * min(background_luminance_cd_m2, 1.0):
+        raise DataError("the contrast is beyond all numbers; expected luminances nearer to the background's")
+
+
+def frame_problems(dataset: Dataset, trial: Trial) -> Iterator[FrameError]:
+    """What is wrong with the frames of a trial, every pixel of them looked at."""
+    for frame in trial.frames:
+        path = dataset.frame_path(frame)
+        try:
+            check_sha256(dataset, frame)
+            with FrameFile(path) as file:
+                pitch_mrad = dataset.display.pitch_mrad
+                x, y = centroid_position(trial, file.header, "centroid", pitch_mrad)
+                check_on_frame(path, trial, file.header, x, y, pitch_mrad)
+                read_contrast(file, dataset.display, frame, (0, 0), every_pixel=True)
+            if (reference := dataset.reference_path(frame)) is not None:
+                with FrameFile(reference) as file:
+                    for _ in file.bands():
+                        pass
+        except FrameError as error:
+            yield error

@@ -1,0 +1,330 @@
+"""A dataset on disk: `dataset.toml` and `manifest.csv` to checked trials."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from todframes.config import (
+    check_fields,
+    check_keys,
+    column_names,
+    from_table,
+    number,
+    number_or_text,
+    read_csv,
+    read_toml,
+)
+from todframes.errors import DataError, SettingsError
+from todframes.frames.display import Display, LuminanceTable
+from todframes.stimulus import ORIENTATIONS, Orientation, Stimulus
+
+SCHEMA = 1
+
+
+BACKGROUND_COLUMN = "background_luminance_cd_m2"
+
+
+REFERENCE_COLUMN = "reference_frame"
+
+
+class FrameReference(NamedTuple):
+    """A frame as the manifest names it: path relative to the dataset, and what its row says of the pixels.
+
+    `reference` is the path of the same frame without noise, where there is one.
+    """
+
+    path: str
+    sha256: str | None
+    background_luminance_cd_m2: float | None
+    reference: str | None = None
+
+
+class Trial(NamedTuple):
+    """One presentation: the frames to average, what they show and where.
+
+    `number` is that of the first frame's row in the manifest and seeds the trial's random stream. `x_px` and
+    `y_px` are where the triangle's centroid lies; None: the frame's centre. `group` has a value for each
+    `group_by`.
+    """
+
+    number: int
+    name: str
+    frames: tuple[FrameReference, ...]
+    orientation: Orientation
+    stimulus: Stimulus
+    level: float
+    group: tuple[float | str, ...]
+    x_px: float | None
+    y_px: float | None
+
+
+class Skipped(NamedTuple):
+    """A frame, or a row of the manifest, that cannot be used, and why."""
+
+    frame: str
+    error: str
+
+
+class DatasetWarning(NamedTuple):
+    """A fact about a dataset that makes results less sure, as it stands under `warnings` in `result.json`.
+
+    `code` is for programs, `message` for people. `group` has the `group_by` values that it is about, by column; it
+    is empty where it is about the whole dataset.
+    """
+
+    code: str
+    group: dict[str, float | str]
+    message: str
+    found: float
+    expected: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Experiment:
+    """What was varied: the manifest column with the stimulus strength, and those with one curve a value."""
+
+    level: str
+    group_by: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        for name in (self.level, *self.group_by):
+            if not name.strip():
+                raise SettingsError(f"level, group_by: found {name!r}, expected the name of a manifest column")
+        if len(set(self.group_by)) < len(self.group_by):
+            raise SettingsError(f"group_by: found {', '.join(self.group_by)}, expected each column once")
+        if self.level in self.group_by:
+            raise SettingsError(f"group_by: found {self.level!r}, which is the level; expected other columns")
+
+
+@dataclass(frozen=True, slots=True)
+class Dataset:
+    """A folder of frames whose settings and manifest have been read.
+
+    Bad rows are not among `trials`. A trial that lost a frame to one is, but its name is in `spoilt`: averaged
+    over fewer frames than others it must not be scored.
+    """
+
+    path: Path
+    display: Display
+    experiment: Experiment
+    trials: tuple[Trial, ...]
+    bad_rows: tuple[Skipped, ...]
+    spoilt: frozenset[str]
+
+    def frame_path(self, frame: FrameReference) -> Path:
+        """Where the frame is on disk."""
+        return self.path / frame.path
+
+    def reference_path(self, frame: FrameReference) -> Path | None:
+        """Where the same frame without noise is on disk, if there is one."""
+        return None if frame.reference is None else self.path / frame.reference
+
+
+def load_dataset(path: Path | str) -> Dataset:
+    """Read and check `dataset.toml` and `manifest.csv`; no frame is opened.
+
+    Raises
+    ------
+    SettingsError
+        If `dataset.toml` is missing or unreadable, or has an unknown, missing or contradictory key.
+    DataError
+        If the manifest is missing or unreadable, a column is missing, or there is no frame at all. A row that is
+        wrong raises nothing: it goes to `bad_rows`.
+    """
+    path = Path(path)
+    if not os.path.isdir(path):  # noqa: PTH112 - Path.is_dir raises for a name that is too long
+        raise DataError(f"{path}: not a folder; expected a dataset with dataset.toml and manifest.csv")
+    display, experiment = _read_settings(path / "dataset.toml")
+    manifest = _Manifest(path, display, experiment)
+    trials = manifest.trials()
+    if not trials and not manifest.bad_rows:
+        raise DataError(f"{manifest.path}: no frames; expected a row a frame below the header")
+    return Dataset(path, display, experiment, trials, tuple(manifest.bad_rows), frozenset(manifest.spoilt))
+
+
+def _inside(folder: str, name: str, where: str, real_folders: dict[str, str] | None = None) -> str:
+    """Full path, links followed, of a file that a dataset names; in `folder` they have been followed.
+
+    Folders in `real_folders` are not followed again: a million rows would take a minute otherwise.
+
+    Raises
+    ------
+    DataError
+        If it is not in the dataset's folder: a message might show what it holds.
+    """
+    if not name or "\0" in name:
+        raise DataError(f"{where}: found {name!r}, expected a path")
+    real_folders = {} if real_folders is None else real_folders
+    parent, last = os.path.split(os.path.join(folder, name))  # noqa: PTH118 - pathlib is slow
+    if parent not in real_folders:
+        # Not Path.resolve, which raises for a link that leads to itself.
+        real_folders[parent] = os.path.realpath(parent)
+    full = os.path.join(real_folders[parent], last)  # noqa: PTH118
+    if last in ("", os.curdir, os.pardir) or os.path.islink(full):  # noqa: PTH114
+        full = os.path.realpath(full)
+    if not f"{full}{os.sep}".startswith(folder.rstrip(os.sep) + os.sep):
+        raise DataError(f"{where} {name} lies outside of the dataset: it is {full}, expected a file in {folder}")
+    return full
+
+
+def _read_settings(path: Path) -> tuple[Display, Experiment]:
+    try:
+        _inside(os.path.realpath(path.parent), path.name, f"{path}:")
+    except DataError as error:
+        raise SettingsError(str(error)) from None
+    content = read_toml(path)
+    check_keys(content, ["schema", "display", "experiment"], str(path))
+    if content.get("schema") != SCHEMA:
+        raise SettingsError(f"{path}: schema: found {content.get('schema')!r}, expected {SCHEMA}")
+    for name in ("display", "experiment"):
+        if not isinstance(content.get(name), dict):
+            raise SettingsError(f"{path}: table [{name}] is missing")
+    table = dict(content["display"])
+    check_keys(table, [field.name for field in fields(Display)], f"{path}: [display]")
+    if table.get("eotf") == "lut":  # whose luminances are absolute
+        table.pop("white_luminance_cd_m2", None)
+        table.pop("black_luminance_cd_m2", None)
+    if "white_luminance_cd_m2" not in table and table.get("eotf") != "lut":
+        raise SettingsError(f"{path}: [display]: white_luminance_cd_m2 is missing")
+    if "lut" in table and table.get("eotf") == "lut":
+        if not isinstance(table["lut"], str):
+            raise SettingsError(f"{path}: [display]: lut: found {table['lut']!r}, expected the name of a CSV file")
+        table["lut"] = _read_lut(path.parent, table["lut"], f"{path}: [display]: lut")
+    elif "lut" in table:
+        raise SettingsError(f"{path}: [display]: lut: is given but not used with eotf = {table.get('eotf')!r}")
+    display = from_table(table, Display, f"{path}: [display]")
+    return display, from_table(content["experiment"], Experiment, f"{path}: [experiment]")
+
+
+def _read_lut(folder: Path, name: str, named: str) -> LuminanceTable:
+    path, columns = folder / name, ("code_value", "luminance_cd_m2")
+    try:
+        _inside(os.path.realpath(folder), name, named)
+        rows = read_csv(path)
+        _, header = next(rows)
+        for name in columns:
+            if name not in header:
+                raise SettingsError(f"{path}: column {name!r} is missing; found {column_names(header)}")
+        values = []
+        for where, row in rows:
+            check_fields(row, len(header), where)
+            values.append([number(row[name], f"{where}: {name}") for name in columns])
+    except DataError as error:
+        raise SettingsError(str(error)) from None
+    code, luminance = np.array(values, dtype=np.float64).reshape(-1, 2).T
+    try:
+        return LuminanceTable(code, luminance)
+    except SettingsError as error:
+        raise SettingsError(f"{path}: {error}") from None
+
+
+class _Manifest:
+    """Reads the rows, gathers frames into trials, and keeps what is wrong with which row."""
+
+    def __init__(self, folder: Path, display: Display, experiment: Experiment) -> None:
+        self.folder = os.path.realpath(folder)
+        self.path = folder / "manifest.csv"
+        self.experiment = experiment
+        self.needs_background = display.background_luminance_cd_m2 == "column"
+        self.bad_rows: list[Skipped] = []
+        self.spoilt: set[str] = set()
+        self.seen: dict[str, str] = {}
+        self.real_folders: dict[str, str] = {}
+
+    def trials(self) -> tuple[Trial, ...]:
+        _inside(self.folder, self.path.name, f"{self.path}:")
+        rows = read_csv(self.path)
+        _, header = next(rows)
+        self._check_columns(header)
+        trials: dict[str, Trial] = {}
+        for number_of_row, (where, row) in enumerate(rows):
+            name = (row.get("trial") or row.get("frame") or "").strip()
+            try:
+                check_fields(row, len(header), where)
+                trial = self._trial(row, where, number_of_row)
+                trials[name] = self._joined(trials[name], trial, where) if name in trials else trial
+            except DataError as error:
+                self.bad_rows.append(Skipped((row.get("frame") or "").strip(), str(error)))
+                if (row.get("trial") or "").strip():
+                    self.spoilt.add(name)
+        return tuple(trials.values())
+
+    def _check_columns(self, found: Mapping[str, str]) -> None:
+        needed = ["frame", "orientation", "size_mrad", self.experiment.level, *self.experiment.group_by]
+        if self.needs_background:
+            needed.append(BACKGROUND_COLUMN)
+        for name in needed:
+            if name not in found:
+                raise DataError(f"{self.path}: column {name!r} is missing; found {column_names(found)}")
+        if ("x_px" in found) != ("y_px" in found):
+            raise DataError(f"{self.path}: found one of the columns x_px and y_px, expected both or none")
+
+    def _trial(self, row: Mapping[str, str], where: str, row_number: int) -> Trial:
+        frame = self._frame_path(row["frame"].strip(), where)
+        orientation = row["orientation"].strip()
+        if orientation not in ORIENTATIONS:
+            raise DataError(f"{where}: orientation: found {orientation!r}, expected up, right, down or left")
+        polarity = (row.get("polarity") or "1").strip()
+        if polarity not in ("1", "+1", "-1"):
+            raise DataError(f"{where}: polarity: found {polarity!r}, expected 1 or -1")
+        place = [
+            number(row[name], f"{where}: {name}") if (row.get(name) or "").strip() else None
+            for name in ("x_px", "y_px")
+        ]
+        if place.count(None) == 1:
+            raise DataError(f"{where}: found one of x_px and y_px, expected both or none")
+        background = (
+            number(row[BACKGROUND_COLUMN], f"{where}: {BACKGROUND_COLUMN}", positive=True)
+            if self.needs_background
+            else None
+        )
+        sha256 = (row.get("sha256") or "").strip().lower() or None
+        reference = (row.get(REFERENCE_COLUMN) or "").strip() or None
+        if reference is not None:
+            _inside(self.folder, reference, f"{where}: {REFERENCE_COLUMN}", self.real_folders)
+        return Trial(
+            number=row_number,
+            name=(row.get("trial") or "").strip() or frame,
+            frames=(FrameReference(frame, sha256, background, reference),),
+            orientation=Orientation(orientation),
+            stimulus=Stimulus(number(row["size_mrad"], f"{where}: size_mrad", positive=True), int(polarity)),
+            level=number(row[self.experiment.level], f"{where}: {self.experiment.level}", positive=True),
+            group=tuple(number_or_text(row[name]) for name in self.experiment.group_by),
+            x_px=place[0],
+            y_px=place[1],
+        )
+
+    def _frame_path(self, frame: str, where: str) -> str:
+        first = self.seen.setdefault(_inside(self.folder, frame, f"{where}: frame", self.real_folders), where)
+        if first != where:
+            raise DataError(f"{where}: frame {frame} is there already, in {first.rpartition(', ')[2]}")
+        return frame
+
+    def _joined(self, first: Trial, other: Trial, where: str) -> Trial:
+        """A trial with one frame more; everything but the frame must agree."""
+        expected, found = (self._shown(trial) for trial in (first, other))
+        for name, value in found.items():
+            if value != expected[name]:
+                raise DataError(
+                    f"{where}: {name}: found {value}, expected {expected[name]} as in the other frames of trial "
+                    f"{first.name!r}"
+                )
+        return first._replace(frames=first.frames + other.frames)
+
+    def _shown(self, trial: Trial) -> dict[str, object]:
+        """What the manifest says of a trial, by column."""
+        return {
+            "orientation": trial.orientation.value,
+            "size_mrad": trial.stimulus.size_mrad,
+            "polarity": trial.stimulus.polarity,
+            self.experiment.level: trial.level,
+            "x_px": trial.x_px,
+            "y_px": trial.y_px,
+            **dict(zip(self.experiment.group_by, trial.group, strict=True)),
+        }

@@ -1,0 +1,520 @@
+"""EXR and PNG → Frame; with `frame_writing`, the only user of OpenImageIO."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import stat
+import zlib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, BinaryIO, Literal, Self, get_args
+
+import numpy as np
+import OpenImageIO as oiio
+from numpy.typing import ArrayLike, NDArray
+
+from todframes.errors import FrameError, OutputError, SettingsError
+
+PathLike = str | os.PathLike[str]
+
+
+Range = tuple[int, int]
+
+
+PixelType = Literal["half", "float", "uint8", "uint16"]
+
+
+MAX_SIDE_PX = 32768
+
+
+MAX_CHANNELS = 256
+
+
+MAX_DECODED_MB = 256
+"""All channels of a part, in their own pixel types. One MB is 2**20 bytes."""
+
+
+BAND_VALUES = 2**19
+"""Of all channels, in a band of rows: what is decoded at a time, unless one chunk of the file holds more."""
+
+
+MOST_ROWS_PER_CHUNK = 256
+"""Of an EXR, whatever its compression; smaller chunks divide it."""
+
+
+# OpenImageIO checks these before it allocates anything: a small file cannot claim all memory.
+oiio.attribute("limits:resolution", MAX_SIDE_PX)
+
+
+oiio.attribute("limits:channels", MAX_CHANNELS)
+
+
+oiio.attribute("limits:imagesize_MB", MAX_DECODED_MB)
+
+
+_OPEN_OPTIONS = oiio.ImageSpec()
+
+
+_OPEN_OPTIONS.attribute("oiio:UnassociatedAlpha", 1)  # or OpenImageIO multiplies PNG colours by alpha
+
+
+NUMPY_TYPES: dict[PixelType, Any] = {
+    "half": np.float16, "float": np.float32, "uint8": np.uint8, "uint16": np.uint16
+}  # fmt: skip
+
+
+FULL_SCALE: dict[PixelType, int] = {"uint8": 255, "uint16": 65535}
+
+
+PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+
+
+_LAYOUT_ATTRIBUTES = ("oiio:", "openexr:", "compression")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Frame:
+    """A rectangle of a frame.
+
+    `stored` has shape (rows, columns, channels), with one channel (grey or luminance) or three (R, G, B), in the
+    file's pixel type; floating-point values are finite. `first_row` and `first_column` are where `stored[0, 0]`
+    lies in the frame, whose top left pixel is (0, 0). `height` and `width` are the whole frame's in pixels; for an
+    EXR the display window's.
+    """
+
+    stored: NDArray[Any]
+    first_row: int
+    first_column: int
+    height: int
+    width: int
+
+    @property
+    def values(self) -> NDArray[np.float32]:
+        """Code values, of the shape of `stored`; see `code_values`."""
+        return code_values(self.stored)
+
+
+def code_values(stored: NDArray[Any]) -> NDArray[np.float32]:
+    """Code values of pixels as stored, of any shape: integers are divided by full scale, 255 or 65535."""
+    values = np.array(stored, np.float32, order="C")
+    if stored.dtype.kind == "u":
+        values /= np.iinfo(stored.dtype).max
+    return values
+
+
+@dataclass(frozen=True, slots=True)
+class FrameHeader:
+    """What a file says of its frame.
+
+    `height` and `width` are the whole frame's in pixels. `first_row`, `first_column`, `n_rows` and `n_columns` are
+    the rectangle of it that the file has pixels for: the part of an EXR's data window within its display window.
+    `channels` names the one or three channels that are read, `pixel_type` is the widest of theirs. `attributes`
+    are the file's texts, without those about the layout of pixels.
+    """
+
+    height: int
+    width: int
+    first_row: int
+    first_column: int
+    n_rows: int
+    n_columns: int
+    channels: tuple[str, ...]
+    pixel_type: PixelType
+    attributes: dict[str, str]
+
+
+class FrameFile:
+    """An open frame file: its `header` at once, its pixels when asked for.
+
+    For a `with` statement, in one thread; each thread opens its own. The content tells the format, whatever the
+    extension.
+
+    Raises
+    ------
+    FrameError
+        If the file is missing, unreadable, neither EXR nor PNG, damaged, beyond the limits of this module, deep,
+        or without channels to use.
+    """
+
+    def __init__(self, path: PathLike) -> None:
+        self.path = Path(path)
+        try:
+            str(self.path).encode()  # OpenImageIO takes no other names
+            format_name = _recognise(self.path)
+            # With options an EXR takes three times as long to open, and it has no use for them.
+            options = (_OPEN_OPTIONS,) if format_name == "png" else ()
+            self._image: Any = oiio.ImageInput.open(str(self.path), *options)
+            if self._image is None or self._image.format_name() != format_name:
+                raise FrameError(self.path, f"cannot be opened: {openimageio_reason(self._image)}")
+            self.header = self._read_header()
+        except FrameError:
+            raise
+        except (OSError, ValueError) as error:
+            problem = getattr(error, "strerror", None) or error
+            raise FrameError(self.path, f"cannot be opened: {problem}") from None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._image.close()
+
+    @property
+    def stored_type(self) -> np.dtype[Any]:
+        """Type of the values of `Frame.stored`."""
+        stored_type: np.dtype[Any] = np.dtype(NUMPY_TYPES[self.header.pixel_type])
+        return stored_type
+
+    def read(self, *, rows: Range | None = None, columns: Range | None = None) -> Frame:
+        """Decode a rectangle, and no more than the chunks of scan lines or the tiles that it touches.
+
+        Parameters
+        ----------
+        rows, columns : (int, int), optional
+            Half-open ranges in frame coordinates, clipped to the rectangle that the file has pixels for; what lies
+            outside of it altogether gives a Frame without pixels. Default: all.
+
+        Raises
+        ------
+        FrameError
+            If these pixels are damaged, or one of them is NaN or infinite.
+        """
+        (top, bottom), (left, right) = self.clip(rows, columns)
+        header = self.header
+        shape = (bottom - top, right - left, len(header.channels))
+        stored = np.empty(shape, self.stored_type)
+        for band in self.bands(rows=rows, columns=columns):
+            stored[band.first_row - top :][: len(band.stored)] = band.stored
+        return Frame(stored, top, left, header.height, header.width)
+
+    def bands(self, *, rows: Range | None = None, columns: Range | None = None) -> Iterator[Frame]:
+        """Decode a rectangle in bands of rows from top to bottom, none of which takes much memory.
+
+        Parameters and errors are those of `read`. No chunk of scan lines is decoded twice. An error is raised
+        when the band with the bad pixels is asked for.
+        """
+        (top, bottom), (left, right) = self.clip(rows, columns)
+        n_bad, first_bad = 0, ""
+        for begin, end in self._band_rows(top, bottom) if left < right else ():
+            stored = self._decode(begin, end, left, right)
+            bad = _not_finite(stored)
+            if bad is not None:
+                row, column = np.argwhere(bad)[0]
+                first_bad = first_bad or f"row {row + begin}, column {column + left}"
+                n_bad += int(np.count_nonzero(bad))
+            if not n_bad:
+                yield Frame(stored, begin, left, self.header.height, self.header.width)
+        if n_bad:
+            raise FrameError(self.path, f"{n_bad} pixels are NaN or infinite, the first at {first_bad}")
+
+    def clip(self, rows: Range | None, columns: Range | None) -> tuple[Range, Range]:
+        """Rows and columns of a rectangle that the file has pixels for."""
+        header = self.header
+        return (
+            _clip(rows, header.first_row, header.n_rows),
+            _clip(columns, header.first_column, header.n_columns),
+        )
+
+    def _band_rows(self, top: int, bottom: int) -> Iterator[Range]:
+        """Rows in bands that end where chunks or tiles do."""
+        spec = self._spec
+        per_chunk = spec.tile_height or (1 if self._image.format_name() == "png" else MOST_ROWS_PER_CHUNK)
+        per_chunk = spec.get_int_attribute("oiio:RowsPerChunk", per_chunk) or per_chunk
+        n_chunks = BAND_VALUES // (spec.width * spec.nchannels * per_chunk)
+        step, origin = max(n_chunks, 1) * per_chunk, spec.y - self._top
+        while top < bottom:
+            end = min(origin + ((top - origin) // step + 1) * step, bottom)
+            yield top, end
+            top = end
+
+    def _read_header(self) -> FrameHeader:
+        self._part, self._channels = self._choose_channels()
+        self._spec = spec = self._image.spec()
+        self._left, self._top, width, height = spec.full_x, spec.full_y, spec.full_width, spec.full_height
+        if self._image.format_name() == "png":  # its offset says where on a page it is printed
+            self._left, self._top, width, height = spec.x, spec.y, spec.width, spec.height
+        sides = spec.width, spec.height, width, height
+        if min(sides) < 1 or max(sides) > MAX_SIDE_PX or spec.depth > 1:
+            found = f"{spec.width} x {spec.height} x {spec.depth} pixels in a frame of {width} x {height}"
+            raise FrameError(self.path, f"found {found}, expected sides of 1 to {MAX_SIDE_PX} and depth 1")
+        size_mb = max(spec.image_bytes(True), spec.tile_bytes(True)) / 2**20
+        if size_mb > MAX_DECODED_MB:
+            raise FrameError(self.path, f"decodes to {size_mb:.0f} MB, expected at most {MAX_DECODED_MB} MB")
+        types = sorted({str(spec.channelformat(channel)) for channel in self._channels})
+        if types not in (["half"], ["float"], ["float", "half"], ["uint8"], ["uint16"]):
+            raise FrameError(self.path, f"pixel type {types}, expected one of {', '.join(NUMPY_TYPES)}")
+        first_row, first_column = max(0, spec.y - self._top), max(0, spec.x - self._left)
+        n_rows = min(height, spec.y - self._top + spec.height) - first_row
+        n_columns = min(width, spec.x - self._left + spec.width) - first_column
+        if n_rows < 1 or n_columns < 1:
+            raise FrameError(self.path, "the data window lies outside of the display window")
+        channels = tuple(spec.channelnames[channel] for channel in self._channels)
+        texts = {a.name: a.value for a in spec.extra_attribs if isinstance(a.value, str)}
+        attributes = {name: text for name, text in texts.items() if not name.startswith(_LAYOUT_ATTRIBUTES)}
+        pixel_type: Any = types[0]
+        return FrameHeader(
+            height, width, first_row, first_column, n_rows, n_columns, channels, pixel_type, attributes
+        )
+
+    def _choose_channels(self) -> tuple[int, list[int]]:
+        """Part, which is then the current one, and its channels to read; the first part that has any."""
+        found: list[str] = []
+        while self._image.seek_subimage(len(found), 0):
+            spec = self._image.spec()
+            chosen = [] if spec.deep else _luminance_or_rgb(spec.channelnames)
+            if chosen:
+                return len(found), chosen
+            found.append(("deep " if spec.deep else "") + " ".join(spec.channelnames))
+        if len(found) == 1 and spec.nchannels == 1 and not spec.deep and self._image.seek_subimage(0, 0):
+            return 0, [0]
+        names = "; ".join(found)[:200]
+        raise FrameError(self.path, f"found channels {names}; expected Y, or R, G and B, or only one")
+
+    def _decode(self, top: int, bottom: int, left: int, right: int) -> NDArray[Any]:
+        """Pixels of a rectangle of the frame as stored."""
+        spec, first_channel = self._spec, min(self._channels)
+        what = first_channel, max(self._channels) + 1, self.header.pixel_type
+        y_begin, y_end = top + self._top - spec.y, bottom + self._top - spec.y
+        x_begin, x_end = left + self._left - spec.x, right + self._left - spec.x
+        if spec.tile_width:
+            y, y_stop = _whole_tiles(y_begin, y_end, spec.tile_height, spec.height)
+            x, x_stop = _whole_tiles(x_begin, x_end, spec.tile_width, spec.width)
+            box = x + spec.x, x_stop + spec.x, y + spec.y, y_stop + spec.y, spec.z, spec.z + 1
+            stored = self._image.read_tiles(self._part, 0, *box, *what)
+        else:
+            x, y = 0, y_begin
+            stored = self._image.read_scanlines(self._part, 0, y_begin + spec.y, y_end + spec.y, spec.z, *what)
+        if stored is None or self._image.has_error:
+            reason = openimageio_reason(self._image)
+            raise FrameError(self.path, f"rows {top} to {bottom - 1} cannot be decoded: {reason}")
+        stored = stored[y_begin - y : y_end - y, x_begin - x : x_end - x]
+        picks = [channel - first_channel for channel in self._channels]
+        return np.asarray(stored if picks == list(range(stored.shape[2])) else stored[..., picks])
+
+
+def read_header(path: PathLike) -> FrameHeader:
+    """Header of a frame file; no pixels are decoded. Raises FrameError as FrameFile does."""
+    with FrameFile(path) as file:
+        return file.header
+
+
+def read_frame(path: PathLike, *, rows: Range | None = None, columns: Range | None = None) -> Frame:
+    """Code values of a frame file, or of a rectangle of it. See FrameFile and FrameFile.read."""
+    with FrameFile(path) as file:
+        return file.read(rows=rows, columns=columns)
+
+
+def frame_sha256(path: PathLike) -> str:
+    """SHA-256 of a file's bytes, 64 hexadecimal digits. Raises FrameError if it cannot be read."""
+    path = Path(path)
+    try:
+        _check_is_file(path)
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError as error:
+        raise FrameError(path, f"cannot be read: {error.strerror}") from None
+
+
+def has_own_checksums(path: PathLike) -> bool:
+    """Tell whether a frame file has a checksum over all of its bytes: a PNG has, an EXR has none over its header.
+
+    Raises FrameError if it cannot be read.
+    """
+    path = Path(path)
+    try:
+        _check_is_file(path)
+        with path.open("rb") as file:
+            return file.read(len(PNG_SIGNATURE)) == PNG_SIGNATURE
+    except OSError as error:
+        raise FrameError(path, f"cannot be read: {error.strerror}") from None
+
+
+def _check_is_file(path: Path) -> int:
+    """Size in bytes; a pipe would keep its reader waiting for ever."""
+    status = path.stat()
+    if not stat.S_ISREG(status.st_mode):
+        raise FrameError(path, "found a folder or device, expected an EXR or PNG file")
+    return status.st_size
+
+
+def _recognise(path: Path) -> str:
+    """OpenImageIO's name of the format, from the content."""
+    size = _check_is_file(path)
+    with path.open("rb") as file:
+        start = file.read(len(PNG_SIGNATURE))
+        if start[:4] == b"\x76\x2f\x31\x01":
+            return "openexr"
+        if start == PNG_SIGNATURE:
+            _check_png(path, file, size)
+            return "png"
+    found = f"a file that starts with {start!r}" if start else "an empty file"
+    raise FrameError(path, f"found {found}, expected EXR or PNG")
+
+
+def _check_png(path: Path, file: BinaryIO, size: int) -> None:
+    """Refuse damaged chunks here: libpng, which would as well, prints on standard error."""
+    kind = b""
+    while kind != b"IEND":
+        length, kind = int.from_bytes(file.read(4), "big"), file.read(4)
+        if file.tell() + length + 4 > size:
+            raise FrameError(path, "the PNG is truncated or damaged: a chunk reaches beyond the end of the file")
+        if zlib.crc32(file.read(length), zlib.crc32(kind)) != int.from_bytes(file.read(4), "big"):
+            raise FrameError(path, f"the PNG is damaged: chunk {kind!r} does not match its checksum")
+
+
+def _not_finite(stored: NDArray[Any]) -> NDArray[np.bool_] | None:
+    """Pixels with a NaN or an infinity, (rows, columns); None if there are none."""
+    if stored.dtype.kind == "u":
+        return None
+    is_half = stored.dtype == np.float16  # for which numpy's isfinite takes five times as long
+    bad = (stored.view(np.uint16) & 0x7C00) == 0x7C00 if is_half else ~np.isfinite(stored)
+    return bad.any(axis=2) if bad.any() else None
+
+
+def _clip(wanted: Range | None, first: int, count: int) -> Range:
+    begin, end = wanted or (first, first + count)
+    begin = min(max(begin, first), first + count)
+    return begin, max(begin, min(end, first + count))
+
+
+def _whole_tiles(begin: int, end: int, tile: int, size: int) -> Range:
+    return begin - begin % tile, min(-(-end // tile) * tile, size)
+
+
+def _luminance_or_rgb(names: tuple[str, ...]) -> list[int]:
+    """Y, or else R, G and B, of the first layer that has them; channels without a layer first. Empty if none."""
+    layers: dict[str, dict[str, int]] = {"": {}}
+    for channel, name in enumerate(names):
+        layer, _, kind = name.upper().rpartition(".")
+        layers.setdefault(layer, {}).setdefault(kind, channel)
+    for kinds in layers.values():
+        for wanted in ("Y", "RGB"):
+            if all(kind in kinds for kind in wanted):
+                return [kinds[kind] for kind in wanted]
+    return []
+
+
+def openimageio_reason(source: Any) -> str:
+    """What OpenImageIO says of a failure, in one line. None stands for an input or output that was not made."""
+    try:
+        message = oiio.geterror() if source is None else source.geterror()
+    except UnicodeDecodeError:
+        message = ""
+    # What follows asks users to raise the limits of this module, which they cannot.
+    message = message.partition("Possible corrupt input?")[0]
+    return " ".join(message.split()) or "OpenImageIO gives no reason"
+
+
+Compression = Literal["none", "rle", "zips", "zip", "piz", "pxr24", "b44", "b44a", "dwaa", "dwab"]
+
+
+_WRITABLE: dict[str, tuple[PixelType, ...]] = {".exr": ("half", "float"), ".png": ("uint16", "uint8")}
+
+
+def write_frame(
+    path: PathLike,
+    values: ArrayLike,
+    *,
+    pixel_type: PixelType | None = None,
+    compression: Compression = "zip",
+    attributes: Mapping[str, str] | None = None,
+) -> None:
+    """Write code values to an EXR or PNG file, whole or not at all; the same input gives the same bytes.
+
+    Parameters
+    ----------
+    path : path
+        Ends in .exr or .png. An existing file is replaced.
+    values : array_like, (rows, columns) or (rows, columns, 1 or 3)
+        Code values; one channel is written as Y, three as R, G, B. For PNG within [0, 1], rounded to nearest.
+    pixel_type : {"half", "float", "uint16", "uint8"}, optional
+        The first two are for EXR, the last two for PNG. Default: half, uint16.
+    compression : str
+        Of an EXR; a PNG has "zip" only.
+    attributes : mapping of str to str, optional
+        Texts that `read_header` gives back under the same names. A name should have a prefix of its own, such as
+        "todframes:seed"; the formats rename or drop some of the others.
+
+    Raises
+    ------
+    SettingsError
+        If the extension, pixel type or compression is none of these, or an attribute would not be kept as it is.
+    FrameError, a ValueError
+        If values have another shape, are not finite or beyond the pixel type's range.
+    OutputError, an OSError
+        If the file cannot be written.
+    """
+    path, attributes = Path(path), attributes or {}
+    suffix = path.suffix.lower()
+    pixel_types = _WRITABLE.get(suffix, _WRITABLE[".exr"])
+    pixel_type = pixel_type or pixel_types[0]
+    compressions = get_args(Compression) if suffix == ".exr" else ("zip",)
+    checks: tuple[tuple[str, str, tuple[str, ...]], ...] = (
+        ("extension", suffix, tuple(_WRITABLE)),
+        ("pixel type", pixel_type, pixel_types),
+        ("compression", compression, compressions),
+    )
+    for what, found, expected in checks:
+        if found not in expected:
+            raise SettingsError(f"{path}: {what} {found!r}, expected {' or '.join(expected)}")
+    stored = _to_stored(path, values, pixel_type)
+    temporary = path.with_name(f".{os.urandom(8).hex()}{suffix}")
+    try:
+        temporary.touch(exist_ok=False)
+        _write(temporary, stored, pixel_type, compression, attributes)
+        with FrameFile(temporary) as file:
+            kept = file.header.attributes
+            file.read()  # a disk that fills up with the last bytes of an EXR is not reported
+        lost = [name for name, text in attributes.items() if kept.get(name) != text]
+        if lost:
+            like = "a name such as 'todframes:seed' and a text that is not empty and without NUL"
+            raise SettingsError(f"{path}: {suffix} does not keep attribute {lost[0]!r} as it is, expected {like}")
+        temporary.replace(path)
+    except FrameError as error:
+        raise OutputError(f"{path}: cannot be written: {error.problem}") from None
+    except OSError as error:
+        raise OutputError(f"{path}: cannot be written: {error.strerror}") from None
+    finally:
+        if path.parent.is_dir():
+            temporary.unlink(missing_ok=True)
+
+
+def _write(
+    path: Path, stored: NDArray[Any], pixel_type: PixelType, compression: str, attributes: Mapping[str, str]
+) -> None:
+    height, width, n_channels = stored.shape
+    spec = oiio.ImageSpec(width, height, n_channels, pixel_type)
+    spec.channelnames = ("Y",) if n_channels == 1 else ("R", "G", "B")
+    for name, text in attributes.items():
+        spec.attribute(name, text)
+    if path.suffix == ".exr":
+        spec.attribute("compression", compression)
+        if "DateTime" not in attributes:
+            spec.attribute("DateTime", "")  # or OpenImageIO writes the present time
+    output = oiio.ImageOutput.create(str(path))
+    written = output is not None and output.open(str(path), spec) and output.write_image(stored)
+    if output is None or not output.close() or not written or output.has_error:
+        raise FrameError(path, openimageio_reason(output))
+
+
+def _to_stored(path: Path, values: ArrayLike, pixel_type: PixelType) -> NDArray[Any]:
+    """Code values in the file's pixel type, (rows, columns, channels); FrameError if they do not fit it."""
+    pixels, dtype = np.asarray(values), NUMPY_TYPES[pixel_type]
+    pixels = pixels[..., np.newaxis] if pixels.ndim == 2 else pixels
+    if pixels.ndim != 3 or pixels.shape[2] not in (1, 3) or pixels.size == 0 or pixels.dtype.kind not in "fiu":
+        found = f"values of {pixels.dtype} and shape {np.shape(values)}"
+        raise FrameError(path, f"found {found}, expected numbers and (rows, columns) or (rows, columns, 1 or 3)")
+    if pixel_type in FULL_SCALE:
+        bad = ~((pixels >= 0) & (pixels <= 1))
+        stored = np.rint(np.where(bad, 0, pixels) * np.float64(FULL_SCALE[pixel_type])).astype(dtype)
+        limits = "[0, 1]"
+    else:
+        with np.errstate(over="ignore", invalid="ignore"):
+            stored = pixels.astype(dtype, order="C")
+        bad = ~np.isfinite(stored)
+        limits = f"±{np.finfo(dtype).max:g}"
+    if bad.any():
+        raise FrameError(path, f"{np.count_nonzero(bad)} values are NaN or beyond {limits}, expected none")
+    return stored

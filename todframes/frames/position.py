@@ -1,0 +1,90 @@
+"""The position of a trial's triangle on its frame."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+from todframes.errors import FrameError
+from todframes.frames.dataset import Dataset, Trial
+from todframes.frames.files import FrameFile, FrameHeader
+from todframes.stimulus import Centre, bounding_box_offset, vertices
+
+
+def centroid_position(
+    trial: Trial, header: FrameHeader, centre: Centre, pixel_pitch_mrad: float
+) -> tuple[float, float]:
+    """(x, y) of the triangle's centroid in pixels.
+
+    The manifest's; without one, the triangle's `centre` lies at the frame's.
+    """
+    if trial.x_px is not None and trial.y_px is not None:
+        return trial.x_px, trial.y_px
+    return to_centroid(trial, (header.width - 1) / 2.0, (header.height - 1) / 2.0, centre, pixel_pitch_mrad)
+
+
+def to_centroid(
+    trial: Trial, x_px: float, y_px: float, centre: Centre, pixel_pitch_mrad: float
+) -> tuple[float, float]:
+    """(x, y) of the centroid of a trial's triangle whose `centre` lies at (x_px, y_px)."""
+    dx, dy = _from_centroid(trial, centre, pixel_pitch_mrad)
+    return x_px - dx, y_px - dy
+
+
+def check_places(dataset: Dataset, trials: Sequence[Trial], centre: Centre) -> None:
+    """Check what takes little time, before anything large is computed.
+
+    Every file is looked for, and of each stimulus the first frame's header is read.
+
+    Raises
+    ------
+    FrameError
+        If a file is missing, or the triangle does not lie on its frame.
+    """
+    for trial in trials:
+        for frame in trial.frames:
+            path = f"{dataset.path}{os.sep}{frame.path}"
+            if not os.path.exists(path):  # noqa: PTH110 - a million paths take seconds, as Path objects half a minute
+                raise FrameError(path, "cannot be opened: No such file or directory")
+    of_stimulus = {trial.stimulus: trial for trial in reversed(trials)}
+    for trial in sorted(of_stimulus.values(), key=lambda trial: trial.number):
+        check_place(dataset, trial, centre)
+
+
+def check_place(dataset: Dataset, trial: Trial, centre: Centre) -> None:
+    """Raise FrameError if the triangle of a trial does not lie on its first frame, whose header alone is read."""
+    with FrameFile(dataset.frame_path(trial.frames[0])) as file:
+        x, y = centroid_position(trial, file.header, centre, dataset.display.pitch_mrad)
+        check_on_frame(file.path, trial, file.header, x, y, dataset.display.pitch_mrad)
+
+
+def _from_centroid(trial: Trial, centre: Centre, pixel_pitch_mrad: float) -> tuple[float, float]:
+    if centre == "centroid":
+        return 0.0, 0.0
+    dx, dy = bounding_box_offset(trial.orientation)
+    size_px = trial.stimulus.size_mrad / pixel_pitch_mrad
+    return dx * size_px, dy * size_px
+
+
+def check_on_frame(
+    path: Path, trial: Trial, header: FrameHeader, x: float, y: float, pixel_pitch_mrad: float
+) -> None:
+    """Raise FrameError if not the whole triangle lies on pixels that the file has."""
+    size_px = min(trial.stimulus.size_mrad / pixel_pitch_mrad, 1e300)  # whose corners are numbers still
+    corners = vertices(size=size_px, orientation=trial.orientation, x=x, y=y)
+    (left, top), (right, bottom) = corners.min(axis=0), corners.max(axis=0)
+    first_x, first_y = header.first_column - 0.5, header.first_row - 0.5
+    last_x, last_y = first_x + header.n_columns, first_y + header.n_rows
+    if right - left > header.n_columns or bottom - top > header.n_rows:
+        raise FrameError(
+            path,
+            f"the frame has {header.n_columns} × {header.n_rows} pixels, smaller than the triangle of "
+            f"{trial.stimulus.size_mrad:g} mrad ({right - left:.6g} × {bottom - top:.6g} pixels)",
+        )
+    if left < first_x or right > last_x or top < first_y or bottom > last_y:
+        raise FrameError(
+            path,
+            f"the triangle reaches from ({left:.6g}, {top:.6g}) to ({right:.6g}, {bottom:.6g}) px, off the frame "
+            f"({first_x:.1f}, {first_y:.1f}) to ({last_x:.1f}, {last_y:.1f}) px",
+        )

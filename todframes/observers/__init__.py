@@ -1,0 +1,1 @@
+"""Model observers: retina, filters, internal noise, decision."""

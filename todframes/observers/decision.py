@@ -1,0 +1,390 @@
+"""Probability that each of four noisy scores is the largest: the observer's decision without drawing noise.
+
+Four Gaussian scores are the vertices of a tetrahedron whose edges are the standard deviations of their
+differences. Answer k wins when its three differences from the others are positive, which is a trivariate
+normal orthant Φ₃(b; R): b is the three mean differences in standard deviations, and the correlations in R are
+the cosines of the angles θ at vertex k between the edges to the other three.
+
+Φ₃ comes from Plackett's identity (Plackett 1954; Genz 2004, eq. 9), ∂Φ₃/∂ρ₁₂ = φ₂(b₁, b₂; ρ₁₂)·Φ(u₃), integrated
+from independence, θ = π/2, to R. All three correlations move together, along a straight line in the
+*angles*, for three reasons:
+
+- φ₂ dρ = exp(−E) dθ / 2π has no singularity when ρ → ±1;
+- valid sets of angles form a solid with four flat faces, θ₁₂ + θ₁₃ + θ₂₃ ≤ 2π and each θ at most the sum of
+  the others, so a straight line from its middle never leaves it; and with s the half-sum, the determinant
+  4 sin(s) sin(s − θ₁₂) sin(s − θ₁₃) sin(s − θ₂₃) is a product that keeps its digits when R is singular;
+- where no correlation is negative no term is negative, and an improbable answer is right relatively.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.special import ndtr
+
+from todframes._typing import FloatArray
+from todframes.errors import SettingsError
+
+_ANSWERS = np.arange(4)[:, None]
+
+
+OTHERS = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
+
+
+PAIRS = ((0, 1), (0, 2), (1, 2))
+"""Among three others; pair i, j has index i + j − 1, and the one left out is 2 minus that."""
+
+
+_FIRST = OTHERS[:, [pair[0] for pair in PAIRS]]
+
+
+_SECOND = OTHERS[:, [pair[1] for pair in PAIRS]]
+
+
+_ROUNDING = 1e-10
+
+
+def of_factor(factor: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Edges and angles of checked factors, shape (matrix, 4, n), as `of_covariance` gives them.
+
+    The angle is Kahan's between two vectors, which keeps its digits however small or flat it is.
+    """
+    difference = factor[:, :, None, :] - factor[:, OTHERS, :]
+    largest = np.abs(difference).max(axis=-1, keepdims=True, initial=0.0)
+    unit = np.divide(
+        difference, largest, out=np.zeros_like(difference), where=largest > 0
+    )  # squares may underflow
+    length = np.sqrt(np.square(unit).sum(axis=-1, keepdims=True))
+    unit = np.divide(unit, length, out=unit, where=length > 0)
+    a, b = (unit[:, :, [pair[side] for pair in PAIRS]] for side in (0, 1))
+    apart, together = (np.sqrt(np.square(c).sum(axis=-1)) for c in (a - b, a + b))
+    angle = np.where((apart == 0) & (together == 0), np.pi / 2, 2 * np.arctan2(apart, together))
+    return (largest * length)[..., 0], angle
+
+
+def of_covariance(covariance: FloatArray, *, extended: bool = True) -> tuple[FloatArray, FloatArray]:
+    """Edges from each score to the three others, and the angles between these, of checked covariances.
+
+    Parameters
+    ----------
+    covariance : ndarray, shape (matrix, 4, 4)
+    extended : bool
+        Precision, for matrices that are nearly singular.
+
+    Returns
+    -------
+    edge, angle : ndarray, shape (matrix, 4, 3)
+        In the order of `OTHERS`, and of `PAIRS` of them.
+
+    Notes
+    -----
+    The angle is Kahan's, from the three edges of a face, so that slender faces keep their digits. A rounding
+    of 1e-16 in the covariance can turn it by 1e-8: hence extended precision (where the platform has it), and a
+    face whose area is lost in that rounding, though its edges are not, is taken as flat.
+    """
+    exact: NDArray[Any] = covariance.astype(np.longdouble) if extended else covariance
+    variance = np.diagonal(exact, axis1=-2, axis2=-1)
+    square = (variance[:, :, None] - exact) + (variance[:, None, :] - exact)
+    square = np.maximum(square, 0)
+    edge = np.sqrt(square)
+    a, b, c2 = edge[:, _ANSWERS, _FIRST], edge[:, _ANSWERS, _SECOND], square[:, _FIRST, _SECOND]
+    a2, b2 = square[:, _ANSWERS, _FIRST], square[:, _ANSWERS, _SECOND]
+    beyond_closed = np.maximum(c2 - (a - b) ** 2, 0)
+    beyond_open = np.maximum((a + b) ** 2 - c2, 0)
+    slender = 2 * np.arctan2(np.sqrt(beyond_closed), np.sqrt(beyond_open))
+    common = (variance[:, :, None] - exact[:, _ANSWERS, _FIRST]) + (
+        exact[:, _FIRST, _SECOND] - exact[:, _ANSWERS, _SECOND]
+    )
+    cosine = np.divide(common, a * b, out=np.ones_like(a), where=(a > 0) & (b > 0))
+    angle = np.where(np.abs(cosine) < 0.7, np.arccos(np.clip(cosine, -1, 1)), slender)
+
+    rounding = np.finfo(np.float64).eps * (variance[:, :, None] + variance[:, None, :])
+    rounding_a, rounding_b = rounding[:, _ANSWERS, _FIRST], rounding[:, _ANSWERS, _SECOND]
+    rounding_c = rounding[:, _FIRST, _SECOND]
+    area_rounding = 2 * (  # of 16 area², to first order in the squared edges
+        np.abs(b2 + c2 - a2) * rounding_a + np.abs(a2 + c2 - b2) * rounding_b + np.abs(a2 + b2 - c2) * rounding_c
+    )
+    edges_known = (a2 > 64 * rounding_a) & (b2 > 64 * rounding_b) & (c2 > 64 * rounding_c)
+    flat = edges_known & (beyond_closed * beyond_open <= area_rounding)
+    angle = np.where(flat, np.where(c2 > a2 + b2, np.pi, 0), angle)
+    angle = np.where((a == 0) | (b == 0), np.pi / 2, angle)
+    return edge[:, _ANSWERS, OTHERS].astype(np.float64), angle.astype(np.float64)
+
+
+def checked_covariance(covariance: ArrayLike) -> FloatArray:
+    """A covariance of four scores, (..., 4, 4).
+
+    Raises
+    ------
+    SettingsError
+        For a wrong shape, a value that is not finite or a matrix that is not a covariance.
+    """
+    covariances = np.asarray(covariance, dtype=np.float64)
+    if covariances.ndim < 2 or covariances.shape[-2:] != (4, 4):
+        raise SettingsError(f"covariance has shape {covariances.shape}, expected (..., 4, 4)")
+    reject(~np.isfinite(covariances), covariances, "covariance", "finite numbers")
+    asymmetry = np.abs(covariances - covariances.swapaxes(-2, -1)).max(axis=(-2, -1))
+    largest = np.abs(covariances).max(axis=(-2, -1))
+    reject(asymmetry > _ROUNDING * largest, asymmetry, "asymmetry of covariance", "a symmetric matrix")
+    covariances = (covariances + covariances.swapaxes(-2, -1)) / 2
+    eigenvalues = np.linalg.eigvalsh(covariances)
+    negative = eigenvalues[..., 0] < -_ROUNDING * np.abs(eigenvalues).max(axis=-1)
+    reject(negative, eigenvalues[..., 0], "smallest eigenvalue of covariance", "a positive semi-definite matrix")
+    return covariances
+
+
+def checked_factor(factor: ArrayLike) -> FloatArray:
+    """A factor of such a covariance, (..., 4, n).
+
+    Raises
+    ------
+    SettingsError
+        For a wrong shape or a value that is not finite.
+    """
+    rows = np.asarray(factor, dtype=np.float64)
+    if rows.ndim < 2 or rows.shape[-2] != 4:
+        raise SettingsError(f"factor has shape {rows.shape}, expected (..., 4, n)")
+    reject(~np.isfinite(rows), rows, "factor", "finite numbers")
+    return rows
+
+
+def reject(bad: NDArray[np.bool_], found: NDArray[Any], name: str, expected: str) -> None:
+    """Raise SettingsError for the first of some values that is bad."""
+    if bad.any():
+        place = tuple(int(index) for index in np.argwhere(bad)[0])
+        where = f"[{', '.join(map(str, place))}]" if place else ""
+        raise SettingsError(f"{name}{where} is {found[place]:g}, expected {expected}")
+
+
+# Each of the three others with the pairs it is in.
+_SIDES = ((0, 0, 1), (1, 0, 2), (2, 1, 2))
+
+
+# exp(−40²/2) and Φ(−40) are zero in double precision: a difference beyond 40 σ is certain.
+_CERTAIN = 40.0
+
+
+# Gauss–Legendre nodes t with 1 − x = t⁶, x the place on the path: against 400 nodes the worst error over singular,
+# nearly singular and badly scaled covariances is 9e-9 with 64, 2e-10 with 96 and 9e-12 with 128 nodes.
+_NODES = 128
+
+
+_GRADING = 6
+
+
+# Keeps the arrays of one chunk (chunk × 4 answers × nodes) in the processor's cache.
+_CHUNK = 64
+
+
+def answer_probabilities(
+    score: ArrayLike, covariance: ArrayLike | None = None, *, factor: ArrayLike | None = None
+) -> FloatArray:
+    """Probability that each of four noisy scores is the largest.
+
+    Parameters
+    ----------
+    score : array_like, shape (..., 4)
+        Mean scores; only their differences matter.
+    covariance : array_like, shape (..., 4, 4)
+        Covariance of the Gaussian noise on the scores, symmetric and positive semi-definite, of any rank,
+        broadcast against `score`. Subtract the mean template before forming it from templates: the digits of
+        the differences are then kept.
+    factor : array_like, shape (..., 4, n)
+        Instead of it: rows whose inner products it is, templates for instance. Only their differences matter,
+        which keep the digits that the covariance of templates that are nearly alike has lost.
+
+    Returns
+    -------
+    ndarray, shape (..., 4)
+        Non-negative, with sum 1. Scores without noise between them are compared exactly; equal ones share.
+
+        The absolute error is below 1e-9, for the covariance as it was rounded: the distance between two
+        templates that differ by less than 1e-6 of what they have in common has lost digits in it.
+
+        The largest answer is 1 minus the others, so the probability of an error is the sum of the others; it is
+        right to 6 digits down to 1e-30. So is each of them wherever the score differences that decide it are not
+        negatively correlated.
+
+    Raises
+    ------
+    SettingsError
+        A ValueError, for a wrong shape, a value that is not finite, a matrix that is not a covariance, or noise
+        that is given in both ways or none.
+    """
+    if (covariance is None) == (factor is None):
+        raise SettingsError("noise: found both or none of covariance and factor, expected one of them")
+    noise = checked_factor(factor) if factor is not None else checked_covariance(np.asarray(covariance))
+    measured = of_covariance if factor is None else of_factor
+    scores = _checked_score(score)
+    shape = np.broadcast_shapes(scores.shape[:-1], noise.shape[:-2])
+    scores = np.broadcast_to(scores, (*shape, 4)).reshape(-1, 4)
+    own_shape = noise.shape[-2:]
+    if one_for_all := math.prod(noise.shape[:-2]) == 1:
+        geometry = _geometry(*measured(noise.reshape(1, *own_shape)))
+    else:
+        noise = np.broadcast_to(noise, (*shape, *own_shape)).reshape(-1, *own_shape)
+
+    probability = np.empty_like(scores)
+    for start in range(0, len(scores), _CHUNK):
+        chunk = slice(start, start + _CHUNK)
+        if not one_for_all:
+            geometry = _geometry(*measured(noise[chunk]))
+        probability[chunk] = _chunk_probabilities(scores[chunk], geometry)
+    return probability.reshape(*shape, 4)
+
+
+def answer_probability(score: ArrayLike, covariance: ArrayLike, answer: int, *, nodes: int = _NODES) -> FloatArray:
+    """Probability that one of four noisy scores is the largest, at a quarter of the cost of all four.
+
+    Parameters
+    ----------
+    score : array_like, shape (..., 4)
+    covariance : array_like, shape (..., 4, 4)
+        Both as for `answer_probabilities`. Scores that differ along their last but one axis only share the work
+        that a covariance causes, if it has no such axis or one of length 1.
+    answer : int
+        0 to 3.
+    nodes : int
+        Of the integral. The default is for matrices that are nearly singular; for the four triangles' 24 are as
+        good, at a third of the cost.
+
+    Returns
+    -------
+    ndarray, shape (...)
+        With an absolute error below 1e-9; no more digits than that of the small rest near 1.
+
+    Raises
+    ------
+    SettingsError
+        As `answer_probabilities` does.
+    """
+    scores, covariances = _checked_score(score), checked_covariance(covariance)
+    shape = np.broadcast_shapes(scores.shape[:-1], covariances.shape[:-2])
+    first = [answer, *OTHERS[answer]]
+    scores = np.broadcast_to(scores[..., first], (*shape, 4))
+    covariances = covariances[..., first, :][..., first]
+    # Scores along the last axis often share a covariance, and with it most of the work.
+    shared = covariances.ndim < 3 or covariances.shape[-3] == 1
+    if not (shared and shape):
+        scores, shape = scores[..., None, :], (*shape, 1)
+    elif covariances.ndim >= 3:
+        covariances = covariances[..., 0, :, :]
+    covariances = np.broadcast_to(covariances, (*shape[:-1], 4, 4)).reshape(-1, 4, 4)
+    scores = scores.reshape(-1, shape[-1], 4)
+    probability = np.empty(scores.shape[:2])
+    for start in range(0, len(scores), 4 * _CHUNK):
+        chunk = slice(start, start + 4 * _CHUNK)
+        # Few nodes are for matrices that are far from singular, which do not need extended precision either.
+        deviation, angle = of_covariance(covariances[chunk], extended=nodes >= _NODES)
+        geometry = _geometry(deviation[:, :1], angle[:, :1], nodes)
+        for column in range(scores.shape[1]):
+            probability[chunk, column] = _shared_orthants(scores[chunk, column], geometry, slice(0, 1))[:, 0]
+    return probability.reshape(np.broadcast_shapes(np.shape(score)[:-1], np.shape(covariance)[:-2]))
+
+
+class _Geometry(NamedTuple):
+    """What Plackett's integral needs of the covariances; leading axes: matrix, answer.
+
+    The `sum_factor`, `difference_factor` and `weight` of each pair of others, and the `cut` of its conditional
+    limit u with each of the three limits b, are sampled at the nodes of the path (last axis).
+    """
+
+    deviation: FloatArray  # (matrix, answer, 3) of the differences from the others
+    sum_factor: FloatArray  # (matrix, answer, pair, node)
+    difference_factor: FloatArray
+    weight: FloatArray
+    cut: FloatArray  # (matrix, answer, pair, limit, node)
+
+
+def _chunk_probabilities(score: FloatArray, geometry: _Geometry) -> FloatArray:
+    probability = _shared_orthants(score, geometry, slice(None))
+    likeliest = probability.argmax(axis=-1)[:, None]
+    np.put_along_axis(probability, likeliest, 0, axis=-1)
+    np.put_along_axis(probability, likeliest, 1 - probability.sum(axis=-1, keepdims=True), axis=-1)
+    return probability
+
+
+def _shared_orthants(score: FloatArray, geometry: _Geometry, answers: slice) -> FloatArray:
+    """Each of these answers by its own orthant; scores that are equal and without noise share."""
+    with np.errstate(over="ignore"):
+        difference = score[:, answers, None] - score[:, OTHERS[answers]]
+        limit = np.where(difference >= 0, np.inf, -np.inf)
+        noisy = np.broadcast_to(geometry.deviation > 0, difference.shape)
+        np.divide(difference, geometry.deviation, out=limit, where=noisy)
+    shares = 1 + np.count_nonzero(~noisy & (difference == 0), axis=-1)
+    return np.asarray(np.clip(_orthant(np.clip(limit, -_CERTAIN, _CERTAIN), geometry), 0, 1) / shares)
+
+
+def _orthant(limit: FloatArray, geometry: _Geometry) -> FloatArray:
+    """Φ₃ of the limits b (score, answer, 3) by Plackett's identity, from independence to the correlations."""
+    b = limit[..., None]
+    probability: FloatArray = ndtr(limit).prod(axis=-1)
+    for pair, (i, j) in enumerate(PAIRS):
+        # (b_i² − 2ρ b_i b_j + b_j²) / 2(1 − ρ²) without cancellation.
+        exponent = (limit[..., i, None] + limit[..., j, None]) ** 2 * geometry.sum_factor[:, :, pair]
+        exponent += (limit[..., i, None] - limit[..., j, None]) ** 2 * geometry.difference_factor[:, :, pair]
+        cut = geometry.cut[:, :, pair]
+        u = b[..., 0, :] * cut[..., 0, :]
+        u += b[..., 1, :] * cut[..., 1, :]
+        u += b[..., 2, :] * cut[..., 2, :]
+        density = np.exp(np.negative(exponent, out=exponent), out=exponent)
+        density *= ndtr(u, out=u)
+        density *= geometry.weight[:, :, pair]
+        probability += density.sum(axis=-1)
+    return probability
+
+
+def _geometry(deviation: FloatArray, angle: FloatArray, nodes: int = _NODES) -> _Geometry:
+    left, node_weight = _path_nodes(nodes)
+    # The distances of the angles from the four faces, s − θ and π − s: all are π/4 at independence, rounding must
+    # not carry them beyond a face at the end, and every angle is the sum of two of them.
+    half_sum = angle.sum(axis=-1, keepdims=True) / 2
+    end = np.maximum(np.concatenate([half_sum - angle, np.pi - half_sum], axis=-1), 0)[..., None]
+    end *= np.pi / end.sum(axis=-2, keepdims=True)
+    face = left * (np.pi / 4) + (1 - left) * end
+    # The four add up to π: where one is near π, its sine is that of the sum of the others, which keeps the digits.
+    sum_of_others = face[..., [1, 0, 0, 0], :] + face[..., [2, 2, 1, 1], :] + face[..., [3, 3, 3, 2], :]
+    sine = np.sin(np.minimum(face, sum_of_others))
+    root_determinant = 2 * np.sqrt(sine.prod(axis=-2))
+    # partial[i] = ρ_jk − ρ_ij ρ_ik for the three others i, j, k.
+    partial = np.stack(
+        [sine[..., 3, :] * sine[..., 2 - i, :] - sine[..., q, :] * sine[..., r, :] for i, q, r in _SIDES], axis=-2
+    )
+    half_open = np.sin((face[..., :3, :] + face[..., 3:, :]) / 2)
+    half_closed = np.sin((face[..., [1, 0, 0], :] + face[..., [2, 2, 1], :]) / 2)
+    sine_angle = 2 * half_open * half_closed
+
+    cut = np.empty((*sine_angle.shape[:-1], 3, len(left)))
+    for pair, (i, j) in enumerate(PAIRS):
+        scale = sine_angle[..., pair, :] * root_determinant
+        cut[..., pair, 2 - pair, :] = sine_angle[..., pair, :] / root_determinant
+        cut[..., pair, i, :] = -partial[..., j, :] / scale
+        cut[..., pair, j, :] = -partial[..., i, :] / scale
+    return _Geometry(
+        deviation=deviation,
+        sum_factor=1 / (8 * half_open**2),
+        difference_factor=1 / (8 * half_closed**2),
+        weight=(np.pi / 2 - end[..., [1, 0, 0], :] - end[..., [2, 2, 1], :]) * node_weight / (2 * np.pi),
+        cut=cut,
+    )
+
+
+@cache
+def _path_nodes(nodes: int) -> tuple[FloatArray, FloatArray]:
+    """What is left of the path, 1 − x, and the weights; dense, on every scale, where R may become singular."""
+    node, weight = np.polynomial.legendre.leggauss(nodes)
+    t = (1 + node) / 2
+    graded = weight * t ** (_GRADING - 1)
+    return t**_GRADING, graded / graded.sum()  # numpy's weights add up to 1e-14 only
+
+
+def _checked_score(score: ArrayLike) -> FloatArray:
+    scores = np.asarray(score, dtype=np.float64)
+    if scores.ndim < 1 or scores.shape[-1] != 4:
+        raise SettingsError(f"score has shape {scores.shape}, expected (..., 4)")
+    reject(~np.isfinite(scores), scores, "score", "finite numbers")
+    return scores

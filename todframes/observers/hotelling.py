@@ -1,0 +1,253 @@
+"""An observer that uses the informative neurons only, and knows what the display makes of a triangle.
+
+Its templates are the activity that the *displayed* triangle is expected to cause: averaged over detectors, held
+and blurred as the settings say. Neurons whose expected activity hardly depends on the orientation are left out.
+The others get the weights of the ideal linear observer: the differences of their expected activity while noise is
+independent, less of these where the noise of samples reaches many neurons together.
+
+Hogervorst et al. 2001, section 9.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from todframes._typing import FloatArray
+from todframes.config import check_ranges
+from todframes.errors import SettingsError
+from todframes.observers.interface import LeftOut
+from todframes.observers.internal_noise import Bands
+from todframes.observers.pyramid import LARGEST_SIZE_SAMPLES, PyramidObserver, PyramidSettings
+from todframes.observers.retina import RetinaGrid
+from todframes.stimulus import Stimulus
+
+DISPLAY_RANGES = (
+    ("presample_blur_mrad", 0.0, 1e6),
+    ("sample_width_mrad", 0.0, 1e6),
+    ("sample_pitch_mrad", 0.0, 1e6),
+    ("display_blur_mrad", 0.0, 1e6),
+    ("sample_noise_sd", 0.0, 1e12),
+    ("informative_share", 1e-3, 1.0),
+)
+
+
+TRIANGLE_VARIANCE = 3.0**-0.5 / 6.0
+"""Of a triangle of size 1 along any axis."""
+
+
+SOLVER_TOLERANCE = 1e-10
+"""Residual of the ideal weights, relative to the templates."""
+
+
+MOST_ITERATIONS = 500
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class InformativeSettings(PyramidSettings):
+    """Settings of `PyramidSettings`, and what the display does; all angles as seen on the display.
+
+    Attributes
+    ----------
+    presample_blur_mrad : float
+        Standard deviation of a Gaussian blur in front of sampling: the optics.
+    sample_width_mrad : float or None
+        Width over which a sample is averaged, the active width of a detector; None: sample_pitch_mrad.
+    sample_pitch_mrad : float
+        Distance of the samples, over which each is held on the display; 0: the display is not sampled.
+    display_blur_mrad : float
+        Standard deviation of the Gaussian blur behind sampling: electronics and display spot.
+    sample_noise_sd : float
+        Standard deviation of the noise on each sample (on each retina sample if the display is not sampled), in
+        contrast as displayed, for which the weights are ideal; 0: for internal noise alone.
+    informative_share : float
+        The fewest neurons are used that have this share of all squared differences between expected activities.
+
+    Raises
+    ------
+    SettingsError
+        If a value is out of its range.
+    """
+
+    presample_blur_mrad: float = 0.0
+    sample_width_mrad: float | None = None
+    sample_pitch_mrad: float = 0.0
+    display_blur_mrad: float = 0.0
+    sample_noise_sd: float = 0.0
+    informative_share: float = 0.99
+
+    def __post_init__(self) -> None:
+        PyramidSettings.__post_init__(self)
+        check_ranges(self, DISPLAY_RANGES)
+
+    @property
+    def averaged_mrad(self) -> float:
+        """Width over which a sample is averaged."""
+        return self.sample_pitch_mrad if self.sample_width_mrad is None else self.sample_width_mrad
+
+
+class InformativeObserver(PyramidObserver):
+    """The neurons of `PyramidObserver`, read out with the weights that suit the display.
+
+    Its display is described by two transfer functions, which a subclass may replace by any that are real and even
+    along both axes: `presample_mtf` for what happens to the triangle alone, and `postsample_mtf` for what happens
+    to the triangle and to the noise of its samples. How wide a field they need is up to the settings still.
+
+    Parameters
+    ----------
+    settings : InformativeSettings
+
+    Hogervorst et al. 2001, section 9.
+    """
+
+    settings_type: ClassVar[type[InformativeSettings]] = InformativeSettings
+    settings: InformativeSettings
+
+    def presample_mtf(self, frequency_x: FloatArray, frequency_y: FloatArray) -> FloatArray:
+        """Transfer of optics and detectors at frequencies in cycles/mrad that broadcast against each other."""
+        settings = self.settings
+        radial = np.hypot(frequency_x, frequency_y)
+        return _gaussian(radial, settings.presample_blur_mrad) * _box(
+            frequency_x, frequency_y, settings.averaged_mrad
+        )
+
+    def postsample_mtf(self, frequency_x: FloatArray, frequency_y: FloatArray) -> FloatArray:
+        """Transfer of sample & hold, electronics and display, as `presample_mtf`.
+
+        The mean of a held picture over all places of its samples is the picture averaged over the pitch.
+        """
+        settings = self.settings
+        radial = np.hypot(frequency_x, frequency_y)
+        return _gaussian(radial, settings.display_blur_mrad) * _box(
+            frequency_x, frequency_y, settings.sample_pitch_mrad
+        )
+
+    def displayed(self, image: FloatArray) -> FloatArray:
+        """What is expected on the retina, shape (side, side), of an image of this shape in front of the sensor."""
+        frequencies = self._frequencies(image)
+        return _filter(image, self.presample_mtf(*frequencies) * self.postsample_mtf(*frequencies))
+
+    def informative_neurons(self, stimulus: Stimulus) -> tuple[NDArray[np.bool_], ...]:
+        """Which neurons of each band are used; the bands' shapes."""
+        return self._informative(super()._template_deviation(stimulus))
+
+    def _seen_size_mrad(self, stimulus: Stimulus) -> float:
+        settings = self.settings
+        variance = settings.presample_blur_mrad**2 + settings.display_blur_mrad**2
+        variance += (settings.averaged_mrad**2 + settings.sample_pitch_mrad**2) / 12.0
+        size = math.sqrt(stimulus.size_mrad**2 + variance / TRIANGLE_VARIANCE)
+        largest = LARGEST_SIZE_SAMPLES * settings.retina_pitch_mrad
+        if stimulus.size_mrad <= largest < size:
+            raise SettingsError(
+                f"display: behind it, a triangle of {stimulus.size_mrad:g} mrad is as wide as one of "
+                f"{size:g} mrad, expected at most {largest:g} mrad"
+            )
+        return size
+
+    def left_out(self, stimulus: Stimulus) -> LeftOut | None:
+        """As that of `PyramidObserver`, as if every neuron of further bands were used.
+
+        None with noise of the samples, for which the weights of all bands depend on each other.
+        """
+        return None if self.settings.sample_noise_sd > 0.0 else super().left_out(stimulus)
+
+    def _coarser(self, octaves: int) -> PyramidSettings:
+        coarse = super()._coarser(octaves)
+        assert isinstance(coarse, InformativeSettings)
+        return replace(coarse, informative_share=1.0)  # coarse bands alone hold another share
+
+    def _expected(self, image: FloatArray) -> Bands:
+        return super()._expected(self.displayed(image))
+
+    def _common_template(self, stimulus: Stimulus) -> Bands:
+        return self.activity(np.zeros((self.grid(stimulus).side,) * 2))
+
+    def _template_deviation(self, stimulus: Stimulus) -> Bands:
+        upright = super()._template_deviation(stimulus)
+        used = self._informative(upright)
+        return self._ideal(tuple(map(np.multiply, upright, used)), used, self.grid(stimulus))
+
+    def _informative(self, upright: Bands) -> tuple[NDArray[np.bool_], ...]:
+        share = self.settings.informative_share
+        # Opposite quarters first: the sum is then the same, to the last bit, for the four images of a neuron.
+        half = [np.square(band) + np.square(np.rot90(band, 2)) for band in upright]
+        informations = [one + np.rot90(one) for one in half]
+        if share == 1.0:
+            return tuple(one > 0.0 for one in informations)
+        descending = np.sort(np.concatenate([one.ravel() for one in informations]))[::-1]
+        total = np.cumsum(descending)
+        least = descending[np.searchsorted(total, share * total[-1])]
+        return tuple((one >= least) & (one > 0.0) for one in informations)
+
+    def _ideal(self, difference: Bands, used: Sequence[NDArray[np.bool_]], grid: RetinaGrid) -> Bands:
+        """Weights K⁻¹d of the used neurons, d their expected differences and K the covariance of their noise.
+
+        K = σ²I + P L S Lᵀ P with internal noise σ, pyramid L, the used neurons P and the samples' noise S on the
+        retina, taken as the same wherever the samples lie.
+        """
+        from scipy.sparse.linalg import LinearOperator, cg
+
+        retina_samples = (self.settings.sample_pitch_mrad or grid.pitch_mrad) / grid.pitch_mrad
+        internal, external = self.settings.noise_sd**2, (self.settings.sample_noise_sd * retina_samples) ** 2
+        if external == 0.0:
+            return difference
+        internal, external = internal / (internal + external), external / (internal + external)
+        transfer = self.postsample_mtf(*self._frequencies(np.empty((grid.side,) * 2)))
+        ends = np.cumsum([band.size for band in difference])[:-1]
+
+        def bands(flat: FloatArray) -> Bands:
+            return tuple(
+                part.reshape(band.shape) for part, band in zip(np.split(flat, ends), difference, strict=True)
+            )
+
+        def flat(of_bands: Bands) -> FloatArray:
+            return np.concatenate([band.ravel() for band in of_bands])
+
+        def covariance(weights: FloatArray) -> FloatArray:
+            on_retina = self._fold(bands(weights), grid)
+            noise = self.activity(_filter(_filter_adjoint(on_retina, transfer), transfer))
+            return internal * weights + external * flat(tuple(map(np.multiply, noise, used)))
+
+        d = flat(difference)
+        operator = LinearOperator((d.size, d.size), matvec=covariance, dtype=np.float64)
+        weights, not_converged = cg(operator, d, rtol=SOLVER_TOLERANCE, maxiter=MOST_ITERATIONS)
+        if not_converged:
+            raise SettingsError(
+                f"sample_noise_sd: found {self.settings.sample_noise_sd:g}, whose ideal weights are not found in "
+                f"{MOST_ITERATIONS} steps; expected less of it, more internal noise or less blur"
+            )
+        return bands(weights)
+
+    def _frequencies(self, image: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Along x and y, in cycles/mrad, of the cosines that mirrored borders leave."""
+        side = image.shape[0]
+        frequency = np.arange(side) / (2.0 * (side - 1) * self.settings.retina_pitch_mrad)
+        return frequency, frequency[:, None]
+
+
+def _gaussian(frequency: FloatArray, sigma: float) -> FloatArray:
+    return np.asarray(np.exp(-2.0 * (np.pi * sigma * frequency) ** 2))
+
+
+def _box(frequency_x: FloatArray, frequency_y: FloatArray, width: float) -> FloatArray:
+    return np.asarray(np.sinc(width * frequency_x) * np.sinc(width * frequency_y))
+
+
+def _filter(image: FloatArray, transfer: FloatArray) -> FloatArray:
+    """The image, mirrored about its outermost samples, behind a filter of this transfer, real and even."""
+    from scipy.fft import dctn, idctn
+
+    return np.asarray(idctn(dctn(image, type=1) * transfer, type=1))
+
+
+def _filter_adjoint(image: FloatArray, transfer: FloatArray) -> FloatArray:
+    """The adjoint of `_filter`, symmetric under weights of one half on the outermost samples."""
+    half = np.ones(image.shape[0])
+    half[[0, -1]] = 0.5
+    border = np.outer(half, half)
+    return border * _filter(image / border, transfer)

@@ -1,0 +1,216 @@
+"""What an observer is: a stimulus in, weights on the retina and noise on the four scores out.
+
+A linear observer needs no more than a `Readout`: its four scores are inner products with the retina image, and
+the noise on all its neurons reaches the decision as one four-vector. One that is not linear answers itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, ClassVar, NamedTuple, Protocol, cast, runtime_checkable
+
+import numpy as np
+
+from todframes._typing import FloatArray
+from todframes.config import check_keys
+from todframes.errors import SettingsError
+from todframes.observers.decision import answer_probabilities
+from todframes.observers.internal_noise import edgeworth_correction, inner_product
+from todframes.observers.retina import RetinaGrid
+from todframes.stimulus import Centre, Orientation, Stimulus
+
+ENTRY_POINT_GROUP = "todframes.observers"
+
+
+SECOND_ORDER = 20.0
+
+
+@dataclass(frozen=True, eq=False)
+class Readout:
+    """A linear observer of one stimulus: the weight of each retina sample in each of the four scores.
+
+    The four templates are nearly alike, so they are kept as their mean and the deviations from it, and the
+    noise covariance is formed from deviations: no digit is lost to what all four have in common.
+
+    Attributes
+    ----------
+    grid : RetinaGrid
+    find_common : function of no arguments
+        Finds `common`, the weights that all four scores share, (side, side): no decision needs them, so they are
+        computed when the scores themselves are asked for.
+    deviations : ndarray, shape (4, side, side)
+        Weights of each score less `common`, in the order of `ORIENTATIONS`.
+    noise_covariance : ndarray, shape (4, 4)
+        Of the internal noise on the four scores less the noise they share.
+    excess_kurtosis : float
+        Of the summed noise on the difference of two scores: the one farthest from the Gaussian's 0.
+    find_fourth_cumulants : function of no arguments, or None
+        Finds `fourth_cumulants`, (4, 4, 4, 4), of the same noise as `noise_covariance`, when a decision needs
+        them; None: decisions take it as Gaussian.
+    """
+
+    grid: RetinaGrid
+    find_common: Callable[[], FloatArray]
+    deviations: FloatArray
+    noise_covariance: FloatArray
+    excess_kurtosis: float
+    find_fourth_cumulants: Callable[[], FloatArray] | None = None
+
+    @cached_property
+    def common(self) -> FloatArray:
+        """Weights that all four scores share: (side, side)."""
+        return self.find_common()
+
+    @cached_property
+    def norm(self) -> float:
+        """Euclidean norm of `deviations`."""
+        return float(np.linalg.norm(self.deviations))
+
+    @cached_property
+    def fourth_cumulants(self) -> FloatArray | None:
+        """Fourth cumulants of the noise on the scores, (4, 4, 4, 4); None: it is taken as Gaussian."""
+        return None if self.find_fourth_cumulants is None else self.find_fourth_cumulants()
+
+    def scores(self, contrast: FloatArray) -> FloatArray:
+        """Noise-free inner products of a retina image, shape (side, side), with the four templates: (4,)."""
+        return self.score_deviations(contrast) + self.common_score(contrast)
+
+    def score_deviations(self, contrast: FloatArray) -> FloatArray:
+        """The scores less their mean, all that the decision needs, with all digits: (4,)."""
+        return np.asarray(self.deviations.reshape(4, -1) @ contrast.reshape(-1))
+
+    def common_score(self, contrast: FloatArray) -> float:
+        """The mean of the four scores."""
+        return inner_product(self.common, contrast)
+
+    def cropped(self, half_width: int) -> Readout:
+        """The same for the middle of the grid only: so many samples on each side of the middle one."""
+        margin = self.grid.side // 2 - half_width
+        inner = slice(margin, self.grid.side - margin)
+        return replace(
+            self,
+            grid=RetinaGrid(2 * half_width + 1, self.grid.pitch_mrad),
+            find_common=lambda: np.ascontiguousarray(self.common[inner, inner]),
+            deviations=np.ascontiguousarray(self.deviations[:, inner, inner]),
+        )
+
+    def answer_probabilities(self, deviations: FloatArray) -> FloatArray:
+        """Probability of each answer under the internal noise, for score deviations of shape (..., 4).
+
+        To first order in what the summed noise is not Gaussian, if its fourth cumulants are known.
+        """
+        probability = answer_probabilities(deviations, self.noise_covariance)
+        if self.fourth_cumulants is None or not self.noise_covariance.any():
+            return probability
+        change = edgeworth_correction(deviations, self.noise_covariance, self.fourth_cumulants)
+        # The change of an improbable answer is a factor: the term itself could make it negative.
+        factor = np.exp(np.clip(change / np.maximum(probability, 1e-300), -1.0, 1.0))
+        changed = probability * factor
+        largest = probability.argmax(axis=-1)[..., None]
+        np.put_along_axis(changed, largest, 0.0, axis=-1)
+        np.put_along_axis(changed, largest, 1.0 - changed.sum(axis=-1, keepdims=True), axis=-1)
+        return changed
+
+    @property
+    def non_gaussian_bound(self) -> float:
+        """Bound on the error in P(correct) from noise that is not Gaussian.
+
+        To first order in its kurtosis. Where that order is corrected for: twenty times its square, which is two to
+        five times the errors found for triangles of 0.1 to 2 mrad.
+        """
+        first_order = non_gaussian_bound(self.excess_kurtosis)
+        return first_order if self.find_fourth_cumulants is None else SECOND_ORDER * first_order**2
+
+
+class LeftOut(NamedTuple):
+    """What a readout leaves out to save time.
+
+    Attributes
+    ----------
+    grid : RetinaGrid
+        May be coarser than the readout's; its middle lies at the same place.
+    kept : ndarray, shape (4, side, side)
+        The readout's own weights on this grid, about.
+    deviations : ndarray, shape (4, side, side)
+        What is missing from them.
+    noise_covariance : ndarray, shape (4, 4)
+        What is missing from that of the readout.
+    """
+
+    grid: RetinaGrid
+    kept: FloatArray
+    deviations: FloatArray
+    noise_covariance: FloatArray
+
+
+def non_gaussian_bound(excess_kurtosis: float) -> float:
+    """Bound on the error in P(correct) from taking noise on score differences as Gaussian, to first order.
+
+    The first Edgeworth term of one score difference is κ/24 · He₃(x) φ(x), at most 0.5506 |κ| / 24; three
+    differences decide.
+    """
+    return 3.0 * 0.5506 / 24.0 * abs(excess_kurtosis)
+
+
+class Observer(Protocol):
+    """What an observer must offer; register the class under the entry-point group `todframes.observers`.
+
+    The class is called with one argument, an instance of its `settings_type`, a frozen dataclass whose fields
+    are the names that users set. `centre` says which point of the triangle the grid's middle lies on and
+    `position_jitter_samples` how far, at most, it is displaced along x and y in each trial.
+    """
+
+    settings_type: ClassVar[type[Any]]
+
+    def __init__(self, settings: Any) -> None: ...
+
+    @property
+    def centre(self) -> Centre:
+        """Point of the triangle on which the retina grid is centred."""
+
+    @property
+    def position_jitter_samples(self) -> float:
+        """Half the width of the uniform displacement of the grid, in retina samples."""
+
+    def grid(self, stimulus: Stimulus) -> RetinaGrid:
+        """The retina samples it looks at."""
+
+    def readout(self, stimulus: Stimulus) -> Readout | None:
+        """Its weights and noise, or None if it is not linear and can only `respond`."""
+
+    def respond(self, contrast: FloatArray, stimulus: Stimulus, rng: np.random.Generator) -> Orientation:
+        """One answer to a retina image of shape (side, side), its internal noise drawn from `rng`."""
+
+
+@runtime_checkable
+class Thrifty(Protocol):
+    """What an observer may offer besides, if its readout leaves out what next to nothing depends on."""
+
+    def full(self) -> Observer:
+        """The same observer, leaving nothing of weight out."""
+
+    def leaner(self, stimulus: Stimulus) -> Observer | None:
+        """The same observer, leaving more out; None where that cannot be."""
+
+    def left_out(self, stimulus: Stimulus) -> LeftOut | None:
+        """What its readout leaves out; None: nothing."""
+
+
+def find_observer(name: str) -> type[Observer]:
+    """The observer class registered under a name in the entry-point group `todframes.observers`.
+
+    Raises
+    ------
+    SettingsError
+        If there is none of this name, or it cannot be imported.
+    """
+    from importlib.metadata import entry_points
+
+    found = {entry.name: entry for entry in entry_points(group=ENTRY_POINT_GROUP)}
+    check_keys([name], found, "observer")
+    try:
+        return cast("type[Observer]", found[name].load())
+    except (ImportError, AttributeError) as error:
+        raise SettingsError(f"observer: {name!r} cannot be loaded ({error})") from None

@@ -1,0 +1,220 @@
+"""Internal noise of many neurons, summed over the four scores: covariance and its Edgeworth correction."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.special import ndtr, owens_t
+
+from todframes._typing import FloatArray
+from todframes.observers.decision import OTHERS, PAIRS
+
+_Order = tuple[int, int, int]
+
+
+_SQRT_2PI = math.sqrt(2.0 * math.pi)
+
+
+_NEARLY_PLANE = 1e-6
+"""Determinant of three differences' correlations below which two of them all but tell the third."""
+
+
+def fourth_cumulants(factor: ArrayLike, *, excess_kurtosis: float) -> FloatArray:
+    """Fourth cumulants of four scores that sum independent noise of many neurons.
+
+    Parameters
+    ----------
+    factor : array_like, shape (4, n)
+        Weight of each neuron's noise in each score times the noise's standard deviation.
+    excess_kurtosis : float
+        Of the noise of one neuron; −1.2 if it is uniform.
+
+    Returns
+    -------
+    ndarray, shape (4, 4, 4, 4), symmetric
+    """
+    rows = np.asarray(factor, dtype=np.float64)
+    products = np.einsum("in,jn->ijn", rows, rows).reshape(16, -1)
+    return np.asarray(excess_kurtosis * (products @ products.T).reshape(4, 4, 4, 4))
+
+
+def edgeworth_correction(score: ArrayLike, covariance: ArrayLike, fourth_cumulant: ArrayLike) -> FloatArray:
+    """What to add to `answer_probabilities` for the fourth cumulants of the noise.
+
+    Parameters
+    ----------
+    score : array_like, shape (..., 4)
+    covariance : array_like, shape (..., 4, 4)
+        Both as for `answer_probabilities`.
+    fourth_cumulant : array_like, shape (..., 4, 4, 4, 4)
+        Of the noise on the scores; all three are broadcast against each other.
+
+    Returns
+    -------
+    ndarray, shape (..., 4)
+        With sum 0. For the summed uniform noise of the observer's neurons it leaves errors below 8e-5 for
+        triangles of 0.3 mrad, where the Gaussian is 2.6e-3 off, and below 8e-6 at 1 mrad. 0 for answers that
+        differ from another without noise, and where noise is all but in a plane: there the term is no
+        approximation. The triangles' never is.
+    """
+    scores, covariances, cumulants = (
+        np.asarray(a, dtype=np.float64) for a in (score, covariance, fourth_cumulant)
+    )
+    return np.stack([_of_answer(scores, covariances, cumulants, answer) for answer in range(4)], axis=-1)
+
+
+def _of_answer(score: FloatArray, covariance: FloatArray, cumulant: FloatArray, answer: int) -> FloatArray:
+    difference = np.eye(4)[answer] - np.eye(4)[OTHERS[answer]]
+    variance = np.einsum("ia,jb,...ab->...ij", difference, difference, covariance)
+    deviation = np.sqrt(np.maximum(np.diagonal(variance, axis1=-2, axis2=-1), 0.0))
+    deviation = np.where(deviation > 0.0, deviation, np.inf)
+    b = np.einsum("ia,...a->...i", difference, score) / deviation
+    rho = variance / (deviation[..., :, None] * deviation[..., None, :])
+    regular = np.linalg.det(rho) > _NEARLY_PLANE
+    kappa = np.einsum("ia,jb,lc,md,...abcd->...ijlm", *[difference] * 4, cumulant, optimize=True)
+    total: FloatArray = np.zeros(())
+    for order, derivative in _fourth_derivatives(b, rho).items():
+        axes = [axis for axis, count in enumerate(order) for _ in range(count)]
+        of_order = kappa[..., *axes] / deviation[..., axes].prod(axis=-1)
+        total = total + of_order * derivative / math.prod(map(math.factorial, order))
+    return np.asarray(np.where(regular, total, 0.0))
+
+
+def _fourth_derivatives(b: FloatArray, rho: FloatArray) -> dict[_Order, FloatArray]:
+    """∂⁴Φ₃ of limits b (..., 3) with correlations rho (..., 3, 3), by how often each limit is differentiated."""
+    limit = np.moveaxis(b, -1, 0)
+    found: dict[_Order, FloatArray] = {}
+    mixed: dict[tuple[int, int], list[FloatArray]] = {}  # of i and j: ∂_i ∂_j, ∂_i² ∂_j, ∂_i³ ∂_j
+    for i, j in PAIRS:
+        k = 3 - i - j
+        r, r_ik, r_jk = rho[..., i, j], rho[..., i, k], rho[..., j, k]
+        precision = 1.0 / np.maximum(1.0 - r**2, _NEARLY_PLANE)
+        gain = {i: (r_ik - r * r_jk) * precision, j: (r_jk - r * r_ik) * precision}
+        left = np.sqrt(np.maximum(1.0 - gain[i] * r_ik - gain[j] * r_jk, _NEARLY_PLANE))
+        u = (limit[k] - gain[i] * limit[i] - gain[j] * limit[j]) / left
+        third, at_third = ndtr(u), _density(u)
+        fall = {n: gain[n] / left for n in (i, j)}  # −∂u/∂b_n
+        pull = {i: (limit[i] - r * limit[j]) * precision, j: (limit[j] - r * limit[i]) * precision}
+        of_pair = np.exp(-(limit[i] * pull[i] + limit[j] * pull[j]) / 2.0) * np.sqrt(precision) / (2.0 * math.pi)
+        for x, y in ((i, j), (j, i)):
+            p, f = pull[x], fall[x]
+            mixed[x, y] = [
+                of_pair * third,
+                -of_pair * (p * third + f * at_third),
+                of_pair * ((p**2 - precision) * third + (2.0 * p - f * u) * f * at_third),
+            ]
+            found[_order(x, x, x, y)] = mixed[x, y][2]
+            found[_order(x, x, y, k)] = of_pair * (f * u - p) * at_third / left
+        found[_order(i, i, j, j)] = of_pair * (
+            (pull[i] * pull[j] + r * precision) * third
+            + (pull[i] * fall[j] + pull[j] * fall[i] - fall[i] * fall[j] * u) * at_third
+        )
+    for i in range(3):
+        j, k = (n for n in range(3) if n != i)
+        by_i = [np.zeros(()), _density(limit[i]) * _both_below(limit, rho, i, j, k)]
+        for n in range(3):  # Stein's identity, differentiated n times
+            last, before = by_i[-1], by_i[-2]
+            across = rho[..., i, j] * mixed[i, j][n] + rho[..., i, k] * mixed[i, k][n]
+            by_i.append(-limit[i] * last - n * before - across)
+        found[_order(i, i, i, i)] = by_i[-1]
+    return found
+
+
+def _both_below(limit: FloatArray, rho: FloatArray, i: int, j: int, k: int) -> FloatArray:
+    """P(j and k below their limits) with i at its limit."""
+    r_ij, r_ik = rho[..., i, j], rho[..., i, k]
+    left_j, left_k = (np.sqrt(np.maximum(1.0 - r**2, _NEARLY_PLANE)) for r in (r_ij, r_ik))
+    partial = np.clip((rho[..., j, k] - r_ij * r_ik) / (left_j * left_k), -1.0, 1.0)
+    return _bivariate((limit[j] - r_ij * limit[i]) / left_j, (limit[k] - r_ik * limit[i]) / left_k, partial)
+
+
+def _bivariate(h: FloatArray, k: FloatArray, rho: FloatArray) -> FloatArray:
+    """Φ₂ by Owen's T function (Owen 1956)."""
+    root = np.sqrt(np.maximum((1.0 - rho) * (1.0 + rho), _NEARLY_PLANE))
+    h, k = (np.where(x == 0.0, 1e-300, x) for x in (h, k))
+    with np.errstate(over="ignore"):
+        beyond_h, beyond_k = (k - rho * h) / (h * root), (h - rho * k) / (k * root)
+    below = (ndtr(h) + ndtr(k)) / 2.0 - owens_t(h, beyond_h) - owens_t(k, beyond_k)
+    return np.asarray(below - np.where((h > 0.0) == (k > 0.0), 0.0, 0.5))
+
+
+def _density(x: FloatArray) -> FloatArray:
+    return np.asarray(np.exp(-(x**2) / 2.0) / _SQRT_2PI)
+
+
+def _order(*limits: int) -> _Order:
+    return limits.count(0), limits.count(1), limits.count(2)
+
+
+def inner_product(a: FloatArray, b: FloatArray) -> float:
+    """Sum of products of two arrays of one shape.
+
+    Not by BLAS, whose threads wait for each other a hundred times longer than the sum takes when other
+    threads keep the processors busy.
+    """
+    return float(np.einsum("i,i->", a.reshape(-1), b.reshape(-1)))
+
+
+Bands = tuple[FloatArray, ...]
+"""Activity, or weights, of all neurons: arrays of any shape, the finest band first."""
+
+
+UNIFORM_EXCESS_KURTOSIS = -1.2
+
+
+LEAST_KURTOSIS = 2e-3
+"""Of summed noise that is not taken as Gaussian. What is below comes from so many neurons that their fourth
+cumulants cost more than all else, and changes P(correct) by less than 1.4e-4."""
+
+
+class SummedNoise(NamedTuple):
+    """Of uniform noise in four score deviations: what `Readout` calls by these names."""
+
+    noise_covariance: FloatArray
+    excess_kurtosis: float
+    find_fourth_cumulants: Callable[[], FloatArray] | None
+
+
+def summed_noise(turned: Sequence[Bands], noise_sd: float) -> SummedNoise:
+    """Noise of standard deviation `noise_sd`, uniform and independent, summed with these weights.
+
+    Parameters
+    ----------
+    turned : sequence of four Bands
+        Template deviations: that of the upright triangle, turned by none to three quarters.
+    """
+    kurtosis = UNIFORM_EXCESS_KURTOSIS * _participation(turned)
+
+    def find_fourth_cumulants() -> FloatArray:
+        rows = [np.concatenate([band.ravel() for band in bands]) for bands in turned]
+        return fourth_cumulants(noise_sd * np.array(rows), excess_kurtosis=UNIFORM_EXCESS_KURTOSIS)
+
+    is_gaussian = abs(kurtosis) <= LEAST_KURTOSIS
+    return SummedNoise(noise_sd**2 * _overlaps(turned), kurtosis, None if is_gaussian else find_fourth_cumulants)
+
+
+def _overlaps(turned: Sequence[Bands]) -> FloatArray:
+    """Inner products of the four template deviations, (4, 4): a circulant matrix by symmetry."""
+    same, beside, opposite = (sum(map(inner_product, turned[0], turned[k])) for k in range(3))
+    row = [same, beside, opposite, beside]
+    return np.array([np.roll(row, k) for k in range(4)])
+
+
+def _participation(turned: Sequence[Bands]) -> float:
+    """Σw⁴ / (Σw²)² of the weights of a score difference, the larger of the two kinds."""
+    largest = 0.0
+    for other in turned[1:3]:
+        squares = [a - b for a, b in zip(turned[0], other, strict=True)]
+        total = 0.0
+        for one in squares:
+            np.square(one, out=one)
+            total += float(one.sum())
+        if total > 0.0:
+            for one in squares:
+                one /= total
+            largest = max(largest, sum(map(inner_product, squares, squares)))
+    return largest

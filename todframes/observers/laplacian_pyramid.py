@@ -1,0 +1,139 @@
+"""The Laplacian pyramid of Burt & Adelson (1983), its inverse and its adjoint, for any size."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from todframes._typing import FloatArray
+from todframes.errors import SettingsError
+
+
+@dataclass(frozen=True, slots=True)
+class LaplacianPyramid:
+    """Band-pass images of halving resolution, the finest first, and the low-pass residual last.
+
+    Parameters
+    ----------
+    levels : int
+        Number of bands, >= 0.
+    kernel_a : float
+        Centre weight of the generating kernel [1/4 - a/2, 1/4, a, 1/4, 1/4 - a/2]; 0.375 is [1 4 6 4 1]/16.
+        Borders are mirrored about the outermost sample (reflect-101).
+
+    Raises
+    ------
+    SettingsError
+        If `levels` is negative or `kernel_a` is outside of [0, 1].
+
+    Burt & Adelson 1983, eqs. 1-8.
+    """
+
+    levels: int
+    kernel_a: float = 0.375
+
+    def __post_init__(self) -> None:
+        if self.levels < 0:
+            raise SettingsError(f"levels: found {self.levels}, expected a number >= 0")
+        if not 0.0 <= self.kernel_a <= 1.0:
+            raise SettingsError(f"kernel_a: found {self.kernel_a!r}, expected a number in [0, 1]")
+
+    def build(self, image: FloatArray) -> list[FloatArray]:
+        """Bands 0 ... levels - 1 and the residual of an image of any shape (rows, columns)."""
+        bands = []
+        for _ in range(self.levels):
+            reduced = self.reduce(image)
+            bands.append(image - self.expand(reduced, image.shape))
+            image = reduced
+        return [*bands, image.copy()]
+
+    def collapse(self, bands: Sequence[FloatArray]) -> FloatArray:
+        """The image whose bands and residual these are: the inverse of `build`."""
+        image = bands[-1]
+        for band in reversed(bands[:-1]):
+            image = band + self.expand(image, band.shape)
+        return np.array(image)
+
+    def adjoint(self, bands: Sequence[FloatArray]) -> FloatArray:
+        """The image Lᵀy with ⟨y, Lx⟩ = ⟨Lᵀy, x⟩ for every image x, L being `build`."""
+        image = bands[-1]
+        for band in reversed(bands[:-1]):
+            image = band + self.reduce_adjoint(image - self._expand_adjoint(band), band.shape)
+        return np.array(image)
+
+    def reduce(self, image: FloatArray) -> FloatArray:
+        """Low-pass filter and keep every second sample: (n + 1) // 2 along each axis (REDUCE)."""
+        if self.kernel_a == 0.375:
+            # The same sums at a fifth of the time: only the samples that stay are computed.
+            return np.asarray(cv2.pyrDown(image, borderType=cv2.BORDER_REFLECT_101))
+        return self._filter(image)[::2, ::2]
+
+    def expand(self, image: FloatArray, shape: tuple[int, ...]) -> FloatArray:
+        """Put samples on the even places of `shape` and interpolate the others (EXPAND)."""
+        if self.kernel_a == 0.375:
+            return _expand_binomial(image, shape)
+        return self._filter(_spread(image, shape), gain=2.0)
+
+    def reduce_adjoint(self, image: FloatArray, shape: tuple[int, ...]) -> FloatArray:
+        """The adjoint of `reduce` for images of a shape.
+
+        The mirrored filter F is symmetric under weights D of one half on the outermost samples: D F = Fᵀ D. With
+        S, which keeps every second sample, (S F)ᵀ = D (F Sᵀ) (S D Sᵀ)⁻¹, and F Sᵀ is EXPAND less its gain.
+        """
+        expanded = self.expand(_weigh_border(image, 2.0, shape), shape)
+        expanded /= _expand_gain(shape)
+        return _weigh_border(expanded, 0.5, shape, every=1)
+
+    def _expand_adjoint(self, image: FloatArray) -> FloatArray:
+        """The adjoint of `expand` to the image's shape: (F Sᵀ)ᵀ = (S D Sᵀ) (S F) D⁻¹, times the gain."""
+        reduced = self.reduce(_weigh_border(image, 2.0, image.shape, every=1))
+        reduced = _weigh_border(reduced, 0.5, image.shape)
+        reduced *= _expand_gain(image.shape)
+        return reduced
+
+    def _filter(self, image: FloatArray, gain: float = 1.0) -> FloatArray:
+        tail = 0.25 - self.kernel_a / 2.0
+        kernel = np.array([tail, 0.25, self.kernel_a, 0.25, tail])
+        # The gain makes up for the zeros between samples; along an axis of one sample there are none.
+        along_y, along_x = (kernel * (gain if length > 1 else 1.0) for length in image.shape)
+        # cv2.pyrUp is wrong in the last row and column of odd sizes; a plain separable filter is exact.
+        filtered = cv2.sepFilter2D(image, cv2.CV_64F, along_x, along_y, borderType=cv2.BORDER_REFLECT_101)
+        return np.asarray(filtered)
+
+
+def _expand_binomial(image: FloatArray, shape: tuple[int, ...]) -> FloatArray:
+    """EXPAND with [1 4 6 4 1]/16 at half the time, on one sample more than needed.
+
+    cv2.pyrUp is wrong in its last rows and columns, so it is given the mirror image's first sample to spoil: of an
+    odd `shape` the mirror goes through the last sample, of an even one it lies half a sample beyond.
+    """
+    for axis, (length, mirrored) in enumerate(zip(image.shape, shape, strict=True)):
+        place = max(length - 2, 0) if mirrored % 2 else length - 1
+        image = np.concatenate([image, image.take([place], axis)], axis)
+    return np.asarray(cv2.pyrUp(image)[: shape[0], : shape[1]])
+
+
+def _spread(image: FloatArray, shape: tuple[int, ...]) -> FloatArray:
+    spread = np.zeros(shape)
+    spread[::2, ::2] = image
+    return spread
+
+
+def _weigh_border(image: FloatArray, weight: float, shape: tuple[int, ...], *, every: int = 2) -> FloatArray:
+    """A copy with the outermost lines of an image of this shape weighted, of which it has every second or each."""
+    weighted = image.copy()
+    for axis, length in enumerate(shape):
+        if length > 1:
+            lines = np.moveaxis(weighted, axis, 0)
+            lines[0] *= weight
+            if (length - 1) % every == 0:
+                lines[-1] *= weight
+    return weighted
+
+
+def _expand_gain(shape: tuple[int, ...]) -> float:
+    """What EXPAND makes up for the zeros between samples; along an axis of one sample there are none."""
+    return float(np.prod([2.0 if length > 1 else 1.0 for length in shape]))

@@ -1,0 +1,174 @@
+"""An observer whose neurons are oriented: Gabor functions in place of the pyramid's Mexican hats.
+
+All else is as in `PyramidObserver`: noise on every neuron, correlation with the expected activity for four
+triangles. With complex cells it is not linear.
+
+Hogervorst et al. 2001, section 9.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from todframes._typing import FloatArray
+from todframes.errors import SettingsError
+from todframes.observers.gabor_pyramid import GaborPyramid, Phases
+from todframes.observers.interface import LeftOut
+from todframes.observers.internal_noise import Bands
+from todframes.observers.pyramid import PyramidObserver, PyramidSettings
+from todframes.observers.retina import RetinaGrid
+from todframes.stimulus import Stimulus
+
+MOST_NEURONS = 1e8
+"""Their activity then takes 0.8 GB, and what is made of it a few times that."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OrientedSettings(PyramidSettings):
+    """Settings of `PyramidSettings`, its levels being octaves of `GaborPyramid`, and of the Gabor functions.
+
+    Attributes
+    ----------
+    orientations : int
+        Evenly spaced over 180°; even.
+    wavelength_samples : float
+        Of the grating that the finest neurons respond to best, in retina samples; an octave more on each level.
+    bandwidth_octaves : float
+        Full width at half the largest response.
+    elongation : float
+        Length of a receptive field, along the bars, over its width.
+    phases : {"both", "even", "odd"}
+        Symmetric, antisymmetric receptive fields, or both.
+    complex_cells : bool
+        Whether the two phases of a place join in one neuron, the root of the sum of their squares, which responds
+        to bars of both polarities wherever they lie in its field. The observer is then not linear.
+
+    Raises
+    ------
+    SettingsError
+        If a value is out of its range.
+    """
+
+    orientations: int = 8
+    wavelength_samples: float = 4.0
+    bandwidth_octaves: float = 1.0
+    elongation: float = 1.0
+    phases: Phases = "both"
+    complex_cells: bool = False
+
+    def __post_init__(self) -> None:
+        PyramidSettings.__post_init__(self)
+        self.filters(0)
+        if self.complex_cells and self.phases != "both":
+            raise SettingsError(f"phases: found {self.phases!r} with complex_cells, expected both")
+
+    def filters(self, levels: int) -> GaborPyramid:
+        """The neurons, on so many levels."""
+        return GaborPyramid(
+            levels=levels,
+            kernel_a=self.kernel_a,
+            orientations=self.orientations,
+            wavelength_samples=self.wavelength_samples,
+            bandwidth_octaves=self.bandwidth_octaves,
+            elongation=self.elongation,
+            phases=self.phases,
+        )
+
+
+class OrientedObserver(PyramidObserver):
+    """Oriented neurons, read out as the paper reads its own.
+
+    Parameters
+    ----------
+    settings : OrientedSettings
+
+    Hogervorst et al. 2001, section 9.
+    """
+
+    settings_type: ClassVar[type[OrientedSettings]] = OrientedSettings
+    settings: OrientedSettings
+
+    def __init__(self, settings: OrientedSettings | None = None, *, more_levels: int = 0) -> None:
+        super().__init__(settings, more_levels=more_levels)
+        if self.settings.complex_cells:
+            self.readout = _no_readout  # type: ignore[assignment] # what is not linear has none, unlike its base
+
+    def left_out(self, stimulus: Stimulus) -> LeftOut | None:
+        """As that of `PyramidObserver`; None if it is not linear."""
+        return None if self.settings.complex_cells else super().left_out(stimulus)
+
+    def grid(self, stimulus: Stimulus) -> RetinaGrid:
+        """As that of `PyramidObserver`."""
+        grid, filters = super().grid(stimulus), self.settings.filters(0)
+        neurons = 4 / 3 * grid.side**2 * len(filters.signs) * filters.orientations
+        if neurons > MOST_NEURONS:
+            raise SettingsError(
+                f"orientations: found {filters.orientations}; for a triangle of {stimulus.size_mrad:g} mrad they "
+                f"are {neurons:.2g} neurons, expected at most {MOST_NEURONS:g}"
+            )
+        return grid
+
+    def activity(self, contrast: FloatArray) -> Bands:
+        """Noise-free activity of all neurons for a retina image of shape (side, side).
+
+        Of each level an array (phases, orientations, side of the level, side of the level), finest level first.
+        """
+        settings = self.settings
+        bands = self._filters(len(contrast)).build(contrast)
+        if settings.complex_cells:
+            bands[:-1] = [np.hypot(*band)[None] for band in bands[:-1]]
+        if not settings.include_residual:
+            bands.pop()
+        return tuple(settings.band_gain**k * band for k, band in enumerate(bands))
+
+    def turned(self, bands: Bands, quarter_turns: int) -> Bands:
+        """The activity that an image turned clockwise causes, from that of the image."""
+        for _ in range(quarter_turns):
+            bands = tuple(map(self._turned_once, bands))
+        return bands
+
+    def _turned_once(self, band: FloatArray) -> FloatArray:
+        turned = np.ascontiguousarray(np.rot90(band, -1, axes=(-2, -1)))
+        if band.ndim == 2:  # the residual
+            return turned
+        half = self.settings.orientations // 2
+        turned = np.roll(turned, half, axis=1)
+        # What a quarter carries beyond 180° is the first half again, seen from the other side.
+        for phase, sign in zip(
+            turned, (1,) if self.settings.complex_cells else self.settings.filters(0).signs, strict=True
+        ):
+            phase[:half] *= sign
+        return turned
+
+    def _common_template(self, stimulus: Stimulus) -> Bands:
+        if not self.settings.complex_cells:
+            return super()._common_template(stimulus)
+        return self._mean_of_turned(self._expected(self._upright(stimulus)))
+
+    def _template_deviation(self, stimulus: Stimulus) -> Bands:
+        if not self.settings.complex_cells:
+            return super()._template_deviation(stimulus)
+        expected = self._expected(self._upright(stimulus))
+        return tuple(map(np.subtract, expected, self._mean_of_turned(expected)))
+
+    def _mean_of_turned(self, bands: Bands) -> Bands:
+        turned = [self.turned(bands, turns) for turns in range(4)]
+        return tuple(np.asarray(sum(same) / 4.0) for same in zip(*turned, strict=True))
+
+    def _fold(self, bands: Sequence[FloatArray], grid: RetinaGrid) -> FloatArray:
+        weights = [self.settings.band_gain**k * band for k, band in enumerate(bands)]
+        filters = self._filters(grid.side)
+        if not self.settings.include_residual:
+            weights.append(np.zeros((grid.side // 2**filters.levels + 1,) * 2))
+        return filters.adjoint(weights)
+
+    def _filters(self, side: int) -> GaborPyramid:
+        return self.settings.filters((side - 1).bit_length() - 3)  # side = 4 · 2^levels + 1
+
+
+def _no_readout(_: Stimulus) -> None:
+    return None

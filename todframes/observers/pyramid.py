@@ -1,0 +1,325 @@
+"""The model observer: a Laplacian pyramid, noise on every neuron, correlation with four templates.
+
+Everything from contrast to scores is linear, so the pyramid and the templates fold into one weight image an
+answer (`Readout`), and the noise on thousands of neurons into the covariance of four scores. The literal path
+(`PyramidObserver.respond`) is the definition the folded one is held against.
+
+Hogervorst et al. 2001, section 4.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import ClassVar, Self, get_args
+
+import numpy as np
+
+from todframes._typing import FloatArray
+from todframes.config import check_ranges
+from todframes.errors import SettingsError
+from todframes.observers.interface import LeftOut, Readout
+from todframes.observers.internal_noise import Bands, inner_product, summed_noise
+from todframes.observers.laplacian_pyramid import LaplacianPyramid
+from todframes.observers.retina import RetinaGrid, gaussian_blur
+from todframes.stimulus import HEIGHT_PER_SIZE, ORIENTATIONS, Centre, Orientation, Stimulus, coverage
+
+MOST_LEVELS = 11
+"""A retina image then takes half a GB."""
+
+
+SETTING_RANGES = (
+    ("retina_pitch_mrad", 1e-6, 1e6),
+    ("position_jitter_samples", 0.0, 1e3),
+    ("kernel_a", 0.0, 1.0),
+    ("band_gain", 1e-3, 1e3),
+    ("template_blur_samples", 0.0, 1e3),
+    ("internal_noise", 0.0, 1e12),
+    ("internal_noise_sd", 0.0, 1e12),
+)
+"""What is not in here (NaN among it) is a slip of the pen, and might overflow or fill the memory."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PyramidSettings:
+    """Settings of the paper's observer; every ambiguity of the paper is one of them.
+
+    Attributes
+    ----------
+    centre : {"centroid", "bounding_box"}
+        What the four templates have in common, and what lies on the grid's middle.
+    retina_pitch_mrad : float
+        Visual angle of a retina sample.
+    position_jitter_samples : float
+        The grid is displaced by up to this many samples along x and y in each trial; 0: never.
+    kernel_a : float
+        Centre weight of the pyramid's kernel; 0.375 is [1 4 6 4 1]/16.
+    levels : int or None
+        Pyramid bands. None: enough for the triangle, at least 4, so that further bands and a wider field
+        move thresholds by less than 1e-5 of their value with the other settings at their defaults, and by less
+        than 1e-3 with bounding-box centring or strong template blur. The grid's side is 4 · 2^levels + 1.
+    include_residual : bool
+        Whether the low-pass residual takes part in the correlation.
+    band_gain : float
+        Gain of each band over the next finer one.
+    template_blur_samples : float
+        Standard deviation of the Gaussian that blurs the templates, in retina samples.
+    internal_noise : float
+        Full width of the uniform noise on each neuron.
+    internal_noise_sd : float or None
+        Its standard deviation, instead of internal_noise / √12.
+
+    Raises
+    ------
+    SettingsError
+        If a value is out of its range.
+    """
+
+    centre: Centre = "centroid"
+    retina_pitch_mrad: float = 0.153
+    position_jitter_samples: float = 0.5
+    kernel_a: float = 0.375
+    levels: int | None = None
+    include_residual: bool = False
+    band_gain: float = 1.0
+    template_blur_samples: float = 1.2
+    internal_noise: float = 0.5
+    internal_noise_sd: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.centre not in get_args(Centre):
+            raise SettingsError(f"centre: found {self.centre!r}, expected one of {', '.join(get_args(Centre))}")
+        check_ranges(self, SETTING_RANGES)
+        if self.levels is not None and not 1 <= self.levels <= MOST_LEVELS:
+            raise SettingsError(f"levels: found {self.levels!r}, expected a whole number from 1 to {MOST_LEVELS}")
+
+    @property
+    def noise_sd(self) -> float:
+        """Standard deviation of the noise on each neuron."""
+        if self.internal_noise_sd is not None:
+            return self.internal_noise_sd
+        return self.internal_noise / math.sqrt(12.0)
+
+
+FEWEST_LEVELS = 4
+
+
+LEAST_FIELD = 0.6
+"""Half the field's half width, in sizes of the triangle."""
+
+
+LARGEST_SIZE_SAMPLES = 2**MOST_LEVELS / 0.9
+
+
+class PyramidObserver:
+    """The paper's observer.
+
+    Parameters
+    ----------
+    settings : PyramidSettings
+    more_levels : int
+        Bands, and octaves of the field, beyond those that a triangle needs.
+
+    Hogervorst et al. 2001, section 4.
+    """
+
+    settings_type: ClassVar[type[PyramidSettings]] = PyramidSettings
+
+    def __init__(self, settings: PyramidSettings | None = None, *, more_levels: int = 0) -> None:
+        self.settings = settings if settings is not None else self.settings_type()
+        self._more_levels = more_levels
+        # Per observer, not per class: a cache on the method would keep every observer alive.
+        self.templates = lru_cache(maxsize=4)(self._templates)
+        self.readout = lru_cache(maxsize=4)(self._readout)
+        self.full = lru_cache(maxsize=1)(self._full)
+
+    @property
+    def centre(self) -> Centre:
+        """Point of the triangle on which the retina grid is centred."""
+        return self.settings.centre
+
+    @property
+    def position_jitter_samples(self) -> float:
+        """Half the width of the uniform displacement of the grid, in retina samples."""
+        return self.settings.position_jitter_samples
+
+    def grid(self, stimulus: Stimulus) -> RetinaGrid:
+        """The retina samples it looks at: side 4 · 2^levels + 1, about four times the triangle's size.
+
+        The coarsest band's samples are as far apart as 0.9 sizes or more, and not nearer than 16 samples,
+        which keeps what is left out below 1e-5 of the threshold with the default settings.
+        """
+        levels = self._levels(stimulus)
+        side = 4 * 2**levels + 1
+        apex = 2.0 / 3.0 * HEIGHT_PER_SIZE * self._seen_size_mrad(stimulus) / self.settings.retina_pitch_mrad
+        needed = apex + self.settings.position_jitter_samples + 2.0 * self.settings.template_blur_samples
+        if side / 2.0 < needed:
+            raise SettingsError(
+                f"levels: found {levels}, a grid of {side} retina samples; a triangle of "
+                f"{stimulus.size_mrad:g} mrad with its blur and displacement needs {2.0 * needed:.0f}"
+            )
+        return RetinaGrid(side, self.settings.retina_pitch_mrad)
+
+    def _levels(self, stimulus: Stimulus) -> int:
+        if self.settings.levels is not None:
+            return self.settings.levels
+        size = self._seen_size_mrad(stimulus) / self.settings.retina_pitch_mrad
+        if size > LARGEST_SIZE_SAMPLES:
+            raise SettingsError(
+                f"retina_pitch_mrad: a triangle of {stimulus.size_mrad:g} mrad is {size:g} retina samples, "
+                f"expected at most {LARGEST_SIZE_SAMPLES:.0f}"
+            )
+        return min(max(FEWEST_LEVELS, math.ceil(math.log2(0.9 * size))) + self._more_levels, MOST_LEVELS)
+
+    def _seen_size_mrad(self, stimulus: Stimulus) -> float:
+        """Size of a triangle as wide as this one is seen."""
+        return stimulus.size_mrad
+
+    def _full(self) -> Self:
+        """The same with one band, and one octave of the field, more than a triangle needs."""
+        return type(self)(self.settings, more_levels=1)
+
+    def leaner(self, stimulus: Stimulus) -> Self | None:
+        """The same with one band less; None where the triangle would not fit."""
+        if self.settings.levels is not None or self._more_levels or self._levels(stimulus) == FEWEST_LEVELS:
+            return None
+        lean = type(self)(self.settings, more_levels=-1)
+        size = self._seen_size_mrad(stimulus) / self.settings.retina_pitch_mrad
+        try:
+            return lean if lean.grid(stimulus).side > 4.0 * LEAST_FIELD * size else None
+        except SettingsError:
+            return None
+
+    def left_out(self, stimulus: Stimulus) -> LeftOut | None:
+        """What one more band and octave of the field would add to the readout, seen on a coarser retina.
+
+        The coarse bands of a large triangle are those of a small one on a coarse retina, which cost little: the
+        finer bands add no more than the blur of their REDUCE kernels. At the same gain, a second band would add a
+        sixth of that or less. None if the settings name the levels.
+        """
+        if self.settings.levels is not None:
+            return None
+        octaves = self._levels(stimulus) - FEWEST_LEVELS
+        coarse = self._coarser(octaves)
+        narrow, wide = (
+            type(self)(replace(coarse, levels=levels)).readout(stimulus)
+            for levels in (FEWEST_LEVELS, FEWEST_LEVELS + 1)
+        )
+        margin = (wide.grid.side - narrow.grid.side) // 2
+        kept = np.zeros_like(wide.deviations)
+        kept[:, margin:-margin, margin:-margin] = narrow.deviations
+        gain = self.settings.band_gain ** (2 * octaves)
+        added, noise = wide.deviations - kept, wide.noise_covariance - narrow.noise_covariance
+        return LeftOut(wide.grid, gain * kept, gain * added, gain * noise)
+
+    def _coarser(self, octaves: int) -> PyramidSettings:
+        """Settings that see coarse bands as these do, on a retina of so many octaves less."""
+        variance = self.settings.template_blur_samples**2
+        variance += max(2.5 - 4.0 * self.settings.kernel_a, 0.0) * (4.0**octaves - 1.0) / 3.0
+        return replace(
+            self.settings,
+            retina_pitch_mrad=self.settings.retina_pitch_mrad * 2.0**octaves,
+            template_blur_samples=math.sqrt(variance) / 2.0**octaves,
+            position_jitter_samples=0.0,
+        )
+
+    def activity(self, contrast: FloatArray) -> Bands:
+        """Noise-free activity of all neurons, finest band first, for a retina image of shape (side, side)."""
+        settings = self.settings
+        levels = (contrast.shape[0] - 1).bit_length() - 3  # side = 4 · 2^levels + 1
+        bands = LaplacianPyramid(levels, settings.kernel_a).build(contrast)
+        if not settings.include_residual:
+            bands.pop()
+        return tuple(settings.band_gain**k * band for k, band in enumerate(bands))
+
+    def turned(self, bands: Bands, quarter_turns: int) -> Bands:
+        """The activity that an image turned clockwise causes, from that of the image.
+
+        The grid's middle is every band's middle, so that is the turned activity.
+        """
+        return tuple(np.ascontiguousarray(np.rot90(band, -quarter_turns)) for band in bands)
+
+    def _templates(self, stimulus: Stimulus) -> tuple[Bands, ...]:
+        """Weights of all neurons in each score, in the order of `ORIENTATIONS`: expected activity."""
+        common, upright = self._common_template(stimulus), self._template_deviation(stimulus)
+        return tuple(
+            tuple(mean + band for mean, band in zip(common, self.turned(upright, turns), strict=True))
+            for turns in range(4)
+        )
+
+    def _common_template(self, stimulus: Stimulus) -> Bands:
+        """What all four templates have in common."""
+        return self._expected(_mean_of_turns(self._upright(stimulus)))
+
+    def _template_deviation(self, stimulus: Stimulus) -> Bands:
+        """What the template of the upright triangle has besides.
+
+        The difference is taken before blur and bands, whose rounding is that of what all four have in common.
+        """
+        image = self._upright(stimulus)
+        return self._expected(image - _mean_of_turns(image))
+
+    def _upright(self, stimulus: Stimulus) -> FloatArray:
+        """The upright triangle on the retina, times its polarity."""
+        grid = self.grid(stimulus)
+        return stimulus.polarity * coverage(
+            (grid.side, grid.side),
+            size_px=stimulus.size_mrad / grid.pitch_mrad,
+            x_px=grid.side // 2,
+            y_px=grid.side // 2,
+            orientation=Orientation.UP,
+            centre=self.centre,
+        )
+
+    def _expected(self, image: FloatArray) -> Bands:
+        """Activity that is expected from an image, whose place is not quite known."""
+        return self.activity(gaussian_blur(image, self.settings.template_blur_samples))
+
+    def _readout(self, stimulus: Stimulus) -> Readout:
+        """Pyramid and templates folded onto the retina: A_k = Lᵀ t_k."""
+        grid = self.grid(stimulus)
+        upright = self._template_deviation(stimulus)
+        folded = self._fold(upright, grid)
+        beside = self.turned(upright, 1)
+        opposite = self.turned(beside, 1)
+        noise = summed_noise((upright, beside, opposite, self.turned(opposite, 1)), self.settings.noise_sd)
+        return Readout(
+            grid=grid,
+            find_common=lambda: self._fold(self._common_template(stimulus), grid),
+            deviations=np.stack([np.rot90(folded, -k) for k in range(4)]),
+            **noise._asdict(),
+        )
+
+    def _fold(self, bands: Sequence[FloatArray], grid: RetinaGrid) -> FloatArray:
+        settings = self.settings
+        weights = [settings.band_gain**k * band for k, band in enumerate(bands)]
+        levels = len(bands) - settings.include_residual
+        if not settings.include_residual:
+            weights.append(np.zeros((grid.side // 2**levels + 1,) * 2))
+        return LaplacianPyramid(levels, settings.kernel_a).adjoint(weights)
+
+    def literal_scores(
+        self, contrast: FloatArray, stimulus: Stimulus, rng: np.random.Generator | None = None
+    ) -> FloatArray:
+        """The four scores as the paper computes them, with noise on every neuron if `rng` is given: (4,)."""
+        activity = self.activity(contrast)
+        if rng is not None:
+            half_width = self.settings.noise_sd * math.sqrt(3.0)
+            activity = tuple(band + rng.uniform(-half_width, half_width, band.shape) for band in activity)
+        return np.array(
+            [
+                sum(inner_product(expected, band) for expected, band in zip(template, activity, strict=True))
+                for template in self.templates(stimulus)
+            ]
+        )
+
+    def respond(self, contrast: FloatArray, stimulus: Stimulus, rng: np.random.Generator) -> Orientation:
+        """One answer: the largest score, ties at random."""
+        scores = self.literal_scores(contrast, stimulus, rng)
+        return ORIENTATIONS[int(rng.choice(np.flatnonzero(scores == scores.max())))]
+
+
+def _mean_of_turns(image: FloatArray) -> FloatArray:
+    return np.asarray(sum(np.rot90(image, -k) for k in range(4)) / 4.0)

@@ -1,0 +1,199 @@
+"""From display pixels to retina samples by exact area overlap."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from todframes._typing import FloatArray
+from todframes.errors import SettingsError
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
+
+MOST_DENSE = 2**13
+"""Values of an overlap matrix that is not kept sparse."""
+
+
+@dataclass(frozen=True, slots=True)
+class RetinaGrid:
+    """A square grid of retina samples with one in its middle, the place the observer looks at.
+
+    `side` is odd; `pitch_mrad` is the visual angle from one sample to the next and the width of each.
+    """
+
+    side: int
+    pitch_mrad: float
+
+    def __post_init__(self) -> None:
+        if self.side < 1 or self.side % 2 == 0:
+            raise SettingsError(f"side: found {self.side}, expected an odd number >= 1")
+        if not (np.isfinite(self.pitch_mrad) and self.pitch_mrad > 0):
+            raise SettingsError(f"pitch_mrad: found {self.pitch_mrad!r}, expected a finite number > 0")
+
+    @property
+    def width_mrad(self) -> float:
+        """Visual angle of the whole grid, outer edge to outer edge."""
+        return self.side * self.pitch_mrad
+
+    def pixel_range(self, *, centre_px: float, pixel_pitch_mrad: float, n_pixels: int) -> tuple[int, int]:
+        """Display pixels, half-open, that the grid touches when its middle lies at `centre_px`.
+
+        Pixels outside of [0, n_pixels) do not exist and are left out; the range is empty when all are.
+        """
+        half_px = self.width_mrad / pixel_pitch_mrad / 2.0
+        # Clipped first: floor and ceil of what lies beyond all pixels may be no integers.
+        first = math.floor(min(max(centre_px - half_px + 0.5, 0.0), n_pixels))
+        stop = math.ceil(min(max(centre_px + half_px + 0.5, first), n_pixels))
+        return first, stop
+
+
+def overlap_matrix(
+    grid: RetinaGrid, *, centre_px: float, pixel_pitch_mrad: float, first_pixel: int, n_pixels: int
+) -> csr_array:
+    """Share of each retina sample's width that lies on each display pixel, along one axis.
+
+    Both grids' boundaries are merged; each piece between two neighbours lies on one pixel and in one sample,
+    so the pieces of a pixel inside the grid add up to its width, and those of a sample inside the display to
+    one.
+
+    Parameters
+    ----------
+    grid : RetinaGrid
+    centre_px : float
+        Where the middle of the grid lies, in display pixels of the whole frame.
+    pixel_pitch_mrad : float
+        Visual angle of a display pixel, > 0.
+    first_pixel, n_pixels : int
+        The columns of the matrix: pixels first_pixel ... first_pixel + n_pixels - 1 of the frame.
+
+    Returns
+    -------
+    sparse array, shape (grid.side, n_pixels)
+        Rows sum to the share of the sample that lies on these pixels.
+    """
+    from scipy.sparse import csr_array
+
+    pixel_edges = _pixel_edges(grid, centre_px, pixel_pitch_mrad, first_pixel, n_pixels)
+    inner = pixel_edges[(pixel_edges > 0.0) & (pixel_edges < grid.side)]
+    edges = np.sort(np.concatenate([np.arange(grid.side + 1.0), inner]))
+    length = np.diff(edges)
+    middle = (edges[1:] + edges[:-1]) / 2.0
+    sample = np.minimum(middle.astype(np.intp), grid.side - 1)
+    pixel = np.searchsorted(pixel_edges, middle) - 1
+    inside = (pixel >= 0) & (pixel < n_pixels) & (length > 0.0)
+    row_start = np.searchsorted(sample[inside], np.arange(grid.side + 1))
+    return csr_array((length[inside], pixel[inside], row_start), shape=(grid.side, n_pixels))
+
+
+def _dense_overlap(
+    grid: RetinaGrid, *, centre_px: float, pixel_pitch_mrad: float, first_pixel: int, n_pixels: int
+) -> FloatArray:
+    """The values of `overlap_matrix`, found and multiplied in half the time where there are few."""
+    pixel_edges = _pixel_edges(grid, centre_px, pixel_pitch_mrad, first_pixel, n_pixels)
+    sample_edges = np.arange(grid.side + 1.0)[:, None]
+    overlap = np.minimum(sample_edges[1:], pixel_edges[1:])
+    overlap -= np.maximum(sample_edges[:-1], pixel_edges[:-1])
+    return np.asarray(np.maximum(overlap, 0.0, out=overlap))
+
+
+def _pixel_edges(
+    grid: RetinaGrid, centre_px: float, pixel_pitch_mrad: float, first_pixel: int, n_pixels: int
+) -> FloatArray:
+    """Boundaries of display pixels in retina samples, the outer edge of the first sample at 0: (n_pixels + 1,)."""
+    samples_per_pixel = pixel_pitch_mrad / grid.pitch_mrad
+    return np.asarray(
+        (np.arange(n_pixels + 1.0) + (first_pixel - 0.5 - centre_px)) * samples_per_pixel + grid.side / 2.0
+    )
+
+
+def resample(
+    contrast: FloatArray,
+    grid: RetinaGrid,
+    *,
+    x_px: float,
+    y_px: float,
+    pixel_pitch_mrad: float,
+    first_row: int = 0,
+    first_column: int = 0,
+) -> FloatArray:
+    """Mean contrast over each retina sample's own area, the display taken as piecewise constant.
+
+    Parameters
+    ----------
+    contrast : ndarray, shape (rows, columns)
+        Part of a frame whose first pixel is (first_row, first_column); elsewhere the contrast is 0.
+    grid : RetinaGrid
+    x_px, y_px : float
+        Where the middle of the grid lies on the frame.
+    pixel_pitch_mrad : float
+        Visual angle of a display pixel, > 0.
+
+    Returns
+    -------
+    ndarray, shape (grid.side, grid.side)
+
+    Hogervorst et al. 2001, section 4.1.
+    """
+    image = np.zeros((grid.side, grid.side))
+    add_resampled(
+        image,
+        contrast,
+        grid,
+        x_px=x_px,
+        y_px=y_px,
+        pixel_pitch_mrad=pixel_pitch_mrad,
+        first_row=first_row,
+        first_column=first_column,
+    )
+    return image
+
+
+def add_resampled(
+    image: FloatArray,
+    contrast: FloatArray,
+    grid: RetinaGrid,
+    *,
+    x_px: float,
+    y_px: float,
+    pixel_pitch_mrad: float,
+    first_row: int,
+    first_column: int,
+) -> None:
+    """Add what a part of a frame contributes to a retina image, (side, side); parameters as for `resample`."""
+    n_rows, n_columns = contrast.shape
+    if not (n_rows and n_columns):
+        return
+    overlap = _dense_overlap if grid.side * max(n_rows, n_columns) <= MOST_DENSE else overlap_matrix
+    rows = overlap(grid, centre_px=y_px, pixel_pitch_mrad=pixel_pitch_mrad, first_pixel=first_row, n_pixels=n_rows)
+    columns = overlap(
+        grid, centre_px=x_px, pixel_pitch_mrad=pixel_pitch_mrad, first_pixel=first_column, n_pixels=n_columns
+    )
+    # Of a band of rows only the samples that it touches.
+    edges = _pixel_edges(grid, y_px, pixel_pitch_mrad, first_row, n_rows)
+    top, bottom = max(math.floor(edges[0]), 0), min(math.ceil(edges[-1]), grid.side)
+    if top < bottom:
+        image[top:bottom] += (columns @ (rows[top:bottom] @ contrast).T).T
+
+
+def gaussian_blur(image: FloatArray, sigma: float) -> FloatArray:
+    """A retina image blurred by a Gaussian of standard deviation `sigma` samples, mirrored at its border.
+
+    Only where there is something to blur: a triangle covers little of its grid.
+    """
+    from scipy.ndimage import gaussian_filter
+
+    # Cut at 8 standard deviations, where the kernel is 1e-14 of its middle.
+    reach = int(8.0 * sigma + 0.5)
+    filled = [np.flatnonzero(image.any(axis=axis)) for axis in (1, 0)]
+    if any(len(places) == 0 for places in filled):
+        return image.copy()
+    box = tuple(slice(max(places[0] - 2 * reach, 0), places[-1] + 2 * reach + 1) for places in filled)
+    blurred = np.zeros_like(image)
+    # Two reaches of zeros about what is filled: the mirror image of the box's own border is zero there.
+    blurred[box] = gaussian_filter(image[box], sigma, mode="mirror", truncate=8.0)
+    return blurred

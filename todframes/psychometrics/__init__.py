@@ -1,0 +1,1 @@
+"""Psychometric functions: fits, intervals, paired comparisons."""

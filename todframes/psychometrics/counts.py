@@ -1,0 +1,53 @@
+"""Counts of right answers from any experiment: a CSV file for `todframes fit`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from todframes.config import check_fields, column_names, number, number_or_text, read_csv
+from todframes.errors import DataError
+
+COLUMNS = ("level", "n_correct", "n_trials")
+
+
+MOST_TRIALS = 2**53
+"""Above, not every whole number is a floating-point number."""
+
+
+def read_counts(path: Path) -> list[tuple[dict[str, float | str], NDArray[np.float64]]]:
+    """Rows of a file of counts, by group.
+
+    Returns
+    -------
+    list of (group, rows)
+        The group's values by column name, and an array of shape (n, 3): level, n_correct, n_trials. In the order
+        in which the groups first appear.
+
+    Raises
+    ------
+    DataError
+        If the file cannot be read, a column is missing, or a value is not a number in its range.
+    """
+    rows = read_csv(path)
+    _, header = next(rows)
+    for name in COLUMNS:
+        if name not in header:
+            raise DataError(f"{path}: column {name!r} is missing; found {column_names(header)}")
+    names = [name for name in header if name not in COLUMNS]
+    groups: dict[tuple[float | str, ...], list[list[float]]] = {}
+    for where, row in rows:
+        check_fields(row, len(header), where)
+        level, n_correct, n_trials = values = [number(row[name], f"{where}: {name}") for name in COLUMNS]
+        if level <= 0:
+            raise DataError(f"{where}: level: found {level:g}, expected > 0")
+        if not 1 <= n_trials <= MOST_TRIALS or n_trials % 1:
+            raise DataError(f"{where}: n_trials: found {n_trials:g}, expected a whole number >= 1 and <= 2^53")
+        if not 0 <= n_correct <= n_trials or n_correct % 1:
+            raise DataError(f"{where}: n_correct: found {n_correct:g}, expected a whole number, 0 to n_trials")
+        groups.setdefault(tuple(number_or_text(row[name]) for name in names), []).append(values)
+    if not groups:
+        raise DataError(f"{path}: no counts; expected rows below the header")
+    return [(dict(zip(names, group, strict=True)), np.array(values)) for group, values in groups.items()]

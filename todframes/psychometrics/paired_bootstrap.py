@@ -1,0 +1,233 @@
+"""How sure the ratio of two thresholds is when both come from the same trials: a bootstrap over pairs of answers.
+
+What two ways of showing a frame have in common, the frame's noise, the triangle's place and the observer's own
+noise, moves both thresholds alike. Answers to one trial are therefore drawn together, always.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from todframes._typing import FloatArray
+from todframes.psychometrics.bootstrap import CURVE_TRIALS, PLUS_TRIALS, batches, resampled_means
+from todframes.psychometrics.fit import EXTRAPOLATION_FACTOR, FitSettings, PsychometricFit, curve_model
+from todframes.psychometrics.weibull import WeibullModel, weibull
+
+SAME = 0.01
+"""ln of a ratio that counts as 1: thresholds 1 % apart are alike to a person, and fitted curves are no surer."""
+
+
+class RatioDraws(NamedTuple):
+    """A threshold divided by the reference's, and the same in repeated experiments.
+
+    `ratio` is that of the fitted thresholds, `points_ratio` that of the points' own crossings; None where one of
+    the two does not exist. `ln_ratios` has shape (resample,): −∞ or ∞ where only one experiment has a threshold
+    within reach, 0 where neither has.
+    """
+
+    ratio: float | None
+    points_ratio: float | None
+    ln_ratios: FloatArray
+
+
+class ThresholdRatio(NamedTuple):
+    """A ratio of thresholds, its 95 % interval, and the p-value of it being within 1 % of 1.
+
+    Without a ratio there is no interval; an end of it is None where the data leave it open. The p-value is
+    two-sided and not below 2 / (resamples + 1). `is_lower` says whether it is below 1 in more experiments than
+    above.
+    """
+
+    ratio: float | None
+    ratio_ci95: tuple[float | None, float | None] | None
+    p_value: float
+    is_lower: bool
+
+
+def ratio_draws(
+    level: FloatArray,
+    p_correct: FloatArray,
+    fits: Sequence[PsychometricFit],
+    *,
+    settings: FitSettings,
+    rng: np.random.Generator,
+) -> list[RatioDraws]:
+    """Thresholds of several series of answers to the same trials, each compared with the first series.
+
+    In each repeated experiment the trials of a level are drawn with replacement, the same ones for all series, and
+    Weibull curves are fitted to all.
+
+    Parameters
+    ----------
+    level : ndarray, shape (trial,)
+    p_correct : ndarray, shape (series, trial)
+        0 or 1 where an answer was drawn, or the probability in [0, 1] that the answer is correct.
+    fits : sequence of PsychometricFit
+        Of each series to these trials.
+
+    Returns
+    -------
+    list of RatioDraws
+        One for each series but the first.
+    """
+    distinct, place, n_trials = np.unique(level, return_inverse=True, return_counts=True)
+    if len(distinct) < 2:
+        return [RatioDraws(None, None, np.zeros(settings.resamples)) for _ in fits[1:]]
+    by_level = np.split(p_correct[:, np.argsort(place, kind="stable")], np.cumsum(n_trials)[:-1], axis=1)
+    model, _ = curve_model(distinct, n_trials, settings)
+    curves = np.array([_fitted(fit, distinct) for fit in fits])
+    if np.any((p_correct > 0) & (p_correct < 1)):
+        drawn = _redrawn_probabilities(by_level, curves, settings.resamples, rng)
+        widening = _students_widening(len(level), settings.resamples, rng)
+    else:
+        drawn = _redrawn_answers(by_level, curves, settings, rng)
+        widening = np.ones(settings.resamples)
+    ln_thresholds = [_within_reach(model, model.ln_threshold(model.fit_many(answers))) for answers in drawn]
+    found = []
+    for fit, ln_threshold in zip(fits[1:], ln_thresholds[1:], strict=True):
+        ratio = _quotient(fit.threshold, fits[0].threshold)
+        with np.errstate(invalid="ignore"):
+            ln_ratios = np.nan_to_num(ln_threshold - ln_thresholds[0], nan=0.0, posinf=np.inf, neginf=-np.inf)
+        if ratio is not None:
+            ln_ratios = math.log(ratio) + (ln_ratios - math.log(ratio)) * widening
+        found.append(RatioDraws(ratio, _quotient(fit.points_threshold, fits[0].points_threshold), ln_ratios))
+    return found
+
+
+def threshold_ratio(groups: Sequence[RatioDraws]) -> ThresholdRatio:
+    """The ratio of one group of trials, or the geometric mean over several groups, with interval and p-value.
+
+    The interval is that of the draws, extended to the ratio and, where the points show it, to the ratio of their
+    own crossings: a Weibull curve is a convention that observers do not follow exactly. If one of these is on the
+    other side of 1 than the draws are, no difference is shown.
+    """
+    ratio = _geometric_mean([group.ratio for group in groups])
+    points_ratio = _geometric_mean([group.points_ratio for group in groups])
+    with np.errstate(invalid="ignore"):
+        ln_ratios = np.nan_to_num(
+            np.mean([group.ln_ratios for group in groups], axis=0), nan=0.0, posinf=np.inf, neginf=-np.inf
+        )
+    n = len(ln_ratios)
+    below, above = (int(np.count_nonzero(side)) for side in (ln_ratios <= SAME, ln_ratios >= -SAME))
+    p_value = min(1.0, 2 * (min(below, above) + 1) / (n + 1))
+    if ratio is None:
+        return ThresholdRatio(None, None, p_value, below > above)
+    estimates = [math.log(found) for found in (ratio, points_ratio) if found is not None]
+    if any(estimate * (above - below) < 0 for estimate in estimates):
+        p_value = 1.0
+    ranked = np.sort(ln_ratios)
+    low = min(float(ranked[max(math.floor(0.025 * (n + 1)) - 1, 0)]), *estimates)
+    high = max(float(ranked[min(math.ceil(0.975 * (n + 1)) - 1, n - 1)]), *estimates)
+    return ThresholdRatio(ratio, (_exp(low), _exp(high)), p_value, below > above)
+
+
+def holm(p_values: ArrayLike) -> FloatArray:
+    """p-values corrected for their number, so that all verdicts together are wrong as rarely as a single one.
+
+    The smallest times their number, the next times one less, and so on, never falling (Holm 1979).
+    """
+    p = np.asarray(p_values, dtype=np.float64)
+    order = np.argsort(p)
+    corrected = np.empty_like(p)
+    corrected[order] = np.minimum(np.maximum.accumulate(p[order] * np.arange(p.size, 0, -1)), 1.0)
+    return corrected
+
+
+def _redrawn_probabilities(
+    by_level: Sequence[FloatArray], curves: FloatArray, size: int, rng: np.random.Generator
+) -> FloatArray:
+    """Mean probabilities of repeated experiments, (series, experiment, level).
+
+    The distances of single trials from the curve, in units of √p(1 − p), are drawn from one another.
+    """
+    drawn = np.empty((len(curves), size, len(by_level)))
+    single = [number for number, answers in enumerate(by_level) if answers.shape[1] == 1]
+    if single:
+        n, curve = len(single), curves[:, single]
+        unit = np.sqrt(curve * (1 - curve))
+        residual = (np.concatenate([by_level[number] for number in single], axis=1) - curve) / unit
+        chosen = rng.integers(n, size=(size, n))
+        drawn[..., single] = curve[:, None] + unit[:, None] * residual[:, chosen] * math.sqrt(n / max(n - 3, 1))
+    for number, answers in enumerate(by_level):
+        if number not in single:
+            drawn[..., number] = resampled_means(answers, size, rng)
+    return np.clip(drawn, 0.0, 1.0)
+
+
+def _students_widening(n_trials: int, size: int, rng: np.random.Generator) -> FloatArray:
+    """Factors that make normal deviates those of Student's t, for a spread that few trials tell.
+
+    A threshold rests on the levels about it: a third of the trials' degrees of freedom are counted.
+    """
+    freedom = max((n_trials - 3) / 3, 1.0)
+    return np.sqrt(freedom / rng.chisquare(freedom, size))
+
+
+def _redrawn_answers(
+    by_level: Sequence[FloatArray], curves: FloatArray, settings: FitSettings, rng: np.random.Generator
+) -> FloatArray:
+    """Proportions correct of repeated experiments, (series, experiment, level), from answers of 0 and 1.
+
+    As in `fit_counts`, a level has 5 trials more, of the fitted curve, and the experiment 4, of (1 + γ)/2, or
+    levels without errors would not vary. In these a series agrees with the first as much as in the trials shown.
+    """
+    agreement = _agreement(by_level, curves)
+    plus = PLUS_TRIALS / (PLUS_TRIALS + sum(answers.shape[1] for answers in by_level))
+    drawn = np.empty((len(curves), settings.resamples, len(by_level)))
+    for level, answers in enumerate(by_level):
+        n = answers.shape[1]
+        shown, of_curve = np.array([n, CURVE_TRIALS]) / (n + CURVE_TRIALS) * (1 - plus)
+        expected = (of_curve * curves[:, level] + plus * (1 + settings.guess_rate) / 2) / (of_curve + plus)
+        start = 0
+        for size in batches(settings.resamples, n):
+            chosen, is_shown = rng.integers(n, size=(size, n)), rng.random((size, n)) < shown
+            common = rng.random((size, n))
+            for series, of_trials in enumerate(answers):
+                luck = np.where(rng.random((size, n)) < agreement[series], common, rng.random((size, n)))
+                right = np.where(is_shown, of_trials[chosen], luck < expected[series])
+                drawn[series, start : start + size, level] = right.mean(axis=-1)
+            start += size
+    return drawn
+
+
+def _agreement(by_level: Sequence[FloatArray], curves: FloatArray) -> FloatArray:
+    """How far each series' answers follow those of the first: from 0, not at all, to 1, as far as they can."""
+    n_trials = np.array([answers.shape[1] for answers in by_level])
+    unlike = np.sum([np.count_nonzero(answers != answers[0], axis=1) for answers in by_level], axis=0)
+    independent = (curves * (1 - curves[0]) + curves[0] * (1 - curves)) @ n_trials
+    least = np.abs(curves - curves[0]) @ n_trials
+    return np.asarray(np.clip((independent - unlike) / np.maximum(independent - least, 1e-12), 0.0, 1.0))
+
+
+def _fitted(fit: PsychometricFit, level: FloatArray) -> FloatArray:
+    """The fitted curve at some levels; the mean proportion where none was fitted."""
+    if fit.alpha is None or fit.beta is None or fit.delta is None:
+        curve = np.full(len(level), sum(point.p_correct * point.n_trials for point in fit.points) / fit.n_trials)
+    else:
+        curve = weibull(level, alpha=fit.alpha, beta=fit.beta, guess_rate=fit.gamma, lapse_rate=fit.delta)
+    return np.asarray(np.clip(curve, 1e-6, 1 - 1e-6))
+
+
+def _within_reach(model: WeibullModel, ln_threshold: FloatArray) -> FloatArray:
+    """Infinite where it lies farther outside the levels than a fit tells either."""
+    reach = math.log(EXTRAPOLATION_FACTOR)
+    known = np.where(ln_threshold > model.z[-1] + reach, np.inf, ln_threshold)
+    return np.where(known < model.z[0] - reach, -np.inf, known)
+
+
+def _quotient(value: float | None, reference: float | None) -> float | None:
+    return None if value is None or reference is None else value / reference
+
+
+def _geometric_mean(ratios: Sequence[float | None]) -> float | None:
+    known = [math.log(ratio) for ratio in ratios if ratio is not None]
+    return math.exp(sum(known) / len(known)) if len(known) == len(ratios) else None
+
+
+def _exp(bound: float) -> float | None:
+    return math.exp(bound) if math.isfinite(bound) else None

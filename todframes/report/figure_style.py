@@ -1,0 +1,115 @@
+"""The look of all figures: ink on paper, and colours that stand out from black and from white.
+
+So one figure does for print and for a dark screen.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+
+Colour = tuple[float, float, float, float]
+
+
+INK, PAPER = "#1f2328", "#ffffff"
+
+
+COLOURS = ("#3b76c4", "#1f8f8a", "#5a9136", "#a68217", "#cb6a2c", "#c94f6d", "#8a62c2")
+"""In the order of the rainbow, for sizes have one, and of about the same lightness."""
+
+
+MARKERS = "os^DvPX"
+
+
+LONGEST_LABEL = 40
+
+
+STYLE: dict[str, Any] = {
+    **dict.fromkeys(("text.color", "axes.edgecolor", "axes.labelcolor", "xtick.color", "ytick.color"), INK),
+    "axes.linewidth": 0.6,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": INK,
+    "grid.alpha": 0.15,
+    "grid.linewidth": 0.6,
+    "legend.frameon": False,
+    "legend.fontsize": "small",
+    "lines.linewidth": 1.3,
+    "lines.markersize": 5.5,
+}
+
+
+@contextmanager
+def style() -> Iterator[None]:
+    """The look of all figures; they are to be made and saved within."""
+    import matplotlib as mpl
+
+    look: Any = STYLE
+    with mpl.rc_context(look), warnings.catch_warnings():
+        # A browser has the letters that matplotlib's own font has not.
+        warnings.filterwarnings("ignore", "Glyph .* missing from", UserWarning)
+        yield
+
+
+def new_figure() -> tuple[Figure, Axes]:
+    """A figure with one pair of axes."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(5.6, 4.2), layout="constrained")
+    return figure, figure.add_subplot()
+
+
+def within(value: float) -> float:
+    """A value, or the nearest that a logarithmic axis can show; matplotlib's margins overflow beyond."""
+    return min(max(value, 1e-99), 1e99)
+
+
+def add_legend(axes: Axes) -> None:
+    """A legend within the axes, which do not shrink for its sake."""
+    axes.legend().set_in_layout(False)
+
+
+def label_text(text: str) -> str:
+    """Names are data: no mathematics between dollars, no label hidden by an underscore, no line of any length."""
+    text = "".join(character if character.isprintable() else " " for character in text)
+    text = text if len(text) <= LONGEST_LABEL else text[: LONGEST_LABEL - 1] + "…"
+    return " " * text.startswith("_") + text.replace("$", r"\$")
+
+
+class Look(NamedTuple):
+    """How one curve of several is drawn."""
+
+    colour: Colour
+    marker: str
+
+
+def plain_ticks(axis: Any, values: Sequence[float]) -> None:
+    """Plain numbers at 1, 2, 5 of each decade while there are few decades, and at more where there is but one."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
+
+    span = max(values) / min(values)
+    if span >= 1e4:
+        return
+    subs = (1.0, 2.0, 5.0) if span > 8.0 else (1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0)
+    axis.set_major_locator(LogLocator(subs=subs) if span > 2.5 else MaxNLocator(5, steps=[1, 2, 5, 10]))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_locator(NullLocator())
+
+
+def look_of(number: int, of: int) -> Look:
+    """One of so many: the colours above while they suffice, between them where they do not."""
+    from matplotlib.colors import LinearSegmentedColormap, to_rgba
+
+    marker = MARKERS[number % len(MARKERS)]
+    if of <= len(COLOURS):
+        return Look(to_rgba(COLOURS[round(number * (len(COLOURS) - 1) / max(of - 1, 1))]), marker)
+    return Look(LinearSegmentedColormap.from_list("sizes", COLOURS)(number / (of - 1)), marker)

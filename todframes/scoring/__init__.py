@@ -1,0 +1,1 @@
+"""Datasets through an observer to thresholds, and the naked eye."""

@@ -1,0 +1,188 @@
+"""Thresholds of the naked eye: the triangle itself on the retina, with no display and no frames between.
+
+Hogervorst et al. 2001, section 7.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from todframes._typing import FloatArray
+from todframes.errors import SettingsError
+from todframes.observers.interface import Observer, Readout
+from todframes.psychometrics.threshold_search import find_crossing
+from todframes.stimulus import HEIGHT_PER_SIZE, ORIENTATIONS, Stimulus, coverage
+
+NODES = (6, 8, 12, 16, 24, 32, 48)
+"""Gauss–Legendre displacements along each axis: more and more, until the threshold moves no further."""
+
+
+FEW_NODES, FEW_NODES_FROM_SAMPLES = (3, 4), 200.0
+"""Tried first for triangles of this size, which half a sample's displacement hardly changes."""
+
+
+TOLERANCE = 2e-4
+"""Relative change of a threshold that ends this."""
+
+
+CONTRAST_RANGE = (1e-12, 1e12)
+"""Contrasts that are searched, and that an acuity may be asked for."""
+
+
+SIZE_RANGE_SAMPLES = (1e-2, 1e3)
+"""Sizes that are searched; larger ones are refused."""
+
+
+class Threshold(NamedTuple):
+    """A threshold, or why there is none.
+
+    `threshold` is in the unit of what was varied; `numerical_error` is how much it moved when the number of
+    displacements that it is averaged over last grew.
+    """
+
+    status: Literal["ok", "never_reached", "always_exceeded"]
+    threshold: float | None
+    numerical_error: float | None
+
+
+def proportion_correct(observer: Observer, *, size_mrad: float, contrast: float, nodes: int = 16) -> float:
+    """P(correct) for a triangle seen directly, averaged over orientation and displacement.
+
+    Parameters
+    ----------
+    observer : Observer
+        A linear one.
+    size_mrad, contrast : float
+        √(area), > 0, and Weber contrast, > 0.
+    nodes : int
+        Gauss–Legendre displacements along each axis.
+
+    Raises
+    ------
+    SettingsError
+        If the observer is not linear, or a value is out of range.
+    """
+    readout, deviations, weights = _responses(observer, size_mrad, nodes)
+    return _proportion_correct(contrast, readout, deviations, weights)
+
+
+def contrast_threshold(observer: Observer, *, size_mrad: float, p_correct: float = 0.75) -> Threshold:
+    """The Weber contrast at which a triangle of a size is answered right with probability `p_correct`.
+
+    Raises
+    ------
+    SettingsError
+        If the observer is not linear, or a value is out of range.
+    """
+
+    def threshold(nodes: int) -> Threshold:
+        response = _responses(observer, size_mrad, nodes)
+        return _crossing(lambda contrast: _proportion_correct(contrast, *response), p_correct, CONTRAST_RANGE, 1.0)
+
+    size_samples = _size_samples(observer, size_mrad)
+    return _refined(threshold, NODES if size_samples < FEW_NODES_FROM_SAMPLES else FEW_NODES + NODES)
+
+
+def acuity(observer: Observer, *, contrast: float = 1.0, p_correct: float = 0.75) -> Threshold:
+    """The size in mrad at which a triangle of a contrast is answered right with probability `p_correct`.
+
+    Raises
+    ------
+    SettingsError
+        If the observer is not linear, or a value is out of range.
+    """
+    pitch = observer.grid(Stimulus(1.0)).pitch_mrad
+    sizes = (SIZE_RANGE_SAMPLES[0] * pitch, SIZE_RANGE_SAMPLES[1] * pitch)
+
+    def threshold(nodes: int) -> Threshold:
+        return _crossing(
+            lambda size: proportion_correct(observer, size_mrad=size, contrast=contrast, nodes=nodes),
+            p_correct,
+            sizes,
+            4.0 * pitch,
+        )
+
+    # Each step of this search is a readout and its displacements anew.
+    return _refined(threshold, NODES[:-2])
+
+
+def _refined(threshold: Callable[[int], Threshold], nodes_to_try: Sequence[int] = NODES) -> Threshold:
+    """A threshold with as many displacements as it needs."""
+    result = threshold(nodes_to_try[0])
+    for nodes in nodes_to_try[1:]:
+        before, result = result, threshold(nodes)
+        if before.threshold is not None and result.threshold is not None:
+            change = abs(result.threshold - before.threshold)
+            result = result._replace(numerical_error=change)
+            if change <= TOLERANCE * before.threshold:
+                break
+        elif before.status == result.status:
+            break
+    return result
+
+
+def _responses(observer: Observer, size_mrad: float, nodes: int) -> tuple[Readout, FloatArray, FloatArray]:
+    """Readout, score deviations at contrast 1, shape (orientation, node, 4), and the nodes' weights."""
+    _size_samples(observer, size_mrad)
+    readout = observer.readout(Stimulus(size_mrad))
+    if readout is None:
+        raise SettingsError("observer: it is not linear; its naked-eye threshold cannot be computed")
+    side, pitch = readout.grid.side, readout.grid.pitch_mrad
+    jitter = observer.position_jitter_samples
+    places, weights = np.polynomial.legendre.leggauss(nodes if jitter > 0 else 1)
+    # The triangle covers a fraction of the grid; its apex is farthest from its middle.
+    reach = 2.0 / 3.0 * HEIGHT_PER_SIZE * size_mrad / pitch + jitter
+    half_width = math.ceil(min(reach + 1.0, side // 2))
+    seen = readout.cropped(half_width)
+    deviations = [
+        [
+            seen.score_deviations(
+                np.ascontiguousarray(
+                    coverage(
+                        (seen.grid.side, seen.grid.side),
+                        size_px=size_mrad / pitch,
+                        x_px=half_width + jitter * dx,
+                        y_px=half_width + jitter * dy,
+                        orientation=orientation,
+                        centre=observer.centre,
+                    )
+                )
+            )
+            for dy in places
+            for dx in places
+        ]
+        for orientation in ORIENTATIONS
+    ]
+    return readout, np.array(deviations), np.outer(weights, weights).ravel() / 4.0
+
+
+def _size_samples(observer: Observer, size_mrad: float) -> float:
+    """Size in retina samples; SettingsError if it is no such thing, or takes minutes and gigabytes."""
+    if not (math.isfinite(size_mrad) and size_mrad > 0):
+        raise SettingsError(f"size_mrad: found {size_mrad!r}, expected a finite number > 0")
+    pitch = observer.grid(Stimulus(1.0)).pitch_mrad
+    most = SIZE_RANGE_SAMPLES[1]
+    if size_mrad / pitch > most * (1.0 + 1e-9):
+        raise SettingsError(
+            f"size_mrad: found {size_mrad:g}, {size_mrad / pitch:.6g} samples of the retina, expected at most "
+            f"{most * pitch:g}, {most:g} samples, which take half a minute"
+        )
+    return size_mrad / pitch
+
+
+def _proportion_correct(contrast: float, readout: Readout, deviations: FloatArray, weights: FloatArray) -> float:
+    if not 0 < contrast <= CONTRAST_RANGE[1] * 1.000001:  # where the search for one ends, rounding included
+        raise SettingsError(f"contrast: found {contrast!r}, expected a finite number > 0, at most 1e12")
+    answers = readout.answer_probabilities(contrast * deviations)
+    correct = np.stack([answers[k, :, k] for k in range(4)])
+    return float((correct @ weights).mean())
+
+
+def _crossing(
+    proportion: Callable[[float], float], p_correct: float, bounds: tuple[float, float], start: float
+) -> Threshold:
+    return Threshold(*find_crossing(proportion, p_correct, bounds=bounds, start=start, factor=4.0), None)

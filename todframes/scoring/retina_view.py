@@ -1,0 +1,197 @@
+"""A trial as the observer sees it: frames placed under the retina grid and resampled."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from todframes._typing import FloatArray
+from todframes.errors import FrameError, SettingsError
+from todframes.frames.contrast import (
+    Patch,
+    check_sha256,
+    read_contrast,
+)
+from todframes.frames.dataset import Dataset, Trial
+from todframes.frames.files import FrameFile
+from todframes.frames.position import (
+    _from_centroid,
+    centroid_position,
+    check_on_frame,
+)
+from todframes.observers.interface import Observer
+from todframes.observers.retina import RetinaGrid, add_resampled
+
+
+class Placement(NamedTuple):
+    """Where a grid has its middle on a frame if it is not displaced, and the rows and columns that it touches."""
+
+    x_px: float
+    y_px: float
+    rows: tuple[int, int]
+    columns: tuple[int, int]
+
+
+def place_grid(
+    dataset: Dataset,
+    trial: Trial,
+    file: FrameFile,
+    observer: Observer,
+    grid_of: Callable[[], RetinaGrid],
+    displacement_samples: Sequence[tuple[float, float]] | FloatArray,
+) -> Placement:
+    """Where the observer's grid lies on an open frame of a trial, displaced by any of `displacement_samples`.
+
+    Raises
+    ------
+    FrameError
+        If the triangle does not lie on the frame, or the observer has no grid for it.
+    """
+    pitch, header = dataset.display.pitch_mrad, file.header
+    x, y = centroid_position(trial, header, observer.centre, pitch)
+    check_on_frame(file.path, trial, header, x, y, pitch)
+    try:
+        grid = grid_of()
+    except SettingsError as error:  # of this row's size alone
+        raise FrameError(file.path, str(error)) from None
+    offsets = np.array(displacement_samples) * grid.pitch_mrad / pitch
+    to_centre_x, to_centre_y = _from_centroid(trial, observer.centre, pitch)
+    x, y = x + to_centre_x, y + to_centre_y
+    rows, columns = (
+        _touched(grid, at + offsets[:, axis], pitch, n_pixels)
+        for axis, at, n_pixels in ((1, y, header.height), (0, x, header.width))
+    )
+    return Placement(x, y, rows, columns)
+
+
+def _touched(grid: RetinaGrid, middles: FloatArray, pitch: float, n_pixels: int) -> tuple[int, int]:
+    ranges = [grid.pixel_range(centre_px=at, pixel_pitch_mrad=pitch, n_pixels=n_pixels)
+              for at in (float(middles.min()), float(middles.max()))]  # fmt: skip
+    return ranges[0][0], ranges[1][1]
+
+
+class View(NamedTuple):
+    """What an observer sees in a trial.
+
+    `contrast` has shape (side, side) of the observer's grid; `n_negative` counts display pixels with a luminance
+    below zero among those that were read.
+    """
+
+    contrast: FloatArray
+    n_negative: int
+
+
+class Shown(NamedTuple):
+    """A trial's frames as read, each with where the observer's grid has its middle if it is not displaced.
+
+    `frame_rows` is how many rows the first frame has.
+    """
+
+    patches: tuple[Patch, ...]
+    x_px: tuple[float, ...]
+    y_px: tuple[float, ...]
+    pixel_pitch_mrad: float
+    frame_rows: int
+
+    @property
+    def n_negative(self) -> int:
+        """Display pixels with a luminance below zero among those that were read."""
+        return sum(patch.n_negative for patch in self.patches)
+
+
+Reader = Callable[..., Sequence[Shown]]
+"""Reads a trial in one way or several; arguments and errors are those of `read_trial`, which does it in one."""
+
+
+def read_trial(
+    dataset: Dataset,
+    trial: Trial,
+    observer: Observer,
+    grid_of: Callable[[], RetinaGrid],
+    displacement_samples: Sequence[tuple[float, float]] | FloatArray = ((0.0, 0.0),),
+    *,
+    whole: bool = False,
+) -> Shown:
+    """Read as much of a trial's frames as a grid touches at each of its displacements, or whole frames.
+
+    Parameters
+    ----------
+    grid_of : callable
+        The grid; asked for once it is known that the triangle lies on the frame.
+    displacement_samples : sequence of (float, float), or ndarray, shape (n, 2)
+        By how much the retina grid is displaced along x and y, in retina samples.
+
+    Raises
+    ------
+    FrameError
+        If a frame cannot be used, or the triangle does not lie on it.
+    """
+    patches, places, n_rows = [], [], []
+    for frame in trial.frames:
+        check_sha256(dataset, frame)
+        with FrameFile(dataset.frame_path(frame)) as file:
+            place = place_grid(dataset, trial, file, observer, grid_of, displacement_samples)
+            part = (None, None) if whole else (place.rows, place.columns)
+            patches.append(read_contrast(file, dataset.display, frame, *part))
+            places.append(place)
+            n_rows.append(file.header.height)
+    xs, ys = tuple(place.x_px for place in places), tuple(place.y_px for place in places)
+    return Shown(tuple(patches), xs, ys, dataset.display.pitch_mrad, n_rows[0])
+
+
+def read_as_it_is(
+    dataset: Dataset,
+    trial: Trial,
+    observer: Observer,
+    grid_of: Callable[[], RetinaGrid],
+    displacement_samples: Sequence[tuple[float, float]] | FloatArray = ((0.0, 0.0),),
+    *,
+    whole: bool = False,
+) -> tuple[Shown]:
+    """`read_trial` as a `Reader`."""
+    return (read_trial(dataset, trial, observer, grid_of, displacement_samples, whole=whole),)
+
+
+def retina_image(
+    shown: Shown, grid: RetinaGrid, displacement_samples: tuple[float, float] = (0.0, 0.0)
+) -> FloatArray:
+    """Mean contrast of a trial's frames on a retina grid, displaced along x and y: (side, side)."""
+    dx, dy = (d * grid.pitch_mrad / shown.pixel_pitch_mrad for d in displacement_samples)
+    image = np.zeros((grid.side, grid.side))
+    for patch, x, y in zip(shown.patches, shown.x_px, shown.y_px, strict=True):
+        for band in patch.bands():
+            add_resampled(
+                image,
+                band.values,
+                grid,
+                x_px=x + dx,
+                y_px=y + dy,
+                pixel_pitch_mrad=shown.pixel_pitch_mrad,
+                first_row=band.row,
+                first_column=band.column,
+            )
+    if len(shown.patches) > 1:
+        image /= len(shown.patches)
+    return image
+
+
+def view_trial(
+    dataset: Dataset, trial: Trial, observer: Observer, displacement_samples: tuple[float, float] = (0.0, 0.0)
+) -> View:
+    """Read a trial's frames and average them in contrast on the retina.
+
+    Parameters
+    ----------
+    displacement_samples : (float, float)
+        By how much the retina grid is displaced along x and y, in retina samples.
+
+    Raises
+    ------
+    FrameError
+        If a frame cannot be used, or the triangle does not lie on it.
+    """
+    shown = read_trial(dataset, trial, observer, lambda: observer.grid(trial.stimulus), [displacement_samples])
+    image = retina_image(shown, observer.grid(trial.stimulus), displacement_samples)
+    return View(image, shown.n_negative)

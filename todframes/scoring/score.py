@@ -1,0 +1,314 @@
+"""Dataset × observer → scored trials → one psychometric fit a group: a TOD curve."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from todframes._typing import FloatArray
+from todframes.errors import DataError, SettingsError
+from todframes.frames.contrast import left_out
+from todframes.frames.dataset import Dataset, Skipped, Trial
+from todframes.frames.position import check_places
+from todframes.observers.interface import Observer
+from todframes.psychometrics.fit import FitSettings, PsychometricFit, fit_trials
+from todframes.scoring.error_budget import PlanName, Step
+from todframes.scoring.plan import ScorePlan, plan_score
+from todframes.scoring.trials import FIT_STREAMS, SCRAMBLINGS, Decisions, SeenTrial, TrialScorer, see_trials
+from todframes.stimulus import Stimulus
+
+MOST_DISPLACEMENTS = 64
+"""Of each trial in each scrambling."""
+
+
+DEFAULT_TOLERANCE = 2e-3
+"""Of what a plan may leave out where no tolerance is asked for."""
+
+
+STANDARD_ERRORS_95 = 2.8412
+"""The 98.75 % point of Student's t with one degree of freedom less than there are scramblings: half of what an
+interval may miss is kept for errors that were small enough by chance."""
+
+
+@dataclass(frozen=True, slots=True)
+class GroupFit:
+    """The psychometric fit of the trials that share the values of the `group_by` columns.
+
+    `non_gaussian_bound` bounds the error in P(correct) from taking the summed internal noise as Gaussian; 0 where
+    answers were drawn with noise on every neuron. `left_out_bound` is on its change by what the plan leaves out.
+    `numerical_error` is the half-width of the threshold's 95 % interval over displacements, None where each trial
+    has one. `run_time_s` is the time that its trials and its fit took.
+    """
+
+    group: tuple[float | str, ...]
+    fit: PsychometricFit
+    non_gaussian_bound: float
+    left_out_bound: float
+    numerical_error: float | None
+    n_displacements: int
+    run_time_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class ScoredDataset:
+    """Scores of every trial that could be read, and the fits.
+
+    Attributes
+    ----------
+    trials : tuple of Trial
+        In the order of the manifest, as are the rows of the arrays.
+    displacement_samples : ndarray, shape (n, 2)
+        Of the retina grid along x and y, in retina samples; NaN where there were several.
+    scores, probabilities : ndarray, shape (n, 4)
+        Noise-free inner products with the templates and the probability of each answer, in the order of
+        `ORIENTATIONS`, in the mean over displacements; NaN where the observer is not linear.
+    answers : ndarray of int, shape (n,)
+        Answer drawn, or the most probable one; an index into `ORIENTATIONS`.
+    p_correct : ndarray, shape (n,)
+        Probability of the correct answer; 1 or 0 where an answer was drawn.
+    fits : tuple of GroupFit
+    skipped : tuple of Skipped
+    n_negative : int
+        Display pixels with a luminance below zero, among those read.
+    plan : tuple of Step
+        What was left out.
+    """
+
+    trials: tuple[Trial, ...]
+    displacement_samples: FloatArray
+    scores: FloatArray
+    probabilities: FloatArray
+    answers: NDArray[np.intp]
+    p_correct: FloatArray
+    fits: tuple[GroupFit, ...]
+    skipped: tuple[Skipped, ...]
+    n_negative: int
+    plan: tuple[Step, ...]
+
+
+def score_dataset(
+    dataset: Dataset,
+    observer: Observer,
+    *,
+    decisions: Decisions = "expected",
+    seed: int = 1,
+    fit_settings: FitSettings | None = None,
+    tolerance: float | None = None,
+    plan_name: PlanName = "needed",
+    skip_bad_frames: bool = False,
+    workers: int = 1,
+    progress: Callable[[int], None] | None = None,
+) -> ScoredDataset:
+    """Show every trial to the observer and fit a psychometric function to each group.
+
+    The result depends on the seed alone: each trial has its own random stream, whatever the order or the number
+    of workers.
+
+    Parameters
+    ----------
+    decisions : {"expected", "sampled"}
+        Probability of a correct answer under the internal noise, or one answer drawn a trial with noise on every
+        neuron, as the paper does.
+    tolerance : float, optional
+        Relative error of the thresholds that the displacement of the retina may cause: each trial is seen with as
+        many displacements as that takes. By default with one.
+    plan_name : {"needed", "full"}
+        Leave out what changes thresholds by far less than the tolerance, or nothing.
+    skip_bad_frames : bool
+        Go on without trials that cannot be read and list them, instead of raising the first error.
+    workers : int
+        Threads that read and score.
+    progress : callable
+        Told the number of trials done, whenever some are.
+
+    Raises
+    ------
+    FrameError, DataError
+        The first thing wrong with a row or frame, unless bad ones are skipped.
+    SettingsError
+        If decisions are "expected" and the observer is not linear, or there is a tolerance and they are not.
+    """
+    whole, skipped = usable_trials(dataset, skip_bad_frames=skip_bad_frames)
+    if not skip_bad_frames:
+        check_places(dataset, whole, observer.centre)
+    if tolerance is not None and not (tolerance > 0.0 and decisions == "expected"):
+        raise SettingsError(
+            f"tolerance: found {tolerance!r} with {decisions} decisions, expected > 0 and expected"
+        )
+    expected = decisions == "expected"
+    plan = plan_score(
+        dataset, whole, observer, name=plan_name, tolerance=tolerance or DEFAULT_TOLERANCE, expected=expected
+    )
+    scorer = TrialScorer(dataset, plan, decisions, seed, displacements=0 if tolerance is None else 1)
+    see = partial(see_trials, skip_bad_frames=skip_bad_frames, workers=workers)
+    seen, unread = see(scorer, whole, progress=progress)
+    skipped += unread
+    check_seen(dataset, seen, skipped)
+    fit_groups = GroupFitter(plan, seed, fit_settings or FitSettings(), expected)
+    decided = fit_groups(seen)
+    if tolerance is not None:
+        again = [
+            one
+            for group in decided.fits
+            if (displacements := _displacements_needed(group, tolerance)) > 1
+            for one in see(
+                replace(scorer, displacements=displacements),
+                [one.trial for one in seen if one.trial.group == group.group],
+                progress=None,
+            )[0]
+        ]
+        if again:
+            of_number = {one.trial.number: one for one in seen + again}
+            decided = fit_groups(list(of_number.values()))
+    return replace(decided, skipped=tuple(skipped))
+
+
+def usable_trials(dataset: Dataset, *, skip_bad_frames: bool) -> tuple[list[Trial], list[Skipped]]:
+    """Trials whose rows are all good, and what is left out for the others.
+
+    Raises
+    ------
+    DataError
+        If there are bad rows and they may not be skipped, or no trial is left.
+    """
+    if dataset.bad_rows and not skip_bad_frames:
+        raise DataError(dataset.bad_rows[0].error)
+    skipped = list(dataset.bad_rows)
+    for trial in dataset.trials:
+        if trial.name in dataset.spoilt:
+            skipped += left_out(dataset, trial, f"another frame of trial {trial.name} cannot be used")
+    usable = [trial for trial in dataset.trials if trial.name not in dataset.spoilt]
+    check_seen(dataset, usable, skipped)
+    return usable, skipped
+
+
+def check_seen(dataset: Dataset, seen: Sequence[object], skipped: Sequence[Skipped]) -> None:
+    """Raise DataError if no trial could be used."""
+    if not seen:
+        raise DataError(f"{dataset.path}: no frame can be scored; the first: {skipped[0].error}")
+
+
+def _displacements_needed(group: GroupFit, tolerance: float) -> int:
+    """How many displacements in each scrambling bring the error below the tolerance, if it falls as 1/√n."""
+    if group.numerical_error is None or group.fit.threshold is None:
+        return 1
+    ratio = group.numerical_error / (tolerance * group.fit.threshold)
+    return min(math.ceil(1.1 * ratio**2), MOST_DISPLACEMENTS) if ratio > 1.0 else 1
+
+
+def _displacement_step(numbers: Sequence[int]) -> Step:
+    least, most = min(numbers), max(numbers)
+    why = f"{least} of each trial" if least == most else f"{least} to {most} of each trial, as the tolerance takes"
+    return Step("displacements", True, why)
+
+
+def _single(displacements: FloatArray) -> FloatArray:
+    """The one displacement, (2,); NaN if there are several."""
+    return displacements[0] if len(displacements) == 1 else np.full(2, np.nan)
+
+
+@dataclass(frozen=True, slots=True)
+class GroupFitter:
+    """Decides on trials that were seen and fits a curve to each group."""
+
+    plan: ScorePlan
+    seed: int
+    fit_settings: FitSettings
+    expected: bool
+
+    def __call__(self, seen: Sequence[SeenTrial]) -> ScoredDataset:
+        """All of it but what was skipped; trials come out in the manifest's order."""
+        seen = sorted(seen, key=lambda one: one.trial.number)
+        trials = tuple(one.trial for one in seen)
+        correct = np.array([trial.orientation.quarter_turns for trial in trials])
+        probabilities, p_each, bounds = self._decide(seen, correct)
+        answers = probabilities.argmax(axis=1)
+        if not self.expected:
+            answers = np.array([one.answer for one in seen])
+            p_each = [np.array([float(answer == right)]) for answer, right in zip(answers, correct, strict=True)]
+            bounds[:] = 0.0
+        places: dict[tuple[float | str, ...], list[int]] = {}
+        for place, trial in enumerate(trials):
+            places.setdefault(trial.group, []).append(place)
+        # Numbers before texts, each in their order.
+        ordered = sorted(places.items(), key=lambda item: [(isinstance(v, str), v) for v in item[0]])
+        return ScoredDataset(
+            trials=trials,
+            displacement_samples=np.array([_single(one.displacement_samples) for one in seen]),
+            scores=np.array([one.scores.mean(axis=0) for one in seen]),
+            probabilities=probabilities,
+            answers=answers.astype(np.intp),
+            p_correct=np.array([p.mean() for p in p_each]),
+            fits=tuple(
+                self._fit(number, group, [seen[k] for k in these], [p_each[k] for k in these], bounds[these].max())
+                for number, (group, these) in enumerate(ordered)
+            ),
+            skipped=(),
+            n_negative=sum(one.n_negative for one in seen),
+            plan=(*self.plan.steps, _displacement_step([len(p) for p in p_each])),
+        )
+
+    def _decide(
+        self, seen: Sequence[SeenTrial], correct: NDArray[np.intp]
+    ) -> tuple[FloatArray, list[FloatArray], FloatArray]:
+        """Probability of each answer, of the correct one with each displacement, and the bound on its error."""
+        probabilities = np.full((len(seen), 4), np.nan)
+        p_each: list[FloatArray] = [np.full(1, np.nan)] * len(seen)
+        bounds = np.zeros(len(seen))
+        places: dict[Stimulus, list[int]] = {}
+        for place, one in enumerate(seen):
+            places.setdefault(one.trial.stimulus, []).append(place)
+        for stimulus, these in places.items():
+            readout = self.plan.observer_of(stimulus).readout(stimulus)
+            if readout is None:
+                continue
+            deviations = np.concatenate([seen[k].deviations for k in these])
+            answers = readout.answer_probabilities(deviations)
+            ends = np.cumsum([len(seen[k].deviations) for k in these])[:-1]
+            for k, of_trial in zip(these, np.split(answers, ends), strict=True):
+                probabilities[k], p_each[k] = of_trial.mean(axis=0), of_trial[:, correct[k]]
+            bounds[these] = readout.non_gaussian_bound
+        return probabilities, p_each, bounds
+
+    def _fit(
+        self,
+        number: int,
+        group: tuple[float | str, ...],
+        seen: Sequence[SeenTrial],
+        p_each: Sequence[FloatArray],
+        non_gaussian_bound: float,
+    ) -> GroupFit:
+        started = time.perf_counter()
+        level = np.array([one.trial.level for one in seen])
+        rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(FIT_STREAMS, number)))
+        fit = fit_trials(level, np.array([p.mean() for p in p_each]), settings=self.fit_settings, rng=rng)
+        bound = self.plan.bound({one.trial.stimulus for one in seen})
+        return GroupFit(
+            group=group,
+            fit=fit,
+            non_gaussian_bound=float(non_gaussian_bound),
+            left_out_bound=bound,
+            numerical_error=self._numerical_error(level, p_each, fit),
+            n_displacements=max(len(p) for p in p_each),
+            run_time_s=sum(one.seconds for one in seen) + time.perf_counter() - started,
+        )
+
+    def _numerical_error(
+        self, level: FloatArray, p_each: Sequence[FloatArray], fit: PsychometricFit
+    ) -> float | None:
+        """Half-width of the threshold's 95 % interval over displacements, from the spread among scramblings."""
+        if fit.threshold is None or len(p_each[0]) < SCRAMBLINGS:
+            return None
+        settings, rng = replace(self.fit_settings, resamples=0), np.random.default_rng(0)
+        sets = np.array([p.reshape(SCRAMBLINGS, -1).mean(axis=1) for p in p_each]).T
+        thresholds = [fit_trials(level, p, settings=settings, rng=rng).threshold for p in sets]
+        found = [threshold for threshold in thresholds if threshold is not None]
+        if len(found) < SCRAMBLINGS:
+            return None
+        return float(STANDARD_ERRORS_95 * np.std(found, ddof=1) / math.sqrt(SCRAMBLINGS))

@@ -1,0 +1,1 @@
+"""Studies of the package itself: accuracy and numerical stability."""

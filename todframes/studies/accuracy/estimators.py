@@ -1,0 +1,238 @@
+"""What an accuracy scene is: a triangle seen through something, and ways to find its threshold there.
+
+Some draw independent trials (`MonteCarlo`), some place them evenly (`Quadrature`). Packages name scenes under the
+entry-point group `todframes.accuracy_scenes`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from importlib.metadata import entry_points
+from typing import NamedTuple, Protocol, cast
+
+import numpy as np
+
+from todframes._typing import FloatArray, IntArray
+from todframes.config import check_keys
+from todframes.errors import SettingsError
+from todframes.observers.decision import answer_probabilities
+
+ENTRY_POINT_GROUP = "todframes.accuracy_scenes"
+
+
+P_CORRECT = 0.75
+"""Of all thresholds."""
+
+
+class Converged(NamedTuple):
+    """The threshold that estimators are held against.
+
+    `bound` is the half-width of its own error, 95 % where that is random; `slope` is dP(correct) / d ln(level).
+    """
+
+    threshold: float
+    bound: float
+    slope: float
+
+
+class Estimate(NamedTuple):
+    """P(correct) at the converged threshold, and the threshold; NaN where there is none."""
+
+    p_correct: float
+    threshold: float
+
+
+class Trials(NamedTuple):
+    """Independent trials as the folded observer sees them.
+
+    Attributes
+    ----------
+    score : ndarray, shape (n, columns, 4)
+        Score deviations without noise.
+    covariance : ndarray, broadcast against (n, columns, 4, 4)
+        Of the noise on the scores.
+    correct : ndarray of int, broadcast against (n, columns)
+    probabilities : callable
+        That of each answer at such scores; by default under Gaussian noise of this covariance.
+    """
+
+    score: FloatArray
+    covariance: FloatArray
+    correct: IntArray
+    probabilities: Callable[[FloatArray], FloatArray] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class MonteCarlo:
+    """An estimator that draws independent trials.
+
+    Attributes
+    ----------
+    name, label : str
+    prepare : callable
+        Does what is done once and gives `draw(n, rng)`: P(correct) of n independent trials, or 1 and 0 for
+        answers, (n, columns). A column is a condition: one level, or each of many frames.
+    share : float
+        Of a scene's time.
+    smallest, fewest : int
+        Trials from which on the error falls as 1/√N, and that are drawn at least.
+    """
+
+    name: str
+    label: str
+    prepare: Callable[[], Callable[[int, np.random.Generator], FloatArray]]
+    share: float
+    smallest: int = 1
+    fewest: int = 64
+
+
+@dataclass(frozen=True, slots=True)
+class Quadrature:
+    """An estimator that places its trials evenly.
+
+    Attributes
+    ----------
+    name, label : str
+    prepare : callable
+        Does what is done once and gives `run(n, rng)`, an estimate from n trials.
+    budgets : tuple of int
+        Numbers of trials to try, ascending.
+    share : float
+        Of a scene's time.
+    repeats : int
+        Estimates that an error is taken over; 1 if nothing is drawn at random.
+    """
+
+    name: str
+    label: str
+    prepare: Callable[[], Callable[[int, np.random.Generator], Estimate]]
+    budgets: tuple[int, ...]
+    share: float
+    repeats: int = 1
+
+
+@dataclass(frozen=True, slots=True)
+class Variant:
+    """A quadrature of one size with something about it changed; the first of a scene's is what the others change.
+
+    `prepare` gives `run(rng)`; the same `rng` must give the same trials.
+    """
+
+    label: str
+    prepare: Callable[[], Callable[[np.random.Generator], Estimate]]
+
+
+class Scene(Protocol):
+    """What estimators are tried on; register a callable that makes one under `todframes.accuracy_scenes`."""
+
+    @property
+    def name(self) -> str:
+        """On the command line and in file names."""
+
+    @property
+    def title(self) -> str:
+        """In a few words."""
+
+    @property
+    def description(self) -> str:
+        """What decides in it, in a sentence or two."""
+
+    @property
+    def level(self) -> str:
+        """What a threshold is one of: contrast, snr."""
+
+    def converge(self) -> Converged:
+        """The threshold, with far less error than any estimator is given time for."""
+
+    def estimators(self, converged: Converged) -> Sequence[MonteCarlo | Quadrature]:
+        """The literal Monte Carlo first; `Quadrature` is a closed form."""
+
+    def variants(self, converged: Converged) -> Sequence[Variant]:
+        """The closed form as it is, then with something changed."""
+
+    def estimate(self, outcomes: FloatArray, converged: Converged) -> Estimate:
+        """From the mean of independent trials: (columns,)."""
+
+    def non_gaussian_bound(self) -> float:
+        """Bound on the error in P(correct) of expected decisions from noise that is not Gaussian."""
+
+
+def monte_carlos(
+    answers: Callable[[], Callable[[int, np.random.Generator], FloatArray]],
+    trials: Callable[[], Callable[[int, np.random.Generator], Trials]],
+    smallest: int = 1,
+    fewest: int = 64,
+) -> tuple[MonteCarlo, MonteCarlo, MonteCarlo]:
+    """The three Monte Carlos that every linear observer has.
+
+    Parameters
+    ----------
+    answers : callable
+        `prepare` of the literal one.
+    trials : callable
+        Gives `draw(n, rng)` of `Trials`.
+    """
+
+    def drawn() -> Callable[[int, np.random.Generator], FloatArray]:
+        draw = trials()
+
+        def outcomes(n: int, rng: np.random.Generator) -> FloatArray:
+            shown = draw(n, rng)
+            # By eigenvectors, for the covariance of deviations from their mean is singular.
+            values, vectors = np.linalg.eigh(shown.covariance)
+            root = vectors * np.sqrt(np.maximum(values, 0.0))[..., None, :]
+            noise = (root @ rng.standard_normal((*shown.score.shape, 1)))[..., 0]
+            return np.asarray((shown.score + noise).argmax(axis=-1) == shown.correct, dtype=np.float64)
+
+        return outcomes
+
+    def expected() -> Callable[[int, np.random.Generator], FloatArray]:
+        draw = trials()
+
+        def outcomes(n: int, rng: np.random.Generator) -> FloatArray:
+            shown = draw(n, rng)
+            if shown.probabilities is not None:
+                answers = shown.probabilities(shown.score)
+            else:
+                answers = answer_probabilities(shown.score, shown.covariance)
+            correct = np.broadcast_to(shown.correct, answers.shape[:-1])[..., None]
+            return np.take_along_axis(answers, correct, axis=-1)[..., 0]
+
+        return outcomes
+
+    return (
+        MonteCarlo("literal", "literal Monte Carlo", answers, 0.5, smallest, fewest),
+        MonteCarlo("folded", "Monte Carlo on folded scores", drawn, 0.1, smallest, fewest),
+        MonteCarlo("expected", "expected decisions, random phases", expected, 0.1, smallest, fewest),
+    )
+
+
+def estimate_at_one_level(outcomes: FloatArray, converged: Converged) -> Estimate:
+    """What trials at the converged threshold tell of it, to first order: the slope there is taken as known.
+
+    No way to choose levels needs fewer trials, and none of these knows the threshold beforehand.
+    """
+    p_correct = float(outcomes.mean())
+    threshold = converged.threshold * math.exp((P_CORRECT - p_correct) / converged.slope)
+    return Estimate(p_correct, threshold)
+
+
+def find_scenes(names: Sequence[str]) -> dict[str, Callable[[], Scene]]:
+    """What makes the scenes of these names, or all that are registered if there are none.
+
+    Raises
+    ------
+    SettingsError
+        If there is no scene of a name, or it cannot be imported.
+    """
+    found = {entry.name: entry for entry in entry_points(group=ENTRY_POINT_GROUP)}
+    check_keys(names, found, "--scene")
+    scenes = {}
+    for name in names or found:
+        try:
+            scenes[name] = cast("Callable[[], Scene]", found[name].load())
+        except (ImportError, AttributeError) as error:
+            raise SettingsError(f"--scene: {name!r} cannot be loaded ({error})") from None
+    return scenes

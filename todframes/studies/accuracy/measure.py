@@ -1,0 +1,359 @@
+"""Error against run time: estimators of one threshold, each given more and more work, against a converged value.
+
+Errors are root mean squares about a converged value that carries its own bound; that of a threshold is of its
+logarithm. Times are of the process, set-up included.
+
+Independent trials are drawn once, as many as the time allows, and cut into blocks of every size: a block is an
+estimate with so many trials, and the blocks of one size are independent.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+import zlib
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from typing import NamedTuple, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from todframes._typing import FloatArray
+from todframes.errors import SettingsError
+from todframes.studies.accuracy.estimators import (
+    P_CORRECT,
+    Converged,
+    Estimate,
+    MonteCarlo,
+    Quadrature,
+    Scene,
+    Variant,
+)
+
+
+class Point(NamedTuple):
+    """An estimator at one budget: trials, estimates that the errors are taken over, time of one, errors."""
+
+    trials: int
+    repeats: int
+    cpu_s: float
+    wall_s: float
+    p_correct_error: float
+    threshold_error: float
+
+
+class TimeAt(NamedTuple):
+    """CPU time that a threshold error takes; None if no budget tried has it.
+
+    `extrapolated` along the measured 1/√N, to more trials than were drawn; `at_most` where even the smallest
+    budget has it.
+    """
+
+    error: float
+    cpu_s: float | None
+    extrapolated: bool = False
+    at_most: bool = False
+
+
+class Ratio(NamedTuple):
+    """How many times less CPU the fastest closed form takes than the literal Monte Carlo, at equal error.
+
+    `closed_form` is its name; None if none of them has this error.
+    """
+
+    error: float
+    ratio: float | None
+    closed_form: str | None
+    extrapolated: bool
+    at_least: bool
+
+
+def fitted_slope(
+    x: FloatArray, y: FloatArray, *, blocks: NDArray[np.intp] | None
+) -> tuple[float | None, float | None]:
+    """Slope of a straight line and its standard error; None where there are too few points.
+
+    Parameters
+    ----------
+    x, y : ndarray, shape (n,)
+        Logarithms of time and error.
+    blocks : ndarray of int, shape (n,), or None
+        Each error is the root mean square of so many independent estimates, and all are blocks of the same trials:
+        the variance of its logarithm is 1/(2·blocks), and a sum over few blocks holds no more chance than the one
+        over many that it is part of, so the covariance of two is the smaller variance. None: the scatter about the
+        line tells its error.
+    """
+    n = len(x)
+    if n < 2:
+        return None, None
+    design = np.stack([np.ones(n), x], axis=1)
+    covariance = np.eye(n) if blocks is None else 1.0 / (2.0 * np.maximum.outer(blocks, blocks))
+    weighted = np.linalg.solve(covariance, design)
+    inverse = np.linalg.inv(design.T @ weighted)
+    line = inverse @ (weighted.T @ y)
+    if blocks is None:
+        if n < 3:
+            return float(line[1]), None
+        inverse *= float(np.sum((y - design @ line) ** 2)) / (n - 2)
+    return float(line[1]), math.sqrt(inverse[1, 1])
+
+
+def time_of_draws(points: Sequence[Point], set_up: float, drawn: int, error: float) -> TimeAt:
+    """Along 1/√N through the smallest blocks: there are the most of them, and larger ones hold no more of it.
+
+    It is extrapolated beyond the number of trials that were `drawn` in all.
+    """
+    if not points:
+        return TimeAt(error, None)
+    first = points[0]
+    trials = first.trials * (first.threshold_error / error) ** 2
+    each = (first.cpu_s - set_up) / first.trials
+    return TimeAt(error, set_up + each * math.ceil(trials), extrapolated=trials > drawn)
+
+
+def time_of_rule(points: Sequence[Point], error: float) -> TimeAt:
+    """Between the last budget whose error is larger and the next one, along a straight line of logarithms."""
+    larger = [number for number, point in enumerate(points) if point.threshold_error > error]
+    if not larger:
+        return TimeAt(error, points[0].cpu_s, at_most=True)
+    if larger[-1] == len(points) - 1:
+        return TimeAt(error, None)
+    before, after = points[larger[-1]], points[larger[-1] + 1]
+    height = math.log(before.threshold_error / max(after.threshold_error, 1e-300))
+    share = math.log(before.threshold_error / error) / height
+    return TimeAt(error, before.cpu_s * (after.cpu_s / before.cpu_s) ** share)
+
+
+def speed_ratio(literal: TimeAt, closed_forms: Mapping[str, TimeAt]) -> Ratio:
+    """CPU time of one over that of the fastest of the others by name, all at the same error."""
+    times = {at.cpu_s: (name, at.at_most) for name, at in closed_forms.items() if at.cpu_s is not None}
+    if literal.cpu_s is None or not times:
+        return Ratio(literal.error, None, None, literal.extrapolated, at_least=False)
+    name, at_most = times[min(times)]
+    return Ratio(literal.error, literal.cpu_s / min(times), name, literal.extrapolated, at_most)
+
+
+T = TypeVar("T")
+
+
+TARGETS = (0.01, 0.001)
+"""Errors of a threshold at which estimators are compared."""
+
+
+FEWEST_BLOCKS = 4
+"""Estimates that a root mean square is at least taken over: it is then known to a third."""
+
+
+BLOCK_GROWTH = 2
+
+
+MOST_TRIALS = 2**17
+"""Drawn of an estimator; their blocks of all sizes then take seconds to estimate from."""
+
+
+LARGEST_SHOWN = 0.5
+"""Error of a threshold beyond which an estimate is none."""
+
+
+TIMED, LONG_S = 3, 0.5
+"""Runs of a set-up or variant, for the median of their times, and when they are enough."""
+
+
+class Curve(NamedTuple):
+    """A measured estimator.
+
+    `slope` is that of ln(threshold error) against ln(CPU time beyond the set-up), with its standard error; None
+    where there are too few budgets to tell.
+    """
+
+    name: str
+    label: str
+    set_up_cpu_s: float
+    points: tuple[Point, ...]
+    slope: float | None
+    slope_error: float | None
+    times: tuple[TimeAt, ...]
+
+
+class Change(NamedTuple):
+    """What a variant changes, at equal draws: CPU time as a multiple, P(correct), threshold (relative)."""
+
+    label: str
+    cpu_ratio: float
+    p_correct_change: float
+    threshold_change: float
+
+
+class Measured(NamedTuple):
+    """A scene with everything measured."""
+
+    name: str
+    title: str
+    description: str
+    level: str
+    converged: Converged
+    estimators: tuple[Curve, ...]
+    variants: tuple[Change, ...]
+    ratios: tuple[Ratio, ...]
+    p_correct_error_bound: float
+
+
+def measure(scene: Scene, *, seconds: float, seed: int = 1) -> Measured:
+    """Run all estimators of a scene.
+
+    Parameters
+    ----------
+    seconds : float
+        CPU time that they share; the converged value and the smallest budgets take what they take.
+    seed : int
+        Of all draws. Each scene and estimator has its own stream.
+
+    Raises
+    ------
+    SettingsError
+        If the time is not a positive number.
+    """
+    if not 0.0 < seconds < math.inf:
+        raise SettingsError(f"time: found {seconds!r}, expected a finite number of seconds > 0")
+    converged = scene.converge()
+    curves, closed_forms = [], []
+    for number, estimator in enumerate(scene.estimators(converged)):
+        key = (zlib.crc32(scene.name.encode()), number)
+        rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))
+        share = seconds * estimator.share
+        if isinstance(estimator, MonteCarlo):
+            curves.append(_measure_draws(scene, estimator, converged, share, rng))
+        else:
+            curves.append(_measure_rule(estimator, converged, share, rng))
+            closed_forms.append(curves[-1])
+    return Measured(
+        scene.name,
+        scene.title,
+        scene.description,
+        scene.level,
+        converged,
+        tuple(curves),
+        tuple(_changes(scene.variants(converged), seed)),
+        tuple(
+            speed_ratio(literal, {one.name: one.times[place] for one in closed_forms})
+            for place, literal in enumerate(curves[0].times)
+        ),
+        scene.non_gaussian_bound(),
+    )
+
+
+class _Clock:
+    """CPU and wall time since it was made, in seconds."""
+
+    def __init__(self) -> None:
+        self._cpu, self._wall = time.process_time(), time.perf_counter()
+
+    def read(self) -> tuple[float, float]:
+        return time.process_time() - self._cpu, time.perf_counter() - self._wall
+
+
+def _timed(run: Callable[[], T]) -> tuple[tuple[float, float], T]:
+    """Median CPU and wall time of some runs, fewer if they are long, and what the last one gave."""
+    times: list[tuple[float, float]] = []
+    while len(times) < TIMED and sum(cpu_s for cpu_s, _ in times) < LONG_S:
+        clock = _Clock()
+        result = run()
+        times.append(clock.read())
+    cpu_s, wall_s = np.median(times, axis=0).tolist()
+    return (cpu_s, wall_s), result
+
+
+def _prepared(prepare: Callable[[], Callable[..., object]], *arguments: object) -> tuple[float, float]:
+    """Time of the set-up, after a first run that loads what has to be loaded."""
+    prepare()(*arguments)
+    return _timed(prepare)[0]
+
+
+def _measure_draws(
+    scene: Scene, estimator: MonteCarlo, converged: Converged, seconds: float, rng: np.random.Generator
+) -> Curve:
+    set_up = _prepared(estimator.prepare, 1, rng)
+    draw = estimator.prepare()
+    drawn: list[FloatArray] = []
+    n, total = estimator.smallest, 0
+    clock = _Clock()
+    while ((spent := clock.read()[0]) < seconds and total < MOST_TRIALS) or total < estimator.fewest:
+        if total:  # so many that the time is just used up, but not more than there are already
+            n = min(max(int((seconds - spent) / spent * total), 1), total)
+        drawn.append(draw(n, rng))
+        total += n
+    each = np.array(clock.read()) / total
+    outcomes = np.concatenate(drawn)
+    points = []
+    size = estimator.smallest
+    while (blocks := total // size) >= FEWEST_BLOCKS:
+        means = outcomes[: blocks * size].reshape(blocks, size, -1).mean(axis=1)
+        errors = _errors([scene.estimate(mean, converged) for mean in means], converged)
+        if math.isfinite(errors[1]):
+            cpu_s, wall_s = (np.array(set_up) + size * each).tolist()
+            points.append(Point(size, blocks, cpu_s, wall_s, *errors))
+        size *= BLOCK_GROWTH
+    times = tuple(time_of_draws(points, set_up[0], total, at) for at in TARGETS)
+    shown = [point for point in points if point.threshold_error <= LARGEST_SHOWN]
+    return _curve(estimator, set_up[0], shown, times)
+
+
+def _measure_rule(estimator: Quadrature, converged: Converged, seconds: float, rng: np.random.Generator) -> Curve:
+    set_up = _prepared(estimator.prepare, estimator.budgets[0], rng)
+    run = estimator.prepare()
+    points: list[Point] = []
+    clock = _Clock()
+    times: list[tuple[float, float]] = []
+    for budget in estimator.budgets:
+        if points and clock.read()[0] + sum(cpu for cpu, _ in times) * budget / points[-1].trials > seconds:
+            break
+        estimates, times = [], []
+        for _ in range(estimator.repeats):
+            one = _Clock()
+            estimates.append(run(budget, rng))
+            times.append(one.read())
+        cpu_s, wall_s = (np.array(set_up) + np.median(times, axis=0)).tolist()
+        errors = _errors(estimates, converged)
+        points.append(Point(budget, estimator.repeats, cpu_s, wall_s, *errors))
+        if errors[1] < converged.bound / converged.threshold:
+            break  # what is left is the converged value's own error
+    return _curve(estimator, set_up[0], points, tuple(time_of_rule(points, at) for at in TARGETS))
+
+
+def _errors(estimates: Sequence[Estimate], converged: Converged) -> tuple[float, float]:
+    p_correct, threshold = np.array(estimates).T
+    of_p = p_correct - P_CORRECT
+    of_threshold = np.log(threshold / converged.threshold)
+    return float(np.sqrt(np.mean(of_p**2))), float(np.sqrt(np.mean(of_threshold**2)))
+
+
+def _curve(
+    estimator: MonteCarlo | Quadrature, set_up: float, points: Sequence[Point], times: tuple[TimeAt, ...]
+) -> Curve:
+    used = [point for point in points if point.threshold_error > 0.0 and point.cpu_s > set_up]
+    x = np.log([point.cpu_s - set_up for point in used])
+    y = np.log([point.threshold_error for point in used])
+    blocks = np.array([point.repeats for point in used]) if isinstance(estimator, MonteCarlo) else None
+    slope, error = fitted_slope(x, y, blocks=blocks)
+    return Curve(estimator.name, estimator.label, set_up, tuple(points), slope, error, times)
+
+
+def _changes(variants: Sequence[Variant], seed: int) -> list[Change]:
+    def run(variant: Variant) -> Estimate:
+        return variant.prepare()(np.random.default_rng(np.random.SeedSequence(seed)))
+
+    results: list[tuple[str, float, Estimate]] = []
+    for variant in variants:
+        (cpu_s, _), estimate = _timed(partial(run, variant))
+        results.append((variant.label, cpu_s, estimate))
+    _, cpu_s, reference = results[0]
+    return [
+        Change(
+            label,
+            spent / cpu_s,
+            found.p_correct - reference.p_correct,
+            math.log(found.threshold / reference.threshold),
+        )
+        for label, spent, found in results
+    ]

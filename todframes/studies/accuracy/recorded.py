@@ -1,0 +1,292 @@
+"""Accuracy scene of recorded display frames: what is averaged is the retina's displacement and its noise."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+
+from todframes._typing import FloatArray
+from todframes.errors import DataError
+from todframes.frames.dataset import Dataset, Trial, load_dataset
+from todframes.observers.interface import Readout
+from todframes.observers.pyramid import PyramidObserver, PyramidSettings
+from todframes.psychometrics.fit import FitSettings, PsychometricFit, fit_trials
+from todframes.psychometrics.weibull import weibull
+from todframes.scoring.plan import plan_score
+from todframes.scoring.retina_view import read_trial, retina_image
+from todframes.scoring.trials import KRONECKER_STEPS
+from todframes.stimulus import Stimulus
+from todframes.studies.accuracy.estimators import (
+    P_CORRECT,
+    Converged,
+    Estimate,
+    MonteCarlo,
+    Quadrature,
+    Trials,
+    Variant,
+    monte_carlos,
+)
+
+DATASETS = (Path("sample_frames/naked_eye"), Path("sample_frames/staring_camera"))
+"""Where recorded frames are looked for."""
+
+
+DISPLACEMENTS = (1, 2, 4, 8, 16, 32, 64)
+
+
+REPEATS = 8
+
+
+VARIANT_DISPLACEMENTS = 4
+
+
+class Frames:
+    """Trials, read once, as a linear observer sees them at any displacement of its retina.
+
+    Parameters
+    ----------
+    dataset : Dataset
+    trials : sequence of Trial
+    observer : PyramidObserver
+    readout_of : callable
+        What of it looks at a stimulus.
+
+    Raises
+    ------
+    FrameError
+        If a frame cannot be read.
+    """
+
+    def __init__(
+        self,
+        dataset: Dataset,
+        trials: Sequence[Trial],
+        observer: PyramidObserver,
+        readout_of: Callable[[Stimulus], Readout | None],
+    ) -> None:
+        self.jitter = observer.position_jitter_samples
+        corners = self.jitter * np.array([[-1.0, -1.0], [1.0, 1.0]])
+        of_stimulus = {trial.stimulus: readout_of(trial.stimulus) for trial in trials}
+        self.readouts = [readout for trial in trials if (readout := of_stimulus[trial.stimulus]) is not None]
+        self._shown = [
+            read_trial(dataset, trial, observer, partial(getattr, readout, "grid"), corners)
+            for trial, readout in zip(trials, self.readouts, strict=True)
+        ]
+        self.covariance = np.array([readout.noise_covariance for readout in self.readouts])
+        self.correct = np.array([trial.orientation.quarter_turns for trial in trials])
+
+    def retina(self, number: int, displacement: FloatArray) -> FloatArray:
+        """What the retina receives in a trial, displaced by shares of the largest displacement along x and y."""
+        x, y = (self.jitter * displacement).tolist()
+        return retina_image(self._shown[number], self.readouts[number].grid, (x, y))
+
+    def score(self, displacements: FloatArray, dtype: type[np.floating] = np.float64) -> FloatArray:
+        """Score deviations, (n, trials, 4), at displacements of shape (n, trials, 2)."""
+        score = np.empty((*displacements.shape[:2], 4))
+        for number, readout in enumerate(self.readouts):
+            weights = readout.deviations.reshape(4, -1).astype(dtype)
+            for place, displacement in enumerate(displacements[:, number]):
+                score[place, number] = weights @ self.retina(number, displacement).ravel().astype(dtype)
+        return score
+
+    def p_correct(self, displacements: FloatArray, dtype: type[np.floating] = np.float64) -> FloatArray:
+        """Probability of the correct answer, (n, trials)."""
+        answers = self.answer_probabilities(self.score(displacements, dtype))
+        return np.asarray(answers[:, np.arange(len(self.correct)), self.correct])
+
+    def answer_probabilities(self, score: FloatArray) -> FloatArray:
+        """Probability of each answer at score deviations, both (n, trials, 4)."""
+        answers = [readout.answer_probabilities(score[:, number]) for number, readout in enumerate(self.readouts)]
+        return np.stack(answers, axis=1)
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """Frames of one group of a dataset; the threshold is that of the fitted psychometric function.
+
+    The group is the middle one of the dataset's. All estimators are given the same frames, so what these frames
+    differ from others by is no part of the error.
+
+    Attributes
+    ----------
+    dataset : Dataset
+    trials : tuple of Trial
+        Of the group.
+    converged_nodes : (int, int)
+        Gauss–Legendre displacements along each axis that the converged value is from, the larger number last.
+    """
+
+    dataset: Dataset
+    trials: tuple[Trial, ...]
+    converged_nodes: tuple[int, int] = (6, 8)
+
+    name: ClassVar[str] = "recorded"
+    description: ClassVar[str] = (
+        "The frames are given, their noise included. What is averaged is the displacement of the retina and the "
+        "observer's own noise; the threshold is that of the fitted psychometric function."
+    )
+
+    @property
+    def title(self) -> str:
+        """Dataset, group and number of trials."""
+        group = zip(self.dataset.experiment.group_by, self.trials[0].group, strict=True)
+        label = ", ".join(f"{name} {value}" for name, value in group)
+        return f"recorded frames: {self.dataset.path.name}, {label}, {len(self.trials)} trials"
+
+    @property
+    def level(self) -> str:
+        """The dataset's."""
+        return self.dataset.experiment.level
+
+    def converge(self) -> Converged:
+        """By Gauss–Legendre displacements of every frame; the bound is how far fewer of them are from that."""
+        frames = self._whole(PyramidObserver())
+        coarse, fit = (self._fit(self._by_nodes(frames, nodes)) for nodes in self.converged_nodes)
+        if fit.threshold is None or coarse.threshold is None:
+            raise DataError(
+                f"{self.dataset.path}: the scene has no threshold ({fit.status}); expected one that is ok"
+            )
+        step = 0.05
+        low, high = (_curve(fit, fit.threshold * math.exp(way * step)) for way in (-1.0, 1.0))
+        return Converged(fit.threshold, abs(coarse.threshold - fit.threshold), (high - low) / (2.0 * step))
+
+    def estimators(self, converged: Converged) -> tuple[MonteCarlo | Quadrature, ...]:
+        """The literal Monte Carlo, on folded scores, expected decisions, and a sequence of displacements."""
+
+        def answers() -> Callable[[int, np.random.Generator], FloatArray]:
+            observer = PyramidObserver()
+            frames = self._whole(observer)
+            for trial in self.trials:
+                observer.templates(trial.stimulus)
+
+            def draw(n: int, rng: np.random.Generator) -> FloatArray:
+                right = np.empty((n, len(self.trials)))
+                for pass_, number in np.ndindex(right.shape):
+                    seen = frames.retina(number, rng.uniform(-1.0, 1.0, 2))
+                    answer = observer.respond(seen, self.trials[number].stimulus, rng)
+                    right[pass_, number] = answer.quarter_turns == frames.correct[number]
+                return right
+
+            return draw
+
+        def trials() -> Callable[[int, np.random.Generator], Trials]:
+            frames = self._planned()
+
+            def draw(n: int, rng: np.random.Generator) -> Trials:
+                displacements = rng.uniform(-1.0, 1.0, (n, len(self.trials), 2))
+                score = frames.score(displacements)
+                return Trials(score, frames.covariance, frames.correct, frames.answer_probabilities)
+
+            return draw
+
+        def closed_form() -> Callable[[int, np.random.Generator], Estimate]:
+            frames = self._planned()
+            return lambda n, rng: self.estimate(
+                frames.p_correct(_sequence(n, len(self.trials), rng)).mean(0), converged
+            )
+
+        label = "closed form, low-discrepancy displacements"
+        return (
+            # Fits to fewer answers of each frame are off by more than that.
+            *monte_carlos(answers, trials, smallest=4, fewest=16),
+            Quadrature("closed_form", label, closed_form, DISPLACEMENTS, 0.3, REPEATS),
+        )
+
+    def variants(self, converged: Converged) -> tuple[Variant, ...]:
+        """Single precision, what the plan leaves out kept, and one pyramid level less."""
+        sides = [PyramidObserver().grid(trial.stimulus).side for trial in self.trials]
+        levels = max(sides).bit_length() - 3
+
+        def variant(label: str, frames_of: Callable[[], Frames], dtype: type[np.floating] = np.float64) -> Variant:
+            def prepare() -> Callable[[np.random.Generator], Estimate]:
+                frames = frames_of()
+
+                def run(rng: np.random.Generator) -> Estimate:
+                    displacements = _sequence(VARIANT_DISPLACEMENTS, len(self.trials), rng)
+                    return self.estimate(frames.p_correct(displacements, dtype).mean(axis=0), converged)
+
+                return run
+
+            return Variant(label, prepare)
+
+        return (
+            variant("as planned", self._planned),
+            variant("float32", self._planned, np.float32),
+            variant("whole retina", lambda: self._whole(PyramidObserver())),
+            variant("one pyramid level more", lambda: self._whole(PyramidObserver().full())),
+            variant(
+                "one pyramid level less", lambda: self._whole(PyramidObserver(PyramidSettings(levels=levels - 1)))
+            ),
+        )
+
+    def estimate(self, outcomes: FloatArray, converged: Converged) -> Estimate:
+        """From P(correct) of each trial: the fitted curve at the converged threshold, and its own threshold."""
+        fit = self._fit(outcomes)
+        if fit.threshold is None:
+            return Estimate(math.nan, math.nan)
+        return Estimate(_curve(fit, converged.threshold), fit.threshold)
+
+    def non_gaussian_bound(self) -> float:
+        """As the readout states it."""
+        observer = PyramidObserver()
+        return max(observer.readout(trial.stimulus).non_gaussian_bound for trial in self.trials)
+
+    def _whole(self, observer: PyramidObserver) -> Frames:
+        return Frames(self.dataset, self.trials, observer, observer.readout)
+
+    def _planned(self) -> Frames:
+        observer = PyramidObserver()
+        plan = plan_score(self.dataset, self.trials, observer)
+        return Frames(self.dataset, self.trials, observer, plan.readout)
+
+    def _by_nodes(self, frames: Frames, nodes: int) -> FloatArray:
+        places, weights = np.polynomial.legendre.leggauss(nodes)
+        displacements = np.stack(np.meshgrid(places, places), axis=-1).reshape(-1, 1, 2)
+        p_correct = frames.p_correct(np.broadcast_to(displacements, (nodes**2, len(self.trials), 2)))
+        return np.asarray(np.outer(weights, weights).ravel() / 4.0 @ p_correct)
+
+    def _fit(self, p_correct: FloatArray) -> PsychometricFit:
+        level = [trial.level for trial in self.trials]
+        settings = FitSettings(p_correct=P_CORRECT, resamples=0)
+        return fit_trials(level, np.clip(p_correct, 0.0, 1.0), settings=settings, rng=np.random.default_rng(0))
+
+
+def _sequence(n: int, trials: int, rng: np.random.Generator) -> FloatArray:
+    """Displacements of each trial, (n, trials, 2): a low-discrepancy sequence, begun anywhere for each trial."""
+    places = rng.random((trials, 2)) + np.arange(n)[:, None, None] * KRONECKER_STEPS
+    return np.asarray(2.0 * (places % 1.0) - 1.0)
+
+
+def _curve(fit: PsychometricFit, level: float) -> float:
+    assert fit.alpha is not None and fit.beta is not None and fit.delta is not None
+    return float(weibull(level, alpha=fit.alpha, beta=fit.beta, guess_rate=fit.gamma, lapse_rate=fit.delta))
+
+
+def recorded(path: Path | None = None) -> Recorded:
+    """The middle group of a dataset, by default of one of the sample sets in the current folder.
+
+    Raises
+    ------
+    DataError, SettingsError
+        If there is no dataset, or it cannot be read.
+    """
+    if path is None:
+        path = next((folder for folder in DATASETS if folder.is_dir()), None)
+        if path is None:
+            places = " or ".join(map(str, DATASETS))
+            raise DataError(f"scene recorded: found no {places} here, expected a dataset (--dataset)")
+    dataset = load_dataset(path)
+    groups: dict[tuple[float | str, ...], list[Trial]] = {}
+    for trial in dataset.trials:
+        if trial.name not in dataset.spoilt:
+            groups.setdefault(trial.group, []).append(trial)
+    # Numbers before texts, each in their order.
+    in_order = sorted(groups, key=lambda group: [(isinstance(value, str), value) for value in group])
+    middle = in_order[len(groups) // 2]
+    return Recorded(dataset, tuple(groups[middle]))

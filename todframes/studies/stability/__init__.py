@@ -1,0 +1,1 @@
+"""Extreme inputs: what is expected, what came, digits kept."""

@@ -1,0 +1,239 @@
+"""Extreme inputs and what must come of them: cases, how many digits they keep, a table.
+
+What is expected comes from outside of the code under trial: a closed form, a law that holds exactly, algebra with
+fractions, or mpmath at 50 digits. Packages name functions that make cases under the entry-point group
+`todframes.stability_cases`.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from importlib.metadata import entry_points
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from todframes.errors import TodframesError
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+
+ENTRY_POINT_GROUP = "todframes.stability_cases"
+
+
+MPMATH = "mpmath, 50 digits: "
+"""Begins the source of numbers that tests/test_stability_references.py computes again."""
+
+
+MOST_DIGITS = 16.0
+"""Of double precision; what is exact has these."""
+
+
+SHOWN_DIGITS = 12
+"""In documents; more are a matter of the machine."""
+
+
+Value = str | float | ArrayLike
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """An extreme input and what must come of it.
+
+    Attributes
+    ----------
+    group, name : str
+        What is tried, and at which extreme.
+    expected : text or numbers
+        A text must come as it stands, each number to so many `digits`.
+    source : str
+        Where the expectation is from.
+    compute : callable
+        Gives what comes, in the form of `expected`.
+    digits : float
+        That numbers must keep.
+    scale : float or None
+        What an error is relative to; None: each number itself, so that a 0 must be exact.
+    """
+
+    group: str
+    name: str
+    expected: Value
+    source: str
+    compute: Callable[[], Value]
+    digits: float = 6.0
+    scale: float | None = None
+
+
+class Outcome(NamedTuple):
+    """What came of a case; an exception or a warning comes as text. `digits` is None where text is compared."""
+
+    case: Case
+    came: Value
+    digits: float | None
+    holds: bool
+
+
+def find_cases() -> list[Case]:
+    """The cases of all installed packages, those of todframes first."""
+    found = sorted(entry_points(group=ENTRY_POINT_GROUP), key=lambda entry: entry.name != "todframes")
+    return [case for entry in found for case in entry.load()()]
+
+
+def run_case(case: Case) -> Outcome:
+    """Compute a case. A warning or an exception, whatever it is, makes it fall short and is what came."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            came = case.compute()
+    except Exception as error:
+        return Outcome(case, f"{type(error).__name__}: {' '.join(str(error).split())}", None, False)
+    if isinstance(case.expected, str) or isinstance(came, str):
+        return Outcome(case, came, None, isinstance(came, str) and came == case.expected)
+    digits = digits_kept(case.expected, came, scale=case.scale)
+    return Outcome(case, came, digits, digits >= case.digits)
+
+
+def digits_kept(expected: ArrayLike, came: ArrayLike, *, scale: float | None = None) -> float:
+    """Decimal digits that the worst of some numbers has right, 0 to 16.
+
+    Parameters
+    ----------
+    expected, came : array_like, of one shape
+    scale : float, optional
+        What the error is relative to; by default each number expected.
+    """
+    right, found = np.asarray(expected, dtype=np.float64), np.asarray(came, dtype=np.float64)
+    if right.shape != found.shape or not np.isfinite(found).all():
+        return 0.0
+    error = np.abs(found - right)
+    unit = np.abs(right) if scale is None else np.full_like(right, scale)
+    # 0 is right exactly or not at all.
+    relative = np.divide(error, unit, out=np.where(error > 0, 1.0, 0.0), where=unit > 0)
+    return float(np.clip(-np.log10(max(float(relative.max()), 1e-300)), 0.0, MOST_DIGITS))
+
+
+def refusal(call: Callable[[], Any], naming: str) -> str:
+    """ "refused", if a call is refused in one line that holds `naming`; else what came instead."""
+    try:
+        call()
+    except TodframesError as error:
+        message = str(error)
+        return "refused" if naming in message and "\n" not in message else f"refused: {message}"
+    return "accepted"
+
+
+def shortfall(outcomes: Iterable[Outcome]) -> str | None:
+    """One line that names the cases that fall short, or None."""
+    short = [outcome for outcome in outcomes if not outcome.holds]
+    if not short:
+        return None
+    told = "; ".join(f"{one.case.group}: {one.case.name} ({_difference(one)})" for one in short)
+    return f"stability: {len(short)} {'cases fall' if len(short) > 1 else 'case falls'} short: {told}"
+
+
+def _difference(outcome: Outcome) -> str:
+    if outcome.digits is None:
+        return f"found {shown(outcome.came)}, expected {shown(outcome.case.expected)}"
+    return f"found {outcome.digits:.1f} digits, expected {outcome.case.digits:g}"
+
+
+def case_object(outcome: Outcome) -> dict[str, Any]:
+    """A case and what came of it, as it stands in the JSON object."""
+    case = outcome.case
+    expected, came = (v if isinstance(v, str) else np.asarray(v).tolist() for v in (case.expected, outcome.came))
+    return {
+        "group": case.group,
+        "name": case.name,
+        "expected": expected,
+        "source": case.source,
+        "came": came,
+        "digits": outcome.digits,
+        "digits_bound": None if outcome.digits is None else case.digits,
+        "holds": outcome.holds,
+    }
+
+
+def shown(value: Value, *, digits: float = 6.0, scale: float | None = None) -> str:
+    """A text, a number, or the first and last of several numbers, without digits beyond those asked for."""
+    if isinstance(value, str):
+        return value
+    numbers = np.asarray(value, dtype=np.float64).ravel()
+    if scale is not None:
+        numbers = np.round(numbers / scale, math.floor(digits)) * scale + 0.0  # no −0
+    ends = [f"{number:.{min(math.floor(digits), 6)}g}" for number in numbers[[0, -1]]]
+    return ends[0] if numbers.size == 1 else f"{ends[0]} … {ends[1]} ({numbers.size})"
+
+
+HEADERS = ("case", "expected", "from", "came", "digits", "must keep")
+
+
+def cells(outcome: Outcome, *, documented: bool = False) -> list[str]:
+    """Of a row of the table; `documented` leaves out digits that are a matter of the machine."""
+    case, came, digits, holds = outcome
+    if digits is None:
+        kept, bound = "equal" if holds else "different", "equal"
+    else:
+        exact = f"≥ {SHOWN_DIGITS}" if digits >= SHOWN_DIGITS else f"{math.floor(digits)}"
+        kept, bound = exact if documented else f"{digits:.1f}", f"{case.digits:g}"
+    expected, found = (shown(value, digits=case.digits, scale=case.scale) for value in (case.expected, came))
+    return [case.name, expected, case.source, found, kept, bound]
+
+
+def by_group(outcomes: Iterable[Outcome]) -> dict[str, list[Outcome]]:
+    """Outcomes of each group, in their order."""
+    groups: dict[str, list[Outcome]] = {}
+    for outcome in outcomes:
+        groups.setdefault(outcome.case.group, []).append(outcome)
+    return groups
+
+
+def outcome_table(outcomes: Sequence[Outcome]) -> Table:
+    """The table for the terminal."""
+    from rich.box import SIMPLE_HEAD
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(box=SIMPLE_HEAD)
+    for header in HEADERS:
+        table.add_column(header, justify="right" if header in ("digits", "must keep") else "left")
+    for group, members in by_group(outcomes).items():
+        table.add_section()
+        table.add_row(Text(group, style="bold"))
+        for outcome in members:
+            table.add_row(*map(Text, cells(outcome)), style=None if outcome.holds else "bold red")
+    return table
+
+
+PAGE = """\
+# Stability in the extremes
+
+`todframes stability` tries inputs from the edge of what may come, {number} of them, and fails if one keeps fewer
+digits than it must. It takes half a minute and 2 GB; the tests run the same cases. This page is made by
+
+    todframes stability --markdown > docs/stability.md
+
+What is expected comes from outside of the code under trial: closed forms, laws that hold exactly, and numbers
+that mpmath gave at 50 digits, which `tests/test_stability_references.py` computes again by other methods. *Digits*
+are the right decimal digits of the worst number of a case; from 12 on they are a matter of the machine. Of several
+numbers the first and the last are shown. Warnings and exceptions count as failures. *Refused* means: by one line
+that says what was found and what was expected.
+"""
+
+
+def markdown(outcomes: Sequence[Outcome]) -> str:
+    """The tables as a page of the documentation, without digits that are a matter of the machine."""
+    lines = [PAGE.format(number=len(outcomes))]
+    for group, members in by_group(outcomes).items():
+        lines += [f"## {group.capitalize()}", "", _row(HEADERS), _row(["---"] * 4 + ["--:"] * 2)]
+        lines += [*(_row(cells(outcome, documented=True)) for outcome in members), ""]
+    return "\n".join(lines)
+
+
+def _row(texts: Iterable[str]) -> str:
+    return "| " + " | ".join(text.replace("|", "\\|") for text in texts) + " |"
