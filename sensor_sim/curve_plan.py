@@ -17,7 +17,7 @@ from sensor_sim.sensor import Sensor
 from todframes._typing import FloatArray
 from todframes.errors import SettingsError
 from todframes.observers.decision import answer_probability
-from todframes.observers.interface import Observer, Readout, Thrifty
+from todframes.observers.interface import Observer, Readout, TruncatedObserver
 from todframes.psychometrics.threshold_search import crossing
 from todframes.scoring.error_budget import LEFT_OUT_SHARE, SAFETY, PlanName, Step, decision_change, total_bound
 from todframes.stimulus import ORIENTATIONS, Orientation, Stimulus, bounding_box_offset
@@ -184,22 +184,28 @@ def plan_curve(
         If the observer is not linear, or the size or field is out of range.
     """
     if name == "full":
-        return full_plan(sensor, observer.full() if isinstance(observer, Thrifty) else observer, size_detectors)
+        return full_plan(
+            sensor,
+            observer.with_extra_level() if isinstance(observer, TruncatedObserver) else observer,
+            size_detectors,
+        )
     started = time.perf_counter()
     full = replace(
         full_plan(sensor, observer, size_detectors), external_noise=external_noise, fewest_places=1, steps=()
     )
     sampler_s = time.perf_counter() - started
     stimulus = Stimulus(size_detectors * sensor.display.detector_pitch_mrad)
-    leaner = observer.leaner(stimulus) if isinstance(observer, Thrifty) else None
+    leaner = observer.with_fewer_levels(stimulus) if isinstance(observer, TruncatedObserver) else None
     if leaner is not None:
-        trial = _Trial(sensor, size_detectors, replace(full, observer=leaner), sampler_s, p_correct, tolerance)
+        trial = _CurvePlanner(
+            sensor, size_detectors, replace(full, observer=leaner), sampler_s, p_correct, tolerance
+        )
         if trial.levels_suffice():
             return trial.plan()
-    return _Trial(sensor, size_detectors, full, sampler_s, p_correct, tolerance).plan()
+    return _CurvePlanner(sensor, size_detectors, full, sampler_s, p_correct, tolerance).plan()
 
 
-class _Trial:
+class _CurvePlanner:
     """The whole chain at a few places, and what leaving out each part would change there."""
 
     def __init__(
@@ -287,7 +293,7 @@ class _Trial:
     def levels_bound(self) -> float | None:
         """On the change of P(correct) by further levels; None where the observer leaves none out."""
         stimulus = Stimulus(self.size * self.sensor.display.detector_pitch_mrad)
-        missing = self.observer.left_out(stimulus) if isinstance(self.observer, Thrifty) else None
+        missing = self.observer.omitted_bands(stimulus) if isinstance(self.observer, TruncatedObserver) else None
         if missing is None:
             return None
         plan = self.full
@@ -306,9 +312,9 @@ class _Trial:
         if self._affordable(bound):
             why = f"a retina of {side} × {side} samples is wide enough for this tolerance"
             return plan, [Step(stage, False, why, bound, saves_once_s=3.0 * self.readout_s)]
-        assert isinstance(self.observer, Thrifty)
+        assert isinstance(self.observer, TruncatedObserver)
         why = f"one level more than for {side} × {side} samples, which would change P by up to {bound:.1g}"
-        return replace(plan, observer=self.observer.full()), [Step(stage, True, why)]
+        return replace(plan, observer=self.observer.with_extra_level()), [Step(stage, True, why)]
 
     def _optics(self, plan: CurvePlan) -> tuple[CurvePlan, Step]:
         stage, sampler = "optics", plan.sampler

@@ -10,7 +10,7 @@ import numpy as np
 
 from sensor_sim.sampling import sample_image
 from sensor_sim.sensor import Detector, Sensor
-from sensor_sim.simulate import Simulator, Trial
+from sensor_sim.simulate import SimulatedTrial, Simulator
 from todframes._typing import FloatArray, Json
 from todframes.frames.contrast import Patch
 from todframes.frames.files import write_frame
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 FINE_PIXELS_PER_DETECTOR = 8
 
 
-def trial_stages(sensor: Sensor, trial: Trial, *, seed: int) -> dict[str, FloatArray]:
+def trial_stages(sensor: Sensor, trial: SimulatedTrial, *, seed: int) -> dict[str, FloatArray]:
     """One trial at each stage of Figure 1 of the paper, as signal (a large triangle is 1).
 
     Returns
@@ -95,7 +95,7 @@ def _threshold_example(sensor: Sensor, observer: Observer, fit: Json, seed: int)
     from todframes.report.examples import FramePart, pictures
 
     size, pitch_mrad = fit["group"]["size_detectors"], sensor.display.pixel_pitch_mrad
-    trial = Trial((0, 0, 0), size, fit["threshold"], Orientation.UP)
+    trial = SimulatedTrial((0, 0, 0), size, fit["threshold"], Orientation.UP)
     (frame,) = Simulator(sensor, size, seed=seed).frames([trial])
     contrast = frame.luminance_cd_m2 / sensor.display.background_luminance_cd_m2 - 1.0
     stimulus = Stimulus(size * sensor.display.detector_pitch_mrad)
@@ -123,7 +123,7 @@ def _threshold_example(sensor: Sensor, observer: Observer, fit: Json, seed: int)
     }
 
 
-def write_stages(folder: Path, sensor: Sensor, trial: Trial, *, seed: int) -> None:
+def write_stages(folder: Path, sensor: Sensor, trial: SimulatedTrial, *, seed: int) -> None:
     """Write these stages as 8-bit PNG, black at −1 and white at 2 times a large triangle's signal."""
     folder.mkdir()
     for name, image in trial_stages(sensor, trial, seed=seed).items():

@@ -30,11 +30,11 @@ from todframes.observers.interface import Observer, Readout, non_gaussian_bound
 from todframes.psychometrics.threshold_search import crossing
 from todframes.stimulus import Orientation
 
-SCRAMBLINGS = 8
+REPLICATES = 8
 
 
 PLACES = (5, 7, 11, 17, 25, 37)
-"""Along each axis of a detector, in each scrambling: more and more, until the error is small enough. Each takes
+"""Along each axis of a detector, in each replicate: more and more, until the error is small enough. Each takes
 twice the trials of the one before, so that few chances are had to stop by a lucky estimate of the error. Numbers
 that have a divisor in common with the display's pixels per detector are left out: P repeats with these pixels too,
 and such a lattice would see them all alike."""
@@ -47,7 +47,7 @@ columns of the lattice (Roberts 2018)."""
 
 STANDARD_ERRORS_95 = 2.8412
 """Half-width of the stated interval: the 98.75 % point of Student's t with one degree of freedom less than there
-are scramblings. Half of what an interval may miss is kept for errors that stopped the refinement by being small by
+are replicates. Half of what an interval may miss is kept for errors that stopped the refinement by being small by
 chance."""
 
 
@@ -108,11 +108,11 @@ class FoldedChain:
         other.noise_covariance = scale**2 * self.noise_covariance
         return other
 
-    def scramblings(self, places: int, seed: int) -> list[list[Phases]]:
-        """Independent `phases`, as many as there are scramblings; kept, for other noise asks for the same."""
+    def replicates(self, places: int, seed: int) -> list[list[Phases]]:
+        """Independent `phases`, as many as there are replicates; kept, for other noise asks for the same."""
         if (places, seed) not in self._drawn:
             started = time.perf_counter()
-            streams = np.random.SeedSequence(seed, spawn_key=(places,)).spawn(SCRAMBLINGS)
+            streams = np.random.SeedSequence(seed, spawn_key=(places,)).spawn(REPLICATES)
             self._drawn[places, seed] = [self.phases(places, np.random.default_rng(one)) for one in streams]
             self.drawing_s += time.perf_counter() - started
         return self._drawn[places, seed]
@@ -193,7 +193,7 @@ class FoldedChain:
 class PredictedThreshold:
     """A threshold computed for a sensor.
 
-    `threshold` is a signal-to-noise ratio; `numerical_error` the half-width of its 95 % interval over scramblings
+    `threshold` is a signal-to-noise ratio; `numerical_error` the half-width of its 95 % interval over replicates
     and the bound on what the plan leaves out;
     `n_phases` the trials it is a mean over; `points` pairs of SNR and proportion correct about it.
     """
@@ -218,7 +218,7 @@ def predict_threshold(
     tolerance : float
         Relative half-width of the 95 % interval that ends the refinement.
     seed : int
-        Of the scramblings.
+        Of the replicates.
 
     Raises
     ------
@@ -232,7 +232,7 @@ def predict_threshold(
     threshold: float | None = None
     slope = math.nan
     for places in ladder:
-        parts = chain.scramblings(places, seed)
+        parts = chain.replicates(places, seed)
         pooled = [_pool(list(same)) for same in zip(*parts, strict=True)]
         proportion = partial(chain.proportion_correct, pooled)
         n_phases = sum(part.signal[..., 0].size for part in pooled)
@@ -257,7 +257,7 @@ def _pool(parts: list[Phases]) -> Phases:
 
 
 def _error(chain: FoldedChain, parts: list[list[Phases]], threshold: float) -> tuple[float, float]:
-    """Half-width of the 95 % interval of a threshold from the spread of P among scramblings, and dP/d ln SNR."""
+    """Half-width of the 95 % interval of a threshold from the spread of P among replicates, and dP/d ln SNR."""
     step = 0.01
     low, high = (
         np.array([chain.proportion_correct(part, threshold * factor) for part in parts])

@@ -44,7 +44,7 @@ MOST_SIDE_PX = min(MAX_SIDE_PX, math.isqrt(MAX_DECODED_MB * 2**20 // 2))
 TRIALS_PER_TASK = 32
 
 
-class Trial(NamedTuple):
+class SimulatedTrial(NamedTuple):
     """A presentation: what, where on the detectors and how noisy. `key` seeds its random stream."""
 
     key: tuple[int, int, int]
@@ -61,7 +61,7 @@ class SimulatedFrame(NamedTuple):
     y_px: float
 
 
-def plan_trials(sizes_detectors: Sequence[float], snrs: Sequence[float], trials: int) -> list[Trial]:
+def plan_trials(sizes_detectors: Sequence[float], snrs: Sequence[float], trials: int) -> list[SimulatedTrial]:
     """`trials` presentations of each size at each signal-to-noise ratio, orientations in turn.
 
     Raises
@@ -80,7 +80,7 @@ def plan_trials(sizes_detectors: Sequence[float], snrs: Sequence[float], trials:
     if trials < 1:
         raise SettingsError(f"trials: found {trials}, expected at least 1")
     return [
-        Trial((i, j, n), size, snr, ORIENTATIONS[n % 4])
+        SimulatedTrial((i, j, n), size, snr, ORIENTATIONS[n % 4])
         for i, size in enumerate(sizes_detectors)
         for j, snr in enumerate(snrs)
         for n in range(trials)
@@ -122,7 +122,7 @@ class Simulator:
         pattern_seed = np.random.SeedSequence(seed, spawn_key=(PATTERN_STREAM,))
         self.pattern = unit_fixed_pattern((self.field,) * 2, noise=sensor.noise, seed=pattern_seed)
 
-    def frames(self, trials: Sequence[Trial]) -> Iterator[SimulatedFrame]:
+    def frames(self, trials: Sequence[SimulatedTrial]) -> Iterator[SimulatedFrame]:
         """The trials as displayed, one after the other."""
         display = self.sensor.display
         for (x, y), samples in zip(*self.samples(trials), strict=True):
@@ -130,7 +130,7 @@ class Simulator:
             luminance = luminance_cd_m2(display_signal(samples, self.matrix), display=display)
             yield SimulatedFrame(luminance, x_px, y_px)
 
-    def samples(self, trials: Sequence[Trial], *, noise: bool = True) -> tuple[FloatArray, FloatArray]:
+    def samples(self, trials: Sequence[SimulatedTrial], *, noise: bool = True) -> tuple[FloatArray, FloatArray]:
         """Places of the triangles on the detectors, (trial, 2), and their samples, (trial, field, field)."""
         rngs = [
             np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(TRIAL_STREAMS, *trial.key)))
@@ -170,7 +170,7 @@ def white_luminance_cd_m2(sensor: Sensor, snrs: Sequence[float]) -> float:
 def write_dataset(
     folder: Path,
     sensor: Sensor,
-    trials: Sequence[Trial],
+    trials: Sequence[SimulatedTrial],
     *,
     seed: int,
     frame_format: FrameFormat = "exr",
@@ -200,7 +200,7 @@ def write_dataset(
     (folder / "frames").mkdir()
     white = white_luminance_cd_m2(sensor, [trial.snr for trial in trials]) if frame_format == "png" else 1.0
     simulators: dict[float, Simulator] = {}
-    tasks: list[list[Trial]] = []
+    tasks: list[list[SimulatedTrial]] = []
     for trial in trials:
         if trial.size_detectors not in simulators:
             simulators[trial.size_detectors] = Simulator(sensor, trial.size_detectors, seed=seed)
@@ -208,7 +208,7 @@ def write_dataset(
             tasks.append([])
         tasks[-1].append(trial)
 
-    def write(task: list[Trial]) -> tuple[list[list[str]], int, int]:
+    def write(task: list[SimulatedTrial]) -> tuple[list[list[str]], int, int]:
         rows, clipped, n_pixels = [], 0, 0
         for trial, frame in zip(task, simulators[task[0].size_detectors].frames(task), strict=True):
             code = frame.luminance_cd_m2 / white
@@ -243,7 +243,7 @@ def write_dataset(
     return Written(len(all_rows), share)
 
 
-def provenance(sensor: Sensor, seed: int, trial: Trial) -> dict[str, str]:
+def provenance(sensor: Sensor, seed: int, trial: SimulatedTrial) -> dict[str, str]:
     """Text attributes of a frame that tell how it was made."""
     return {
         "sensor_sim:sensor": sensor.name or "unnamed",

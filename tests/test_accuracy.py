@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from sensor_sim.curve_plan import full_plan
-from sensor_sim.predict import SCRAMBLINGS, FoldedChain, Phases, predict_threshold
+from sensor_sim.predict import REPLICATES, FoldedChain, Phases, predict_threshold
 from sensor_sim.sensor import Detector, Optics, Sensor, SensorDisplay
 from sensor_sim.studies.accuracy import STAR_LIKE, Camera
 from todframes.cli.console import run
@@ -27,13 +27,13 @@ from todframes.studies.accuracy.estimators import (
     Estimate,
     MonteCarlo,
     Quadrature,
-    Scene,
+    StudyScene,
     Variant,
     estimate_at_one_level,
     find_scenes,
 )
 from todframes.studies.accuracy.measure import (
-    Point,
+    BudgetPoint,
     TimeAt,
     fitted_slope,
     measure,
@@ -49,10 +49,10 @@ ROOT = Path(__file__).parent.parent
 # Arithmetic ---------------------------------------------------------------------------------------------------
 
 
-def draws(constant: float, each_s: float, set_up_s: float) -> list[Point]:
+def draws(constant: float, each_s: float, set_up_s: float) -> list[BudgetPoint]:
     """An error that falls as constant/√N, in blocks of 1 to 64 trials."""
     return [
-        Point(n, 640 // n, set_up_s + n * each_s, set_up_s + n * each_s, math.nan, constant / math.sqrt(n))
+        BudgetPoint(n, 640 // n, set_up_s + n * each_s, set_up_s + n * each_s, math.nan, constant / math.sqrt(n))
         for n in 2 ** np.arange(7)
     ]
 
@@ -67,7 +67,7 @@ def test_time_of_draws_along_the_square_root():
 
 def test_time_of_a_rule_between_its_budgets():
     # The error is 1/t²: 1 % after 10 s.
-    points = [Point(n, 1, t, t, math.nan, t**-2.0) for n, t in enumerate((2.0, 4.0, 7.0, 12.0, 20.0))]
+    points = [BudgetPoint(n, 1, t, t, math.nan, t**-2.0) for n, t in enumerate((2.0, 4.0, 7.0, 12.0, 20.0))]
     assert time_of_rule(points, 0.01).cpu_s == pytest.approx(10.0)
     assert time_of_rule(points, 0.5) == TimeAt(0.5, 2.0, at_most=True)
     assert time_of_rule(points, 1e-3) == TimeAt(1e-3, None)
@@ -76,7 +76,8 @@ def test_time_of_a_rule_between_its_budgets():
 def test_a_small_error_by_chance_is_not_taken_for_the_last_one():
     errors = (0.1, 0.001, 0.05, 0.001)
     points = [
-        Point(n, 1, t, t, math.nan, error) for n, t, error in zip(range(4), (1, 2, 4, 8), errors, strict=True)
+        BudgetPoint(n, 1, t, t, math.nan, error)
+        for n, t, error in zip(range(4), (1, 2, 4, 8), errors, strict=True)
     ]
     # From 5 % at 4 s to 0.1 % at 8 s, in logarithms.
     assert time_of_rule(points, 0.01).cpu_s == pytest.approx(4.0 * 2.0 ** (math.log(5.0) / math.log(50.0)))
@@ -212,7 +213,7 @@ UNDER_SAMPLED = Sensor(
 CAMERA = Camera("camera", "", "", "snr", sensor=UNDER_SAMPLED, size_detectors=3.0, converged_bound=1e-3)
 
 
-def some_recorded() -> Scene:
+def some_recorded() -> StudyScene:
     """Every third of the sample frames of one size."""
     whole = recorded(ROOT / "sample_frames" / "naked_eye")
     return replace(whole, trials=whole.trials[::3], converged_nodes=(3, 4))
@@ -228,7 +229,7 @@ SCENES = {
 
 
 @pytest.fixture(scope="module", params=SCENES)
-def scene(request) -> Scene:
+def scene(request) -> StudyScene:
     return SCENES[request.param]()
 
 
@@ -332,8 +333,8 @@ class NoisyChain(FoldedChain):
         self.sensor, self.size_detectors, self.plan = whole.sensor, 3.0, replace(whole.plan, steps=())
         self.spread = spread
 
-    def scramblings(self, places: int, seed: int) -> list[list[Phases]]:
-        off = self.spread / places * np.random.default_rng([seed, places]).normal(size=SCRAMBLINGS)
+    def replicates(self, places: int, seed: int) -> list[list[Phases]]:
+        off = self.spread / places * np.random.default_rng([seed, places]).normal(size=REPLICATES)
         return [[Phases(np.full((places, 1, 4), one), np.zeros((places, 4, 4)), 0)] for one in off]
 
     def proportion_correct(self, phases: list[Phases], snr: float, contrast: float = 1.0) -> float:

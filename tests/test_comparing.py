@@ -11,7 +11,7 @@ from skimage.metrics import peak_signal_noise_ratio
 
 from todframes.enhancement.algorithm import find_enhancement
 from todframes.enhancement.compare import compare_dataset
-from todframes.enhancement.enhanced_frame import DecodedFrame, Picture, Screen
+from todframes.enhancement.enhanced_frame import DecodedFrame, EnhancedImage, Screen
 from todframes.errors import DataError, FrameError, SettingsError
 from todframes.frames.contrast import frame_problems
 from todframes.frames.dataset import load_dataset
@@ -293,8 +293,8 @@ def test_a_border_is_the_outermost_ring() -> None:
     from todframes.frames.display import Display
 
     screen = Screen(Display(**dataset_display, white_luminance_cd_m2=80.0))
-    assert Picture(screen, values).border_luminance() == 80.0
-    assert Picture(screen, values[:1]).border_luminance() == 80.0
+    assert EnhancedImage(screen, values).border_luminance() == 80.0
+    assert EnhancedImage(screen, values[:1]).border_luminance() == 80.0
 
 
 def test_a_measured_display_has_the_range_of_its_table(make_dataset) -> None:

@@ -164,11 +164,11 @@ def test_what_is_left_out_is_no_more_than_it_says(display: dict) -> None:
         settings = InformativeSettings(informative_share=share, **changes)
         usual, wide = (InformativeObserver(settings, more_levels=n).readout(stimulus) for n in (0, 2))
         added = wide.noise_covariance[0, 0] - usual.noise_covariance[0, 0]
-        said = InformativeObserver(settings).left_out(stimulus).noise_covariance[0, 0]
+        said = InformativeObserver(settings).omitted_bands(stimulus).noise_covariance[0, 0]
         # The triangle on the coarser retina is blurred by one coarse sample more.
         assert -1e-12 * usual.noise_covariance[0, 0] <= added <= 1.2 * said
         assert said < 1e-4 * usual.noise_covariance[0, 0]
-    assert observer(sample_noise_sd=0.1).left_out(stimulus) is None
+    assert observer(sample_noise_sd=0.1).omitted_bands(stimulus) is None
 
 
 # Which neurons.

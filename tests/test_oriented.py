@@ -62,10 +62,10 @@ def test_what_is_left_out_is_what_a_wider_readout_adds() -> None:
     settings = OrientedSettings(position_jitter_samples=0.0, orientations=4)
     usual, wide = (OrientedObserver(settings, more_levels=n).readout(stimulus) for n in (0, 2))
     added = wide.noise_covariance - usual.noise_covariance
-    said = OrientedObserver(settings).left_out(stimulus).noise_covariance
+    said = OrientedObserver(settings).omitted_bands(stimulus).noise_covariance
     # The triangle on the coarser retina is blurred by one coarse sample more.
     assert np.allclose(said, added, rtol=0.0, atol=0.2 * np.abs(added).max())
-    assert observer(complex_cells=True).left_out(stimulus) is None
+    assert observer(complex_cells=True).omitted_bands(stimulus) is None
 
 
 # Complex cells.

@@ -90,7 +90,7 @@ def test_left_out_bands_are_those_of_a_wider_readout(size_samples, settings):
     observer = PyramidObserver(PyramidSettings(retina_pitch_mrad=1.0, position_jitter_samples=0.0, **settings))
     stimulus = Stimulus(size_samples)
     wide = PyramidObserver(observer.settings, more_levels=2).readout(stimulus)
-    usual, missing = observer.readout(stimulus), observer.left_out(stimulus)
+    usual, missing = observer.readout(stimulus), observer.omitted_bands(stimulus)
     side = wide.grid.side
     shape = {"size_px": size_samples, "orientation": ORIENTATIONS[0], "centre": observer.centre}
     image = coverage((side, side), x_px=side // 2, y_px=side // 2, **shape)
@@ -132,7 +132,7 @@ def test_at_the_same_places_the_plan_changes_next_to_nothing():
     """The same lattice and shifts: what is left is what was left out."""
     observer = PyramidObserver()
     planned = FoldedChain(STAR_LIKE, observer, 4.0)
-    full = FoldedChain(STAR_LIKE, observer, 4.0, full_plan(STAR_LIKE, observer.full(), 4.0))
+    full = FoldedChain(STAR_LIKE, observer, 4.0, full_plan(STAR_LIKE, observer.with_extra_level(), 4.0))
     parts = [chain.phases(5, np.random.default_rng(3)) for chain in (planned, full)]
     p, expected = (
         chain.proportion_correct(part[:1], 2.0) for chain, part in zip((planned, full), parts, strict=True)

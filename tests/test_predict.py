@@ -255,7 +255,7 @@ def test_mirrored_observer_does_as_well():
         )
         means.append(of_each.mean(axis=0))
         errors.append(of_each.std(axis=0, ddof=1) / math.sqrt(8))
-    # 4.8 standard errors from eight scramblings each: t with 14 degrees of freedom, once in 1,000 runs of four.
+    # 4.8 standard errors from eight replicates each: t with 14 degrees of freedom, once in 1,000 runs of four.
     limit = 4.8 * np.hypot(errors[0], errors[1][MIRRORED])
     assert limit.max() < 0.03
     assert np.all(np.abs(means[0] - means[1][MIRRORED]) < limit)
@@ -447,7 +447,7 @@ def test_same_seed_same_threshold_other_seed_another(observer):
     assert first == again
     other = predict_threshold(FoldedChain(UNDER_SAMPLED, observer, 3.0), seed=5)
     assert other.threshold != first.threshold
-    # Independent scramblings: both within their errors, times two for once in 1,000 runs or so.
+    # Independent replicates: both within their errors, times two for once in 1,000 runs or so.
     error = math.hypot(first.numerical_error, other.numerical_error)
     assert abs(other.threshold - first.threshold) < 2 * error
 
@@ -457,7 +457,7 @@ def test_points_lie_about_the_threshold_and_pass_the_criterion(observer):
     levels, proportions = np.transpose(found.points)
     assert levels[0] < found.threshold < levels[-1]
     assert np.all(np.diff(levels) > 0) and np.all(np.diff(proportions) > 0)
-    # A point is of one scrambling of eight; a slope of about 0.4 per factor e.
+    # A point is of one replicate of eight; a slope of about 0.4 per factor e.
     at_threshold = np.interp(math.log(found.threshold), np.log(levels), proportions)
     assert at_threshold == pytest.approx(0.7, abs=0.4 * 8 * 2e-3)
 

@@ -21,7 +21,7 @@ from scipy.ndimage import gaussian_filter
 from sensor_sim import cli, simulate
 from sensor_sim.pictures import trial_stages
 from sensor_sim.sensor import Detector, Electronics, Noise, Optics, Sensor, SensorDisplay
-from sensor_sim.simulate import Simulator, Trial, plan_trials, white_luminance_cd_m2, write_dataset
+from sensor_sim.simulate import SimulatedTrial, Simulator, plan_trials, white_luminance_cd_m2, write_dataset
 from todframes import __version__
 from todframes.cli.console import run
 from todframes.errors import FrameError, SettingsError
@@ -140,7 +140,7 @@ def test_frame_is_the_held_and_blurred_samples_on_the_background():
 def test_sharp_optics_and_whole_detectors_show_the_covered_area(orientation):
     sensor = replace(SHARP, detector=Detector(pitch_mrad=0.2, width_mrad=0.2))
     simulator = Simulator(sensor, SIZE, seed=3)
-    ((x, y),), (samples,) = simulator.samples([Trial((0, 0, 0), SIZE, 2.0, orientation)], noise=False)
+    ((x, y),), (samples,) = simulator.samples([SimulatedTrial((0, 0, 0), SIZE, 2.0, orientation)], noise=False)
     middle = (simulator.field - 1) / 2.0
     covered = coverage(samples.shape, size_px=SIZE, x_px=middle + x, y_px=middle + y, orientation=orientation)
     # Two exact areas of a unit square, by other formulas: a dozen roundings of numbers up to the field's square.
@@ -168,7 +168,7 @@ def test_manifest_place_is_where_the_triangle_is_shown(orientation):
     """
     noise_free = 1e12
     simulator = Simulator(BLURRED, SIZE, seed=8)
-    trials = [Trial((0, 0, n), SIZE, noise_free, orientation) for n in range(3)]
+    trials = [SimulatedTrial((0, 0, n), SIZE, noise_free, orientation) for n in range(3)]
     for frame in simulator.frames(trials):
         shown = signal_of(frame.luminance_cd_m2)
         place = np.arange(len(shown))
@@ -184,7 +184,7 @@ def test_apex_points_where_the_trial_says():
     simulator = Simulator(BLURRED, 6.0, seed=2)
     towards = {"up": (0, -1), "right": (1, 0), "down": (0, 1), "left": (-1, 0)}
     for orientation in ORIENTATIONS:
-        (frame,) = simulator.frames([Trial((0, 0, 0), 6.0, 1e12, orientation)])
+        (frame,) = simulator.frames([SimulatedTrial((0, 0, 0), 6.0, 1e12, orientation)])
         shown = signal_of(frame.luminance_cd_m2)
         place = np.arange(len(shown))
         along_x = (place - frame.x_px) ** 3 @ shown.sum(axis=0) / shown.sum()
@@ -466,7 +466,7 @@ STAGES = [
 
 
 def test_stages_follow_from_each_other():
-    trial = Trial((0, 0, 1), SIZE, 4.0, Orientation.RIGHT)
+    trial = SimulatedTrial((0, 0, 1), SIZE, 4.0, Orientation.RIGHT)
     stages = trial_stages(SENSOR, trial, seed=6)
     assert list(stages) == STAGES
     simulator = Simulator(SENSOR, SIZE, seed=6)

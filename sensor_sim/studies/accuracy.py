@@ -242,7 +242,10 @@ class Camera:
                 f"{full.field}² detectors",
                 lambda: replace(self._plan(), field=full.field, sampler=full.sampler),
             ),
-            variant("one pyramid level more", lambda: replace(self._plan(), observer=PyramidObserver().full())),
+            variant(
+                "one pyramid level more",
+                lambda: replace(self._plan(), observer=PyramidObserver().with_extra_level()),
+            ),
             variant("nothing left out", everything),
         )
 

@@ -101,7 +101,7 @@ def accuracy(
     from todframes import output
     from todframes.report import convert as report
     from todframes.studies.accuracy import report as accuracy_report
-    from todframes.studies.accuracy.estimators import Scene, find_scenes
+    from todframes.studies.accuracy.estimators import StudyScene, find_scenes
     from todframes.studies.accuracy.measure import measure
     from todframes.studies.accuracy.recorded import recorded
 
@@ -110,7 +110,7 @@ def accuracy(
         if RECORDED not in makers:
             raise SettingsError(f"--dataset: found scenes {', '.join(names)}, expected {RECORDED} among them")
         makers[RECORDED] = partial(recorded, dataset)
-    scenes: list[Scene] = []
+    scenes: list[StudyScene] = []
     for name, make in makers.items():
         try:
             scenes.append(make())

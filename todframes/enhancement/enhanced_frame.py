@@ -70,7 +70,7 @@ class Screen:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Picture:
+class EnhancedImage:
     """What a display shows of a frame after an algorithm.
 
     `values` are code values, shape (rows, columns, channels), or luminance in cd/m², (rows, columns). There are
@@ -96,10 +96,10 @@ class Picture:
         if min(values.shape[:2]) < 2:
             return float(self.luminance().mean())
         ring = np.concatenate([values[side] for side in sides])[None]
-        return float(Picture(self.screen, ring).luminance().mean())
+        return float(EnhancedImage(self.screen, ring).luminance().mean())
 
 
-class Looked(NamedTuple):
+class CroppedImage(NamedTuple):
     """Part of a picture, and where on it the retina's middle lies if not displaced, in the picture's pixels."""
 
     patch: Patch
@@ -128,7 +128,7 @@ class DecodedFrame:
         frame = file.read()
         self.first_row, self.first_column = frame.first_row, frame.first_column
         self.is_integer = file.header.pixel_type in FULL_SCALE
-        self.original = Picture(screen, frame.values)
+        self.original = EnhancedImage(screen, frame.values)
 
     @cached_property
     def code_values(self) -> Image:
@@ -152,7 +152,7 @@ class DecodedFrame:
         black, white = self.screen.luminance_range
         return ((self.original.luminance() - black) / (white - black)).astype(np.float32)
 
-    def after(self, enhancement: Enhancement) -> Picture:
+    def after(self, enhancement: Enhancement) -> EnhancedImage:
         """What the display shows after an algorithm.
 
         Raises
@@ -175,7 +175,7 @@ class DecodedFrame:
         else:
             values = found if found.ndim == 3 else found[..., None]
             values = values if self.screen.white == 1.0 else values * self.screen.white
-        return Picture(self.screen, values, enhancement.magnification, n_clipped, cpu_s)
+        return EnhancedImage(self.screen, values, enhancement.magnification, n_clipped, cpu_s)
 
     def _clipped(self, found: Image, low: float, high: float, enhancement: Enhancement) -> tuple[Image, int]:
         smallest, largest = float(found.min()), float(found.max())
@@ -189,9 +189,14 @@ class DecodedFrame:
             )
         return np.clip(found, low, high), n_outside
 
-    def looked_at(
-        self, picture: Picture, place: Placement, given_background_cd_m2: float | None, *, whole: bool = False
-    ) -> Looked:
+    def crop(
+        self,
+        picture: EnhancedImage,
+        place: Placement,
+        given_background_cd_m2: float | None,
+        *,
+        whole: bool = False,
+    ) -> CroppedImage:
         """The part of a picture that a retina grid touches, or all of it, as contrast.
 
         Parameters
@@ -218,13 +223,13 @@ class DecodedFrame:
             background = given * self._brightening(picture)
         n_negative = int(np.count_nonzero(luminance < 0.0))
         patch = Patch(finite_contrast(luminance, background), y.first, x.first, n_negative)
-        return Looked(patch, x.centre_px, y.centre_px, self.screen.display.pitch_mrad / m)
+        return CroppedImage(patch, x.centre_px, y.centre_px, self.screen.display.pitch_mrad / m)
 
     @cached_property
     def _border_luminance(self) -> float:
         return self.original.border_luminance()
 
-    def _brightening(self, picture: Picture) -> float:
+    def _brightening(self, picture: EnhancedImage) -> float:
         """How much brighter the border is after the algorithm: what a given background becomes by it."""
         if picture is self.original:
             return 1.0
@@ -331,7 +336,7 @@ class TrialReader:
             try:
                 for algorithm in self.algorithms:
                     picture = decoded.after(algorithm)
-                    part = decoded.looked_at(picture, place, frame.background_luminance_cd_m2, whole=whole)
+                    part = decoded.crop(picture, place, frame.background_luminance_cd_m2, whole=whole)
                     looked.append((part, self._measured(dataset, frame, picture)))
             except FrameError:
                 raise
@@ -340,7 +345,7 @@ class TrialReader:
             frames.append(looked)
         return [_of_trial(of_algorithm, n_rows[0]) for of_algorithm in zip(*frames, strict=True)]
 
-    def _measured(self, dataset: Dataset, frame: FrameReference, picture: Picture) -> Measured:
+    def _measured(self, dataset: Dataset, frame: FrameReference, picture: EnhancedImage) -> Measured:
         path = dataset.reference_path(frame)
         error = ssim = None
         if path is not None:
@@ -359,7 +364,7 @@ class TrialReader:
             raise FrameError(path, str(error)) from None
 
 
-def _of_trial(frames: Sequence[tuple[Looked, Measured]], n_rows: int) -> EnhancedTrial:
+def _of_trial(frames: Sequence[tuple[CroppedImage, Measured]], n_rows: int) -> EnhancedTrial:
     """One algorithm's frames as a trial."""
     looked, measured = zip(*frames, strict=True)
     patches, xs, ys, pitches = zip(*looked, strict=True)

@@ -54,7 +54,7 @@ def check_sha256(dataset: Dataset, frame: FrameReference) -> None:
             raise FrameError(path, f"sha256 is {found}, the manifest says {frame.sha256}")
 
 
-def left_out(dataset: Dataset, trial: Trial, error: FrameError | str) -> list[Skipped]:
+def skipped_frames(dataset: Dataset, trial: Trial, error: FrameError | str) -> list[Skipped]:
     """All frames of a trial that cannot be used: it is averaged over all of them or not at all."""
     others = f"another frame of trial {trial.name} cannot be used"
     return [

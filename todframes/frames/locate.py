@@ -12,7 +12,7 @@ import numpy as np
 
 from todframes._typing import FloatArray
 from todframes.errors import DataError, FrameError
-from todframes.frames.contrast import Patch, check_sha256, left_out, read_contrast
+from todframes.frames.contrast import Patch, check_sha256, read_contrast, skipped_frames
 from todframes.frames.dataset import Dataset, FrameReference, Skipped, Trial
 from todframes.frames.files import FrameFile
 from todframes.frames.position import to_centroid
@@ -99,7 +99,7 @@ def locate_triangles(
             except FrameError as error:
                 if not skip_bad_frames:
                     raise
-                skipped[trial.number] = left_out(dataset, trial, error)
+                skipped[trial.number] = skipped_frames(dataset, trial, error)
             if progress is not None:
                 progress(1)
         try:
@@ -108,7 +108,9 @@ def locate_triangles(
         except DataError as error:
             if not skip_bad_frames:
                 raise
-            skipped |= {t.number: left_out(dataset, t, str(error)) for t in trials if t.number not in skipped}
+            skipped |= {
+                t.number: skipped_frames(dataset, t, str(error)) for t in trials if t.number not in skipped
+            }
     placed = []
     for trial in dataset.trials:
         if trial.x_px is None and trial.group in locations:

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from todframes._typing import FloatArray
 from todframes.config import check_ranges
 from todframes.errors import SettingsError
-from todframes.observers.interface import LeftOut
+from todframes.observers.interface import OmittedWeights
 from todframes.observers.internal_noise import Bands
 from todframes.observers.pyramid import LARGEST_SIZE_SAMPLES, PyramidObserver, PyramidSettings
 from todframes.observers.retina import RetinaGrid
@@ -149,12 +149,12 @@ class InformativeObserver(PyramidObserver):
             )
         return size
 
-    def left_out(self, stimulus: Stimulus) -> LeftOut | None:
+    def omitted_bands(self, stimulus: Stimulus) -> OmittedWeights | None:
         """As that of `PyramidObserver`, as if every neuron of further bands were used.
 
         None with noise of the samples, for which the weights of all bands depend on each other.
         """
-        return None if self.settings.sample_noise_sd > 0.0 else super().left_out(stimulus)
+        return None if self.settings.sample_noise_sd > 0.0 else super().omitted_bands(stimulus)
 
     def _coarser(self, octaves: int) -> PyramidSettings:
         coarse = super()._coarser(octaves)

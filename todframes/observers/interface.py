@@ -124,7 +124,7 @@ class Readout:
         return first_order if self.find_fourth_cumulants is None else SECOND_ORDER * first_order**2
 
 
-class LeftOut(NamedTuple):
+class OmittedWeights(NamedTuple):
     """What a readout leaves out to save time.
 
     Attributes
@@ -185,16 +185,16 @@ class Observer(Protocol):
 
 
 @runtime_checkable
-class Thrifty(Protocol):
+class TruncatedObserver(Protocol):
     """What an observer may offer besides, if its readout leaves out what next to nothing depends on."""
 
-    def full(self) -> Observer:
+    def with_extra_level(self) -> Observer:
         """The same observer, leaving nothing of weight out."""
 
-    def leaner(self, stimulus: Stimulus) -> Observer | None:
+    def with_fewer_levels(self, stimulus: Stimulus) -> Observer | None:
         """The same observer, leaving more out; None where that cannot be."""
 
-    def left_out(self, stimulus: Stimulus) -> LeftOut | None:
+    def omitted_bands(self, stimulus: Stimulus) -> OmittedWeights | None:
         """What its readout leaves out; None: nothing."""
 
 

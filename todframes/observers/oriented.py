@@ -17,7 +17,7 @@ import numpy as np
 from todframes._typing import FloatArray
 from todframes.errors import SettingsError
 from todframes.observers.gabor_pyramid import GaborPyramid, Phases
-from todframes.observers.interface import LeftOut
+from todframes.observers.interface import OmittedWeights
 from todframes.observers.internal_noise import Bands
 from todframes.observers.pyramid import PyramidObserver, PyramidSettings
 from todframes.observers.retina import RetinaGrid
@@ -97,9 +97,9 @@ class OrientedObserver(PyramidObserver):
         if self.settings.complex_cells:
             self.readout = _no_readout  # type: ignore[assignment] # what is not linear has none, unlike its base
 
-    def left_out(self, stimulus: Stimulus) -> LeftOut | None:
+    def omitted_bands(self, stimulus: Stimulus) -> OmittedWeights | None:
         """As that of `PyramidObserver`; None if it is not linear."""
-        return None if self.settings.complex_cells else super().left_out(stimulus)
+        return None if self.settings.complex_cells else super().omitted_bands(stimulus)
 
     def grid(self, stimulus: Stimulus) -> RetinaGrid:
         """As that of `PyramidObserver`."""

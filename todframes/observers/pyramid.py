@@ -20,7 +20,7 @@ import numpy as np
 from todframes._typing import FloatArray
 from todframes.config import check_ranges
 from todframes.errors import SettingsError
-from todframes.observers.interface import LeftOut, Readout
+from todframes.observers.interface import OmittedWeights, Readout
 from todframes.observers.internal_noise import Bands, inner_product, summed_noise
 from todframes.observers.laplacian_pyramid import LaplacianPyramid
 from todframes.observers.retina import RetinaGrid, gaussian_blur
@@ -133,7 +133,7 @@ class PyramidObserver:
         # Per observer, not per class: a cache on the method would keep every observer alive.
         self.templates = lru_cache(maxsize=4)(self._templates)
         self.readout = lru_cache(maxsize=4)(self._readout)
-        self.full = lru_cache(maxsize=1)(self._full)
+        self.with_extra_level = lru_cache(maxsize=1)(self._with_extra_level)
 
     @property
     def centre(self) -> Centre:
@@ -177,11 +177,11 @@ class PyramidObserver:
         """Size of a triangle as wide as this one is seen."""
         return stimulus.size_mrad
 
-    def _full(self) -> Self:
+    def _with_extra_level(self) -> Self:
         """The same with one band, and one octave of the field, more than a triangle needs."""
         return type(self)(self.settings, more_levels=1)
 
-    def leaner(self, stimulus: Stimulus) -> Self | None:
+    def with_fewer_levels(self, stimulus: Stimulus) -> Self | None:
         """The same with one band less; None where the triangle would not fit."""
         if self.settings.levels is not None or self._more_levels or self._levels(stimulus) == FEWEST_LEVELS:
             return None
@@ -192,7 +192,7 @@ class PyramidObserver:
         except SettingsError:
             return None
 
-    def left_out(self, stimulus: Stimulus) -> LeftOut | None:
+    def omitted_bands(self, stimulus: Stimulus) -> OmittedWeights | None:
         """What one more band and octave of the field would add to the readout, seen on a coarser retina.
 
         The coarse bands of a large triangle are those of a small one on a coarse retina, which cost little: the
@@ -212,7 +212,7 @@ class PyramidObserver:
         kept[:, margin:-margin, margin:-margin] = narrow.deviations
         gain = self.settings.band_gain ** (2 * octaves)
         added, noise = wide.deviations - kept, wide.noise_covariance - narrow.noise_covariance
-        return LeftOut(wide.grid, gain * kept, gain * added, gain * noise)
+        return OmittedWeights(wide.grid, gain * kept, gain * added, gain * noise)
 
     def _coarser(self, octaves: int) -> PyramidSettings:
         """Settings that see coarse bands as these do, on a retina of so many octaves less."""

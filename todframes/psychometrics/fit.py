@@ -77,7 +77,7 @@ def _require(key: str, found: object, holds: bool, expected: str) -> None:
 
 
 @dataclass(frozen=True, slots=True)
-class Point:
+class LevelCount:
     """The observed proportion correct at one level."""
 
     level: float
@@ -116,7 +116,7 @@ class PsychometricFit:
     gamma: float
     delta: float | None
     n_trials: int
-    points: tuple[Point, ...]
+    points: tuple[LevelCount, ...]
     points_threshold: float | None = None
 
 
@@ -241,7 +241,9 @@ def curve_model(
 
 
 def _fit(observed: Observed, settings: FitSettings, rng: np.random.Generator) -> PsychometricFit:
-    points = tuple(map(Point, observed.level.tolist(), observed.n_trials.tolist(), observed.p_correct.tolist()))
+    points = tuple(
+        map(LevelCount, observed.level.tolist(), observed.n_trials.tolist(), observed.p_correct.tolist())
+    )
     nothing = PsychometricFit(
         status="too_few_levels",
         threshold=None,

@@ -17,7 +17,7 @@ from todframes._typing import Json
 from todframes.report import figures
 from todframes.report import tables as report_tables
 from todframes.report.figure_style import style
-from todframes.report.result import Algorithm, Example, Fit, Picture, Record, Result, read_result
+from todframes.report.result import Algorithm, Example, Fit, Record, Result, Thumbnail, read_result
 from todframes.report.summary import verdict
 from todframes.report.svg import inline_svg
 from todframes.report.tables import scene_runs, scene_tables
@@ -193,7 +193,7 @@ def _about_example(one: Example) -> str:
     return ", ".join(part for part in parts if part)
 
 
-def _tile(picture: Picture) -> Json:
+def _tile(picture: Thumbnail) -> Json:
     scale = ""
     if picture.scale is not None and picture.name == "display":
         scale = f"white: {plain(1.0 + picture.scale)} × background"

@@ -57,7 +57,7 @@ Record = dict[str, Any]
 Names = list[Any] | str
 
 
-class Point(Struct, frozen=True):
+class FitPoint(Struct, frozen=True):
     """The proportion correct at one level; `n_trials` is 0 where it was computed."""
 
     level: Positive
@@ -82,7 +82,7 @@ class Fit(Struct, frozen=True):
     gamma: Proportion | None = None
     delta: Proportion | None = None
     n_trials: int = 0
-    points: list[Point] = []
+    points: list[FitPoint] = []
     p_correct_error_bound: float | None = None
     p_correct_left_out_bound: float | None = None
     delta_t_mk: float | None = None
@@ -145,7 +145,7 @@ class SpeedRatio(Struct, frozen=True):
     at_least: bool = False
 
 
-class Scene(Struct, frozen=True):
+class SceneResult(Struct, frozen=True):
     """A scene of `accuracy`."""
 
     name: str
@@ -161,7 +161,7 @@ class Scene(Struct, frozen=True):
         return title[:1].upper() + title[1:]
 
 
-class Picture(Struct, frozen=True):
+class Thumbnail(Struct, frozen=True):
     """A PNG of an example. `scale` is the value of white, and minus that of black where zero is mid-grey."""
 
     name: str
@@ -173,7 +173,7 @@ class Example(Struct, frozen=True):
     """A trial near threshold: the frame as displayed and what the observer makes of it."""
 
     group: Group
-    pictures: list[Picture]
+    pictures: list[Thumbnail]
     level: str = "level"
     strength: float | None = None
     orientation: str | None = None
@@ -204,7 +204,7 @@ class Result(Struct, frozen=True):
     versions: Record = {}
     fits: list[Fit] = []
     algorithms: list[Algorithm] = []
-    scenes: list[Scene] = []
+    scenes: list[SceneResult] = []
     verdict: Names = []
     examples: list[Example] = []
     plan: list[Record] = []

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from todframes._typing import Json
-from todframes.report.result import Algorithm, Fit, Ratio, Result, Scene
+from todframes.report.result import Algorithm, Fit, Ratio, Result, SceneResult
 from todframes.report.wording import (
     _count,
     _groups,
@@ -196,7 +196,7 @@ def _ratios(these: Sequence[Ratio], of_all: Sequence[Ratio]) -> str:
     return f"at {listed(told)}"
 
 
-def timed(scenes: Sequence[Scene]) -> list[str]:
+def timed(scenes: Sequence[SceneResult]) -> list[str]:
     """How many times less CPU the cheapest way takes than the dearest, at which error."""
     told = []
     for scene in scenes:

@@ -13,7 +13,7 @@ import msgspec
 
 from todframes._typing import Json
 from todframes.enhancement.compare import AlgorithmResult
-from todframes.report.result import Algorithm, Fit, Record, Result, Scene
+from todframes.report.result import Algorithm, Fit, Record, Result, SceneResult
 from todframes.report.wording import interval, interval_phrase, level_name, number, plain, value_text
 from todframes.safe_text import csv_text, visible
 from todframes.scoring.score import ScoredDataset
@@ -286,8 +286,10 @@ MEASURE_COLUMNS = {
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """Rows of cells under headers. `numeric` tells which columns hold numbers, `left_out` how many rows are not
-    shown, `csv` is a data URI of all rows under the name `file`.
+    """Rows of cells under headers.
+
+    `numeric` tells which columns hold numbers, `n_rows_hidden` how many rows are not shown, `csv` is a data URI of
+    all rows under the name `file`.
     """
 
     caption: str
@@ -296,7 +298,7 @@ class Table:
     numeric: tuple[bool, ...]
     file: str
     csv: str
-    left_out: int
+    n_rows_hidden: int
 
 
 def table(
@@ -328,7 +330,7 @@ def table(
         numeric=tuple(all(_is_number(value) for value in column) for column in columns.values()),
         file=file,
         csv="data:text/csv;charset=utf-8," + quote(_csv(list(headers), records)),
-        left_out=max(0, len(records) - LONGEST_TABLE),
+        n_rows_hidden=max(0, len(records) - LONGEST_TABLE),
     )
 
 
@@ -494,7 +496,7 @@ def _flat(values: Record, prefix: str) -> Record:
 Runs = dict[str, list[tuple[float, float]]]
 
 
-def scene_runs(scene: Scene) -> Runs:
+def scene_runs(scene: SceneResult) -> Runs:
     """CPU time and relative error of the threshold at each budget of each estimator; both above 0."""
     runs = {
         one.title: [
@@ -511,7 +513,7 @@ def _is_positive(value: object) -> bool:
     return isinstance(value, int | float) and value > 0
 
 
-def scene_tables(scene: Scene, number: int) -> list[Table]:
+def scene_tables(scene: SceneResult, number: int) -> list[Table]:
     """Estimators first; then what they take at some errors, all budgets, and what changing one thing does."""
     estimators: list[Record] = [
         {

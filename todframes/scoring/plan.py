@@ -20,7 +20,7 @@ from todframes._typing import FloatArray
 from todframes.errors import FrameError, SettingsError
 from todframes.frames.dataset import Dataset, Trial
 from todframes.frames.position import check_place
-from todframes.observers.interface import LeftOut, Observer, Readout, Thrifty
+from todframes.observers.interface import Observer, OmittedWeights, Readout, TruncatedObserver
 from todframes.observers.retina import RetinaGrid
 from todframes.scoring.error_budget import LEFT_OUT_SHARE, SAFETY, PlanName, Step, decision_change
 from todframes.scoring.retina_view import Reader, Shown, read_as_it_is, retina_image
@@ -71,7 +71,7 @@ class ScorePlan:
     def observer_of(self, stimulus: Stimulus) -> Observer:
         """The observer that looks at a stimulus."""
         if self.stimuli[stimulus].full_observer:
-            return cast("Thrifty", self.observer).full()
+            return cast("TruncatedObserver", self.observer).with_extra_level()
         return self.observer
 
     def readout(self, stimulus: Stimulus) -> Readout | None:
@@ -104,7 +104,7 @@ def plan_score(
     for trial in trials:
         of_stimulus.setdefault(trial.stimulus, []).append(trial)
     if name == "full" or not expected:
-        full = name == "full" and isinstance(observer, Thrifty)
+        full = name == "full" and isinstance(observer, TruncatedObserver)
         plans = {stimulus: StimulusPlan(full_observer=full) for stimulus in of_stimulus}
         why = "as --plan full asks" if name == "full" else "answers are drawn with noise on every neuron"
         return ScorePlan(observer, plans, name == "full", (Step("everything", True, why),))
@@ -134,7 +134,7 @@ def _weigh(dataset: Dataset, trials: Sequence[Trial], observer: Observer, budget
     if not any(_has_place(dataset, trial, observer) for trial in first):
         return _Weighed(StimulusPlan())  # met again, and told, when it is scored; its readout may be huge
     try:
-        missing = observer.left_out(stimulus) if isinstance(observer, Thrifty) else None
+        missing = observer.omitted_bands(stimulus) if isinstance(observer, TruncatedObserver) else None
         widest = missing.grid if missing is not None else observer.grid(stimulus)
         displaced_mrad = _displaced_mrad(observer, stimulus)
         readout = observer.readout(stimulus)
@@ -163,8 +163,8 @@ def _weigh(dataset: Dataset, trials: Sequence[Trial], observer: Observer, budget
         full = bounds["pyramid levels"] > budget
         if full:
             del bounds["pyramid levels"]
-            assert isinstance(observer, Thrifty)
-            readout = observer.full().readout(stimulus)
+            assert isinstance(observer, TruncatedObserver)
+            readout = observer.with_extra_level().readout(stimulus)
             assert readout is not None
             weights = weights + missing.deviations
     half_width, bounds["field"] = _half_width(readout, stimulus, widest.pitch_mrad, weights, images, budget)
@@ -219,7 +219,7 @@ def _images(shown: Sequence[Shown], grid: RetinaGrid, displaced_mrad: FloatArray
     return np.array([retina_image(one, grid, (dx, dy)) for one in shown for dx, dy in displacements])
 
 
-def _levels_bound(readout: Readout, missing: LeftOut, images: FloatArray) -> float:
+def _levels_bound(readout: Readout, missing: OmittedWeights, images: FloatArray) -> float:
     change = decision_change(
         _score(missing.deviations, images), readout.noise_covariance, missing.noise_covariance
     )

@@ -13,18 +13,18 @@ from numpy.typing import NDArray
 
 from todframes._typing import FloatArray
 from todframes.errors import DataError, SettingsError
-from todframes.frames.contrast import left_out
+from todframes.frames.contrast import skipped_frames
 from todframes.frames.dataset import Dataset, Skipped, Trial
 from todframes.frames.position import check_places
 from todframes.observers.interface import Observer
 from todframes.psychometrics.fit import FitSettings, PsychometricFit, fit_trials
 from todframes.scoring.error_budget import PlanName, Step
 from todframes.scoring.plan import ScorePlan, plan_score
-from todframes.scoring.trials import FIT_STREAMS, SCRAMBLINGS, Decisions, SeenTrial, TrialScorer, see_trials
+from todframes.scoring.trials import FIT_STREAMS, REPLICATES, Decisions, SeenTrial, TrialScorer, see_trials
 from todframes.stimulus import Stimulus
 
 MOST_DISPLACEMENTS = 64
-"""Of each trial in each scrambling."""
+"""Of each trial in each replicate."""
 
 
 DEFAULT_TOLERANCE = 2e-3
@@ -32,7 +32,7 @@ DEFAULT_TOLERANCE = 2e-3
 
 
 STANDARD_ERRORS_95 = 2.8412
-"""The 98.75 % point of Student's t with one degree of freedom less than there are scramblings: half of what an
+"""The 98.75 % point of Student's t with one degree of freedom less than there are replicates: half of what an
 interval may miss is kept for errors that were small enough by chance."""
 
 
@@ -182,7 +182,7 @@ def usable_trials(dataset: Dataset, *, skip_bad_frames: bool) -> tuple[list[Tria
     skipped = list(dataset.bad_rows)
     for trial in dataset.trials:
         if trial.name in dataset.spoilt:
-            skipped += left_out(dataset, trial, f"another frame of trial {trial.name} cannot be used")
+            skipped += skipped_frames(dataset, trial, f"another frame of trial {trial.name} cannot be used")
     usable = [trial for trial in dataset.trials if trial.name not in dataset.spoilt]
     check_seen(dataset, usable, skipped)
     return usable, skipped
@@ -195,7 +195,7 @@ def check_seen(dataset: Dataset, seen: Sequence[object], skipped: Sequence[Skipp
 
 
 def _displacements_needed(group: GroupFit, tolerance: float) -> int:
-    """How many displacements in each scrambling bring the error below the tolerance, if it falls as 1/√n."""
+    """How many displacements in each replicate bring the error below the tolerance, if it falls as 1/√n."""
     if group.numerical_error is None or group.fit.threshold is None:
         return 1
     ratio = group.numerical_error / (tolerance * group.fit.threshold)
@@ -302,13 +302,13 @@ class GroupFitter:
     def _numerical_error(
         self, level: FloatArray, p_each: Sequence[FloatArray], fit: PsychometricFit
     ) -> float | None:
-        """Half-width of the threshold's 95 % interval over displacements, from the spread among scramblings."""
-        if fit.threshold is None or len(p_each[0]) < SCRAMBLINGS:
+        """Half-width of the threshold's 95 % interval over displacements, from the spread among replicates."""
+        if fit.threshold is None or len(p_each[0]) < REPLICATES:
             return None
         settings, rng = replace(self.fit_settings, resamples=0), np.random.default_rng(0)
-        sets = np.array([p.reshape(SCRAMBLINGS, -1).mean(axis=1) for p in p_each]).T
+        sets = np.array([p.reshape(REPLICATES, -1).mean(axis=1) for p in p_each]).T
         thresholds = [fit_trials(level, p, settings=settings, rng=rng).threshold for p in sets]
         found = [threshold for threshold in thresholds if threshold is not None]
-        if len(found) < SCRAMBLINGS:
+        if len(found) < REPLICATES:
             return None
-        return float(STANDARD_ERRORS_95 * np.std(found, ddof=1) / math.sqrt(SCRAMBLINGS))
+        return float(STANDARD_ERRORS_95 * np.std(found, ddof=1) / math.sqrt(REPLICATES))

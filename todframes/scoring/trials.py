@@ -13,7 +13,7 @@ import numpy as np
 
 from todframes._typing import FloatArray
 from todframes.errors import FrameError, SettingsError
-from todframes.frames.contrast import left_out
+from todframes.frames.contrast import skipped_frames
 from todframes.frames.dataset import Dataset, Skipped, Trial
 from todframes.observers.interface import Readout
 from todframes.observers.retina import RetinaGrid
@@ -43,7 +43,7 @@ NO_ANSWER = -1
 TRIAL_STREAMS, FIT_STREAMS, DISPLACEMENT_STREAMS, RATIO_STREAMS = range(4)
 
 
-SCRAMBLINGS = 8
+REPLICATES = 8
 """Independent sets of displacements, which tell how well the displacements are averaged over."""
 
 
@@ -98,7 +98,7 @@ class Scorer(Protocol[T_co]):
 class TrialScorer:
     """Scores trials; holds nothing that changes, so threads share it.
 
-    `displacements` is how many each trial has in each of the scramblings; 0: one alone, from its own stream.
+    `displacements` is how many each trial has in each of the replicates; 0: one alone, from its own stream.
     """
 
     dataset: Dataset
@@ -160,9 +160,7 @@ class TrialScorer:
         if not self.displacements:
             return rng.uniform(-jitter, jitter, (1, 2))
         key = (DISPLACEMENT_STREAMS, self.displacements, trial.number)
-        shifts = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=key)).random(
-            (SCRAMBLINGS, 1, 2)
-        )
+        shifts = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=key)).random((REPLICATES, 1, 2))
         evenly = (shifts + np.arange(self.displacements)[:, None] * KRONECKER_STEPS) % 1.0
         return np.asarray(jitter * (2.0 * evenly.reshape(-1, 2) - 1.0))
 
@@ -203,7 +201,7 @@ def see_trials(
             except FrameError as error:
                 if not skip_bad_frames:
                     raise
-                skipped += left_out(scorer.dataset, trial, error)
+                skipped += skipped_frames(scorer.dataset, trial, error)
         return seen, skipped
 
     # Threads: decoding releases the interpreter lock, and no worker process can die and take results along.

@@ -124,7 +124,7 @@ class Variant:
     prepare: Callable[[], Callable[[np.random.Generator], Estimate]]
 
 
-class Scene(Protocol):
+class StudyScene(Protocol):
     """What estimators are tried on; register a callable that makes one under `todframes.accuracy_scenes`."""
 
     @property
@@ -219,7 +219,7 @@ def estimate_at_one_level(outcomes: FloatArray, converged: Converged) -> Estimat
     return Estimate(p_correct, threshold)
 
 
-def find_scenes(names: Sequence[str]) -> dict[str, Callable[[], Scene]]:
+def find_scenes(names: Sequence[str]) -> dict[str, Callable[[], StudyScene]]:
     """What makes the scenes of these names, or all that are registered if there are none.
 
     Raises
@@ -232,7 +232,7 @@ def find_scenes(names: Sequence[str]) -> dict[str, Callable[[], Scene]]:
     scenes = {}
     for name in names or found:
         try:
-            scenes[name] = cast("Callable[[], Scene]", found[name].load())
+            scenes[name] = cast("Callable[[], StudyScene]", found[name].load())
         except (ImportError, AttributeError) as error:
             raise SettingsError(f"--scene: {name!r} cannot be loaded ({error})") from None
     return scenes

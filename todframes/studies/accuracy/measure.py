@@ -27,12 +27,12 @@ from todframes.studies.accuracy.estimators import (
     Estimate,
     MonteCarlo,
     Quadrature,
-    Scene,
+    StudyScene,
     Variant,
 )
 
 
-class Point(NamedTuple):
+class BudgetPoint(NamedTuple):
     """An estimator at one budget: trials, estimates that the errors are taken over, time of one, errors."""
 
     trials: int
@@ -99,7 +99,7 @@ def fitted_slope(
     return float(line[1]), math.sqrt(inverse[1, 1])
 
 
-def time_of_draws(points: Sequence[Point], set_up: float, drawn: int, error: float) -> TimeAt:
+def time_of_draws(points: Sequence[BudgetPoint], set_up: float, drawn: int, error: float) -> TimeAt:
     """Along 1/√N through the smallest blocks: there are the most of them, and larger ones hold no more of it.
 
     It is extrapolated beyond the number of trials that were `drawn` in all.
@@ -112,7 +112,7 @@ def time_of_draws(points: Sequence[Point], set_up: float, drawn: int, error: flo
     return TimeAt(error, set_up + each * math.ceil(trials), extrapolated=trials > drawn)
 
 
-def time_of_rule(points: Sequence[Point], error: float) -> TimeAt:
+def time_of_rule(points: Sequence[BudgetPoint], error: float) -> TimeAt:
     """Between the last budget whose error is larger and the next one, along a straight line of logarithms."""
     larger = [number for number, point in enumerate(points) if point.threshold_error > error]
     if not larger:
@@ -170,7 +170,7 @@ class Curve(NamedTuple):
     name: str
     label: str
     set_up_cpu_s: float
-    points: tuple[Point, ...]
+    points: tuple[BudgetPoint, ...]
     slope: float | None
     slope_error: float | None
     times: tuple[TimeAt, ...]
@@ -199,7 +199,7 @@ class Measured(NamedTuple):
     p_correct_error_bound: float
 
 
-def measure(scene: Scene, *, seconds: float, seed: int = 1) -> Measured:
+def measure(scene: StudyScene, *, seconds: float, seed: int = 1) -> Measured:
     """Run all estimators of a scene.
 
     Parameters
@@ -271,7 +271,7 @@ def _prepared(prepare: Callable[[], Callable[..., object]], *arguments: object) 
 
 
 def _measure_draws(
-    scene: Scene, estimator: MonteCarlo, converged: Converged, seconds: float, rng: np.random.Generator
+    scene: StudyScene, estimator: MonteCarlo, converged: Converged, seconds: float, rng: np.random.Generator
 ) -> Curve:
     set_up = _prepared(estimator.prepare, 1, rng)
     draw = estimator.prepare()
@@ -292,7 +292,7 @@ def _measure_draws(
         errors = _errors([scene.estimate(mean, converged) for mean in means], converged)
         if math.isfinite(errors[1]):
             cpu_s, wall_s = (np.array(set_up) + size * each).tolist()
-            points.append(Point(size, blocks, cpu_s, wall_s, *errors))
+            points.append(BudgetPoint(size, blocks, cpu_s, wall_s, *errors))
         size *= BLOCK_GROWTH
     times = tuple(time_of_draws(points, set_up[0], total, at) for at in TARGETS)
     shown = [point for point in points if point.threshold_error <= LARGEST_SHOWN]
@@ -302,7 +302,7 @@ def _measure_draws(
 def _measure_rule(estimator: Quadrature, converged: Converged, seconds: float, rng: np.random.Generator) -> Curve:
     set_up = _prepared(estimator.prepare, estimator.budgets[0], rng)
     run = estimator.prepare()
-    points: list[Point] = []
+    points: list[BudgetPoint] = []
     clock = _Clock()
     times: list[tuple[float, float]] = []
     for budget in estimator.budgets:
@@ -315,7 +315,7 @@ def _measure_rule(estimator: Quadrature, converged: Converged, seconds: float, r
             times.append(one.read())
         cpu_s, wall_s = (np.array(set_up) + np.median(times, axis=0)).tolist()
         errors = _errors(estimates, converged)
-        points.append(Point(budget, estimator.repeats, cpu_s, wall_s, *errors))
+        points.append(BudgetPoint(budget, estimator.repeats, cpu_s, wall_s, *errors))
         if errors[1] < converged.bound / converged.threshold:
             break  # what is left is the converged value's own error
     return _curve(estimator, set_up[0], points, tuple(time_of_rule(points, at) for at in TARGETS))
@@ -329,7 +329,7 @@ def _errors(estimates: Sequence[Estimate], converged: Converged) -> tuple[float,
 
 
 def _curve(
-    estimator: MonteCarlo | Quadrature, set_up: float, points: Sequence[Point], times: tuple[TimeAt, ...]
+    estimator: MonteCarlo | Quadrature, set_up: float, points: Sequence[BudgetPoint], times: tuple[TimeAt, ...]
 ) -> Curve:
     used = [point for point in points if point.threshold_error > 0.0 and point.cpu_s > set_up]
     x = np.log([point.cpu_s - set_up for point in used])

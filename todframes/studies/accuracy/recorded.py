@@ -219,7 +219,7 @@ class Recorded:
             variant("as planned", self._planned),
             variant("float32", self._planned, np.float32),
             variant("whole retina", lambda: self._whole(PyramidObserver())),
-            variant("one pyramid level more", lambda: self._whole(PyramidObserver().full())),
+            variant("one pyramid level more", lambda: self._whole(PyramidObserver().with_extra_level())),
             variant(
                 "one pyramid level less", lambda: self._whole(PyramidObserver(PyramidSettings(levels=levels - 1)))
             ),
