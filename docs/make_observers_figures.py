@@ -23,7 +23,7 @@ from matplotlib.figure import Figure
 from sensor_sim.matched import matched_settings
 from sensor_sim.predict import FoldedChain, PredictedThreshold, predict_threshold
 from sensor_sim.sensor import Sensor, load_sensor
-from todframes.observers.hotelling import InformativeObserver
+from todframes.observers.hotelling import HotellingObserver
 from todframes.observers.interface import Observer
 from todframes.observers.oriented import OrientedObserver
 from todframes.observers.pyramid import PyramidObserver
@@ -48,8 +48,8 @@ def observers(sensor: Sensor) -> dict[str, Observer]:
     return {
         SHARP: PyramidObserver(),
         ORIENTED: OrientedObserver(),
-        MATCHED: InformativeObserver(matched_settings(sensor)),
-        IDEAL: InformativeObserver(
+        MATCHED: HotellingObserver(matched_settings(sensor)),
+        IDEAL: HotellingObserver(
             matched_settings(sensor, sample_noise_sd=sensor.display.gain / SAMPLE_NOISE_SNR)
         ),
     }
@@ -103,7 +103,7 @@ def neuron_figure() -> Figure:
     panels = figure.subplots(len(blurs_mrad), 5)
     stimulus = Stimulus(3.0)
     for row, blur in zip(panels, blurs_mrad, strict=True):
-        observer = InformativeObserver(replace(InformativeObserver().settings, display_blur_mrad=blur))
+        observer = HotellingObserver(replace(HotellingObserver().settings, display_blur_mrad=blur))
         used, template = observer.informative_neurons(stimulus), observer.templates(stimulus)[0]
         grid = observer.grid(stimulus)
         half = grid.width_mrad / 2.0
@@ -141,7 +141,7 @@ def texts(found: Curves) -> dict[str, str]:
     direct.append("|---|" + "---|" * len(NAKED_EYE_MRAD))
     plain: dict[str, Observer] = {
         SHARP: PyramidObserver(),
-        MATCHED: InformativeObserver(),
+        MATCHED: HotellingObserver(),
         ORIENTED: OrientedObserver(),
     }
     for name, observer in plain.items():

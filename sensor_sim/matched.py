@@ -7,10 +7,10 @@ from typing import Any
 
 from sensor_sim.sensor import Sensor
 from sensor_sim.transfer import optics_mtf
-from todframes.observers.hotelling import InformativeSettings
+from todframes.observers.hotelling import HotellingSettings
 
 
-def matched_settings(sensor: Sensor, **others: Any) -> InformativeSettings:
+def matched_settings(sensor: Sensor, **others: Any) -> HotellingSettings:
     """Settings of an observer whose templates are made from what this sensor and its display are expected to show.
 
     Optics are replaced by the Gaussian blur with the same transfer at the detectors' Nyquist frequency, or at half
@@ -32,7 +32,7 @@ def matched_settings(sensor: Sensor, **others: Any) -> InformativeSettings:
     as_seen = display.detector_pitch_mrad / detector.pitch_mrad
     frequency = min(detector.nyquist_cyc_per_mrad, optics.cut_off_cyc_per_mrad / 2.0)
     transfer = max(float(optics_mtf(frequency, optics=optics)), 1e-300)
-    return InformativeSettings(
+    return HotellingSettings(
         presample_blur_mrad=as_seen * math.sqrt(-math.log(transfer) / 2.0) / (math.pi * frequency),
         sample_width_mrad=as_seen * detector.width_mrad,
         sample_pitch_mrad=display.detector_pitch_mrad,

@@ -14,7 +14,7 @@ from sensor_sim.sampling import field_detectors, field_sampler
 from sensor_sim.sensor import Detector, Electronics, Noise, Optics, Sensor, SensorDisplay
 from todframes.errors import SettingsError
 from todframes.observers.decision import answer_probabilities
-from todframes.observers.hotelling import InformativeObserver, InformativeSettings
+from todframes.observers.hotelling import HotellingObserver, HotellingSettings
 from todframes.observers.interface import Readout
 from todframes.observers.pyramid import PyramidObserver, PyramidSettings
 from todframes.observers.retina import RetinaGrid, resample
@@ -31,8 +31,8 @@ DISPLAYS = [
 ]
 
 
-def observer(**changes: object) -> InformativeObserver:
-    return InformativeObserver(InformativeSettings(**changes))
+def observer(**changes: object) -> HotellingObserver:
+    return HotellingObserver(HotellingSettings(**changes))
 
 
 def triangles(grid: RetinaGrid, size_mrad: float) -> np.ndarray:
@@ -92,7 +92,7 @@ def test_expected_image_is_the_mean_over_the_places_on_the_detectors(blur_px: fl
         ),
     )
     size_detectors, display = 3.0, sensor.display
-    observer = InformativeObserver(matched_settings(sensor, retina_pitch_mrad=display.detector_pitch_mrad / 7))
+    observer = HotellingObserver(matched_settings(sensor, retina_pitch_mrad=display.detector_pitch_mrad / 7))
     stimulus = Stimulus(size_detectors * display.detector_pitch_mrad)
     grid = observer.grid(stimulus)
     expected = observer.displayed(triangles(grid, stimulus.size_mrad)[0])
@@ -161,10 +161,10 @@ def test_what_is_left_out_is_no_more_than_it_says(display: dict) -> None:
     """Two octaves more add next to nothing to d′², and no more than they would if all neurons were used."""
     stimulus, changes = Stimulus(7.0), {"position_jitter_samples": 0.0, **display}
     for share in (1.0, 0.99):
-        settings = InformativeSettings(informative_share=share, **changes)
-        usual, wide = (InformativeObserver(settings, more_levels=n).readout(stimulus) for n in (0, 2))
+        settings = HotellingSettings(informative_share=share, **changes)
+        usual, wide = (HotellingObserver(settings, more_levels=n).readout(stimulus) for n in (0, 2))
         added = wide.noise_covariance[0, 0] - usual.noise_covariance[0, 0]
-        said = InformativeObserver(settings).omitted_bands(stimulus).noise_covariance[0, 0]
+        said = HotellingObserver(settings).omitted_bands(stimulus).noise_covariance[0, 0]
         # The triangle on the coarser retina is blurred by one coarse sample more.
         assert -1e-12 * usual.noise_covariance[0, 0] <= added <= 1.2 * said
         assert said < 1e-4 * usual.noise_covariance[0, 0]
@@ -298,7 +298,7 @@ def test_weights_are_those_of_the_covariance_of_all_noise(share: float) -> None:
 # A filter that the observer knows.
 
 
-class Sharpening(InformativeObserver):
+class Sharpening(HotellingObserver):
     """The display also sharpens: 1 + 1.5 (1 − Gaussian), from 1 to 2.5, so nothing is lost."""
 
     def postsample_mtf(self, frequency_x: np.ndarray, frequency_y: np.ndarray) -> np.ndarray:
@@ -306,14 +306,14 @@ class Sharpening(InformativeObserver):
         return super().postsample_mtf(frequency_x, frequency_y) * (1.0 + 1.5 * (1.0 - blurred))
 
 
-def known_filters(**changes: object) -> list[InformativeObserver]:
+def known_filters(**changes: object) -> list[HotellingObserver]:
     """Observers of a plain, a sharpening and a (mildly, so that it can be undone) blurring display."""
-    plain = InformativeSettings(informative_share=1.0, **changes)
+    plain = HotellingSettings(informative_share=1.0, **changes)
     blurring = replace(plain, display_blur_mrad=0.1)
-    return [InformativeObserver(plain), Sharpening(plain), InformativeObserver(blurring)]
+    return [HotellingObserver(plain), Sharpening(plain), HotellingObserver(blurring)]
 
 
-def external_covariance(observer: InformativeObserver, readout: Readout) -> np.ndarray:
+def external_covariance(observer: HotellingObserver, readout: Readout) -> np.ndarray:
     """Of the scores, under white noise of standard deviation 1 on each sample in front of the display.
 
     Weights go back through a mirrored filter by the filter itself, with half the weight on the outermost samples.
@@ -366,7 +366,7 @@ def test_only_then_does_a_filter_make_no_difference() -> None:
     """Noise behind the filter, or weights that are not made for the noise, and sharpening tells."""
     stimulus = Stimulus(1.0)
 
-    def best_and_worst(one: InformativeObserver, external: float, internal: float) -> np.ndarray:
+    def best_and_worst(one: HotellingObserver, external: float, internal: float) -> np.ndarray:
         readout = one.readout(stimulus)
         shown = np.array([one.displayed(image) for image in triangles(readout.grid, stimulus.size_mrad)])
         covariance = external**2 * external_covariance(one, readout) + internal * readout.noise_covariance
@@ -400,7 +400,7 @@ def test_weights_that_are_not_found_are_refused(monkeypatch: pytest.MonkeyPatch)
 )
 def test_bad_settings(changes: dict, message: str) -> None:
     with pytest.raises(SettingsError, match=message):
-        InformativeSettings(**changes)
+        HotellingSettings(**changes)
 
 
 def test_too_wide_a_blur_says_so() -> None:

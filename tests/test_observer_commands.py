@@ -18,7 +18,7 @@ from sensor_sim.predict import FoldedChain, predict_threshold
 from sensor_sim.sensor import load_sensor
 from todframes.cli.console import run
 from todframes.cli.main import cli as todframes
-from todframes.observers.hotelling import InformativeObserver
+from todframes.observers.hotelling import HotellingObserver
 from todframes.observers.interface import find_observer
 from todframes.observers.pyramid import PyramidObserver, PyramidSettings
 
@@ -153,7 +153,7 @@ def test_documented_thresholds_are_the_thresholds() -> None:
     assert sensor.display.blur_sigma_px == 2.0
     for name, observer in (
         ("pyramid", PyramidObserver()),
-        ("informative", InformativeObserver(matched_settings(sensor))),
+        ("informative", HotellingObserver(matched_settings(sensor))),
     ):
         row = re.search(rf"^\| 2 px \| {name} \| (.*) \|$", DOCS, re.MULTILINE)[1].split("|")
         documented = float(row[sizes.index(4.0)])
@@ -174,7 +174,7 @@ def test_documented_naked_eye_is_what_the_command_says(name: str, capsys) -> Non
 def test_settings_that_are_shown_for_a_sensor_can_be_had(monkeypatch, capsys) -> None:
     monkeypatch.chdir(ROOT)
     exec(re.search(r"^```python matched\n(.*?)^```$", DOCS, re.MULTILINE | re.DOTALL)[1], {})
-    assert capsys.readouterr().out.startswith("InformativeSettings(")
+    assert capsys.readouterr().out.startswith("HotellingSettings(")
 
 
 @pytest.fixture

@@ -49,7 +49,7 @@ MOST_ITERATIONS = 500
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class InformativeSettings(PyramidSettings):
+class HotellingSettings(PyramidSettings):
     """Settings of `PyramidSettings`, and what the display does; all angles as seen on the display.
 
     Attributes
@@ -91,7 +91,7 @@ class InformativeSettings(PyramidSettings):
         return self.sample_pitch_mrad if self.sample_width_mrad is None else self.sample_width_mrad
 
 
-class InformativeObserver(PyramidObserver):
+class HotellingObserver(PyramidObserver):
     """The neurons of `PyramidObserver`, read out with the weights that suit the display.
 
     Its display is described by two transfer functions, which a subclass may replace by any that are real and even
@@ -100,13 +100,13 @@ class InformativeObserver(PyramidObserver):
 
     Parameters
     ----------
-    settings : InformativeSettings
+    settings : HotellingSettings
 
     Hogervorst et al. 2001, section 9.
     """
 
-    settings_type: ClassVar[type[InformativeSettings]] = InformativeSettings
-    settings: InformativeSettings
+    settings_type: ClassVar[type[HotellingSettings]] = HotellingSettings
+    settings: HotellingSettings
 
     def presample_mtf(self, frequency_x: FloatArray, frequency_y: FloatArray) -> FloatArray:
         """Transfer of optics and detectors at frequencies in cycles/mrad that broadcast against each other."""
@@ -158,7 +158,7 @@ class InformativeObserver(PyramidObserver):
 
     def _coarser(self, octaves: int) -> PyramidSettings:
         coarse = super()._coarser(octaves)
-        assert isinstance(coarse, InformativeSettings)
+        assert isinstance(coarse, HotellingSettings)
         return replace(coarse, informative_share=1.0)  # coarse bands alone hold another share
 
     def _expected(self, image: FloatArray) -> Bands:
