@@ -21,6 +21,7 @@ from __future__ import annotations
 
 import copy
 import math
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -37,6 +38,10 @@ MAX_FREQUENCIES = 2**22
 
 MAX_NEGLECTED = 0.05
 """Bound on what leaving out the optics may change in a sample; beyond, the field is refused as too large."""
+
+
+FREQUENCIES_AT_ONCE = 2**16
+"""Keeps the arrays of a spectrum that is being computed to some megabytes."""
 
 
 PLACES_AT_ONCE = 16
@@ -75,9 +80,6 @@ class TriangleSampler:
         Whether the optics are left out.
     neglected_bound : float
         0, or by how much at most a sample differs because there are too many frequencies.
-    wrap_around_bound : float
-        By how much at most a sample differs from that of a single triangle within half a detector of the
-        middle; falls with the cube of the period. 0 if the optics are left out: nothing is repeated then.
 
     Raises
     ------
@@ -107,8 +109,9 @@ class TriangleSampler:
         self._size = size_detectors
         self._field = self._whole_field = field_detectors
         self.period = period
+        self._optics, self._detector = optics, detector
         self._width = detector.width_mrad / detector.pitch_mrad
-        self.neglected_bound = self.wrap_around_bound = 0.0
+        self.neglected_bound = 0.0
         self.sharp = optics is None
         if optics is None:
             return
@@ -121,38 +124,49 @@ class TriangleSampler:
             if self.neglected_bound > MAX_NEGLECTED:
                 raise SettingsError(too_many_frequencies(2.0 * last**2))
         else:
-            pitch = detector.pitch_mrad
-            self.wrap_around_bound = repetition_bound(
-                optics,
-                area_mrad2=(size_detectors * pitch) ** 2,
-                reach_mrad=2.0 / 3.0 * HEIGHT_PER_SIZE * size_detectors * pitch + detector.width_mrad,
-                field_mrad=field_detectors * pitch,
-                period_mrad=period * pitch,
-            )
             self._prepare_spectrum(optics, detector, last)
 
-    def _prepare_spectrum(self, optics: Optics, detector: Detector, last: float) -> None:
-        """Unfolded spectrum up to `last` cycles per period: [folded x][replica in y][folded y][replica in x].
+    @cached_property
+    def wrap_around_bound(self) -> float:
+        """Bound on the difference of a sample from that of a single triangle within half a detector of the middle.
 
-        Real samples need folded x frequencies from 0 to half of the period only.
+        Falls with the cube of the period. 0 if the optics are left out: nothing is repeated then.
         """
-        period, pitch = self.period, detector.pitch_mrad
-        half = period // 2
-        self._folded_x = np.arange(half + 1)
-        self._replicas_x = np.arange(-math.floor((last + half) / period), math.floor(last / period) + 1)
-        n_y = math.floor((last + half) / period)
-        folded_y = np.fft.ifftshift(np.arange(period) - half)
-        self._k_y = np.arange(-n_y, n_y + 1)[:, None] * period + folded_y
-        # Samples start at the field's first detector, whose place relative to the middle is this.
-        first = -(self._whole_field - 1) / 2.0
-        self._unfolded = np.zeros((half + 1, *self._k_y.shape, self._replicas_x.size), dtype=np.complex128)
-        for i, k_folded in enumerate(self._folded_x):
-            k_x, k_y = np.broadcast_arrays(k_folded + self._replicas_x * period, self._k_y[..., None])
-            passed = np.hypot(k_x, k_y) < last
-            fx, fy = k_x[passed] / period, k_y[passed] / period
+        if self.sharp or self._optics is None:
+            return 0.0
+        pitch = self._detector.pitch_mrad
+        return repetition_bound(
+            self._optics,
+            area_mrad2=(self._size * pitch) ** 2,
+            reach_mrad=2.0 / 3.0 * HEIGHT_PER_SIZE * self._size * pitch + self._detector.width_mrad,
+            field_mrad=self._whole_field * pitch,
+            period_mrad=self.period * pitch,
+        )
+
+    def _prepare_spectrum(self, optics: Optics, detector: Detector, last: float) -> None:
+        """Compute the spectrum up to `last` cycles per period: [folded x][replica in y, folded y][replica in x].
+
+        Real samples need folded x frequencies from 0 to half of the period only. The upright triangle is its own
+        mirror image, and its spectrum at −f is conjugate to that at f, so a quarter of the plane is computed.
+        """
+        period, half, end = self.period, self.period // 2, math.floor(last) + 1
+        quarter = np.zeros((end + 1, end + 1), dtype=np.complex128)  # the last row and column stay empty
+        below_last = np.argwhere(np.hypot(np.arange(end)[:, None], np.arange(end)) < last)
+        for part in np.array_split(below_last, len(below_last) // FREQUENCIES_AT_ONCE + 1):
+            k_y, k_x = part.T
+            fx, fy = k_x / period, k_y / period
+            pitch = detector.pitch_mrad
             transfer = pre_sample_mtf(fx / pitch, fy / pitch, optics=optics, detector=detector)
-            triangle = spectrum(fx, fy, size=self._size, orientation=Orientation.UP, x=-first, y=-first)
-            self._unfolded[i][passed] = transfer * triangle
+            quarter[k_y, k_x] = transfer * spectrum(fx, fy, size=self._size, orientation=Orientation.UP)
+        n_y = math.floor((last + half) / period)
+        self._folded_x = np.arange(half + 1)
+        self._folded_y = np.fft.ifftshift(np.arange(period) - half)
+        self._replicas_x = np.arange(-math.floor((last + half) / period), math.floor(last / period) + 1)
+        self._replicas_y = np.arange(-n_y, n_y + 1)
+        k_x = self._folded_x[:, None, None] + self._replicas_x * period
+        k_y = (self._replicas_y[:, None] * period + self._folded_y).reshape(-1, 1)
+        self._unfolded = quarter[np.minimum(np.abs(k_y), end), np.minimum(np.abs(k_x), end)]
+        self._unfolded.imag *= np.sign(k_y)
 
     def within(self, field_detectors: int) -> TriangleSampler:
         """The same samples, but for those outside of a smaller field with the same middle.
@@ -183,24 +197,35 @@ class TriangleSampler:
         """
         x, y = _upright_place(x_detectors, y_detectors, orientation)
         upright = np.empty((x.size, self._field, self._field))
-        margin = (self._whole_field - self._field) // 2
-        inner = slice(margin, margin + self._field)
+        samples_of = self._covered_area if self.sharp else self._band_limited
         for start in range(0, x.size, PLACES_AT_ONCE):
             part = slice(start, start + PLACES_AT_ONCE)
-            if self.sharp:
-                upright[part] = self._covered_area(x[part], y[part])
-            else:
-                repeated = np.fft.irfft2(self._folded(x[part], y[part]), s=(self.period,) * 2, axes=(1, 0))
-                upright[part] = repeated[inner, inner].transpose(2, 1, 0)
+            upright[part] = samples_of(x[part], y[part])
         return np.rot90(upright, -orientation.quarter_turns, axes=(1, 2))
 
-    def _folded(self, x: FloatArray, y: FloatArray) -> ComplexArray:
-        """Spectrum folded onto the grid, for upright triangles at these places: (folded x, folded y, places)."""
-        turn = -2j * np.pi / self.period
-        k_x = self._folded_x[:, None] + self._replicas_x * self.period
-        replicas_y = self._unfolded @ np.exp(turn * k_x[..., None] * x)[:, None]
-        replicas_y *= np.exp(turn * self._k_y[..., None] * y)
-        return np.asarray(replicas_y.sum(axis=1))
+    def _band_limited(self, x: FloatArray, y: FloatArray) -> FloatArray:
+        """Sum the waves of upright triangles at these places: (places, field, field).
+
+        Places are counted from the field's first detector, so that all replicas of a frequency are alike there.
+        The field is a part of the period: products of matrices take less time than a fast Fourier transform.
+        """
+        turn, first = -2j * np.pi / self.period, -(self._field - 1) / 2.0
+        x, y = x - first, y - first
+        waves_x = _outer(
+            np.exp(turn * np.outer(self._folded_x, x)), np.exp(-2j * np.pi * np.outer(self._replicas_x, x))
+        )
+        waves_y = _outer(
+            np.exp(-2j * np.pi * np.outer(self._replicas_y, y)), np.exp(turn * np.outer(self._folded_y, y))
+        )
+        replicas_y = (self._unfolded @ waves_x).reshape(-1, *waves_y.shape)
+        replicas_y *= waves_y
+        folded = replicas_y.sum(axis=1)
+        place = np.arange(self._field)[:, None]
+        rows = np.exp(-turn * place * self._folded_y) @ folded
+        # Each wave along x but those of its own conjugate stands for two.
+        weight = np.where(2 * self._folded_x % self.period == 0, 1.0, 2.0) / self.period**2
+        samples = (weight * np.exp(-turn * place * self._folded_x)) @ rows.transpose(1, 0, 2)
+        return np.asarray(samples.real.transpose(2, 0, 1))
 
     def _covered_area(self, x: FloatArray, y: FloatArray) -> FloatArray:
         """Share of each active area that an upright triangle covers, exactly: (places, field, field).
@@ -267,6 +292,11 @@ def field_sampler(sensor: Sensor, size_detectors: float) -> TriangleSampler:
         field_detectors=field,
         period_detectors=2 * field,
     )
+
+
+def _outer(first: ComplexArray, second: ComplexArray) -> ComplexArray:
+    """Multiply waves (n, places) and (m, places): (n, m, places)."""
+    return np.asarray(first[:, None] * second)
 
 
 def _upright_place(

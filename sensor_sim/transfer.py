@@ -40,7 +40,7 @@ def diffraction_mtf(frequency_cyc_per_mrad: ArrayLike, *, wavelength_um: float, 
     x = np.abs(np.asarray(frequency_cyc_per_mrad, dtype=np.float64)) / (aperture_mm / wavelength_um)
     # arccos x = 2 arcsin √((1 − x)/2), without arccos's loss of digits at 1.
     u = np.minimum(4.0 * np.arcsin(np.sqrt(np.maximum(1.0 - x, 0.0) / 2.0)), np.pi)
-    return np.where(u < 1.0, _u_minus_sin_u_series(np.minimum(u, 1.0)), u - np.sin(u)) / np.pi
+    return np.piecewise(u, [u < 1.0], [_u_minus_sin_u_series, lambda u: u - np.sin(u)]) / np.pi
 
 
 def _u_minus_sin_u_series(u: FloatArray) -> FloatArray:
