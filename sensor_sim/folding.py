@@ -10,7 +10,7 @@ Hogervorst et al. 2001, sections 3.4 to 4.1.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
@@ -18,10 +18,7 @@ from numpy.typing import DTypeLike, NDArray
 from sensor_sim.reconstruction import axis_matrix
 from sensor_sim.sensor import Sensor
 from todframes._typing import FloatArray
-from todframes.observers.retina import RetinaGrid, overlap_matrix
-
-if TYPE_CHECKING:
-    from scipy.sparse import csr_array
+from todframes.observers.retina import RetinaGrid, overlaps
 
 
 def is_unblurred(sensor: Sensor) -> bool:
@@ -100,17 +97,19 @@ class Folding:
         (row,) = self.weights_by_row(np.array([place_x]), np.array([place_y]))
         return np.asarray(row[0])
 
-    def _retina(self, place: float) -> csr_array:
-        """Share of each retina sample on each display pixel along an axis; its middle at a place in detectors."""
-        return overlap_matrix(
+    def _fold(self, place: float, weights: NDArray[Any]) -> NDArray[Any]:
+        """Fold weights on retina samples along the first axis, (side, n), to detectors, (field, n)."""
+        from scipy.sparse import csr_array
+
+        n_pixels = self.field * self.pixels
+        sample, pixel, length = overlaps(
             self.grid,
             centre_px=(self.field / 2.0 + place) * self.pixels - 0.5,
             pixel_pitch_mrad=self.pixel_pitch_mrad,
             first_pixel=0,
-            n_pixels=self.field * self.pixels,
+            n_pixels=n_pixels,
         )
-
-    def _fold(self, place: float, weights: NDArray[Any]) -> NDArray[Any]:
-        """Weights on retina samples along the first axis, (side, n), to weights on detectors, (field, n)."""
-        on_pixels: NDArray[Any] = np.asarray(self._retina(place).astype(self.dtype).T @ weights)
+        row_start = np.searchsorted(pixel, np.arange(n_pixels + 1, dtype=np.int32)).astype(np.int32)
+        retina = csr_array((length.astype(self.dtype), sample, row_start), shape=(n_pixels, self.grid.side))
+        on_pixels: NDArray[Any] = np.asarray(retina @ weights)
         return on_pixels if self.hold is None else np.asarray(self.hold @ on_pixels)

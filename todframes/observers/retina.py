@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from todframes._typing import FloatArray
 from todframes.errors import SettingsError
@@ -52,14 +53,28 @@ class RetinaGrid:
         return first, stop
 
 
-def overlap_matrix(
-    grid: RetinaGrid, *, centre_px: float, pixel_pitch_mrad: float, first_pixel: int, n_pixels: int
-) -> csr_array:
-    """Share of each retina sample's width that lies on each display pixel, along one axis.
+class Overlaps(NamedTuple):
+    """Pieces of an axis that lie in one retina sample and on one display pixel each, in the axis's order.
 
-    Both grids' boundaries are merged; each piece between two neighbours lies on one pixel and in one sample,
-    so the pieces of a pixel inside the grid add up to its width, and those of a sample inside the display to
-    one.
+    Attributes
+    ----------
+    sample, pixel : ndarray of int, shape (pieces,)
+        Ascending; pixels are counted from the first one.
+    length : ndarray, shape (pieces,)
+        In widths of a sample.
+    """
+
+    sample: NDArray[np.int32]
+    pixel: NDArray[np.int32]
+    length: FloatArray
+
+
+def overlaps(
+    grid: RetinaGrid, *, centre_px: float, pixel_pitch_mrad: float, first_pixel: int, n_pixels: int
+) -> Overlaps:
+    """Merge the boundaries of retina samples and display pixels along one axis.
+
+    The pieces of a pixel inside the grid add up to its width, and those of a sample inside the display to one.
 
     Parameters
     ----------
@@ -69,7 +84,32 @@ def overlap_matrix(
     pixel_pitch_mrad : float
         Visual angle of a display pixel, > 0.
     first_pixel, n_pixels : int
-        The columns of the matrix: pixels first_pixel ... first_pixel + n_pixels - 1 of the frame.
+        Pixels first_pixel ... first_pixel + n_pixels - 1 of the frame are there.
+
+    Returns
+    -------
+    Overlaps
+    """
+    pixel_edges = _pixel_edges(grid, centre_px, pixel_pitch_mrad, first_pixel, n_pixels)
+    inner = pixel_edges[(pixel_edges > 0.0) & (pixel_edges < grid.side)]
+    edges = np.sort(np.concatenate([np.arange(grid.side + 1.0), inner]))
+    length = np.diff(edges)
+    middle = (edges[1:] + edges[:-1]) / 2.0
+    sample = np.minimum(middle.astype(np.int32), grid.side - 1)
+    pixel = (np.searchsorted(pixel_edges, middle) - 1).astype(np.int32)
+    inside = (pixel >= 0) & (pixel < n_pixels) & (length > 0.0)
+    return Overlaps(sample[inside], pixel[inside], length[inside])
+
+
+def overlap_matrix(
+    grid: RetinaGrid, *, centre_px: float, pixel_pitch_mrad: float, first_pixel: int, n_pixels: int
+) -> csr_array:
+    """Compute the share of each retina sample's width that lies on each display pixel, along one axis.
+
+    Parameters
+    ----------
+    grid, centre_px, pixel_pitch_mrad, first_pixel, n_pixels
+        As for `overlaps`.
 
     Returns
     -------
@@ -78,16 +118,15 @@ def overlap_matrix(
     """
     from scipy.sparse import csr_array
 
-    pixel_edges = _pixel_edges(grid, centre_px, pixel_pitch_mrad, first_pixel, n_pixels)
-    inner = pixel_edges[(pixel_edges > 0.0) & (pixel_edges < grid.side)]
-    edges = np.sort(np.concatenate([np.arange(grid.side + 1.0), inner]))
-    length = np.diff(edges)
-    middle = (edges[1:] + edges[:-1]) / 2.0
-    sample = np.minimum(middle.astype(np.intp), grid.side - 1)
-    pixel = np.searchsorted(pixel_edges, middle) - 1
-    inside = (pixel >= 0) & (pixel < n_pixels) & (length > 0.0)
-    row_start = np.searchsorted(sample[inside], np.arange(grid.side + 1))
-    return csr_array((length[inside], pixel[inside], row_start), shape=(grid.side, n_pixels))
+    sample, pixel, length = overlaps(
+        grid,
+        centre_px=centre_px,
+        pixel_pitch_mrad=pixel_pitch_mrad,
+        first_pixel=first_pixel,
+        n_pixels=n_pixels,
+    )
+    row_start = np.searchsorted(sample, np.arange(grid.side + 1, dtype=np.int32)).astype(np.int32)
+    return csr_array((length, pixel, row_start), shape=(grid.side, n_pixels))
 
 
 def _dense_overlap(
