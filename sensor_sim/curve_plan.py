@@ -1,4 +1,8 @@
-"""What a curve's computation does, as one value: made by `planning`, obeyed by `predict`."""
+"""The plan of a curve's computation: what a threshold of one size needs, decided once and obeyed by `predict`.
+
+`plan_curve` computes the whole chain at a few places of the triangle and weighs there what leaving out each part
+would change. `sensor_sim.predict` computes the threshold with what is left.
+"""
 
 from __future__ import annotations
 
@@ -23,36 +27,52 @@ from todframes.scoring.error_budget import LEFT_OUT_SHARE, SAFETY, PlanName, Ste
 from todframes.stimulus import ORIENTATIONS, Orientation, Stimulus, bounding_box_offset
 
 FULL_PLACES = 17
-"""Of a plan that leaves nothing out; twelve times as many trials as are enough for most."""
+"""Places along each axis that a full plan begins with; twelve times as many trials as most thresholds need."""
+
+
+ORTHANT_NODES = 24
+"""Enough for 1e-14 where the four templates differ as those of the triangles do."""
+
+
+TRIED_AT = ((0.0, 0.0), (0.5, 0.5), (0.25, -0.375))
+"""Places, in detectors from the field's middle, where what could be left out is weighed."""
+
+
+FIELDS_IN_SIZES = (2.0, 2.5, 3.0)
+
+
+LARGEST_SHARE = 0.6
+"""Share of the budget that one omission may take."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CurvePlan:
-    """How thresholds of a sensor for one size are computed.
+    """Choices that a threshold of a sensor for one size is computed with.
 
     Attributes
     ----------
     observer : Observer
-        With the pyramid levels that are needed.
+        Observer with the pyramid levels that are needed.
     field : int
         Detectors along each side of the field.
     sampler : TriangleSampler
-        Of the triangle in this field.
+        Samples of the triangle in this field.
     dtype : float32 or float64
-        Of the folding.
+        Precision of the folding.
     orientations : tuple of Orientation
-        Those computed; one stands for all where the others are the same, turned.
+        Orientations that are computed; one stands for all where the others are the same, turned.
     three_templates : bool
-        Fold three of the four score deviations: they add up to zero.
+        Whether three of the four score deviations are folded: they add up to zero.
     merge_pixels : bool
-        Count display pixels that must be alike as one.
+        Whether display pixels that must be alike count as one.
     external_noise : bool
-        Whether detector noise is looked at.
+        Whether there is detector noise.
     fewest_places : int
-        Along each axis of a detector, to begin with.
+        Places along each axis of a detector to begin with.
     steps : tuple of Step
+        Omissions with their bounds, and what is kept.
     unit_s : float
-        Time that folding and sampling took at each place tried.
+        Time that folding and sampling took at each place tried, in seconds.
     """
 
     observer: Observer
@@ -69,11 +89,11 @@ class CurvePlan:
 
     @property
     def bound(self) -> float:
-        """On the change of P(correct) by all that is left out."""
+        """Bound on the change of P(correct) by all that is left out."""
         return total_bound(self.steps)
 
     def folding(self, sensor: Sensor, readout: Readout, size_detectors: float) -> Folding:
-        """The readout's weights on the way to the detectors."""
+        """Prepare to fold the readout's weights onto the detectors."""
         offsets = [centre_offset(self.observer, orientation, size_detectors) for orientation in ORIENTATIONS]
         return Folding(
             sensor,
@@ -87,23 +107,73 @@ class CurvePlan:
         )
 
     def all_four(self, weights: FloatArray) -> FloatArray:
-        """Weights of all four scores, (..., 4, n), from those that were folded."""
+        """Complete folded weights to those of all four scores, (..., 4, n)."""
         if not self.three_templates:
             return weights
         return np.concatenate([weights, -weights.sum(axis=-2, keepdims=True)], axis=-2)
 
     def noise(self, weights: FloatArray) -> FloatArray:
-        """Covariance of the scores, (..., 4, 4), under detector noise of standard deviation 1."""
+        """Compute the covariance of the scores, (..., 4, 4), under detector noise of standard deviation 1."""
         return noise_covariance(weights) if self.external_noise else np.zeros((*weights.shape[:-1], 4))
 
 
-def noise_covariance(weights: FloatArray) -> FloatArray:
-    """Covariance of weighted sums, (..., n, n), of white noise of standard deviation 1; weights (..., n, m)."""
-    return np.asarray(weights @ weights.swapaxes(-1, -2))
+def plan_curve(
+    sensor: Sensor,
+    observer: Observer,
+    size_detectors: float,
+    *,
+    name: PlanName = "needed",
+    tolerance: float = 2e-3,
+    p_correct: float = 0.75,
+    external_noise: bool = True,
+) -> CurvePlan:
+    """Plan the computation of a threshold.
+
+    Parameters
+    ----------
+    sensor : Sensor
+    observer : Observer
+        A linear one.
+    size_detectors : float
+        √(area) of the triangle, > 0.
+    name : {"needed", "full"}
+        Whether to leave out what the threshold does not need.
+    tolerance : float
+        Relative error of the threshold; omissions may take half of it.
+    p_correct : float
+        Raw proportion correct at threshold.
+    external_noise : bool
+        Whether there is detector noise.
+
+    Returns
+    -------
+    CurvePlan
+
+    Raises
+    ------
+    SettingsError
+        If the observer is not linear, or the size or field is out of range.
+    """
+    if name == "full":
+        return full_plan(
+            sensor,
+            observer.with_extra_level() if isinstance(observer, TruncatedObserver) else observer,
+            size_detectors,
+        )
+    full = replace(
+        full_plan(sensor, observer, size_detectors), external_noise=external_noise, fewest_places=1, steps=()
+    )
+    stimulus = Stimulus(size_detectors * sensor.display.detector_pitch_mrad)
+    fewer_levels = observer.with_fewer_levels(stimulus) if isinstance(observer, TruncatedObserver) else None
+    if fewer_levels is not None:
+        planner = _CurvePlanner(sensor, size_detectors, replace(full, observer=fewer_levels), p_correct, tolerance)
+        if planner.levels_suffice():
+            return planner.plan()
+    return _CurvePlanner(sensor, size_detectors, full, p_correct, tolerance).plan()
 
 
 def full_plan(sensor: Sensor, observer: Observer, size_detectors: float) -> CurvePlan:
-    """Leaves nothing out but identities that no one would compute.
+    """Plan to compute everything but identities that no one would compute.
 
     Raises
     ------
@@ -121,7 +191,13 @@ def full_plan(sensor: Sensor, observer: Observer, size_detectors: float) -> Curv
 
 
 def linear_readout(sensor: Sensor, observer: Observer, size_detectors: float) -> Readout:
-    """The readout for a triangle as displayed; SettingsError if the observer has none."""
+    """Return the readout for a triangle as displayed.
+
+    Raises
+    ------
+    SettingsError
+        If the observer is not linear.
+    """
     readout = observer.readout(Stimulus(size_detectors * sensor.display.detector_pitch_mrad))
     if readout is None:
         raise SettingsError("observer: it is not linear; no curve can be computed, simulate frames instead")
@@ -129,96 +205,24 @@ def linear_readout(sensor: Sensor, observer: Observer, size_detectors: float) ->
 
 
 def centre_offset(observer: Observer, orientation: Orientation, size_detectors: float) -> FloatArray:
-    """From the triangle's centroid to the point that the retina is centred on, in detectors."""
+    """Return the vector from the triangle's centroid to the point the retina is centred on, in detectors."""
     offset = bounding_box_offset(orientation) if observer.centre == "bounding_box" else (0.0, 0.0)
     return np.array(offset) * size_detectors
 
 
-def is_symmetric(readout: Readout) -> bool:
-    """Whether the four scores are one and the same, turned, to the last bit."""
-    first, covariance = readout.deviations[0], readout.noise_covariance
-    return all(
-        np.array_equal(readout.deviations[k], np.rot90(first, -k))
-        and np.allclose(np.roll(covariance[0], k), covariance[k], rtol=1e-12)
-        for k in range(1, 4)
-    )
-
-
-ORTHANT_NODES = 24
-"""Enough for 1e-14 where the four templates differ as those of the triangles do."""
-
-
-TRIED_AT = ((0.0, 0.0), (0.5, 0.5), (0.25, -0.375))
-"""Places, in detectors from the field's middle, where what could be left out is weighed."""
-
-
-FIELDS_IN_SIZES = (2.0, 2.5, 3.0)
-
-
-PERIODS_IN_FIELDS = (2, 3)
-
-
-LARGEST_SHARE = 0.6
-"""Of what may still be left out, for one thing."""
-
-
-FEWEST_PLACES = 400
-"""Of the triangle, in a threshold."""
-
-
-def plan_curve(
-    sensor: Sensor,
-    observer: Observer,
-    size_detectors: float,
-    *,
-    name: PlanName = "needed",
-    tolerance: float = 2e-3,
-    p_correct: float = 0.75,
-    external_noise: bool = True,
-) -> CurvePlan:
-    """What is needed for a threshold within a relative tolerance; with the name "full", everything.
-
-    Raises
-    ------
-    SettingsError
-        If the observer is not linear, or the size or field is out of range.
-    """
-    if name == "full":
-        return full_plan(
-            sensor,
-            observer.with_extra_level() if isinstance(observer, TruncatedObserver) else observer,
-            size_detectors,
-        )
-    started = time.perf_counter()
-    full = replace(
-        full_plan(sensor, observer, size_detectors), external_noise=external_noise, fewest_places=1, steps=()
-    )
-    sampler_s = time.perf_counter() - started
-    stimulus = Stimulus(size_detectors * sensor.display.detector_pitch_mrad)
-    leaner = observer.with_fewer_levels(stimulus) if isinstance(observer, TruncatedObserver) else None
-    if leaner is not None:
-        trial = _CurvePlanner(
-            sensor, size_detectors, replace(full, observer=leaner), sampler_s, p_correct, tolerance
-        )
-        if trial.levels_suffice():
-            return trial.plan()
-    return _CurvePlanner(sensor, size_detectors, full, sampler_s, p_correct, tolerance).plan()
+def noise_covariance(weights: FloatArray) -> FloatArray:
+    """Compute the covariance, (..., n, n), of sums of white noise with weights (..., n, m), its deviation 1."""
+    return np.asarray(weights @ weights.swapaxes(-1, -2))
 
 
 class _CurvePlanner:
     """The whole chain at a few places, and what leaving out each part would change there."""
 
     def __init__(
-        self,
-        sensor: Sensor,
-        size_detectors: float,
-        full: CurvePlan,
-        sampler_s: float,
-        p_correct: float,
-        tolerance: float,
+        self, sensor: Sensor, size_detectors: float, full: CurvePlan, p_correct: float, tolerance: float
     ) -> None:
         self.sensor, self.observer, self.size = sensor, full.observer, size_detectors
-        self.full, self.sampler_s = full, sampler_s
+        self.full = full
         started = time.perf_counter()
         self.readout = linear_readout(sensor, self.observer, size_detectors)
         self.readout_s = time.perf_counter() - started
@@ -229,7 +233,7 @@ class _CurvePlanner:
         self.budget = LEFT_OUT_SHARE * tolerance * self.slope
 
     def _affordable(self, bound: float) -> bool:
-        """Whether something may be left out; if so, less may be from then on."""
+        """Return whether an omission fits into the budget, and take it from there if so."""
         if bound > LARGEST_SHARE * self.budget:
             return False
         self.budget -= bound
@@ -238,7 +242,7 @@ class _CurvePlanner:
     def _weights(
         self, plan: CurvePlan, readout: Readout, places: Sequence[tuple[float, float]] = TRIED_AT
     ) -> tuple[FloatArray, float]:
-        """Weights at some places, (places, 4, field²), and the time that each took."""
+        """Compute the weights at some places, (places, 4, field²), and the time that each took."""
         folding = plan.folding(self.sensor, readout, self.size)
         dx, dy = centre_offset(self.observer, Orientation.UP, self.size)
         started = time.perf_counter()
@@ -256,7 +260,7 @@ class _CurvePlanner:
         return np.asarray((weights @ samples[..., None])[..., 0])
 
     def _find_covariance(self, p_correct: float) -> None:
-        """Covariance of the scores near threshold, the detector noise's share of it, and the slope there."""
+        """Find the covariance of the scores near threshold, the SNR there and the slope of P(correct)."""
         signal, noise = self._scores(self.weights, self.samples), self.full.noise(self.weights)
 
         def proportion(snr: float) -> float:
@@ -273,36 +277,34 @@ class _CurvePlanner:
         self.slope = rise / (2.0 * step) if rise > 0.0 else 0.5
 
     def bound(self, scores: FloatArray, noise: FloatArray | None = None) -> float:
-        """On the change of P(correct) by a change of the scores, and of their covariance by detector noise."""
+        """Bound the change of P(correct) by a change of the scores, and of their covariance by detector noise."""
         change = np.zeros((1, 4, 4)) if noise is None else noise
         return SAFETY * float(decision_change(scores, self.covariance, change)[..., 0].max())
 
     def plan(self) -> CurvePlan:
-        """What is needed."""
+        """Decide on every part in turn."""
         plan, levels = self._levels(self.full)
-        plan, optics = self._optics(plan)
         plan, field_step = self._field(plan)
         plan, period = self._period(plan)
         plan, precision = self._precision(plan)
         plan, identities = self._identities(plan)
-        return replace(
-            plan, steps=(*levels, optics, field_step, *period, precision, *identities), unit_s=self.unit_s
-        )
+        steps = (*levels, self._optics(self.full), field_step, *period, precision, *identities)
+        return replace(plan, steps=steps, unit_s=self.unit_s)
 
     @cached_property
     def levels_bound(self) -> float | None:
-        """On the change of P(correct) by further levels; None where the observer leaves none out."""
+        """Bound on the change of P(correct) by further levels; None where the observer leaves none out."""
         stimulus = Stimulus(self.size * self.sensor.display.detector_pitch_mrad)
-        missing = self.observer.omitted_bands(stimulus) if isinstance(self.observer, TruncatedObserver) else None
-        if missing is None:
+        omitted = self.observer.omitted_bands(stimulus) if isinstance(self.observer, TruncatedObserver) else None
+        if omitted is None:
             return None
         plan = self.full
-        added, _ = self._weights(plan, replace(self.readout, grid=missing.grid, deviations=missing.deviations))
+        added, _ = self._weights(plan, replace(self.readout, grid=omitted.grid, deviations=omitted.deviations))
         noise = (plan.noise(self.weights + added) - plan.noise(self.weights)) / self.snr**2
-        return self.bound(self._scores(added, self.samples), noise + missing.noise_covariance)
+        return self.bound(self._scores(added, self.samples), noise + omitted.noise_covariance)
 
     def levels_suffice(self) -> bool:
-        """Whether no further levels are needed, as far as the observer tells what they would add."""
+        """Return whether the observer says that no further levels are needed."""
         return self.levels_bound is not None and self.levels_bound <= LARGEST_SHARE * self.budget
 
     def _levels(self, plan: CurvePlan) -> tuple[CurvePlan, Sequence[Step]]:
@@ -316,22 +318,12 @@ class _CurvePlanner:
         why = f"one level more than for {side} × {side} samples, which would change P by up to {bound:.1g}"
         return replace(plan, observer=self.observer.with_extra_level()), [Step(stage, True, why)]
 
-    def _optics(self, plan: CurvePlan) -> tuple[CurvePlan, Step]:
-        stage, sampler = "optics", plan.sampler
-        if sampler.sharp:
-            change = np.abs(self.weights).sum(axis=-1) * sampler.neglected_bound
-            why = "too sharp against the detectors for their frequencies to be counted"
-            return plan, Step(stage, False, why, self.bound(change) / SAFETY)
-        without = TriangleSampler(
-            optics=None, detector=self.sensor.detector, size_detectors=self.size, field_detectors=plan.field
-        )
-        samples, spent = self._samples(without)
-        bound = self.bound(self._scores(self.weights, samples - self.samples))
-        if self._affordable(bound):
-            self.samples = samples
-            why = "far sharper than a detector; exact areas of the triangle instead"
-            return replace(plan, sampler=without), Step(stage, False, why, bound, self.sample_s - spent)
-        return plan, Step(stage, True, "they shape the samples")
+    def _optics(self, plan: CurvePlan) -> Step:
+        if not plan.sampler.sharp:
+            return Step("optics", True, "they shape the samples")
+        change = np.abs(self.weights).sum(axis=-1) * plan.sampler.neglected_bound
+        why = "too sharp against the detectors for their frequencies to be counted"
+        return Step("optics", False, why, self.bound(change) / SAFETY)
 
     def _field(self, plan: CurvePlan) -> tuple[CurvePlan, Step]:
         full, stage = plan.field, "field"
@@ -347,8 +339,8 @@ class _CurvePlanner:
             weights = self.weights * outside.ravel()
             noise = plan.noise(weights) / self.snr**2
             # As if the signal out there had one sign throughout, and met the largest weight of its detectors.
-            most = np.abs(self._scores(np.abs(weights), np.abs(self.samples)))
-            bound = self.bound(most, noise)
+            largest = np.abs(self._scores(np.abs(weights), np.abs(self.samples)))
+            bound = self.bound(largest, noise)
             if self._affordable(bound):
                 share_saved = 1.0 - (side / full) ** 2
                 why = f"{side} × {side} of {full} × {full} detectors; the others' weights are next to nothing"
@@ -364,25 +356,21 @@ class _CurvePlanner:
         return square.reshape(*images.shape[:-1], -1)
 
     def _period(self, plan: CurvePlan) -> tuple[CurvePlan, Sequence[Step]]:
-        stage, period = "period", plan.sampler.period
+        stage, period, shorter = "period", plan.sampler.period, 2 * plan.field
         if plan.sampler.sharp:
             return plan, ()
-        for fields in PERIODS_IN_FIELDS:
-            share = (fields * plan.field / period) ** 2
-            # Another period needs its own spectrum, which must pay.
-            if share * self.sampler_s > (1.0 - share) * self.sample_s * FEWEST_PLACES:
-                break
+        if shorter < period:
             sampler = TriangleSampler(
                 optics=self.sensor.optics,
                 detector=self.sensor.detector,
                 size_detectors=self.size,
                 field_detectors=plan.field,
-                period_detectors=fields * plan.field,
+                period_detectors=shorter,
             )
             samples, spent = self._samples(sampler)
             bound = self.bound(self._scores(self.weights, samples - self.samples))
             if self._affordable(bound):
-                why = f"the scene repeats after {sampler.period} detectors, not {period}"
+                why = f"the scene repeats after {shorter} detectors, not {period}"
                 return replace(plan, sampler=sampler), [Step(stage, False, why, bound, self.sample_s - spent)]
         return plan, [Step(stage, True, f"the scene repeats after {period} detectors")]
 
@@ -398,7 +386,7 @@ class _CurvePlanner:
         return plan, Step(stage, True, f"single would change P by up to {bound:.1g}")
 
     def _identities(self, plan: CurvePlan) -> tuple[CurvePlan, Sequence[Step]]:
-        """What is left out and changes nothing."""
+        """Leave out what changes nothing."""
         steps = []
         if is_symmetric(self.readout):
             # Square detectors and a symmetric observer look the same to all orientations.
@@ -421,3 +409,13 @@ class _CurvePlanner:
         noise = "the threshold is a signal-to-noise ratio" if plan.external_noise else "there is none"
         steps.append(Step("noise covariance", plan.external_noise, noise))
         return plan, steps
+
+
+def is_symmetric(readout: Readout) -> bool:
+    """Return whether the four scores are one and the same, turned, to the last bit."""
+    first, covariance = readout.deviations[0], readout.noise_covariance
+    return all(
+        np.array_equal(readout.deviations[k], np.rot90(first, -k))
+        and np.allclose(np.roll(covariance[0], k), covariance[k], rtol=1e-12)
+        for k in range(1, 4)
+    )

@@ -73,7 +73,7 @@ class Folding:
         self.grid = RetinaGrid(grid.side - 2 * margin, grid.pitch_mrad)
         images = images[:, margin : margin + self.grid.side, margin : margin + self.grid.side]
         images = images[:n] - images.mean(axis=0)
-        by_column = np.ascontiguousarray(images.transpose(2, 0, 1), dtype=self.dtype)
+        by_column = np.ascontiguousarray(images.astype(self.dtype).transpose(2, 0, 1))
         self._along_x_first = by_column.reshape(self.grid.side, self.n * self.grid.side)
 
     def weights_by_row(self, places_x: FloatArray, places_y: FloatArray) -> list[FloatArray]:

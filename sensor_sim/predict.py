@@ -181,12 +181,36 @@ class FoldedChain:
 
         `contrast` is that of the triangle, in units of what the sensor's gain gives it.
         """
-        means = []
-        for part in phases:
-            covariance = self.noise_covariance + part.noise[:, None] * (contrast / snr) ** 2
-            signal = contrast * part.signal
-            means.append(answer_probability(signal, covariance, part.correct, nodes=ORTHANT_NODES).mean())
-        return float(np.mean(means))
+        return float(np.mean([self._p_correct(part, snr, contrast).mean() for part in phases]))
+
+    def _p_correct(self, phases: Phases, snr: float, contrast: float = 1.0) -> FloatArray:
+        covariance = self.noise_covariance + phases.noise[:, None] * (contrast / snr) ** 2
+        return answer_probability(contrast * phases.signal, covariance, phases.correct, nodes=ORTHANT_NODES)
+
+    def error(self, pooled: list[Phases], threshold: float) -> tuple[float, float]:
+        """Return the half-width of the 95 % interval of a threshold, from the spread of P among replicates.
+
+        Parameters
+        ----------
+        pooled : list of Phases
+            All replicates together, one after the other, of each orientation.
+        threshold : float
+
+        Returns
+        -------
+        (half_width, slope)
+            The slope is dP/d ln SNR.
+        """
+        step = 0.01
+        low, high = (
+            np.mean(
+                [self._p_correct(p, threshold * factor).reshape(REPLICATES, -1).mean(1) for p in pooled], axis=0
+            )
+            for factor in (math.exp(-step), math.exp(step))
+        )
+        slope = max(float((high - low).mean()) / (2.0 * step), 1e-12)
+        spread = float(((high + low) / 2.0).std(ddof=1)) / math.sqrt(REPLICATES)
+        return STANDARD_ERRORS_95 * spread / slope * threshold, slope
 
 
 @dataclass(frozen=True, slots=True)
@@ -239,7 +263,7 @@ def predict_threshold(
         status, threshold = crossing(proportion, p_correct, near=threshold, slope=slope)
         if threshold is None:
             return PredictedThreshold(chain.size_detectors, status, None, None, n_phases, ())
-        error, slope = _error(chain, parts, threshold)
+        error, slope = chain.error(pooled, threshold)
         left_out = chain.plan.bound / slope * threshold
         # More trials do not help against what is left out: on a curve that is flat, the error stated may stay
         # above the tolerance.
@@ -254,15 +278,3 @@ def predict_threshold(
 def _pool(parts: list[Phases]) -> Phases:
     signal, noise = (np.concatenate([part[k] for part in parts]) for k in (0, 1))
     return Phases(signal, noise, parts[0].correct)
-
-
-def _error(chain: FoldedChain, parts: list[list[Phases]], threshold: float) -> tuple[float, float]:
-    """Half-width of the 95 % interval of a threshold from the spread of P among replicates, and dP/d ln SNR."""
-    step = 0.01
-    low, high = (
-        np.array([chain.proportion_correct(part, threshold * factor) for part in parts])
-        for factor in (math.exp(-step), math.exp(step))
-    )
-    slope = max(float((high - low).mean()) / (2.0 * step), 1e-12)
-    spread = float(((high + low) / 2.0).std(ddof=1)) / math.sqrt(len(parts))
-    return STANDARD_ERRORS_95 * spread / slope * threshold, slope
