@@ -5,23 +5,34 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Annotated, Any, Literal
 
-from todframes.config import check_keys, from_table, read_toml
+from msgspec import Meta
+
+from todframes.config import check_keys, check_values, from_table, read_toml
 from todframes.errors import SettingsError
 
 SCHEMA = 1
 
 
-SMALLEST, LARGEST = 1e-12, 1e12
-"""Of all lengths, angles, luminances and gains: beyond is a slip of the pen."""
+LARGEST = 1e12
+"""Largest length, angle, luminance or gain; beyond it, and below 1/LARGEST, a value is a slip of the pen."""
 
 
 MAX_PIXELS = 1000
-"""Most display pixels a detector or a standard deviation of the blur may be wide."""
+"""Largest width of a detector or a standard deviation of the blur, in display pixels."""
 
 
 Distribution = Literal["uniform", "gaussian"]
+
+
+Positive = Annotated[float, Meta(ge=1.0 / LARGEST, le=LARGEST)]
+
+
+NotNegative = Annotated[float, Meta(ge=0.0, le=LARGEST)]
+
+
+BlurPixels = Annotated[float, Meta(ge=0.0, le=MAX_PIXELS)]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -41,13 +52,12 @@ class Optics:
         If a value is out of its range.
     """
 
-    aperture_mm: float
-    wavelength_um: float
-    blur_sigma_mrad: float = 0.0
+    aperture_mm: Positive
+    wavelength_um: Positive
+    blur_sigma_mrad: NotNegative = 0.0
 
     def __post_init__(self) -> None:
-        _check_positive(self, "aperture_mm", "wavelength_um")
-        _check_not_negative(self, "blur_sigma_mrad")
+        check_values(self)
 
     @property
     def cut_off_cyc_per_mrad(self) -> float:
@@ -72,11 +82,11 @@ class Detector:
         If a value is out of its range.
     """
 
-    pitch_mrad: float
-    width_mrad: float
+    pitch_mrad: Positive
+    width_mrad: Positive
 
     def __post_init__(self) -> None:
-        _check_positive(self, "pitch_mrad", "width_mrad")
+        check_values(self)
         if self.width_mrad > self.pitch_mrad:
             raise SettingsError(
                 f"width_mrad: found {self.width_mrad!r}, expected at most pitch_mrad ({self.pitch_mrad!r})"
@@ -116,19 +126,12 @@ class Noise:
     """
 
     distribution: Distribution = "uniform"
-    netd_mk: float | None = None
-    fixed_pattern_ratio: float = 0.0
-    frames_integrated: int = 1
+    netd_mk: Annotated[float | None, Meta(ge=1.0 / LARGEST, le=LARGEST)] = None
+    fixed_pattern_ratio: NotNegative = 0.0
+    frames_integrated: Annotated[int, Meta(ge=1)] = 1
 
     def __post_init__(self) -> None:
-        if self.distribution not in get_args(Distribution):
-            raise SettingsError(
-                f"distribution: found {self.distribution!r}, expected one of {', '.join(get_args(Distribution))}"
-            )
-        if self.netd_mk is not None:
-            _check_positive(self, "netd_mk")
-        _check_not_negative(self, "fixed_pattern_ratio")
-        _check_count(self, "frames_integrated")
+        check_values(self)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -146,10 +149,10 @@ class Electronics:
         If the value is out of its range.
     """
 
-    blur_sigma_px: float = 0.0
+    blur_sigma_px: BlurPixels = 0.0
 
     def __post_init__(self) -> None:
-        _check_not_negative(self, "blur_sigma_px", at_most=MAX_PIXELS)
+        check_values(self)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -175,17 +178,15 @@ class SensorDisplay:
         If a value is out of its range.
     """
 
-    pixels_per_detector: int
-    pixel_pitch_mm: float
-    viewing_distance_mm: float
-    background_luminance_cd_m2: float
-    blur_sigma_px: float = 0.0
-    gain: float = 1.0
+    pixels_per_detector: Annotated[int, Meta(ge=1, le=MAX_PIXELS)]
+    pixel_pitch_mm: Positive
+    viewing_distance_mm: Positive
+    background_luminance_cd_m2: Positive
+    blur_sigma_px: BlurPixels = 0.0
+    gain: Positive = 1.0
 
     def __post_init__(self) -> None:
-        _check_count(self, "pixels_per_detector", at_most=MAX_PIXELS)
-        _check_positive(self, "pixel_pitch_mm", "viewing_distance_mm", "background_luminance_cd_m2", "gain")
-        _check_not_negative(self, "blur_sigma_px", at_most=MAX_PIXELS)
+        check_values(self)
 
     @property
     def pixel_pitch_mrad(self) -> float:
@@ -254,26 +255,3 @@ def load_sensor(path: Path | str) -> Sensor:
         elif table in _REQUIRED_TABLES:
             raise SettingsError(f"{path}: table [{table}] is missing")
     return Sensor(name=name, **parts)
-
-
-def _check_positive(settings: object, *names: str) -> None:
-    for name in names:
-        value = getattr(settings, name)
-        if not SMALLEST <= value <= LARGEST:
-            raise SettingsError(
-                f"{name}: found {value!r}, expected a finite number > 0, from {SMALLEST:g} to {LARGEST:g}"
-            )
-
-
-def _check_not_negative(settings: object, name: str, *, at_most: float | None = None) -> None:
-    value = getattr(settings, name)
-    at_most = LARGEST if at_most is None else at_most
-    if not 0.0 <= value <= at_most:
-        raise SettingsError(f"{name}: found {value!r}, expected a finite number >= 0 and <= {at_most:g}")
-
-
-def _check_count(settings: object, name: str, *, at_most: float = math.inf) -> None:
-    value = getattr(settings, name)
-    if not isinstance(value, int) or isinstance(value, bool) or not 1 <= value <= at_most:
-        limit = f" and <= {at_most:g}" if at_most < math.inf else ""
-        raise SettingsError(f"{name}: found {value!r}, expected a whole number >= 1{limit}")

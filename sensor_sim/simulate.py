@@ -259,9 +259,7 @@ def provenance(sensor: Sensor, seed: int, trial: SimulatedTrial) -> dict[str, st
 def _manifest(rows: list[list[str]]) -> str:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(
-        ["frame", "orientation", "size_mrad", "size_detectors", "snr", "x_px", "y_px", "sha256"],
-    )
+    writer.writerow(["frame", "orientation", "size_mrad", "size_detectors", "snr", "x_px", "y_px", "sha256"])
     writer.writerows(rows)
     return text.getvalue()
 

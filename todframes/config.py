@@ -12,7 +12,10 @@ import tomllib
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import MISSING, fields, is_dataclass
+from functools import cache
+from numbers import Integral, Real
 from pathlib import Path
+from types import NoneType
 from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 import msgspec
@@ -173,18 +176,45 @@ def _shortened(text: str) -> str:
     return text if len(text) <= LONGEST_KEY else f"{text[:LONGEST_KEY]}…"
 
 
-def check_ranges(settings: object, ranges: Iterable[tuple[str, float, float]]) -> None:
-    """Refuse numbers that lie outside of their ranges: name, smallest, largest. None lies within.
+def check_values(settings: Any) -> None:
+    """Refuse values that the annotations of a settings dataclass do not allow.
+
+    Checked are numbers, with their ranges where these are annotated (`msgspec.Meta`), and choices (`Literal`).
 
     Raises
     ------
     SettingsError
-        For the first attribute of `settings` that does.
+        For the first field that is of another type or out of its range.
     """
-    for name, smallest, largest in ranges:
+    for name, hint in _hints(type(settings)).items():
         value = getattr(settings, name)
-        if value is not None and not smallest <= value <= largest:
-            raise SettingsError(f"{name}: found {value!r}, expected a number from {smallest:g} to {largest:g}")
+        if expected := _unmet(value, hint):
+            raise SettingsError(f"{name}: found {value!r}, expected {expected}")
+
+
+@cache
+def _hints(kind: Any) -> dict[str, Any]:
+    hints = get_type_hints(kind, include_extras=True)
+    return {field.name: hints[field.name] for field in fields(kind)}
+
+
+def _unmet(value: Any, hint: Any) -> str | None:
+    """Return a description of the value that was expected, or None where the value is as annotated."""
+    (meta,) = getattr(hint, "__metadata__", (None,))
+    kind = hint if meta is None else hint.__origin__
+    parts = get_args(kind) or (kind,)
+    if get_origin(kind) is Literal:
+        return None if value in parts else f"one of {', '.join(map(str, parts))}"
+    if (value is None and NoneType in parts) or not {int, float} & set(parts):
+        return None
+    number, noun = (Integral, "a whole number") if int in parts else (Real, "a number")
+    low, high = (None, None) if meta is None else (meta.ge, meta.le)
+    is_number = isinstance(value, number) and not isinstance(value, bool)
+    if is_number and (low is None or value >= low) and (high is None or value <= high):
+        return None
+    if low is None:
+        return noun
+    return f"{noun} >= {low:g}" if high is None else f"{noun} from {low:g} to {high:g}"
 
 
 def from_table(table: Mapping[str, Any], kind: type[T], where: str) -> T:

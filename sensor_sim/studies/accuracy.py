@@ -239,8 +239,7 @@ class Camera:
             variant(f"as planned: {planned.field}² detectors, {np.dtype(planned.dtype)}", self._plan),
             variant("float64", lambda: replace(self._plan(), dtype=np.float64)),
             variant(
-                f"{full.field}² detectors",
-                lambda: replace(self._plan(), field=full.field, sampler=full.sampler),
+                f"{full.field}² detectors", lambda: replace(self._plan(), field=full.field, sampler=full.sampler)
             ),
             variant(
                 "one pyramid level more",

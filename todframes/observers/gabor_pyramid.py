@@ -6,21 +6,19 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Literal, get_args
+from typing import Annotated, Literal
 
 import cv2
 import numpy as np
+from msgspec import Meta
 from numpy.typing import NDArray
 
 from todframes._typing import FloatArray
-from todframes.config import check_ranges
+from todframes.config import check_values
 from todframes.errors import SettingsError
 from todframes.observers.laplacian_pyramid import LaplacianPyramid
 
 Phases = Literal["both", "even", "odd"]
-
-
-RANGES = (("wavelength_samples", 2.5, 16.0), ("bandwidth_octaves", 0.5, 3.0), ("elongation", 0.25, 4.0))
 
 
 CUT = 4.0
@@ -66,17 +64,15 @@ class GaborPyramid:
     levels: int
     kernel_a: float = 0.375
     orientations: int = 8
-    wavelength_samples: float = 4.0
-    bandwidth_octaves: float = 1.0
-    elongation: float = 1.0
+    wavelength_samples: Annotated[float, Meta(ge=2.5, le=16.0)] = 4.0
+    bandwidth_octaves: Annotated[float, Meta(ge=0.5, le=3.0)] = 1.0
+    elongation: Annotated[float, Meta(ge=0.25, le=4.0)] = 1.0
     phases: Phases = "both"
 
     def __post_init__(self) -> None:
         if self.orientations % 2 or not 2 <= self.orientations <= 32:
             raise SettingsError(f"orientations: found {self.orientations}, expected an even number from 2 to 32")
-        check_ranges(self, RANGES)
-        if self.phases not in get_args(Phases):
-            raise SettingsError(f"phases: found {self.phases!r}, expected one of {', '.join(get_args(Phases))}")
+        check_values(self)
 
     @property
     def signs(self) -> tuple[int, ...]:

@@ -13,13 +13,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
+from msgspec import Meta
 from numpy.typing import NDArray
 
 from todframes._typing import FloatArray
-from todframes.config import check_ranges
 from todframes.errors import SettingsError
 from todframes.observers.interface import OmittedWeights
 from todframes.observers.internal_noise import Bands
@@ -27,14 +27,7 @@ from todframes.observers.pyramid import LARGEST_SIZE_SAMPLES, PyramidObserver, P
 from todframes.observers.retina import RetinaGrid
 from todframes.stimulus import Stimulus
 
-DISPLAY_RANGES = (
-    ("presample_blur_mrad", 0.0, 1e6),
-    ("sample_width_mrad", 0.0, 1e6),
-    ("sample_pitch_mrad", 0.0, 1e6),
-    ("display_blur_mrad", 0.0, 1e6),
-    ("sample_noise_sd", 0.0, 1e12),
-    ("informative_share", 1e-3, 1.0),
-)
+DisplayAngle = Annotated[float, Meta(ge=0.0, le=1e6)]
 
 
 TRIANGLE_VARIANCE = 3.0**-0.5 / 6.0
@@ -74,16 +67,12 @@ class HotellingSettings(PyramidSettings):
         If a value is out of its range.
     """
 
-    presample_blur_mrad: float = 0.0
-    sample_width_mrad: float | None = None
-    sample_pitch_mrad: float = 0.0
-    display_blur_mrad: float = 0.0
-    sample_noise_sd: float = 0.0
-    informative_share: float = 0.99
-
-    def __post_init__(self) -> None:
-        PyramidSettings.__post_init__(self)
-        check_ranges(self, DISPLAY_RANGES)
+    presample_blur_mrad: DisplayAngle = 0.0
+    sample_width_mrad: Annotated[float | None, Meta(ge=0.0, le=1e6)] = None
+    sample_pitch_mrad: DisplayAngle = 0.0
+    display_blur_mrad: DisplayAngle = 0.0
+    sample_noise_sd: Annotated[float, Meta(ge=0.0, le=1e12)] = 0.0
+    informative_share: Annotated[float, Meta(ge=1e-3, le=1.0)] = 0.99
 
     @property
     def averaged_mrad(self) -> float:

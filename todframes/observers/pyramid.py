@@ -13,12 +13,13 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import ClassVar, Self, get_args
+from typing import Annotated, ClassVar, Self
 
 import numpy as np
+from msgspec import Meta
 
 from todframes._typing import FloatArray
-from todframes.config import check_ranges
+from todframes.config import check_values
 from todframes.errors import SettingsError
 from todframes.observers.interface import OmittedWeights, Readout
 from todframes.observers.internal_noise import Bands, inner_product, summed_noise
@@ -28,18 +29,6 @@ from todframes.stimulus import HEIGHT_PER_SIZE, ORIENTATIONS, Centre, Orientatio
 
 MOST_LEVELS = 11
 """A retina image then takes half a GB."""
-
-
-SETTING_RANGES = (
-    ("retina_pitch_mrad", 1e-6, 1e6),
-    ("position_jitter_samples", 0.0, 1e3),
-    ("kernel_a", 0.0, 1.0),
-    ("band_gain", 1e-3, 1e3),
-    ("template_blur_samples", 0.0, 1e3),
-    ("internal_noise", 0.0, 1e12),
-    ("internal_noise_sd", 0.0, 1e12),
-)
-"""What is not in here (NaN among it) is a slip of the pen, and might overflow or fill the memory."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -78,22 +67,18 @@ class PyramidSettings:
     """
 
     centre: Centre = "centroid"
-    retina_pitch_mrad: float = 0.153
-    position_jitter_samples: float = 0.5
-    kernel_a: float = 0.375
-    levels: int | None = None
+    retina_pitch_mrad: Annotated[float, Meta(ge=1e-6, le=1e6)] = 0.153
+    position_jitter_samples: Annotated[float, Meta(ge=0.0, le=1e3)] = 0.5
+    kernel_a: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.375
+    levels: Annotated[int | None, Meta(ge=1, le=MOST_LEVELS)] = None
     include_residual: bool = False
-    band_gain: float = 1.0
-    template_blur_samples: float = 1.2
-    internal_noise: float = 0.5
-    internal_noise_sd: float | None = None
+    band_gain: Annotated[float, Meta(ge=1e-3, le=1e3)] = 1.0
+    template_blur_samples: Annotated[float, Meta(ge=0.0, le=1e3)] = 1.2
+    internal_noise: Annotated[float, Meta(ge=0.0, le=1e12)] = 0.5
+    internal_noise_sd: Annotated[float | None, Meta(ge=0.0, le=1e12)] = None
 
     def __post_init__(self) -> None:
-        if self.centre not in get_args(Centre):
-            raise SettingsError(f"centre: found {self.centre!r}, expected one of {', '.join(get_args(Centre))}")
-        check_ranges(self, SETTING_RANGES)
-        if self.levels is not None and not 1 <= self.levels <= MOST_LEVELS:
-            raise SettingsError(f"levels: found {self.levels!r}, expected a whole number from 1 to {MOST_LEVELS}")
+        check_values(self)
 
     @property
     def noise_sd(self) -> float:

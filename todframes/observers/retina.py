@@ -119,11 +119,7 @@ def overlap_matrix(
     from scipy.sparse import csr_array
 
     sample, pixel, length = overlaps(
-        grid,
-        centre_px=centre_px,
-        pixel_pitch_mrad=pixel_pitch_mrad,
-        first_pixel=first_pixel,
-        n_pixels=n_pixels,
+        grid, centre_px=centre_px, pixel_pitch_mrad=pixel_pitch_mrad, first_pixel=first_pixel, n_pixels=n_pixels
     )
     row_start = np.searchsorted(sample, np.arange(grid.side + 1, dtype=np.int32)).astype(np.int32)
     return csr_array((length, pixel, row_start), shape=(grid.side, n_pixels))

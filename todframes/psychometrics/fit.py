@@ -10,7 +10,7 @@ complementary log-log model, ln(ln 2) + β·(ln x − ln α), with a guess and a
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import xlogy
 
 from todframes._typing import FloatArray
+from todframes.config import check_values
 from todframes.errors import DataError, SettingsError
 from todframes.psychometrics.bootstrap import Observed, crossing_of_points, threshold_interval
 from todframes.psychometrics.weibull import BETA_RANGE, WeibullModel
@@ -51,14 +52,7 @@ class FitSettings:
     resamples: int = 2000
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if field.name == "lapse_rate" and value is None:
-                continue
-            kind = int if field.name == "resamples" else (int, float)
-            if isinstance(value, bool) or not isinstance(value, kind):
-                expected = "a whole number" if kind is int else "a number"
-                raise SettingsError(f"{field.name}: found {value!r}, expected {expected}")
+        check_values(self)
         _require("guess_rate", self.guess_rate, 0 <= self.guess_rate < 1, "0 <= guess_rate < 1")
         room = f"0 to below 1 - guess_rate = {1 - self.guess_rate:g}"
         for key, lapse_rate in (("lapse_rate", self.lapse_rate), ("lapse_rate_max", self.lapse_rate_max)):
@@ -121,11 +115,7 @@ class PsychometricFit:
 
 
 def fit_trials(
-    level: ArrayLike,
-    p_correct: ArrayLike,
-    *,
-    settings: FitSettings = FitSettings(),
-    rng: np.random.Generator,
+    level: ArrayLike, p_correct: ArrayLike, *, settings: FitSettings = FitSettings(), rng: np.random.Generator
 ) -> PsychometricFit:
     """Fit a curve to single trials.
 

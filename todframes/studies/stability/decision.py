@@ -133,13 +133,7 @@ def decision_cases() -> list[Case]:
             plackett,
             lambda: wrong(of_triangles(HIGH_SNRS), TRIANGLES),
         ),
-        case(
-            "noise SD 1e-150 to 1e150, SNR 3: P(correct)",
-            [0.7301635803834369] * 4,
-            plackett,
-            scaled,
-            9,
-        ),
+        case("noise SD 1e-150 to 1e150, SNR 3: P(correct)", [0.7301635803834369] * 4, plackett, scaled, 9),
         case(
             "two opposite pairs (rank 2): P(error) to 1e-30",
             tails * (2.0 - tails),
@@ -191,13 +185,7 @@ def decision_cases() -> list[Case]:
             independent,
             lambda: wrong(2e-6 * np.multiply.outer(HIGH_D_PRIMES, np.eye(4)[0]), factor=ALIKE),
         ),
-        case(
-            "four identical templates, variance 0 to 1e300",
-            [0.25] * 4,
-            "symmetry",
-            identical,
-            15,
-        ),
+        case("four identical templates, variance 0 to 1e300", [0.25] * 4, "symmetry", identical, 15),
         case(
             "no noise, scores 1e-300 apart: all four",
             [1.0, 0.0, 0.0, 0.0],

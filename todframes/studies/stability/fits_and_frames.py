@@ -146,12 +146,7 @@ def fit_cases() -> list[Case]:
             lambda: threshold(RISING, level=DECADES),
         ),
         *(
-            case(
-                f"slope {slope:g}: threshold",
-                exact_threshold(slope),
-                closed,
-                partial(threshold_of_curve, slope),
-            )
+            case(f"slope {slope:g}: threshold", exact_threshold(slope), closed, partial(threshold_of_curve, slope))
             for slope in SLOPES
         ),
         case(

@@ -123,13 +123,7 @@ def cases() -> list[Case]:
             lambda: contrast_threshold(observer(), size_mrad=0.5).status,
         ),
         *(
-            case(
-                f"{size:g} retina samples: noise covariance",
-                expected,
-                literal,
-                partial(covariance_row, size),
-                9,
-            )
+            case(f"{size:g} retina samples: noise covariance", expected, literal, partial(covariance_row, size), 9)
             for size, expected in COVARIANCES.items()
         ),
         *(
