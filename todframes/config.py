@@ -176,7 +176,7 @@ def _shortened(text: str) -> str:
     return text if len(text) <= LONGEST_KEY else f"{text[:LONGEST_KEY]}…"
 
 
-def check_values(settings: Any) -> None:
+def check_values(settings: object) -> None:
     """Refuse values that the annotations of a settings dataclass do not allow.
 
     Checked are numbers, with their ranges where these are annotated (`msgspec.Meta`), and choices (`Literal`).
@@ -186,7 +186,8 @@ def check_values(settings: Any) -> None:
     SettingsError
         For the first field that is of another type or out of its range.
     """
-    for name, hint in _hints(type(settings)).items():
+    kind: Any = type(settings)
+    for name, hint in _hints(kind).items():
         value = getattr(settings, name)
         if expected := _unmet(value, hint):
             raise SettingsError(f"{name}: found {value!r}, expected {expected}")
