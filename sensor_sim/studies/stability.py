@@ -1,4 +1,7 @@
-"""Extreme optics, detectors, displays and whole chains."""
+"""Stability cases of sensor_sim: extreme optics, detectors, displays and whole chains.
+
+Lengths are in detectors of 1 mrad, frequencies in cycles per detector.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +11,6 @@ from functools import partial
 
 import numpy as np
 
-import sensor_sim.studies.stability as stability_optics_cases
 from sensor_sim.curve_plan import plan_curve
 from sensor_sim.noise import k_factor
 from sensor_sim.predict import FoldedChain, predict_threshold
@@ -16,180 +18,12 @@ from sensor_sim.reconstruction import axis_matrix, display_position_px, display_
 from sensor_sim.sampling import TriangleSampler
 from sensor_sim.sensor import Detector, Electronics, Noise, Optics, Sensor, SensorDisplay
 from sensor_sim.simulate import Simulator
-from sensor_sim.studies import stability as stability_of_stability_optics_cases
 from sensor_sim.transfer import box_mtf, diffraction_mtf, gaussian_mtf
 from todframes._typing import FloatArray
 from todframes.observers.pyramid import PyramidObserver, PyramidSettings
 from todframes.observers.retina import RetinaGrid, resample
 from todframes.stimulus import HEIGHT_PER_SIZE, Orientation
 from todframes.studies.stability.case import MPMATH, Case, refusal
-
-
-def cases() -> list[Case]:
-    """All cases of sensor_sim."""
-    return [*stability_of_stability_optics_cases.cases_stability_optics_cases(), *display_cases(), *curve_cases()]
-
-
-def display_of(
-    pixels_per_detector: int, *, detector_pitch_mrad: float, blur_sigma_px: float = 0.0
-) -> SensorDisplay:
-    """A display whose detectors are seen under an angle, whatever the number of their pixels."""
-    pixel_mm = 2000.0 * math.tan(detector_pitch_mrad / pixels_per_detector / 2000.0)
-    return SensorDisplay(
-        pixels_per_detector=pixels_per_detector,
-        pixel_pitch_mm=pixel_mm,
-        viewing_distance_mm=1000.0,
-        background_luminance_cd_m2=50.0,
-        blur_sigma_px=blur_sigma_px,
-    )
-
-
-def held(pixels_per_detector: int) -> FloatArray:
-    """Retina image of three by three detectors on a display."""
-    display = display_of(pixels_per_detector, detector_pitch_mrad=1.0)
-    matrix = axis_matrix(3, display=display, electronics=Electronics())
-    shown = display_signal(np.arange(9.0).reshape(3, 3) ** 2, matrix)
-    at = display_position_px(0.3, n_detectors=3, display=display)
-    grid = RetinaGrid(7, 0.21)
-    return resample(shown, grid, x_px=at, y_px=at, pixel_pitch_mrad=display.pixel_pitch_mrad)
-
-
-def display_cases() -> list[Case]:
-    """Of noise, hold, display and retina."""
-    case = partial(Case, "display")
-    sigmas = np.array([1e-3, 0.3, 1.5, 1000.0])
-
-    def variance(sigma: float) -> float:
-        kernel = gaussian_kernel(sigma)
-        place = np.arange(kernel.size) - kernel.size // 2
-        return float(kernel @ place**2)
-
-    def widest() -> float:
-        display = display_of(1000, detector_pitch_mrad=1.0, blur_sigma_px=1000.0)
-        return float(axis_matrix(21, display=display, electronics=Electronics())[10_500].sum())
-
-    def on_an_edge() -> FloatArray:
-        ramp = np.add.outer(np.arange(9.0) ** 2, np.arange(9.0) ** 3)
-        return resample(ramp, RetinaGrid(3, 1.0), x_px=4.5, y_px=3.5, pixel_pitch_mrad=1.0)
-
-    rows, columns = (np.array([(n**k + (n + 1) ** k) / 2 for n in range(m, m + 3)]) for k, m in ((2, 2), (3, 3)))
-    return [
-        case("blur of 1e-3 to 1,000 pixels: variance", sigmas**2, "σ²", lambda: [variance(s) for s in sigmas], 9),
-        case("1,000 pixels a detector, blur of 1,000: sum of weights", 1.0, "uniform stays uniform", widest, 12),
-        case(
-            "1,000 pixels a detector: retina image",
-            held(1),
-            "law: as with one pixel a detector",
-            lambda: held(1000),
-            12,
-        ),
-        case(
-            "retina samples exactly between pixels",
-            np.add.outer(rows, columns),
-            "closed form: means of neighbours",
-            on_an_edge,
-            15,
-        ),
-        case(
-            "noise of 10⁶ frames, and of a fixed pattern 1e12 times as strong: k",
-            [1000.0, 1.0 / math.sqrt(1.0 + 1e24)],
-            "closed form",
-            lambda: [k_factor(Noise(frames_integrated=10**6)), k_factor(Noise(fixed_pattern_ratio=1e12))],
-            12,
-        ),
-    ]
-
-
-def camera(cut_off: float = 2.0, *, blur: float = 0.0, display: SensorDisplay | None = None) -> Sensor:
-    """A camera whose detectors are seen under 3 mrad; cut-off in cycles per detector."""
-    return Sensor(
-        optics=Optics(aperture_mm=cut_off, wavelength_um=1.0, blur_sigma_mrad=blur),
-        detector=stability_optics_cases.CONTIGUOUS,
-        display=display or display_of(1, detector_pitch_mrad=3.0),
-    )
-
-
-def proportions(sensor: Sensor, size: float, snrs: tuple[float, ...], internal_noise: float = 0.5) -> list[float]:
-    """Mean P(correct) over some places and all orientations; nothing is left out."""
-    observer = PyramidObserver(PyramidSettings(internal_noise=internal_noise))
-    chain = FoldedChain(sensor, observer, size, plan_curve(sensor, observer, size, name="full"))
-    phases = chain.phases(3, np.random.default_rng(1))
-    return [chain.proportion_correct(phases, snr) for snr in snrs]
-
-
-def curve_cases() -> list[Case]:
-    """Of whole chains."""
-    case = partial(Case, "curve")
-    many = display_of(1000, detector_pitch_mrad=3.0)
-    tiny = display_of(1, detector_pitch_mrad=0.153e-3)
-
-    def ratio(sensor: Sensor, other: Sensor) -> float:
-        return proportions(sensor, 5.0, (2.0,))[0] / proportions(other, 5.0, (2.0,))[0]
-
-    def refused(sensor: Sensor, size: float, naming: str) -> str:
-        return refusal(lambda: FoldedChain(sensor, PyramidObserver(), size), naming)
-
-    return [
-        case(
-            "SNR 1e-9 and 1e9: P(correct)",
-            [0.25, 1.0],
-            "no signal: chance; internal noise 0, no noise: the largest",
-            lambda: proportions(camera(), 8.0, (1e-9, 1e9), internal_noise=0.0),
-            8,
-        ),
-        case(
-            "1,000 display pixels a detector: P(correct), ratio",
-            1.0,
-            "law: as with one pixel a detector",
-            lambda: ratio(camera(display=many), camera()),
-            5,
-        ),
-        case(
-            "1,000 display pixels a detector, blur of 1 pixel: P(correct), ratio",
-            1.0,
-            "law: as with none, to 1e-5",
-            lambda: ratio(camera(display=replace(many, blur_sigma_px=1.0)), camera()),
-            4,
-        ),
-        case(
-            "1,000 display pixels a detector: frames",
-            "refused",
-            "frames of at most 256 MB",
-            lambda: refusal(lambda: Simulator(camera(display=many), 5.0, seed=1), "expected at most 11585"),
-        ),
-        case(
-            "1,000 detectors a retina sample, triangle of 30: threshold",
-            "never_reached",
-            "four identical templates",
-            lambda: predict_threshold(FoldedChain(camera(0.5, display=tiny), PyramidObserver(), 30.0)).status,
-        ),
-        case(
-            "1,000 detectors a retina sample, triangle of 3,000",
-            "refused",
-            "a field of at most 1,024 detectors",
-            lambda: refused(camera(display=tiny), 3000.0, "expected at most 1024"),
-        ),
-        case(
-            "optics blur of 1,000 detectors",
-            "refused",
-            "a field of at most 1,024 detectors",
-            lambda: refused(camera(blur=1000.0), 5.0, "expected at most 1024"),
-        ),
-        case(
-            "cut-off of 1e-3 Nyquist",
-            "refused",
-            "nothing but the mean passes",
-            lambda: refused(camera(0.0005), 5.0, "optics: found a cut-off"),
-        ),
-        case(
-            "cut-off of 2e6 and 2e9 Nyquist: P(correct), ratio",
-            1.0,
-            "law: the optics leave no trace",
-            lambda: ratio(camera(1e6), camera(1e9)),
-            5,
-        ),
-    ]
-
 
 BELOW_CUT_OFF = 1.0 - 2.0 ** -np.array([10.0, 20.0, 30.0, 40.0, 52.0])
 
@@ -207,9 +41,9 @@ POINTS = Detector(pitch_mrad=1.0, width_mrad=0.01)
 """Of fill factor 1e-4."""
 
 
-def cases_stability_optics_cases() -> list[Case]:
-    """Of transfer functions and samples."""
-    return [*transfer_cases(), *sample_cases()]
+def cases() -> list[Case]:
+    """Return all cases of sensor_sim."""
+    return [*transfer_cases(), *sample_cases(), *display_cases(), *curve_cases()]
 
 
 def transfer_cases() -> list[Case]:
@@ -234,22 +68,12 @@ def transfer_cases() -> list[Case]:
             12,
         ),
         case("diffraction, at the cut-off and beyond", [0.0] * 5, "0", lambda: diffraction(AT_AND_BEYOND), 15),
-        case(
-            "Gaussian, blur 0 to 1,000 detectors, at Nyquist",
-            [1.0, math.exp(-(math.pi**2) / 2.0), 0.0],
-            "closed form: exp(−π²σ²/2)",
-            lambda: [float(gaussian_mtf(0.5, sigma=sigma)) for sigma in (0.0, 1.0, 1000.0)],
-            12,
-        ),
-        case(
-            "detector, at multiples of the sampling frequency",
-            [0.0] * 3,
-            "closed form: sin(πk) = 0",
-            lambda: box_mtf([1.0, 1e3, 1e6], width=1.0),
-            12,
-            1.0,
-        ),
-    ]
+        case("Gaussian, blur 0 to 1,000 detectors, at Nyquist", [1.0, math.exp(-(math.pi**2) / 2.0), 0.0],
+             "closed form: exp(−π²σ²/2)",
+             lambda: [float(gaussian_mtf(0.5, sigma=sigma)) for sigma in (0.0, 1.0, 1000.0)], 12),
+        case("detector, at multiples of the sampling frequency", [0.0] * 3, "closed form: sin(πk) = 0",
+             lambda: box_mtf([1.0, 1e3, 1e6], width=1.0), 12, 1.0),
+    ]  # fmt: skip
 
 
 def sampler(
@@ -311,40 +135,131 @@ def sample_cases() -> list[Case]:
             ],
             12,
         ),
-        case(
-            "cut-off of 2e9 Nyquist: the tip and a detector below",
-            [tip**2 / math.sqrt(12.0), 1.0],
-            "closed form: areas",
-            lambda: sampler(1e9).samples(0.0, 0.0, orientation=Orientation.UP)[0][[1, 4], [3, 3]],
-            12,
-        ),
+        case("cut-off of 2e9 Nyquist: the tip and a detector below", [tip**2 / math.sqrt(12.0), 1.0],
+             "closed form: areas",
+             lambda: sampler(1e9).samples(0.0, 0.0, orientation=Orientation.UP)[0][[1, 4], [3, 3]], 12),
         *(
             case(f"blur of {b:g} detectors: sum", [1.0] * 3, area, partial(total, 10.0, blur=b), 12)
             for b in (0.0, 1e-3, 3.0)
         ),
-        case(
-            "fill factor 1e-4, cut-off 2 cycles/detector: mean sum over 4 places",
-            1.0,
-            evenly,
-            partial(mean_total_of_points, 2.0, 2),
-            12,
-        ),
-        case(
-            "fill factor 1e-4, cut-off 1e9 cycles/detector: mean sum over 10⁴ places",
-            1.0,
-            evenly,
-            partial(mean_total_of_points, 1e9, 100),
-            12,
-        ),
+        case("fill factor 1e-4, cut-off 2 cycles/detector: mean sum over 4 places", 1.0, evenly,
+             partial(mean_total_of_points, 2.0, 2), 12),
+        case("fill factor 1e-4, cut-off 1e9 cycles/detector: mean sum over 10⁴ places", 1.0, evenly,
+             partial(mean_total_of_points, 1e9, 100), 12),
         *(
-            case(
-                f"displaced by exactly half a detector, cut-off {name} cycles/detector: difference",
-                0.0,
-                "law: a whole detector on, the same samples",
-                partial(half_a_detector_on, cut_off),
-                12,
-                1.0,
-            )
+            case(f"displaced by exactly half a detector, cut-off {name} cycles/detector: difference", 0.0,
+                 "law: a whole detector on, the same samples", partial(half_a_detector_on, cut_off), 12, 1.0)
             for name, cut_off in (("0.5", 0.5), ("10", 10.0), ("1e9", 1e9))
         ),
-    ]
+    ]  # fmt: skip
+
+
+def display_of(
+    pixels_per_detector: int, *, detector_pitch_mrad: float, blur_sigma_px: float = 0.0
+) -> SensorDisplay:
+    """A display whose detectors are seen under an angle, whatever the number of their pixels."""
+    pixel_mm = 2000.0 * math.tan(detector_pitch_mrad / pixels_per_detector / 2000.0)
+    return SensorDisplay(
+        pixels_per_detector=pixels_per_detector,
+        pixel_pitch_mm=pixel_mm,
+        viewing_distance_mm=1000.0,
+        background_luminance_cd_m2=50.0,
+        blur_sigma_px=blur_sigma_px,
+    )
+
+
+def held(pixels_per_detector: int) -> FloatArray:
+    """Retina image of three by three detectors on a display."""
+    display = display_of(pixels_per_detector, detector_pitch_mrad=1.0)
+    matrix = axis_matrix(3, display=display, electronics=Electronics())
+    shown = display_signal(np.arange(9.0).reshape(3, 3) ** 2, matrix)
+    at = display_position_px(0.3, n_detectors=3, display=display)
+    grid = RetinaGrid(7, 0.21)
+    return resample(shown, grid, x_px=at, y_px=at, pixel_pitch_mrad=display.pixel_pitch_mrad)
+
+
+def display_cases() -> list[Case]:
+    """Of noise, hold, display and retina."""
+    case = partial(Case, "display")
+    sigmas = np.array([1e-3, 0.3, 1.5, 1000.0])
+
+    def variance(sigma: float) -> float:
+        kernel = gaussian_kernel(sigma)
+        place = np.arange(kernel.size) - kernel.size // 2
+        return float(kernel @ place**2)
+
+    def widest() -> float:
+        display = display_of(1000, detector_pitch_mrad=1.0, blur_sigma_px=1000.0)
+        return float(axis_matrix(21, display=display, electronics=Electronics())[10_500].sum())
+
+    def on_an_edge() -> FloatArray:
+        ramp = np.add.outer(np.arange(9.0) ** 2, np.arange(9.0) ** 3)
+        return resample(ramp, RetinaGrid(3, 1.0), x_px=4.5, y_px=3.5, pixel_pitch_mrad=1.0)
+
+    rows, columns = (np.array([(n**k + (n + 1) ** k) / 2 for n in range(m, m + 3)]) for k, m in ((2, 2), (3, 3)))
+    return [
+        case("blur of 1e-3 to 1,000 pixels: variance", sigmas**2, "σ²", lambda: [variance(s) for s in sigmas], 9),
+        case("1,000 pixels a detector, blur of 1,000: sum of weights", 1.0, "uniform stays uniform", widest, 12),
+        case("1,000 pixels a detector: retina image", held(1), "law: as with one pixel a detector",
+             lambda: held(1000), 12),
+        case("retina samples exactly between pixels", np.add.outer(rows, columns),
+             "closed form: means of neighbours", on_an_edge, 15),
+        case("noise of 10⁶ frames, and of a fixed pattern 1e12 times as strong: k",
+             [1000.0, 1.0 / math.sqrt(1.0 + 1e24)], "closed form",
+             lambda: [k_factor(Noise(frames_integrated=10**6)), k_factor(Noise(fixed_pattern_ratio=1e12))], 12),
+    ]  # fmt: skip
+
+
+def camera(cut_off: float = 2.0, *, blur: float = 0.0, display: SensorDisplay | None = None) -> Sensor:
+    """A camera whose detectors are seen under 3 mrad; cut-off in cycles per detector."""
+    return Sensor(
+        optics=Optics(aperture_mm=cut_off, wavelength_um=1.0, blur_sigma_mrad=blur),
+        detector=CONTIGUOUS,
+        display=display or display_of(1, detector_pitch_mrad=3.0),
+    )
+
+
+def proportions(sensor: Sensor, size: float, snrs: tuple[float, ...], internal_noise: float = 0.5) -> list[float]:
+    """Mean P(correct) over some places and all orientations; nothing is left out."""
+    observer = PyramidObserver(PyramidSettings(internal_noise=internal_noise))
+    chain = FoldedChain(sensor, observer, size, plan_curve(sensor, observer, size, name="full"))
+    phases = chain.phases(3, np.random.default_rng(1))
+    return [chain.proportion_correct(phases, snr) for snr in snrs]
+
+
+def curve_cases() -> list[Case]:
+    """Of whole chains."""
+    case = partial(Case, "curve")
+    many = display_of(1000, detector_pitch_mrad=3.0)
+    tiny = display_of(1, detector_pitch_mrad=0.153e-3)
+
+    def ratio(sensor: Sensor, other: Sensor) -> float:
+        return proportions(sensor, 5.0, (2.0,))[0] / proportions(other, 5.0, (2.0,))[0]
+
+    def refused(sensor: Sensor, size: float, naming: str) -> str:
+        return refusal(lambda: FoldedChain(sensor, PyramidObserver(), size), naming)
+
+    return [
+        case("SNR 1e-9 and 1e9: P(correct)", [0.25, 1.0],
+             "no signal: chance; internal noise 0, no noise: the largest",
+             lambda: proportions(camera(), 8.0, (1e-9, 1e9), internal_noise=0.0), 8),
+        case("1,000 display pixels a detector: P(correct), ratio", 1.0, "law: as with one pixel a detector",
+             lambda: ratio(camera(display=many), camera()), 5),
+        case("1,000 display pixels a detector, blur of 1 pixel: P(correct), ratio", 1.0,
+             "law: as with none, to 1e-5",
+             lambda: ratio(camera(display=replace(many, blur_sigma_px=1.0)), camera()), 4),
+        case("1,000 display pixels a detector: frames", "refused", "frames of at most 256 MB",
+             lambda: refusal(lambda: Simulator(camera(display=many), 5.0, seed=1), "expected at most 11585")),
+        case("1,000 detectors a retina sample, triangle of 30: threshold", "never_reached",
+             "four identical templates",
+             lambda: predict_threshold(FoldedChain(camera(0.5, display=tiny), PyramidObserver(), 30.0)).status),
+        case("1,000 detectors a retina sample, triangle of 3,000", "refused",
+             "a field of at most 1,024 detectors",
+             lambda: refused(camera(display=tiny), 3000.0, "expected at most 1024")),
+        case("optics blur of 1,000 detectors", "refused", "a field of at most 1,024 detectors",
+             lambda: refused(camera(blur=1000.0), 5.0, "expected at most 1024")),
+        case("cut-off of 1e-3 Nyquist", "refused", "nothing but the mean passes",
+             lambda: refused(camera(0.0005), 5.0, "optics: found a cut-off")),
+        case("cut-off of 2e6 and 2e9 Nyquist: P(correct), ratio", 1.0, "law: the optics leave no trace",
+             lambda: ratio(camera(1e6), camera(1e9)), 5),
+    ]  # fmt: skip

@@ -1,4 +1,4 @@
-"""Extreme inputs of the decision; of the observer, fits and frames in the modules beside.
+"""Stability cases of the decision, and the list of all cases of todframes.
 
 Numbers from mpmath were computed with 50 digits; tests/test_stability_references.py does it again.
 """
@@ -14,14 +14,13 @@ from numpy.typing import ArrayLike
 
 from todframes._typing import FloatArray
 from todframes.observers.decision import answer_probabilities
-from todframes.studies.stability import fits_and_frames as stability_data_cases
-from todframes.studies.stability import observer as stability_observer_cases
+from todframes.studies.stability import fits_and_frames, observer
 from todframes.studies.stability.case import MPMATH, Case
 
 
 def cases() -> list[Case]:
     """All cases of todframes."""
-    return [*decision_cases(), *stability_observer_cases.cases(), *stability_data_cases.cases()]
+    return [*decision_cases(), *observer.cases(), *fits_and_frames.cases()]
 
 
 def circulant(beside: float, opposite: float) -> FloatArray:
@@ -113,91 +112,40 @@ def decision_cases() -> list[Case]:
     independent = MPMATH + "∫ φ(z − d′) Φ(z)³ dz"
     on_line = "closed form: normal probabilities of intervals"
     return [
-        case(
-            "four triangles, SNR 1e-9 to 1e9: P(correct)",
-            [0.2500000001380203, 0.25000013802033644, 0.2501380400549598, 0.40449964244458675, 1.0, 1.0, 1.0],
-            plackett,
-            lambda: right(of_triangles(SNRS), TRIANGLES),
-            9,
-        ),
-        case(
-            "four triangles, SNR 1e-9: P(correct) − 1/4",
-            1.380203167375258e-10,
-            plackett,
-            lambda: float(right(of_triangles(1e-9), TRIANGLES)) - 0.25,
-            5,
-        ),
-        case(
-            "four triangles, SNR 5 to 31: P(error) to 1e-30",
-            [0.07330579875767375, 4.055292575223019e-08, 5.660073880337489e-20, 7.693775917894176e-30],
-            plackett,
-            lambda: wrong(of_triangles(HIGH_SNRS), TRIANGLES),
-        ),
+        case("four triangles, SNR 1e-9 to 1e9: P(correct)",
+             [0.2500000001380203, 0.25000013802033644, 0.2501380400549598, 0.40449964244458675, 1.0, 1.0, 1.0],
+             plackett, lambda: right(of_triangles(SNRS), TRIANGLES), 9),
+        case("four triangles, SNR 1e-9: P(correct) − 1/4", 1.380203167375258e-10, plackett,
+             lambda: float(right(of_triangles(1e-9), TRIANGLES)) - 0.25, 5),
+        case("four triangles, SNR 5 to 31: P(error) to 1e-30",
+             [0.07330579875767375, 4.055292575223019e-08, 5.660073880337489e-20, 7.693775917894176e-30],
+             plackett, lambda: wrong(of_triangles(HIGH_SNRS), TRIANGLES)),
         case("noise SD 1e-150 to 1e150, SNR 3: P(correct)", [0.7301635803834369] * 4, plackett, scaled, 9),
-        case(
-            "two opposite pairs (rank 2): P(error) to 1e-30",
-            tails * (2.0 - tails),
-            "closed form: 1 − Φ(lead)²",
-            lambda: wrong(like_template(math.sqrt(2.0) * LEADS, pairs(0.0)), pairs(0.0) @ pairs(0.0).T),
-        ),
-        case(
-            "opposite pairs but for 1e-3 to 1e-12 of them, SNR 2: P(correct)",
-            [0.8488869354973887, 0.8488865530847595, 0.848886553084377],
-            plackett,
-            lambda: with_even_parts(2.0, right),
-            9,
-        ),
-        case(
-            "opposite pairs but for 1e-3 to 1e-12 of them, SNR 16.1: P(error)",
-            [4.999374840440415e-30, 5.000027751434586e-30, 5.000027752087541e-30],
-            plackett,
-            lambda: with_even_parts(16.1, wrong),
-        ),
-        case(
-            "templates on a line (rank 1): all four",
-            np.diff([0.0, *of_line, 1.0]),
-            on_line,
-            lambda: answer_probabilities([-0.3, 0.5, 0.4, -1.0], LINE @ LINE.T),
-            9,
-        ),
-        case(
-            "templates on a line (rank 1): P(error) at 1e-30",
-            line_tail,
-            on_line,
-            lambda: float(wrong([0.0, -11.4, -12.0, -50.0], LINE[[1, 0, 2, 3]] @ LINE[[1, 0, 2, 3]].T)),
-        ),
-        case(
-            "negatively correlated differences: P(error) to 1e-30",
-            [0.04717755001633491, 2.426531172407078e-08, 1.845132359098363e-30],
-            plackett,
-            lambda: wrong(np.multiply.outer(OBTUSE_SNRS, -OBTUSE[:, 0]), OBTUSE @ OBTUSE.T),
-        ),
-        case(
-            "templates 1 − 1e-12 alike: P(correct)",
-            [0.3933178428150768, 0.5520314384430163, 0.7018627009324003, 0.8227929559932297, 0.9563743715605859],
-            independent,
-            lambda: right(2e-6 * np.multiply.outer(D_PRIMES, np.eye(4)[0]), factor=ALIKE),
-            9,
-        ),
-        case(
-            "templates 1 − 1e-12 alike: P(error) to 1e-30",
-            [0.0005927685870461995, 2.3061133514624445e-12, 3.324462858005453e-30],
-            independent,
-            lambda: wrong(2e-6 * np.multiply.outer(HIGH_D_PRIMES, np.eye(4)[0]), factor=ALIKE),
-        ),
+        case("two opposite pairs (rank 2): P(error) to 1e-30", tails * (2.0 - tails),
+             "closed form: 1 − Φ(lead)²",
+             lambda: wrong(like_template(math.sqrt(2.0) * LEADS, pairs(0.0)), pairs(0.0) @ pairs(0.0).T)),
+        case("opposite pairs but for 1e-3 to 1e-12 of them, SNR 2: P(correct)",
+             [0.8488869354973887, 0.8488865530847595, 0.848886553084377], plackett,
+             lambda: with_even_parts(2.0, right), 9),
+        case("opposite pairs but for 1e-3 to 1e-12 of them, SNR 16.1: P(error)",
+             [4.999374840440415e-30, 5.000027751434586e-30, 5.000027752087541e-30], plackett,
+             lambda: with_even_parts(16.1, wrong)),
+        case("templates on a line (rank 1): all four", np.diff([0.0, *of_line, 1.0]), on_line,
+             lambda: answer_probabilities([-0.3, 0.5, 0.4, -1.0], LINE @ LINE.T), 9),
+        case("templates on a line (rank 1): P(error) at 1e-30", line_tail, on_line,
+             lambda: float(wrong([0.0, -11.4, -12.0, -50.0], LINE[[1, 0, 2, 3]] @ LINE[[1, 0, 2, 3]].T))),
+        case("negatively correlated differences: P(error) to 1e-30",
+             [0.04717755001633491, 2.426531172407078e-08, 1.845132359098363e-30], plackett,
+             lambda: wrong(np.multiply.outer(OBTUSE_SNRS, -OBTUSE[:, 0]), OBTUSE @ OBTUSE.T)),
+        case("templates 1 − 1e-12 alike: P(correct)",
+             [0.3933178428150768, 0.5520314384430163, 0.7018627009324003, 0.8227929559932297, 0.9563743715605859],
+             independent, lambda: right(2e-6 * np.multiply.outer(D_PRIMES, np.eye(4)[0]), factor=ALIKE), 9),
+        case("templates 1 − 1e-12 alike: P(error) to 1e-30",
+             [0.0005927685870461995, 2.3061133514624445e-12, 3.324462858005453e-30], independent,
+             lambda: wrong(2e-6 * np.multiply.outer(HIGH_D_PRIMES, np.eye(4)[0]), factor=ALIKE)),
         case("four identical templates, variance 0 to 1e300", [0.25] * 4, "symmetry", identical, 15),
-        case(
-            "no noise, scores 1e-300 apart: all four",
-            [1.0, 0.0, 0.0, 0.0],
-            "the largest wins",
-            lambda: answer_probabilities([1e-300, 0.0, 0.0, 0.0], np.ones((4, 4))),
-            15,
-        ),
-        case(
-            "scores of ±1e308: all four",
-            [1.0, 0.0, 0.0, 0.0],
-            "the largest wins",
-            lambda: answer_probabilities([1e308, -1e308, 0.0, 0.0], TRIANGLES),
-            15,
-        ),
-    ]
+        case("no noise, scores 1e-300 apart: all four", [1.0, 0.0, 0.0, 0.0], "the largest wins",
+             lambda: answer_probabilities([1e-300, 0.0, 0.0, 0.0], np.ones((4, 4))), 15),
+        case("scores of ±1e308: all four", [1.0, 0.0, 0.0, 0.0], "the largest wins",
+             lambda: answer_probabilities([1e308, -1e308, 0.0, 0.0], TRIANGLES), 15),
+    ]  # fmt: skip

@@ -1,4 +1,4 @@
-"""Extreme counts and frames: psychometric fits of all kinds, luminances of twelve decades in files."""
+"""Stability cases of counts and frames: psychometric fits of all kinds, luminances of twelve decades in files."""
 
 from __future__ import annotations
 
@@ -46,6 +46,26 @@ SLOPES = (1e-2, 1e-1, 1.0, 1e1, 1e2, 1e3)
 
 
 PROPORTIONS = (0.3, 0.4, 0.5, 0.6, 0.75, 0.85, 0.9, 0.94)
+
+
+SIDE_PX = 65
+
+
+CONTRAST = 0.25
+
+
+PATTERN = np.rint(coverage((SIDE_PX,) * 2, size_px=5.0, x_px=32, y_px=32, orientation=Orientation.UP))
+"""A triangle of whole pixels, each of them a retina sample, which half floats hold exactly."""
+
+
+P_OF_PATTERN = 0.9312557277131851
+
+
+CHECKERBOARD = 4.0 * (-1.0) ** np.add.outer(np.arange(SIDE_PX), np.arange(SIDE_PX))
+"""Noise that looks the same to all four orientations."""
+
+
+LARGEST_FLOAT = float(np.finfo(np.float32).max)
 
 
 def cases() -> list[Case]:
@@ -114,92 +134,34 @@ def fit_cases() -> list[Case]:
         case("one level: status", "too_few_levels", "a curve needs two", lambda: fit([20], level=[1.0]).status),
         case("falling: status", "never_reached", mean, lambda: fit(RISING[::-1]).status),
         case("all or nothing in turns: status", "never_reached", mean, lambda: fit([30, 0] * 3 + [30]).status),
-        case(
-            "levels 1e-15 apart: status",
-            "never_reached",
-            mean,
-            lambda: fit(RISING, level=1.0 + 1e-15 * np.arange(7)).status,
-        ),
-        case(
-            "perfect separation: threshold and interval",
-            "in the gap, spanned",
-            "likelihood: any step in the gap is as likely",
-            lambda: step([8, 7, 7, 30, 30, 30, 30], LEVELS, 2),
-        ),
-        case(
-            "perfect separation of 10⁶ trials: threshold and interval",
-            "in the gap, spanned",
-            "likelihood: any step in the gap is as likely",
-            lambda: step([250_000] * 3 + [10**6] * 4, LEVELS, 2, 10**6),
-        ),
-        case(
-            "one trial a level: threshold",
-            1.523470047599754,
-            likelihood,
-            lambda: threshold(SINGLE, 1, SINGLE_LEVELS),
-        ),
+        case("levels 1e-15 apart: status", "never_reached", mean,
+             lambda: fit(RISING, level=1.0 + 1e-15 * np.arange(7)).status),
+        case("perfect separation: threshold and interval", "in the gap, spanned",
+             "likelihood: any step in the gap is as likely", lambda: step([8, 7, 7, 30, 30, 30, 30], LEVELS, 2)),
+        case("perfect separation of 10⁶ trials: threshold and interval", "in the gap, spanned",
+             "likelihood: any step in the gap is as likely",
+             lambda: step([250_000] * 3 + [10**6] * 4, LEVELS, 2, 10**6)),
+        case("one trial a level: threshold", 1.523470047599754, likelihood,
+             lambda: threshold(SINGLE, 1, SINGLE_LEVELS)),
         case("non-monotone: threshold", 1.2879063714797194, likelihood, lambda: threshold(NON_MONOTONE)),
-        case(
-            "levels over 12 decades: threshold",
-            18.774632957162915,
-            likelihood,
-            lambda: threshold(RISING, level=DECADES),
-        ),
+        case("levels over 12 decades: threshold", 18.774632957162915, likelihood,
+             lambda: threshold(RISING, level=DECADES)),
         *(
             case(f"slope {slope:g}: threshold", exact_threshold(slope), closed, partial(threshold_of_curve, slope))
             for slope in SLOPES
         ),
-        case(
-            "lapse rate at its bound: threshold",
-            exact_threshold(2.0, lapse_rate=0.05),
-            closed,
-            partial(threshold_of_curve, 2.0, lapse_rate=0.05),
-        ),
-        case(
-            "lapse rate four times its bound: threshold and δ",
-            [1.5453118997025495, 0.05],
-            likelihood,
-            lapse_beyond,
-        ),
-        case(
-            "10⁶ trials a level: threshold",
-            1.1585031036570017,
-            likelihood,
-            lambda: threshold(np.array(RISING) * 33_333, 999_990),
-        ),
-        case(
-            "perfect separation of 2⁵³ trials: threshold and interval",
-            "in the gap, spanned",
-            "likelihood: any step in the gap is as likely",
-            lambda: step([2**51] * 3 + [2**53] * 4, LEVELS, 2, 2**53),
-        ),
-        case(
-            "levels about 1e-300 and 1e300: thresholds",
-            [1.1585031036570017] * 2,
-            likelihood,
-            lambda: [threshold(RISING, level=unit * LEVELS) / unit for unit in (1e-300, 1e300)],
-        ),
-    ]
-
-
-SIDE_PX = 65
-
-
-CONTRAST = 0.25
-
-
-PATTERN = np.rint(coverage((SIDE_PX,) * 2, size_px=5.0, x_px=32, y_px=32, orientation=Orientation.UP))
-"""A triangle of whole pixels, each of them a retina sample, which half floats hold exactly."""
-
-
-P_OF_PATTERN = 0.9312557277131851
-
-
-CHECKERBOARD = 4.0 * (-1.0) ** np.add.outer(np.arange(SIDE_PX), np.arange(SIDE_PX))
-"""Noise that looks the same to all four orientations."""
-
-
-LARGEST_FLOAT = float(np.finfo(np.float32).max)
+        case("lapse rate at its bound: threshold", exact_threshold(2.0, lapse_rate=0.05), closed,
+             partial(threshold_of_curve, 2.0, lapse_rate=0.05)),
+        case("lapse rate four times its bound: threshold and δ", [1.5453118997025495, 0.05], likelihood,
+             lapse_beyond),
+        case("10⁶ trials a level: threshold", 1.1585031036570017, likelihood,
+             lambda: threshold(np.array(RISING) * 33_333, 999_990)),
+        case("perfect separation of 2⁵³ trials: threshold and interval", "in the gap, spanned",
+             "likelihood: any step in the gap is as likely",
+             lambda: step([2**51] * 3 + [2**53] * 4, LEVELS, 2, 2**53)),
+        case("levels about 1e-300 and 1e300: thresholds", [1.1585031036570017] * 2, likelihood,
+             lambda: [threshold(RISING, level=unit * LEVELS) / unit for unit in (1e-300, 1e300)]),
+    ]  # fmt: skip
 
 
 def frame(background: float, *, contrast: FloatArray | float = CONTRAST * PATTERN) -> FloatArray:
@@ -246,39 +208,17 @@ def frame_cases() -> list[Case]:
     one_pixel = np.zeros((SIDE_PX, SIDE_PX))
     one_pixel[29, 32] = 1.0  # in the upright triangle's apex
     return [
-        case(
-            "float EXR, background 1e-6 to 1e6 cd/m²: P(correct)",
-            [P_OF_PATTERN] * 7,
-            law,
-            lambda: [right(frame(float(b)), background=float(b)) for b in DECADES],
-        ),
-        case(
-            "half EXR, background 2⁻²⁰ to 2¹⁵ cd/m²: P(correct)",
-            [P_OF_PATTERN] * 8,
-            law,
-            lambda: [right(frame(2.0**n), "half", background=2.0**n) for n in range(-20, 16, 5)],
-            12,
-        ),
-        case(
-            "half EXR, code value 1 at 1e-6 to 1e6 cd/m²: P(correct)",
-            [P_OF_PATTERN] * 7,
-            law,
-            lambda: [right(frame(1.0), "half", background=float(b), white=float(b)) for b in DECADES],
-            12,
-        ),
-        case(
-            "half EXR of 1e6 cd/m² as they are",
-            "refused",
-            "half floats end at 65504",
-            lambda: refusal(lambda: right(frame(1e6), "half", background=1e6), "beyond ±65504"),
-        ),
-        case(
-            "one pixel of 3.4e38 in the apex, background 1e-6: P(correct)",
-            1.0,
-            "the answer whose template is largest there",
-            lambda: right(frame(1e-6) + LARGEST_FLOAT * one_pixel, background=1e-6),
-            15,
-        ),
+        case("float EXR, background 1e-6 to 1e6 cd/m²: P(correct)", [P_OF_PATTERN] * 7, law,
+             lambda: [right(frame(float(b)), background=float(b)) for b in DECADES]),
+        case("half EXR, background 2⁻²⁰ to 2¹⁵ cd/m²: P(correct)", [P_OF_PATTERN] * 8, law,
+             lambda: [right(frame(2.0**n), "half", background=2.0**n) for n in range(-20, 16, 5)], 12),
+        case("half EXR, code value 1 at 1e-6 to 1e6 cd/m²: P(correct)", [P_OF_PATTERN] * 7, law,
+             lambda: [right(frame(1.0), "half", background=float(b), white=float(b)) for b in DECADES], 12),
+        case("half EXR of 1e6 cd/m² as they are", "refused", "half floats end at 65504",
+             lambda: refusal(lambda: right(frame(1e6), "half", background=1e6), "beyond ±65504")),
+        case("one pixel of 3.4e38 in the apex, background 1e-6: P(correct)", 1.0,
+             "the answer whose template is largest there",
+             lambda: right(frame(1e-6) + LARGEST_FLOAT * one_pixel, background=1e-6), 15),
         case(
             "all pixels 3.4e38, background 1e-6, border and frame_mean: P(correct)",
             [0.25] * 3,
@@ -288,19 +228,10 @@ def frame_cases() -> list[Case]:
             ],
             9,
         ),
-        case(
-            "white of 1e300 cd/m²",
-            "refused",
-            "at most 1e12",
-            lambda: refusal(lambda: right(one_pixel, background=1.0, white=1e300), "white_luminance_cd_m2"),
-        ),
-        case(
-            "negative luminance, a checkerboard of ±4 backgrounds: P(correct)",
-            P_OF_PATTERN,
-            law,
-            lambda: right(frame(50.0, contrast=CONTRAST * PATTERN + CHECKERBOARD), "half", background=50.0),
-            12,
-        ),
+        case("white of 1e300 cd/m²", "refused", "at most 1e12",
+             lambda: refusal(lambda: right(one_pixel, background=1.0, white=1e300), "white_luminance_cd_m2")),
+        case("negative luminance, a checkerboard of ±4 backgrounds: P(correct)", P_OF_PATTERN, law,
+             lambda: right(frame(50.0, contrast=CONTRAST * PATTERN + CHECKERBOARD), "half", background=50.0), 12),
         case(
             "negative luminance, that checkerboard, background border: pixels counted",
             2112.0,
@@ -312,4 +243,4 @@ def frame_cases() -> list[Case]:
             ),
             15,
         ),
-    ]
+    ]  # fmt: skip

@@ -1,4 +1,4 @@
-"""Extreme inputs of the observer: triangles of 0.01 to 2,000 retina samples, contrasts, noise.
+"""Stability cases of the observer: triangles of 0.01 to 2,000 retina samples, contrasts, noise.
 
 A retina sample is 1 mrad wide here, and the triangle lies in the middle of one.
 """
@@ -107,97 +107,42 @@ def cases() -> list[Case]:
 
     return [
         *(
-            case(
-                f"{size:g} retina samples, contrast 1e-9 to 1e9: P(correct)",
-                [0.25] * len(CONTRASTS),
-                identical,
-                partial(naked_eye, size),
-                15,
-            )
+            case(f"{size:g} retina samples, contrast 1e-9 to 1e9: P(correct)", [0.25] * len(CONTRASTS),
+                 identical, partial(naked_eye, size), 15)
             for size in WITHIN_A_SAMPLE
         ),
-        case(
-            "0.5 retina samples: threshold",
-            "never_reached",
-            identical,
-            lambda: contrast_threshold(observer(), size_mrad=0.5).status,
-        ),
+        case("0.5 retina samples: threshold", "never_reached", identical,
+             lambda: contrast_threshold(observer(), size_mrad=0.5).status),
         *(
             case(f"{size:g} retina samples: noise covariance", expected, literal, partial(covariance_row, size), 9)
             for size, expected in COVARIANCES.items()
         ),
         *(
-            case(
-                f"{size:g} retina samples, contrast {low:g} and {high:g}: P(error) to 1e-30",
-                expected,
-                literal,
-                partial(errors, (low, high), size),
-            )
+            case(f"{size:g} retina samples, contrast {low:g} and {high:g}: P(error) to 1e-30", expected, literal,
+                 partial(errors, (low, high), size))
             for size, pairs in ERRORS.items()
             for (low, high), expected in [zip(*pairs, strict=True)]
         ),
-        case(
-            "20 retina samples, contrast 1e-9 to 1e9: P(correct)",
-            [0.2500000073141853, 0.2500073142409198, 0.25736945238061243, 1.0, 1.0, 1.0, 1.0],
-            literal,
-            lambda: probabilities(CONTRASTS, 20.0)[:, 0],
-            9,
-        ),
+        case("20 retina samples, contrast 1e-9 to 1e9: P(correct)",
+             [0.2500000073141853, 0.2500073142409198, 0.25736945238061243, 1.0, 1.0, 1.0, 1.0], literal,
+             lambda: probabilities(CONTRASTS, 20.0)[:, 0], 9),
         *(
-            case(
-                f"{size:g} retina samples: scores of its own template",
-                [1.0] * 4,
-                adjoint,
-                partial(template_scores, size),
-                9,
-            )
+            case(f"{size:g} retina samples: scores of its own template", [1.0] * 4, adjoint,
+                 partial(template_scores, size), 9)
             for size in (0.58, 1.0, 10.0, 100.0, 500.0)
         ),
-        case(
-            "2,000 retina samples, levels = 10: scores of its own template",
-            [1.0] * 4,
-            adjoint,
-            partial(template_scores, 2000.0, levels=10),
-            9,
-        ),
-        case(
-            "2,300 retina samples",
-            "refused",
-            "at most 2,276: memory",
-            lambda: refusal(lambda: observer().grid(Stimulus(2300.0)), "expected at most 2276"),
-        ),
-        case(
-            "internal noise 0, 20 retina samples, contrast 1e-9 to 1e9: P(correct)",
-            [1.0] * len(CONTRASTS),
-            noiseless,
-            lambda: probabilities(CONTRASTS, 20.0, internal_noise=0.0)[:, 0],
-            15,
-        ),
-        case(
-            "internal noise 0, 20 retina samples: threshold",
-            "always_exceeded",
-            noiseless,
-            lambda: contrast_threshold(observer(internal_noise=0.0), size_mrad=20.0).status,
-        ),
-        case(
-            "internal noise 0, 0.5 retina samples, contrast 1e-9 to 1e9: P(correct)",
-            [0.25] * len(CONTRASTS),
-            identical,
-            lambda: probabilities(CONTRASTS, 0.5, internal_noise=0.0)[:, 0],
-            15,
-        ),
-        case(
-            "internal noise 1e-12 and 1e12, contrast in proportion: P(correct)",
-            [P_AT_A_TENTH] * 2,
-            literal,
-            lambda: [float(probabilities(0.1 * n, 20.0, internal_noise=0.5 * n)[0]) for n in (1e-12, 1e12)],
-            9,
-        ),
-        case(
-            "retina samples of 1e-6 and 1e6 mrad: P(correct)",
-            [P_AT_A_TENTH] * 2,
-            literal,
-            lambda: [float(probabilities(0.1, 20.0, retina_pitch_mrad=p)[0]) for p in (1e-6, 1e6)],
-            9,
-        ),
-    ]
+        case("2,000 retina samples, levels = 10: scores of its own template", [1.0] * 4, adjoint,
+             partial(template_scores, 2000.0, levels=10), 9),
+        case("2,300 retina samples", "refused", "at most 2,276: memory",
+             lambda: refusal(lambda: observer().grid(Stimulus(2300.0)), "expected at most 2276")),
+        case("internal noise 0, 20 retina samples, contrast 1e-9 to 1e9: P(correct)", [1.0] * len(CONTRASTS),
+             noiseless, lambda: probabilities(CONTRASTS, 20.0, internal_noise=0.0)[:, 0], 15),
+        case("internal noise 0, 20 retina samples: threshold", "always_exceeded", noiseless,
+             lambda: contrast_threshold(observer(internal_noise=0.0), size_mrad=20.0).status),
+        case("internal noise 0, 0.5 retina samples, contrast 1e-9 to 1e9: P(correct)", [0.25] * len(CONTRASTS),
+             identical, lambda: probabilities(CONTRASTS, 0.5, internal_noise=0.0)[:, 0], 15),
+        case("internal noise 1e-12 and 1e12, contrast in proportion: P(correct)", [P_AT_A_TENTH] * 2, literal,
+             lambda: [float(probabilities(0.1 * n, 20.0, internal_noise=0.5 * n)[0]) for n in (1e-12, 1e12)], 9),
+        case("retina samples of 1e-6 and 1e6 mrad: P(correct)", [P_AT_A_TENTH] * 2, literal,
+             lambda: [float(probabilities(0.1, 20.0, retina_pitch_mrad=p)[0]) for p in (1e-6, 1e6)], 9),
+    ]  # fmt: skip
