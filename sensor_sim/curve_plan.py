@@ -216,7 +216,7 @@ def noise_covariance(weights: FloatArray) -> FloatArray:
 
 
 class _CurvePlanner:
-    """The whole chain at a few places, and what leaving out each part would change there."""
+    """Weigh at a few places, on the whole chain, what leaving out each part would change."""
 
     def __init__(
         self, sensor: Sensor, size_detectors: float, full: CurvePlan, p_correct: float, tolerance: float

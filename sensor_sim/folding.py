@@ -22,28 +22,28 @@ from todframes.observers.retina import RetinaGrid, overlaps
 
 
 def is_unblurred(sensor: Sensor) -> bool:
-    """Whether nothing blurs what the display shows, so that the pixels of a detector are alike."""
+    """Return whether nothing blurs what the display shows, so that the pixels of a detector are alike."""
     return sensor.electronics.blur_sigma_px == 0.0 and sensor.display.blur_sigma_px == 0.0
 
 
 class Folding:
-    """Some images of weights on a retina, to be seen by detectors at any place of the retina.
+    """Images of weights on a retina, to be folded onto detectors for any place of the retina.
 
     Parameters
     ----------
     sensor : Sensor
     grid : RetinaGrid
     images : ndarray, shape (4, side, side)
-        What they have in common decides nothing and is taken out.
+        Their mean decides nothing and is taken out.
     n : int
-        How many of them are folded.
+        Number of images that are folded.
     field : int
         Detectors along each side of the square field.
     reach_detectors : float
         The retina's middle stays within so much of the field's middle along each axis. Retina samples that then
         never see the field are dropped.
     dtype : float32 or float64
-        Of the folding; weights are float64 in any case.
+        Precision of the folding; weights are float64 in any case.
     merge_pixels : bool
         Whether pixels that must be alike count as one.
     """
@@ -77,7 +77,7 @@ class Folding:
         self._along_x_first = by_column.reshape(self.grid.side, self.n * self.grid.side)
 
     def weights_by_row(self, places_x: FloatArray, places_y: FloatArray) -> list[FloatArray]:
-        """For each place along y, the weights at all places along x: (places_x, n, field²), in float64.
+        """Return for each place along y the weights at all places along x: (places_x, n, field²), in float64.
 
         Places are of the retina's middle, in detectors from the field's middle.
         """
@@ -93,7 +93,7 @@ class Folding:
         return rows
 
     def weights(self, place_x: float, place_y: float) -> FloatArray:
-        """Weights at one place: (n, field²)."""
+        """Return the weights at one place: (n, field²)."""
         (row,) = self.weights_by_row(np.array([place_x]), np.array([place_y]))
         return np.asarray(row[0])
 

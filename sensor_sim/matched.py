@@ -1,4 +1,4 @@
-"""What the observer `informative` is told of a sensor and its display."""
+"""Settings of the observer `informative` that describe a sensor and its display."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from todframes.observers.hotelling import HotellingSettings
 
 
 def matched_settings(sensor: Sensor, **others: Any) -> HotellingSettings:
-    """Settings of an observer whose templates are made from what this sensor and its display are expected to show.
+    """Describe a sensor and its display to the observer `informative`, which makes its templates from that.
 
     Optics are replaced by the Gaussian blur with the same transfer at the detectors' Nyquist frequency, or at half
     the optics' cut-off if that is lower.

@@ -30,7 +30,7 @@ class NoiseParts(NamedTuple):
 
 
 def k_factor(noise: Noise) -> float:
-    """Dynamic noise of a single frame over the total noise of the integrated sample.
+    """Return the dynamic noise of a single frame over the total noise of the integrated sample.
 
     σ_tot² = σ_dyn²/n + (ratio·σ_dyn)² with n frames: k = σ_dyn/σ_tot, 1.7496 at ratio 0.4 and 6 frames.
 
@@ -52,7 +52,7 @@ def noise_parts(noise: Noise, *, total_sd: float) -> NoiseParts:
 
 
 def delta_t_mk(snr: ArrayLike, *, noise: Noise) -> FloatArray:
-    """Temperature difference that belongs to a signal-to-noise ratio: ΔT = SNR · NETD · k.
+    """Convert a signal-to-noise ratio to a temperature difference: ΔT = SNR · NETD · k.
 
     As printed. It takes NETD·k for the noise of one displayed sample. Were NETD the noise of a single frame
     and SNR that of the integrated sample, ΔT would be SNR · NETD / k: a factor k² less.
@@ -79,7 +79,7 @@ def delta_t_mk(snr: ArrayLike, *, noise: Noise) -> FloatArray:
 
 
 def excess_kurtosis(noise: Noise) -> float:
-    """Excess kurtosis of one displayed sample: the parts' own, weighted by their squared share of variance."""
+    """Return the excess kurtosis of a displayed sample: the parts' own, weighted by their squared variances."""
     if noise.distribution == "gaussian":
         return 0.0
     parts = noise_parts(noise, total_sd=1.0)
@@ -89,7 +89,7 @@ def excess_kurtosis(noise: Noise) -> float:
 def draw(
     shape: int | tuple[int, ...], *, sd: float, distribution: Distribution, rng: np.random.Generator
 ) -> FloatArray:
-    """Independent noise of zero mean and standard deviation `sd`; uniform noise reaches to ±√3 sd.
+    """Draw independent noise of zero mean and standard deviation `sd`; uniform noise reaches to ±√3 sd.
 
     Hogervorst et al. 2001, section 3.3 and footnote 1; the mean is on the display's background.
     """
@@ -100,7 +100,7 @@ def draw(
 
 
 def unit_fixed_pattern(shape: tuple[int, int], *, noise: Noise, seed: int | np.random.SeedSequence) -> FloatArray:
-    """The sensor's own pattern, of standard deviation 1 over all sensors.
+    """Draw the sensor's own pattern, of standard deviation 1 over all sensors.
 
     Drawn once per sensor: the same seed and shape give the same pattern, whatever frames are made of it.
 
@@ -112,7 +112,7 @@ def unit_fixed_pattern(shape: tuple[int, int], *, noise: Noise, seed: int | np.r
 
 
 def displayed_noise(pattern: FloatArray, *, total_sd: float, noise: Noise, rng: np.random.Generator) -> FloatArray:
-    """Noise of one displayed image: a new dynamic part and the sensor's fixed pattern.
+    """Draw the noise of one displayed image: a new dynamic part and the sensor's fixed pattern.
 
     The dynamic part is one draw of the named distribution with the standard deviation that integration
     leaves, as in the paper, not the mean of separate draws: `distribution` is that of what is displayed.
@@ -120,7 +120,7 @@ def displayed_noise(pattern: FloatArray, *, total_sd: float, noise: Noise, rng: 
     Parameters
     ----------
     pattern : ndarray, shape (n, n)
-        From `unit_fixed_pattern`.
+        Result of `unit_fixed_pattern`.
     total_sd : float
         1/SNR, >= 0.
     rng : numpy.random.Generator

@@ -52,7 +52,7 @@ chance."""
 
 
 class Phases(NamedTuple):
-    """Trials: what the folded observer sees of each, for one orientation.
+    """Trials of one orientation, as the folded observer sees them.
 
     Attributes
     ----------
@@ -80,7 +80,7 @@ class FoldedChain:
     size_detectors : float
         √(area) of the triangle, > 0.
     plan : CurvePlan, optional
-        What to leave out; by default what `plan_curve` finds.
+        Plan of what is left out; by default that of `plan_curve`.
 
     Raises
     ------
@@ -103,24 +103,24 @@ class FoldedChain:
         self.drawing_s = 0.0
 
     def with_internal_noise(self, scale: float) -> FoldedChain:
-        """The same with the standard deviation of the internal noise scaled; all that was computed is shared."""
+        """Return a copy with its internal noise scaled in standard deviation; all that is computed is shared."""
         other = copy.copy(self)
         other.noise_covariance = scale**2 * self.noise_covariance
         return other
 
     def replicates(self, places: int, seed: int) -> list[list[Phases]]:
-        """Independent `phases`, as many as there are replicates; kept, for other noise asks for the same."""
+        """Draw `phases` for each replicate, from independent streams, and keep them for chains of other noise."""
         if (places, seed) not in self._drawn:
             started = time.perf_counter()
             streams = np.random.SeedSequence(seed, spawn_key=(places,)).spawn(REPLICATES)
-            self._drawn[places, seed] = [self.phases(places, np.random.default_rng(one)) for one in streams]
+            self._drawn[places, seed] = [self.phases(places, np.random.default_rng(stream)) for stream in streams]
             self.drawing_s += time.perf_counter() - started
         return self._drawn[places, seed]
 
     def phases(self, places: int, rng: np.random.Generator) -> list[Phases]:
-        """Trials of each orientation on a grid of `places` × `places`, displaced as a whole at random.
+        """Lay out trials of each orientation on a grid of `places` × `places`, displaced as a whole at random.
 
-        What is on this grid is the retina's middle, for the weights depend on nothing else: its place is the
+        The retina's middle lies on this grid, for the weights depend on nothing else: its place is the
         triangle's on the detectors plus its own displacement, and repeats with the detectors. So the grid
         covers one detector evenly, the displacements are a shifted low-discrepancy sequence with both
         signs, and the triangle lies where both put it.
@@ -154,9 +154,9 @@ class FoldedChain:
         signal, noise = [], []
         for row, weights in enumerate(self.folding.weights_by_row(middle_x + dx, middle_y + dy)):
             weights = self.plan.all_four(weights) * self.sensor.display.gain
-            these = slice(row * places, (row + 1) * places)
+            in_row = slice(row * places, (row + 1) * places)
             samples = self.sampler.samples(
-                triangle_x[these].ravel(), triangle_y[these].ravel(), orientation=orientation
+                triangle_x[in_row].ravel(), triangle_y[in_row].ravel(), orientation=orientation
             ).reshape(places, -1, field**2)
             signal.append(samples @ weights.swapaxes(1, 2))
             noise.append(self.plan.noise(weights))
@@ -165,7 +165,7 @@ class FoldedChain:
     def non_gaussian_bound(self) -> float:
         """Bound on the error in P(correct) from taking internal and detector noise as Gaussian, to first order.
 
-        As for the internal noise alone (`Readout.non_gaussian_bound`): the sum's excess kurtosis is at most the
+        The bound follows from that of `Readout.non_gaussian_bound`: the sum's excess kurtosis is at most the
         larger one of its two parts.
         """
         weights = self.plan.all_four(self.folding.weights(0.0, 0.0)[None])[0]
@@ -177,7 +177,7 @@ class FoldedChain:
         return max(self.readout.non_gaussian_bound, of_detectors)
 
     def proportion_correct(self, phases: list[Phases], snr: float, contrast: float = 1.0) -> float:
-        """Mean P(correct) over trials at a signal-to-noise ratio; infinity: no detector noise.
+        """Return the mean P(correct) over trials at a signal-to-noise ratio; infinity means no detector noise.
 
         `contrast` is that of the triangle, in units of what the sensor's gain gives it.
         """
@@ -233,7 +233,7 @@ class PredictedThreshold:
 def predict_threshold(
     chain: FoldedChain, *, p_correct: float = 0.75, tolerance: float = 2e-3, seed: int = 1
 ) -> PredictedThreshold:
-    """Threshold SNR, with as many places as its error needs to fall below `tolerance` times the threshold.
+    """Compute the threshold SNR, with as many places as its error needs to fall below the tolerance.
 
     Parameters
     ----------
@@ -242,7 +242,7 @@ def predict_threshold(
     tolerance : float
         Relative half-width of the 95 % interval that ends the refinement.
     seed : int
-        Of the replicates.
+        Seed of the replicates.
 
     Raises
     ------
@@ -257,7 +257,7 @@ def predict_threshold(
     slope = math.nan
     for places in ladder:
         parts = chain.replicates(places, seed)
-        pooled = [_pool(list(same)) for same in zip(*parts, strict=True)]
+        pooled = [_pool(list(orientation)) for orientation in zip(*parts, strict=True)]
         proportion = partial(chain.proportion_correct, pooled)
         n_phases = sum(part.signal[..., 0].size for part in pooled)
         status, threshold = crossing(proportion, p_correct, near=threshold, slope=slope)

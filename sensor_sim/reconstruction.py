@@ -1,4 +1,4 @@
-"""From detector samples to display pixels: sample & hold, electronics, display spot; and the adjoint.
+"""Conversion of detector samples to display pixels: sample & hold, electronics, display spot; and the adjoint.
 
 All of it is separable, so a square field of samples X becomes B X Bᵀ with one matrix B, and weights on the
 display, Y, become Bᵀ Y B on the detectors.
@@ -24,11 +24,11 @@ MAX_PRODUCT = 2**17
 
 
 ALIAS_FREE_SIGMA_PX = 1.5
-"""From here on the variance of a sampled Gaussian is σ² to 1e-16 (Poisson summation: e^(−2π²σ²))."""
+"""Smallest σ at which the variance of a sampled Gaussian is σ² to 1e-16 (Poisson summation: e^(−2π²σ²))."""
 
 
 def gaussian_kernel(sigma_px: float) -> FloatArray:
-    """Non-negative, symmetric weights of sum 1 and variance σ² at whole pixels −m … m.
+    """Return non-negative, symmetric weights of sum 1 and variance σ² at whole pixels −m … m.
 
     Cut at 9 standard deviations, where a weight is below 1e-17 of the middle one.
 
@@ -91,13 +91,13 @@ def axis_matrix(n_detectors: int, *, display: SensorDisplay, electronics: Electr
 
 
 def display_signal(samples: FloatArray, matrix: FloatArray) -> FloatArray:
-    """Signal in each display pixel: B X Bᵀ.
+    """Compute the signal in each display pixel: B X Bᵀ.
 
     Parameters
     ----------
     samples : ndarray, shape (..., n, n)
     matrix : ndarray, shape (n_px, n)
-        From `axis_matrix`.
+        Result of `axis_matrix`.
 
     Returns
     -------
@@ -107,7 +107,7 @@ def display_signal(samples: FloatArray, matrix: FloatArray) -> FloatArray:
 
 
 def _product(a: FloatArray, b: FloatArray) -> FloatArray:
-    """a @ b, by blocks of rows so small that BLAS starts no threads.
+    """Compute a @ b by blocks of rows so small that BLAS starts no threads.
 
     These wait for each other far longer than the product takes when other work keeps the processors busy.
     """
@@ -120,7 +120,7 @@ def _product(a: FloatArray, b: FloatArray) -> FloatArray:
 
 
 def luminance_cd_m2(signal: FloatArray, *, display: SensorDisplay) -> FloatArray:
-    """Luminance of a display signal (triangle and noise), any shape: background · (1 + gain · signal).
+    """Convert a display signal (triangle and noise), of any shape, to luminance: background · (1 + gain · signal).
 
     Not clipped; it may be negative where noise is strong.
     """
@@ -128,11 +128,11 @@ def luminance_cd_m2(signal: FloatArray, *, display: SensorDisplay) -> FloatArray
 
 
 def display_position_px(offset_detectors: float, *, n_detectors: int, display: SensorDisplay) -> float:
-    """Where a point lies on the display, along one axis, in pixels with pixel 0's centre at 0.
+    """Return the place of a point on the display, along one axis, in pixels with pixel 0's centre at 0.
 
     Parameters
     ----------
     offset_detectors : float
-        From the middle of the field of `n_detectors`.
+        Distance from the middle of the field of `n_detectors`.
     """
     return (n_detectors / 2.0 + offset_detectors) * display.pixels_per_detector - 0.5

@@ -33,7 +33,7 @@ from todframes.errors import SettingsError
 from todframes.stimulus import HEIGHT_PER_SIZE, SIDE_PER_SIZE, Orientation, spectrum
 
 MAX_FREQUENCIES = 2**22
-"""Of one half plane; 64 MiB and some seconds to set up. Beyond, the optics are sharp enough to leave out."""
+"""Largest number of frequencies in one half plane, 64 MiB; beyond it the optics are sharp enough to leave out."""
 
 
 MAX_NEGLECTED = 0.05
@@ -169,7 +169,7 @@ class TriangleSampler:
         self._unfolded.imag *= np.sign(k_y)
 
     def within(self, field_detectors: int) -> TriangleSampler:
-        """The same samples, but for those outside of a smaller field with the same middle.
+        """Return a sampler of a smaller field with the same middle; its samples are the same.
 
         Raises
         ------
@@ -184,12 +184,12 @@ class TriangleSampler:
         return narrow
 
     def samples(self, x_detectors: ArrayLike, y_detectors: ArrayLike, *, orientation: Orientation) -> FloatArray:
-        """Samples with the triangle's centroid at these places.
+        """Compute the samples of triangles whose centroids are at these places.
 
         Parameters
         ----------
         x_detectors, y_detectors : array_like, shape (places,) or scalar
-            From the middle of the field; x to the right, y down.
+            Centroids, counted from the middle of the field; x to the right, y down.
 
         Returns
         -------
@@ -228,7 +228,7 @@ class TriangleSampler:
         return np.asarray(samples.real.transpose(2, 0, 1))
 
     def _covered_area(self, x: FloatArray, y: FloatArray) -> FloatArray:
-        """Share of each active area that an upright triangle covers, exactly: (places, field, field).
+        """Compute the share of each active area that an upright triangle covers, exactly: (places, field, field).
 
         Each half of the triangle is slope·t wide at the depth t below the apex. What lies beyond a column's
         edge, at u from the axis, is ∫ (slope·t − u)⁺ dt over the row, a difference of squares.
@@ -250,7 +250,7 @@ class TriangleSampler:
 
 
 def field_detectors(sensor: Sensor, size_detectors: float) -> int:
-    """Detectors along each side of the field in which a triangle is shown: four sizes and a margin.
+    """Count the detectors along each side of the field in which a triangle is shown: four sizes and a margin.
 
     The observer looks at about as much of the display.
 
@@ -272,17 +272,17 @@ def field_detectors(sensor: Sensor, size_detectors: float) -> int:
 
 
 def smallest_field(size_detectors: float) -> int:
-    """Detectors along each side of a field that a triangle within half a detector of the middle does not leave."""
+    """Count the detectors along a side of the smallest field for a triangle half a detector off its middle."""
     return math.ceil(4.0 / 3.0 * HEIGHT_PER_SIZE * size_detectors + 1.0)
 
 
 def field_sampler(sensor: Sensor, size_detectors: float) -> TriangleSampler:
-    """Exact samples in that field; the scene repeats after two fields, where next to nothing of it is seen.
+    """Make a sampler of that field; the scene repeats after two fields, where next to nothing of it is seen.
 
     Raises
     ------
     SettingsError
-        As TriangleSampler does.
+        If `TriangleSampler` refuses the optics or the field.
     """
     field = field_detectors(sensor, size_detectors)
     return TriangleSampler(
@@ -302,7 +302,7 @@ def _outer(first: ComplexArray, second: ComplexArray) -> ComplexArray:
 def _upright_place(
     x_detectors: ArrayLike, y_detectors: ArrayLike, orientation: Orientation
 ) -> tuple[FloatArray, FloatArray]:
-    """Places in the field turned back such that the triangle stands upright."""
+    """Turn places in the field back such that the triangle stands upright."""
     x, y = np.broadcast_arrays(np.atleast_1d(np.asarray(x_detectors, float)), np.asarray(y_detectors, float))
     for _ in range(orientation.quarter_turns):
         x, y = y, -x
@@ -310,9 +310,9 @@ def _upright_place(
 
 
 def too_many_frequencies(number: float) -> str:
-    """What is wrong with a field or image whose sum would have so many terms."""
-    most = f"at most {MAX_FREQUENCIES:.2g}; take fewer detectors or a smaller image"
-    return f"field: found {number:.2g} frequencies below the optics' cut-off, expected {most}"
+    """Say that the sum over a field or image would have too many terms."""
+    limit = f"at most {MAX_FREQUENCIES:.2g}; take fewer detectors or a smaller image"
+    return f"field: found {number:.2g} frequencies below the optics' cut-off, expected {limit}"
 
 
 def sample_image(
@@ -325,7 +325,7 @@ def sample_image(
     x_detectors: float = 0.0,
     y_detectors: float = 0.0,
 ) -> FloatArray:
-    """Detector samples of any scene, by FFT.
+    """Compute the detector samples of any scene, by FFT.
 
     The scene is constant over each pixel and repeats with the image's sides. Its spectrum, the pixels' sinc
     included, is summed up to the optics' cut-off: exact for such a scene, at any ratio of the pitches.
@@ -336,7 +336,7 @@ def sample_image(
     pixel_pitch_mrad : float
         In the scene, > 0.
     x_detectors, y_detectors : float
-        Where the middle of the image lies, from the middle of the field.
+        Place of the image's middle, from the middle of the field.
 
     Returns
     -------

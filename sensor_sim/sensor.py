@@ -72,7 +72,7 @@ class Detector:
     Attributes
     ----------
     pitch_mrad : float
-        From one detector to the next, > 0.
+        Distance from one detector to the next, > 0.
     width_mrad : float
         Side of the active area, > 0 and at most the pitch: pitch × √(fill factor).
 
@@ -136,7 +136,7 @@ class Noise:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Electronics:
-    """Gaussian blur of the electronics, its standard deviation in display pixels; without the table, none.
+    """Gaussian blur of the electronics; without the table there is none.
 
     Attributes
     ----------
@@ -157,7 +157,7 @@ class Electronics:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SensorDisplay:
-    """How detector samples are shown, and from where they are looked at.
+    """The display of a sensor's samples, and the distance it is looked at from.
 
     Attributes
     ----------

@@ -34,18 +34,18 @@ FrameFormat = Literal["exr", "png"]
 TRIAL_STREAMS, PATTERN_STREAM = 0, 1
 
 
-MOST_CLIPPED = 0.01
+LARGEST_CLIPPED_SHARE = 0.01
 
 
-MOST_SIDE_PX = min(MAX_SIDE_PX, math.isqrt(MAX_DECODED_MB * 2**20 // 2))
-"""Of square frames of two bytes a pixel that `todframes` reads."""
+LARGEST_SIDE_PX = min(MAX_SIDE_PX, math.isqrt(MAX_DECODED_MB * 2**20 // 2))
+"""Largest side of square frames of two bytes a pixel that `todframes` reads."""
 
 
 TRIALS_PER_TASK = 32
 
 
 class SimulatedTrial(NamedTuple):
-    """A presentation: what, where on the detectors and how noisy. `key` seeds its random stream."""
+    """A presentation: size, noise and orientation of the triangle. `key` seeds its random stream."""
 
     key: tuple[int, int, int]
     size_detectors: float
@@ -62,7 +62,7 @@ class SimulatedFrame(NamedTuple):
 
 
 def plan_trials(sizes_detectors: Sequence[float], snrs: Sequence[float], trials: int) -> list[SimulatedTrial]:
-    """`trials` presentations of each size at each signal-to-noise ratio, orientations in turn.
+    """Plan `trials` presentations of each size at each signal-to-noise ratio, with the orientations in turn.
 
     Raises
     ------
@@ -112,10 +112,10 @@ class Simulator:
         self.field = field_detectors(sensor, size_detectors)
         per_detector = sensor.display.pixels_per_detector
         side = self.field * per_detector
-        if side > MOST_SIDE_PX:
+        if side > LARGEST_SIDE_PX:
             raise SettingsError(
                 f"pixels_per_detector: found {per_detector}, for a triangle of {size_detectors:g} detectors a "
-                f"frame of {side} × {side} pixels, expected at most {MOST_SIDE_PX} × {MOST_SIDE_PX}"
+                f"frame of {side} × {side} pixels, expected at most {LARGEST_SIDE_PX} × {LARGEST_SIDE_PX}"
             )
         self.sampler = field_sampler(sensor, size_detectors)
         self.matrix = axis_matrix(self.field, display=sensor.display, electronics=sensor.electronics)
@@ -123,7 +123,7 @@ class Simulator:
         self.pattern = unit_fixed_pattern((self.field,) * 2, noise=sensor.noise, seed=pattern_seed)
 
     def frames(self, trials: Sequence[SimulatedTrial]) -> Iterator[SimulatedFrame]:
-        """The trials as displayed, one after the other."""
+        """Yield the trials as displayed, one after the other."""
         display = self.sensor.display
         for (x, y), samples in zip(*self.samples(trials), strict=True):
             x_px, y_px = (display_position_px(at, n_detectors=self.field, display=display) for at in (x, y))
@@ -131,7 +131,9 @@ class Simulator:
             yield SimulatedFrame(luminance, x_px, y_px)
 
     def samples(self, trials: Sequence[SimulatedTrial], *, noise: bool = True) -> tuple[FloatArray, FloatArray]:
-        """Places of the triangles on the detectors, (trial, 2), and their samples, (trial, field, field)."""
+        """Draw the triangles' places on the detectors, (trial, 2), and compute their samples, (trial, field,
+        field).
+        """
         rngs = [
             np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(TRIAL_STREAMS, *trial.key)))
             for trial in trials
@@ -139,9 +141,9 @@ class Simulator:
         places = np.array([rng.uniform(-0.5, 0.5, 2) for rng in rngs])
         samples = np.empty((len(trials), self.field, self.field))
         for orientation in ORIENTATIONS:
-            these = [n for n, trial in enumerate(trials) if trial.orientation is orientation]
-            if these:
-                samples[these] = self.sampler.samples(*places[these].T, orientation=orientation)
+            shown = [n for n, trial in enumerate(trials) if trial.orientation is orientation]
+            if shown:
+                samples[shown] = self.sampler.samples(*places[shown].T, orientation=orientation)
         if noise:
             for trial, rng, sample in zip(trials, rngs, samples, strict=True):
                 sample += displayed_noise(self.pattern, total_sd=1.0 / trial.snr, noise=self.sensor.noise, rng=rng)
@@ -150,14 +152,14 @@ class Simulator:
 
 @dataclass(frozen=True, slots=True)
 class Written:
-    """What `write_dataset` did: frames written, and the share of PNG pixels that had to be clipped."""
+    """Number of frames that `write_dataset` wrote, and the share of PNG pixels that had to be clipped."""
 
     n_frames: int
     clipped_share: float
 
 
 def white_luminance_cd_m2(sensor: Sensor, snrs: Sequence[float]) -> float:
-    """Luminance of PNG code value 1: above that of the brightest triangle in the strongest noise.
+    """Return the luminance of PNG code value 1: above that of the brightest triangle in the strongest noise.
 
     Uniform noise reaches to √3 standard deviations of either of its parts and no blur adds to that; Gaussian noise
     is given four.
@@ -233,10 +235,10 @@ def write_dataset(
             if progress is not None:
                 progress(len(rows))
     share = n_clipped / n_pixels if n_pixels else 0.0
-    if share > MOST_CLIPPED and not allow_clipping:
+    if share > LARGEST_CLIPPED_SHARE and not allow_clipping:
         raise SettingsError(
             f"format: {100 * share:.2g} % of the PNG pixels would be clipped, expected at most "
-            f"{100 * MOST_CLIPPED:g} %; lower display.gain, take EXR, or allow clipping"
+            f"{100 * LARGEST_CLIPPED_SHARE:g} %; lower display.gain, take EXR, or allow clipping"
         )
     (folder / "manifest.csv").write_text(_manifest(all_rows), encoding="utf-8")
     (folder / "dataset.toml").write_text(_settings(sensor, white, seed), encoding="utf-8")
@@ -244,7 +246,7 @@ def write_dataset(
 
 
 def provenance(sensor: Sensor, seed: int, trial: SimulatedTrial) -> dict[str, str]:
-    """Text attributes of a frame that tell how it was made."""
+    """Return text attributes of a frame that tell how it was made."""
     return {
         "sensor_sim:sensor": sensor.name or "unnamed",
         "sensor_sim:version": __version__,

@@ -19,7 +19,7 @@ from todframes._typing import FloatArray
 
 
 def diffraction_mtf(frequency_cyc_per_mrad: ArrayLike, *, wavelength_um: float, aperture_mm: float) -> FloatArray:
-    """Modulation transfer of a diffraction-limited circular aperture.
+    """Return the modulation transfer of a diffraction-limited circular aperture.
 
     With x the frequency over the cut-off and u = 2 arccos x, eq. 1 is (u − sin u) / π; both terms are alike
     near the cut-off, so the difference is summed as a series there.
@@ -44,7 +44,7 @@ def diffraction_mtf(frequency_cyc_per_mrad: ArrayLike, *, wavelength_um: float, 
 
 
 def _u_minus_sin_u_series(u: FloatArray) -> FloatArray:
-    """u³/3! − u⁵/5! + …; for u <= 1 the first term left out is below 1e-17 of the sum."""
+    """Sum u³/3! − u⁵/5! + …; for u <= 1 the first term left out is below 1e-17 of the sum."""
     total = np.ones_like(u)
     for n in (16, 14, 12, 10, 8, 6, 4):
         total = 1.0 - np.square(u) / (n * (n + 1)) * total
@@ -52,7 +52,7 @@ def _u_minus_sin_u_series(u: FloatArray) -> FloatArray:
 
 
 def gaussian_mtf(frequency: ArrayLike, *, sigma: float) -> FloatArray:
-    """Modulation transfer of a Gaussian blur of standard deviation `sigma`: exp(−2π²σ²f²).
+    """Return the modulation transfer of a Gaussian blur of standard deviation `sigma`: exp(−2π²σ²f²).
 
     Of optics, electronics or display spot; `sigma` is in the reciprocal unit of the (radial) frequency. Other
     tools give a width b with the transfer exp(−πb²f²): σ = b/√(2π).
@@ -67,7 +67,7 @@ def gaussian_mtf(frequency: ArrayLike, *, sigma: float) -> FloatArray:
 
 
 def box_mtf(frequency: ArrayLike, *, width: float) -> FloatArray:
-    """Transfer along one axis of a mean over `width`: sin(πwf)/(πwf), signed.
+    """Return the transfer along one axis of a mean over `width`: sin(πwf)/(πwf), signed.
 
     That of a detector's active width, and with the pitch for `width` that of sample & hold. In two
     dimensions it is exactly the product of the axes.
@@ -82,7 +82,7 @@ def box_mtf(frequency: ArrayLike, *, width: float) -> FloatArray:
 
 
 def optics_mtf(radial_frequency_cyc_per_mrad: ArrayLike, *, optics: Optics) -> FloatArray:
-    """Diffraction × Gaussian blur, of the shape of the frequency; exactly 0 at and beyond the cut-off.
+    """Return diffraction × Gaussian blur, in the shape of the frequency; exactly 0 at and beyond the cut-off.
 
     Hogervorst et al. 2001, section 3.1.
     """
@@ -95,14 +95,14 @@ def optics_mtf(radial_frequency_cyc_per_mrad: ArrayLike, *, optics: Optics) -> F
 
 
 def band_limit_cyc_per_mrad(optics: Optics) -> float:
-    """Where the optics' transfer ends: the cut-off, or where the Gaussian falls below 1e-17."""
+    """Return the end of the optics' transfer: the cut-off, or where the Gaussian falls below 1e-17."""
     if optics.blur_sigma_mrad == 0.0:
         return optics.cut_off_cyc_per_mrad
     return min(optics.cut_off_cyc_per_mrad, 1.42 / optics.blur_sigma_mrad)
 
 
 def sharpness_bound(optics: Optics, *, width_mrad: float) -> float:
-    """By how much the optics change the mean over a square of a scene within [0, 1] at most.
+    """Bound the change that the optics make to the mean over a square of a scene within [0, 1].
 
     Moving the scene by u changes it by at most (|u_x| + |u_y|)/width, and by at most 1. The mean of that over
     the Gaussian is 2√(2/π)·σ/width. Over the Airy pattern, whose energy beyond r is J₀² + J₁² at πcr, c the
@@ -116,7 +116,7 @@ def sharpness_bound(optics: Optics, *, width_mrad: float) -> float:
 def repetition_bound(
     optics: Optics, *, area_mrad2: float, reach_mrad: float, field_mrad: float, period_mrad: float
 ) -> float:
-    """By how much repeating a scene within [0, 1] changes it behind the optics at most.
+    """Bound the change that repeating a scene within [0, 1] makes to it behind the optics.
 
     By J₁(v)² <= 2/(πv)·(1 + 3/(8v²)) (Watson 1944, section 13.75) the Airy pattern at distance r is below
     2/(π³cr³)·(1 + 3/(8(πcr)²)), c the cut-off. A repetition, moved nearer by its reach and seven standard
@@ -125,9 +125,9 @@ def repetition_bound(
     Parameters
     ----------
     area_mrad2 : float
-        Of what is repeated.
+        Area of what is repeated.
     reach_mrad : float
-        From the place of the scene to where it ends, plus the detector's width.
+        Distance from the scene's place to its end, plus the detector's width.
     field_mrad : float
         Places within half of this of the scene's, along x and y, are looked at.
     period_mrad : float
@@ -154,7 +154,7 @@ def repetition_bound(
 def pre_sample_mtf(
     frequency_x_cyc_per_mrad: ArrayLike, frequency_y_cyc_per_mrad: ArrayLike, *, optics: Optics, detector: Detector
 ) -> FloatArray:
-    """Optics × detector at frequencies that broadcast against each other, in the broadcast shape.
+    """Return optics × detector at frequencies that broadcast against each other, in the broadcast shape.
 
     Hogervorst et al. 2001, section 3.6.
     """
@@ -165,7 +165,7 @@ def pre_sample_mtf(
 
 
 def post_sample_mtf(radial_frequency_cyc_per_mrad: ArrayLike, *, sensor: Sensor) -> FloatArray:
-    """Electronics × display spot, of the shape of the frequency, which is in object space.
+    """Return electronics × display spot, in the shape of the frequency, which is in object space.
 
     Hogervorst et al. 2001, section 3.6.
     """
@@ -176,7 +176,7 @@ def post_sample_mtf(radial_frequency_cyc_per_mrad: ArrayLike, *, sensor: Sensor)
 
 
 def stages(frequency_cyc_per_mrad: ArrayLike, *, sensor: Sensor) -> dict[str, FloatArray]:
-    """Every stage's transfer along x, in the order the signal meets them, and the two products.
+    """Return every stage's transfer along x, in the order the signal meets them, and the two products.
 
     Parameters
     ----------

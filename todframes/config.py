@@ -1,4 +1,4 @@
-"""What users write, as values: text files, TOML tables to frozen dataclasses, fields of CSV files."""
+"""Reading of what users write: text files, TOML tables as frozen dataclasses, fields of CSV files."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ FIELDS_FOUND = "\0fields"
 
 
 def read_file(path: Path, *, most_mb: int) -> bytes:
-    """Content of a file that is neither a pipe nor a device, whose readers may wait or read for ever.
+    """Read a file that is neither a pipe nor a device, whose readers may wait or read for ever.
 
     Raises
     ------
@@ -74,7 +74,7 @@ def read_file(path: Path, *, most_mb: int) -> bytes:
 
 
 def read_text(path: Path, *, most_mb: int) -> str:
-    """Content of a UTF-8 text file, with or without a byte-order mark.
+    """Read a UTF-8 text file, with or without a byte-order mark.
 
     Raises
     ------
@@ -88,7 +88,7 @@ def read_text(path: Path, *, most_mb: int) -> str:
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """Content of a TOML file.
+    """Read a TOML file.
 
     Raises
     ------
@@ -104,7 +104,7 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 
 def toml_value(text: str) -> Any:
-    """A value as TOML has it where the text is that, the text itself where not.
+    """Return a value as TOML has it where the text is one, and the text itself where not.
 
     Raises
     ------
@@ -162,7 +162,7 @@ def check_keys(found: Iterable[str], known: Iterable[str], where: str) -> None:
     Raises
     ------
     SettingsError
-        For the first key that is not known, naming the nearest that is.
+        If a key is not known; the message names the nearest that is.
     """
     known = {key.lower(): key for key in known}
     for key in found:
@@ -184,7 +184,7 @@ def check_values(settings: object) -> None:
     Raises
     ------
     SettingsError
-        For the first field that is of another type or out of its range.
+        If a field is of another type or out of its range.
     """
     kind: Any = type(settings)
     for name, hint in _hints(kind).items():
@@ -219,7 +219,7 @@ def _unmet(value: Any, hint: Any) -> str | None:
 
 
 def from_table(table: Mapping[str, Any], kind: type[T], where: str) -> T:
-    """A frozen dataclass from a table of plain values.
+    """Make a frozen dataclass from a table of plain values.
 
     Parameters
     ----------
@@ -251,7 +251,7 @@ def from_table(table: Mapping[str, Any], kind: type[T], where: str) -> T:
 
 
 def convert(value: object, kind: Any, where: str) -> object:
-    """A plain value as a type, such as `float`, a Literal, or one with a range (`msgspec.Meta`).
+    """Convert a plain value to a type, such as `float`, a Literal, or one with a range (`msgspec.Meta`).
 
     Raises
     ------
@@ -283,7 +283,7 @@ def convert(value: object, kind: Any, where: str) -> object:
 
 
 def read_csv(path: Path) -> Iterator[tuple[str, dict[str, str]]]:
-    """Rows of a CSV file with a header, each with where it stands: file and line.
+    """Yield the rows of a CSV file with a header, each with its place: file and line.
 
     The first item is the header: its row is empty but for its keys.
 
@@ -325,7 +325,7 @@ def check_fields(row: Mapping[str, str], n_columns: int, where: str) -> None:
 
 
 def number(text: str, where: str, *, positive: bool = False) -> float:
-    """A finite number from a field of a CSV file.
+    """Read a finite number from a field of a CSV file.
 
     Raises
     ------
@@ -343,7 +343,7 @@ def number(text: str, where: str, *, positive: bool = False) -> float:
 
 
 def number_or_text(text: str) -> float | str:
-    """A group's value: a number if it reads as a finite one."""
+    """Read a group's value: a number if the text is a finite one."""
     text = text.strip()
     try:
         value = math.nan if "_" in text else float(text)  # Python reads 1_0 as 10

@@ -9,7 +9,7 @@ from pathlib import Path
 
 
 class TodframesError(Exception):
-    """Base of all errors a user can cause and mend; `exit_status` is the command line's."""
+    """Base of all errors that a user can cause and mend; `exit_status` is the command line's."""
 
     exit_status = 1
 

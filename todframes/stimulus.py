@@ -27,7 +27,7 @@ SIDE_PER_SIZE = 2.0 / 3.0**0.25
 
 
 class Orientation(StrEnum):
-    """Where the apex points on the display; in clockwise order, as scores and answers are everywhere."""
+    """Direction of the apex on the display; in clockwise order, as scores and answers are everywhere."""
 
     UP = "up"
     RIGHT = "right"
@@ -44,7 +44,7 @@ ORIENTATIONS = tuple(Orientation)
 
 
 def bounding_box_offset(orientation: Orientation) -> tuple[float, float]:
-    """From the centroid to the centre of the bounding box, in units of the size, as (x, y).
+    """Return the vector from the centroid to the centre of the bounding box, in units of the size, as (x, y).
 
     The bounding box is centred at half the height, the centroid lies at a third of it, so the offset is a
     sixth of the height towards the apex.
@@ -56,14 +56,14 @@ def bounding_box_offset(orientation: Orientation) -> tuple[float, float]:
 def vertices(
     *, size: float, orientation: Orientation, x: float = 0.0, y: float = 0.0, centre: Centre = "centroid"
 ) -> FloatArray:
-    """Corners of a triangle, apex first.
+    """Return the corners of a triangle, apex first.
 
     Parameters
     ----------
     size : float
         √(area), > 0, in the unit in which `x`, `y` and the result are.
     x, y : float
-        Where the triangle's `centre` lies.
+        Place of the triangle's `centre`.
     centre : {"centroid", "bounding_box"}
 
     Returns
@@ -97,7 +97,7 @@ def coverage(
     orientation: Orientation,
     centre: Centre = "centroid",
 ) -> FloatArray:
-    """Exact fraction of each pixel's area that a triangle covers.
+    """Compute the exact fraction of each pixel's area that a triangle covers.
 
     Every edge is cut where it crosses a pixel boundary; each piece then lies in one pixel and adds its
     signed area there and its height to all pixels on its right (Green's theorem). The other orientations
@@ -111,7 +111,7 @@ def coverage(
     size_px : float
         √(area) in pixels, > 0.
     x_px, y_px : float
-        Where the triangle's `centre` lies on the grid.
+        Place of the triangle's `centre` on the grid.
 
     Returns
     -------
@@ -144,7 +144,7 @@ def _clamped_floor(value: float, stop: int) -> int:
 
 
 def _polygon_coverage(corners: FloatArray, box: tuple[int, int]) -> FloatArray:
-    """Coverage of the pixels [j, j + 1] × [i, i + 1] of a box by a clockwise (on the display) polygon."""
+    """Compute the coverage of the pixels [j, j + 1] × [i, i + 1] of a box by a clockwise polygon."""
     n_rows, n_columns = box
     # One column more than the box takes what lies right of it; the sum along a row never reads it.
     steps = np.zeros(n_rows * (n_columns + 2))
@@ -180,7 +180,7 @@ def spectrum(
     y: float = 0.0,
     centre: Centre = "centroid",
 ) -> ComplexArray:
-    """Fourier transform ∬ exp(−2πi (f_x x + f_y y)) dx dy over the triangle, in closed form.
+    """Compute the Fourier transform ∬ exp(−2πi (f_x x + f_y y)) dx dy over the triangle, in closed form.
 
     By the Hermite–Genocchi formula the integral of an exponential over a triangle is twice its area times
     the second divided difference of exp at z_j = −2πi f·v_j, v_j the corners.
@@ -252,7 +252,7 @@ def _first_divided_difference_of_exp(a: FloatArray, b: FloatArray) -> ComplexArr
 
 @dataclass(frozen=True, slots=True)
 class Stimulus:
-    """What the observer knows of a trial beforehand: all but the orientation.
+    """Triangle of a trial as the observer knows it beforehand: all but the orientation.
 
     `size_mrad` is √(area) as displayed, `polarity` 1 for brighter and -1 for darker than the background.
     """

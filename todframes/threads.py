@@ -20,11 +20,11 @@ AHEAD_PER_WORKER = 4
 
 
 POLL_S = 0.1
-"""So long, at most, does an interruption go unnoticed."""
+"""Longest time that an interruption goes unnoticed, in seconds."""
 
 
 def map_in_threads(work: Callable[[T], R], tasks: Iterable[T], workers: int) -> Generator[R, None, None]:
-    """Results in the order of the tasks; those of one worker are done in this thread.
+    """Yield results in the order of the tasks; those of one worker are done in this thread.
 
     What a task raises is raised in its turn, and tasks not yet begun are dropped, as they are by `close`. Ctrl-C
     and a request to end wait until a result is asked for: as exceptions they could strike inside the pool while it

@@ -47,7 +47,7 @@ AT_ONCE = 32
 def literal_answers(
     sensor: Sensor, size_detectors: float, *, snr: float, contrast: float = 1.0
 ) -> Callable[[int, np.random.Generator], FloatArray]:
-    """What draws trials of random orientation and place, with noise on every detector and every neuron.
+    """Prepare to draw trials of random orientation and place, with noise on every detector and every neuron.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ def literal_answers(
     snr : float
         Signal of a large triangle over the standard deviation of the detector noise; infinity: there is none.
     contrast : float
-        Of the triangle, in units of what the display's gain gives it.
+        Contrast of the triangle, in units of what the display's gain gives it.
 
     Returns
     -------
@@ -78,13 +78,13 @@ def literal_answers(
     hold = axis_matrix(field, display=display, electronics=sensor.electronics)
     jitter_px = observer.position_jitter_samples * grid.pitch_mrad / display.pixel_pitch_mrad
 
-    def some(n: int, rng: np.random.Generator) -> FloatArray:
+    def batch(n: int, rng: np.random.Generator) -> FloatArray:
         orientations = rng.integers(4, size=n)
         places = rng.uniform(-0.5, 0.5, (n, 2))
         samples = np.empty((n, field, field))
         for orientation in ORIENTATIONS:
-            these = orientations == orientation.quarter_turns
-            samples[these] = sampler.samples(*places[these].T, orientation=orientation)
+            shown = orientations == orientation.quarter_turns
+            samples[shown] = sampler.samples(*places[shown].T, orientation=orientation)
         samples *= contrast
         samples += draw(samples.shape, sd=contrast / snr, distribution=sensor.noise.distribution, rng=rng)
         jitter = jitter_px * rng.uniform(-1.0, 1.0, (n, 2))
@@ -106,7 +106,7 @@ def literal_answers(
         return right
 
     def answers(n: int, rng: np.random.Generator) -> FloatArray:
-        return np.concatenate([some(min(AT_ONCE, n - start), rng) for start in range(0, n, AT_ONCE)])
+        return np.concatenate([batch(min(AT_ONCE, n - start), rng) for start in range(0, n, AT_ONCE)])
 
     return answers
 
@@ -128,7 +128,7 @@ the literal Monte Carlo, while a computed threshold is a mean over cameras."""
 
 
 PLACES = (3, 5, 7, 11, 13, 17, 19, 23, 29)
-"""Of a lattice, along each axis of a detector."""
+"""Numbers of places of a lattice, along each axis of a detector."""
 
 
 REPEATS = 12
@@ -138,7 +138,7 @@ CONVERGED_PLACES, FEWEST_LATTICES, MOST_LATTICES = 17, 8, 64
 
 
 CONVERGED_BOUND = 1e-4
-"""Of the threshold: a tenth of the smallest error at which estimators are compared."""
+"""Relative error of the threshold: a tenth of the smallest error at which estimators are compared."""
 
 
 VARIANT_PLACES = 11
@@ -156,7 +156,7 @@ class Camera:
     ----------
     name, title, description : str
     level : {"snr", "contrast"}
-        What is varied: the noise under a triangle of contrast 1, or the triangle's contrast.
+        Quantity that is varied: the noise under a triangle of contrast 1, or the triangle's contrast.
     noise_contrast : float
         Standard deviation of the detector noise as displayed, where it is not varied; 0: none.
     converged_bound : float
@@ -173,7 +173,9 @@ class Camera:
     converged_bound: float = CONVERGED_BOUND
 
     def converge(self) -> Converged:
-        """From as many independently shifted lattices as the bound needs; what the plan leaves out adds to it."""
+        """Average as many independently shifted lattices as the bound needs; omissions of the plan add to the
+        bound.
+        """
         chain = self._chain(self._plan())
         streams = np.random.SeedSequence(0).spawn(MOST_LATTICES)
         first = chain.phases(CONVERGED_PLACES, np.random.default_rng(streams[0]))
@@ -192,7 +194,7 @@ class Camera:
         return Converged(threshold, (2.0 * error + chain.plan.bound / slope) * threshold, slope)
 
     def estimators(self, converged: Converged) -> tuple[MonteCarlo | Quadrature, ...]:
-        """The literal Monte Carlo, on folded scores, expected decisions, and lattices of places."""
+        """List the literal Monte Carlo, the one on folded scores, expected decisions, and lattices of places."""
         snr, contrast = self._shown(converged.threshold)
         answers = partial(literal_answers, self.sensor, self.size_detectors, snr=snr, contrast=contrast)
         # Each place is seen with two opposite displacements of the retina.
@@ -203,8 +205,8 @@ class Camera:
 
             def draw(n: int, rng: np.random.Generator) -> Trials:
                 drawn = [chain.phases(1, rng)[0] for _ in range(n)]
-                score = np.stack([contrast * one.signal[0, :1] for one in drawn])
-                noise = np.stack([(contrast / snr) ** 2 * one.noise for one in drawn])
+                score = np.stack([contrast * part.signal[0, :1] for part in drawn])
+                noise = np.stack([(contrast / snr) ** 2 * part.noise for part in drawn])
                 return Trials(score, chain.noise_covariance + noise, np.array([drawn[0].correct]))
 
             return draw
@@ -221,7 +223,7 @@ class Camera:
         )
 
     def variants(self, converged: Converged) -> tuple[Variant, ...]:
-        """What the plan leaves out kept, one thing at a time and all of it; planning is part of the time."""
+        """List plans that keep one of the omissions, and all of them; planning is part of the time."""
 
         def variant(label: str, plan: Callable[[], CurvePlan]) -> Variant:
             def prepare() -> Callable[[np.random.Generator], Estimate]:
@@ -249,15 +251,15 @@ class Camera:
         )
 
     def estimate(self, outcomes: FloatArray, converged: Converged) -> Estimate:
-        """From P(correct) at the converged threshold."""
+        """Estimate the threshold from P(correct) at the converged one."""
         return estimate_at_one_level(outcomes, converged)
 
     def non_gaussian_bound(self) -> float:
-        """As the chain states it."""
+        """Return the bound that the chain states."""
         return self._chain(self._plan()).non_gaussian_bound()
 
     def _shown(self, level: float) -> tuple[float, float]:
-        """Signal-to-noise ratio and contrast of the triangle at a level."""
+        """Return signal-to-noise ratio and contrast of the triangle at a level."""
         if self.level == "snr":
             return level, 1.0
         return (level / self.noise_contrast if self.noise_contrast else math.inf), level
@@ -278,7 +280,9 @@ class Camera:
         return FoldedChain(self.sensor, plan.observer, self.size_detectors, plan)
 
     def _is_fair(self, places: int) -> bool:
-        """Whether a lattice does not see all pixels of a detector alike, or is too coarse for that to matter."""
+        """Return whether a lattice sees the pixels of a detector in many places, or is too coarse for that to
+        matter.
+        """
         return places == min(PLACES) or math.gcd(places, self.sensor.display.pixels_per_detector) == 1
 
     def _proportion(self, chain: FoldedChain, phases: list[Phases], level: float) -> float:
@@ -303,7 +307,7 @@ class Camera:
 
 
 def external_noise() -> Camera:
-    """Detector noise decides."""
+    """Make the scene in which detector noise decides."""
     return Camera(
         "camera_external_noise",
         "staring camera, external noise decides: 6 detectors",
@@ -313,7 +317,7 @@ def external_noise() -> Camera:
 
 
 def internal_noise() -> Camera:
-    """The observer's own noise decides."""
+    """Make the scene in which the observer's own noise decides."""
     return Camera(
         "camera_internal_noise",
         "staring camera, internal noise decides: 6 detectors",
@@ -325,7 +329,7 @@ def internal_noise() -> Camera:
 
 
 def no_noise() -> Camera:
-    """The observer's own noise is the only one."""
+    """Make the scene in which only the observer has noise."""
     return Camera(
         "camera_no_noise",
         "staring camera without noise: 6 detectors",

@@ -38,7 +38,7 @@ CONTIGUOUS = Detector(pitch_mrad=1.0, width_mrad=1.0)
 
 
 POINTS = Detector(pitch_mrad=1.0, width_mrad=0.01)
-"""Of fill factor 1e-4."""
+"""Detectors of fill factor 1e-4."""
 
 
 def cases() -> list[Case]:
@@ -47,7 +47,7 @@ def cases() -> list[Case]:
 
 
 def transfer_cases() -> list[Case]:
-    """Of modulation transfer functions."""
+    """List the cases of modulation transfer functions."""
     case = partial(Case, "transfer")
 
     def diffraction(of_cut_off: FloatArray) -> FloatArray:
@@ -79,7 +79,7 @@ def transfer_cases() -> list[Case]:
 def sampler(
     cut_off: float, *, blur: float = 0.0, detector: Detector = CONTIGUOUS, period: int = 8, field: int = 8
 ) -> TriangleSampler:
-    """Samples of a triangle of 3 detectors; cut-off and blur in cycles per detector and detectors."""
+    """Make a sampler of a triangle of 3 detectors; cut-off and blur in cycles per detector and detectors."""
     optics = Optics(aperture_mm=cut_off, wavelength_um=1.0, blur_sigma_mrad=blur)
     return TriangleSampler(
         optics=optics, detector=detector, size_detectors=3.0, field_detectors=field, period_detectors=period
@@ -87,13 +87,13 @@ def sampler(
 
 
 def total(cut_off: float, *, blur: float = 0.0) -> FloatArray:
-    """Sum of the samples of a period over the triangle's area, at three places."""
+    """Sum the samples of a period, over the triangle's area, at three places."""
     samples = sampler(cut_off, blur=blur).samples(PLACES, PLACES[::-1], orientation=Orientation.UP)
     return np.asarray(samples.sum(axis=(1, 2)) / 9.0)
 
 
 def mean_total_of_points(cut_off: float, places: int) -> float:
-    """The mean of that over places evenly on a detector of fill factor 1e-4."""
+    """Average that sum over places evenly on a detector of fill factor 1e-4."""
     x, y = np.meshgrid(*(np.arange(places) / places,) * 2)
     samples = sampler(cut_off, detector=POINTS).samples(
         x.ravel() - 0.5, y.ravel() - 0.5, orientation=Orientation.UP
@@ -102,14 +102,14 @@ def mean_total_of_points(cut_off: float, places: int) -> float:
 
 
 def half_a_detector_on(cut_off: float) -> float:
-    """Difference of samples half a detector this way and that way, moved by a whole one."""
+    """Compare samples half a detector this way and that way, moved by a whole one."""
     both = sampler(cut_off, period=16)
     before, after = (both.samples(at, at, orientation=Orientation.RIGHT)[0] for at in (-0.5, 0.5))
     return float(np.abs(before[:-1, :-1] - after[1:, 1:]).max())
 
 
 def sample_cases() -> list[Case]:
-    """Of detector samples."""
+    """List the cases of detector samples."""
     case = partial(Case, "samples")
     area = "law: samples of a period sum to the area"
     evenly = "law: so they do on average, whatever the gaps"
@@ -157,7 +157,7 @@ def sample_cases() -> list[Case]:
 def display_of(
     pixels_per_detector: int, *, detector_pitch_mrad: float, blur_sigma_px: float = 0.0
 ) -> SensorDisplay:
-    """A display whose detectors are seen under an angle, whatever the number of their pixels."""
+    """Make a display whose detectors are seen under an angle, whatever the number of their pixels."""
     pixel_mm = 2000.0 * math.tan(detector_pitch_mrad / pixels_per_detector / 2000.0)
     return SensorDisplay(
         pixels_per_detector=pixels_per_detector,
@@ -169,7 +169,7 @@ def display_of(
 
 
 def held(pixels_per_detector: int) -> FloatArray:
-    """Retina image of three by three detectors on a display."""
+    """Compute the retina image of three by three detectors on a display."""
     display = display_of(pixels_per_detector, detector_pitch_mrad=1.0)
     matrix = axis_matrix(3, display=display, electronics=Electronics())
     shown = display_signal(np.arange(9.0).reshape(3, 3) ** 2, matrix)
@@ -179,7 +179,7 @@ def held(pixels_per_detector: int) -> FloatArray:
 
 
 def display_cases() -> list[Case]:
-    """Of noise, hold, display and retina."""
+    """List the cases of noise, hold, display and retina."""
     case = partial(Case, "display")
     sigmas = np.array([1e-3, 0.3, 1.5, 1000.0])
 
@@ -211,7 +211,7 @@ def display_cases() -> list[Case]:
 
 
 def camera(cut_off: float = 2.0, *, blur: float = 0.0, display: SensorDisplay | None = None) -> Sensor:
-    """A camera whose detectors are seen under 3 mrad; cut-off in cycles per detector."""
+    """Make a camera whose detectors are seen under 3 mrad; cut-off in cycles per detector."""
     return Sensor(
         optics=Optics(aperture_mm=cut_off, wavelength_um=1.0, blur_sigma_mrad=blur),
         detector=CONTIGUOUS,
@@ -220,7 +220,7 @@ def camera(cut_off: float = 2.0, *, blur: float = 0.0, display: SensorDisplay | 
 
 
 def proportions(sensor: Sensor, size: float, snrs: tuple[float, ...], internal_noise: float = 0.5) -> list[float]:
-    """Mean P(correct) over some places and all orientations; nothing is left out."""
+    """Compute the mean P(correct) over some places and all orientations; nothing is left out."""
     observer = PyramidObserver(PyramidSettings(internal_noise=internal_noise))
     chain = FoldedChain(sensor, observer, size, plan_curve(sensor, observer, size, name="full"))
     phases = chain.phases(3, np.random.default_rng(1))
@@ -228,7 +228,7 @@ def proportions(sensor: Sensor, size: float, snrs: tuple[float, ...], internal_n
 
 
 def curve_cases() -> list[Case]:
-    """Of whole chains."""
+    """List the cases of whole chains."""
     case = partial(Case, "curve")
     many = display_of(1000, detector_pitch_mrad=3.0)
     tiny = display_of(1, detector_pitch_mrad=0.153e-3)

@@ -49,7 +49,7 @@ _ROUNDING = 1e-10
 
 
 def of_factor(factor: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Edges and angles of checked factors, shape (matrix, 4, n), as `of_covariance` gives them.
+    """Compute edges and angles of checked factors, shape (matrix, 4, n), as `of_covariance` does.
 
     The angle is Kahan's between two vectors, which keeps its digits however small or flat it is.
     """
@@ -67,7 +67,7 @@ def of_factor(factor: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def of_covariance(covariance: FloatArray, *, extended: bool = True) -> tuple[FloatArray, FloatArray]:
-    """Edges from each score to the three others, and the angles between these, of checked covariances.
+    """Compute the edges from each score to the three others, and the angles between them, of checked covariances.
 
     Parameters
     ----------
@@ -116,12 +116,12 @@ def of_covariance(covariance: FloatArray, *, extended: bool = True) -> tuple[Flo
 
 
 def checked_covariance(covariance: ArrayLike) -> FloatArray:
-    """A covariance of four scores, (..., 4, 4).
+    """Check a covariance of four scores, (..., 4, 4), and return it symmetric.
 
     Raises
     ------
     SettingsError
-        For a wrong shape, a value that is not finite or a matrix that is not a covariance.
+        If it has a wrong shape, a value that is not finite or is no covariance.
     """
     covariances = np.asarray(covariance, dtype=np.float64)
     if covariances.ndim < 2 or covariances.shape[-2:] != (4, 4):
@@ -138,12 +138,12 @@ def checked_covariance(covariance: ArrayLike) -> FloatArray:
 
 
 def checked_factor(factor: ArrayLike) -> FloatArray:
-    """A factor of such a covariance, (..., 4, n).
+    """Check a factor of such a covariance, (..., 4, n), and return it as an array.
 
     Raises
     ------
     SettingsError
-        For a wrong shape or a value that is not finite.
+        If it has a wrong shape or a value that is not finite.
     """
     rows = np.asarray(factor, dtype=np.float64)
     if rows.ndim < 2 or rows.shape[-2] != 4:
@@ -183,7 +183,7 @@ _CHUNK = 64
 def answer_probabilities(
     score: ArrayLike, covariance: ArrayLike | None = None, *, factor: ArrayLike | None = None
 ) -> FloatArray:
-    """Probability that each of four noisy scores is the largest.
+    """Compute the probability that each of four noisy scores is the largest.
 
     Parameters
     ----------
@@ -238,7 +238,7 @@ def answer_probabilities(
 
 
 def answer_probability(score: ArrayLike, covariance: ArrayLike, answer: int, *, nodes: int = _NODES) -> FloatArray:
-    """Probability that one of four noisy scores is the largest, at a quarter of the cost of all four.
+    """Compute the probability that one of four noisy scores is the largest, at a quarter of the cost of all four.
 
     Parameters
     ----------
@@ -249,18 +249,18 @@ def answer_probability(score: ArrayLike, covariance: ArrayLike, answer: int, *, 
     answer : int
         0 to 3.
     nodes : int
-        Of the integral. The default is for matrices that are nearly singular; for the four triangles' 24 are as
-        good, at a third of the cost.
+        Nodes of the integral. The default is for matrices that are nearly singular; for the four triangles 24 are
+        as good, at a third of the cost.
 
     Returns
     -------
     ndarray, shape (...)
-        With an absolute error below 1e-9; no more digits than that of the small rest near 1.
+        Probability with an absolute error below 1e-9, also of the small rest near 1.
 
     Raises
     ------
     SettingsError
-        As `answer_probabilities` does.
+        If a shape or value is wrong, as in `answer_probabilities`.
     """
     scores, covariances = _checked_score(score), checked_covariance(covariance)
     shape = np.broadcast_shapes(scores.shape[:-1], covariances.shape[:-2])
@@ -287,7 +287,7 @@ def answer_probability(score: ArrayLike, covariance: ArrayLike, answer: int, *, 
 
 
 class _Geometry(NamedTuple):
-    """What Plackett's integral needs of the covariances; leading axes: matrix, answer.
+    """Terms of Plackett's integral that the covariances determine; leading axes: matrix, answer.
 
     The `sum_factor`, `difference_factor` and `weight` of each pair of others, and the `cut` of its conditional
     limit u with each of the three limits b, are sampled at the nodes of the path (last axis).
@@ -309,7 +309,7 @@ def _chunk_probabilities(score: FloatArray, geometry: _Geometry) -> FloatArray:
 
 
 def _shared_orthants(score: FloatArray, geometry: _Geometry, answers: slice) -> FloatArray:
-    """Each of these answers by its own orthant; scores that are equal and without noise share."""
+    """Compute each of these answers by its own orthant; scores that are equal and without noise share."""
     with np.errstate(over="ignore"):
         difference = score[:, answers, None] - score[:, OTHERS[answers]]
         limit = np.where(difference >= 0, np.inf, -np.inf)
@@ -320,7 +320,7 @@ def _shared_orthants(score: FloatArray, geometry: _Geometry, answers: slice) -> 
 
 
 def _orthant(limit: FloatArray, geometry: _Geometry) -> FloatArray:
-    """Φ₃ of the limits b (score, answer, 3) by Plackett's identity, from independence to the correlations."""
+    """Compute Φ₃ of the limits b (score, answer, 3) by Plackett's identity, from independence on."""
     b = limit[..., None]
     probability: FloatArray = ndtr(limit).prod(axis=-1)
     for pair, (i, j) in enumerate(PAIRS):
@@ -375,7 +375,7 @@ def _geometry(deviation: FloatArray, angle: FloatArray, nodes: int = _NODES) -> 
 
 @cache
 def _path_nodes(nodes: int) -> tuple[FloatArray, FloatArray]:
-    """What is left of the path, 1 − x, and the weights; dense, on every scale, where R may become singular."""
+    """Return the rest 1 − x of the path and the weights; dense, on every scale, where R may become singular."""
     node, weight = np.polynomial.legendre.leggauss(nodes)
     t = (1 + node) / 2
     graded = weight * t ** (_GRADING - 1)

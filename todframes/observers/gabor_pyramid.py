@@ -45,7 +45,7 @@ class GaborPyramid:
     orientations : int
         Evenly spaced over 180°; even, from 2 to 32.
     wavelength_samples : float
-        Of the best grating, in samples of each level; from 2.5 to 16.
+        Wavelength of the best grating, in samples of each level; from 2.5 to 16.
     bandwidth_octaves : float
         Full width at half the largest response; from 0.5 to 3.
     elongation : float
@@ -76,11 +76,11 @@ class GaborPyramid:
 
     @property
     def signs(self) -> tuple[int, ...]:
-        """What half a turn makes of each phase, in their order."""
+        """Signs that half a turn gives to the phases, in their order."""
         return {"both": (1, -1), "even": (1,), "odd": (-1,)}[self.phases]
 
     def build(self, image: FloatArray) -> list[FloatArray]:
-        """Responses to an image of shape (side, side), finest level first, and the low-pass residual last.
+        """Compute responses to an image of shape (side, side), finest level first, and the low-pass residual last.
 
         Those of a level have the shape (phases, orientations, side of the level, side of the level).
         """
@@ -89,23 +89,23 @@ class GaborPyramid:
         levels = []
         for level in range(self.levels):
             mirrored = _mirrored(len(image), radius)
-            wide = image[mirrored][:, mirrored]
-            responses = np.array([_correlated(wide, kernel)[inside, inside] for kernel in _kernels(self)])
+            padded = image[mirrored][:, mirrored]
+            responses = np.array([_correlated(padded, kernel)[inside, inside] for kernel in _kernels(self)])
             levels.append(_gains(self)[level] * responses.reshape(*shape, *image.shape))
             image = self._pyramid.reduce(image)
         return [*levels, image.copy()]
 
     def adjoint(self, responses: Sequence[FloatArray]) -> FloatArray:
-        """The image Gᵀy with ⟨y, Gx⟩ = ⟨Gᵀy, x⟩ for every image x, G being `build`."""
+        """Return the image Gᵀy with ⟨y, Gx⟩ = ⟨Gᵀy, x⟩ for every image x, G being `build`."""
         radius, image = self._radius, responses[-1]
         for level in reversed(range(self.levels)):
             side = responses[level].shape[-1]
             mirrored = _mirrored(side, radius)
-            wide = np.zeros((len(mirrored),) * 2)
+            padded = np.zeros((len(mirrored),) * 2)
             for response, kernel in zip(responses[level].reshape(-1, side, side), _kernels(self), strict=True):
-                wide += _correlated(np.pad(response, radius), kernel[::-1, ::-1])
+                padded += _correlated(np.pad(response, radius), kernel[::-1, ::-1])
             rows, columns = np.zeros((side, len(mirrored))), np.zeros((side, side))
-            np.add.at(rows, mirrored, _gains(self)[level] * wide)
+            np.add.at(rows, mirrored, _gains(self)[level] * padded)
             np.add.at(columns, mirrored, rows.T)
             image = columns.T + self._pyramid.reduce_adjoint(image, (side, side))
         return np.array(image)
@@ -121,7 +121,7 @@ class GaborPyramid:
 
 @lru_cache(maxsize=8)
 def _gains(pyramid: GaborPyramid) -> FloatArray:
-    """Of each level: 1 over its response to its best gratings, root of the sum of squares, mean of directions."""
+    """Return for each level 1 over its response to its best gratings, a root mean square over directions."""
     direction = np.arange(4 * pyramid.orientations) * np.pi / (4 * pyramid.orientations)
     best = np.array([np.cos(direction), np.sin(direction)]) / pyramid.wavelength_samples
     squares = np.square(np.abs(_transfer(_kernels(pyramid), best))).sum(axis=0)
@@ -134,7 +134,7 @@ def _gains(pyramid: GaborPyramid) -> FloatArray:
 
 @lru_cache(maxsize=8)
 def _kernels(pyramid: GaborPyramid) -> FloatArray:
-    """Gabor functions without gain, shape (phases · orientations, 2 r + 1, 2 r + 1)."""
+    """Compute the Gabor functions without gain, shape (phases · orientations, 2 r + 1, 2 r + 1)."""
     octaves = 2.0**pyramid.bandwidth_octaves
     # The Gaussian in frequency is 1/2 at the ends of the bandwidth: f (2ᵇ − 1)/(2ᵇ + 1) on both sides.
     sigma = pyramid.wavelength_samples * math.sqrt(math.log(2.0) / 2.0) / math.pi * (octaves + 1) / (octaves - 1)
@@ -159,20 +159,20 @@ def _kernels(pyramid: GaborPyramid) -> FloatArray:
 
 
 def _transfer(kernels: FloatArray, frequency: FloatArray) -> NDArray[np.complex128]:
-    """Of each kernel at each frequency, (2, n) in cycles a sample: (kernels, n)."""
+    """Compute the transfer of each kernel at each frequency, (2, n) in cycles a sample: (kernels, n)."""
     places = np.arange(kernels.shape[-1]) - kernels.shape[-1] // 2
     along_x, along_y = np.exp(-2j * np.pi * frequency[..., None] * places)
     return np.asarray(np.einsum("kyx,nx,ny->kn", kernels, along_x, along_y))
 
 
 def _reduce_transfer(frequency: FloatArray, a: float) -> FloatArray:
-    """Of the kernel in front of halving, at frequencies (2, n) in cycles a sample: (n,)."""
+    """Compute the transfer of the kernel in front of halving, at frequencies (2, n) in cycles a sample: (n,)."""
     turn = 2.0 * np.pi * frequency
     return np.asarray((a + np.cos(turn) / 2.0 + (0.5 - a) * np.cos(2.0 * turn)).prod(axis=0))
 
 
 def _mirrored(side: int, margin: int) -> NDArray[np.intp]:
-    """Places of an image with margins, mirrored about its outermost samples (reflect-101)."""
+    """Return the places of an image with margins, mirrored about its outermost samples (reflect-101)."""
     return np.pad(np.arange(side), margin, mode="reflect")
 
 

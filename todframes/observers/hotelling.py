@@ -31,7 +31,7 @@ DisplayAngle = Annotated[float, Meta(ge=0.0, le=1e6)]
 
 
 TRIANGLE_VARIANCE = 3.0**-0.5 / 6.0
-"""Of a triangle of size 1 along any axis."""
+"""Variance of a triangle of size 1 along any axis."""
 
 
 SOLVER_TOLERANCE = 1e-10
@@ -43,7 +43,7 @@ MOST_ITERATIONS = 500
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HotellingSettings(PyramidSettings):
-    """Settings of `PyramidSettings`, and what the display does; all angles as seen on the display.
+    """Settings of `PyramidSettings`, and of the display of the frames; all angles are as seen on the display.
 
     Attributes
     ----------
@@ -98,7 +98,7 @@ class HotellingObserver(PyramidObserver):
     settings: HotellingSettings
 
     def presample_mtf(self, frequency_x: FloatArray, frequency_y: FloatArray) -> FloatArray:
-        """Transfer of optics and detectors at frequencies in cycles/mrad that broadcast against each other."""
+        """Return the transfer of optics and detectors at frequencies in cycles/mrad, broadcast together."""
         settings = self.settings
         radial = np.hypot(frequency_x, frequency_y)
         return _gaussian(radial, settings.presample_blur_mrad) * _box(
@@ -106,7 +106,7 @@ class HotellingObserver(PyramidObserver):
         )
 
     def postsample_mtf(self, frequency_x: FloatArray, frequency_y: FloatArray) -> FloatArray:
-        """Transfer of sample & hold, electronics and display, as `presample_mtf`.
+        """Return the transfer of sample & hold, electronics and display, as `presample_mtf` does.
 
         The mean of a held picture over all places of its samples is the picture averaged over the pitch.
         """
@@ -117,12 +117,12 @@ class HotellingObserver(PyramidObserver):
         )
 
     def displayed(self, image: FloatArray) -> FloatArray:
-        """What is expected on the retina, shape (side, side), of an image of this shape in front of the sensor."""
+        """Compute the expected retina image, (side, side), of an image of this shape in front of the sensor."""
         frequencies = self._frequencies(image)
         return _filter(image, self.presample_mtf(*frequencies) * self.postsample_mtf(*frequencies))
 
     def informative_neurons(self, stimulus: Stimulus) -> tuple[NDArray[np.bool_], ...]:
-        """Which neurons of each band are used; the bands' shapes."""
+        """Return which neurons of each band are used, in the bands' shapes."""
         return self._informative(super()._template_deviation(stimulus))
 
     def _seen_size_mrad(self, stimulus: Stimulus) -> float:
@@ -139,7 +139,7 @@ class HotellingObserver(PyramidObserver):
         return size
 
     def omitted_bands(self, stimulus: Stimulus) -> OmittedWeights | None:
-        """As that of `PyramidObserver`, as if every neuron of further bands were used.
+        """Estimate the omission as `PyramidObserver` does, as if every neuron of further bands were used.
 
         None with noise of the samples, for which the weights of all bands depend on each other.
         """
@@ -165,16 +165,16 @@ class HotellingObserver(PyramidObserver):
         share = self.settings.informative_share
         # Opposite quarters first: the sum is then the same, to the last bit, for the four images of a neuron.
         half = [np.square(band) + np.square(np.rot90(band, 2)) for band in upright]
-        informations = [one + np.rot90(one) for one in half]
+        informations = [band + np.rot90(band) for band in half]
         if share == 1.0:
-            return tuple(one > 0.0 for one in informations)
-        descending = np.sort(np.concatenate([one.ravel() for one in informations]))[::-1]
+            return tuple(band > 0.0 for band in informations)
+        descending = np.sort(np.concatenate([band.ravel() for band in informations]))[::-1]
         total = np.cumsum(descending)
         least = descending[np.searchsorted(total, share * total[-1])]
-        return tuple((one >= least) & (one > 0.0) for one in informations)
+        return tuple((band >= least) & (band > 0.0) for band in informations)
 
     def _ideal(self, difference: Bands, used: Sequence[NDArray[np.bool_]], grid: RetinaGrid) -> Bands:
-        """Weights K⁻¹d of the used neurons, d their expected differences and K the covariance of their noise.
+        """Compute the weights K⁻¹d of the used neurons: d their expected differences, K their noise covariance.
 
         K = σ²I + P L S Lᵀ P with internal noise σ, pyramid L, the used neurons P and the samples' noise S on the
         retina, taken as the same wherever the samples lie.
@@ -213,7 +213,7 @@ class HotellingObserver(PyramidObserver):
         return bands(weights)
 
     def _frequencies(self, image: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Along x and y, in cycles/mrad, of the cosines that mirrored borders leave."""
+        """Return the frequencies along x and y, in cycles/mrad, of the cosines that mirrored borders leave."""
         side = image.shape[0]
         frequency = np.arange(side) / (2.0 * (side - 1) * self.settings.retina_pitch_mrad)
         return frequency, frequency[:, None]
@@ -228,14 +228,14 @@ def _box(frequency_x: FloatArray, frequency_y: FloatArray, width: float) -> Floa
 
 
 def _filter(image: FloatArray, transfer: FloatArray) -> FloatArray:
-    """The image, mirrored about its outermost samples, behind a filter of this transfer, real and even."""
+    """Apply a filter of this transfer, real and even, to the image mirrored about its outermost samples."""
     from scipy.fft import dctn, idctn
 
     return np.asarray(idctn(dctn(image, type=1) * transfer, type=1))
 
 
 def _filter_adjoint(image: FloatArray, transfer: FloatArray) -> FloatArray:
-    """The adjoint of `_filter`, symmetric under weights of one half on the outermost samples."""
+    """Apply the adjoint of `_filter`, symmetric under weights of one half on the outermost samples."""
     half = np.ones(image.shape[0])
     half[[0, -1]] = 0.5
     border = np.outer(half, half)

@@ -1,4 +1,4 @@
-"""What an observer is: a stimulus in, weights on the retina and noise on the four scores out.
+"""The protocol of observers: a stimulus in, weights on the retina and noise on the four scores out.
 
 A linear observer needs no more than a `Readout`: its four scores are inner products with the retina image, and
 the noise on all its neurons reaches the decision as one four-vector. One that is not linear answers itself.
@@ -43,9 +43,9 @@ class Readout:
     deviations : ndarray, shape (4, side, side)
         Weights of each score less `common`, in the order of `ORIENTATIONS`.
     noise_covariance : ndarray, shape (4, 4)
-        Of the internal noise on the four scores less the noise they share.
+        Covariance of the internal noise on the four scores less the noise they share.
     excess_kurtosis : float
-        Of the summed noise on the difference of two scores: the one farthest from the Gaussian's 0.
+        Excess kurtosis of the noise on the difference of two scores: the one farthest from the Gaussian's 0.
     find_fourth_cumulants : function of no arguments, or None
         Finds `fourth_cumulants`, (4, 4, 4, 4), of the same noise as `noise_covariance`, when a decision needs
         them; None: decisions take it as Gaussian.
@@ -74,19 +74,19 @@ class Readout:
         return None if self.find_fourth_cumulants is None else self.find_fourth_cumulants()
 
     def scores(self, contrast: FloatArray) -> FloatArray:
-        """Noise-free inner products of a retina image, shape (side, side), with the four templates: (4,)."""
+        """Compute the noise-free inner products of a retina image, (side, side), with the four templates: (4,)."""
         return self.score_deviations(contrast) + self.common_score(contrast)
 
     def score_deviations(self, contrast: FloatArray) -> FloatArray:
-        """The scores less their mean, all that the decision needs, with all digits: (4,)."""
+        """Compute the scores less their mean, all that the decision needs, with all digits: (4,)."""
         return np.asarray(self.deviations.reshape(4, -1) @ contrast.reshape(-1))
 
     def common_score(self, contrast: FloatArray) -> float:
-        """The mean of the four scores."""
+        """Compute the mean of the four scores."""
         return inner_product(self.common, contrast)
 
     def cropped(self, half_width: int) -> Readout:
-        """The same for the middle of the grid only: so many samples on each side of the middle one."""
+        """Return the readout of the middle of the grid only: so many samples on each side of the middle one."""
         margin = self.grid.side // 2 - half_width
         inner = slice(margin, self.grid.side - margin)
         return replace(
@@ -97,7 +97,7 @@ class Readout:
         )
 
     def answer_probabilities(self, deviations: FloatArray) -> FloatArray:
-        """Probability of each answer under the internal noise, for score deviations of shape (..., 4).
+        """Compute the probability of each answer under the internal noise, for score deviations of shape (..., 4).
 
         To first order in what the summed noise is not Gaussian, if its fourth cumulants are known.
         """
@@ -125,7 +125,7 @@ class Readout:
 
 
 class OmittedWeights(NamedTuple):
-    """What a readout leaves out to save time.
+    """Weights that a readout omits to save time.
 
     Attributes
     ----------
@@ -134,9 +134,9 @@ class OmittedWeights(NamedTuple):
     kept : ndarray, shape (4, side, side)
         The readout's own weights on this grid, about.
     deviations : ndarray, shape (4, side, side)
-        What is missing from them.
+        Weights that are missing from them.
     noise_covariance : ndarray, shape (4, 4)
-        What is missing from that of the readout.
+        Covariance that is missing from the readout's.
     """
 
     grid: RetinaGrid
@@ -146,7 +146,7 @@ class OmittedWeights(NamedTuple):
 
 
 def non_gaussian_bound(excess_kurtosis: float) -> float:
-    """Bound on the error in P(correct) from taking noise on score differences as Gaussian, to first order.
+    """Bound the error in P(correct) from taking noise on score differences as Gaussian, to first order.
 
     The first Edgeworth term of one score difference is κ/24 · He₃(x) φ(x), at most 0.5506 |κ| / 24; three
     differences decide.
@@ -155,7 +155,7 @@ def non_gaussian_bound(excess_kurtosis: float) -> float:
 
 
 class Observer(Protocol):
-    """What an observer must offer; register the class under the entry-point group `todframes.observers`.
+    """Protocol of all observers; register the class under the entry-point group `todframes.observers`.
 
     The class is called with one argument, an instance of its `settings_type`, a frozen dataclass whose fields
     are the names that users set. `centre` says which point of the triangle the grid's middle lies on and
@@ -175,31 +175,31 @@ class Observer(Protocol):
         """Half the width of the uniform displacement of the grid, in retina samples."""
 
     def grid(self, stimulus: Stimulus) -> RetinaGrid:
-        """The retina samples it looks at."""
+        """Return the retina samples that the observer looks at."""
 
     def readout(self, stimulus: Stimulus) -> Readout | None:
-        """Its weights and noise, or None if it is not linear and can only `respond`."""
+        """Return weights and noise of the observer, or None if it is not linear and can only `respond`."""
 
     def respond(self, contrast: FloatArray, stimulus: Stimulus, rng: np.random.Generator) -> Orientation:
-        """One answer to a retina image of shape (side, side), its internal noise drawn from `rng`."""
+        """Answer a retina image of shape (side, side) once, with internal noise drawn from `rng`."""
 
 
 @runtime_checkable
 class TruncatedObserver(Protocol):
-    """What an observer may offer besides, if its readout leaves out what next to nothing depends on."""
+    """Optional protocol of observers whose readout truncates the pyramid: report that, and build variants."""
 
     def with_extra_level(self) -> Observer:
-        """The same observer, leaving nothing of weight out."""
+        """Return the same observer with a level more, which omits nothing of weight."""
 
     def with_fewer_levels(self, stimulus: Stimulus) -> Observer | None:
-        """The same observer, leaving more out; None where that cannot be."""
+        """Return the same observer with a level less; None where that is not possible."""
 
     def omitted_bands(self, stimulus: Stimulus) -> OmittedWeights | None:
-        """What its readout leaves out; None: nothing."""
+        """Estimate what the readout omits; None if it omits nothing."""
 
 
 def find_observer(name: str) -> type[Observer]:
-    """The observer class registered under a name in the entry-point group `todframes.observers`.
+    """Return the observer class registered under a name in the entry-point group `todframes.observers`.
 
     Raises
     ------

@@ -24,14 +24,14 @@ _NEARLY_PLANE = 1e-6
 
 
 def fourth_cumulants(factor: ArrayLike, *, excess_kurtosis: float) -> FloatArray:
-    """Fourth cumulants of four scores that sum independent noise of many neurons.
+    """Compute the fourth cumulants of four scores that sum independent noise of many neurons.
 
     Parameters
     ----------
     factor : array_like, shape (4, n)
         Weight of each neuron's noise in each score times the noise's standard deviation.
     excess_kurtosis : float
-        Of the noise of one neuron; −1.2 if it is uniform.
+        Excess kurtosis of the noise of one neuron; −1.2 if it is uniform.
 
     Returns
     -------
@@ -43,7 +43,7 @@ def fourth_cumulants(factor: ArrayLike, *, excess_kurtosis: float) -> FloatArray
 
 
 def edgeworth_correction(score: ArrayLike, covariance: ArrayLike, fourth_cumulant: ArrayLike) -> FloatArray:
-    """What to add to `answer_probabilities` for the fourth cumulants of the noise.
+    """Compute the correction of `answer_probabilities` for the fourth cumulants of the noise.
 
     Parameters
     ----------
@@ -51,12 +51,12 @@ def edgeworth_correction(score: ArrayLike, covariance: ArrayLike, fourth_cumulan
     covariance : array_like, shape (..., 4, 4)
         Both as for `answer_probabilities`.
     fourth_cumulant : array_like, shape (..., 4, 4, 4, 4)
-        Of the noise on the scores; all three are broadcast against each other.
+        Fourth cumulants of the noise on the scores; all three are broadcast against each other.
 
     Returns
     -------
     ndarray, shape (..., 4)
-        With sum 0. For the summed uniform noise of the observer's neurons it leaves errors below 8e-5 for
+        Corrections of sum 0. For the summed noise of the observer's neurons they leave errors below 8e-5 for
         triangles of 0.3 mrad, where the Gaussian is 2.6e-3 off, and below 8e-6 at 1 mrad. 0 for answers that
         differ from another without noise, and where noise is all but in a plane: there the term is no
         approximation. The triangles' never is.
@@ -85,7 +85,7 @@ def _of_answer(score: FloatArray, covariance: FloatArray, cumulant: FloatArray, 
 
 
 def _fourth_derivatives(b: FloatArray, rho: FloatArray) -> dict[_Order, FloatArray]:
-    """∂⁴Φ₃ of limits b (..., 3) with correlations rho (..., 3, 3), by how often each limit is differentiated."""
+    """Compute ∂⁴Φ₃ of limits b (..., 3) with correlations rho (..., 3, 3), by the order in each limit."""
     limit = np.moveaxis(b, -1, 0)
     found: dict[_Order, FloatArray] = {}
     mixed: dict[tuple[int, int], list[FloatArray]] = {}  # of i and j: ∂_i ∂_j, ∂_i² ∂_j, ∂_i³ ∂_j
@@ -125,7 +125,7 @@ def _fourth_derivatives(b: FloatArray, rho: FloatArray) -> dict[_Order, FloatArr
 
 
 def _both_below(limit: FloatArray, rho: FloatArray, i: int, j: int, k: int) -> FloatArray:
-    """P(j and k below their limits) with i at its limit."""
+    """Compute P(j and k below their limits) with i at its limit."""
     r_ij, r_ik = rho[..., i, j], rho[..., i, k]
     left_j, left_k = (np.sqrt(np.maximum(1.0 - r**2, _NEARLY_PLANE)) for r in (r_ij, r_ik))
     partial = np.clip((rho[..., j, k] - r_ij * r_ik) / (left_j * left_k), -1.0, 1.0)
@@ -133,7 +133,7 @@ def _both_below(limit: FloatArray, rho: FloatArray, i: int, j: int, k: int) -> F
 
 
 def _bivariate(h: FloatArray, k: FloatArray, rho: FloatArray) -> FloatArray:
-    """Φ₂ by Owen's T function (Owen 1956)."""
+    """Compute Φ₂ by Owen's T function (Owen 1956)."""
     root = np.sqrt(np.maximum((1.0 - rho) * (1.0 + rho), _NEARLY_PLANE))
     h, k = (np.where(x == 0.0, 1e-300, x) for x in (h, k))
     with np.errstate(over="ignore"):
@@ -151,7 +151,7 @@ def _order(*limits: int) -> _Order:
 
 
 def inner_product(a: FloatArray, b: FloatArray) -> float:
-    """Sum of products of two arrays of one shape.
+    """Sum the products of two arrays of one shape.
 
     Not by BLAS, whose threads wait for each other a hundred times longer than the sum takes when other
     threads keep the processors busy.
@@ -167,12 +167,12 @@ UNIFORM_EXCESS_KURTOSIS = -1.2
 
 
 LEAST_KURTOSIS = 2e-3
-"""Of summed noise that is not taken as Gaussian. What is below comes from so many neurons that their fourth
+"""Smallest excess kurtosis that is not taken as Gaussian. Less comes from so many neurons that their fourth
 cumulants cost more than all else, and changes P(correct) by less than 1.4e-4."""
 
 
 class SummedNoise(NamedTuple):
-    """Of uniform noise in four score deviations: what `Readout` calls by these names."""
+    """Uniform noise summed in four score deviations, by the names of the attributes of `Readout`."""
 
     noise_covariance: FloatArray
     excess_kurtosis: float
@@ -180,7 +180,7 @@ class SummedNoise(NamedTuple):
 
 
 def summed_noise(turned: Sequence[Bands], noise_sd: float) -> SummedNoise:
-    """Noise of standard deviation `noise_sd`, uniform and independent, summed with these weights.
+    """Sum noise of standard deviation `noise_sd`, uniform and independent, with these weights.
 
     Parameters
     ----------
@@ -198,23 +198,23 @@ def summed_noise(turned: Sequence[Bands], noise_sd: float) -> SummedNoise:
 
 
 def _overlaps(turned: Sequence[Bands]) -> FloatArray:
-    """Inner products of the four template deviations, (4, 4): a circulant matrix by symmetry."""
+    """Compute the inner products of the four template deviations, (4, 4): a circulant matrix by symmetry."""
     same, beside, opposite = (sum(map(inner_product, turned[0], turned[k])) for k in range(3))
     row = [same, beside, opposite, beside]
     return np.array([np.roll(row, k) for k in range(4)])
 
 
 def _participation(turned: Sequence[Bands]) -> float:
-    """Σw⁴ / (Σw²)² of the weights of a score difference, the larger of the two kinds."""
+    """Compute Σw⁴ / (Σw²)² of the weights of a score difference, the larger of the two kinds."""
     largest = 0.0
     for other in turned[1:3]:
         squares = [a - b for a, b in zip(turned[0], other, strict=True)]
         total = 0.0
-        for one in squares:
-            np.square(one, out=one)
-            total += float(one.sum())
+        for band in squares:
+            np.square(band, out=band)
+            total += float(band.sum())
         if total > 0.0:
-            for one in squares:
-                one /= total
+            for band in squares:
+                band /= total
             largest = max(largest, sum(map(inner_product, squares, squares)))
     return largest

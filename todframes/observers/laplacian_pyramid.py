@@ -42,7 +42,7 @@ class LaplacianPyramid:
             raise SettingsError(f"kernel_a: found {self.kernel_a!r}, expected a number in [0, 1]")
 
     def build(self, image: FloatArray) -> list[FloatArray]:
-        """Bands 0 ... levels - 1 and the residual of an image of any shape (rows, columns)."""
+        """Compute bands 0 ... levels - 1 and the residual of an image of any shape (rows, columns)."""
         bands = []
         for _ in range(self.levels):
             reduced = self.reduce(image)
@@ -51,21 +51,21 @@ class LaplacianPyramid:
         return [*bands, image.copy()]
 
     def collapse(self, bands: Sequence[FloatArray]) -> FloatArray:
-        """The image whose bands and residual these are: the inverse of `build`."""
+        """Restore the image from its bands and residual: the inverse of `build`."""
         image = bands[-1]
         for band in reversed(bands[:-1]):
             image = band + self.expand(image, band.shape)
         return np.array(image)
 
     def adjoint(self, bands: Sequence[FloatArray]) -> FloatArray:
-        """The image Lᵀy with ⟨y, Lx⟩ = ⟨Lᵀy, x⟩ for every image x, L being `build`."""
+        """Return the image Lᵀy with ⟨y, Lx⟩ = ⟨Lᵀy, x⟩ for every image x, L being `build`."""
         image = bands[-1]
         for band in reversed(bands[:-1]):
             image = band + self.reduce_adjoint(image - self._expand_adjoint(band), band.shape)
         return np.array(image)
 
     def reduce(self, image: FloatArray) -> FloatArray:
-        """Low-pass filter and keep every second sample: (n + 1) // 2 along each axis (REDUCE)."""
+        """Filter and keep every second sample: (n + 1) // 2 along each axis (REDUCE)."""
         if self.kernel_a == 0.375:
             # The same sums at a fifth of the time: only the samples that stay are computed.
             return np.asarray(cv2.pyrDown(image, borderType=cv2.BORDER_REFLECT_101))
@@ -78,7 +78,7 @@ class LaplacianPyramid:
         return self._filter(_spread(image, shape), gain=2.0)
 
     def reduce_adjoint(self, image: FloatArray, shape: tuple[int, ...]) -> FloatArray:
-        """The adjoint of `reduce` for images of a shape.
+        """Apply the adjoint of `reduce` for images of a shape.
 
         The mirrored filter F is symmetric under weights D of one half on the outermost samples: D F = Fᵀ D. With
         S, which keeps every second sample, (S F)ᵀ = D (F Sᵀ) (S D Sᵀ)⁻¹, and F Sᵀ is EXPAND less its gain.
@@ -88,7 +88,7 @@ class LaplacianPyramid:
         return _weigh_border(expanded, 0.5, shape, every=1)
 
     def _expand_adjoint(self, image: FloatArray) -> FloatArray:
-        """The adjoint of `expand` to the image's shape: (F Sᵀ)ᵀ = (S D Sᵀ) (S F) D⁻¹, times the gain."""
+        """Apply the adjoint of `expand` to the image's shape: (F Sᵀ)ᵀ = (S D Sᵀ) (S F) D⁻¹, times the gain."""
         reduced = self.reduce(_weigh_border(image, 2.0, image.shape, every=1))
         reduced = _weigh_border(reduced, 0.5, image.shape)
         reduced *= _expand_gain(image.shape)
@@ -105,7 +105,7 @@ class LaplacianPyramid:
 
 
 def _expand_binomial(image: FloatArray, shape: tuple[int, ...]) -> FloatArray:
-    """EXPAND with [1 4 6 4 1]/16 at half the time, on one sample more than needed.
+    """Expand with [1 4 6 4 1]/16 at half the time, on one sample more than needed.
 
     cv2.pyrUp is wrong in its last rows and columns, so it is given the mirror image's first sample to spoil: of an
     odd `shape` the mirror goes through the last sample, of an even one it lies half a sample beyond.
@@ -123,7 +123,7 @@ def _spread(image: FloatArray, shape: tuple[int, ...]) -> FloatArray:
 
 
 def _weigh_border(image: FloatArray, weight: float, shape: tuple[int, ...], *, every: int = 2) -> FloatArray:
-    """A copy with the outermost lines of an image of this shape weighted, of which it has every second or each."""
+    """Copy an image of this shape, of which every second or each line is there, its outermost lines weighted."""
     weighted = image.copy()
     for axis, length in enumerate(shape):
         if length > 1:
@@ -135,5 +135,5 @@ def _weigh_border(image: FloatArray, weight: float, shape: tuple[int, ...], *, e
 
 
 def _expand_gain(shape: tuple[int, ...]) -> float:
-    """What EXPAND makes up for the zeros between samples; along an axis of one sample there are none."""
+    """Return the gain that makes up for the zeros between samples; along an axis of one sample there are none."""
     return float(np.prod([2.0 if length > 1 else 1.0 for length in shape]))

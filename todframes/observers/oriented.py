@@ -23,7 +23,7 @@ from todframes.observers.pyramid import PyramidObserver, PyramidSettings
 from todframes.observers.retina import RetinaGrid
 from todframes.stimulus import Stimulus
 
-MOST_NEURONS = 1e8
+LARGEST_NEURON_COUNT = 1e8
 """Their activity then takes 0.8 GB, and what is made of it a few times that."""
 
 
@@ -36,7 +36,7 @@ class OrientedSettings(PyramidSettings):
     orientations : int
         Evenly spaced over 180°; even.
     wavelength_samples : float
-        Of the grating that the finest neurons respond to best, in retina samples; an octave more on each level.
+        Wavelength that the finest neurons respond to best, in retina samples; an octave more on each level.
     bandwidth_octaves : float
         Full width at half the largest response.
     elongation : float
@@ -67,7 +67,7 @@ class OrientedSettings(PyramidSettings):
             raise SettingsError(f"phases: found {self.phases!r} with complex_cells, expected both")
 
     def filters(self, levels: int) -> GaborPyramid:
-        """The neurons, on so many levels."""
+        """Make the neurons of so many levels."""
         return GaborPyramid(
             levels=levels,
             kernel_a=self.kernel_a,
@@ -98,22 +98,22 @@ class OrientedObserver(PyramidObserver):
             self.readout = _no_readout  # type: ignore[assignment] # what is not linear has none, unlike its base
 
     def omitted_bands(self, stimulus: Stimulus) -> OmittedWeights | None:
-        """As that of `PyramidObserver`; None if it is not linear."""
+        """Estimate what the readout omits as `PyramidObserver` does; None if the observer is not linear."""
         return None if self.settings.complex_cells else super().omitted_bands(stimulus)
 
     def grid(self, stimulus: Stimulus) -> RetinaGrid:
-        """As that of `PyramidObserver`."""
+        """Return the retina samples, as `PyramidObserver` does."""
         grid, filters = super().grid(stimulus), self.settings.filters(0)
         neurons = 4 / 3 * grid.side**2 * len(filters.signs) * filters.orientations
-        if neurons > MOST_NEURONS:
+        if neurons > LARGEST_NEURON_COUNT:
             raise SettingsError(
                 f"orientations: found {filters.orientations}; for a triangle of {stimulus.size_mrad:g} mrad they "
-                f"are {neurons:.2g} neurons, expected at most {MOST_NEURONS:g}"
+                f"are {neurons:.2g} neurons, expected at most {LARGEST_NEURON_COUNT:g}"
             )
         return grid
 
     def activity(self, contrast: FloatArray) -> Bands:
-        """Noise-free activity of all neurons for a retina image of shape (side, side).
+        """Compute the noise-free activity of all neurons for a retina image of shape (side, side).
 
         Of each level an array (phases, orientations, side of the level, side of the level), finest level first.
         """
@@ -126,7 +126,7 @@ class OrientedObserver(PyramidObserver):
         return tuple(settings.band_gain**k * band for k, band in enumerate(bands))
 
     def turned(self, bands: Bands, quarter_turns: int) -> Bands:
-        """The activity that an image turned clockwise causes, from that of the image."""
+        """Compute the activity that an image turned clockwise causes, from that of the image."""
         for _ in range(quarter_turns):
             bands = tuple(map(self._turned_once, bands))
         return bands

@@ -38,7 +38,7 @@ class PyramidSettings:
     Attributes
     ----------
     centre : {"centroid", "bounding_box"}
-        What the four templates have in common, and what lies on the grid's middle.
+        Point that the four templates share, on the grid's middle.
     retina_pitch_mrad : float
         Visual angle of a retina sample.
     position_jitter_samples : float
@@ -99,7 +99,7 @@ LARGEST_SIZE_SAMPLES = 2**MOST_LEVELS / 0.9
 
 
 class PyramidObserver:
-    """The paper's observer.
+    """The paper's observer: a Laplacian pyramid with noise on every neuron, correlated with four templates.
 
     Parameters
     ----------
@@ -131,7 +131,7 @@ class PyramidObserver:
         return self.settings.position_jitter_samples
 
     def grid(self, stimulus: Stimulus) -> RetinaGrid:
-        """The retina samples it looks at: side 4 · 2^levels + 1, about four times the triangle's size.
+        """Return the retina samples it looks at: side 4 · 2^levels + 1, about four times the triangle's size.
 
         The coarsest band's samples are as far apart as 0.9 sizes or more, and not nearer than 16 samples,
         which keeps what is left out below 1e-5 of the threshold with the default settings.
@@ -159,26 +159,26 @@ class PyramidObserver:
         return min(max(FEWEST_LEVELS, math.ceil(math.log2(0.9 * size))) + self._more_levels, MOST_LEVELS)
 
     def _seen_size_mrad(self, stimulus: Stimulus) -> float:
-        """Size of a triangle as wide as this one is seen."""
+        """Return the size of a triangle as wide as this one is seen."""
         return stimulus.size_mrad
 
     def _with_extra_level(self) -> Self:
-        """The same with one band, and one octave of the field, more than a triangle needs."""
+        """Return the observer with one band, and one octave of the field, more than a triangle needs."""
         return type(self)(self.settings, more_levels=1)
 
     def with_fewer_levels(self, stimulus: Stimulus) -> Self | None:
-        """The same with one band less; None where the triangle would not fit."""
+        """Return the observer with one band less; None where the triangle would not fit."""
         if self.settings.levels is not None or self._more_levels or self._levels(stimulus) == FEWEST_LEVELS:
             return None
-        lean = type(self)(self.settings, more_levels=-1)
+        variant = type(self)(self.settings, more_levels=-1)
         size = self._seen_size_mrad(stimulus) / self.settings.retina_pitch_mrad
         try:
-            return lean if lean.grid(stimulus).side > 4.0 * LEAST_FIELD * size else None
+            return variant if variant.grid(stimulus).side > 4.0 * LEAST_FIELD * size else None
         except SettingsError:
             return None
 
     def omitted_bands(self, stimulus: Stimulus) -> OmittedWeights | None:
-        """What one more band and octave of the field would add to the readout, seen on a coarser retina.
+        """Estimate what one more band and octave of the field would add to the readout, on a coarser retina.
 
         The coarse bands of a large triangle are those of a small one on a coarse retina, which cost little: the
         finer bands add no more than the blur of their REDUCE kernels. At the same gain, a second band would add a
@@ -188,19 +188,19 @@ class PyramidObserver:
             return None
         octaves = self._levels(stimulus) - FEWEST_LEVELS
         coarse = self._coarser(octaves)
-        narrow, wide = (
+        small, large = (
             type(self)(replace(coarse, levels=levels)).readout(stimulus)
             for levels in (FEWEST_LEVELS, FEWEST_LEVELS + 1)
         )
-        margin = (wide.grid.side - narrow.grid.side) // 2
-        kept = np.zeros_like(wide.deviations)
-        kept[:, margin:-margin, margin:-margin] = narrow.deviations
+        margin = (large.grid.side - small.grid.side) // 2
+        kept = np.zeros_like(large.deviations)
+        kept[:, margin:-margin, margin:-margin] = small.deviations
         gain = self.settings.band_gain ** (2 * octaves)
-        added, noise = wide.deviations - kept, wide.noise_covariance - narrow.noise_covariance
-        return OmittedWeights(wide.grid, gain * kept, gain * added, gain * noise)
+        added, noise = large.deviations - kept, large.noise_covariance - small.noise_covariance
+        return OmittedWeights(large.grid, gain * kept, gain * added, gain * noise)
 
     def _coarser(self, octaves: int) -> PyramidSettings:
-        """Settings that see coarse bands as these do, on a retina of so many octaves less."""
+        """Return settings that see coarse bands as these do, on a retina of so many octaves less."""
         variance = self.settings.template_blur_samples**2
         variance += max(2.5 - 4.0 * self.settings.kernel_a, 0.0) * (4.0**octaves - 1.0) / 3.0
         return replace(
@@ -211,7 +211,7 @@ class PyramidObserver:
         )
 
     def activity(self, contrast: FloatArray) -> Bands:
-        """Noise-free activity of all neurons, finest band first, for a retina image of shape (side, side)."""
+        """Compute the noise-free activity of all neurons, finest band first, for a retina image (side, side)."""
         settings = self.settings
         levels = (contrast.shape[0] - 1).bit_length() - 3  # side = 4 · 2^levels + 1
         bands = LaplacianPyramid(levels, settings.kernel_a).build(contrast)
@@ -220,14 +220,14 @@ class PyramidObserver:
         return tuple(settings.band_gain**k * band for k, band in enumerate(bands))
 
     def turned(self, bands: Bands, quarter_turns: int) -> Bands:
-        """The activity that an image turned clockwise causes, from that of the image.
+        """Compute the activity that an image turned clockwise causes, from that of the image.
 
         The grid's middle is every band's middle, so that is the turned activity.
         """
         return tuple(np.ascontiguousarray(np.rot90(band, -quarter_turns)) for band in bands)
 
     def _templates(self, stimulus: Stimulus) -> tuple[Bands, ...]:
-        """Weights of all neurons in each score, in the order of `ORIENTATIONS`: expected activity."""
+        """Compute the weights of all neurons in each score, in the order of `ORIENTATIONS`: expected activity."""
         common, upright = self._common_template(stimulus), self._template_deviation(stimulus)
         return tuple(
             tuple(mean + band for mean, band in zip(common, self.turned(upright, turns), strict=True))
@@ -235,11 +235,11 @@ class PyramidObserver:
         )
 
     def _common_template(self, stimulus: Stimulus) -> Bands:
-        """What all four templates have in common."""
+        """Compute what all four templates have in common."""
         return self._expected(_mean_of_turns(self._upright(stimulus)))
 
     def _template_deviation(self, stimulus: Stimulus) -> Bands:
-        """What the template of the upright triangle has besides.
+        """Compute what the template of the upright triangle has besides.
 
         The difference is taken before blur and bands, whose rounding is that of what all four have in common.
         """
@@ -247,7 +247,7 @@ class PyramidObserver:
         return self._expected(image - _mean_of_turns(image))
 
     def _upright(self, stimulus: Stimulus) -> FloatArray:
-        """The upright triangle on the retina, times its polarity."""
+        """Draw the upright triangle on the retina, times its polarity."""
         grid = self.grid(stimulus)
         return stimulus.polarity * coverage(
             (grid.side, grid.side),
@@ -259,11 +259,11 @@ class PyramidObserver:
         )
 
     def _expected(self, image: FloatArray) -> Bands:
-        """Activity that is expected from an image, whose place is not quite known."""
+        """Compute the activity that is expected from an image, whose place is not quite known."""
         return self.activity(gaussian_blur(image, self.settings.template_blur_samples))
 
     def _readout(self, stimulus: Stimulus) -> Readout:
-        """Pyramid and templates folded onto the retina: A_k = Lᵀ t_k."""
+        """Fold pyramid and templates onto the retina: A_k = Lᵀ t_k."""
         grid = self.grid(stimulus)
         upright = self._template_deviation(stimulus)
         folded = self._fold(upright, grid)
@@ -288,7 +288,7 @@ class PyramidObserver:
     def literal_scores(
         self, contrast: FloatArray, stimulus: Stimulus, rng: np.random.Generator | None = None
     ) -> FloatArray:
-        """The four scores as the paper computes them, with noise on every neuron if `rng` is given: (4,)."""
+        """Compute the four scores as the paper does, with noise on every neuron if `rng` is given: (4,)."""
         activity = self.activity(contrast)
         if rng is not None:
             half_width = self.settings.noise_sd * math.sqrt(3.0)
@@ -301,7 +301,7 @@ class PyramidObserver:
         )
 
     def respond(self, contrast: FloatArray, stimulus: Stimulus, rng: np.random.Generator) -> Orientation:
-        """One answer: the largest score, ties at random."""
+        """Answer with the largest score, ties at random."""
         scores = self.literal_scores(contrast, stimulus, rng)
         return ORIENTATIONS[int(rng.choice(np.flatnonzero(scores == scores.max())))]
 

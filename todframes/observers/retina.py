@@ -1,4 +1,4 @@
-"""From display pixels to retina samples by exact area overlap."""
+"""Retina samples from display pixels, by exact area overlap."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class RetinaGrid:
         return self.side * self.pitch_mrad
 
     def pixel_range(self, *, centre_px: float, pixel_pitch_mrad: float, n_pixels: int) -> tuple[int, int]:
-        """Display pixels, half-open, that the grid touches when its middle lies at `centre_px`.
+        """Return the display pixels, half-open, that the grid touches when its middle lies at `centre_px`.
 
         Pixels outside of [0, n_pixels) do not exist and are left out; the range is empty when all are.
         """
@@ -80,7 +80,7 @@ def overlaps(
     ----------
     grid : RetinaGrid
     centre_px : float
-        Where the middle of the grid lies, in display pixels of the whole frame.
+        Place of the grid's middle, in display pixels of the whole frame.
     pixel_pitch_mrad : float
         Visual angle of a display pixel, > 0.
     first_pixel, n_pixels : int
@@ -109,7 +109,7 @@ def overlap_matrix(
     Parameters
     ----------
     grid, centre_px, pixel_pitch_mrad, first_pixel, n_pixels
-        As for `overlaps`.
+        The same as for `overlaps`.
 
     Returns
     -------
@@ -156,7 +156,7 @@ def resample(
     first_row: int = 0,
     first_column: int = 0,
 ) -> FloatArray:
-    """Mean contrast over each retina sample's own area, the display taken as piecewise constant.
+    """Average the contrast over each retina sample's own area, the display taken as piecewise constant.
 
     Parameters
     ----------
@@ -164,7 +164,7 @@ def resample(
         Part of a frame whose first pixel is (first_row, first_column); elsewhere the contrast is 0.
     grid : RetinaGrid
     x_px, y_px : float
-        Where the middle of the grid lies on the frame.
+        Place of the grid's middle on the frame.
     pixel_pitch_mrad : float
         Visual angle of a display pixel, > 0.
 
@@ -216,7 +216,7 @@ def add_resampled(
 
 
 def gaussian_blur(image: FloatArray, sigma: float) -> FloatArray:
-    """A retina image blurred by a Gaussian of standard deviation `sigma` samples, mirrored at its border.
+    """Blur a retina image by a Gaussian of standard deviation `sigma` samples, mirrored at its border.
 
     Only where there is something to blur: a triangle covers little of its grid.
     """

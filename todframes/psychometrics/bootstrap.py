@@ -1,4 +1,4 @@
-"""How sure a fitted threshold is: the bootstrap over trials, of the fitted curve and of the points themselves."""
+"""Interval of a threshold, by a bootstrap over trials: of the fitted curve and of the points themselves."""
 
 from __future__ import annotations
 
@@ -37,19 +37,19 @@ class Observed:
     trials: list[FloatArray] | None
 
     def moments(self, fitted: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Second and third moment of one trial's answer about the curve, at each level."""
+        """Compute the second and third moment of one trial's answer about the curve, at each level."""
         if self.trials is None:
             return fitted * (1 - fitted), fitted * (1 - fitted) * (1 - 2 * fitted)
         residual = [answers - p for answers, p in zip(self.trials, fitted, strict=True)]
         return np.array([np.mean(r**2) for r in residual]), np.array([np.mean(r**3) for r in residual])
 
     def dispersion(self, fitted: FloatArray) -> float:
-        """Variance of an answer as a share of p(1 − p), which no answer in [0, 1] exceeds; 1 if not known."""
+        """Compute the variance of an answer as a share of p(1 − p), its largest possible value; 1 if not known."""
         n, n_parameters = self.n_trials.sum(), 3
         if self.trials is None or n <= n_parameters:
             return 1.0
-        most = (self.n_trials * fitted * (1 - fitted)).sum()
-        share = (self.n_trials * self.moments(fitted)[0]).sum() / max(most, 1e-300)
+        largest = (self.n_trials * fitted * (1 - fitted)).sum()
+        share = (self.n_trials * self.moments(fitted)[0]).sum() / max(largest, 1e-300)
         return float(np.clip(share * n / (n - n_parameters), 1e-12, 1 - 1e-6))
 
     @property
@@ -58,7 +58,7 @@ class Observed:
         return self.trials is not None and len(self.level) >= 3 and bool(self.n_trials.mean() >= 3)
 
     def resample(self, fitted: FloatArray, guess_rate: float, size: int, rng: np.random.Generator) -> FloatArray:
-        """Proportions correct of `size` repeated experiments, (experiment, level)."""
+        """Draw the proportions correct of `size` repeated experiments, (experiment, level)."""
         if self.trials is None:
             n, n_trials = self.n_trials, self.n_trials.sum()
             p = (n * self.p_correct + CURVE_TRIALS * fitted) / (n + CURVE_TRIALS)
@@ -80,7 +80,7 @@ class Observed:
 
 
 def resampled_means(answers: FloatArray, size: int, rng: np.random.Generator) -> FloatArray:
-    """Means of `size` draws of all answers but one, with replacement; in batches, for there may be many.
+    """Draw means of all answers but one, `size` times with replacement; in batches, for there may be many.
 
     Answers lie along the last axis, draws along that of the result; those on other axes are drawn together.
     """
@@ -90,7 +90,7 @@ def resampled_means(answers: FloatArray, size: int, rng: np.random.Generator) ->
 
 
 def batches(size: int, n_elements: int) -> list[int]:
-    """`size` in parts, so that arrays of `n_elements` for each in a part stay small."""
+    """Split `size` into parts, so that arrays of `n_elements` for each in a part stay small."""
     batch = max(1, _BATCH_ELEMENTS // n_elements)
     return [min(batch, size - start) for start in range(0, size, batch)]
 
@@ -103,7 +103,7 @@ def threshold_interval(
     resamples: int,
     rng: np.random.Generator,
 ) -> tuple[float, float]:
-    """Bounds of ln x_c by BCa (Efron 1987), acceleration as for several samples (Davison & Hinkley 1997, 5.3).
+    """Bound ln x_c by BCa (Efron 1987), acceleration as for several samples (Davison & Hinkley 1997, 5.3).
 
     Where a step anywhere between two levels is as likely as the curve (likelihood ratio), the interval spans them.
     Where the points show their own curve, the interval is that of where they cross the criterion, and reaches to
@@ -141,7 +141,7 @@ def threshold_interval(
 
 
 def crossing_of_points(model: WeibullModel, theta: FloatArray, proportions: FloatArray) -> FloatArray:
-    """Where points themselves cross the criterion, upwards and nearest to the fitted threshold.
+    """Find where the points themselves cross the criterion, upwards and nearest to the fitted threshold.
 
     Monotone cubic interpolation (Fritsch & Butland 1984) of ln(−ln(1 − F)), F = (p − γ)/(1 − γ), against ln level:
     a Weibull curve without lapses is a straight line there, other psychometric functions are nearly one.
@@ -182,7 +182,7 @@ def crossing_of_points(model: WeibullModel, theta: FloatArray, proportions: Floa
 
 
 def _monotone_slopes(width: FloatArray, secant: FloatArray) -> FloatArray:
-    """Slopes at the points, (experiment, level), of an interpolation that rises and falls where the points do."""
+    """Compute the slopes at the points, (experiment, level), of a monotone cubic interpolation."""
     before, after = secant[:, :-1], secant[:, 1:]
     first, last = 2 * width[1:] + width[:-1], width[1:] + 2 * width[:-1]
     same = before * after > 0

@@ -18,7 +18,7 @@ MOST_TRIALS = 2**53
 
 
 def read_counts(path: Path) -> list[tuple[dict[str, float | str], NDArray[np.float64]]]:
-    """Rows of a file of counts, by group.
+    """Read a file of counts, by group.
 
     Returns
     -------

@@ -34,7 +34,7 @@ MIN_RESAMPLES, MAX_RESAMPLES = 40, 100_000
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FitSettings:
-    """What is fixed and what is free in a fit.
+    """Parameters of the psychometric function that are fixed, ranges of those that are free, and the criterion.
 
     `lapse_rate` None leaves δ free in [0, lapse_rate_max]. `resamples` 0 gives no interval; fewer than 40 would
     not reach into the 2.5 % tails.
@@ -96,7 +96,7 @@ class PsychometricFit:
         A bound is None where the data do not determine it: it is infinite or more than a factor of 2 outside the
         levels. None altogether without a threshold or with `resamples=0`.
     points_threshold
-        Where the points themselves cross the criterion, without a fitted curve; for probabilities, with three
+        Level where the points themselves cross the criterion, with no fitted curve; for probabilities, with three
         levels and three trials a level or more. The interval covers this crossing too, with its own error: a
         Weibull curve is a convention that other observers do not follow exactly.
     """
@@ -128,7 +128,7 @@ def fit_trials(
         0 or 1, the fit and its interval are those of `fit_counts`.
     settings : FitSettings
     rng : numpy.random.Generator
-        Of the resamples; the fit itself is deterministic.
+        Generator of the resamples; the fit itself is deterministic.
 
     Returns
     -------
@@ -174,7 +174,7 @@ def fit_counts(
         Stimulus strength, finite and > 0; whole numbers with 0 <= n_correct <= n_trials, n_trials >= 1.
     settings : FitSettings
     rng : numpy.random.Generator
-        Of the resamples; the fit itself is deterministic.
+        Generator of the resamples; the fit itself is deterministic.
 
     Returns
     -------
@@ -220,7 +220,7 @@ def _check(values: FloatArray, valid: NDArray[np.bool_], name: str, expected: st
 def curve_model(
     level: FloatArray, n_trials: NDArray[np.intp], settings: FitSettings
 ) -> tuple[WeibullModel, float]:
-    """What a curve is fitted to at distinct levels, ascending, and the ln level that its `z` counts from."""
+    """Build the Weibull model for distinct, ascending levels. Returns (model, centre); z = ln(level) − centre."""
     ln_level = np.log(level)
     centre = float(ln_level[0] + ln_level[-1]) / 2
     fixed = settings.lapse_rate

@@ -1,4 +1,4 @@
-"""How sure the ratio of two thresholds is when both come from the same trials: a bootstrap over pairs of answers.
+"""Interval of the ratio of two thresholds from the same trials, by a bootstrap over pairs of answers.
 
 What two ways of showing a frame have in common, the frame's noise, the triangle's place and the observer's own
 noise, moves both thresholds alike. Answers to one trial are therefore drawn together, always.
@@ -57,7 +57,7 @@ def ratio_draws(
     settings: FitSettings,
     rng: np.random.Generator,
 ) -> list[RatioDraws]:
-    """Thresholds of several series of answers to the same trials, each compared with the first series.
+    """Compare the thresholds of several series of answers to the same trials with that of the first series.
 
     In each repeated experiment the trials of a level are drawn with replacement, the same ones for all series, and
     Weibull curves are fitted to all.
@@ -68,7 +68,7 @@ def ratio_draws(
     p_correct : ndarray, shape (series, trial)
         0 or 1 where an answer was drawn, or the probability in [0, 1] that the answer is correct.
     fits : sequence of PsychometricFit
-        Of each series to these trials.
+        Fit of each series to these trials.
 
     Returns
     -------
@@ -100,7 +100,7 @@ def ratio_draws(
 
 
 def threshold_ratio(groups: Sequence[RatioDraws]) -> ThresholdRatio:
-    """The ratio of one group of trials, or the geometric mean over several groups, with interval and p-value.
+    """Pool the ratio of one group of trials, or of several by geometric mean, with interval and p-value.
 
     The interval is that of the draws, extended to the ratio and, where the points show it, to the ratio of their
     own crossings: a Weibull curve is a convention that observers do not follow exactly. If one of these is on the
@@ -127,7 +127,7 @@ def threshold_ratio(groups: Sequence[RatioDraws]) -> ThresholdRatio:
 
 
 def holm(p_values: ArrayLike) -> FloatArray:
-    """p-values corrected for their number, so that all verdicts together are wrong as rarely as a single one.
+    """Correct p-values for their number, so that all verdicts together are wrong as rarely as a single one.
 
     The smallest times their number, the next times one less, and so on, never falling (Holm 1979).
     """
@@ -141,7 +141,7 @@ def holm(p_values: ArrayLike) -> FloatArray:
 def _redrawn_probabilities(
     by_level: Sequence[FloatArray], curves: FloatArray, size: int, rng: np.random.Generator
 ) -> FloatArray:
-    """Mean probabilities of repeated experiments, (series, experiment, level).
+    """Draw the mean probabilities of repeated experiments, (series, experiment, level).
 
     The distances of single trials from the curve, in units of √p(1 − p), are drawn from one another.
     """
@@ -160,7 +160,7 @@ def _redrawn_probabilities(
 
 
 def _students_widening(n_trials: int, size: int, rng: np.random.Generator) -> FloatArray:
-    """Factors that make normal deviates those of Student's t, for a spread that few trials tell.
+    """Draw factors that make normal deviates those of Student's t, for a spread that few trials tell.
 
     A threshold rests on the levels about it: a third of the trials' degrees of freedom are counted.
     """
@@ -171,7 +171,7 @@ def _students_widening(n_trials: int, size: int, rng: np.random.Generator) -> Fl
 def _redrawn_answers(
     by_level: Sequence[FloatArray], curves: FloatArray, settings: FitSettings, rng: np.random.Generator
 ) -> FloatArray:
-    """Proportions correct of repeated experiments, (series, experiment, level), from answers of 0 and 1.
+    """Draw the proportions correct of repeated experiments, (series, experiment, level), from answers of 0 and 1.
 
     As in `fit_counts`, a level has 5 trials more, of the fitted curve, and the experiment 4, of (1 + γ)/2, or
     levels without errors would not vary. In these a series agrees with the first as much as in the trials shown.
@@ -196,7 +196,7 @@ def _redrawn_answers(
 
 
 def _agreement(by_level: Sequence[FloatArray], curves: FloatArray) -> FloatArray:
-    """How far each series' answers follow those of the first: from 0, not at all, to 1, as far as they can."""
+    """Measure how far each series' answers follow the first's: from 0, not at all, to 1, as far as they can."""
     n_trials = np.array([answers.shape[1] for answers in by_level])
     unlike = np.sum([np.count_nonzero(answers != answers[0], axis=1) for answers in by_level], axis=0)
     independent = (curves * (1 - curves[0]) + curves[0] * (1 - curves)) @ n_trials
@@ -205,7 +205,7 @@ def _agreement(by_level: Sequence[FloatArray], curves: FloatArray) -> FloatArray
 
 
 def _fitted(fit: PsychometricFit, level: FloatArray) -> FloatArray:
-    """The fitted curve at some levels; the mean proportion where none was fitted."""
+    """Evaluate the fitted curve at some levels; the mean proportion where none was fitted."""
     if fit.alpha is None or fit.beta is None or fit.delta is None:
         curve = np.full(len(level), sum(point.p_correct * point.n_trials for point in fit.points) / fit.n_trials)
     else:
@@ -214,7 +214,7 @@ def _fitted(fit: PsychometricFit, level: FloatArray) -> FloatArray:
 
 
 def _within_reach(model: WeibullModel, ln_threshold: FloatArray) -> FloatArray:
-    """Infinite where it lies farther outside the levels than a fit tells either."""
+    """Replace thresholds that lie farther outside the levels than a fit tells by infinity."""
     reach = math.log(EXTRAPOLATION_FACTOR)
     known = np.where(ln_threshold > model.z[-1] + reach, np.inf, ln_threshold)
     return np.where(known < model.z[0] - reach, -np.inf, known)

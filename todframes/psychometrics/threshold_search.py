@@ -18,7 +18,7 @@ def find_crossing(
     start: float,
     factor: float,
 ) -> Crossing:
-    """Where a rising curve passes `p_correct`, searched on a logarithmic scale outwards from `start`.
+    """Find where a rising curve passes `p_correct`, on a logarithmic scale outwards from `start`.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ LEVEL_RANGE = (1e-6, 1e9)
 def crossing(
     proportion: Callable[[float], float], p_correct: float, *, near: float | None, slope: float
 ) -> Crossing:
-    """Where a rising curve passes `p_correct`: by steps along its slope from nearby, else a search from 1 on."""
+    """Find where a rising curve passes `p_correct`: along its slope from nearby, else by a search from 1 on."""
     if near is not None:
         for _ in range(8):
             step = (p_correct - proportion(near)) / slope

@@ -28,7 +28,7 @@ _SINGLE_THREAD_PRODUCT = 1 << 18
 
 
 def weibull(level: ArrayLike, *, alpha: float, beta: float, guess_rate: float, lapse_rate: float) -> FloatArray:
-    """Proportion correct at levels >= 0, of any shape, in the unit of `alpha`.
+    """Compute the proportion correct at levels >= 0, of any shape, in the unit of `alpha`.
 
     `alpha` > 0 is the level at 1 − δ − (1 − δ − γ)/2, `beta` > 0 the slope, `guess_rate` γ and `lapse_rate` δ the
     floor and the distance of the ceiling from 1.
@@ -43,7 +43,7 @@ def weibull(level: ArrayLike, *, alpha: float, beta: float, guess_rate: float, l
 def weibull_level(
     p_correct: ArrayLike, *, alpha: float, beta: float, guess_rate: float, lapse_rate: float
 ) -> FloatArray:
-    """Level of a raw proportion correct, the inverse of `weibull`; 0 at γ and below, inf from 1 − δ on."""
+    """Return the level of a raw proportion correct, the inverse of `weibull`: 0 up to γ, inf from 1 − δ on."""
     span = 1 - lapse_rate - guess_rate
     left = np.clip(1 - lapse_rate - np.asarray(p_correct, dtype=np.float64), 0.0, span)
     with np.errstate(divide="ignore", over="ignore"):
@@ -52,8 +52,10 @@ def weibull_level(
 
 @dataclass(frozen=True, slots=True)
 class WeibullModel:
-    """What a curve is fitted to, but for the answers. `z` is ln level about its centre, the parameters `theta` are
-    (ln α about the same centre, ln β, δ), within `lower` and `upper`.
+    """Levels, trials and parameter limits that a psychometric function is fitted with.
+
+    `z` is ln level about its centre; parameters `theta` are (ln α about the same centre, ln β, δ), within `lower`
+    and `upper`.
     """
 
     z: FloatArray
@@ -64,7 +66,7 @@ class WeibullModel:
     upper: FloatArray
 
     def curves(self, theta: FloatArray, z: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """P(right), P(wrong), both (curve, level), and the derivative of P(right), (parameter, curve, level)."""
+        """Compute P(right), P(wrong), (curve, level), and the first's derivative, (parameter, curve, level)."""
         location, ln_slope, lapse_rate = (theta[:, k, None] for k in range(3))
         slope = np.exp(ln_slope)
         offset = slope * (z - location)
@@ -78,7 +80,7 @@ class WeibullModel:
         return self.guess_rate + span * hit, lapse_rate + span * miss, jacobian
 
     def derivatives(self, theta: FloatArray, answers: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Log-likelihood, score and Fisher information of each row of `answers` under its row of `theta`."""
+        """Compute log-likelihood, score and Fisher information of each row of `answers` under its `theta`."""
         right, wrong, jacobian = self.curves(theta, self.z)
         loglik = np.einsum("bl,l->b", answers * np.log(right) + (1 - answers) * np.log(wrong), self.n_trials)
         residual = self.n_trials * (answers / right - (1 - answers) / wrong)
@@ -87,7 +89,7 @@ class WeibullModel:
         return loglik, score, np.einsum("ibl,jbl->bij", weighted, jacobian)
 
     def ln_threshold(self, theta: FloatArray) -> FloatArray:
-        """Of each curve, about the centre; +inf where the criterion is above 1 − δ."""
+        """Return the ln threshold of each curve, about the centre; +inf where the criterion is above 1 − δ."""
         location, ln_slope, lapse_rate = theta.T
         left = 1 - lapse_rate - self.p_correct
         span = 1 - lapse_rate - self.guess_rate
@@ -130,7 +132,7 @@ class WeibullModel:
         return best, best_loglik
 
     def influence(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Of one curve: P(right) at each level, and the move of ln x_c for a residual of 1 in one trial there."""
+        """Return P(right) of a curve at each level, and the move of ln x_c by a residual of 1 there."""
         right, wrong, jacobian = (values.squeeze(-2) for values in self.curves(theta[None], self.z))
         left, span, slope = 1 - theta[2] - self.p_correct, 1 - theta[2] - self.guess_rate, math.exp(theta[1])
         ratio = math.log(span / left)
@@ -144,7 +146,7 @@ class WeibullModel:
         return right, weight / (right * wrong)
 
     def starts(self) -> FloatArray:
-        """A coarse grid of curves, (slope, curve, parameter), steep ones first: the first of equals is taken."""
+        """Make a coarse grid of curves, (slope, curve, parameter), steep ones first: the first of equals wins."""
         z = np.quantile(self.z, np.linspace(0, 1, min(len(self.z), 12)))
         slope = np.array([1000.0, 100.0, 20.0, 8.0, 4.0, 2.0, 1.0, 0.4, 0.1, 0.01])
         parts = (slope, np.concatenate([(z[1:] + z[:-1]) / 2, z]), np.array([0.0, -2.0, 1.5]))
@@ -154,7 +156,7 @@ class WeibullModel:
         return grid.reshape(len(grid), -1, 3)
 
     def grid_terms(self, grid: FloatArray, answers: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Trials right, (row, pool), and the weight and constant that make them a log-likelihood of each curve.
+        """Return trials right, (row, pool), and the weight and constant of each curve's log-likelihood.
 
         At most 64 pools of neighbouring levels keep this small for any number of levels.
         """
@@ -167,7 +169,7 @@ class WeibullModel:
         return n_right, np.log(right / wrong).T, np.einsum("gl,l->g", np.log(wrong), n_trials) - tie_break
 
     def fit_one(self, answers: FloatArray) -> tuple[FloatArray, float]:
-        """The best of the climbs from the best start of each slope, and its log-likelihood."""
+        """Return the best of the climbs from the best start of each slope, and its log-likelihood."""
         grid = self.starts()
         n_right, weight, constant = self.grid_terms(grid.reshape(-1, 3), answers[None])
         loglik = (np.einsum("bl,lg->g", n_right, weight) + constant).reshape(grid.shape[:2])
@@ -180,7 +182,7 @@ class WeibullModel:
         return tops[first], float(heights[first])
 
     def fit_many(self, answers: FloatArray) -> FloatArray:
-        """One curve for each row of `answers`, to about √tolerance = 1 % of a standard error.
+        """Fit one curve to each row of `answers`, to about √tolerance = 1 % of a standard error.
 
         The likelihood may have a second top where the curve is a step, so each row climbs from two starts.
         """
@@ -193,7 +195,7 @@ class WeibullModel:
         return np.concatenate(curves)
 
     def climb_from_best(self, grid: FloatArray, answers: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """`climb` each row of `answers` from its most likely curve of `grid`."""
+        """Run `climb` on each row of `answers` from its most likely curve of `grid`."""
         n_right, weight, constant = self.grid_terms(grid, answers)
         rows = max(1, _SINGLE_THREAD_PRODUCT // weight.size)
         batches = np.split(n_right, range(rows, len(answers), rows))

@@ -1,4 +1,4 @@
-"""What an accuracy scene is: a triangle seen through something, and ways to find its threshold there.
+"""The protocol of accuracy scenes: a triangle seen through something, and ways to find its threshold there.
 
 Some draw independent trials (`MonteCarlo`), some place them evenly (`Quadrature`). Packages name scenes under the
 entry-point group `todframes.accuracy_scenes`.
@@ -23,7 +23,7 @@ ENTRY_POINT_GROUP = "todframes.accuracy_scenes"
 
 
 P_CORRECT = 0.75
-"""Of all thresholds."""
+"""Criterion of all thresholds."""
 
 
 class Converged(NamedTuple):
@@ -52,10 +52,10 @@ class Trials(NamedTuple):
     score : ndarray, shape (n, columns, 4)
         Score deviations without noise.
     covariance : ndarray, broadcast against (n, columns, 4, 4)
-        Of the noise on the scores.
+        Covariance of the noise on the scores.
     correct : ndarray of int, broadcast against (n, columns)
     probabilities : callable
-        That of each answer at such scores; by default under Gaussian noise of this covariance.
+        Function from scores to the probability of each answer; by default under Gaussian noise.
     """
 
     score: FloatArray
@@ -72,10 +72,10 @@ class MonteCarlo:
     ----------
     name, label : str
     prepare : callable
-        Does what is done once and gives `draw(n, rng)`: P(correct) of n independent trials, or 1 and 0 for
+        Function that sets up and returns `draw(n, rng)`: P(correct) of n independent trials, or 1 and 0 for
         answers, (n, columns). A column is a condition: one level, or each of many frames.
     share : float
-        Of a scene's time.
+        Share of a scene's time.
     smallest, fewest : int
         Trials from which on the error falls as 1/√N, and that are drawn at least.
     """
@@ -96,11 +96,11 @@ class Quadrature:
     ----------
     name, label : str
     prepare : callable
-        Does what is done once and gives `run(n, rng)`, an estimate from n trials.
+        Function that sets up and returns `run(n, rng)`, an estimate from n trials.
     budgets : tuple of int
         Numbers of trials to try, ascending.
     share : float
-        Of a scene's time.
+        Share of a scene's time.
     repeats : int
         Estimates that an error is taken over; 1 if nothing is drawn at random.
     """
@@ -125,38 +125,38 @@ class Variant:
 
 
 class StudyScene(Protocol):
-    """What estimators are tried on; register a callable that makes one under `todframes.accuracy_scenes`."""
+    """Protocol of a scene that estimators are tried on; register a callable that makes one."""
 
     @property
     def name(self) -> str:
-        """On the command line and in file names."""
+        """Name on the command line and in file names."""
 
     @property
     def title(self) -> str:
-        """In a few words."""
+        """Title in a few words."""
 
     @property
     def description(self) -> str:
-        """What decides in it, in a sentence or two."""
+        """Description of what decides in the scene, in a sentence or two."""
 
     @property
     def level(self) -> str:
-        """What a threshold is one of: contrast, snr."""
+        """Kind of level that the threshold is: contrast, snr."""
 
     def converge(self) -> Converged:
-        """The threshold, with far less error than any estimator is given time for."""
+        """Compute the threshold with far less error than any estimator is given time for."""
 
     def estimators(self, converged: Converged) -> Sequence[MonteCarlo | Quadrature]:
-        """The literal Monte Carlo first; `Quadrature` is a closed form."""
+        """List the estimators, the literal Monte Carlo first; a `Quadrature` is a closed form."""
 
     def variants(self, converged: Converged) -> Sequence[Variant]:
-        """The closed form as it is, then with something changed."""
+        """List the closed form as it is, then with something changed."""
 
     def estimate(self, outcomes: FloatArray, converged: Converged) -> Estimate:
-        """From the mean of independent trials: (columns,)."""
+        """Estimate the threshold from the mean of independent trials: (columns,)."""
 
     def non_gaussian_bound(self) -> float:
-        """Bound on the error in P(correct) of expected decisions from noise that is not Gaussian."""
+        """Bound the error in P(correct) of expected decisions from noise that is not Gaussian."""
 
 
 def monte_carlos(
@@ -165,14 +165,14 @@ def monte_carlos(
     smallest: int = 1,
     fewest: int = 64,
 ) -> tuple[MonteCarlo, MonteCarlo, MonteCarlo]:
-    """The three Monte Carlos that every linear observer has.
+    """Make the three Monte Carlos that every linear observer has.
 
     Parameters
     ----------
     answers : callable
         `prepare` of the literal one.
     trials : callable
-        Gives `draw(n, rng)` of `Trials`.
+        Function that returns `draw(n, rng)` of `Trials`.
     """
 
     def drawn() -> Callable[[int, np.random.Generator], FloatArray]:
@@ -210,7 +210,7 @@ def monte_carlos(
 
 
 def estimate_at_one_level(outcomes: FloatArray, converged: Converged) -> Estimate:
-    """What trials at the converged threshold tell of it, to first order: the slope there is taken as known.
+    """Estimate a threshold from trials at the converged one, to first order: the slope there is taken as known.
 
     No way to choose levels needs fewer trials, and none of these knows the threshold beforehand.
     """
@@ -220,7 +220,7 @@ def estimate_at_one_level(outcomes: FloatArray, converged: Converged) -> Estimat
 
 
 def find_scenes(names: Sequence[str]) -> dict[str, Callable[[], StudyScene]]:
-    """What makes the scenes of these names, or all that are registered if there are none.
+    """Find the makers of the scenes of these names, or of all that are registered if there are none.
 
     Raises
     ------

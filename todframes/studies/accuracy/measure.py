@@ -57,7 +57,7 @@ class TimeAt(NamedTuple):
 
 
 class Ratio(NamedTuple):
-    """How many times less CPU the fastest closed form takes than the literal Monte Carlo, at equal error.
+    """CPU time of the literal Monte Carlo over that of the fastest closed form, at equal error.
 
     `closed_form` is its name; None if none of them has this error.
     """
@@ -72,7 +72,7 @@ class Ratio(NamedTuple):
 def fitted_slope(
     x: FloatArray, y: FloatArray, *, blocks: NDArray[np.intp] | None
 ) -> tuple[float | None, float | None]:
-    """Slope of a straight line and its standard error; None where there are too few points.
+    """Fit a straight line. Returns its slope and the slope's standard error; None where there are too few points.
 
     Parameters
     ----------
@@ -100,8 +100,9 @@ def fitted_slope(
 
 
 def time_of_draws(points: Sequence[BudgetPoint], set_up: float, drawn: int, error: float) -> TimeAt:
-    """Along 1/√N through the smallest blocks: there are the most of them, and larger ones hold no more of it.
+    """Return the CPU time for an error, extrapolated as 1/√N from the smallest blocks.
 
+    These give the most independent estimates, and larger blocks tell no more.
     It is extrapolated beyond the number of trials that were `drawn` in all.
     """
     if not points:
@@ -113,7 +114,7 @@ def time_of_draws(points: Sequence[BudgetPoint], set_up: float, drawn: int, erro
 
 
 def time_of_rule(points: Sequence[BudgetPoint], error: float) -> TimeAt:
-    """Between the last budget whose error is larger and the next one, along a straight line of logarithms."""
+    """Interpolate between the last budget whose error is larger and the next, along a line of logarithms."""
     larger = [number for number, point in enumerate(points) if point.threshold_error > error]
     if not larger:
         return TimeAt(error, points[0].cpu_s, at_most=True)
@@ -126,7 +127,7 @@ def time_of_rule(points: Sequence[BudgetPoint], error: float) -> TimeAt:
 
 
 def speed_ratio(literal: TimeAt, closed_forms: Mapping[str, TimeAt]) -> Ratio:
-    """CPU time of one over that of the fastest of the others by name, all at the same error."""
+    """Compare the CPU time of one with that of the fastest of the others by name, all at the same error."""
     times = {at.cpu_s: (name, at.at_most) for name, at in closed_forms.items() if at.cpu_s is not None}
     if literal.cpu_s is None or not times:
         return Ratio(literal.error, None, None, literal.extrapolated, at_least=False)
@@ -177,7 +178,7 @@ class Curve(NamedTuple):
 
 
 class Change(NamedTuple):
-    """What a variant changes, at equal draws: CPU time as a multiple, P(correct), threshold (relative)."""
+    """Changes that a variant makes, at equal draws: CPU time as a multiple, P(correct), threshold (relative)."""
 
     label: str
     cpu_ratio: float
@@ -207,7 +208,7 @@ def measure(scene: StudyScene, *, seconds: float, seed: int = 1) -> Measured:
     seconds : float
         CPU time that they share; the converged value and the smallest budgets take what they take.
     seed : int
-        Of all draws. Each scene and estimator has its own stream.
+        Seed of all draws. Each scene and estimator has its own stream.
 
     Raises
     ------
@@ -236,7 +237,7 @@ def measure(scene: StudyScene, *, seconds: float, seed: int = 1) -> Measured:
         tuple(curves),
         tuple(_changes(scene.variants(converged), seed)),
         tuple(
-            speed_ratio(literal, {one.name: one.times[place] for one in closed_forms})
+            speed_ratio(literal, {form.name: form.times[place] for form in closed_forms})
             for place, literal in enumerate(curves[0].times)
         ),
         scene.non_gaussian_bound(),
@@ -254,7 +255,7 @@ class _Clock:
 
 
 def _timed(run: Callable[[], T]) -> tuple[tuple[float, float], T]:
-    """Median CPU and wall time of some runs, fewer if they are long, and what the last one gave."""
+    """Return the median CPU and wall time of some runs, fewer if they are long, and the last run's result."""
     times: list[tuple[float, float]] = []
     while len(times) < TIMED and sum(cpu_s for cpu_s, _ in times) < LONG_S:
         clock = _Clock()
@@ -265,7 +266,7 @@ def _timed(run: Callable[[], T]) -> tuple[tuple[float, float], T]:
 
 
 def _prepared(prepare: Callable[[], Callable[..., object]], *arguments: object) -> tuple[float, float]:
-    """Time of the set-up, after a first run that loads what has to be loaded."""
+    """Measure the time of the set-up, after a first run that loads what has to be loaded."""
     prepare()(*arguments)
     return _timed(prepare)[0]
 
@@ -310,9 +311,9 @@ def _measure_rule(estimator: Quadrature, converged: Converged, seconds: float, r
             break
         estimates, times = [], []
         for _ in range(estimator.repeats):
-            one = _Clock()
+            run_clock = _Clock()
             estimates.append(run(budget, rng))
-            times.append(one.read())
+            times.append(run_clock.read())
         cpu_s, wall_s = (np.array(set_up) + np.median(times, axis=0)).tolist()
         errors = _errors(estimates, converged)
         points.append(BudgetPoint(budget, estimator.repeats, cpu_s, wall_s, *errors))

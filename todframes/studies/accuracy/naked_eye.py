@@ -50,7 +50,7 @@ class NakedEye:
     level: ClassVar[str] = "contrast"
 
     def converge(self) -> Converged:
-        """By many Gauss–Legendre displacements; the bound is how far fewer of them are from that.
+        """Average many Gauss–Legendre displacements; the bound is how far fewer of them are from that.
 
         Kinks of P(correct) let the error fall with the square of their number along an axis: the last one is
         nearer than those before differ from it.
@@ -64,7 +64,7 @@ class NakedEye:
         return Converged(threshold, bound, rise / (2.0 * step))
 
     def estimators(self, converged: Converged) -> tuple[MonteCarlo | Quadrature, ...]:
-        """The literal Monte Carlo, on folded scores, expected decisions, and Gauss–Legendre displacements."""
+        """List the literal Monte Carlo, that on folded scores, expected decisions and Gauss–Legendre nodes."""
 
         def answers() -> Callable[[int, np.random.Generator], FloatArray]:
             observer, stimulus = PyramidObserver(), Stimulus(self.size_mrad)
@@ -111,7 +111,7 @@ class NakedEye:
         return (*monte_carlos(answers, trials), Quadrature("closed_form", label, closed_form, trials_of, 0.3))
 
     def variants(self, converged: Converged) -> tuple[Variant, ...]:
-        """Single precision, and pyramid levels with the field that goes with them."""
+        """List single precision, and pyramid levels with the field that goes with them."""
         side = PyramidObserver().grid(Stimulus(self.size_mrad)).side
         levels = side.bit_length() - 3
 
@@ -135,18 +135,18 @@ class NakedEye:
         )
 
     def estimate(self, outcomes: FloatArray, converged: Converged) -> Estimate:
-        """From P(correct) at the converged threshold."""
+        """Estimate the threshold from P(correct) at the converged one."""
         return estimate_at_one_level(outcomes, converged)
 
     def non_gaussian_bound(self) -> float:
-        """As the readout states it."""
+        """Return the bound that the readout states."""
         return self._readout(PyramidObserver()).non_gaussian_bound
 
     def _readout(self, observer: PyramidObserver) -> Readout:
         return observer.readout(Stimulus(self.size_mrad))
 
     def _retina(self, observer: PyramidObserver, x: float, y: float, orientation: Orientation) -> FloatArray:
-        """The triangle on the retina, displaced by shares of the largest displacement."""
+        """Draw the triangle on the retina, displaced by shares of the largest displacement."""
         grid, jitter = observer.grid(Stimulus(self.size_mrad)), observer.position_jitter_samples
         return np.ascontiguousarray(
             coverage(
@@ -161,7 +161,7 @@ class NakedEye:
     def _proportion(
         self, observer: PyramidObserver, nodes: int, dtype: type[np.floating] = np.float64
     ) -> Callable[[float], float]:
-        """P(correct) against contrast, with so many displacements along each axis."""
+        """Return P(correct) as a function of contrast, with so many displacements along each axis."""
         readout = self._readout(observer)
         weights = readout.deviations.reshape(4, -1).astype(dtype)
         places, shares = np.polynomial.legendre.leggauss(nodes)
@@ -186,18 +186,18 @@ def _estimate(proportion: Callable[[float], float], converged: Converged) -> Est
 
 
 def small() -> NakedEye:
-    """Half as large again as at the acuity."""
+    """Make the scene of a triangle half as large again as at the acuity."""
     description = "The activity that the four triangles cause is 94 to 97 % alike."
     return NakedEye("naked_eye_small", "naked eye, small: 0.6 mrad", description, 0.6)
 
 
 def acuity() -> NakedEye:
-    """Where the threshold contrast is 1."""
+    """Make the scene whose threshold contrast is 1."""
     description = "About the smallest triangle that is seen at a contrast of 1; the four are 99 % alike."
     return NakedEye("naked_eye_acuity", "naked eye, at the acuity: 0.4 mrad", description, 0.4)
 
 
 def large() -> NakedEye:
-    """Where the pyramid has more bands."""
+    """Make the scene in which the pyramid has more bands."""
     description = "The pyramid has two bands more than for the small ones; the displacement hardly matters."
     return NakedEye("naked_eye_large", "naked eye, large: 6 mrad", description, 6.0)

@@ -34,7 +34,7 @@ from todframes.studies.accuracy.estimators import (
 )
 
 DATASETS = (Path("sample_frames/naked_eye"), Path("sample_frames/staring_camera"))
-"""Where recorded frames are looked for."""
+"""Folders in which recorded frames are looked for."""
 
 
 DISPLACEMENTS = (1, 2, 4, 8, 16, 32, 64)
@@ -55,7 +55,7 @@ class Frames:
     trials : sequence of Trial
     observer : PyramidObserver
     readout_of : callable
-        What of it looks at a stimulus.
+        Function from a stimulus to the readout that looks at it.
 
     Raises
     ------
@@ -82,12 +82,12 @@ class Frames:
         self.correct = np.array([trial.orientation.quarter_turns for trial in trials])
 
     def retina(self, number: int, displacement: FloatArray) -> FloatArray:
-        """What the retina receives in a trial, displaced by shares of the largest displacement along x and y."""
+        """Return the retina image of a trial, displaced by shares of the largest displacement along x and y."""
         x, y = (self.jitter * displacement).tolist()
         return retina_image(self._shown[number], self.readouts[number].grid, (x, y))
 
     def score(self, displacements: FloatArray, dtype: type[np.floating] = np.float64) -> FloatArray:
-        """Score deviations, (n, trials, 4), at displacements of shape (n, trials, 2)."""
+        """Compute score deviations, (n, trials, 4), at displacements of shape (n, trials, 2)."""
         score = np.empty((*displacements.shape[:2], 4))
         for number, readout in enumerate(self.readouts):
             weights = readout.deviations.reshape(4, -1).astype(dtype)
@@ -117,7 +117,7 @@ class Recorded:
     ----------
     dataset : Dataset
     trials : tuple of Trial
-        Of the group.
+        Trials of the group.
     converged_nodes : (int, int)
         Gauss–Legendre displacements along each axis that the converged value is from, the larger number last.
     """
@@ -141,11 +141,11 @@ class Recorded:
 
     @property
     def level(self) -> str:
-        """The dataset's."""
+        """Level of the dataset's experiment."""
         return self.dataset.experiment.level
 
     def converge(self) -> Converged:
-        """By Gauss–Legendre displacements of every frame; the bound is how far fewer of them are from that."""
+        """Average Gauss–Legendre displacements of every frame; the bound is the change from fewer of them."""
         frames = self._whole(PyramidObserver())
         coarse, fit = (self._fit(self._by_nodes(frames, nodes)) for nodes in self.converged_nodes)
         if fit.threshold is None or coarse.threshold is None:
@@ -157,7 +157,7 @@ class Recorded:
         return Converged(fit.threshold, abs(coarse.threshold - fit.threshold), (high - low) / (2.0 * step))
 
     def estimators(self, converged: Converged) -> tuple[MonteCarlo | Quadrature, ...]:
-        """The literal Monte Carlo, on folded scores, expected decisions, and a sequence of displacements."""
+        """List the literal Monte Carlo, that on folded scores, expected decisions and a sequence of places."""
 
         def answers() -> Callable[[int, np.random.Generator], FloatArray]:
             observer = PyramidObserver()
@@ -199,7 +199,7 @@ class Recorded:
         )
 
     def variants(self, converged: Converged) -> tuple[Variant, ...]:
-        """Single precision, what the plan leaves out kept, and one pyramid level less."""
+        """List single precision, what the plan leaves out kept, and one pyramid level less."""
         sides = [PyramidObserver().grid(trial.stimulus).side for trial in self.trials]
         levels = max(sides).bit_length() - 3
 
@@ -226,14 +226,14 @@ class Recorded:
         )
 
     def estimate(self, outcomes: FloatArray, converged: Converged) -> Estimate:
-        """From P(correct) of each trial: the fitted curve at the converged threshold, and its own threshold."""
+        """Fit P(correct) of each trial. Returns the curve at the converged threshold, and its own threshold."""
         fit = self._fit(outcomes)
         if fit.threshold is None:
             return Estimate(math.nan, math.nan)
         return Estimate(_curve(fit, converged.threshold), fit.threshold)
 
     def non_gaussian_bound(self) -> float:
-        """As the readout states it."""
+        """Return the bound that the readout states."""
         observer = PyramidObserver()
         return max(observer.readout(trial.stimulus).non_gaussian_bound for trial in self.trials)
 
@@ -258,7 +258,7 @@ class Recorded:
 
 
 def _sequence(n: int, trials: int, rng: np.random.Generator) -> FloatArray:
-    """Displacements of each trial, (n, trials, 2): a low-discrepancy sequence, begun anywhere for each trial."""
+    """Draw displacements of each trial, (n, trials, 2): a low-discrepancy sequence begun anywhere for each."""
     places = rng.random((trials, 2)) + np.arange(n)[:, None, None] * KRONECKER_STEPS
     return np.asarray(2.0 * (places % 1.0) - 1.0)
 
@@ -269,7 +269,7 @@ def _curve(fit: PsychometricFit, level: float) -> float:
 
 
 def recorded(path: Path | None = None) -> Recorded:
-    """The middle group of a dataset, by default of one of the sample sets in the current folder.
+    """Make the scene of a dataset's middle group, by default of one of the sample sets in the current folder.
 
     Raises
     ------

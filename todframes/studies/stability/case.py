@@ -27,15 +27,15 @@ ENTRY_POINT_GROUP = "todframes.stability_cases"
 
 
 MPMATH = "mpmath, 50 digits: "
-"""Begins the source of numbers that tests/test_stability_references.py computes again."""
+"""Beginning of the source of numbers that tests/test_stability_references.py computes again."""
 
 
 MOST_DIGITS = 16.0
-"""Of double precision; what is exact has these."""
+"""Digits of double precision, which exact results have."""
 
 
 SHOWN_DIGITS = 12
-"""In documents; more are a matter of the machine."""
+"""Digits shown in documents; more are a matter of the machine."""
 
 
 Value = str | float | ArrayLike
@@ -43,22 +43,22 @@ Value = str | float | ArrayLike
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """An extreme input and what must come of it.
+    """An extreme input and the result that it must have.
 
     Attributes
     ----------
     group, name : str
-        What is tried, and at which extreme.
+        Subject, and the extreme that is tried.
     expected : text or numbers
         A text must come as it stands, each number to so many `digits`.
     source : str
-        Where the expectation is from.
+        Source of the expectation.
     compute : callable
-        Gives what comes, in the form of `expected`.
+        Function that returns the result, in the form of `expected`.
     digits : float
-        That numbers must keep.
+        Digits that numbers must keep.
     scale : float or None
-        What an error is relative to; None: each number itself, so that a 0 must be exact.
+        Unit of errors; None: each number itself, so that a 0 must be exact.
     """
 
     group: str
@@ -71,7 +71,7 @@ class Case:
 
 
 class Outcome(NamedTuple):
-    """What came of a case; an exception or a warning comes as text. `digits` is None where text is compared."""
+    """Result of a case; an exception or a warning comes as text. `digits` is None where text is compared."""
 
     case: Case
     came: Value
@@ -80,7 +80,7 @@ class Outcome(NamedTuple):
 
 
 def find_cases() -> list[Case]:
-    """The cases of all installed packages, those of todframes first."""
+    """List the cases of all installed packages, those of todframes first."""
     found = sorted(entry_points(group=ENTRY_POINT_GROUP), key=lambda entry: entry.name != "todframes")
     return [case for entry in found for case in entry.load()()]
 
@@ -100,13 +100,13 @@ def run_case(case: Case) -> Outcome:
 
 
 def digits_kept(expected: ArrayLike, came: ArrayLike, *, scale: float | None = None) -> float:
-    """Decimal digits that the worst of some numbers has right, 0 to 16.
+    """Count the decimal digits that the worst of some numbers has right, 0 to 16.
 
     Parameters
     ----------
     expected, came : array_like, of one shape
     scale : float, optional
-        What the error is relative to; by default each number expected.
+        Unit of the error; by default each number expected.
     """
     right, found = np.asarray(expected, dtype=np.float64), np.asarray(came, dtype=np.float64)
     if right.shape != found.shape or not np.isfinite(found).all():
@@ -119,7 +119,7 @@ def digits_kept(expected: ArrayLike, came: ArrayLike, *, scale: float | None = N
 
 
 def refusal(call: Callable[[], Any], naming: str) -> str:
-    """ "refused", if a call is refused in one line that holds `naming`; else what came instead."""
+    """Return "refused" if a call is refused in one line that holds `naming`, else what came instead."""
     try:
         call()
     except TodframesError as error:
@@ -129,12 +129,12 @@ def refusal(call: Callable[[], Any], naming: str) -> str:
 
 
 def shortfall(outcomes: Iterable[Outcome]) -> str | None:
-    """One line that names the cases that fall short, or None."""
+    """Name the cases that fall short in one line; None if there are none."""
     short = [outcome for outcome in outcomes if not outcome.holds]
     if not short:
         return None
-    told = "; ".join(f"{one.case.group}: {one.case.name} ({_difference(one)})" for one in short)
-    return f"stability: {len(short)} {'cases fall' if len(short) > 1 else 'case falls'} short: {told}"
+    cases = "; ".join(f"{outcome.case.group}: {outcome.case.name} ({_difference(outcome)})" for outcome in short)
+    return f"stability: {len(short)} {'cases fall' if len(short) > 1 else 'case falls'} short: {cases}"
 
 
 def _difference(outcome: Outcome) -> str:
@@ -144,7 +144,7 @@ def _difference(outcome: Outcome) -> str:
 
 
 def case_object(outcome: Outcome) -> dict[str, Any]:
-    """A case and what came of it, as it stands in the JSON object."""
+    """Describe a case and its result as in the JSON object."""
     case = outcome.case
     expected, came = (v if isinstance(v, str) else np.asarray(v).tolist() for v in (case.expected, outcome.came))
     return {
@@ -160,7 +160,7 @@ def case_object(outcome: Outcome) -> dict[str, Any]:
 
 
 def shown(value: Value, *, digits: float = 6.0, scale: float | None = None) -> str:
-    """A text, a number, or the first and last of several numbers, without digits beyond those asked for."""
+    """Format a text, a number, or the first and last of several numbers, without digits beyond those asked for."""
     if isinstance(value, str):
         return value
     numbers = np.asarray(value, dtype=np.float64).ravel()
@@ -174,7 +174,7 @@ HEADERS = ("case", "expected", "from", "came", "digits", "must keep")
 
 
 def cells(outcome: Outcome, *, documented: bool = False) -> list[str]:
-    """Of a row of the table; `documented` leaves out digits that are a matter of the machine."""
+    """Return the cells of a row of the table; `documented` leaves out digits that are a matter of the machine."""
     case, came, digits, holds = outcome
     if digits is None:
         kept, bound = "equal" if holds else "different", "equal"
@@ -186,7 +186,7 @@ def cells(outcome: Outcome, *, documented: bool = False) -> list[str]:
 
 
 def by_group(outcomes: Iterable[Outcome]) -> dict[str, list[Outcome]]:
-    """Outcomes of each group, in their order."""
+    """Group outcomes, in their order."""
     groups: dict[str, list[Outcome]] = {}
     for outcome in outcomes:
         groups.setdefault(outcome.case.group, []).append(outcome)
@@ -194,7 +194,7 @@ def by_group(outcomes: Iterable[Outcome]) -> dict[str, list[Outcome]]:
 
 
 def outcome_table(outcomes: Sequence[Outcome]) -> Table:
-    """The table for the terminal."""
+    """Make the table for the terminal."""
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
     from rich.text import Text
@@ -227,7 +227,7 @@ that says what was found and what was expected.
 
 
 def markdown(outcomes: Sequence[Outcome]) -> str:
-    """The tables as a page of the documentation, without digits that are a matter of the machine."""
+    """Write the tables as a page of the documentation, without digits that are a matter of the machine."""
     lines = [PAGE.format(number=len(outcomes))]
     for group, members in by_group(outcomes).items():
         lines += [f"## {group.capitalize()}", "", _row(HEADERS), _row(["---"] * 4 + ["--:"] * 2)]

@@ -19,12 +19,12 @@ from todframes.studies.stability.case import MPMATH, Case
 
 
 def cases() -> list[Case]:
-    """All cases of todframes."""
+    """List all cases of todframes."""
     return [*decision_cases(), *observer.cases(), *fits_and_frames.cases()]
 
 
 def circulant(beside: float, opposite: float) -> FloatArray:
-    """Overlaps of four templates of length 1 that are one, turned."""
+    """Return the overlaps of four templates of length 1 that are one, turned."""
     return np.array([np.roll([1.0, beside, opposite, beside], turns) for turns in range(4)])
 
 
@@ -42,7 +42,7 @@ NOISE_SDS = np.array([1e-150, 1e-9, 1e9, 1e150])
 
 
 LEADS = np.array([1.0, 4.0, 8.0, 11.4])
-"""In standard deviations."""
+"""Leads in standard deviations."""
 
 
 EVEN_PARTS = (1e-3, 1e-6, 1e-12)
@@ -69,28 +69,28 @@ HIGH_D_PRIMES = np.array([5.0, 10.0, 16.2])
 
 
 def pairs(even: float) -> FloatArray:
-    """Templates of a triangle that is all but a point: up and down, right and left are opposite but for `even`."""
+    """Return templates of a tiny triangle: up and down, right and left are opposite but for `even`."""
     odd = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]])
     return odd + even * np.array([[1.0, 0, 0], [-1.0, 0, 0], [1.0, 0, 0], [-1.0, 0, 0]])
 
 
 def right(score: ArrayLike, covariance: ArrayLike | None = None, *, factor: ArrayLike | None = None) -> FloatArray:
-    """Probability of answer 0."""
+    """Compute the probability of answer 0."""
     return np.asarray(answer_probabilities(score, covariance, factor=factor)[..., 0])
 
 
 def wrong(score: ArrayLike, covariance: ArrayLike | None = None, *, factor: ArrayLike | None = None) -> FloatArray:
-    """Probability of the other answers, with the digits that 1 less answer 0 would lose."""
+    """Compute the probability of the other answers, with the digits that 1 less answer 0 would lose."""
     return np.asarray(answer_probabilities(score, covariance, factor=factor)[..., 1:].sum(axis=-1))
 
 
 def like_template(snr: ArrayLike, factor: FloatArray) -> FloatArray:
-    """Scores of what looks like template 0."""
+    """Return scores of an image that looks like template 0."""
     return np.asarray(np.multiply.outer(snr, factor @ factor[0]))
 
 
 def decision_cases() -> list[Case]:
-    """Of `answer_probabilities`."""
+    """List the cases of `answer_probabilities`."""
     tails = np.array([math.erfc(lead / math.sqrt(2.0)) / 2.0 for lead in LEADS])
     of_line = [math.erfc(-edge / math.sqrt(2.0)) / 2.0 for edge in (-0.8, 0.1, 1.4 / 3.0)]
     line_tail = (math.erfc(11.4 / math.sqrt(2.0)) + math.erfc(12.0 / math.sqrt(2.0))) / 2.0

@@ -33,7 +33,7 @@ SINGLE_LEVELS = np.geomspace(0.25, 4.0, 12)
 
 
 RISING = (8, 9, 12, 20, 25, 29, 30)
-"""Of 30 trials at each level."""
+"""Right answers of 30 trials at each level."""
 
 
 SINGLE = (0, 0, 1, 0, 0, 1, 1, 0, 1, 1, 1, 1)
@@ -69,19 +69,19 @@ LARGEST_FLOAT = float(np.finfo(np.float32).max)
 
 
 def cases() -> list[Case]:
-    """Of fits and frames."""
+    """List the cases of fits and frames."""
     return [*fit_cases(), *frame_cases()]
 
 
 def fit(n_correct: ArrayLike, n_trials: Any = 30, level: ArrayLike = LEVELS, **settings: Any) -> PsychometricFit:
-    """A fit of counts and its interval."""
+    """Fit counts, with an interval."""
     n = np.broadcast_to(n_trials, np.shape(level))
     chosen = FitSettings(**{"resamples": 200} | settings)
     return fit_counts(level, n_correct, n, settings=chosen, rng=np.random.default_rng(1))
 
 
 def threshold(*args: Any, **settings: Any) -> float:
-    """A threshold that lies within the levels and its interval; NaN otherwise."""
+    """Return a threshold that lies within the levels and its interval; NaN otherwise."""
     found = fit(*args, **settings)
     if found.status != "ok" or found.threshold is None or found.threshold_ci95 is None:
         return math.nan
@@ -91,7 +91,7 @@ def threshold(*args: Any, **settings: Any) -> float:
 
 
 def step(n_correct: Sequence[int], level: FloatArray, below: int, n_trials: int = 30) -> str:
-    """Whether a threshold lies between level `below` and the next, where the answers change."""
+    """Say whether a threshold lies between level `below` and the next, where the answers change."""
     found = fit(n_correct, n_trials, level)
     low, high = found.threshold_ci95 or (None, None)
     if found.status != "ok" or found.threshold is None or low is None or high is None:
@@ -102,12 +102,12 @@ def step(n_correct: Sequence[int], level: FloatArray, below: int, n_trials: int 
 
 
 def exact_threshold(slope: float, *, lapse_rate: float = 0.0) -> float:
-    """Closed form of `threshold_of_curve`."""
+    """Compute the closed form of `threshold_of_curve`."""
     return float(weibull_level(0.75, alpha=3.0, beta=slope, guess_rate=0.25, lapse_rate=lapse_rate))
 
 
 def threshold_of_curve(slope: float, *, lapse_rate: float = 0.0) -> float:
-    """The fitted one, to the probabilities of a curve themselves."""
+    """Fit the probabilities of a curve themselves, and return the threshold."""
     curve = {"alpha": 3.0, "beta": slope, "guess_rate": 0.25, "lapse_rate": lapse_rate}
     level = weibull_level(PROPORTIONS, **curve)
     rng = np.random.default_rng(1)
@@ -116,7 +116,7 @@ def threshold_of_curve(slope: float, *, lapse_rate: float = 0.0) -> float:
 
 
 def fit_cases() -> list[Case]:
-    """Of `fit_counts` and `fit_trials`."""
+    """List the cases of `fit_counts` and `fit_trials`."""
     case = partial(Case, "fit")
     likelihood = MPMATH + "root of the likelihood's derivatives"
     mean = "likelihood: no curve beats a flat line"
@@ -165,19 +165,19 @@ def fit_cases() -> list[Case]:
 
 
 def frame(background: float, *, contrast: FloatArray | float = CONTRAST * PATTERN) -> FloatArray:
-    """Luminance of a frame, (65, 65)."""
+    """Return the luminance of a frame, (65, 65)."""
     return background * (1.0 + np.broadcast_to(contrast, (SIDE_PX, SIDE_PX)))
 
 
 def frame_observer() -> PyramidObserver:
-    """Each pixel is a retina sample, and stays in its place."""
+    """Make an observer whose retina samples are the pixels, and stay in their place."""
     return PyramidObserver(PyramidSettings(retina_pitch_mrad=1.0, position_jitter_samples=0.0))
 
 
 def scored(
     values: FloatArray, pixel_type: PixelType, *, background: float | str, white: float = 1.0
 ) -> ScoredDataset:
-    """What comes of a frame with an upright triangle, written to an EXR and scored from there."""
+    """Score a frame with an upright triangle, written to an EXR and read from there."""
     with TemporaryDirectory() as name:
         folder = Path(name)
         write_frame(folder / "frame.exr", values, pixel_type=pixel_type)
@@ -191,7 +191,7 @@ def scored(
 
 
 def frame_cases() -> list[Case]:
-    """Of frames in files, from the EXR to P(correct)."""
+    """List the cases of frames in files, from the EXR to P(correct)."""
     case = partial(Case, "frame")
     law = MPMATH + "pixel by pixel; contrast has no unit"
 

@@ -33,7 +33,7 @@ COVARIANCES = {
     20.0: (0.1238684007605063, -0.03370612141432233, -0.05645615793186163),
     50.0: (0.4028133923154534, -0.1266542638678868, -0.14950486457967974),
 }
-"""By size: of the upright triangle's score with itself, one beside and the opposite one."""
+"""Covariances by size: of the upright triangle's score with itself, one beside and the opposite one."""
 
 
 ERRORS = {
@@ -42,7 +42,7 @@ ERRORS = {
     5.0: ((1.2, 1.300207283174528e-12), (1.94, 1.8861901197495417e-30)),
     50.0: ((0.21, 2.7630937286988332e-12), (0.344, 1.3441585054562313e-30)),
 }
-"""By size: contrasts and P(error)."""
+"""Contrasts and P(error), by size."""
 
 
 P_AT_A_TENTH = 0.9436321009239244
@@ -50,14 +50,14 @@ P_AT_A_TENTH = 0.9436321009239244
 
 
 def observer(**settings: Any) -> PyramidObserver:
-    """The default observer but for these settings, on a retina of samples of 1 mrad that keeps its place."""
+    """Make the default observer but for these settings, on a retina of samples of 1 mrad that keeps its place."""
     return PyramidObserver(
         PyramidSettings(**{"retina_pitch_mrad": 1.0, "position_jitter_samples": 0.0} | settings)
     )
 
 
 def seen(observer: PyramidObserver, size: float) -> tuple[Readout, FloatArray]:
-    """Readout for triangles of a size in samples, and the upright one's image."""
+    """Return the readout for triangles of a size in samples, and the upright one's image."""
     readout = observer.readout(Stimulus(size * observer.settings.retina_pitch_mrad))
     side = readout.grid.side
     return readout, coverage(
@@ -71,30 +71,30 @@ def seen(observer: PyramidObserver, size: float) -> tuple[Readout, FloatArray]:
 
 
 def probabilities(contrast: ArrayLike, size: float, **settings: Any) -> FloatArray:
-    """Of the four answers to the upright triangle, (contrast, 4)."""
+    """Compute the probabilities of the four answers to the upright triangle, (contrast, 4)."""
     readout, image = seen(observer(**settings), size)
     scores = np.multiply.outer(np.asarray(contrast), readout.score_deviations(image))
     return answer_probabilities(scores, readout.noise_covariance)
 
 
 def errors(contrast: ArrayLike, size: float) -> FloatArray:
-    """Probability of the other three answers, with its own digits."""
+    """Compute the probability of the other three answers, with its own digits."""
     return np.asarray(probabilities(contrast, size)[:, 1:].sum(axis=1))
 
 
 def covariance_row(size: float) -> FloatArray:
-    """Of the score of the upright triangle with itself, one beside and the opposite one."""
+    """Return the covariances of the score of the upright triangle with itself, one beside and the opposite one."""
     return np.asarray(observer().readout(Stimulus(size)).noise_covariance[0, :3])
 
 
 def template_scores(size: float, **settings: Any) -> FloatArray:
-    """Scores that the upright triangle's own template causes, over those that the noise covariance tells."""
+    """Compute the scores that the upright triangle's own template causes, over those of the noise covariance."""
     readout, image = seen(observer(template_blur_samples=0.0, internal_noise_sd=1.0, **settings), size)
     return np.asarray(readout.score_deviations(image) / readout.noise_covariance[0])
 
 
 def cases() -> list[Case]:
-    """Of observer and naked eye."""
+    """List the cases of observer and naked eye."""
     case = partial(Case, "observer")
     identical = "four identical templates"
     adjoint = "law: ⟨Lᵀt_j, c_k⟩ = ⟨t_j, t_k⟩"
