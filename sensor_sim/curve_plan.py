@@ -29,17 +29,13 @@ from todframes.stimulus import ORIENTATIONS, Orientation, Stimulus, bounding_box
 FULL_PLACES = 17
 """Places along each axis that a full plan begins with; twelve times as many trials as most thresholds need."""
 
-
 ORTHANT_NODES = 24
 """Enough for 1e-14 where the four templates differ as those of the triangles do."""
-
 
 TRIED_AT = ((0.0, 0.0), (0.5, 0.5), (0.25, -0.375))
 """Places, in detectors from the field's middle, where what could be left out is weighed."""
 
-
 FIELDS_IN_SIZES = (2.0, 2.5, 3.0)
-
 
 LARGEST_SHARE = 0.6
 """Share of the budget that one omission may take."""

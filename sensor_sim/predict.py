@@ -32,18 +32,15 @@ from todframes.stimulus import Orientation
 
 REPLICATES = 8
 
-
 PLACES = (5, 7, 11, 17, 25, 37)
 """Along each axis of a detector, in each replicate: more and more, until the error is small enough. Each takes
 twice the trials of the one before, so that few chances are had to stop by a lucky estimate of the error. Numbers
 that have a divisor in common with the display's pixels per detector are left out: P repeats with these pixels too,
 and such a lattice would see them all alike."""
 
-
 KRONECKER_STEPS = np.modf(1.1673039782614187 ** -np.arange(1.0, 5.0))[0].reshape(2, 2)
 """Powers of the root of x⁵ = x + 1: a four-dimensional low-discrepancy sequence, two of them counted by rows and
 columns of the lattice (Roberts 2018)."""
-
 
 STANDARD_ERRORS_95 = 2.8412
 """Half-width of the stated interval: the 98.75 % point of Student's t with one degree of freedom less than there

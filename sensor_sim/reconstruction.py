@@ -22,7 +22,6 @@ from todframes._typing import FloatArray
 MAX_PRODUCT = 2**17
 """Multiplications in one call of BLAS."""
 
-
 ALIAS_FREE_SIGMA_PX = 1.5
 """Smallest σ at which the variance of a sampled Gaussian is σ² to 1e-16 (Poisson summation: e^(−2π²σ²))."""
 

@@ -35,18 +35,14 @@ from todframes.stimulus import HEIGHT_PER_SIZE, SIDE_PER_SIZE, Orientation, spec
 MAX_FREQUENCIES = 2**22
 """Largest number of frequencies in one half plane, 64 MiB; beyond it the optics are sharp enough to leave out."""
 
-
 MAX_NEGLECTED = 0.05
 """Bound on what leaving out the optics may change in a sample; beyond, the field is refused as too large."""
-
 
 FREQUENCIES_AT_ONCE = 2**16
 """Keeps the arrays of a spectrum that is being computed to some megabytes."""
 
-
 PLACES_AT_ONCE = 16
 """Keeps partly folded spectra in the cache, and products so small that BLAS starts no threads for them."""
-
 
 FIELD_SIZES, FIELD_MARGIN_DETECTORS, MAX_FIELD_DETECTORS = 4.0, 4, 1024
 """The field of a trial: so many sizes of the triangle, and so many detectors more."""

@@ -14,24 +14,15 @@ from todframes.errors import SettingsError
 
 SCHEMA = 1
 
-
 LARGEST = 1e12
 """Largest length, angle, luminance or gain; beyond it, and below 1/LARGEST, a value is a slip of the pen."""
-
 
 MAX_PIXELS = 1000
 """Largest width of a detector or a standard deviation of the blur, in display pixels."""
 
-
 Distribution = Literal["uniform", "gaussian"]
-
-
 Positive = Annotated[float, Meta(ge=1.0 / LARGEST, le=LARGEST)]
-
-
 NotNegative = Annotated[float, Meta(ge=0.0, le=LARGEST)]
-
-
 BlurPixels = Annotated[float, Meta(ge=0.0, le=MAX_PIXELS)]
 
 
@@ -223,7 +214,6 @@ _TABLES = {
     "electronics": Electronics,
     "display": SensorDisplay,
 }
-
 
 _REQUIRED_TABLES = ("optics", "detector", "display")
 

@@ -29,17 +29,12 @@ from todframes.threads import map_in_threads
 
 FrameFormat = Literal["exr", "png"]
 
-
 # First element of the spawn keys of random streams.
 TRIAL_STREAMS, PATTERN_STREAM = 0, 1
-
-
 LARGEST_CLIPPED_SHARE = 0.01
-
 
 LARGEST_SIDE_PX = min(MAX_SIDE_PX, math.isqrt(MAX_DECODED_MB * 2**20 // 2))
 """Largest side of square frames of two bytes a pixel that `todframes` reads."""
-
 
 TRIALS_PER_TASK = 32
 

@@ -24,21 +24,12 @@ from todframes.errors import DataError, SettingsError
 
 T = TypeVar("T")
 
-
 MAX_TOML_MB, MAX_CSV_MB = 1, 256
 """Longest files that are read, of 2**20 bytes."""
-
-
 MAX_NESTING, MAX_DOTS = 16, 500
-
-
 COLUMNS_SHOWN = 20
-
-
 LONGEST_KEY = 100
 """Characters of an unknown key that the nearest valid one is looked up by; time goes with their square."""
-
-
 FIELDS_FOUND = "\0fields"
 """Key under which a row of `read_csv` tells how many fields it has, if not as many as the header."""
 

@@ -17,10 +17,8 @@ from todframes.errors import SettingsError
 
 Centre = Literal["centroid", "bounding_box"]
 
-
 HEIGHT_PER_SIZE = 3.0**0.25
 """Height of an equilateral triangle of unit area: area = height² / √3."""
-
 
 SIDE_PER_SIZE = 2.0 / 3.0**0.25
 """Side of an equilateral triangle of unit area."""

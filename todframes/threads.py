@@ -10,14 +10,10 @@ from typing import TypeVar
 from todframes.signals import held_back
 
 T = TypeVar("T")
-
-
 R = TypeVar("R")
-
 
 AHEAD_PER_WORKER = 4
 """Tasks begun before their turn; their results wait in memory."""
-
 
 POLL_S = 0.1
 """Longest time that an interruption goes unnoticed, in seconds."""

@@ -126,23 +126,16 @@ STAR_LIKE = Sensor(
 """The camera of the sample frames without its fixed pattern: that of one camera would be the same in all frames of
 the literal Monte Carlo, while a computed threshold is a mean over cameras."""
 
-
 PLACES = (3, 5, 7, 11, 13, 17, 19, 23, 29)
 """Numbers of places of a lattice, along each axis of a detector."""
 
-
 REPEATS = 12
-
-
 CONVERGED_PLACES, FEWEST_LATTICES, MOST_LATTICES = 17, 8, 64
-
 
 CONVERGED_BOUND = 1e-4
 """Relative error of the threshold: a tenth of the smallest error at which estimators are compared."""
 
-
 VARIANT_PLACES = 11
-
 
 COARSE_TOLERANCE, TOLERANCE = 0.0196, 0.00196
 """Half-widths of 95 % intervals: standard errors of 1 % and 0.1 %."""

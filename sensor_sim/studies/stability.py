@@ -26,16 +26,9 @@ from todframes.stimulus import HEIGHT_PER_SIZE, Orientation
 from todframes.studies.stability.case import MPMATH, Case, refusal
 
 BELOW_CUT_OFF = 1.0 - 2.0 ** -np.array([10.0, 20.0, 30.0, 40.0, 52.0])
-
-
 AT_AND_BEYOND = np.array([1.0, 1.0 + 2.0**-52, 2.0, 1e9, 1e300])
-
-
 PLACES = np.array([0.0, 0.25, -0.5])
-
-
 CONTIGUOUS = Detector(pitch_mrad=1.0, width_mrad=1.0)
-
 
 POINTS = Detector(pitch_mrad=1.0, width_mrad=0.01)
 """Detectors of fill factor 1e-4."""

@@ -30,21 +30,13 @@ from todframes._typing import FloatArray
 from todframes.errors import SettingsError
 
 _ANSWERS = np.arange(4)[:, None]
-
-
 OTHERS = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
-
 
 PAIRS = ((0, 1), (0, 2), (1, 2))
 """Among three others; pair i, j has index i + j − 1, and the one left out is 2 minus that."""
 
-
 _FIRST = OTHERS[:, [pair[0] for pair in PAIRS]]
-
-
 _SECOND = OTHERS[:, [pair[1] for pair in PAIRS]]
-
-
 _ROUNDING = 1e-10
 
 
@@ -163,18 +155,13 @@ def reject(bad: NDArray[np.bool_], found: NDArray[Any], name: str, expected: str
 # Each of the three others with the pairs it is in.
 _SIDES = ((0, 0, 1), (1, 0, 2), (2, 1, 2))
 
-
 # exp(−40²/2) and Φ(−40) are zero in double precision: a difference beyond 40 σ is certain.
 _CERTAIN = 40.0
-
 
 # Gauss–Legendre nodes t with 1 − x = t⁶, x the place on the path: against 400 nodes the worst error over singular,
 # nearly singular and badly scaled covariances is 9e-9 with 64, 2e-10 with 96 and 9e-12 with 128 nodes.
 _NODES = 128
-
-
 _GRADING = 6
-
 
 # Keeps the arrays of one chunk (chunk × 4 answers × nodes) in the processor's cache.
 _CHUNK = 64

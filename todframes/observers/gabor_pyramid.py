@@ -20,7 +20,6 @@ from todframes.observers.laplacian_pyramid import LaplacianPyramid
 
 Phases = Literal["both", "even", "odd"]
 
-
 CUT = 4.0
 """Standard deviations at which a Gabor function ends: its envelope is 3e-4 there."""
 

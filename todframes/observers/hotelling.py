@@ -29,14 +29,11 @@ from todframes.stimulus import Stimulus
 
 DisplayAngle = Annotated[float, Meta(ge=0.0, le=1e6)]
 
-
 TRIANGLE_VARIANCE = 3.0**-0.5 / 6.0
 """Variance of a triangle of size 1 along any axis."""
 
-
 SOLVER_TOLERANCE = 1e-10
 """Residual of the ideal weights, relative to the templates."""
-
 
 MOST_ITERATIONS = 500
 

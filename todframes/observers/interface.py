@@ -22,8 +22,6 @@ from todframes.observers.retina import RetinaGrid
 from todframes.stimulus import Centre, Orientation, Stimulus
 
 ENTRY_POINT_GROUP = "todframes.observers"
-
-
 SECOND_ORDER = 20.0
 
 

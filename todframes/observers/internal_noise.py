@@ -14,10 +14,7 @@ from todframes._typing import FloatArray
 from todframes.observers.decision import OTHERS, PAIRS
 
 _Order = tuple[int, int, int]
-
-
 _SQRT_2PI = math.sqrt(2.0 * math.pi)
-
 
 _NEARLY_PLANE = 1e-6
 """Determinant of three differences' correlations below which two of them all but tell the third."""
@@ -162,9 +159,7 @@ def inner_product(a: FloatArray, b: FloatArray) -> float:
 Bands = tuple[FloatArray, ...]
 """Activity, or weights, of all neurons: arrays of any shape, the finest band first."""
 
-
 UNIFORM_EXCESS_KURTOSIS = -1.2
-
 
 LEAST_KURTOSIS = 2e-3
 """Smallest excess kurtosis that is not taken as Gaussian. Less comes from so many neurons that their fourth

@@ -90,10 +90,8 @@ class PyramidSettings:
 
 FEWEST_LEVELS = 4
 
-
 LEAST_FIELD = 0.6
 """Half the field's half width, in sizes of the triangle."""
-
 
 LARGEST_SIZE_SAMPLES = 2**MOST_LEVELS / 0.9
 

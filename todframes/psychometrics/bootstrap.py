@@ -13,17 +13,9 @@ from todframes._typing import FloatArray
 from todframes.psychometrics.weibull import WeibullModel
 
 _CHI2_95 = 3.841458820694124
-
-
 CURVE_TRIALS = 5
-
-
 PLUS_TRIALS = 4
-
-
 _Z_95 = 1.959963984540054
-
-
 _BATCH_ELEMENTS = 1 << 17
 
 

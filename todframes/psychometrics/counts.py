@@ -12,7 +12,6 @@ from todframes.errors import DataError
 
 COLUMNS = ("level", "n_correct", "n_trials")
 
-
 MOST_TRIALS = 2**53
 """Above, not every whole number is a floating-point number."""
 

@@ -24,11 +24,7 @@ from todframes.psychometrics.bootstrap import Observed, crossing_of_points, thre
 from todframes.psychometrics.weibull import BETA_RANGE, WeibullModel
 
 Status = Literal["ok", "extrapolated", "never_reached", "always_exceeded", "too_few_levels"]
-
-
 EXTRAPOLATION_FACTOR = 2.0
-
-
 MIN_RESAMPLES, MAX_RESAMPLES = 40, 100_000
 
 

@@ -15,13 +15,8 @@ from numpy.typing import ArrayLike
 from todframes._typing import FloatArray
 
 BETA_RANGE = (1e-2, 1e3)
-
-
 _LN_LN2 = math.log(math.log(2.0))
-
-
 _BATCH_ELEMENTS = 1 << 20
-
 
 # OpenBLAS starts threads for larger products; on a busy machine their waiting costs more than they save.
 _SINGLE_THREAD_PRODUCT = 1 << 18

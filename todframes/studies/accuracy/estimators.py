@@ -21,7 +21,6 @@ from todframes.observers.decision import answer_probabilities
 
 ENTRY_POINT_GROUP = "todframes.accuracy_scenes"
 
-
 P_CORRECT = 0.75
 """Criterion of all thresholds."""
 

@@ -137,25 +137,19 @@ def speed_ratio(literal: TimeAt, closed_forms: Mapping[str, TimeAt]) -> Ratio:
 
 T = TypeVar("T")
 
-
 TARGETS = (0.01, 0.001)
 """Errors of a threshold at which estimators are compared."""
-
 
 FEWEST_BLOCKS = 4
 """Estimates that a root mean square is at least taken over: it is then known to a third."""
 
-
 BLOCK_GROWTH = 2
-
 
 MOST_TRIALS = 2**17
 """Drawn of an estimator; their blocks of all sizes then take seconds to estimate from."""
 
-
 LARGEST_SHOWN = 0.5
 """Error of a threshold beyond which an estimate is none."""
-
 
 TIMED, LONG_S = 3, 0.5
 """Runs of a set-up or variant, for the median of their times, and when they are enough."""

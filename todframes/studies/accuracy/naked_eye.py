@@ -30,7 +30,6 @@ from todframes.studies.accuracy.estimators import (
 NODES = (1, 2, 3, 4, 6, 8, 12, 16, 24)
 """Gauss–Legendre displacements along each axis."""
 
-
 VARIANT_NODES = 8
 
 

@@ -36,13 +36,8 @@ from todframes.studies.accuracy.estimators import (
 DATASETS = (Path("sample_frames/naked_eye"), Path("sample_frames/staring_camera"))
 """Folders in which recorded frames are looked for."""
 
-
 DISPLACEMENTS = (1, 2, 4, 8, 16, 32, 64)
-
-
 REPEATS = 8
-
-
 VARIANT_DISPLACEMENTS = 4
 
 

@@ -25,18 +25,14 @@ if TYPE_CHECKING:
 
 ENTRY_POINT_GROUP = "todframes.stability_cases"
 
-
 MPMATH = "mpmath, 50 digits: "
 """Beginning of the source of numbers that tests/test_stability_references.py computes again."""
-
 
 MOST_DIGITS = 16.0
 """Digits of double precision, which exact results have."""
 
-
 SHOWN_DIGITS = 12
 """Digits shown in documents; more are a matter of the machine."""
-
 
 Value = str | float | ArrayLike
 

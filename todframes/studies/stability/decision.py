@@ -31,40 +31,25 @@ def circulant(beside: float, opposite: float) -> FloatArray:
 TRIANGLES = circulant(math.sqrt(3.0) - 1.0, 2.0 / 3.0)
 """Overlaps of the four triangles themselves, centred on their centroids."""
 
-
 SNRS = 10.0 ** np.arange(-9.0, 10.0, 3.0)
-
-
 HIGH_SNRS = np.array([5.0, 15.0, 25.0, 31.0])
-
-
 NOISE_SDS = np.array([1e-150, 1e-9, 1e9, 1e150])
-
 
 LEADS = np.array([1.0, 4.0, 8.0, 11.4])
 """Leads in standard deviations."""
 
-
 EVEN_PARTS = (1e-3, 1e-6, 1e-12)
-
-
 LINE = np.array([[-2.0], [-1.0], [0.0], [3.0]])
-
 
 OBTUSE = np.array([[0.0, 0.0, 0.0], [4.0, 1.0, 0.0], [6.0, 0.0, 1.0], [5.0, -2.0, 1.0]])
 """Answer 1 lies between the others: its differences from two of them are negatively correlated."""
 
-
 OBTUSE_SNRS = np.array([2.0, 6.0, 12.5])
-
 
 ALIKE = 1.0 + 2e-6 * np.eye(4)
 """Each with each is 1 − 1e-12 alike: (4 + 4e-6) / (4 + 4e-6 + 4e-12)."""
 
-
 D_PRIMES = np.array([0.5, 1.0, 1.5, 2.0, 3.0])
-
-
 HIGH_D_PRIMES = np.array([5.0, 10.0, 16.2])
 
 

@@ -24,46 +24,26 @@ from todframes.stimulus import Orientation, Stimulus, coverage
 from todframes.studies.stability.case import MPMATH, Case, refusal
 
 LEVELS = np.geomspace(0.5, 2.0, 7)
-
-
 DECADES = np.geomspace(1e-6, 1e6, 7)
-
-
 SINGLE_LEVELS = np.geomspace(0.25, 4.0, 12)
-
 
 RISING = (8, 9, 12, 20, 25, 29, 30)
 """Right answers of 30 trials at each level."""
 
-
 SINGLE = (0, 0, 1, 0, 0, 1, 1, 0, 1, 1, 1, 1)
-
-
 NON_MONOTONE = (8, 14, 9, 20, 18, 29, 27)
-
-
 SLOPES = (1e-2, 1e-1, 1.0, 1e1, 1e2, 1e3)
-
-
 PROPORTIONS = (0.3, 0.4, 0.5, 0.6, 0.75, 0.85, 0.9, 0.94)
-
-
 SIDE_PX = 65
-
-
 CONTRAST = 0.25
-
 
 PATTERN = np.rint(coverage((SIDE_PX,) * 2, size_px=5.0, x_px=32, y_px=32, orientation=Orientation.UP))
 """A triangle of whole pixels, each of them a retina sample, which half floats hold exactly."""
 
-
 P_OF_PATTERN = 0.9312557277131851
-
 
 CHECKERBOARD = 4.0 * (-1.0) ** np.add.outer(np.arange(SIDE_PX), np.arange(SIDE_PX))
 """Noise that looks the same to all four orientations."""
-
 
 LARGEST_FLOAT = float(np.finfo(np.float32).max)
 

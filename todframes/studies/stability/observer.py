@@ -21,10 +21,8 @@ from todframes.studies.stability.case import MPMATH, Case, refusal
 
 CONTRASTS = 10.0 ** np.arange(-9.0, 10.0, 3.0)
 
-
 WITHIN_A_SAMPLE = (0.01, 0.1, 0.5)
 """√(area) in samples. At 0.5699 the apex reaches the sample's edge."""
-
 
 COVARIANCES = {
     0.58: (3.444974047874514e-13, -3.32870289459945e-14, -2.779233468954624e-13),
@@ -35,7 +33,6 @@ COVARIANCES = {
 }
 """Covariances by size: of the upright triangle's score with itself, one beside and the opposite one."""
 
-
 ERRORS = {
     0.58: ((7.3e4, 1.6319559457210677e-12), (1.18e5, 3.453645005888211e-30)),
     1.0: ((48.0, 1.840199612746278e-12), (78.0, 2.3544282021943653e-30)),
@@ -43,7 +40,6 @@ ERRORS = {
     50.0: ((0.21, 2.7630937286988332e-12), (0.344, 1.3441585054562313e-30)),
 }
 """Contrasts and P(error), by size."""
-
 
 P_AT_A_TENTH = 0.9436321009239244
 """P(correct) of 20 samples at contrast 0.1."""
