@@ -41,6 +41,17 @@ class Orientation(StrEnum):
 ORIENTATIONS = tuple(Orientation)
 
 
+@dataclass(frozen=True, slots=True)
+class Stimulus:
+    """Triangle of a trial as the observer knows it beforehand: all but the orientation.
+
+    `size_mrad` is √(area) as displayed, `polarity` 1 for brighter and -1 for darker than the background.
+    """
+
+    size_mrad: float
+    polarity: int = 1
+
+
 def bounding_box_offset(orientation: Orientation) -> tuple[float, float]:
     """Return the vector from the centroid to the centre of the bounding box, in units of the size, as (x, y).
 
@@ -246,14 +257,3 @@ def _by_series(a: FloatArray, b: FloatArray, c: FloatArray) -> ComplexArray:
 
 def _first_divided_difference_of_exp(a: FloatArray, b: FloatArray) -> ComplexArray:
     return np.asarray(np.exp(0.5j * (a + b)) * np.sinc((b - a) / (2.0 * np.pi)))
-
-
-@dataclass(frozen=True, slots=True)
-class Stimulus:
-    """Triangle of a trial as the observer knows it beforehand: all but the orientation.
-
-    `size_mrad` is √(area) as displayed, `polarity` 1 for brighter and -1 for darker than the background.
-    """
-
-    size_mrad: float
-    polarity: int = 1

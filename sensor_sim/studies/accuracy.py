@@ -43,74 +43,6 @@ from todframes.studies.accuracy.estimators import (
 AT_ONCE = 32
 """Frames whose samples are made together, which costs less."""
 
-
-def literal_answers(
-    sensor: Sensor, size_detectors: float, *, snr: float, contrast: float = 1.0
-) -> Callable[[int, np.random.Generator], FloatArray]:
-    """Prepare to draw trials of random orientation and place, with noise on every detector and every neuron.
-
-    Parameters
-    ----------
-    sensor : Sensor
-        All of its noise is new in each trial, the share of the fixed pattern too.
-    size_detectors : float
-        √(area) of the triangle, > 0.
-    snr : float
-        Signal of a large triangle over the standard deviation of the detector noise; infinity: there is none.
-    contrast : float
-        Contrast of the triangle, in units of what the display's gain gives it.
-
-    Returns
-    -------
-    callable
-        `answers(n, rng)`: 1 for a right and 0 for a wrong answer, (n, 1).
-
-    Raises
-    ------
-    SettingsError
-        If the size or field is out of range.
-    """
-    display, observer = sensor.display, PyramidObserver()
-    stimulus = Stimulus(size_detectors * display.detector_pitch_mrad)
-    observer.templates(stimulus)
-    grid, field = observer.grid(stimulus), field_detectors(sensor, size_detectors)
-    sampler = field_sampler(sensor, size_detectors)
-    hold = axis_matrix(field, display=display, electronics=sensor.electronics)
-    jitter_px = observer.position_jitter_samples * grid.pitch_mrad / display.pixel_pitch_mrad
-
-    def batch(n: int, rng: np.random.Generator) -> FloatArray:
-        orientations = rng.integers(4, size=n)
-        places = rng.uniform(-0.5, 0.5, (n, 2))
-        samples = np.empty((n, field, field))
-        for orientation in ORIENTATIONS:
-            shown = orientations == orientation.quarter_turns
-            samples[shown] = sampler.samples(*places[shown].T, orientation=orientation)
-        samples *= contrast
-        samples += draw(samples.shape, sd=contrast / snr, distribution=sensor.noise.distribution, rng=rng)
-        jitter = jitter_px * rng.uniform(-1.0, 1.0, (n, 2))
-        right = np.empty((n, 1))
-        for trial in range(n):
-            x_px, y_px = (
-                display_position_px(at, n_detectors=field, display=display) + by
-                for at, by in zip(places[trial].tolist(), jitter[trial].tolist(), strict=True)
-            )
-            luminance = luminance_cd_m2(display_signal(samples[trial], hold), display=display)
-            seen = resample(
-                luminance / display.background_luminance_cd_m2 - 1.0,
-                grid,
-                x_px=x_px,
-                y_px=y_px,
-                pixel_pitch_mrad=display.pixel_pitch_mrad,
-            )
-            right[trial] = observer.respond(seen, stimulus, rng).quarter_turns == orientations[trial]
-        return right
-
-    def answers(n: int, rng: np.random.Generator) -> FloatArray:
-        return np.concatenate([batch(min(AT_ONCE, n - start), rng) for start in range(0, n, AT_ONCE)])
-
-    return answers
-
-
 STAR_LIKE = Sensor(
     name="star-like",
     optics=Optics(aperture_mm=220.0, wavelength_um=4.0, blur_sigma_mrad=0.01),
@@ -329,3 +261,70 @@ def no_noise() -> Camera:
         "Only the observer has noise. What is varied is the contrast of the triangle.",
         "contrast",
     )
+
+
+def literal_answers(
+    sensor: Sensor, size_detectors: float, *, snr: float, contrast: float = 1.0
+) -> Callable[[int, np.random.Generator], FloatArray]:
+    """Prepare to draw trials of random orientation and place, with noise on every detector and every neuron.
+
+    Parameters
+    ----------
+    sensor : Sensor
+        All of its noise is new in each trial, the share of the fixed pattern too.
+    size_detectors : float
+        √(area) of the triangle, > 0.
+    snr : float
+        Signal of a large triangle over the standard deviation of the detector noise; infinity: there is none.
+    contrast : float
+        Contrast of the triangle, in units of what the display's gain gives it.
+
+    Returns
+    -------
+    callable
+        `answers(n, rng)`: 1 for a right and 0 for a wrong answer, (n, 1).
+
+    Raises
+    ------
+    SettingsError
+        If the size or field is out of range.
+    """
+    display, observer = sensor.display, PyramidObserver()
+    stimulus = Stimulus(size_detectors * display.detector_pitch_mrad)
+    observer.templates(stimulus)
+    grid, field = observer.grid(stimulus), field_detectors(sensor, size_detectors)
+    sampler = field_sampler(sensor, size_detectors)
+    hold = axis_matrix(field, display=display, electronics=sensor.electronics)
+    jitter_px = observer.position_jitter_samples * grid.pitch_mrad / display.pixel_pitch_mrad
+
+    def batch(n: int, rng: np.random.Generator) -> FloatArray:
+        orientations = rng.integers(4, size=n)
+        places = rng.uniform(-0.5, 0.5, (n, 2))
+        samples = np.empty((n, field, field))
+        for orientation in ORIENTATIONS:
+            shown = orientations == orientation.quarter_turns
+            samples[shown] = sampler.samples(*places[shown].T, orientation=orientation)
+        samples *= contrast
+        samples += draw(samples.shape, sd=contrast / snr, distribution=sensor.noise.distribution, rng=rng)
+        jitter = jitter_px * rng.uniform(-1.0, 1.0, (n, 2))
+        right = np.empty((n, 1))
+        for trial in range(n):
+            x_px, y_px = (
+                display_position_px(at, n_detectors=field, display=display) + by
+                for at, by in zip(places[trial].tolist(), jitter[trial].tolist(), strict=True)
+            )
+            luminance = luminance_cd_m2(display_signal(samples[trial], hold), display=display)
+            seen = resample(
+                luminance / display.background_luminance_cd_m2 - 1.0,
+                grid,
+                x_px=x_px,
+                y_px=y_px,
+                pixel_pitch_mrad=display.pixel_pitch_mrad,
+            )
+            right[trial] = observer.respond(seen, stimulus, rng).quarter_turns == orientations[trial]
+        return right
+
+    def answers(n: int, rng: np.random.Generator) -> FloatArray:
+        return np.concatenate([batch(min(AT_ONCE, n - start), rng) for start in range(0, n, AT_ONCE)])
+
+    return answers

@@ -19,6 +19,64 @@ _SQRT_2PI = math.sqrt(2.0 * math.pi)
 _NEARLY_PLANE = 1e-6
 """Determinant of three differences' correlations below which two of them all but tell the third."""
 
+Bands = tuple[FloatArray, ...]
+"""Activity, or weights, of all neurons: arrays of any shape, the finest band first."""
+
+UNIFORM_EXCESS_KURTOSIS = -1.2
+
+LEAST_KURTOSIS = 2e-3
+"""Smallest excess kurtosis that is not taken as Gaussian. Less comes from so many neurons that their fourth
+cumulants cost more than all else, and changes P(correct) by less than 1.4e-4."""
+
+
+class SummedNoise(NamedTuple):
+    """Uniform noise summed in four score deviations, by the names of the attributes of `Readout`."""
+
+    noise_covariance: FloatArray
+    excess_kurtosis: float
+    find_fourth_cumulants: Callable[[], FloatArray] | None
+
+
+def summed_noise(turned: Sequence[Bands], noise_sd: float) -> SummedNoise:
+    """Sum noise of standard deviation `noise_sd`, uniform and independent, with these weights.
+
+    Parameters
+    ----------
+    turned : sequence of four Bands
+        Template deviations: that of the upright triangle, turned by none to three quarters.
+    """
+    kurtosis = UNIFORM_EXCESS_KURTOSIS * _participation(turned)
+
+    def find_fourth_cumulants() -> FloatArray:
+        rows = [np.concatenate([band.ravel() for band in bands]) for bands in turned]
+        return fourth_cumulants(noise_sd * np.array(rows), excess_kurtosis=UNIFORM_EXCESS_KURTOSIS)
+
+    is_gaussian = abs(kurtosis) <= LEAST_KURTOSIS
+    return SummedNoise(noise_sd**2 * _overlaps(turned), kurtosis, None if is_gaussian else find_fourth_cumulants)
+
+
+def _overlaps(turned: Sequence[Bands]) -> FloatArray:
+    """Compute the inner products of the four template deviations, (4, 4): a circulant matrix by symmetry."""
+    same, beside, opposite = (sum(map(inner_product, turned[0], turned[k])) for k in range(3))
+    row = [same, beside, opposite, beside]
+    return np.array([np.roll(row, k) for k in range(4)])
+
+
+def _participation(turned: Sequence[Bands]) -> float:
+    """Compute Σw⁴ / (Σw²)² of the weights of a score difference, the larger of the two kinds."""
+    largest = 0.0
+    for other in turned[1:3]:
+        squares = [a - b for a, b in zip(turned[0], other, strict=True)]
+        total = 0.0
+        for band in squares:
+            np.square(band, out=band)
+            total += float(band.sum())
+        if total > 0.0:
+            for band in squares:
+                band /= total
+            largest = max(largest, sum(map(inner_product, squares, squares)))
+    return largest
+
 
 def fourth_cumulants(factor: ArrayLike, *, excess_kurtosis: float) -> FloatArray:
     """Compute the fourth cumulants of four scores that sum independent noise of many neurons.
@@ -154,62 +212,3 @@ def inner_product(a: FloatArray, b: FloatArray) -> float:
     threads keep the processors busy.
     """
     return float(np.einsum("i,i->", a.reshape(-1), b.reshape(-1)))
-
-
-Bands = tuple[FloatArray, ...]
-"""Activity, or weights, of all neurons: arrays of any shape, the finest band first."""
-
-UNIFORM_EXCESS_KURTOSIS = -1.2
-
-LEAST_KURTOSIS = 2e-3
-"""Smallest excess kurtosis that is not taken as Gaussian. Less comes from so many neurons that their fourth
-cumulants cost more than all else, and changes P(correct) by less than 1.4e-4."""
-
-
-class SummedNoise(NamedTuple):
-    """Uniform noise summed in four score deviations, by the names of the attributes of `Readout`."""
-
-    noise_covariance: FloatArray
-    excess_kurtosis: float
-    find_fourth_cumulants: Callable[[], FloatArray] | None
-
-
-def summed_noise(turned: Sequence[Bands], noise_sd: float) -> SummedNoise:
-    """Sum noise of standard deviation `noise_sd`, uniform and independent, with these weights.
-
-    Parameters
-    ----------
-    turned : sequence of four Bands
-        Template deviations: that of the upright triangle, turned by none to three quarters.
-    """
-    kurtosis = UNIFORM_EXCESS_KURTOSIS * _participation(turned)
-
-    def find_fourth_cumulants() -> FloatArray:
-        rows = [np.concatenate([band.ravel() for band in bands]) for bands in turned]
-        return fourth_cumulants(noise_sd * np.array(rows), excess_kurtosis=UNIFORM_EXCESS_KURTOSIS)
-
-    is_gaussian = abs(kurtosis) <= LEAST_KURTOSIS
-    return SummedNoise(noise_sd**2 * _overlaps(turned), kurtosis, None if is_gaussian else find_fourth_cumulants)
-
-
-def _overlaps(turned: Sequence[Bands]) -> FloatArray:
-    """Compute the inner products of the four template deviations, (4, 4): a circulant matrix by symmetry."""
-    same, beside, opposite = (sum(map(inner_product, turned[0], turned[k])) for k in range(3))
-    row = [same, beside, opposite, beside]
-    return np.array([np.roll(row, k) for k in range(4)])
-
-
-def _participation(turned: Sequence[Bands]) -> float:
-    """Compute Σw⁴ / (Σw²)² of the weights of a score difference, the larger of the two kinds."""
-    largest = 0.0
-    for other in turned[1:3]:
-        squares = [a - b for a, b in zip(turned[0], other, strict=True)]
-        total = 0.0
-        for band in squares:
-            np.square(band, out=band)
-            total += float(band.sum())
-        if total > 0.0:
-            for band in squares:
-                band /= total
-            largest = max(largest, sum(map(inner_product, squares, squares)))
-    return largest

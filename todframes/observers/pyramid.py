@@ -30,6 +30,13 @@ from todframes.stimulus import HEIGHT_PER_SIZE, ORIENTATIONS, Centre, Orientatio
 MOST_LEVELS = 11
 """A retina image then takes half a GB."""
 
+FEWEST_LEVELS = 4
+
+LEAST_FIELD = 0.6
+"""Half the field's half width, in sizes of the triangle."""
+
+LARGEST_SIZE_SAMPLES = 2**MOST_LEVELS / 0.9
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PyramidSettings:
@@ -86,14 +93,6 @@ class PyramidSettings:
         if self.internal_noise_sd is not None:
             return self.internal_noise_sd
         return self.internal_noise / math.sqrt(12.0)
-
-
-FEWEST_LEVELS = 4
-
-LEAST_FIELD = 0.6
-"""Half the field's half width, in sizes of the triangle."""
-
-LARGEST_SIZE_SAMPLES = 2**MOST_LEVELS / 0.9
 
 
 class PyramidObserver:

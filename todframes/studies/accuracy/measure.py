@@ -31,6 +31,25 @@ from todframes.studies.accuracy.estimators import (
     Variant,
 )
 
+T = TypeVar("T")
+
+TARGETS = (0.01, 0.001)
+"""Errors of a threshold at which estimators are compared."""
+
+FEWEST_BLOCKS = 4
+"""Estimates that a root mean square is at least taken over: it is then known to a third."""
+
+BLOCK_GROWTH = 2
+
+MOST_TRIALS = 2**17
+"""Drawn of an estimator; their blocks of all sizes then take seconds to estimate from."""
+
+LARGEST_SHOWN = 0.5
+"""Error of a threshold beyond which an estimate is none."""
+
+TIMED, LONG_S = 3, 0.5
+"""Runs of a set-up or variant, for the median of their times, and when they are enough."""
+
 
 class BudgetPoint(NamedTuple):
     """An estimator at one budget: trials, estimates that the errors are taken over, time of one, errors."""
@@ -67,92 +86,6 @@ class Ratio(NamedTuple):
     closed_form: str | None
     extrapolated: bool
     at_least: bool
-
-
-def fitted_slope(
-    x: FloatArray, y: FloatArray, *, blocks: NDArray[np.intp] | None
-) -> tuple[float | None, float | None]:
-    """Fit a straight line. Returns its slope and the slope's standard error; None where there are too few points.
-
-    Parameters
-    ----------
-    x, y : ndarray, shape (n,)
-        Logarithms of time and error.
-    blocks : ndarray of int, shape (n,), or None
-        Each error is the root mean square of so many independent estimates, and all are blocks of the same trials:
-        the variance of its logarithm is 1/(2·blocks), and a sum over few blocks holds no more chance than the one
-        over many that it is part of, so the covariance of two is the smaller variance. None: the scatter about the
-        line tells its error.
-    """
-    n = len(x)
-    if n < 2:
-        return None, None
-    design = np.stack([np.ones(n), x], axis=1)
-    covariance = np.eye(n) if blocks is None else 1.0 / (2.0 * np.maximum.outer(blocks, blocks))
-    weighted = np.linalg.solve(covariance, design)
-    inverse = np.linalg.inv(design.T @ weighted)
-    line = inverse @ (weighted.T @ y)
-    if blocks is None:
-        if n < 3:
-            return float(line[1]), None
-        inverse *= float(np.sum((y - design @ line) ** 2)) / (n - 2)
-    return float(line[1]), math.sqrt(inverse[1, 1])
-
-
-def time_of_draws(points: Sequence[BudgetPoint], set_up: float, drawn: int, error: float) -> TimeAt:
-    """Return the CPU time for an error, extrapolated as 1/√N from the smallest blocks.
-
-    These give the most independent estimates, and larger blocks tell no more.
-    It is extrapolated beyond the number of trials that were `drawn` in all.
-    """
-    if not points:
-        return TimeAt(error, None)
-    first = points[0]
-    trials = first.trials * (first.threshold_error / error) ** 2
-    each = (first.cpu_s - set_up) / first.trials
-    return TimeAt(error, set_up + each * math.ceil(trials), extrapolated=trials > drawn)
-
-
-def time_of_rule(points: Sequence[BudgetPoint], error: float) -> TimeAt:
-    """Interpolate between the last budget whose error is larger and the next, along a line of logarithms."""
-    larger = [number for number, point in enumerate(points) if point.threshold_error > error]
-    if not larger:
-        return TimeAt(error, points[0].cpu_s, at_most=True)
-    if larger[-1] == len(points) - 1:
-        return TimeAt(error, None)
-    before, after = points[larger[-1]], points[larger[-1] + 1]
-    height = math.log(before.threshold_error / max(after.threshold_error, 1e-300))
-    share = math.log(before.threshold_error / error) / height
-    return TimeAt(error, before.cpu_s * (after.cpu_s / before.cpu_s) ** share)
-
-
-def speed_ratio(literal: TimeAt, closed_forms: Mapping[str, TimeAt]) -> Ratio:
-    """Compare the CPU time of one with that of the fastest of the others by name, all at the same error."""
-    times = {at.cpu_s: (name, at.at_most) for name, at in closed_forms.items() if at.cpu_s is not None}
-    if literal.cpu_s is None or not times:
-        return Ratio(literal.error, None, None, literal.extrapolated, at_least=False)
-    name, at_most = times[min(times)]
-    return Ratio(literal.error, literal.cpu_s / min(times), name, literal.extrapolated, at_most)
-
-
-T = TypeVar("T")
-
-TARGETS = (0.01, 0.001)
-"""Errors of a threshold at which estimators are compared."""
-
-FEWEST_BLOCKS = 4
-"""Estimates that a root mean square is at least taken over: it is then known to a third."""
-
-BLOCK_GROWTH = 2
-
-MOST_TRIALS = 2**17
-"""Drawn of an estimator; their blocks of all sizes then take seconds to estimate from."""
-
-LARGEST_SHOWN = 0.5
-"""Error of a threshold beyond which an estimate is none."""
-
-TIMED, LONG_S = 3, 0.5
-"""Runs of a set-up or variant, for the median of their times, and when they are enough."""
 
 
 class Curve(NamedTuple):
@@ -236,6 +169,72 @@ def measure(scene: StudyScene, *, seconds: float, seed: int = 1) -> Measured:
         ),
         scene.non_gaussian_bound(),
     )
+
+
+def fitted_slope(
+    x: FloatArray, y: FloatArray, *, blocks: NDArray[np.intp] | None
+) -> tuple[float | None, float | None]:
+    """Fit a straight line. Returns its slope and the slope's standard error; None where there are too few points.
+
+    Parameters
+    ----------
+    x, y : ndarray, shape (n,)
+        Logarithms of time and error.
+    blocks : ndarray of int, shape (n,), or None
+        Each error is the root mean square of so many independent estimates, and all are blocks of the same trials:
+        the variance of its logarithm is 1/(2·blocks), and a sum over few blocks holds no more chance than the one
+        over many that it is part of, so the covariance of two is the smaller variance. None: the scatter about the
+        line tells its error.
+    """
+    n = len(x)
+    if n < 2:
+        return None, None
+    design = np.stack([np.ones(n), x], axis=1)
+    covariance = np.eye(n) if blocks is None else 1.0 / (2.0 * np.maximum.outer(blocks, blocks))
+    weighted = np.linalg.solve(covariance, design)
+    inverse = np.linalg.inv(design.T @ weighted)
+    line = inverse @ (weighted.T @ y)
+    if blocks is None:
+        if n < 3:
+            return float(line[1]), None
+        inverse *= float(np.sum((y - design @ line) ** 2)) / (n - 2)
+    return float(line[1]), math.sqrt(inverse[1, 1])
+
+
+def time_of_draws(points: Sequence[BudgetPoint], set_up: float, drawn: int, error: float) -> TimeAt:
+    """Return the CPU time for an error, extrapolated as 1/√N from the smallest blocks.
+
+    These give the most independent estimates, and larger blocks tell no more.
+    It is extrapolated beyond the number of trials that were `drawn` in all.
+    """
+    if not points:
+        return TimeAt(error, None)
+    first = points[0]
+    trials = first.trials * (first.threshold_error / error) ** 2
+    each = (first.cpu_s - set_up) / first.trials
+    return TimeAt(error, set_up + each * math.ceil(trials), extrapolated=trials > drawn)
+
+
+def time_of_rule(points: Sequence[BudgetPoint], error: float) -> TimeAt:
+    """Interpolate between the last budget whose error is larger and the next, along a line of logarithms."""
+    larger = [number for number, point in enumerate(points) if point.threshold_error > error]
+    if not larger:
+        return TimeAt(error, points[0].cpu_s, at_most=True)
+    if larger[-1] == len(points) - 1:
+        return TimeAt(error, None)
+    before, after = points[larger[-1]], points[larger[-1] + 1]
+    height = math.log(before.threshold_error / max(after.threshold_error, 1e-300))
+    share = math.log(before.threshold_error / error) / height
+    return TimeAt(error, before.cpu_s * (after.cpu_s / before.cpu_s) ** share)
+
+
+def speed_ratio(literal: TimeAt, closed_forms: Mapping[str, TimeAt]) -> Ratio:
+    """Compare the CPU time of one with that of the fastest of the others by name, all at the same error."""
+    times = {at.cpu_s: (name, at.at_most) for name, at in closed_forms.items() if at.cpu_s is not None}
+    if literal.cpu_s is None or not times:
+        return Ratio(literal.error, None, None, literal.extrapolated, at_least=False)
+    name, at_most = times[min(times)]
+    return Ratio(literal.error, literal.cpu_s / min(times), name, literal.extrapolated, at_most)
 
 
 class _Clock:
