@@ -26,12 +26,14 @@ STANDARD_ERROR = 0.01
 # A 95 % interval of ± 1.96 standard errors of 1 % each.
 TOLERANCE = 1.96 * STANDARD_ERROR
 CURVES = f"""
+from sensor_sim.curve_plan import plan_curve
 from sensor_sim.predict import FoldedChain, predict_threshold
 from sensor_sim.sensor import load_sensor
 from todframes.observers.pyramid import PyramidObserver
 sensor, observer = load_sensor({str(SENSOR)!r}), PyramidObserver()
 for size in {SIZES}:
-    chain = FoldedChain(sensor, observer, size)
+    plan = plan_curve(sensor, observer, size, tolerance={TOLERANCE})  # as the command `curve` does
+    chain = FoldedChain(sensor, observer, size, plan)
     for scale in (1.0, 0.5):  # internal noise 0.5 and 0.25
         predict_threshold(chain.with_internal_noise(scale), tolerance={TOLERANCE})
 """
