@@ -49,9 +49,7 @@ def observers(sensor: Sensor) -> dict[str, Observer]:
         SHARP: PyramidObserver(),
         ORIENTED: OrientedObserver(),
         MATCHED: HotellingObserver(matched_settings(sensor)),
-        IDEAL: HotellingObserver(
-            matched_settings(sensor, sample_noise_sd=sensor.display.gain / SAMPLE_NOISE_SNR)
-        ),
+        IDEAL: HotellingObserver(matched_settings(sensor, sample_noise_sd=sensor.display.gain / SAMPLE_NOISE_SNR)),
     }
 
 
