@@ -31,7 +31,7 @@ from sensor_sim.noise import delta_t_mk, excess_kurtosis, k_factor, noise_parts
 from sensor_sim.pictures import trial_stages
 from sensor_sim.predict import FoldedChain, PredictedThreshold, predict_threshold
 from sensor_sim.sensor import Sensor, load_sensor
-from sensor_sim.simulate import Simulator, plan_trials
+from sensor_sim.simulation import Simulator, plan_trials
 from sensor_sim.transfer import diffraction_mtf, pre_sample_mtf
 from todframes.observers.decision import answer_probability
 from todframes.observers.laplacian_pyramid import LaplacianPyramid

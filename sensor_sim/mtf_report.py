@@ -1,21 +1,22 @@
-"""A sensor's transfer functions as an object, a table and a picture."""
+"""A sensor's transfer functions as a record, a table and a picture."""
 
 from __future__ import annotations
 
-import csv
-import io
+from pathlib import Path
 from typing import TYPE_CHECKING
 
+import msgspec
 import numpy as np
 
 from sensor_sim.sensor import Sensor
 from sensor_sim.transfer import stages
 from todframes import __version__
-from todframes._typing import Json
-from todframes.report.tables import add_row, new_table
+from todframes.report.figure_style import COLOURS, INK, add_legend, label_text, new_figure, style
+from todframes.report.figures import save_png
+from todframes.report.table import Column, Table
 
 if TYPE_CHECKING:
-    from rich.table import Table
+    from matplotlib.axes import Axes
 
 
 POINTS = 201
@@ -24,61 +25,147 @@ POINTS = 201
 TABLE_STEP = 20
 
 
-def mtf_object(sensor: Sensor) -> Json:
-    """Transfer of every stage along x at frequencies up to where optics or display pass nothing, as JSON."""
+SHOWN_NYQUISTS = 3.0
+"""The picture ends at so many times the Nyquist frequency."""
+
+
+# Before sampling solid and behind it dashed; the products are the thick ones.
+LINES = {
+    "diffraction": (COLOURS[0], "-"),
+    "optics_blur": (COLOURS[1], "-"),
+    "detector": (COLOURS[2], "-"),
+    "hold": (COLOURS[3], "--"),
+    "electronics": (COLOURS[4], "--"),
+    "display": (COLOURS[5], "--"),
+    "pre_sample": (INK, "-"),
+    "post_sample": (INK, "--"),
+}
+
+
+class SensorMtf(msgspec.Struct, frozen=True, kw_only=True):
+    """Transfer of every stage of a sensor along x; its fields are the keys of the command's JSON.
+
+    Attributes
+    ----------
+    sensor : str
+        The sensor's name.
+    cut_off_cyc_per_mrad, nyquist_cyc_per_mrad : float
+        Of the optics and of the detectors.
+    frequency_cyc_per_mrad : list of float
+        Up to where optics or display pass nothing.
+    mtf : dict of list of float
+        The transfer of each stage at these frequencies, and of what lies before and behind sampling.
+    """
+
+    schema: int = 1
+    command: str = "mtf"
+    version: str = __version__
+    sensor: str
+    cut_off_cyc_per_mrad: float
+    nyquist_cyc_per_mrad: float
+    frequency_cyc_per_mrad: list[float]
+    mtf: dict[str, list[float]]
+
+    def to_json(self) -> bytes:
+        """Return the record as indented JSON."""
+        return msgspec.json.format(msgspec.json.encode(self), indent=2) + b"\n"
+
+    def table(self, step: int = 1) -> Table:
+        """Make the table of every so many frequencies."""
+        title = (
+            f"{self.sensor}: MTF along x; optics' cut-off {self.cut_off_cyc_per_mrad:.4g}, "
+            f"Nyquist {self.nyquist_cyc_per_mrad:.4g} cycles/mrad"
+        )
+        names = ["frequency_cyc_per_mrad", *self.mtf]
+        values = [self.frequency_cyc_per_mrad, *self.mtf.values()]
+        records = [dict(zip(names, row, strict=True)) for row in zip(*values, strict=True)]
+        # Of the stages those go first that are 1 as a rule; the two products stay.
+        ranks = {"electronics": 3, "optics_blur": 3, "hold": 2, "display": 2, "diffraction": 1, "detector": 1}
+        columns = [
+            Column(key=names[0], header="cycles/mrad"),
+            *(Column(key=name, header=name, digits=4, rank=ranks.get(name, 0)) for name in self.mtf),
+        ]
+        return Table.of(title, "mtf.csv", columns, records[::step])
+
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Draw the transfer of all stages up to three times the Nyquist frequency.
+
+        Parameters
+        ----------
+        ax : matplotlib Axes, optional
+            Where to draw. Default: a new figure.
+
+        Returns
+        -------
+        matplotlib Axes
+        """
+        from todframes.report.figures import drawn
+
+        return drawn(self._draw, ax)
+
+    def _draw(self, axes: Axes) -> None:
+        nyquist, frequency = self.nyquist_cyc_per_mrad, np.array(self.frequency_cyc_per_mrad)
+        end = SHOWN_NYQUISTS * nyquist
+        shown = frequency <= end
+        for name, values in self.mtf.items():
+            colour, line = LINES[name]
+            width = 2.4 if name.endswith("_sample") else 1.3
+            axes.plot(
+                frequency[shown],
+                np.array(values)[shown],
+                color=colour,
+                ls=line,
+                lw=width,
+                label=name.replace("_", " "),
+            )
+        axes.axhline(0.0, color=INK, lw=0.6)
+        axes.set(xlabel="frequency in the scene (cycles/mrad)", ylabel="MTF along x", xlim=(0.0, end))
+        for place, name in ((nyquist, "Nyquist"), (self.cut_off_cyc_per_mrad, "optics' cut-off")):
+            if place < end:
+                axes.axvline(place, color=INK, ls=":", lw=1.0)
+                axes.annotate(
+                    f"{name} {place:.3g}",
+                    (place, 1.0),
+                    (3, -2),
+                    xycoords=("data", "axes fraction"),
+                    textcoords="offset points",
+                    va="top",
+                    fontsize="small",
+                )
+        add_legend(axes)
+
+    def files(self) -> dict[str, bytes]:
+        """Make `mtf.csv` and `mtf.png`."""
+        with style():
+            figure, axes = new_figure()
+            self._draw(axes)
+            axes.set_title(label_text(self.sensor))
+            note = "Solid: before sampling; dashed: behind it. Thick: all stages before, and behind, together."
+            picture = save_png(figure, note)
+        return {"mtf.csv": self.table().csv().encode(), "mtf.png": picture}
+
+    def save(self, folder: Path | str) -> None:
+        """Write `mtf.csv` and `mtf.png` into a folder, both or none.
+
+        Raises
+        ------
+        OutputError
+            If the place cannot be written.
+        """
+        from todframes.output import output_folder, write_files
+
+        with output_folder(str(folder)) as staging:
+            write_files(staging, self.files())
+
+
+def sensor_mtf(sensor: Sensor) -> SensorMtf:
+    """Compute the transfer of every stage along x, up to where optics or display pass nothing."""
     cut_off, nyquist = sensor.optics.cut_off_cyc_per_mrad, sensor.detector.nyquist_cyc_per_mrad
     frequency = np.linspace(0.0, min(1.05 * cut_off, 10.0 * nyquist), POINTS)
-    return {
-        "schema": 1,
-        "command": "mtf",
-        "version": __version__,
-        "sensor": sensor.name,
-        "cut_off_cyc_per_mrad": cut_off,
-        "nyquist_cyc_per_mrad": nyquist,
-        "frequency_cyc_per_mrad": frequency.tolist(),
-        "mtf": {name: values.tolist() for name, values in stages(frequency, sensor=sensor).items()},
-    }
-
-
-def mtf_table(result: Json) -> Table:
-    """Every twentieth frequency, as a table for the terminal."""
-    cut_off, nyquist = result["cut_off_cyc_per_mrad"], result["nyquist_cyc_per_mrad"]
-    title = f"{result['sensor']}: MTF along x; optics' cut-off {cut_off:.4g}, Nyquist {nyquist:.4g} cycles/mrad"
-    table = new_table(title, ("cycles/mrad", *result["mtf"]))
-    for n in range(0, POINTS, TABLE_STEP):
-        values = [f"{stage[n]:.4f}" for stage in result["mtf"].values()]
-        add_row(table, [f"{result['frequency_cyc_per_mrad'][n]:.4g}", *values])
-    return table
-
-
-def mtf_files(result: Json) -> dict[str, bytes]:
-    """All frequencies as CSV, and a picture with cut-off and Nyquist frequency marked."""
-    from matplotlib.figure import Figure
-
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(["frequency_cyc_per_mrad", *result["mtf"]])
-    writer.writerows(zip(result["frequency_cyc_per_mrad"], *result["mtf"].values(), strict=True))
-    figure = Figure(figsize=(7.2, 4.8), layout="constrained")
-    axes = figure.add_subplot()
-    for name, values in result["mtf"].items():
-        product = name.endswith("_sample")
-        axes.plot(
-            result["frequency_cyc_per_mrad"],
-            values,
-            label=name.replace("_", " "),
-            lw=2.2 if product else 1.0,
-            ls={"hold": "--", "display": ":", "electronics": "-."}.get(name, "-"),
-            color={"pre_sample": "k", "post_sample": "0.5"}.get(name),
-        )
-    for name, style in (("cut_off", ":"), ("nyquist", "--")):
-        place = result[f"{name}_cyc_per_mrad"]
-        if place <= result["frequency_cyc_per_mrad"][-1]:
-            axes.axvline(place, color="C3", ls=style, lw=1.0, label=f"{name.replace('_', '-')} {place:.4g}")
-    axes.axhline(0.0, color="0.7", lw=0.8)
-    axes.set(xlabel="frequency in the scene (cycles/mrad)", ylabel="MTF along x", xlim=(0.0, None))
-    axes.set_title(result["sensor"].replace("$", r"\$"))
-    axes.legend(fontsize="small", ncols=2)
-    picture = io.BytesIO()
-    figure.savefig(picture, format="png", dpi=144, metadata={"Software": None})
-    return {"mtf.csv": text.getvalue().encode(), "mtf.png": picture.getvalue()}
+    return SensorMtf(
+        sensor=sensor.name,
+        cut_off_cyc_per_mrad=cut_off,
+        nyquist_cyc_per_mrad=nyquist,
+        frequency_cyc_per_mrad=frequency.tolist(),
+        mtf={name: values.tolist() for name, values in stages(frequency, sensor=sensor).items()},
+    )

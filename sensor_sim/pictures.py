@@ -2,26 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from sensor_sim.sampling import sample_image
 from sensor_sim.sensor import Detector, Sensor
-from sensor_sim.simulate import SimulatedTrial, Simulator
-from todframes._typing import FloatArray, Json
+from sensor_sim.simulation import SimulatedTrial, Simulator
+from todframes._typing import FloatArray
 from todframes.frames.contrast import Patch
 from todframes.frames.files import write_frame
 from todframes.observers.interface import Observer
 from todframes.observers.retina import resample
+from todframes.report.data import Example, Fit
+from todframes.report.examples import MOST_EXAMPLES, FramePart, pictures
+from todframes.report.figure_style import label_text, style
+from todframes.report.figures import save_png
 from todframes.report.wording import evenly
 from todframes.stimulus import Orientation, Stimulus, bounding_box_offset, coverage
-
-if TYPE_CHECKING:
-    pass
-
 
 FINE_PIXELS_PER_DETECTOR = 8
 
@@ -77,25 +76,24 @@ def trial_stages(sensor: Sensor, trial: SimulatedTrial, *, seed: int) -> dict[st
     }
 
 
-def threshold_examples(sensor: Sensor, observer: Observer, fits: Sequence[Json], *, seed: int) -> list[Json]:
-    """A simulated frame at threshold, as displayed and as the observer sees it, of sizes that have a threshold.
+def threshold_examples(
+    sensor: Sensor, observer: Observer, fits: Sequence[Fit], *, seed: int
+) -> tuple[Example, ...]:
+    """Draw a simulated frame at threshold, as displayed and as the observer sees it, of some sizes.
 
     Parameters
     ----------
-    fits : sequence of dict
-        As in `result.json`, with levels in SNR and grouped by size_detectors.
+    fits : sequence of Fit
+        With levels in SNR, grouped by size_detectors.
     """
-    from todframes.report.examples import MOST_EXAMPLES
-
-    known = [fit for fit in fits if fit["threshold"] is not None]
-    return [_threshold_example(sensor, observer, fit, seed) for fit in evenly(known, MOST_EXAMPLES)]
+    known = [fit for fit in fits if fit.threshold is not None]
+    return tuple(_threshold_example(sensor, observer, fit, seed) for fit in evenly(known, MOST_EXAMPLES))
 
 
-def _threshold_example(sensor: Sensor, observer: Observer, fit: Json, seed: int) -> Json:
-    from todframes.report.examples import FramePart, pictures
-
-    size, pitch_mrad = fit["group"]["size_detectors"], sensor.display.pixel_pitch_mrad
-    trial = SimulatedTrial((0, 0, 0), size, fit["threshold"], Orientation.UP)
+def _threshold_example(sensor: Sensor, observer: Observer, fit: Fit, seed: int) -> Example:
+    size, pitch_mrad = float(fit.group["size_detectors"]), sensor.display.pixel_pitch_mrad
+    assert fit.threshold is not None
+    trial = SimulatedTrial((0, 0, 0), size, fit.threshold, Orientation.UP)
     (frame,) = Simulator(sensor, size, seed=seed).frames([trial])
     contrast = frame.luminance_cd_m2 / sensor.display.background_luminance_cd_m2 - 1.0
     stimulus = Stimulus(size * sensor.display.detector_pitch_mrad)
@@ -108,24 +106,58 @@ def _threshold_example(sensor: Sensor, observer: Observer, fit: Json, seed: int)
         y_px=frame.y_px + dy * size_px,
         pixel_pitch_mrad=pitch_mrad,
     )
-    return {
-        "group": fit["group"],
-        "level": fit["level"],
-        "strength": trial.snr,
-        "orientation": trial.orientation.value,
-        **pictures(
-            [FramePart(Patch(contrast, 0, 0, 0), frame.x_px, frame.y_px)],
-            retina,
-            observer=observer,
-            stimulus=stimulus,
-            pixel_pitch_mrad=pitch_mrad,
-        ),
-    }
+    width_mrad, drawn = pictures(
+        [FramePart(Patch(contrast, 0, 0, 0), frame.x_px, frame.y_px)],
+        retina,
+        observer=observer,
+        stimulus=stimulus,
+        pixel_pitch_mrad=pitch_mrad,
+    )
+    return Example(
+        group=fit.group,
+        level=fit.level,
+        strength=trial.snr,
+        orientation=trial.orientation.value,
+        width_mrad=width_mrad,
+        pictures=drawn,
+    )
+
+
+BLACK, WHITE = -1.0, 2.0
+"""Of the pictures of stages, in units of a large triangle's signal."""
+
+
+STAGE_TITLES = {
+    "a_input": "a. scene",
+    "b_optics": "b. behind the optics",
+    "c_detector_response": "c. averaged over a detector",
+    "d_samples": "d. sampled",
+    "e_noise": "e. with noise",
+    "f_hold": "f. held",
+    "g_display": "g. as displayed",
+}
 
 
 def write_stages(folder: Path, sensor: Sensor, trial: SimulatedTrial, *, seed: int) -> None:
-    """Write these stages as 8-bit PNG, black at −1 and white at 2 times a large triangle's signal."""
+    """Write the stages of a trial as 8-bit PNG each, and all of them with labels as `stages.png`."""
     folder.mkdir()
-    for name, image in trial_stages(sensor, trial, seed=seed).items():
-        grey = np.clip((image + 1.0) / 3.0, 0.0, 1.0)
+    found = trial_stages(sensor, trial, seed=seed)
+    for name, image in found.items():
+        grey = np.clip((image - BLACK) / (WHITE - BLACK), 0.0, 1.0)
         write_frame(folder / f"{name}.png", grey, pixel_type="uint8")
+    what = f"size {trial.size_detectors:g} detectors, SNR {trial.snr:g}, apex {trial.orientation}"
+    (folder / "stages.png").write_bytes(_montage(found, f"{label_text(sensor.name)}: {what}"))
+
+
+def _montage(found: Mapping[str, FloatArray], title: str) -> bytes:
+    from matplotlib.figure import Figure
+
+    with style():
+        figure = Figure(figsize=(10.0, 5.6), layout="constrained")
+        for axes, (name, image) in zip(figure.subplots(2, 4).flat, found.items(), strict=False):
+            axes.imshow(image, cmap="gray", vmin=BLACK, vmax=WHITE, interpolation="nearest")
+            axes.set_title(STAGE_TITLES[name], fontsize="medium")
+        for axes in figure.axes:
+            axes.set_axis_off()
+        figure.suptitle(title)
+        return save_png(figure, "Black is −1 and white is 2 times the signal of a large triangle; grey 0.")

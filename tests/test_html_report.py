@@ -19,11 +19,11 @@ from urllib.parse import unquote
 from xml.etree import ElementTree
 
 import pytest
+from todframes.report.convert import encode
 
 from todframes.cli.console import run
 from todframes.cli.main import cli
 from todframes.errors import DataError
-from todframes.report.convert import encode
 from todframes.report.figure_style import COLOURS
 from todframes.report.html import report_html
 from todframes.report.result import read_result

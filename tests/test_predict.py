@@ -15,7 +15,7 @@ from sensor_sim.predict import FoldedChain, predict_threshold
 from sensor_sim.reconstruction import display_position_px
 from sensor_sim.sampling import field_detectors, field_sampler
 from sensor_sim.sensor import Detector, Electronics, Noise, Optics, Sensor, SensorDisplay, load_sensor
-from sensor_sim.simulate import Simulator, plan_trials
+from sensor_sim.simulation import Simulator, plan_trials
 from todframes.errors import SettingsError
 from todframes.observers.decision import answer_probabilities
 from todframes.observers.interface import Observer, Readout

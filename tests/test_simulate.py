@@ -21,7 +21,7 @@ from scipy.ndimage import gaussian_filter
 from sensor_sim import cli, simulate
 from sensor_sim.pictures import trial_stages
 from sensor_sim.sensor import Detector, Electronics, Noise, Optics, Sensor, SensorDisplay
-from sensor_sim.simulate import SimulatedTrial, Simulator, plan_trials, white_luminance_cd_m2, write_dataset
+from sensor_sim.simulation import SimulatedTrial, Simulator, plan_trials, white_luminance_cd_m2, write_dataset
 from todframes import __version__
 from todframes.cli.console import run
 from todframes.errors import FrameError, SettingsError

@@ -17,7 +17,7 @@ from sensor_sim.predict import FoldedChain, predict_threshold
 from sensor_sim.reconstruction import axis_matrix, display_position_px, display_signal, gaussian_kernel
 from sensor_sim.sampling import TriangleSampler
 from sensor_sim.sensor import Detector, Electronics, Noise, Optics, Sensor, SensorDisplay
-from sensor_sim.simulate import Simulator
+from sensor_sim.simulation import Simulator
 from sensor_sim.transfer import box_mtf, diffraction_mtf, gaussian_mtf
 from todframes._typing import FloatArray
 from todframes.observers.pyramid import PyramidObserver, PyramidSettings

@@ -9,9 +9,9 @@ from typing import Any
 import cv2
 import numpy as np
 from timing import Row, best_s
+from todframes.report.convert import encode
 
 from todframes.report import figures
-from todframes.report.convert import encode
 from todframes.report.examples import DISPLAY_SIDE_PX, MOST_BANDS, MOST_EXAMPLES, RETINA_SIDE_PX
 from todframes.report.figure_style import style
 from todframes.report.html import report_html

@@ -13,16 +13,12 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from todframes import signals
-from todframes._typing import Json
 from todframes.errors import TodframesError
 from todframes.safe_text import visible
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
-    from todframes._typing import Json
-    from todframes.frames.dataset import Dataset
-    from todframes.stimulus import Centre
+    from todframes.report.result import Result
+    from todframes.report.table import Table
 
 
 STDOUT, STDERR = 1, 2
@@ -36,30 +32,84 @@ MOST_ALIKE = 10
 """Problems of a kind that are told."""
 
 
-def print_result(result: Json, title: str, *, as_json: bool, explain: bool = False) -> None:
-    """A result on standard output: one JSON object, or a table, and the plan if it is to be explained."""
-    from todframes.report import convert as report
-    from todframes.report import tables
+@contextmanager
+def staged(out: str | None) -> Iterator[Callable[[Callable[[], dict[str, bytes]]], None]]:
+    """Hold a place for results, found before the work and filled when the block ends well; none without a name.
 
+    Yields what takes a function that makes the files, by name.
+    """
+    from todframes.output import output_folder, write_files
+
+    if out is None:
+        yield lambda _: None
+        return
+    with output_folder(out) as folder:
+        yield lambda make: write_files(folder, make())
+
+
+def finish(
+    result: Result,
+    title: str,
+    *,
+    as_json: bool,
+    verbose: bool,
+    explain: bool = False,
+    out: str | None = None,
+    quiet: bool = False,
+) -> None:
+    """Show a result as one JSON object or as tables and sentences, and remarks on standard error."""
+    from todframes.report import tables
+    from todframes.report.summary import cautions, remarks
+    from todframes.report.wording import group_phrase
+
+    if not quiet:
+        for place in result.located or ():
+            where = f"x_px {place['x_px']:.2f}, y_px {place['y_px']:.2f} (± {place['standard_error_px']:.1g} px)"
+            say(f"located: {group_phrase(place['group'])}: {where}")
+        if result.located == ():
+            say("located: nothing; the manifest gives all positions")
+        for one in result.skipped:
+            say(f"skipped: {one['error']}")
+        for algorithm in result.algorithms:
+            if algorithm.n_clipped:
+                say(f"note: {algorithm.spec}: {algorithm.n_clipped} values were clipped")
+        if result.negative_luminance_pixels and not result.algorithms:
+            say(f"note: {result.negative_luminance_pixels} of the display pixels read have a luminance below zero")
+        for warning in result.warnings:
+            say(f"warning: {warning.message}")
     if as_json:
-        click.echo(report.encode(result), nl=False)
+        click.echo(result.to_json(), nl=False)
         return
     if explain:
-        print_table(tables.plan_table(result))
-    print_table(tables.threshold_table(result, title))
+        print_table(tables.plan(result))
+    if result.algorithms:
+        print_table(tables.ratios(result, title))
+        if any(one.psnr_db is not None or one.ssim is not None for one in result.algorithms):
+            print_table(tables.measures(result.algorithms))
+    else:
+        print_table(tables.thresholds(result, title))
+    if verbose:
+        print_table(tables.thresholds(result, "Fitted curves"), details=True)
+    for sentence in [*result.verdict, *cautions(result), *(remarks(result) if verbose else [])]:
+        echo(sentence)
+    echo(f"{result.run_time_s:.2f} s")
+    if out is not None:
+        echo(f"written: {out}")
 
 
-def print_table(table: Table) -> None:
-    """A table on standard output, on one line a row however wide."""
+def print_table(table: Table, *, details: bool = False) -> None:
+    """Show a table on standard output, as narrow as a terminal is; whole where none is at the other end."""
     from rich.console import Console
 
-    # A table that is wider than the terminal is better than one whose numbers are cut.
-    needed = Console(width=1000).measure(table).maximum
-    Console(width=max(Console().width, needed), markup=False).print(table)
+    fits = sys.stdout.isatty() or "COLUMNS" in os.environ
+    made = table.terminal(Console().width if fits else 10_000, details=details)
+    needed = Console(width=10_000).measure(made)
+    width = max(Console().width, needed.minimum) if fits else needed.maximum
+    Console(width=width, markup=False).print(made)
 
 
 def echo(*lines: str) -> None:
-    """Lines on standard output, with escapes for characters that a terminal would obey."""
+    """Show lines on standard output, with escapes for characters that a terminal would obey."""
     for line in lines:
         click.echo(visible(line))
 
@@ -189,33 +239,3 @@ class Commands(click.Group):
                 return super().invoke(ctx)
         except KeyboardInterrupt:
             raise Interruption from None
-
-
-locate_option = click.option(
-    "--locate", is_flag=True, help="Find the triangle's position where the manifest has none."
-)
-
-
-def located(data: Dataset, *, centre: Centre, skip_bad_frames: bool, quiet: bool) -> tuple[Dataset, list[Json]]:
-    """The dataset with the positions that were found, and these as JSON, said unless `quiet`.
-
-    Raises
-    ------
-    FrameError, DataError
-        As `locate_triangles` does.
-    """
-    from todframes.frames.locate import locate_triangles
-    from todframes.report.wording import group_label
-
-    with progress("locating", len(data.trials), quiet=quiet) as advance:
-        data, locations = locate_triangles(data, centre=centre, skip_bad_frames=skip_bad_frames, progress=advance)
-    described: list[Json] = []
-    for place in locations:
-        group = dict(zip(data.experiment.group_by, place.group, strict=True))
-        described.append({**place._asdict(), "group": group})
-        if not quiet:
-            where = f"x_px {place.x_px:.2f}, y_px {place.y_px:.2f} (± {place.standard_error_px:.1g} px)"
-            say(f"located: {group_label(group) or 'all trials'}: {where}")
-    if not locations and data.trials and not quiet:
-        say("located: nothing; the manifest gives all positions")
-    return data, described

@@ -6,40 +6,18 @@ What a command needs is imported when it runs: `--help` answers before numpy is 
 from __future__ import annotations
 
 import sys
-import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 import click
 
 from todframes import __version__
-from todframes.cli import compare as cli_compare
-from todframes.cli import studies as cli_studies
-from todframes.cli.console import (
-    Commands,
-    ProblemLines,
-    echo,
-    keep_libraries_to_one_thread,
-    print_result,
-    progress,
-    run,
-    say,
-)
-from todframes.cli.options import (
-    json_option,
-    make_observer,
-    numbers,
-    observer_options,
-    p_correct_option,
-    seed_option,
-    set_option,
-)
-from todframes.cli.score import score
-from todframes.errors import DataError, SettingsError
-
-if TYPE_CHECKING:
-    pass
+from todframes.cli.compare import compare, enhancements
+from todframes.cli.console import Commands, ProblemLines, echo, keep_libraries_to_one_thread, progress, run, say
+from todframes.cli.options import dataset_argument
+from todframes.cli.score import fit, naked_eye, score
+from todframes.cli.studies import accuracy, stability
+from todframes.errors import DataError
 
 
 @click.command("report")
@@ -51,11 +29,11 @@ def report_command(*, result: Path, out: str | None) -> None:
     One page with nothing else to load; the same bytes from the same result.
     """
     from todframes.output import write_file
-    from todframes.report.html import page
-    from todframes.report.result import load_result
+    from todframes.report.data import read_bytes
+    from todframes.report.result import read_result
 
     try:
-        made = page(load_result(result))
+        made = read_result(read_bytes(result), str(result)).to_html().encode()
     except RecursionError:
         raise DataError(f"{result}: nested too deep, expected the result of a command") from None
     path = Path(out) if out is not None else result.with_name("report.html")
@@ -73,80 +51,8 @@ def cli() -> None:
     """
 
 
-@cli.command("naked-eye")
-@click.option("--contrast", type=float, help="Weber contrast; the threshold is then a size: the acuity.")
-@click.option("--size-mrad", metavar="S[,S…]", help="Sizes; the threshold is then a contrast for each.")
-@observer_options
-@json_option
-def naked_eye(*, contrast: float | None, size_mrad: str | None, as_json: bool, **observer_arguments: Any) -> None:
-    """Thresholds of the observer without any display in between."""
-    start = time.perf_counter()
-    if (contrast is None) == (size_mrad is None):
-        raise SettingsError("naked-eye: expected one of --contrast and --size-mrad")
-    observer, fit_settings, settings = make_observer(**observer_arguments, fitted=False)
-    from todframes.report import convert as report
-    from todframes.scoring.naked_eye import acuity, contrast_threshold
-
-    p_correct = fit_settings.p_correct
-    if contrast is not None:
-        found = [("size_mrad", {"contrast": contrast}, acuity(observer, contrast=contrast, p_correct=p_correct))]
-    else:
-        found = [
-            ("contrast", {"size_mrad": size}, contrast_threshold(observer, size_mrad=size, p_correct=p_correct))
-            for size in numbers(size_mrad or "", "--size-mrad")
-        ]
-    result = report.result_object(
-        "naked-eye",
-        settings=settings,
-        seed=None,
-        fits=[report.computed_threshold_object(group, level, p_correct, *one) for level, group, one in found],
-        skipped=[],
-        run_time_s=time.perf_counter() - start,
-    )
-    print_result(result, "Naked eye", as_json=as_json)
-    if not as_json:
-        echo(*report.closing_line(result).splitlines())
-
-
 @cli.command()
-@click.argument("counts", type=click.Path(path_type=Path))
-@p_correct_option
-@set_option
-@seed_option
-@json_option
-def fit(*, counts: Path, p_correct: float | None, assignments: Sequence[str], seed: int, as_json: bool) -> None:
-    """Fit psychometric functions to COUNTS, a CSV file.
-
-    Its columns are level, n_correct and n_trials; any other column names groups, with one curve each. Settings
-    (--set) are guess_rate, lapse_rate, lapse_rate_max, p_correct and resamples.
-    """
-    start = time.perf_counter()
-    from dataclasses import asdict
-
-    import numpy as np
-
-    from todframes.cli.options import assigned
-    from todframes.config import from_table
-    from todframes.psychometrics.counts import read_counts
-    from todframes.psychometrics.fit import FitSettings, fit_counts
-    from todframes.report import convert as report
-
-    table = assigned(assignments) | ({} if p_correct is None else {"p_correct": p_correct})
-    settings = from_table(table, FitSettings, "settings")
-    fits = []
-    for number, (group, rows) in enumerate(read_counts(counts)):
-        rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number,)))
-        fits.append(report.fit_object(group, "level", fit_counts(*rows.T, settings=settings, rng=rng)))
-    result = report.result_object(
-        "fit", settings=asdict(settings), seed=seed, fits=fits, skipped=[], run_time_s=time.perf_counter() - start
-    )
-    print_result(result, str(counts), as_json=as_json)
-    if not as_json:
-        echo(*report.closing_line(result).splitlines())
-
-
-@cli.command()
-@click.argument("dataset", type=click.Path(path_type=Path))
+@dataset_argument
 @click.option(
     "--add-sha256",
     is_flag=True,
@@ -188,22 +94,8 @@ def validate(*, dataset: Path, add_sha256: bool) -> None:
             say(f"warning: {warning.message}")
 
 
-cli.add_command(cli_studies.stability)
-
-
-cli.add_command(cli_studies.accuracy)
-
-
-cli.add_command(score)
-
-
-cli.add_command(report_command)
-
-
-cli.add_command(cli_compare.compare)
-
-
-cli.add_command(cli_compare.enhancements)
+for command in (score, compare, naked_eye, fit, report_command, enhancements, accuracy, stability):
+    cli.add_command(command)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

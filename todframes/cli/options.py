@@ -11,7 +11,6 @@ import click
 from todframes.errors import SettingsError
 
 if TYPE_CHECKING:
-    from todframes._typing import Json
     from todframes.observers.interface import Observer
     from todframes.psychometrics.fit import FitSettings
 
@@ -28,6 +27,14 @@ def options(*decorators: Callable[[F], F]) -> Callable[[F], F]:
         return function
 
     return decorate
+
+
+dataset_argument = click.argument("dataset", type=click.Path(path_type=Path))
+
+
+verbose_option = click.option(
+    "--verbose", is_flag=True, help="Also the fitted curves, run times and what the numbers leave out."
+)
 
 
 json_option = click.option("--json", "as_json", is_flag=True, help="Print one JSON object on standard output.")
@@ -55,10 +62,11 @@ set_option = click.option(
 observer_options = options(
     click.option(
         "--observer",
-        "observer_name",
         default="pyramid",
         show_default=True,
-        help="Observer, by name: pyramid, informative, oriented or one's own.",
+        metavar="NAME|MODULE:CLASS",
+        help="Observer: pyramid, informative, oriented or another that is registered; or a class of one's own, "
+        "whose code is run.",
     ),
     click.option(
         "--internal-noise", type=float, metavar="N", help="Full width of each neuron's noise.  [default: 0.5]"
@@ -69,16 +77,41 @@ observer_options = options(
 )
 
 
-decisions_option = click.option(
-    "--decisions",
-    type=click.Choice(["expected", "sampled"]),
-    default="expected",
+def tolerance_option(default: float | None, what: str) -> Callable[[F], F]:
+    """The option `--tolerance`, which means something else to each command."""
+    return click.option(
+        "--tolerance", type=float, default=default, show_default=default is not None, metavar="T", help=what
+    )
+
+
+plan_option = click.option(
+    "--plan",
+    type=click.Choice(["needed", "full"]),
+    default="needed",
     show_default=True,
-    help="Each frame's probability of a correct answer, or one answer drawn a trial.",
+    help="Leave out what the scene does not need, or nothing.",
 )
 
 
-running_options = options(
+explain_option = click.option(
+    "--explain", is_flag=True, help="Print what was kept and left out, why, and what that changes."
+)
+
+
+quiet_option = click.option("--quiet", is_flag=True, help="No progress and no remarks on standard error.")
+
+
+scoring_options = options(
+    click.option(
+        "--decisions",
+        type=click.Choice(["expected", "sampled"]),
+        default="expected",
+        show_default=True,
+        help="Each frame's probability of a correct answer, or one answer drawn a trial.",
+    ),
+    plan_option,
+    seed_option,
+    click.option("--locate", is_flag=True, help="Find the triangle's position where the manifest has none."),
     click.option(
         "--on-error",
         type=click.Choice(["stop", "skip"]),
@@ -90,34 +123,15 @@ running_options = options(
         "--workers", type=click.IntRange(1), default=1, show_default=True, help="Threads that read and score."
     ),
 )
+"""Options of the commands that score frames, under the names that the calls have."""
 
 
-quiet_option = click.option("--quiet", is_flag=True, help="No progress and no remarks on standard error.")
+result_options = options(explain_option, verbose_option, json_option, quiet_option)
+"""How the result of such a command is shown."""
 
 
-plan_options = options(
-    click.option(
-        "--plan",
-        "plan_name",
-        type=click.Choice(["needed", "full"]),
-        default="needed",
-        show_default=True,
-        help="Leave out what the scene does not need, or nothing.",
-    ),
-    click.option("--explain", is_flag=True, help="Print what was kept and left out, why, and what that changes."),
-)
-
-
-def make_observer(
-    observer_name: str,
-    internal_noise: float | None,
-    p_correct: float | None,
-    assignments: Sequence[str],
-    observer_settings: Path | None,
-    *,
-    fitted: bool = True,
-) -> tuple[Observer, FitSettings, Json]:
-    """Observer, fit settings and both as JSON, from `observer_options`.
+def make_observer(asked: dict[str, Any], *, fitted: bool = True) -> tuple[Observer, FitSettings]:
+    """Make the observer and the fit settings of `observer_options`, which are taken out of what was asked.
 
     An option of its own goes before `--set`, and that before the file. Where nothing is `fitted`, the criterion is
     the only setting of the fit.
@@ -127,30 +141,41 @@ def make_observer(
     SettingsError
         If there is no such observer or setting, or a value is refused.
     """
-    from dataclasses import asdict, fields
+    from dataclasses import fields
 
+    from todframes.cli.console import prints_go_to_stderr
     from todframes.config import check_keys, from_table, read_toml
     from todframes.observers.interface import find_observer
     from todframes.psychometrics.fit import FitSettings
 
     where, table = "settings", {}
-    if observer_settings is not None:
-        where, table = str(observer_settings), read_toml(observer_settings)
-    table |= assigned(assignments)
-    for name, value in (("internal_noise", internal_noise), ("p_correct", p_correct)):
-        if value is not None:
-            table[name] = value
+    name, path = asked.pop("observer"), asked.pop("observer_settings")
+    if path is not None:
+        where, table = str(path), read_toml(path)
+    table |= _set(asked, "internal_noise", "p_correct")
     if {"internal_noise", "internal_noise_sd"} <= table.keys():
         raise SettingsError(f"{where}: found internal_noise and internal_noise_sd, expected one of them")
-    kind = find_observer(observer_name)
+    with prints_go_to_stderr():
+        kind = find_observer(name)
     of_observer = [field.name for field in fields(kind.settings_type)]
     of_fit = [field.name for field in fields(FitSettings) if fitted or field.name == "p_correct"]
     check_keys(table, of_observer + of_fit, where)
     settings = from_table({k: v for k, v in table.items() if k in of_observer}, kind.settings_type, where)
-    fit_settings = from_table({k: v for k, v in table.items() if k in of_fit}, FitSettings, where)
-    described = {"observer": observer_name, **asdict(settings)}
-    described |= {name: value for name, value in asdict(fit_settings).items() if name in of_fit}
-    return kind(settings), fit_settings, described
+    return kind(settings), from_table({k: v for k, v in table.items() if k in of_fit}, FitSettings, where)
+
+
+def make_fit(asked: dict[str, Any]) -> FitSettings:
+    """Make the fit settings of `--p-correct` and `--set`, which are taken out of what was asked."""
+    from todframes.config import from_table
+    from todframes.psychometrics.fit import FitSettings
+
+    return from_table(_set(asked, "p_correct"), FitSettings, "settings")
+
+
+def _set(asked: dict[str, Any], *names: str) -> dict[str, Any]:
+    """Values by name of `--set` and of options of their own, which go before."""
+    table = assigned(asked.pop("assignments"))
+    return table | {name: value for name in names if (value := asked.pop(name)) is not None}
 
 
 def assigned(assignments: Sequence[str]) -> dict[str, Any]:

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import time
-from contextlib import ExitStack
 from pathlib import Path
 
 import click
 
-from todframes.cli.console import echo, print_table, progress, say
-from todframes.cli.options import json_option, seed_option
+from todframes.cli.console import echo, print_table, progress, say, staged
+from todframes.cli.options import json_option, quiet_option, seed_option
 from todframes.errors import DataError, SettingsError
 
 RECORDED = "recorded"
@@ -19,7 +18,7 @@ RECORDED = "recorded"
 @click.command()
 @json_option
 @click.option("--markdown", "as_markdown", is_flag=True, help="Print the page docs/stability.md.")
-@click.option("--quiet", is_flag=True, help="No progress on standard error.")
+@quiet_option
 def stability(*, as_json: bool, as_markdown: bool, quiet: bool) -> None:
     """Try extreme inputs: what is expected and from where, what came, digits kept.
 
@@ -28,7 +27,7 @@ def stability(*, as_json: bool, as_markdown: bool, quiet: bool) -> None:
     start = time.perf_counter()
     if as_json and as_markdown:
         raise SettingsError("stability: found --json and --markdown, expected one of them")
-    from todframes.report import convert as report
+    from todframes.report.result import Result
     from todframes.studies.stability.case import (
         case_object,
         find_cases,
@@ -44,18 +43,14 @@ def stability(*, as_json: bool, as_markdown: bool, quiet: bool) -> None:
         for case in cases:
             outcomes.append(run_case(case))
             advance(1)
-    run_time_s = time.perf_counter() - start
     if as_json:
-        tried = [case_object(outcome) for outcome in outcomes]
-        result = report.result_object(
-            "stability", settings={}, seed=None, fits=[], skipped=[], cases=tried, run_time_s=run_time_s
-        )
-        click.echo(report.encode(result), nl=False)
+        result = Result.made("stability", start, cases=tuple(map(case_object, outcomes)))
+        click.echo(result.to_json(), nl=False)
     elif as_markdown:
         click.echo(markdown(outcomes), nl=False)
     else:
         print_table(outcome_table(outcomes))
-        echo(f"{len(outcomes)} cases, {run_time_s:.2f} s")
+        echo(f"{len(outcomes)} cases, {time.perf_counter() - start:.2f} s")
     if (short := shortfall(outcomes)) is not None:
         raise DataError(short)
 
@@ -79,7 +74,7 @@ def stability(*, as_json: bool, as_markdown: bool, quiet: bool) -> None:
     "-o", "--out", metavar="OUT", help="Folder for accuracy.json, report.html, accuracy.md and pictures."
 )
 @json_option
-@click.option("--quiet", is_flag=True, help="No progress and no remarks on standard error.")
+@quiet_option
 def accuracy(
     *,
     names: tuple[str, ...],
@@ -98,8 +93,8 @@ def accuracy(
     start = time.perf_counter()
     from functools import partial
 
-    from todframes import output
-    from todframes.report import convert as report
+    from todframes.report.result import Result
+    from todframes.report.tables import scene_tables
     from todframes.studies.accuracy import report as accuracy_report
     from todframes.studies.accuracy.estimators import StudyScene, find_scenes
     from todframes.studies.accuracy.measure import measure
@@ -119,32 +114,27 @@ def accuracy(
                 raise
             if not quiet:
                 say(f"left out: {name}: {error}")
-    with ExitStack() as stack:
-        staging = stack.enter_context(output.output_folder(out)) if out is not None else None
+    with staged(out) as write:
         measured = []
         with progress("measuring", len(scenes), quiet=quiet) as advance:
             for scene in scenes:
                 measured.append(measure(scene, seconds=seconds, seed=seed))
                 advance(1)
-        result = report.result_object(
+        result = Result.made(
             "accuracy",
+            start,
             settings={"seconds": seconds, "dataset": None if dataset is None else str(dataset)},
             seed=seed,
-            fits=[],
-            skipped=[],
-            scenes=[accuracy_report.scene_object(one) for one in measured],
-            run_time_s=time.perf_counter() - start,
+            scenes=tuple(map(accuracy_report.scene_result, measured)),
         )
-        if staging is not None:
-            from todframes.report.html import report_html
-
-            output.write_files(staging, accuracy_report.files(result) | {"report.html": report_html(result)})
+        write(lambda: accuracy_report.files(result))
     if as_json:
-        click.echo(report.encode(result), nl=False)
+        click.echo(result.to_json(), nl=False)
         return
-    for one in result["scenes"]:
-        for table in accuracy_report.tables(one):
-            print_table(table)
-    echo(accuracy_report.NOTE, f"{result['run_time_s']:.0f} s")
+    for one in result.scenes:
+        for table in scene_tables(one):
+            if not table.file.endswith("_budgets.csv"):
+                print_table(table)
+    echo(accuracy_report.NOTE, f"{result.run_time_s:.0f} s")
     if out is not None:
         echo(f"written: {out}")

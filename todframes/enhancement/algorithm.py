@@ -222,20 +222,27 @@ class Enhancement:
 ENTRY_POINT_GROUP = "todframes.enhancements"
 
 
-def find_enhancement(spec: str) -> Enhancement:
-    """An algorithm as users name it.
+def find_enhancement(spec: str | Callable[..., Any]) -> Enhancement:
+    """Return an algorithm that is named, or given as a function.
 
     Parameters
     ----------
-    spec : str
+    spec : str or function
         `name`, that of an entry point of the group `todframes.enhancements`, or `module:function`; either may be
         followed by `:parameter=value,…`. `module:function` runs the module, which may lie in the current folder.
+        Or a function of an image and keyword parameters, `functools.partial` of one included, which takes the
+        defaults of its parameters.
 
     Raises
     ------
     SettingsError
         If there is none of this name or it cannot be imported, or a parameter is unknown, missing or out of range.
     """
+    if not isinstance(spec, str):
+        named = getattr(spec, "func", spec)
+        name = f"{named.__module__}:{getattr(named, '__qualname__', type(named).__name__)}"
+        found = _described(name, name, _function(spec, f"enhance {name!r}"), f"enhance {name!r}")
+        return replace(found, values=_values(found, "", f"enhance {name!r}"))
     head, _, rest = spec.partition(":")
     function_name, _, assignments = ("", "", rest) if "=" in rest.partition(":")[0] else rest.partition(":")
     where = f"enhance {spec!r}"

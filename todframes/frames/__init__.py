@@ -1,1 +1,5 @@
 """Frame files, displays, datasets, and where the triangle lies on a frame."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -20,6 +20,7 @@ from todframes.observers.decision import answer_probabilities
 from todframes.observers.internal_noise import edgeworth_correction, inner_product
 from todframes.observers.retina import RetinaGrid
 from todframes.stimulus import Centre, Orientation, Stimulus
+from todframes.user_code import import_named
 
 ENTRY_POINT_GROUP = "todframes.observers"
 SECOND_ORDER = 20.0
@@ -197,7 +198,12 @@ class TruncatedObserver(Protocol):
 
 
 def find_observer(name: str) -> type[Observer]:
-    """Return the observer class registered under a name in the entry-point group `todframes.observers`.
+    """Return the class of an observer that is named.
+
+    Parameters
+    ----------
+    name : str
+        That of an entry point of the group `todframes.observers`, or `module:Class`, which is imported.
 
     Raises
     ------
@@ -206,9 +212,20 @@ def find_observer(name: str) -> type[Observer]:
     """
     from importlib.metadata import entry_points
 
+    if ":" in name:
+        return _imported(name)
+
     found = {entry.name: entry for entry in entry_points(group=ENTRY_POINT_GROUP)}
     check_keys([name], found, "observer")
     try:
         return cast("type[Observer]", found[name].load())
     except (ImportError, AttributeError) as error:
         raise SettingsError(f"observer: {name!r} cannot be loaded ({error})") from None
+
+
+def _imported(name: str) -> type[Observer]:
+    module, _, class_name = name.partition(":")
+    found = import_named(module, class_name, f"observer: {name!r}")
+    if not (isinstance(found, type) and hasattr(found, "settings_type")):
+        raise SettingsError(f"observer: {name!r}: found no observer, expected a class with a settings_type")
+    return cast("type[Observer]", found)

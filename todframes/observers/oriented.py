@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -92,8 +92,8 @@ class OrientedObserver(PyramidObserver):
     settings_type: ClassVar[type[OrientedSettings]] = OrientedSettings
     settings: OrientedSettings
 
-    def __init__(self, settings: OrientedSettings | None = None, *, more_levels: int = 0) -> None:
-        super().__init__(settings, more_levels=more_levels)
+    def __init__(self, settings: OrientedSettings | None = None, *, more_levels: int = 0, **changes: Any) -> None:
+        super().__init__(settings, more_levels=more_levels, **changes)
         if self.settings.complex_cells:
             self.readout = _no_readout  # type: ignore[assignment] # what is not linear has none, unlike its base
 

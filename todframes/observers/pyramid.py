@@ -11,15 +11,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import lru_cache
-from typing import Annotated, ClassVar, Self
+from typing import Annotated, Any, ClassVar, Self
 
 import numpy as np
 from msgspec import Meta
 
 from todframes._typing import FloatArray
-from todframes.config import check_values
+from todframes.config import check_keys, check_values
 from todframes.errors import SettingsError
 from todframes.observers.interface import OmittedWeights, Readout
 from todframes.observers.internal_noise import Bands, inner_product, summed_noise
@@ -100,17 +100,32 @@ class PyramidObserver:
 
     Parameters
     ----------
-    settings : PyramidSettings
+    settings : PyramidSettings, optional
+        Default: the paper's.
     more_levels : int
         Bands, and octaves of the field, beyond those that a triangle needs.
+    **changes
+        Settings by name, in place of those of `settings`.
+
+    Raises
+    ------
+    SettingsError
+        If there is no such setting, or a value is out of its range.
+
+    Examples
+    --------
+    >>> import todframes as tod
+    >>> tod.PyramidObserver(internal_noise=0.25).settings.internal_noise
+    0.25
 
     Hogervorst et al. 2001, section 4.
     """
 
     settings_type: ClassVar[type[PyramidSettings]] = PyramidSettings
 
-    def __init__(self, settings: PyramidSettings | None = None, *, more_levels: int = 0) -> None:
-        self.settings = settings if settings is not None else self.settings_type()
+    def __init__(self, settings: PyramidSettings | None = None, *, more_levels: int = 0, **changes: Any) -> None:
+        check_keys(changes, [field.name for field in fields(self.settings_type)], "settings")
+        self.settings = replace(settings if settings is not None else self.settings_type(), **changes)
         self._more_levels = more_levels
         # Per observer, not per class: a cache on the method would keep every observer alive.
         self.templates = lru_cache(maxsize=4)(self._templates)

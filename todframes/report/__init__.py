@@ -1,1 +1,5 @@
-"""A result as JSON, tables, figures, sentences and one HTML page."""
+"""One result, with its tables, figures, sentences and HTML page."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -5,7 +5,6 @@ The pictures go into the result itself, so that a report can be made again when 
 
 from __future__ import annotations
 
-import base64
 import math
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -14,7 +13,7 @@ from typing import NamedTuple, Protocol, runtime_checkable
 import cv2
 import numpy as np
 
-from todframes._typing import FloatArray, Json
+from todframes._typing import FloatArray
 from todframes.enhancement.compare import AlgorithmResult
 from todframes.enhancement.enhanced_frame import Screen, TrialReader
 from todframes.frames.contrast import Patch, check_sha256, read_contrast
@@ -22,6 +21,7 @@ from todframes.frames.dataset import Dataset, Trial
 from todframes.frames.files import FrameFile
 from todframes.frames.position import centroid_position
 from todframes.observers.interface import Observer
+from todframes.report.data import Example, Thumbnail, group_of
 from todframes.report.wording import evenly
 from todframes.scoring.retina_view import Shown, retina_image, view_trial
 from todframes.scoring.score import GroupFit, ScoredDataset
@@ -61,8 +61,8 @@ class FramePart(NamedTuple):
     y_px: float
 
 
-def examples(dataset: Dataset, scored: ScoredDataset, observer: Observer) -> list[Json]:
-    """The trial nearest to threshold of each group that has one, of `MOST_EXAMPLES` groups at most.
+def examples(dataset: Dataset, scored: ScoredDataset, observer: Observer) -> tuple[Example, ...]:
+    """Draw the trial nearest to threshold of each group that has one, of `MOST_EXAMPLES` groups at most.
 
     Raises
     ------
@@ -76,25 +76,37 @@ def examples(dataset: Dataset, scored: ScoredDataset, observer: Observer) -> lis
         trial = scored.trials[place]
         # Not a number where the trial was seen at several displacements.
         dx, dy = np.nan_to_num(scored.displacement_samples[place]).tolist()
-        found.append(
-            {
-                "group": dict(zip(dataset.experiment.group_by, one.group, strict=True)),
-                "level": dataset.experiment.level,
-                "strength": trial.level,
-                "orientation": trial.orientation.value,
-                "p_correct": float(scored.p_correct[place]),
-                "frame": trial.frames[0].path,
-                "n_frames": len(trial.frames),
-            }
-            | pictures(
-                _shown(dataset, trial, observer),
-                view_trial(dataset, trial, observer, (dx, dy)).contrast,
-                observer=observer,
-                stimulus=trial.stimulus,
-                pixel_pitch_mrad=dataset.display.pitch_mrad,
-            )
+        width_mrad, drawn = pictures(
+            _shown(dataset, trial, observer),
+            view_trial(dataset, trial, observer, (dx, dy)).contrast,
+            observer=observer,
+            stimulus=trial.stimulus,
+            pixel_pitch_mrad=dataset.display.pitch_mrad,
         )
-    return found
+        found.append(_example(dataset, trial, float(scored.p_correct[place]), width_mrad, drawn))
+    return tuple(found)
+
+
+def _example(
+    dataset: Dataset,
+    trial: Trial,
+    p_correct: float,
+    width_mrad: float,
+    drawn: tuple[Thumbnail, ...],
+    algorithm: str | None = None,
+) -> Example:
+    return Example(
+        group=group_of(dataset, trial.group),
+        algorithm=algorithm,
+        level=dataset.experiment.level,
+        strength=trial.level,
+        orientation=trial.orientation.value,
+        p_correct=p_correct,
+        frame=trial.frames[0].path,
+        n_frames=len(trial.frames),
+        width_mrad=width_mrad,
+        pictures=drawn,
+    )
 
 
 def nearest_trial(scored: ScoredDataset, one: GroupFit) -> int:
@@ -142,8 +154,8 @@ def pictures(
     stimulus: Stimulus,
     pixel_pitch_mrad: float,
     white: float | None = None,
-) -> Json:
-    """The keys `width_mrad` and `pictures` of an example: display, retina image and bands about the triangle.
+) -> tuple[float, tuple[Thumbnail, ...]]:
+    """Draw what surrounds the triangle: display, retina image and bands.
 
     Parameters
     ----------
@@ -158,16 +170,18 @@ def pictures(
 
     Returns
     -------
-    dict
-        Each picture has a `name`, a `png` in base64 and a `scale`: of the display, whose grey is sRGB for the
-        luminance, the contrast of white; of the others the value of white where mid-grey is 0.
+    width_mrad : float
+        Visual angle that all pictures span.
+    pictures : tuple of Thumbnail
+        The `scale` of the display, whose grey is sRGB for the luminance, is the contrast of white; that of the
+        others the value of white where mid-grey is 0.
     """
     reach_px = _reach_px(observer, stimulus, pixel_pitch_mrad)
     display = np.mean([_crop(one, reach_px) for one in shown], axis=0)
     display = _reduced(display, DISPLAY_SIDE_PX, np.mean)
     white = max(1.0, float(display.max())) if white is None else white
     light = np.clip((1.0 + display) / (1.0 + white), 0.0, 1.0)
-    found = [{"name": "display", "png": _png(255.0 * _srgb(light)), "scale": white}]
+    found = [Thumbnail("display", _png(255.0 * _srgb(light)), white)]
     width_mrad = (2 * reach_px + 1) * pixel_pitch_mrad
     reach = min(round(width_mrad / 2.0 / observer.grid(stimulus).pitch_mrad), retina.shape[0] // 2)
     found.append(_signed("retina", _reduced(_about_middle(retina, reach, 1.0), RETINA_SIDE_PX, np.mean)))
@@ -175,7 +189,7 @@ def pictures(
     parts = [_about_middle(band, reach, (retina.shape[0] - 1) / max(band.shape[0] - 1, 1)) for band in bands]
     strongest = sorted(range(len(parts)), key=lambda k: -float(np.abs(parts[k]).max()))[:MOST_BANDS]
     found += [_signed(f"band {k}", _reduced(parts[k], RETINA_SIDE_PX, _peak)) for k in sorted(strongest)]
-    return {"width_mrad": width_mrad, "pictures": found}
+    return width_mrad, tuple(found)
 
 
 def _crop(shown: FramePart, reach_px: int) -> FloatArray:
@@ -215,9 +229,9 @@ def _peak(blocks: FloatArray, axis: int) -> FloatArray:
     return np.take_along_axis(blocks, place, axis).squeeze(axis)
 
 
-def _signed(name: str, image: FloatArray) -> Json:
+def _signed(name: str, image: FloatArray) -> Thumbnail:
     scale = float(np.abs(image).max()) or 1.0
-    return {"name": name, "png": _png(128.0 + 127.0 * image / scale), "scale": scale}
+    return Thumbnail(name, _png(128.0 + 127.0 * image / scale), scale)
 
 
 def _srgb(light: FloatArray) -> FloatArray:
@@ -225,9 +239,9 @@ def _srgb(light: FloatArray) -> FloatArray:
     return np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
 
 
-def _png(grey: FloatArray) -> str:
+def _png(grey: FloatArray) -> bytes:
     _, coded = cv2.imencode(".png", np.rint(grey).astype(np.uint8), [cv2.IMWRITE_PNG_COMPRESSION, 9])
-    return base64.b64encode(coded.tobytes()).decode()
+    return bytes(coded.tobytes())
 
 
 MOST_GROUPS, MOST_ALGORITHMS = 2, 6
@@ -235,15 +249,15 @@ MOST_GROUPS, MOST_ALGORITHMS = 2, 6
 
 def compare_examples(
     dataset: Dataset, results: Sequence[AlgorithmResult], observer: Observer, screen: Screen
-) -> list[Json]:
-    """The trial nearest to the reference's threshold in two groups, as displayed after each of six algorithms.
+) -> tuple[Example, ...]:
+    """Draw the trial nearest to the reference's threshold in two groups, after each of six algorithms.
 
     All pictures of a group have one white. Raises FrameError if a frame can no longer be used.
     """
     shown_results = results[:MOST_ALGORITHMS]
     reader = TrialReader([one.enhancement for one in shown_results], screen)
     reference = results[0].scored
-    found: list[Json] = []
+    found = []
     for group in evenly([one for one in reference.fits if one.fit.threshold is not None], MOST_GROUPS):
         place = nearest_trial(reference, group)
         trial = reference.trials[place]
@@ -251,23 +265,14 @@ def compare_examples(
         dx, dy = np.nan_to_num(reference.displacement_samples[place]).tolist()
         after = reader(dataset, trial, observer, grid_of, [(dx, dy)], whole=True)
         draw = partial(_drawn, (dx, dy), observer, trial.stimulus)
-        white = max(draw(one)["pictures"][0]["scale"] for one in after)
+        white = max(draw(one)[1][0].scale or 0.0 for one in after)
         for result, one in zip(shown_results, after, strict=True):
             (here,) = [k for k, other in enumerate(result.scored.trials) if other.number == trial.number]
+            p_correct = float(result.scored.p_correct[here])
             found.append(
-                {
-                    "group": dict(zip(dataset.experiment.group_by, group.group, strict=True)),
-                    "algorithm": result.enhancement.spec,
-                    "level": dataset.experiment.level,
-                    "strength": trial.level,
-                    "orientation": trial.orientation.value,
-                    "p_correct": float(result.scored.p_correct[here]),
-                    "frame": trial.frames[0].path,
-                    "n_frames": len(trial.frames),
-                }
-                | draw(one, white=white)
+                _example(dataset, trial, p_correct, *draw(one, white=white), algorithm=result.enhancement.spec)
             )
-    return found
+    return tuple(found)
 
 
 def _drawn(
@@ -276,8 +281,8 @@ def _drawn(
     stimulus: Stimulus,
     shown: Shown,
     white: float | None = None,
-) -> Json:
-    """What is shown after one algorithm, as pictures."""
+) -> tuple[float, tuple[Thumbnail, ...]]:
+    """Draw what is shown after one algorithm."""
     return pictures(
         [FramePart(*part) for part in zip(shown.patches, shown.x_px, shown.y_px, strict=True)],
         retina_image(shown, observer.grid(stimulus), displacement_samples),

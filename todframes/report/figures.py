@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Mapping, Sequence
+import textwrap
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-import msgspec
 import numpy as np
 
 from todframes._typing import Json
 from todframes.psychometrics.weibull import weibull
+from todframes.report.data import Algorithm, Fit, Ratio, ResultData, SceneResult
 from todframes.report.figure_style import (
     INK,
     PAPER,
@@ -23,9 +25,8 @@ from todframes.report.figure_style import (
     style,
     within,
 )
-from todframes.report.result import Algorithm, Fit, Ratio, read_result
 from todframes.report.summary import by_curve, size_column
-from todframes.report.wording import evenly, group_label, group_phrase, level_name
+from todframes.report.wording import evenly, group_phrase, level_heading, level_name, plain, unit_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -41,24 +42,114 @@ MOST_IN_LEGEND = 12
 MOST_SIZES_NAMED = 8
 
 
+class Picture(NamedTuple):
+    """A figure to be drawn, for the page and as a PNG.
+
+    `note` says how to read it; `file` is the name of the PNG, "" where it is for the page alone.
+    """
+
+    title: str
+    note: str
+    draw: Callable[[Axes], None]
+    file: str = ""
+
+    def figure(self) -> Figure:
+        """Draw it as a figure of its own, in the style of all figures."""
+        figure, axes = new_figure()
+        self.draw(axes)
+        return figure
+
+    def png(self) -> bytes:
+        """Draw it as a PNG with its title above and its note below."""
+        with style():
+            figure = self.figure()
+            figure.axes[0].set_title(label_text(self.title))
+            return save_png(figure, self.note)
+
+
+def save_png(figure: Figure, note: str = "") -> bytes:
+    """Make the PNG of a figure with a note below it, within `style`: the same figure gives the same bytes."""
+    if note:
+        figure.supxlabel(textwrap.fill(note, 95), fontsize="x-small", x=0.02, ha="left")
+    buffer = io.BytesIO()
+    # No software version among the attributes, which would make other bytes of the same figure.
+    figure.savefig(buffer, format="png", dpi=160, metadata={"Software": None})
+    return buffer.getvalue()
+
+
+def drawn(draw: Callable[[Axes], None], ax: Axes | None) -> Axes:
+    """Draw into given axes, or into those of a new figure of pyplot."""
+    with style():
+        if ax is None:
+            from matplotlib import pyplot
+
+            _, ax = pyplot.subplots(layout="constrained")
+        draw(ax)
+    return ax
+
+
+def pictures(result: ResultData) -> list[Picture]:
+    """List the figures of a result, the most important first."""
+    found = []
+    if any(one.ratios for one in result.algorithms):
+        note = (
+            "Below 1 the algorithm helps. Filled: a difference is shown; open: none is. Lines are 95 % intervals, "
+            "dotted where the data leave an end open."
+        )
+        draw = partial(draw_ratios, algorithms=result.algorithms)
+        found.append(Picture("Thresholds with and without", note, draw, "compare.png"))
+    everything = result.thresholds
+    alone = bool(result.fits)
+    if has_tod_curve(everything):
+        file = "tod_curve.png" if alone else ""
+        found.append(Picture("TOD curve", _tod_note(everything), partial(draw_tod, fits=everything), file))
+    of_algorithms = ((f"Psychometric functions: {one.name}", one.fits, "") for one in result.algorithms)
+    for title, fits, file in (("Psychometric functions", result.fits, "psychometric.png"), *of_algorithms):
+        seen = [fit for fit in fits if fit.points]
+        if seen:
+            note = f"Proportion correct against {level_name(seen[0].level)}; dashed: the criterion."
+            if len(seen) > MOST_CURVES:
+                note += f" {MOST_CURVES} of {len(seen)} curves are drawn."
+            found.append(Picture(title, note, partial(draw_psychometric, fits=seen), file))
+    for scene in result.scenes:
+        if scene_runs(scene):
+            note = (
+                "Error of the threshold against CPU time, a line for each way to compute it. "
+                "Grey: below the error of the converged value."
+            )
+            draw = partial(draw_errors, scene=scene)
+            found.append(Picture(scene.heading, note, draw, f"accuracy_{scene.name}.png"))
+    return found
+
+
+def _tod_note(fits: Sequence[Fit]) -> str:
+    first = fits[0]
+    note = f"Threshold {level_name(first.level)} at {100 * first.p_correct:g} % correct against 1 / size."
+    note += " Filled: within the levels shown; open: extrapolated." if any(fit.n_trials for fit in fits) else ""
+    intervals = [fit.threshold_ci95 for fit in fits if fit.threshold_ci95 is not None]
+    if intervals:
+        open_ended = any(None in interval for interval in intervals)
+        note += f" Vertical lines are 95 % intervals{', dotted where the data leave an end open' * open_ended}."
+    return note
+
+
 def has_tod_curve(fits: Sequence[Fit]) -> bool:
-    """Whether there is a column of sizes, and a threshold at two of them at least."""
+    """Tell whether there is a column of sizes, and a threshold at two of them at least."""
     size = size_column(fits)
     return size is not None and len({fit.group[size] for fit in fits if fit.threshold is not None}) >= 2
 
 
-def tod_figure(fits: Sequence[Fit]) -> Figure:
-    """Threshold against size of fits that have a TOD curve, with intervals; ΔT on the right where it is known."""
-    figure, axes = new_figure()
+def draw_tod(axes: Axes, fits: Sequence[Fit]) -> None:
+    """Draw threshold against size of fits that have a TOD curve, with intervals, and ΔT where it is known."""
     name = size_column(fits)
     assert name is not None
-    unit = name.removeprefix("size_")
+    unit = unit_of(name)
     curves = list(by_curve([fit for fit in fits if fit.threshold is not None]).items())[:MOST_CURVES]
     axes.set(
         xscale="log",
         yscale="log",
         xlabel=label_text(f"1 / size ({unit}⁻¹)"),
-        ylabel=label_text(f"threshold {level_name(fits[0].level)}"),
+        ylabel=label_text(f"threshold {level_heading(fits[0].level)}"),
     )
     drawn = [
         place
@@ -77,7 +168,6 @@ def tod_figure(fits: Sequence[Fit]) -> Figure:
     top.set_xticks(named, [f"{1.0 / x:g}" for x in named])
     top.minorticks_off()
     _temperature_axis(axes, drawn)
-    return figure
 
 
 class _Place(NamedTuple):
@@ -102,7 +192,7 @@ def _draw_tod_curve(axes: Axes, fits: Sequence[Fit], name: str, label: str, look
         if low is not None or high is not None:
             ends = [within(end or place.threshold) for end in (low, high)]
             axes.plot([place.x] * 2, ends, "-_", color=look.colour)
-        if place.fit.status != "ok":
+        if place.fit.status == "extrapolated":
             axes.plot(place.x, place.threshold, **style_of_points, markerfacecolor=PAPER, zorder=3)
     return places
 
@@ -135,12 +225,11 @@ def _temperature_axis(axes: Axes, places: Sequence[_Place]) -> None:
     plain_ticks(right.yaxis, [place.threshold * factor for place in places])
 
 
-def psychometric_figure(fits: Sequence[Fit]) -> Figure:
-    """Proportion correct against level: the points, the fitted curves, the criterion and the guess rate.
+def draw_psychometric(axes: Axes, fits: Sequence[Fit]) -> None:
+    """Draw proportion correct against level: points, fitted curves, criterion and guess rate.
 
-    Of fits with points; there must be one at least.
+    One of the fits must have points at least; those without are left out.
     """
-    figure, axes = new_figure()
     fits = evenly([fit for fit in fits if fit.points], MOST_CURVES)
     levels = [within(point.level) for fit in fits for point in fit.points]
     for number, fit in enumerate(fits):
@@ -149,13 +238,15 @@ def psychometric_figure(fits: Sequence[Fit]) -> Figure:
         if height is not None:
             axes.axhline(height, color=INK, alpha=0.6, ls=line, lw=0.8)
     axes.set(
-        xscale="log", ylim=(0.0, 1.02), xlabel=label_text(level_name(fits[0].level)), ylabel="proportion correct"
+        xscale="log",
+        ylim=(0.0, 1.02),
+        xlabel=label_text(level_heading(fits[0].level)),
+        ylabel="proportion correct",
     )
     if levels and min(levels) < max(levels):
         plain_ticks(axes.xaxis, levels)
     if len(fits) <= MOST_IN_LEGEND:
         add_legend(axes)
-    return figure
 
 
 def _draw_psychometric_curve(axes: Axes, fit: Fit, look: Look) -> None:
@@ -182,9 +273,8 @@ def _draw_psychometric_curve(axes: Axes, fit: Fit, look: Look) -> None:
         )  # computed, with no error to fit
 
 
-def ratio_figure(algorithms: Sequence[Algorithm]) -> Figure:
-    """Threshold over that of the reference, for each algorithm and group; filled where a difference is shown."""
-    figure, axes = new_figure()
+def draw_ratios(axes: Axes, algorithms: Sequence[Algorithm]) -> None:
+    """Draw threshold over that of the reference, by algorithm and group; filled where a difference is shown."""
     others = [one for one in algorithms if one.ratios][:MOST_IN_LEGEND]
     compared = [{_ratio_label(ratio): ratio for ratio in (*one.ratios, one.overall) if ratio} for one in others]
     labels = list(dict.fromkeys(label for ratios in compared for label in ratios))[:MOST_CURVES]
@@ -198,7 +288,9 @@ def ratio_figure(algorithms: Sequence[Algorithm]) -> Figure:
             if ratio is None or ratio.ratio is None:
                 continue
             ends = [within(end or ratio.ratio) for end in ratio.ratio_ci95 or (None, None)]
-            axes.plot([place + shift] * 2, ends, "-", color=look.colour)
+            axes.plot(
+                [place + shift] * 2, ends, ":" if None in (ratio.ratio_ci95 or ()) else "-", color=look.colour
+            )
             shown = ratio.verdict in ("better", "worse")
             face = look.colour if shown else PAPER
             axes.plot(place + shift, within(ratio.ratio), **points, markerfacecolor=face)
@@ -210,24 +302,15 @@ def ratio_figure(algorithms: Sequence[Algorithm]) -> Figure:
     axes.grid(False, axis="x")
     plain_ticks(axes.yaxis, axes.get_ylim())
     add_legend(axes)
-    return figure
 
 
 def _ratio_label(ratio: Ratio) -> str:
     return group_phrase(ratio.group) if ratio.group else "all groups"
 
 
-def error_figure(runs: Mapping[str, Sequence[tuple[float, float]]], *, x: str, y: str) -> Figure:
-    """Error against run time, both logarithmic: a line for each estimator.
-
-    Parameters
-    ----------
-    runs : mapping
-        Pairs (run time, error), both > 0, by the estimator's name.
-    x, y : str
-        What stands at the axes.
-    """
-    figure, axes = new_figure()
+def draw_errors(axes: Axes, scene: SceneResult) -> None:
+    """Draw error against CPU time of a scene of `accuracy`, both logarithmic: a line for each estimator."""
+    runs = scene_runs(scene)
     for number, (name, pairs) in enumerate(runs.items()):
         look, (times, errors) = look_of(number, len(runs)), zip(*sorted(pairs), strict=True)
         axes.plot(
@@ -237,85 +320,44 @@ def error_figure(runs: Mapping[str, Sequence[tuple[float, float]]], *, x: str, y
             marker=look.marker,
             label=label_text(name),
         )
-    axes.set(xscale="log", yscale="log", xlabel=label_text(x), ylabel=label_text(y))
+    axes.set(xscale="log", yscale="log", xlabel="CPU time (s)", ylabel="relative error of the threshold")
+    bottom = axes.get_ylim()[0]
+    if scene.threshold and scene.threshold_bound and scene.threshold_bound / scene.threshold > bottom:
+        axes.axhspan(bottom, scene.threshold_bound / scene.threshold, color=INK, alpha=0.08, lw=0.0, zorder=0)
+        axes.set_ylim(bottom=bottom)
+    for ratio in scene.speed_ratios:
+        if ratio.ratio is not None:
+            text = f"{'≥ ' * ratio.at_least}{plain(ratio.ratio, 2)} times less CPU"
+            text += ", extrapolated" * ratio.extrapolated
+            axes.axhline(ratio.threshold_error, color=INK, alpha=0.6, ls="--", lw=0.8, zorder=0)
+            place, units = (0.02, ratio.threshold_error), ("axes fraction", "data")
+            axes.annotate(
+                text,
+                place,
+                (0, 2),
+                xycoords=units,
+                textcoords="offset points",
+                fontsize="small",
+            )
     if len(runs) <= MOST_IN_LEGEND:
         add_legend(axes)
-    return figure
 
 
-def plots(result: Json) -> dict[str, bytes]:
-    """PNG pictures of a result by file name: the psychometric functions, and the TOD curve if there is one."""
-    fits = read_result(msgspec.json.encode(result), "result").fits
-    with style():
-        pictures = {"psychometric.png": _png(psychometric_figure(fits), "Psychometric functions")}
-        if has_tod_curve(fits):
-            pictures["tod_curve.png"] = _png(
-                tod_figure(fits), f"TOD curve ({100 * fits[0].p_correct:g} % correct)"
-            )
-    return pictures
+Runs = dict[str, list[tuple[float, float]]]
 
 
-def _png(figure: Figure, title: str) -> bytes:
-    figure.axes[0].set_title(title)
-    buffer = io.BytesIO()
-    # No software version among the attributes: the same result gives the same bytes.
-    figure.savefig(buffer, format="png", dpi=160, metadata={"Software": None})
-    return buffer.getvalue()
+def scene_runs(scene: SceneResult) -> Runs:
+    """Collect CPU time and relative error of the threshold at each budget of each estimator; both above 0."""
+    runs = {
+        one.title: [
+            (float(point["cpu_s"]), float(point["threshold_error"]))
+            for point in one.points
+            if _is_positive(point.get("cpu_s")) and _is_positive(point.get("threshold_error"))
+        ]
+        for one in scene.estimators
+    }
+    return {title: pairs for title, pairs in runs.items() if pairs}
 
 
-WIDTH = 0.8
-"""Of all algorithms of a group together; groups are 1 apart."""
-
-
-WIDEST_IN = 40.0
-"""Of the picture, however many points it has."""
-
-
-def compare_plot(algorithms: Sequence[Json]) -> bytes:
-    """PNG: thresholds above, ratios below, groups side by side; from `algorithm_objects`."""
-    from matplotlib.figure import Figure
-
-    groups = [group_label(fit["group"]) or "all trials" for fit in algorithms[0]["fits"]]
-    width = min(max(6.4, 1.6 + 0.25 * len(groups) * len(algorithms)), WIDEST_IN)
-    figure = Figure(figsize=(width, 6.4), layout="constrained")
-    above, below = figure.subplots(2, 1, sharex=True)
-    for number, one in enumerate(algorithms):
-        places = [group + WIDTH * ((number + 0.5) / len(algorithms) - 0.5) for group in range(len(groups))]
-        colour = "0.35" if number == 0 else f"C{(number - 1) % 10}"
-        fits, ratios = one["fits"], one["ratios"]
-        _draw(above, places, [fit["threshold"] for fit in fits], [fit["threshold_ci95"] for fit in fits], colour)
-        _draw(below, places, [r["ratio"] for r in ratios], [r["ratio_ci95"] for r in ratios], colour)
-        above.plot([], [], "o", color=colour, label=label_text(one["name"]))
-        for place, fit in zip(places, fits, strict=True):
-            side = {"never_reached": (0.97, "^"), "always_exceeded": (0.03, "v")}.get(fit["status"])
-            if side is not None:
-                above.plot(
-                    place, side[0], side[1], color=colour, transform=above.get_xaxis_transform(), clip_on=False
-                )
-    below.axhline(1.0, color="0.35", lw=0.8)
-    above.set(ylabel=label_text(f"threshold {algorithms[0]['fits'][0]['level']}"), title="Thresholds")
-    below.set(ylabel="ratio to the reference", title="Below 1: the algorithm helps")
-    below.set_xticks(range(len(groups)), [label_text(group) for group in groups])
-    for axes in (above, below):
-        axes.set_yscale("log")
-        axes.grid(True, axis="y", which="both", alpha=0.25)
-        plain_ticks(axes.yaxis, axes.get_ylim())
-    figure.legend(loc="outside right upper", fontsize="small")
-    buffer = io.BytesIO()
-    # No software version among the attributes: the same result gives the same bytes.
-    figure.savefig(buffer, format="png", dpi=144, metadata={"Software": None})
-    return buffer.getvalue()
-
-
-def _draw(
-    axes: Axes, places: Sequence[float], values: Sequence[float | None], bounds: Sequence[Any], colour: str
-) -> None:
-    """Points with their intervals; an open end goes to the edge of the picture."""
-    for place, value, interval in zip(places, values, bounds, strict=False):
-        if value is not None:
-            axes.plot(place, value, "o", color=colour, markersize=5)
-            low, high = interval or (value, value)
-            if low is not None and high is not None:
-                axes.plot([place, place], [low, high], "-", color=colour, lw=1.5)
-            else:
-                axes.plot(place, value, "o", color=colour, markersize=5, markerfacecolor="white")
+def _is_positive(value: object) -> bool:
+    return isinstance(value, int | float) and value > 0

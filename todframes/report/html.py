@@ -6,26 +6,27 @@ The page is made from the result alone, so the same result gives the same bytes.
 from __future__ import annotations
 
 import base64
-import re
+import zlib
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import cache
 from typing import TYPE_CHECKING
+from urllib.parse import quote
 
 import msgspec
 
 from todframes._typing import Json
-from todframes.report import figures
-from todframes.report import tables as report_tables
+from todframes.report import tables
+from todframes.report.data import Example, Record, ResultData, Thumbnail
 from todframes.report.figure_style import style
-from todframes.report.result import Algorithm, Example, Fit, Record, Result, Thumbnail, read_result
-from todframes.report.summary import verdict
+from todframes.report.figures import pictures
+from todframes.report.summary import cautions, remarks, verdict
 from todframes.report.svg import inline_svg
-from todframes.report.tables import scene_runs, scene_tables
+from todframes.report.table import HIDDEN, Table, markup
 from todframes.report.wording import group_phrase, level_name, plain
 
 if TYPE_CHECKING:
     from jinja2 import Environment
-    from matplotlib.figure import Figure
 
 
 MOST_FIGURES = 12
@@ -41,23 +42,8 @@ TITLES = {
 }
 
 
-_HIDDEN = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069\ud800-\udfff\ufffe\uffff]")
-"""What HTML does not allow, and what would turn the direction of the text beside it."""
-
-
-def report_html(result: Json) -> bytes:
-    """The page of a result, the object that `--json` prints.
-
-    Raises
-    ------
-    DataError
-        If the result lacks what a report cannot do without, or a value is of the wrong kind.
-    """
-    return page(read_result(msgspec.json.encode(result), "result"))
-
-
-def page(result: Result) -> bytes:
-    """The page of a result that has been read back, in UTF-8."""
+def page(result: ResultData) -> str:
+    """Make the page of a result."""
     content = {
         "title": TITLES[result.command],
         "about": _about(result),
@@ -65,12 +51,14 @@ def page(result: Result) -> bytes:
         "verdict": verdict(result),
         "figures": _figures(result),
         "tables_shown": _tables(result),
-        "examples": _examples(result.examples),
-        "remarks": _remarks(result),
+        "examples": _examples(result.examples or ()),
+        "remarks": [f"Run time {plain(result.run_time_s)} s."] * (result.run_time_s is not None)
+        + remarks(result)
+        + cautions(result),
         "details": _details(result),
         "version": result.version,
     }
-    return _environment().get_template("report.html.j2").render(content).encode()
+    return _environment().get_template("report.html.j2").render(content)
 
 
 @cache
@@ -88,86 +76,44 @@ def _environment() -> Environment:
 
 
 def _shown(text: str) -> str:
-    return _HIDDEN.sub("\ufffd", text)
+    return HIDDEN.sub("\ufffd", text)
 
 
-def _about(result: Result) -> str:
+def _about(result: ResultData) -> str:
     """What was looked at: the dataset, or the sensor by its name."""
     sensor = result.settings.get("sensor")
     name = sensor.get("name") if isinstance(sensor, dict) else None
     return str(result.dataset or name or "")
 
 
-def _figures(result: Result) -> list[Json]:
+def _figures(result: ResultData) -> list[Json]:
     with style():
         return [
             {
-                "svg": inline_svg(figure, name=f"figure-{number}", label=_shown(f"{title}. {note}")),
-                "title": title,
-                "note": note,
+                "svg": inline_svg(one.figure(), name=f"figure-{number}", label=_shown(f"{one.title}. {one.note}")),
+                "title": one.title,
+                "note": one.note,
             }
-            for number, (figure, title, note) in enumerate(_drawn(result)[:MOST_FIGURES], 1)
+            for number, one in enumerate(pictures(result)[:MOST_FIGURES], 1)
         ]
 
 
-def _drawn(result: Result) -> list[tuple[Figure, str, str]]:
-    """Figures with title and a note on what they show."""
-    drawn = []
-    if any(one.ratios for one in result.algorithms):
-        note = "Below 1 the algorithm helps. Filled: a difference is shown. Lines are 95 % intervals."
-        drawn.append((figures.ratio_figure(result.algorithms), "Thresholds with and without", note))
-    everything = [*result.fits, *(fit for one in result.algorithms for fit in _named_fits(one))]
-    if figures.has_tod_curve(everything):
-        drawn.append((figures.tod_figure(everything), "TOD curve", _tod_note(everything)))
-    for title, fits in [
-        ("Psychometric functions", result.fits),
-        *((f"Psychometric functions: {one.name}", one.fits) for one in result.algorithms),
-    ]:
-        seen = [fit for fit in fits if fit.points]
-        if seen:
-            note = f"Proportion correct against {level_name(seen[0].level)}; dashed: the criterion."
-            if len(seen) > figures.MOST_CURVES:
-                note += f" {figures.MOST_CURVES} of {len(seen)} curves are drawn."
-            drawn.append((figures.psychometric_figure(seen), title, note))
-    for scene in result.scenes:
-        if runs := scene_runs(scene):
-            note = "Error of the threshold against CPU time, a line for each way to compute it."
-            figure = figures.error_figure(runs, x="CPU time (s)", y="relative error of the threshold")
-            drawn.append((figure, scene.heading, note))
-    return drawn
-
-
-def _named_fits(algorithm: Algorithm) -> list[Fit]:
-    """The fits of an algorithm, which is one of their groups."""
-    return [
-        msgspec.structs.replace(fit, group={"algorithm": algorithm.name} | fit.group) for fit in algorithm.fits
-    ]
-
-
-def _tod_note(fits: Sequence[Fit]) -> str:
-    note = f"Threshold {level_name(fits[0].level)} at {100 * fits[0].p_correct:g} % correct against 1 / size."
-    intervals = [fit.threshold_ci95 for fit in fits if fit.threshold_ci95 is not None]
-    if intervals:
-        open_ended = any(None in interval for interval in intervals)
-        note += f" Vertical lines are 95 % intervals{', dotted where the data leave an end open' * open_ended}."
-    if any(fit.status == "extrapolated" for fit in fits):
-        note += " Open points are extrapolated."
-    return note
-
-
-def _tables(result: Result) -> list[Json]:
+def _tables(result: ResultData) -> list[Json]:
     """The tables under the figures; `folded` ones are opened by hand."""
-    found: list[Json] = []
+    found = []
     if result.algorithms:
-        found += [{"table": report_tables.ratios(result.algorithms), "folded": False}]
-        found += [{"table": report_tables.measures(result.algorithms), "folded": False}]
-    if result.fits or any(one.fits for one in result.algorithms):
-        found.append({"table": report_tables.thresholds(result), "folded": bool(result.algorithms)})
-    points = report_tables.points(result)
-    found += [{"table": points, "folded": True}] if points is not None else []
-    for number, scene in enumerate(result.scenes, 1):
-        found += [{"table": one, "folded": bool(n)} for n, one in enumerate(scene_tables(scene, number))]
+        found += [_item(tables.ratios(result)), _item(tables.measures(result.algorithms))]
+    if result.thresholds:
+        found.append(_item(tables.thresholds(result), folded=bool(result.algorithms)))
+    points = tables.points(result)
+    found += [_item(points, folded=True)] if points is not None else []
+    for scene in result.scenes:
+        found += [_item(one, folded=bool(n)) for n, one in enumerate(tables.scene_tables(scene))]
     return found
+
+
+def _item(table: Table, *, folded: bool = False) -> Json:
+    return {"table": table, "csv": "data:text/csv;charset=utf-8," + quote(table.csv()), "folded": folded}
 
 
 def _examples(examples: Sequence[Example]) -> list[Json]:
@@ -187,7 +133,7 @@ def _about_example(one: Example) -> str:
         f"{level_name(one.level)} {plain(one.strength)}" if one.strength is not None else "",
         f"P(correct) {plain(one.p_correct, 2)}" if one.p_correct is not None else "",
         f"{plain(one.width_mrad)} mrad wide" if one.width_mrad is not None else "",
-        f"mean of {one.n_frames} frames" if one.n_frames > 1 else "",
+        f"mean of {one.n_frames} frames" if (one.n_frames or 1) > 1 else "",
         one.frame or "",
     ]
     return ", ".join(part for part in parts if part)
@@ -210,46 +156,34 @@ def _tile(picture: Thumbnail) -> Json:
     }
 
 
-def _remarks(result: Result) -> list[str]:
-    """Run time and error."""
-    fits = [*result.fits, *(fit for one in result.algorithms for fit in one.fits)]
-    told = [f"Run time {plain(result.run_time_s)} s."] if result.run_time_s is not None else []
-    relative = [
-        fit.threshold_numerical_error / fit.threshold
-        for fit in fits
-        if fit.threshold is not None and fit.threshold_numerical_error is not None
-    ]
-    if relative:
-        told.append(f"Numerical error of the thresholds: {plain(100 * max(relative), 2)} % at most.")
-    bound = max((fit.p_correct_error_bound or 0.0 for fit in fits), default=0.0)
-    if bound:
-        told.append(f"P(correct) is right within {plain(bound, 1)}, as the summed noise is not quite Gaussian.")
-    apart = [
-        100 * abs(fit.points_threshold / fit.threshold - 1)
-        for fit in fits
-        if fit.threshold is not None and fit.points_threshold is not None
-    ]
-    if max(apart, default=0.0) >= 1.0:
-        told.append(
-            f"The points themselves cross the criterion up to {plain(max(apart), 2)} % away from the fitted "
-            "curve; the intervals cover both."
-        )
-    if result.negative_luminance_pixels:
-        told.append(f"{result.negative_luminance_pixels} display pixels have a luminance below zero.")
-    return told
-
-
-def _details(result: Result) -> list[Json]:
+def _details(result: ResultData) -> list[Json]:
     """How it was made, as tables to open by hand."""
-    plan = result.plan + [dict(fit.group) | step for fit in result.fits for step in fit.plan]
-    records: list[tuple[str, str, list[Record], bool]] = [
+    records: list[tuple[str, str, Sequence[Record], bool]] = [
         ("Frames left out", "skipped.csv", result.skipped, False),
-        ("Positions found", "located.csv", result.located, True),
-        ("Plan: what was computed and what was left out", "plan.csv", plan, True),
+        ("Positions found", "located.csv", result.located or (), True),
     ]
     found = [
-        {"table": report_tables.records_table(caption, file, rows), "folded": folded}
+        _item(tables.records_table(caption, file, rows), folded=folded)
         for caption, file, rows, folded in records
         if rows
     ]
-    return [*found, {"table": report_tables.settings(result), "folded": True}]
+    found += (
+        [_item(tables.plan(result), folded=True)] if result.plan or any(fit.plan for fit in result.fits) else []
+    )
+    return [*found, _item(tables.settings(result), folded=True)]
+
+
+def notebook_html(result: ResultData) -> str:
+    """Make what a notebook shows of a result: sentences, its table and its first figure, with nothing to load."""
+    told = "".join(f"<p>{markup(sentence)}</p>" for sentence in verdict(result))
+    table = tables.ratios(result) if result.algorithms else tables.thresholds(result)
+    compact = replace(table, columns=tuple(one for one in table.columns if not one.is_detail))
+    drawn = pictures(result)[:1]
+    # Names inside of a drawing hold for the whole notebook: those of another result must be others.
+    name = f"tod-{zlib.crc32(msgspec.json.encode(result)):08x}"
+    with style():
+        svg = "".join(
+            inline_svg(one.figure(), name=name, label=_shown(f"{one.title}. {one.note}")) for one in drawn
+        )
+    paper = "--paper: var(--jp-layout-color0, Canvas); max-width: 40rem"
+    return f'<div style="{paper}">{told}{compact.html()}{svg}</div>'

@@ -1,288 +1,266 @@
-"""A result as read back from its JSON: what a report needs of it, every key checked.
-
-Keys that are not named here are left alone, so results of later versions can be read.
-"""
+"""The result of a command or call: its numbers, and everything that can be made of them."""
 
 from __future__ import annotations
 
-import re
-from collections.abc import Sequence
+import csv
+import platform
+import sys
+import time
+from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import TYPE_CHECKING, Any, Self
 
 import msgspec
-from msgspec import Meta, Struct
 
-from todframes.config import read_file
-from todframes.errors import DataError
+from todframes import __version__
+from todframes.report.data import SCHEMA, ResultData, decode, read_bytes
+from todframes.safe_text import visible_json
 
-T = TypeVar("T")
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from pandas import DataFrame
 
-
-SCHEMA = 1
-
-
-MAX_MB = 64
+    from todframes.report.table import Table
 
 
-PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+LIBRARIES = ("numpy", "scipy", "cv2", "OpenImageIO")
 
 
-CONTENT = {
-    "score": "fits",
-    "naked-eye": "fits",
-    "fit": "fits",
-    "curve": "fits",
-    "compare": "algorithms",
-    "accuracy": "scenes",
-}
-"""Commands with a report, and the key that such a result cannot do without."""
+class Result(ResultData, frozen=True, kw_only=True, dict=True):
+    """Thresholds, and how they came about.
 
+    `todframes.score`, `compare`, `fit_counts`, `naked_eye` and `sensor_sim.curve` return one, and `load_result`
+    reads it back. Its fields are the keys of `result.json`.
 
-Positive = Annotated[float, Meta(gt=0)]
+    Attributes
+    ----------
+    thresholds : tuple of Fit
+        A record for each group, with `group`, `level`, `threshold`, `threshold_ci95`, `status` and the curve.
+    algorithms : tuple of Algorithm
+        Of a comparison: ratios of thresholds and verdicts.
+    trials : Table or None
+        Scores of each trial, as in `scores.csv`.
+    settings : dict
+        Everything that was set.
+    skipped : tuple of dict
+        Frames that could not be used, and why.
 
+    Examples
+    --------
+    >>> import todframes as tod
+    >>> result = tod.score("sample_frames/naked_eye")
+    >>> [(one.group["size_mrad"], round(one.threshold, 3)) for one in result.thresholds]
+    [(0.6, 0.303), (0.9, 0.161), (1.4, 0.102), (2.4, 0.07)]
+    """
 
-Proportion = Annotated[float, Meta(ge=0, le=1)]
+    @classmethod
+    def made(cls, command: str, started: float, **fields: Any) -> Self:
+        """Make a result of a command that started at a `time.perf_counter`, with the versions of what it used."""
+        used = {name: sys.modules[name].__version__ for name in LIBRARIES if name in sys.modules}
+        return cls(
+            schema=SCHEMA,
+            command=command,
+            version=__version__,
+            versions={"python": platform.python_version(), **used},
+            run_time_s=round(time.perf_counter() - started, 4),
+            **fields,
+        )
 
-
-Interval = tuple[Positive | None, Positive | None]
-
-
-Group = dict[str, float | str]
-
-
-Record = dict[str, Any]
-
-
-Names = list[Any] | str
-
-
-class FitPoint(Struct, frozen=True):
-    """The proportion correct at one level; `n_trials` is 0 where it was computed."""
-
-    level: Positive
-    n_trials: int
-    p_correct: Proportion
-
-
-class Fit(Struct, frozen=True):
-    """A threshold and the curve it was read from, one object of `fits`."""
-
-    group: Group
-    level: str
-    status: str
-    p_correct: Proportion
-    threshold: Positive | None = None
-    threshold_ci95: Interval | None = None
-    threshold_numerical_error: float | None = None
-    threshold_displacement_error: float | None = None
-    points_threshold: Positive | None = None
-    alpha: Positive | None = None
-    beta: Positive | None = None
-    gamma: Proportion | None = None
-    delta: Proportion | None = None
-    n_trials: int = 0
-    points: list[FitPoint] = []
-    p_correct_error_bound: float | None = None
-    p_correct_left_out_bound: float | None = None
-    delta_t_mk: float | None = None
-    run_time_s: float | None = None
-    plan: list[Record] = []
-
-
-class Ratio(Struct, frozen=True):
-    """An algorithm's threshold over that of the reference, in one group; without one, in all of them together."""
-
-    verdict: str
-    group: Group = {}
-    ratio: Positive | None = None
-    ratio_ci95: Interval | None = None
-    p_value: float | None = None
-    p_value_holm: float | None = None
-
-
-class Algorithm(Struct, frozen=True):
-    """An algorithm of `compare`; the reference has no ratios."""
-
-    name: str
-    spec: str | None = None
-    parameters: Record = {}
-    domain: str | None = None
-    fits: list[Fit] = []
-    ratios: list[Ratio] = []
-    overall: Ratio | None = None
-    psnr_db: float | None = None
-    psnr_change_db: float | None = None
-    ssim: float | None = None
-    ssim_change: float | None = None
-    n_clipped: int | None = None
-    cpu_s: float | None = None
-
-
-class Estimator(Struct, frozen=True):
-    """A way to compute a threshold, and what it took and how wrong it was at each budget."""
-
-    name: str
-    label: str | None = None
-    set_up_cpu_s: float | None = None
-    slope: float | None = None
-    slope_standard_error: float | None = None
-    points: list[Record] = []
-    cpu_s_at: list[Record] = []
+    def with_trials(self, make: Callable[[], Table]) -> Self:
+        """Return the result together with its trials, whose table is made when it is asked for."""
+        copy = msgspec.structs.replace(self)
+        msgspec.structs.force_setattr(copy, "_make_trials", make)
+        return copy
 
     @property
-    def title(self) -> str:
-        """What it is called."""
-        return self.label or self.name
+    def trials(self) -> Table | None:
+        """Scores of each trial as in `scores.csv`; None where there are no trials, or they were not saved."""
+        make = self.__dict__.get("_make_trials")
+        return None if make is None else make()
+
+    def __repr__(self) -> str:
+        from todframes.report.summary import verdict
+
+        return f"<Result of {self.command}: {' '.join(verdict(self))}>"
+
+    def _repr_html_(self) -> str:
+        from todframes.report.html import notebook_html
+
+        return notebook_html(self)
+
+    def to_dataframe(self) -> DataFrame:
+        """Return the thresholds as a pandas DataFrame, a row each.
+
+        Columns are those of the group, `threshold`, `threshold_ci95_low`, `threshold_ci95_high` and what else is
+        known of each threshold.
+
+        Returns
+        -------
+        pandas.DataFrame
+
+        Raises
+        ------
+        ImportError
+            If pandas is not installed.
+        """
+        from todframes.report.tables import thresholds
+
+        return thresholds(self).to_dataframe()
+
+    def plot_tod(self, ax: Axes | None = None) -> Axes:
+        """Draw the TOD curve: threshold against 1 / size, with 95 % intervals.
+
+        Parameters
+        ----------
+        ax : matplotlib Axes, optional
+            Where to draw. Default: a new figure.
+
+        Returns
+        -------
+        matplotlib Axes
+
+        Raises
+        ------
+        DataError
+            If there are no thresholds at two sizes.
+        """
+        from todframes.errors import DataError
+        from todframes.report.figures import draw_tod, drawn, has_tod_curve
+
+        if not has_tod_curve(self.thresholds):
+            raise DataError("plot_tod: found no thresholds at two or more sizes, which a TOD curve needs")
+        return drawn(lambda axes: draw_tod(axes, self.thresholds), ax)
+
+    def plot_psychometric(self, ax: Axes | None = None) -> Axes:
+        """Draw the psychometric functions: proportion correct against level, points and fitted curves.
+
+        Parameters
+        ----------
+        ax : matplotlib Axes, optional
+            Where to draw. Default: a new figure.
+
+        Returns
+        -------
+        matplotlib Axes
+
+        Raises
+        ------
+        DataError
+            If no threshold has points.
+        """
+        from todframes.errors import DataError
+        from todframes.report.figures import draw_psychometric, drawn
+
+        if not any(fit.points for fit in self.thresholds):
+            raise DataError("plot_psychometric: found no thresholds with points of a psychometric function")
+        return drawn(lambda axes: draw_psychometric(axes, self.thresholds), ax)
+
+    def to_json(self) -> bytes:
+        """Return the result as indented JSON, the content of `result.json`; what is not a number becomes null.
+
+        Characters that a terminal would obey are escaped, which changes nothing of what the JSON says.
+        """
+        text = msgspec.json.format(msgspec.json.encode(self), indent=2).decode()
+        return (visible_json(text) + "\n").encode()
+
+    def to_html(self) -> str:
+        """Return the result as one HTML page that needs nothing else, the content of `report.html`.
+
+        Raises
+        ------
+        DataError
+            If there is nothing to report.
+        """
+        from todframes.report.html import page
+
+        return page(self)
+
+    def files(self) -> dict[str, bytes]:
+        """Make all files of the result, by name: `result.json`, `report.html`, tables and pictures."""
+        from todframes.report.figures import pictures
+        from todframes.report.tables import ratios
+
+        trials = self.trials
+        return {
+            **({} if trials is None else {"scores.csv": trials.csv().encode()}),
+            **({"compare.csv": ratios(self).csv().encode()} if self.algorithms else {}),
+            **{one.file: one.png() for one in pictures(self) if one.file},
+            "report.html": self.to_html().encode(),
+            "result.json": self.to_json(),
+        }
+
+    def save(self, folder: Path | str) -> None:
+        """Write the files that a command writes with `-o`: all of them, or none.
+
+        Parameters
+        ----------
+        folder : path
+            Made if it is not there; its parent must be. Files of an earlier result are replaced.
+
+        Raises
+        ------
+        OutputError
+            If the place cannot be written.
+        """
+        from todframes.output import output_folder, write_files
+
+        with output_folder(str(folder)) as staging:
+            write_files(staging, self.files())
 
 
-class SpeedRatio(Struct, frozen=True):
-    """How many times less CPU the last estimator of a scene takes than the first, at a relative error."""
+def load_result(path: Path | str) -> Result:
+    """Read a result that a command or `Result.save` wrote.
 
-    threshold_error: Positive
-    ratio: Positive | None = None
-    extrapolated: bool = False
-    at_least: bool = False
+    Parameters
+    ----------
+    path : path
+        `result.json`, or the folder that it is in. Trials are read from `scores.csv` beside it when asked for.
 
-
-class SceneResult(Struct, frozen=True):
-    """A scene of `accuracy`."""
-
-    name: str
-    title: str | None = None
-    estimators: list[Estimator] = []
-    variants: list[Record] = []
-    speed_ratios: list[SpeedRatio] = []
-
-    @property
-    def heading(self) -> str:
-        """What it is called, with a capital letter."""
-        title = self.title or self.name
-        return title[:1].upper() + title[1:]
-
-
-class Thumbnail(Struct, frozen=True):
-    """A PNG of an example. `scale` is the value of white, and minus that of black where zero is mid-grey."""
-
-    name: str
-    png: bytes
-    scale: float | None = None
-
-
-class Example(Struct, frozen=True):
-    """A trial near threshold: the frame as displayed and what the observer makes of it."""
-
-    group: Group
-    pictures: list[Thumbnail]
-    level: str = "level"
-    strength: float | None = None
-    orientation: str | None = None
-    p_correct: float | None = None
-    frame: str | None = None
-    n_frames: int = 1
-    width_mrad: float | None = None
-    algorithm: str | None = None
-
-
-class ResultWarning(Struct, frozen=True):
-    """A fact that makes the result less sure."""
-
-    message: str
-    code: str = ""
-
-
-class Result(Struct, frozen=True):
-    """What `result.json` holds."""
-
-    schema: int
-    command: str
-    version: str = "?"
-    settings: Record = {}
-    seed: int | None = None
-    run_time_s: float | None = None
-    dataset: str | None = None
-    versions: Record = {}
-    fits: list[Fit] = []
-    algorithms: list[Algorithm] = []
-    scenes: list[SceneResult] = []
-    verdict: Names = []
-    examples: list[Example] = []
-    plan: list[Record] = []
-    skipped: list[Record] = []
-    warnings: list[ResultWarning] = []
-    located: list[Record] = []
-    negative_luminance_pixels: int = 0
-
-
-def load_result(path: Path) -> Result:
-    """A result from its file; see `read_result`.
+    Returns
+    -------
+    Result
 
     Raises
     ------
     DataError
         If it cannot be read, or is not a result.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import todframes as tod
+    >>> folder = tempfile.mkdtemp()
+    >>> tod.naked_eye(size_mrad=[1.0, 2.0]).save(folder)
+    >>> len(tod.load_result(folder).thresholds)
+    2
     """
-    return read_result(read_file(path, most_mb=MAX_MB), str(path))
+    path = Path(path)
+    if (path / "result.json").is_file():
+        path /= "result.json"
+    result = read_result(read_bytes(path), str(path))
+    scores = path.with_name("scores.csv")
+    return result.with_trials(lambda: _read_trials(scores)) if scores.is_file() else result
 
 
 def read_result(content: bytes, where: str) -> Result:
-    """A result from its JSON, checked.
-
-    Parameters
-    ----------
-    content : bytes
-        One JSON object, with or without a byte-order mark.
-    where : str
-        The file; every message begins with it.
-
-    Raises
-    ------
-    DataError
-        If it is no JSON, of another schema or of a command without a report, or lacks what a report cannot do
-        without.
-    """
-    try:
-        result = msgspec.json.decode(content.removeprefix(b"\xef\xbb\xbf"), type=Result)
-    except msgspec.ValidationError as error:
-        raise DataError(f"{where}: {_in_words(str(error))}") from None
-    except UnicodeDecodeError:
-        raise DataError(f"{where}: not UTF-8, expected a result in JSON") from None
-    except (msgspec.DecodeError, RecursionError) as error:
-        raise DataError(f"{where}: not a result in JSON ({error})") from None
-    if result.schema != SCHEMA:
-        raise DataError(f"{where}: schema: found {result.schema}, expected {SCHEMA}")
-    if result.command not in CONTENT:
-        raise DataError(f"{where}: command: found {result.command!r}, expected one of {', '.join(CONTENT)}")
-    if not getattr(result, CONTENT[result.command]):
-        raise DataError(f"{where}: {CONTENT[result.command]}: found none, expected at least one")
-    _check_fits(result.fits, f"{where}: fits")
-    _check_fits([fit for one in result.algorithms for fit in one.fits], f"{where}: fits of all algorithms")
-    for number, example in enumerate(result.examples):
-        for picture in example.pictures:
-            if not picture.png.startswith(PNG_SIGNATURE + b"\0\0\0\rIHDR"):
-                raise DataError(f"{where}: examples[{number}]: picture {picture.name!r} is no PNG")
-    return result
+    """Decode a result from its JSON and check it; messages begin with `where`. See `load_result`."""
+    return decode(content, where, Result)
 
 
-def _check_fits(fits: Sequence[Fit], where: str) -> None:
-    """Fits of one result stand in one table: they share level and group columns."""
-    for number, fit in enumerate(fits):
-        for name, found, expected in (
-            ("level", fit.level, fits[0].level),
-            ("group", ", ".join(fit.group), ", ".join(fits[0].group)),
-        ):
-            if found != expected:
-                raise DataError(
-                    f"{where}[{number}].{name}: found {found!r}, expected {expected!r} as in the first"
-                )
+def _read_trials(path: Path) -> Table:
+    from todframes.report.table import Table
+
+    with path.open(encoding="utf-8", newline="") as file:
+        header, *rows = csv.reader(file)
+    records = [dict(zip(header, map(_value, row), strict=True)) for row in rows]
+    return Table.of("Trials", path.name, header, records)
 
 
-def _in_words(problem: str) -> str:
-    """A message of msgspec as this package puts it: where, found, expected."""
-    what, _, place = problem.partition(" - at ")
-    place = place.strip("`").removeprefix("$").removeprefix(".")
-    if missing := re.fullmatch(r"Object missing required field `(\w+)`", what):
-        return f"{place}.{missing[1]} is missing".removeprefix(".")
-    expected, _, found = what.replace("`", "").replace(" | null", "").partition(", got ")
-    found = f"found {found}, " if found else ""
-    return f"{place or 'the result'}: {found}{expected[0].lower()}{expected[1:]}"
+def _value(text: str) -> object:
+    for kind in (int, float):
+        try:
+            if repr(kind(text)) == text:  # not the name 007, nor any other that is more than its number
+                return kind(text)
+        except ValueError:
+            pass
+    return text or None

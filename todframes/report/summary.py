@@ -4,23 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from todframes._typing import Json
-from todframes.report.result import Algorithm, Fit, Ratio, Result, SceneResult
+from todframes.report.data import NO_DIFFERENCE, Algorithm, Fit, Group, ResultData, SceneResult
 from todframes.report.wording import (
-    _count,
-    _groups,
+    count,
     group_phrase,
-    interval,
+    group_phrases,
     interval_phrase,
     level_name,
     listed,
-    number,
     phrase,
     plain,
+    unit_of,
 )
 
 LONGEST_LIST = 6
-"""Things told one by one in a sentence; more are left to the table."""
+"""Curves told one by one; more are left to the table."""
 
 
 NO_THRESHOLD = {
@@ -38,8 +36,8 @@ COMPUTED = {
 
 
 def size_column(fits: Sequence[Fit]) -> str | None:
-    """The one group column that is a size and has positive numbers for values."""
-    names = [name for name in (fits[0].group if fits else ()) if name.startswith("size_")]
+    """Find the one group column that is a size and has positive numbers for values."""
+    names = [name for name in (fits[0].group if fits else ()) if unit_of(name)]
     if len(names) != 1:
         return None
     sizes = [fit.group[names[0]] for fit in fits]
@@ -47,7 +45,7 @@ def size_column(fits: Sequence[Fit]) -> str | None:
 
 
 def by_curve(fits: Sequence[Fit]) -> dict[str, list[Fit]]:
-    """Fits that differ in size alone, in the order of size; "" is the key where there is one curve only.
+    """Collect fits that differ in size alone, in the order of size; "" is the key where there is one curve only.
 
     Without a column of sizes each fit is a curve of its own.
     """
@@ -62,23 +60,21 @@ def by_curve(fits: Sequence[Fit]) -> dict[str, list[Fit]]:
     return curves
 
 
-def verdict(result: Result) -> list[str]:
-    """Sentences that say what came out, the most important first; a result's own if it has any."""
+def verdict(result: ResultData) -> list[str]:
+    """Say what came out, the most important first, in the result's own sentences if it has any."""
     given = [result.verdict] if isinstance(result.verdict, str) else list(map(str, result.verdict))
     told = given or _told(result)
     if result.skipped:
         n = len(result.skipped)
-        told.append(f"{_count(n, 'frame')} could not be used and {'is' if n == 1 else 'are'} left out.")
+        told.append(f"{count(n, 'frame')} could not be used and {'is' if n == 1 else 'are'} left out.")
     return told
 
 
-def _told(result: Result) -> list[str]:
-    if result.command == "compare":
-        return compared(result.algorithms)
+def _told(result: ResultData) -> list[str]:
     if result.command == "accuracy":
         return timed(result.scenes)
     computed = result.command in ("curve", "naked-eye")
-    curves = by_curve(result.fits)
+    curves = by_curve(result.thresholds)
     told = [
         sentence
         for label, fits in list(curves.items())[:LONGEST_LIST]
@@ -148,56 +144,8 @@ def _threshold(fit: Fit) -> str:
     return text + (f" ({', '.join(more)})" if more else "")
 
 
-def compared(algorithms: Sequence[Algorithm]) -> list[str]:
-    """How many algorithms help or hurt, then a sentence for each."""
-    others = [one for one in algorithms if one.ratios]
-    if not others:
-        return ["No algorithm was compared with the reference."]
-    better, worse = (
-        [one for one in others if any(ratio.verdict == kind for ratio in one.ratios)]
-        for kind in ("better", "worse")
-    )
-    same = [one for one in others if not any(ratio.verdict in ("better", "worse") for ratio in one.ratios)]
-    counts = [
-        (better, "lowers the threshold somewhere", "lower the threshold somewhere"),
-        (worse, "raises it somewhere", "raise it somewhere"),
-        (same, "shows no difference", "show no difference"),
-    ]
-    parts = [f"{len(these)} {one if len(these) == 1 else many}" for these, one, many in counts if these]
-    return [f"Of {_count(len(others), 'algorithm')}, {listed(parts)}.", *map(_algorithm, others)]
-
-
-def _algorithm(algorithm: Algorithm) -> str:
-    ratios = algorithm.ratios
-    parts: list[str] = []
-    for kind, verb in (("better", "lowers"), ("worse", "raises")):
-        these = [ratio for ratio in ratios if ratio.verdict == kind]
-        if these:
-            parts.append(f"{verb} {'it' if parts else 'the threshold'} {_ratios(these, ratios)}")
-    rest = [ratio for ratio in ratios if ratio.verdict not in ("better", "worse")]
-    if rest:
-        parts.append(f"shows no difference {_ratios(rest, ratios)}")
-    text = f"{algorithm.name} {listed(parts)}."
-    p = [one.p_value_holm for one in ratios if one.verdict in ("better", "worse") and one.p_value_holm is not None]
-    return text + (f" Corrected for all comparisons (Holm), p is {plain(max(p), 2)} at most." if p else "")
-
-
-def _ratios(these: Sequence[Ratio], of_all: Sequence[Ratio]) -> str:
-    """Where, and to how much of the reference's threshold."""
-    if len(these) > LONGEST_LIST:
-        known = [one.ratio for one in these if one.ratio is not None]
-        span = f", to {plain(min(known))} to {plain(max(known))} of the reference's" if known else ""
-        return f"in {len(these)} of {len(of_all)} groups{span}"
-    told = []
-    for one in these:
-        sure = f", 95 % interval {interval_phrase(one.ratio_ci95)}" if one.ratio_ci95 is not None else ""
-        ratio = f" (ratio {plain(one.ratio)}{sure})" if one.ratio is not None else ""
-        told.append(f"{group_phrase(one.group)}{ratio}")
-    return f"at {listed(told)}"
-
-
 def timed(scenes: Sequence[SceneResult]) -> list[str]:
-    """How many times less CPU the cheapest way takes than the dearest, at which error."""
+    """Say how many times less CPU the cheapest way takes than the dearest, at which error."""
     told = []
     for scene in scenes:
         parts = [
@@ -209,17 +157,13 @@ def timed(scenes: Sequence[SceneResult]) -> list[str]:
         if parts and len(scene.estimators) > 1:
             first, last = scene.estimators[0].title, scene.estimators[-1].title
             told.append(f"{scene.heading}: the CPU time of {last} is {listed(parts)} than that of {first}.")
-    return told or [f"{_count(len(scenes), 'scene')}: error against run time."]
+    return told or [f"{count(len(scenes), 'scene')}: error against run time."]
 
 
 def _sizes(fits: Sequence[Fit], size: str | None) -> str:
     """Sizes of fits, their unit once: "1.5, 2 and 3 detectors"."""
     assert size is not None
-    unit = size.removeprefix("size_")
-    return f"{listed(f'{fit.group[size]:.15g}' for fit in fits)} {unit}"
-
-
-NO_DIFFERENCE = "no difference shown"
+    return f"{listed(f'{fit.group[size]:.15g}' for fit in fits)} {unit_of(size)}"
 
 
 REACHED = {
@@ -230,54 +174,86 @@ REACHED = {
 """What becomes of the criterion where there is no threshold, by status."""
 
 
-def verdict_sentences(algorithms: Sequence[Json], p_correct: float) -> list[str]:
-    """A sentence or two for each algorithm, from `algorithm_objects`."""
-    reference = algorithms[0]
-    return [_sentence(one, reference, p_correct) for one in algorithms[1:]]
+def comparison(algorithms: Sequence[Algorithm]) -> tuple[str, ...]:
+    """Say of each algorithm whether it helps: a paragraph each, without the reference, which comes first."""
+    return tuple(_paragraph(one, algorithms[0]) for one in algorithms[1:])
 
 
-def _sentence(one: Json, reference: Json, p_correct: float) -> str:
-    verdicts = [ratio["verdict"] for ratio in one["ratios"]]
-    text = f"{one['name']}: {one['verdict']}"
-    level = one["fits"][0]["level"]
-    whole = one["overall"] or one["ratios"][0]
-    if whole["ratio"] is not None:
-        mean = ", in the geometric mean of all groups" if one["overall"] else ""
-        sure = f"95 % interval {interval(whole['ratio_ci95'])}"
-        text += f"; the threshold {level} is {number(whole['ratio'], 3)} times that without it ({sure}){mean}"
-    if one["overall"] and len(set(verdicts)) > 1:
+def _paragraph(one: Algorithm, reference: Algorithm) -> str:
+    verdicts = [ratio.verdict for ratio in one.ratios]
+    text = f"{one.name}: {one.verdict}"
+    whole = one.overall or one.ratios[0]
+    if whole.ratio is not None:
+        mean = ", in the geometric mean of all groups" if one.overall else ""
+        sure = f"95 % interval {interval_phrase(whole.ratio_ci95 or (None, None))}"
+        level = level_name(one.fits[0].level)
+        text += f"; the threshold {level} is {plain(whole.ratio)} times that without it ({sure}){mean}"
+    if one.overall and len(set(verdicts)) > 1:
         told = [
-            f"{verdict} at {_groups([r['group'] for r in one['ratios'] if r['verdict'] == verdict])}"
+            f"{verdict} at {group_phrases([ratio.group for ratio in one.ratios if ratio.verdict == verdict])}"
             for verdict in ("better", "worse", NO_DIFFERENCE)
             if verdict in verdicts
         ]
         text += f"; {'; '.join(told)}"
     sentences = [text]
-    for reason, groups in _without_ratio(one, reference, p_correct).items():
-        where = _groups(groups)
-        sentences.append(f"At {where} {reason}" if where else reason[0].upper() + reason[1:])
-    if one["disagrees"]:
+    for reason, groups in _without_ratio(one, reference).items():
+        where = f"At {group_phrases(groups)} " if groups[0] else ""
+        sentences.append(f"{where}{reason}" if where else reason[0].upper() + reason[1:])
+    if one.disagrees:
         changes = {
-            "psnr": f"PSNR changes by {_signed(one['psnr_change_db'], '.1f')} dB",
-            "ssim": f"SSIM by {_signed(one['ssim_change'], '.3f')}",
+            "psnr": f"PSNR changes by {_signed(one.psnr_change_db, '.1f')} dB",
+            "ssim": f"SSIM by {_signed(one.ssim_change, '.3f')}",
         }
-        sentences.append(
-            f"The usual measures disagree: {' and '.join(changes[name] for name in one['disagrees'])}"
-        )
+        sentences.append(f"The usual measures disagree: {' and '.join(changes[name] for name in one.disagrees)}")
     return ". ".join(sentences) + "."
 
 
-def _without_ratio(one: Json, reference: Json, p_correct: float) -> dict[str, list[Json]]:
-    """What there is to say of groups where one of the two has no threshold: phrases, and the groups of each."""
-    what = f"{100 * p_correct:g} % correct"
-    found: dict[str, list[Json]] = {}
-    for ratio, fit, before in zip(one["ratios"], one["fits"], reference["fits"], strict=True):
-        if ratio["ratio"] is None:
-            after, without = (REACHED.get(either["status"], "is reached") for either in (fit, before))
+def _without_ratio(one: Algorithm, reference: Algorithm) -> dict[str, list[Group]]:
+    """Say why groups have no ratio: phrases, and the groups that each is true of."""
+    found: dict[str, list[Group]] = {}
+    for ratio, fit, before in zip(one.ratios, one.fits, reference.fits, strict=True):
+        if ratio.ratio is None:
+            what = f"{100 * fit.p_correct:g} % correct"
+            after, without = (REACHED.get(either.status, "is reached") for either in (fit, before))
             both = f"{what} {after} with it or without" if after == without else ""
-            found.setdefault(both or f"{what} {after} with it and {without} without", []).append(fit["group"])
+            found.setdefault(both or f"{what} {after} with it and {without} without", []).append(fit.group)
     return found
 
 
-def _signed(value: float, form: str) -> str:
-    return f"{value:+{form}}".replace("-", "−")
+def _signed(value: float | None, form: str) -> str:
+    return f"{value or 0.0:+{form}}".replace("-", "−")
+
+
+def remarks(result: ResultData) -> list[str]:
+    """Say how well the numbers of a result are known."""
+    told = []
+    fits = result.thresholds
+    relative = [
+        fit.threshold_numerical_error / fit.threshold
+        for fit in fits
+        if fit.threshold is not None and fit.threshold_numerical_error is not None
+    ]
+    if relative:
+        told.append(f"Numerical error of the thresholds: {plain(100 * max(relative), 2)} % at most.")
+    bound = max((fit.p_correct_error_bound or 0.0 for fit in fits), default=0.0)
+    if bound:
+        told.append(f"P(correct) is right within {plain(bound, 1)}, as the summed noise is not quite Gaussian.")
+    if result.negative_luminance_pixels:
+        told.append(f"{result.negative_luminance_pixels} display pixels have a luminance below zero.")
+    return told
+
+
+def cautions(result: ResultData) -> list[str]:
+    """Say what a reader of the thresholds must know."""
+    told = []
+    apart = [
+        100 * abs(fit.points_threshold / fit.threshold - 1)
+        for fit in result.thresholds
+        if fit.threshold is not None and fit.points_threshold is not None
+    ]
+    if max(apart, default=0.0) >= 1.0:
+        told.append(
+            f"The points themselves cross the criterion up to {plain(max(apart), 2)} % away from the fitted "
+            "curve; the intervals cover both."
+        )
+    return told

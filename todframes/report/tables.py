@@ -1,477 +1,269 @@
-"""Tables of a result for the terminal, for the page and as CSV."""
+"""Tables of a result: the same for the terminal, for the page and as CSV."""
 
 from __future__ import annotations
 
-import csv
-import io
-from collections.abc import Collection, Container, Iterable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
-from urllib.parse import quote
+from collections.abc import Iterable, Sequence
+from typing import Any
 
-import msgspec
-
-from todframes._typing import Json
 from todframes.enhancement.compare import AlgorithmResult
-from todframes.report.result import Algorithm, Fit, Record, Result, SceneResult
-from todframes.report.wording import interval, interval_phrase, level_name, number, plain, value_text
-from todframes.safe_text import csv_text, visible
+from todframes.frames.dataset import Dataset
+from todframes.report.data import Algorithm, Estimator, Fit, Group, Record, ResultData, SceneResult, group_of
+from todframes.report.table import EXACT, Column, Table, field_text
+from todframes.report.wording import group_phrase, level_heading, plain, unit_of
 from todframes.scoring.score import ScoredDataset
 from todframes.stimulus import ORIENTATIONS
 
-if TYPE_CHECKING:
-    from rich.table import Table as RichTable
-    from rich.text import Text
-
-
-def scores_csv(scored: ScoredDataset, group_by: Sequence[str], level: str) -> bytes:
-    """A row a trial: what was shown, the four scores, the probability of each answer, the answer."""
-    shown = list(dict.fromkeys(["orientation", "size_mrad", "polarity", level, *group_by]))
-    header = (
-        ["trial", "n_frames", *shown, "displacement_x_samples", "displacement_y_samples"]
-        + [f"score_{orientation}" for orientation in ORIENTATIONS]
-        + [f"p_{orientation}" for orientation in ORIENTATIONS]
-        + ["answer", "p_correct"]
-    )
-    rows: list[list[object]] = [[*header]]
-    for place, trial in enumerate(scored.trials):
-        values: dict[str, object] = dict(zip(group_by, trial.group, strict=True))
-        values |= {
-            "orientation": trial.orientation.value,
-            "size_mrad": trial.stimulus.size_mrad,
-            "polarity": trial.stimulus.polarity,
-            level: trial.level,
-        }
-        numbers = [*scored.displacement_samples[place], *scored.scores[place], *scored.probabilities[place]]
-        rows.append(
-            [trial.name, len(trial.frames), *(values[name] for name in shown)]
-            + ["" if number != number else repr(float(number)) for number in numbers]
-            + [ORIENTATIONS[scored.answers[place]].value, repr(float(scored.p_correct[place]))]
-        )
-    return csv_text(rows).encode()
-
-
-def new_table(title: str, headers: Iterable[str], left: Container[int] = ()) -> RichTable:
-    """A table for the terminal without rows yet; columns are justified to the right but for those at `left`."""
-    from rich.box import SIMPLE_HEAD
-    from rich.table import Table as RichTable
-
-    table = RichTable(
-        title=_shown(title) if title else None, title_justify="left", title_style="bold", box=SIMPLE_HEAD
-    )
-    for place, header in enumerate(headers):
-        table.add_column(_shown(header), justify="left" if place in left else "right", no_wrap=True)
-    return table
-
-
-def add_row(table: RichTable, cells: Iterable[str]) -> None:
-    """A row more."""
-    table.add_row(*map(_shown, cells))
-
-
-def _shown(text: str) -> Text:
-    """Text as rich shows it: str, with names that are data in it, it would search for markup."""
-    from rich.text import Text
-
-    return Text(visible(text))
-
-
-def threshold_table(result: Json, title: str) -> RichTable:
-    """The thresholds of a result as a table for the terminal."""
-    fits = result["fits"]
-    names = list(fits[0]["group"]) if fits else []
-    level = fits[0]["level"] if fits else "level"
-    numerical = any("threshold_numerical_error" in fit for fit in fits)
-    warm = any("delta_t_mk" in fit for fit in fits)
-    timed = any("run_time_s" in fit for fit in fits)
-    displaced = any(fit.get("threshold_displacement_error") is not None for fit in fits)
-    headers = [*names, f"threshold {level}", "numerical error" if numerical else "95 % interval", "status"]
-    headers += (["ΔT (mK)"] if warm else []) + ([] if numerical else ["α", "β", "δ", "trials"])
-    headers += (["displacement error"] if displaced else []) + (["time (s)"] if timed else [])
-    table = new_table(title, headers, left={len(names) + 2})
-    for fit in fits:
-        cells = [f"{value:.15g}" if isinstance(value, float) else str(value) for value in fit["group"].values()]
-        cells.append(number(fit["threshold"]))
-        if numerical:
-            error = fit["threshold_numerical_error"]
-            cells += ["–" if error is None else f"± {error:.1g}", fit["status"]]
-            cells += [number(fit["delta_t_mk"])] if warm else []
-        else:
-            cells += [interval(fit["threshold_ci95"]), fit["status"]]
-            cells += [number(fit[name], 3) for name in ("alpha", "beta", "delta")] + [str(fit["n_trials"])]
-        cells += [f"± {number(fit['threshold_displacement_error'], 2)}"] if displaced else []
-        cells += [number(fit["run_time_s"], 2)] if timed else []
-        add_row(table, cells)
-    return table
-
-
-def plan_table(result: Json) -> RichTable:
-    """What was kept and left out for each threshold of a result, as a table for the terminal."""
-    table = new_table("Plan", ("group", "stage", "", "why", "bound on P", "saves (s)"), left=range(4))
-    plans = [(fit["group"], fit["plan"]) for fit in result["fits"] if "plan" in fit]
-    for group, plan in plans or [({}, result["plan"])]:
-        label = ", ".join(f"{name} {value}" for name, value in group.items())
-        for step in plan:
-            kept, bound = step["kept"], step["bound"]
-            numbers = ["", ""] if kept else [number(bound, 2) if bound else "0", number(step["saves_s"], 2)]
-            add_row(table, [label, step["stage"], "kept" if kept else "left out", step["why"], *numbers])
-            label = ""
-    return table
-
-
-CSV_COLUMNS = (
-    *("status", "threshold", "threshold_low", "threshold_high", "ratio", "ratio_low", "ratio_high", "p_value"),
-    *("p_value_holm", "verdict", "psnr_db", "ssim", "n_clipped", "cpu_s"),
+THRESHOLD_COLUMNS = (
+    Column(key="threshold_ci95", header="95 % interval", interval="threshold_ci95"),
+    Column(key="threshold_numerical_error", header="numerical error", sign="± ", digits=1),
+    Column(key="threshold_displacement_error", header="displacement error", sign="± ", digits=2, rank=2),
+    Column(key="delta_t_mk", header="ΔT (mK)"),
+    Column(key="n_trials", header="trials", rank=1),
+    Column(key="status"),
+    Column(key="points_threshold", header="from points", is_detail=True, rank=2),
+    Column(key="p_correct", in_file_only=True),
+    Column(key="alpha", header="α", digits=3, is_detail=True),
+    Column(key="beta", header="β", digits=3, is_detail=True),
+    Column(key="gamma", in_file_only=True),
+    Column(key="delta", header="δ", digits=3, is_detail=True),
+    Column(key="p_correct_error_bound", in_file_only=True),
+    Column(key="p_correct_left_out_bound", in_file_only=True),
+    Column(key="run_time_s", header="time (s)", digits=2, is_detail=True, rank=1),
 )
 
 
-def ratio_rows(algorithms: Sequence[Json]) -> list[Json]:
-    """A row for each algorithm and group, and for each algorithm's groups together if there are several."""
-    rows = []
-    for one in algorithms:
-        ratios = one["ratios"] or [{}] * len(one["fits"])
-        for fit, ratio in zip(one["fits"], ratios, strict=True):
-            rows.append({"algorithm": one["name"], "group": fit["group"], "fit": fit, **ratio})
-        if one["overall"]:
-            rows.append(
-                {
-                    "algorithm": one["name"],
-                    "group": dict.fromkeys(one["fits"][0]["group"], "all"),
-                    **one["overall"],
-                }
-            )
-    return rows
+RATIO_COLUMNS = (
+    Column(key="ratio", none="1"),
+    Column(key="ratio_ci95", header="95 % interval", interval="ratio", none=""),
+    Column(key="p_value", in_file_only=True),
+    Column(key="p_value_holm", header="p (Holm)", digits=2, none=""),
+    Column(key="verdict", none="reference"),
+)
 
 
-def compare_csv(algorithms: Sequence[Json]) -> bytes:
-    """A row for each algorithm and group: threshold, ratio, verdict, and the usual measures."""
-    groups = list(algorithms[0]["fits"][0]["group"])
-    rows: list[list[object]] = [["algorithm", "spec", *groups, *CSV_COLUMNS]]
-    of_algorithm = {one["name"]: one for one in algorithms}
-    for row in ratio_rows(algorithms):
-        fit, one = row.get("fit", {}), of_algorithm[row["algorithm"]]
-        values = [fit.get("status"), fit.get("threshold"), *(fit.get("threshold_ci95") or (None, None))]
-        values += [row.get("ratio"), *(row.get("ratio_ci95") or (None, None))]
-        values += [row.get("p_value"), row.get("p_value_holm"), row.get("verdict")]
-        values += [one["psnr_db"], one["ssim"], one["n_clipped"], one["cpu_s"]]
-        rows.append([row["algorithm"], one["spec"], *row["group"].values(), *values])
-    return csv_text(rows).encode()
+MEASURE_COLUMNS = (
+    Column(key="domain", header="works on", is_detail=True),
+    Column(key="psnr_db", header="PSNR (dB)"),
+    Column(key="psnr_change_db", header="change (dB)", digits=3, rank=2),
+    Column(key="ssim", header="SSIM"),
+    Column(key="ssim_change", header="change", digits=3, rank=2),
+    Column(key="verdict", header="the observer says", none="reference"),
+    Column(key="disagrees", header="that disagrees", none=""),
+    Column(key="n_clipped", header="values clipped", is_detail=True),
+    Column(key="cpu_s", header="CPU time (s)", digits=3, rank=1),
+)
 
 
-def compare_scores_csv(results: Sequence[AlgorithmResult], group_by: Sequence[str], level: str) -> bytes:
-    """A row for each algorithm and trial, as in the `scores.csv` of `score` with the algorithm before it."""
-    table: list[list[str]] = []
-    for place, one in enumerate(results):
-        header, *rows = csv.reader(io.StringIO(scores_csv(one.scored, group_by, level).decode(), newline=""))
-        if place == 0:
-            table.append(["algorithm", *header])
-        table += ([one.enhancement.spec, *row] for row in rows)
-    return csv_text(table).encode()
+ALGORITHM = Column(key="algorithm", is_name=True)
 
 
-def ratio_table(algorithms: Sequence[Json], title: str) -> RichTable:
-    """Thresholds and their ratios as a table for the terminal."""
-    groups = list(algorithms[0]["fits"][0]["group"])
-    level = algorithms[0]["fits"][0]["level"]
-    headers = ["algorithm", *groups, f"threshold {level}", "ratio", "95 % interval", "p (Holm)", "verdict"]
-    table = new_table(title, headers, left={0, len(headers) - 1})
-    last = None
-    for row in ratio_rows(algorithms):
-        fit = row.get("fit")
-        threshold = (
-            "" if fit is None else number(fit["threshold"]) if fit["threshold"] is not None else fit["status"]
+TAKEN = {"algorithm", "spec", "threshold", "level", *(one.key for one in THRESHOLD_COLUMNS + RATIO_COLUMNS)}
+"""Names that columns have here; a group column of such a name gets one of its own."""
+
+
+def _group_columns(names: Iterable[str]) -> list[Column]:
+    return [
+        Column(
+            key=_group_key(name),
+            header=f"size ({unit_of(name)})" if unit_of(name) else name,
+            digits=EXACT,
+            is_name=True,
         )
-        cells = [
-            row["algorithm"] if row["algorithm"] != last else "",
-            *map(value_text, row["group"].values()),
-            threshold,
-        ]
-        p_value = row.get("p_value_holm")
-        if "ratio" in row:
-            cells += [number(row["ratio"]), interval(row["ratio_ci95"]), f"{p_value:.2g}", row["verdict"]]
-        else:
-            cells += ["1", "", "", "reference"]
-        last = row["algorithm"]
-        add_row(table, cells)
-    return table
-
-
-def measures_table(algorithms: Sequence[Json]) -> RichTable:
-    """PSNR and SSIM beside the observer's verdict as a table for the terminal."""
-    headers = ["algorithm", "PSNR (dB)", "SSIM", "the observer says", ""]
-    table = new_table("Beside the usual measures", headers, left={0, 3, 4})
-    for one in algorithms:
-        names = " and ".join(name.upper() for name in one["disagrees"])
-        verb = "disagree" if len(one["disagrees"]) > 1 else "disagrees"
-        cells = [one["name"], number(one["psnr_db"]), number(one["ssim"]), one["verdict"] or "reference"]
-        add_row(table, [*cells, f"{names} {verb}" if names else ""])
-    return table
-
-
-def enhancements_table(algorithms: Sequence[Json]) -> RichTable:
-    """Algorithms, each with its parameters below it, for the terminal; from what `enhancements` prints."""
-    headers = ["name", "what it does; what a parameter is", "default", "range", "takes", "from"]
-    table = new_table("Enhancement algorithms", headers, left={0, 1, 4, 5})
-    for one in algorithms:
-        add_row(
-            table,
-            [
-                one["name"],
-                one["what"],
-                "",
-                "",
-                one["domain"].replace("_", " ") + "s" * (one["domain"] == "code_value"),
-                one["library"],
-            ],
-        )
-        for parameter in one["parameters"]:
-            default, unit = parameter["default"], parameter["unit"]
-            shown = f"{default:g}" if isinstance(default, float) else str(default)
-            span = parameter["choices"] or [f"{end:g}" for end in parameter["range"] or ()]
-            joined = (", " if parameter["choices"] else " – ").join(map(str, span))
-            cells = [
-                f"  {parameter['name']}",
-                parameter["what"] or "",
-                shown + (f" {unit}" if unit else ""),
-                joined,
-            ]
-            add_row(table, [*cells, "", ""])
-    return table
-
-
-LONGEST_TABLE = 200
-"""Rows shown; the CSV has all of them."""
-
-
-IN_FILE_ONLY = {"p_correct", "gamma", "p_correct_error_bound", "p_correct_left_out_bound"}
-
-
-FIT_COLUMNS = {
-    "status": "status",
-    "threshold_numerical_error": "numerical error",
-    "threshold_displacement_error": "displacement error",
-    "delta_t_mk": "ΔT (mK)",
-    "points_threshold": "from points",
-    "p_correct": "p_correct",
-    "alpha": "α",
-    "beta": "β",
-    "gamma": "gamma",
-    "delta": "δ",
-    "n_trials": "trials",
-    "p_correct_error_bound": "p_correct_error_bound",
-    "p_correct_left_out_bound": "p_correct_left_out_bound",
-    "run_time_s": "time (s)",
-}
-
-
-RATIO_COLUMNS = {
-    "ratio": "ratio",
-    "ratio_ci95": "95 % interval",
-    "p_value": "p",
-    "p_value_holm": "p (Holm)",
-    "verdict": "verdict",
-}
-
-
-MEASURE_COLUMNS = {
-    "domain": "works on",
-    "psnr_db": "PSNR (dB)",
-    "psnr_change_db": "change (dB)",
-    "ssim": "SSIM",
-    "ssim_change": "change",
-    "n_clipped": "values clipped",
-    "cpu_s": "CPU time (s)",
-}
-
-
-@dataclass(frozen=True, slots=True)
-class Table:
-    """Rows of cells under headers.
-
-    `numeric` tells which columns hold numbers, `n_rows_hidden` how many rows are not shown, `csv` is a data URI of
-    all rows under the name `file`.
-    """
-
-    caption: str
-    headers: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
-    numeric: tuple[bool, ...]
-    file: str
-    csv: str
-    n_rows_hidden: int
-
-
-def table(
-    caption: str,
-    file: str,
-    headers: Mapping[str, str],
-    records: Sequence[Record],
-    exact: Collection[str] = (),
-    in_file_only: Collection[str] = (),
-) -> Table:
-    """A table of records.
-
-    Parameters
-    ----------
-    headers : mapping
-        What stands above each column, by the records' key; the CSV has the key. An interval, which is a pair, has
-        two columns there: its key with `_low` and `_high`.
-    exact : collection of str
-        Keys of columns whose numbers are shown with all digits; others have four.
-    in_file_only : collection of str
-        Keys of columns that the CSV has and the page has not.
-    """
-    columns = {key: [record.get(key) for record in records] for key in headers if key not in in_file_only}
-    shown = [[cell(value, 15 if key in exact else 4) for value in column] for key, column in columns.items()]
-    return Table(
-        caption=caption,
-        headers=tuple(headers[key] for key in columns),
-        rows=tuple(zip(*shown, strict=True))[:LONGEST_TABLE],
-        numeric=tuple(all(_is_number(value) for value in column) for column in columns.values()),
-        file=file,
-        csv="data:text/csv;charset=utf-8," + quote(_csv(list(headers), records)),
-        n_rows_hidden=max(0, len(records) - LONGEST_TABLE),
-    )
-
-
-def _is_number(value: object) -> bool:
-    return value is None or (isinstance(value, int | float | tuple) and not isinstance(value, bool))
-
-
-def cell(value: Any, digits: int = 4) -> str:
-    """A value for a person."""
-    if value is None:
-        return "–"
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    if isinstance(value, int):
-        return str(value)
-    if isinstance(value, float):
-        return plain(value, digits) if digits < 15 else f"{value:.15g}"
-    if isinstance(value, tuple):
-        return interval_phrase(value)
-    return value if isinstance(value, str) else msgspec.json.encode(value).decode()
-
-
-def _csv(keys: Sequence[str], records: Sequence[Record]) -> str:
-    pairs = {key for key in keys if any(isinstance(record.get(key), tuple) for record in records)}
-    rows: list[list[object]] = []
-    rows.append([name for key in keys for name in ([f"{key}_low", f"{key}_high"] if key in pairs else [key])])
-    for record in records:
-        fields: list[object] = []
-        for key in keys:
-            value = record.get(key)
-            fields += (value or (None, None)) if key in pairs else [value]
-        rows.append([_field(value) for value in fields])
-    return csv_text(rows)
-
-
-def _field(value: object) -> str:
-    if value is None:
-        return ""
-    if isinstance(value, str):
-        return value
-    return repr(value) if isinstance(value, float) else msgspec.json.encode(value).decode()
-
-
-def records_table(caption: str, file: str, records: Sequence[Record]) -> Table:
-    """A table of records whose keys are not known beforehand: as many columns as there are keys."""
-    keys = dict.fromkeys(key for record in records for key in record)
-    return table(caption, file, {key: key.replace("_", " ") for key in keys}, records)
-
-
-def thresholds(result: Result) -> Table:
-    """A row a threshold; a column only where some threshold has a value for it."""
-    records = [_fit_record(fit, {}) for fit in result.fits]
-    records += [_fit_record(fit, {"algorithm": one.name}) for one in result.algorithms for fit in one.fits]
-    fits = [*result.fits, *(fit for one in result.algorithms for fit in one.fits)]
-    names = list(fits[0].group)
-    level = f"threshold {level_name(_heading(fits[0].level))}"
-    headers = {"algorithm": "algorithm"} if result.algorithms else {}
-    headers |= {_group_key(name): _heading(name) for name in names}
-    headers |= {"threshold": level, "threshold_ci95": "95 % interval"} | FIT_COLUMNS
-    computed = all(not record["n_trials"] for record in records)
-    some = {key for record in records for key, value in record.items() if value is not None}
-    some -= {"n_trials"} if computed else set()
-    always = {"threshold"} if computed else {"threshold", "threshold_ci95"}
-    headers = {key: header for key, header in headers.items() if key in some | always}
-    caption = f"Thresholds at {100 * fits[0].p_correct:g} % correct"
-    return table(caption, "thresholds.csv", headers, records, set(map(_group_key, names)), IN_FILE_ONLY)
-
-
-def _heading(name: str) -> str:
-    """What stands above a group column: "size (mrad)" for size_mrad."""
-    return f"size ({name.removeprefix('size_')})" if name.startswith("size_") else name
+        for name in names
+    ]
 
 
 def _group_key(name: str) -> str:
-    """A group column whose name is that of another column gets one of its own."""
-    taken = {"algorithm", "threshold", "threshold_ci95", "level", *FIT_COLUMNS, *RATIO_COLUMNS}
-    return f"group {name}" if name in taken else name
+    return f"group {name}" if name in TAKEN else name
 
 
-def _fit_record(fit: Fit, more: Record) -> Record:
-    record = {name: getattr(fit, name) for name in ("threshold", "threshold_ci95", *FIT_COLUMNS)}
-    return more | {_group_key(name): value for name, value in fit.group.items()} | record
+def _group_record(group: Group) -> Record:
+    return {_group_key(name): value for name, value in group.items()}
 
 
-def points(result: Result) -> Table | None:
-    """A row a level of each curve, if there are any."""
-    sources = [({}, result.fits), *(({"algorithm": one.name}, one.fits) for one in result.algorithms)]
-    records: list[Record] = [
+def _fits(result: ResultData) -> list[tuple[Record, Fit]]:
+    """Each fit behind the name of its algorithm, if it has one."""
+    of_algorithms = [({"algorithm": one.name}, fit) for one in result.algorithms for fit in one.fits]
+    return [*(({}, fit) for fit in result.fits), *of_algorithms]
+
+
+def thresholds(result: ResultData, title: str = "") -> Table:
+    """Make the table of thresholds, a row each; a column only where some threshold has a value for it."""
+    fits = _fits(result)
+    computed = not any(fit.n_trials for _, fit in fits)
+    names = ("threshold", *(one.key for one in THRESHOLD_COLUMNS))
+    records = [
+        more | _group_record(fit.group) | {name: getattr(fit, name) for name in names} for more, fit in fits
+    ]
+    if computed:
+        for record in records:
+            del record["n_trials"]
+    groups, level, criterion = [], "level", "?"
+    if fits:
+        first = fits[0][1]
+        groups, level = _group_columns(first.group), level_heading(first.level)
+        criterion = f"{100 * first.p_correct:g}"
+    table = Table.of(
+        title or f"Thresholds at {criterion} % correct",
+        "thresholds.csv",
+        [
+            *([ALGORITHM] if result.algorithms else []),
+            *groups,
+            Column(key="threshold", header=f"threshold {level}"),
+            *THRESHOLD_COLUMNS,
+        ],
+        records,
+    )
+    always = ["threshold", *(one.key for one in groups), *([] if computed else ["threshold_ci95"])]
+    return table.without_empty_columns(*always)
+
+
+def points(result: ResultData) -> Table | None:
+    """Make the table of the points of each curve, a row a level, if there are any."""
+    fits = _fits(result)
+    records = [
         more
-        | {_group_key(name): value for name, value in fit.group.items()}
+        | _group_record(fit.group)
         | {"level": point.level, "n_trials": point.n_trials, "p_correct": point.p_correct}
-        for more, fits in sources
-        for fit in fits
+        for more, fit in fits
         for point in fit.points
     ]
     if not records:
         return None
-    level = next(fit.level for _, fits in sources for fit in fits)
-    names = {"level": level, "n_trials": "trials", "p_correct": "proportion correct"}
     computed = not any(record["n_trials"] for record in records)
-    headers = {key: names.get(key, _heading(key)) for key in records[0]}
-    found = {"p_correct", "level"} if computed else {"p_correct"}
-    hidden = {"n_trials"} if computed else set()
-    return table(
-        "Points of the psychometric functions", "points.csv", headers, records, headers.keys() - found, hidden
-    )
+    columns = [
+        *([ALGORITHM] if result.algorithms else []),
+        *_group_columns(fits[0][1].group),
+        Column(key="level", header=level_heading(fits[0][1].level), digits=4 if computed else EXACT),
+        Column(key="n_trials", header="trials", in_file_only=computed),
+        Column(key="p_correct", header="proportion correct"),
+    ]
+    return Table.of("Points of the psychometric functions", "points.csv", columns, records)
 
 
-def ratios(algorithms: Sequence[Algorithm]) -> Table:
-    """A row for each algorithm and group, and one for all groups together: threshold over the reference's."""
+def ratios(result: ResultData, title: str = "") -> Table:
+    """Make the table of a comparison: a row for each algorithm and group, and one for all groups together.
+
+    Its CSV is `compare.csv`.
+    """
+    algorithms = result.algorithms
+    first = algorithms[0].fits[0] if algorithms[0].fits else None
+    names = list(first.group) if first is not None else []
     records: list[Record] = []
-    for algorithm in algorithms:
-        for one in [*algorithm.ratios, *([algorithm.overall] if algorithm.overall else [])]:
-            group = one.group or dict.fromkeys(algorithm.ratios[0].group if algorithm.ratios else (), "all")
-            known = {name: getattr(one, name) for name in RATIO_COLUMNS}
-            named = {_group_key(name): value for name, value in group.items()}
-            records.append({"algorithm": algorithm.name, **named, **known})
-    headers = {key: RATIO_COLUMNS.get(key, _heading(key)) for record in records for key in record}
-    exact = [key for key in headers if key not in RATIO_COLUMNS]
-    return table("Threshold over that of the reference", "ratios.csv", headers, records, exact)
+    for one in algorithms:
+        common = {"algorithm": one.name, "spec": one.spec, "psnr_db": one.psnr_db, "ssim": one.ssim}
+        common |= {"n_clipped": one.n_clipped, "cpu_s": one.cpu_s}
+        of_groups = one.ratios or (None,) * len(one.fits)
+        rows: list[tuple[Group, Any, Any]] = [
+            (fit.group, fit, ratio) for fit, ratio in zip(one.fits, of_groups, strict=True)
+        ]
+        rows += [(dict.fromkeys(names, "all"), None, one.overall)] if one.overall is not None else []
+        for group, fit, ratio in rows:
+            values = {name: getattr(fit, name, None) for name in ("status", "threshold", "threshold_ci95")}
+            values |= {column.key: getattr(ratio, column.key, None) for column in RATIO_COLUMNS}
+            records.append(common | _group_record(group) | values)
+    odd = any(record["status"] not in ("ok", None) for record in records)
+    columns = [
+        ALGORITHM,
+        Column(key="spec", in_file_only=True),
+        *_group_columns(names),
+        Column(key="status", none="", in_file_only=not odd, rank=1),
+        Column(key="threshold", header=f"threshold {level_heading(first.level) if first else ''}"),
+        Column(key="threshold_ci95", interval="threshold", in_file_only=True),
+        *RATIO_COLUMNS,
+        *(Column(key=key, in_file_only=True) for key in ("psnr_db", "ssim", "n_clipped", "cpu_s")),
+    ]
+    return Table.of(title or "Threshold over that of the reference", "compare.csv", columns, records)
 
 
 def measures(algorithms: Sequence[Algorithm]) -> Table:
-    """A row an algorithm: what it is, the usual measures of image quality, and what it costs."""
+    """Make the table of algorithms: the usual measures of image quality beside what the observer says."""
     records: list[Record] = [
         {
             "algorithm": one.name,
             "spec": one.spec,
-            "parameters": ", ".join(f"{name} {_field(value)}" for name, value in one.parameters.items()) or None,
-            **{name: getattr(one, name) for name in MEASURE_COLUMNS},
+            "parameters": ", ".join(f"{name} {field_text(value)}" for name, value in one.parameters.items())
+            or None,
+            **{column.key: getattr(one, column.key) for column in MEASURE_COLUMNS},
+            "disagrees": " and ".join(name.upper() for name in one.disagrees) or None,
         }
         for one in algorithms
     ]
-    columns = {"algorithm": "algorithm", "spec": "as asked for", "parameters": "parameters"} | MEASURE_COLUMNS
-    some = {key for record in records for key, value in record.items() if value is not None}
-    headers = {key: header for key, header in columns.items() if key in some}
-    return table("Algorithms and the usual measures", "algorithms.csv", headers, records)
+    columns = [
+        ALGORITHM,
+        Column(key="spec", header="as asked for", is_detail=True, rank=1, wraps=True),
+        Column(key="parameters", is_detail=True, wraps=True),
+        *MEASURE_COLUMNS,
+    ]
+    return Table.of("Algorithms and the usual measures", "algorithms.csv", columns, records).without_empty_columns(
+        "verdict"
+    )
 
 
-def settings(result: Result) -> Table:
-    """Everything that the result says of how it was made, nested tables with dots between the names."""
+def enhancements(found: Sequence[Record]) -> Table:
+    """Make the table of algorithms that can be used, each with a row a parameter below it."""
+    records: list[Record] = []
+    for one in found:
+        takes = one["domain"].replace("_", " ") + "s" * (one["domain"] == "code_value")
+        records.append({"name": one["name"], "what": one["what"], "takes": takes, "from": one["library"]})
+        for parameter in one["parameters"]:
+            default, ends = parameter["default"], parameter["range"] or ()
+            shown = f"{default:g}" if isinstance(default, float) else str(default)
+            span = ", ".join(map(str, parameter["choices"] or ())) or " – ".join(f"{end:g}" for end in ends)
+            records.append(
+                {
+                    "name": one["name"],
+                    "parameter": parameter["name"],
+                    "what": parameter["what"],
+                    "default": " ".join(filter(None, (shown, parameter["unit"]))),
+                    "range": span,
+                }
+            )
+    columns = [
+        Column(key="name", is_name=True),
+        Column(key="parameter", none=""),
+        Column(key="what", header="what it does; what a parameter is", none="", wraps=True),
+        Column(key="default", none=""),
+        Column(key="range", none="", wraps=True, rank=1),
+        Column(key="takes", none="", rank=2),
+        Column(key="from", none="", rank=3),
+    ]
+    return Table.of("Enhancement algorithms", "enhancements.csv", columns, records)
+
+
+def plan(result: ResultData) -> Table:
+    """Make the table of what was computed and what was left out, for each threshold if each has a plan."""
+    plans = [(group_phrase(fit.group), fit.plan) for fit in result.fits if fit.plan] or [("", result.plan)]
+    records = [
+        {"group": group or None}
+        | {key: value for key, value in step.items() if key != "kept" and not (step.get("kept") and key in UNUSED)}
+        | {"kept": "kept" if step.get("kept") else "left out"}
+        for group, steps in plans
+        for step in steps
+    ]
+    columns = [
+        Column(key="group", is_name=True),
+        Column(key="stage"),
+        Column(key="kept", header="is"),
+        Column(key="why", wraps=True),
+        Column(key="bound", header="bound on P", digits=2, none=""),
+        Column(key="saves_s", header="saves (s)", digits=2, none="", rank=1),
+    ]
+    title = "Plan: what was computed and what was left out"
+    return Table.of(title, "plan.csv", columns, records).without_empty_columns("stage")
+
+
+UNUSED = ("bound", "saves_s")
+"""Of a step of a plan, what says nothing where the step is kept."""
+
+
+def records_table(title: str, file: str, records: Sequence[Record]) -> Table:
+    """Make a table of records whose keys are not known beforehand: as many columns as there are keys."""
+    return Table.of(title, file, dict.fromkeys(key for record in records for key in record), records)
+
+
+def settings(result: ResultData) -> Table:
+    """Make the table of how a result was made, nested settings with dots between the names."""
     made: Record = {
         "command": result.command,
         "dataset": result.dataset,
@@ -482,8 +274,8 @@ def settings(result: Result) -> Table:
     }
     made = {name: value for name, value in made.items() if value is not None} | _flat(result.settings, "settings.")
     # As texts, for here the table too shows all digits.
-    rows: list[Record] = [{"name": name, "value": _field(value) or None} for name, value in made.items()]
-    return table("Settings, seed and versions", "settings.csv", {"name": "name", "value": "value"}, rows)
+    rows: list[Record] = [{"name": name, "value": field_text(value) or None} for name, value in made.items()]
+    return Table.of("Settings, seed and versions", "settings.csv", ["name", "value"], rows)
 
 
 def _flat(values: Record, prefix: str) -> Record:
@@ -493,47 +285,119 @@ def _flat(values: Record, prefix: str) -> Record:
     return flat
 
 
-Runs = dict[str, list[tuple[float, float]]]
+# Trials --------------------------------------------------------------------------------------------------------
 
 
-def scene_runs(scene: SceneResult) -> Runs:
-    """CPU time and relative error of the threshold at each budget of each estimator; both above 0."""
-    runs = {
-        one.title: [
-            (float(point["cpu_s"]), float(point["threshold_error"]))
-            for point in one.points
-            if _is_positive(point.get("cpu_s")) and _is_positive(point.get("threshold_error"))
-        ]
-        for one in scene.estimators
+def trials(dataset: Dataset, scored: ScoredDataset) -> Table:
+    """Make the table of scored trials: what was shown, the scores, the probability of each answer, the answer."""
+    records = [*_trials(dataset, scored)]
+    return Table.of("Trials", "scores.csv", records[0], records)
+
+
+def compared_trials(dataset: Dataset, results: Sequence[AlgorithmResult]) -> Table:
+    """Make the table of scored trials after each algorithm."""
+    records = [
+        {"algorithm": one.enhancement.spec, **record} for one in results for record in _trials(dataset, one.scored)
+    ]
+    return Table.of("Trials", "scores.csv", records[0], records)
+
+
+def _trials(dataset: Dataset, scored: ScoredDataset) -> Iterable[Record]:
+    numbers = {
+        **{f"displacement_{axis}_samples": scored.displacement_samples[:, k] for k, axis in enumerate("xy")},
+        **{f"score_{orientation}": scored.scores[:, k] for k, orientation in enumerate(ORIENTATIONS)},
+        **{f"p_{orientation}": scored.probabilities[:, k] for k, orientation in enumerate(ORIENTATIONS)},
     }
-    return {title: pairs for title, pairs in runs.items() if pairs}
-
-
-def _is_positive(value: object) -> bool:
-    return isinstance(value, int | float) and value > 0
-
-
-def scene_tables(scene: SceneResult, number: int) -> list[Table]:
-    """Estimators first; then what they take at some errors, all budgets, and what changing one thing does."""
-    estimators: list[Record] = [
-        {
-            "estimator": one.title,
-            "set_up_cpu_s": one.set_up_cpu_s,
-            "slope": one.slope,
-            "slope_standard_error": one.slope_standard_error,
+    lists = {name: values.tolist() for name, values in numbers.items()}
+    for place, trial in enumerate(scored.trials):
+        yield {
+            "trial": trial.name,
+            "n_frames": len(trial.frames),
+            "orientation": trial.orientation.value,
+            "size_mrad": trial.stimulus.size_mrad,
+            "polarity": trial.stimulus.polarity,
+            dataset.experiment.level: trial.level,
+            **group_of(dataset, trial.group),
+            **{name: values[place] for name, values in lists.items()},
+            "answer": ORIENTATIONS[scored.answers[place]].value,
+            "p_correct": float(scored.p_correct[place]),
         }
-        for one in scene.estimators
-    ]
-    parts = {
-        "estimators": estimators,
-        "CPU time at some errors": [
-            {"estimator": one.title} | at for one in scene.estimators for at in one.cpu_s_at
+
+
+# Scenes of an accuracy study -----------------------------------------------------------------------------------
+
+
+def scene_tables(scene: SceneResult) -> list[Table]:
+    """Make the tables of a scene of `accuracy`: estimators, what one change does, all budgets."""
+    estimators = Table.of(
+        _scene_title(scene),
+        f"{scene.name}_estimators.csv",
+        [
+            Column(key="estimator", is_name=True),
+            Column(key="trials", rank=3),
+            Column(key="cpu_s", header="CPU (s)", digits=2, rank=2),
+            Column(key="wall_s", header="wall (s)", digits=2, rank=4),
+            Column(key="p_correct_error", header="error of P", digits=2, rank=4),
+            Column(key="threshold_error", header="of the threshold", digits=2, rank=2),
+            Column(key="slope", rank=3),
+            *(
+                Column(key=key, header=key, rank=1 if key.startswith("CPU") else 0)
+                for at in ((scene.estimators or (Estimator(name=""),))[0].cpu_s_at)
+                for key in _at_names(at)
+            ),
         ],
-        "budgets": [{"estimator": one.title} | point for one in scene.estimators for point in one.points],
-        "one thing changed": scene.variants,
-    }
+        [_estimator_record(one, scene.estimators[0]) for one in scene.estimators],
+    )
+    variants = Table.of(
+        f"{scene.heading}: one thing changed about the closed form",
+        f"{scene.name}_variants.csv",
+        [
+            Column(key="label", header="closed form, changed", is_name=True),
+            Column(key="cpu_ratio", header="CPU", sign="× ", digits=3),
+            Column(key="p_correct_change", header="change of P", digits=2),
+            Column(key="threshold_change", header="of the threshold", digits=2),
+        ],
+        scene.variants,
+    )
+    budgets = [{"estimator": one.title} | point for one in scene.estimators for point in one.points]
     return [
-        records_table(f"{scene.heading}: {what}", f"scene_{number}_{part}.csv", rows)
-        for part, (what, rows) in enumerate(parts.items(), 1)
-        if rows
+        estimators,
+        *([variants] if scene.variants else []),
+        *([records_table(f"{scene.heading}: budgets", f"{scene.name}_budgets.csv", budgets)] if budgets else []),
     ]
+
+
+def _scene_title(scene: SceneResult) -> str:
+    if scene.threshold is None:
+        return f"{scene.heading}: estimators"
+    error = f" ± {plain(scene.threshold_bound, 1)}" if scene.threshold_bound is not None else ""
+    return f"{scene.heading}: threshold {level_heading(scene.level)} {plain(scene.threshold, 6)}{error}"
+
+
+def _at_names(at: Record) -> tuple[str, str]:
+    """What stands above the CPU time that an error takes, and above how many times less that is."""
+    percent = f"{100 * at['threshold_error']:g} %"
+    return f"CPU (s) at {percent}", f"times less at {percent}"
+
+
+def _estimator_record(one: Estimator, first: Estimator) -> Record:
+    """Tell what the largest budget gave, how the error falls, and what some errors take."""
+    last = one.points[-1] if one.points else {}
+    slope = None if one.slope is None else f"{one.slope:.2f}"
+    if slope is not None and one.slope_standard_error is not None:
+        slope += f" ± {one.slope_standard_error:.2f}"
+    record: Record = {"estimator": one.title, **last, "slope": slope}
+    bases = {at["threshold_error"]: at["cpu_s"] for at in first.cpu_s_at}
+    for at in one.cpu_s_at:
+        cpu_s, base = at["cpu_s"], bases.get(at["threshold_error"])
+        time_name, ratio_name = _at_names(at)
+        if cpu_s is not None:
+            text = rounded(cpu_s) if cpu_s >= 100.0 else plain(cpu_s, 2)
+            record[time_name] = ("≤ " if at.get("at_most") else "") + text + " *" * bool(at.get("extrapolated"))
+            record[ratio_name] = None if base is None else rounded(base / cpu_s)
+    return record
+
+
+def rounded(value: float) -> str:
+    """Write a ratio with two digits, thousands apart."""
+    return f"{float(f'{value:.2g}'):,.0f}" if value >= 10.0 else f"{value:.2g}"

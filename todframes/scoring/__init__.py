@@ -1,1 +1,5 @@
 """Datasets through an observer to thresholds, and the naked eye."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

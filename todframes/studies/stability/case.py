@@ -12,16 +12,13 @@ import warnings
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from importlib.metadata import entry_points
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from todframes.errors import TodframesError
-
-if TYPE_CHECKING:
-    from rich.table import Table
-
+from todframes.report.table import Column, Table
 
 ENTRY_POINT_GROUP = "todframes.stability_cases"
 
@@ -189,21 +186,18 @@ def by_group(outcomes: Iterable[Outcome]) -> dict[str, list[Outcome]]:
     return groups
 
 
-def outcome_table(outcomes: Sequence[Outcome]) -> Table:
-    """Make the table for the terminal."""
-    from rich.box import SIMPLE_HEAD
-    from rich.table import Table
-    from rich.text import Text
-
-    table = Table(box=SIMPLE_HEAD)
-    for header in HEADERS:
-        table.add_column(header, justify="right" if header in ("digits", "must keep") else "left")
-    for group, members in by_group(outcomes).items():
-        table.add_section()
-        table.add_row(Text(group, style="bold"))
-        for outcome in members:
-            table.add_row(*map(Text, cells(outcome)), style=None if outcome.holds else "bold red")
-    return table
+def outcome_table(outcomes: Sequence[Outcome], *, documented: bool = False) -> Table:
+    """Make the table of cases and what came of them."""
+    wide = ("expected", "from", "came")
+    columns = [
+        Column(key="group", is_name=True, wraps=True, in_file_only=documented),
+        *(Column(key=name, wraps=name in wide or name == "case", rank=2 * (name == "from")) for name in HEADERS),
+    ]
+    records = [
+        {"group": one.case.group} | dict(zip(HEADERS, cells(one, documented=documented), strict=True))
+        for one in outcomes
+    ]
+    return Table.of("Extreme inputs", "stability.csv", columns, records)
 
 
 PAGE = """\
@@ -226,10 +220,5 @@ def markdown(outcomes: Sequence[Outcome]) -> str:
     """Write the tables as a page of the documentation, without digits that are a matter of the machine."""
     lines = [PAGE.format(number=len(outcomes))]
     for group, members in by_group(outcomes).items():
-        lines += [f"## {group.capitalize()}", "", _row(HEADERS), _row(["---"] * 4 + ["--:"] * 2)]
-        lines += [*(_row(cells(outcome, documented=True)) for outcome in members), ""]
+        lines += [f"## {group.capitalize()}", "", outcome_table(members, documented=True).markdown(), ""]
     return "\n".join(lines)
-
-
-def _row(texts: Iterable[str]) -> str:
-    return "| " + " | ".join(text.replace("|", "\\|") for text in texts) + " |"

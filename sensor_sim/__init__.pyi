@@ -1,0 +1,11 @@
+from .api import curve as curve
+from .api import mtf as mtf
+from .api import simulate as simulate
+from .matched import matched_settings as matched_settings
+from .sensor import Detector as Detector
+from .sensor import Electronics as Electronics
+from .sensor import Noise as Noise
+from .sensor import Optics as Optics
+from .sensor import Sensor as Sensor
+from .sensor import SensorDisplay as SensorDisplay
+from .sensor import load_sensor as load_sensor

@@ -1,0 +1,32 @@
+from .api import compare as compare
+from .api import fit_counts as fit_counts
+from .api import naked_eye as naked_eye
+from .api import score as score
+from .enhancement.algorithm import find_enhancement as find_enhancement
+from .enhancement.algorithm import parameter as parameter
+from .errors import DataError as DataError
+from .errors import FrameError as FrameError
+from .errors import OutputError as OutputError
+from .errors import SettingsError as SettingsError
+from .errors import TodframesError as TodframesError
+from .frames.dataset import Dataset as Dataset
+from .frames.dataset import load_dataset as load_dataset
+from .frames.display import Display as Display
+from .frames.files import read_frame as read_frame
+from .frames.files import write_frame as write_frame
+from .observers.decision import answer_probabilities as answer_probabilities
+from .observers.hotelling import HotellingObserver as HotellingObserver
+from .observers.interface import Observer as Observer
+from .observers.interface import Readout as Readout
+from .observers.interface import find_observer as find_observer
+from .observers.oriented import OrientedObserver as OrientedObserver
+from .observers.pyramid import PyramidObserver as PyramidObserver
+from .psychometrics.fit import FitSettings as FitSettings
+from .psychometrics.fit import PsychometricFit as PsychometricFit
+from .report.result import Result as Result
+from .report.result import load_result as load_result
+from .stimulus import ORIENTATIONS as ORIENTATIONS
+from .stimulus import Orientation as Orientation
+from .stimulus import Stimulus as Stimulus
+
+__version__: str

@@ -1,0 +1,434 @@
+"""What the commands do, as calls: each makes a `Result` from data and settings, with the command's numbers."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict, is_dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from todframes._typing import Json
+from todframes.errors import DataError, SettingsError
+from todframes.frames.checksums import dataset_warnings
+from todframes.frames.dataset import Dataset, Trial, load_dataset
+from todframes.observers.interface import ENTRY_POINT_GROUP, Observer, find_observer
+from todframes.psychometrics.fit import FitSettings
+from todframes.psychometrics.fit import fit_counts as fit_counts_of_one
+from todframes.report.data import Fit, Group, ResultWarning, algorithms, group_of
+from todframes.report.result import Result
+from todframes.scoring.error_budget import PlanName, plan_object
+from todframes.scoring.trials import Decisions
+
+if TYPE_CHECKING:
+    from todframes.scoring.naked_eye import Threshold
+
+OnError = Literal["stop", "skip"]
+
+
+Progress = Callable[[int], None]
+
+
+T = TypeVar("T")
+
+
+def score(
+    dataset: Path | str | Dataset,
+    *,
+    observer: str | Observer = "pyramid",
+    decisions: Decisions = "expected",
+    tolerance: float | None = None,
+    plan: PlanName = "needed",
+    seed: int = 1,
+    p_correct: float | None = None,
+    fit: FitSettings | None = None,
+    locate: bool = False,
+    on_error: OnError = "stop",
+    workers: int = 1,
+    examples: bool = True,
+    progress: Progress | None = None,
+) -> Result:
+    """Score the display frames of a dataset and fit its thresholds, as `todframes score` does.
+
+    Parameters
+    ----------
+    dataset : path or Dataset
+        Folder with dataset.toml, manifest.csv and frames, or what `load_dataset` made of it.
+    observer : str or Observer
+        Name of a registered observer, "module:Class", or an observer: `PyramidObserver(internal_noise=0.25)`.
+    decisions : {"expected", "sampled"}
+        Each frame's probability of a correct answer, or one answer drawn a trial.
+    tolerance : float, optional
+        Relative error of the thresholds that displacing the retina may cause: each frame is seen with as many
+        displacements as that takes. Default: one each.
+    plan : {"needed", "full"}
+        Leave out what the scene does not need, or nothing.
+    seed : int
+        Seed of all random draws.
+    p_correct : float, optional
+        Raw proportion correct at threshold, in place of that of `fit`.
+    fit : FitSettings, optional
+        What is fixed and what is free in the fits.
+    locate : bool
+        Find the triangle's position where the manifest has none.
+    on_error : {"stop", "skip"}
+        At a frame or row that cannot be used: raise, or go on and list it in `Result.skipped`.
+    workers : int
+        Threads that read and score.
+    examples : bool
+        Also draw what a triangle at threshold looks like, for the page.
+    progress : function of an int, optional
+        Is told the number of trials done whenever some are; with `locate`, each is done twice.
+
+    Returns
+    -------
+    Result
+
+    Raises
+    ------
+    DataError, FrameError
+        If the dataset or a frame cannot be used.
+    SettingsError
+        If a setting is not what it should be.
+
+    Examples
+    --------
+    >>> import todframes as tod
+    >>> result = tod.score("sample_frames/naked_eye", observer=tod.PyramidObserver(internal_noise=0.25))
+    >>> result.thresholds[0].group, result.thresholds[0].status
+    ({'size_mrad': 0.6}, 'ok')
+    """
+    started = time.perf_counter()
+    from todframes.report import tables
+    from todframes.scoring.score import score_dataset
+
+    judge, settings = described(observer)
+    fit = _fit_settings(fit, p_correct)
+    data, more = _located(dataset, judge, locate, on_error, progress)
+    scored = score_dataset(
+        data,
+        judge,
+        decisions=decisions,
+        seed=seed,
+        fit_settings=fit,
+        tolerance=tolerance,
+        plan_name=plan,
+        skip_bad_frames=_is_skip(on_error),
+        workers=workers,
+        progress=progress,
+    )
+    if examples:
+        from todframes.report import examples as drawing
+
+        more["examples"] = drawing.examples(data, scored, judge)
+    return Result.made(
+        "score",
+        started,
+        settings=settings | asdict(fit) | {"decisions": decisions, "tolerance": tolerance, "plan": plan},
+        seed=seed,
+        fits=tuple(Fit.of_trials(data, one) for one in scored.fits),
+        plan=tuple(plan_object(scored.plan, 1.0)),
+        dataset=str(data.path),
+        skipped=tuple(one._asdict() for one in scored.skipped),
+        warnings=_warnings(data, scored.trials),
+        negative_luminance_pixels=scored.n_negative,
+        **more,
+    ).with_trials(lambda: tables.trials(data, scored))
+
+
+def compare(
+    dataset: Path | str | Dataset,
+    enhance: Iterable[str | Callable[..., Any]],
+    *,
+    observer: str | Observer = "pyramid",
+    white: float = 1.0,
+    allow_clipping: bool = False,
+    decisions: Decisions = "expected",
+    plan: PlanName = "needed",
+    seed: int = 1,
+    p_correct: float | None = None,
+    fit: FitSettings | None = None,
+    locate: bool = False,
+    on_error: OnError = "stop",
+    workers: int = 1,
+    examples: bool = True,
+    progress: Progress | None = None,
+) -> Result:
+    """Tell whether enhancement algorithms lower the thresholds of a dataset, as `todframes compare` does.
+
+    Each algorithm is compared with the frames as they are, on the same frames and with the same random draws.
+
+    Parameters
+    ----------
+    dataset, observer, decisions, plan, seed, p_correct, fit, locate, on_error, workers, examples, progress
+        As in `score`.
+    enhance : iterable of str or function
+        Algorithms: "name" of a registered one or "module:function", either with ":parameter=value,…" behind; or
+        functions of an image and keyword parameters.
+    white : float
+        Code value that algorithms take as white.
+    allow_clipping : bool
+        Clip what algorithms take beyond the display's range, instead of raising.
+
+    Returns
+    -------
+    Result
+        Its `algorithms` have thresholds, ratios to the reference and verdicts; the first is the reference.
+
+    Raises
+    ------
+    DataError, FrameError
+        If the dataset, a frame or what an algorithm makes of it cannot be used.
+    SettingsError
+        If a setting or an algorithm is not what it should be.
+
+    Examples
+    --------
+    >>> import todframes as tod
+    >>> def brighter(image, gain=1.2):
+    ...     return gain * image
+    >>> fit = tod.FitSettings(resamples=200)
+    >>> result = tod.compare("sample_frames/enhancement", [brighter], allow_clipping=True, fit=fit)
+    >>> [one.verdict for one in result.algorithms]
+    [None, 'no difference shown']
+    """
+    started = time.perf_counter()
+    from todframes.enhancement.algorithm import find_enhancement
+    from todframes.enhancement.compare import compare_dataset
+    from todframes.enhancement.enhanced_frame import Screen
+    from todframes.report import tables
+    from todframes.report.summary import comparison
+
+    judge, settings = described(observer)
+    fit = _fit_settings(fit, p_correct)
+    found = [find_enhancement(one) for one in enhance]
+    data = _loaded(dataset)
+    screen = Screen(data.display, white, allow_clipping)
+    data, more = _located(data, judge, locate, on_error, progress)
+    results = compare_dataset(
+        data,
+        judge,
+        found,
+        decisions=decisions,
+        seed=seed,
+        fit_settings=fit,
+        screen=screen,
+        plan_name=plan,
+        skip_bad_frames=_is_skip(on_error),
+        workers=workers,
+        progress=progress,
+    )
+    reference, compared = results[0].scored, algorithms(data, results)
+    if examples:
+        from todframes.report.examples import compare_examples
+
+        more["examples"] = compare_examples(data, results, judge, screen)
+    black, peak = screen.luminance_range
+    return Result.made(
+        "compare",
+        started,
+        settings=settings
+        | asdict(fit)
+        | {"decisions": decisions, "plan": plan, "white": white, "allow_clipping": allow_clipping},
+        seed=seed,
+        algorithms=compared,
+        data_range_cd_m2=peak - black,
+        verdict=comparison(compared),
+        plan=tuple(plan_object(reference.plan, 1.0)),
+        dataset=str(data.path),
+        skipped=tuple(one._asdict() for one in reference.skipped),
+        warnings=_warnings(data, reference.trials),
+        negative_luminance_pixels=reference.n_negative,
+        **more,
+    ).with_trials(lambda: tables.compared_trials(data, results))
+
+
+def fit_counts(
+    level: ArrayLike,
+    n_correct: ArrayLike,
+    n_trials: ArrayLike,
+    *,
+    groups: Mapping[str, Sequence[float | str]] | None = None,
+    p_correct: float | None = None,
+    fit: FitSettings | None = None,
+    seed: int = 1,
+) -> Result:
+    """Fit psychometric functions to counts of correct answers, as `todframes fit` does.
+
+    Parameters
+    ----------
+    level, n_correct, n_trials : array_like, shape (n,)
+        Stimulus strength, > 0; whole numbers with 0 <= n_correct <= n_trials and n_trials >= 1.
+    groups : mapping, optional
+        Columns of n values each by name; rows with the same values share a curve. Default: one curve.
+    p_correct : float, optional
+        Raw proportion correct at threshold, in place of that of `fit`.
+    fit : FitSettings, optional
+        What is fixed and what is free in the fits.
+    seed : int
+        Seed of the resamples.
+
+    Returns
+    -------
+    Result
+
+    Raises
+    ------
+    DataError
+        If the shapes differ, there is no row, or a value is out of its range.
+
+    Examples
+    --------
+    >>> import todframes as tod
+    >>> result = tod.fit_counts([0.1, 0.2, 0.4, 0.8], [12, 18, 30, 38], [40, 40, 40, 40])
+    >>> result
+    <Result of fit: At 75 % correct the threshold level is 0.358 (95 % interval 0.264 to 0.434).>
+    """
+    started = time.perf_counter()
+    fit = _fit_settings(fit, p_correct)
+    columns = [np.asarray(values) for values in (level, n_correct, n_trials)]
+    names = {name: list(values) for name, values in (groups or {}).items()}
+    for name, values in names.items():
+        if len(values) != columns[0].size:
+            raise DataError(f"groups: {name}: found {len(values)} values, expected {columns[0].size}, one a row")
+    rows: dict[tuple[float | str, ...], list[int]] = {}
+    for row in range(columns[0].size):
+        key = tuple(values[row] for values in names.values())
+        rows.setdefault(tuple(one if isinstance(one, str) else float(one) for one in key), []).append(row)
+    fits = []
+    for number, (key, of_group) in enumerate((rows or {(): []}).items()):
+        rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number,)))
+        counts = columns if len(rows) < 2 else [column[of_group] for column in columns]
+        one = fit_counts_of_one(*counts, settings=fit, rng=rng)
+        fits.append(Fit.of_counts(dict(zip(names, key, strict=True)), "level", one))
+    return Result.made("fit", started, settings=asdict(fit), seed=seed, fits=tuple(fits))
+
+
+def naked_eye(
+    *,
+    size_mrad: float | Sequence[float] | None = None,
+    contrast: float | Sequence[float] | None = None,
+    observer: str | Observer = "pyramid",
+    p_correct: float = 0.75,
+) -> Result:
+    """Compute thresholds of the observer without any display in between, as `todframes naked-eye` does.
+
+    Parameters
+    ----------
+    size_mrad : float or sequence of float
+        Sizes √(area); the threshold is a Weber contrast for each. Give either this or `contrast`.
+    contrast : float or sequence of float
+        Weber contrasts; the threshold is a size for each, the acuity.
+    observer : str or Observer
+        As in `score`; a linear one.
+    p_correct : float
+        Raw proportion correct at threshold.
+
+    Returns
+    -------
+    Result
+
+    Raises
+    ------
+    SettingsError
+        If both or none are given, the observer is not linear, or a value is out of its range.
+
+    Examples
+    --------
+    >>> import todframes as tod
+    >>> (one,) = tod.naked_eye(size_mrad=1.0).thresholds
+    >>> f"{one.threshold:.3f} ± {one.threshold_numerical_error:.0e}"
+    '0.146 ± 2e-06'
+    """
+    started = time.perf_counter()
+    from todframes.scoring.naked_eye import acuity, contrast_threshold
+
+    if (contrast is None) == (size_mrad is None):
+        raise SettingsError("naked-eye: expected one of --contrast and --size-mrad")
+    judge, settings = described(observer)
+    FitSettings(p_correct=p_correct)  # checks it
+    values = np.atleast_1d(np.asarray(size_mrad if contrast is None else contrast, dtype=np.float64)).tolist()
+    if contrast is not None:
+        found = [({"contrast": one}, acuity(judge, contrast=one, p_correct=p_correct)) for one in values]
+    else:
+        found = [
+            ({"size_mrad": one}, contrast_threshold(judge, size_mrad=one, p_correct=p_correct)) for one in values
+        ]
+    level = "contrast" if contrast is None else "size_mrad"
+    return Result.made(
+        "naked-eye",
+        started,
+        settings=settings | {"p_correct": p_correct},
+        fits=tuple(_computed(group, level, p_correct, one) for group, one in found),
+    )
+
+
+def _computed(group: Group, level: str, p_correct: float, found: Threshold) -> Fit:
+    return Fit(
+        group=group,
+        level=level,
+        status=found.status,
+        threshold=found.threshold,
+        threshold_numerical_error=found.numerical_error,
+        p_correct=p_correct,
+    )
+
+
+def described(observer: str | Observer) -> tuple[Observer, Json]:
+    """Make an observer that is named, and tell its name and settings as JSON has them."""
+    if isinstance(observer, str):
+        kind, name = find_observer(observer), observer
+        observer = kind(kind.settings_type())
+    else:
+        name = _name(type(observer))
+    settings = getattr(observer, "settings", None)
+    values = asdict(settings) if is_dataclass(settings) and not isinstance(settings, type) else {}
+    return observer, {"observer": name, **values}
+
+
+def _name(kind: type) -> str:
+    """Find the name that a class is registered under; "module:Class" if it is not."""
+    import sys
+    from importlib.metadata import entry_points
+
+    for entry in entry_points(group=ENTRY_POINT_GROUP):
+        if entry.module in sys.modules and entry.load() is kind:
+            return entry.name
+    return f"{kind.__module__}:{kind.__qualname__}"
+
+
+def _fit_settings(fit: FitSettings | None, p_correct: float | None) -> FitSettings:
+    fit = fit or FitSettings()
+    return fit if p_correct is None else replace(fit, p_correct=p_correct)
+
+
+def _loaded(dataset: Path | str | Dataset) -> Dataset:
+    return dataset if isinstance(dataset, Dataset) else load_dataset(dataset)
+
+
+def _located(
+    dataset: Path | str | Dataset, observer: Observer, locate: bool, on_error: OnError, progress: Progress | None
+) -> tuple[Dataset, Json]:
+    """Load a dataset and find its positions if asked to; these are part of the result."""
+    data = _loaded(dataset)
+    if not locate:
+        return data, {}
+    from todframes.frames.locate import locate_triangles
+
+    data, locations = locate_triangles(
+        data, centre=observer.centre, skip_bad_frames=_is_skip(on_error), progress=progress
+    )
+    return data, {"located": tuple({**one._asdict(), "group": group_of(data, one.group)} for one in locations)}
+
+
+def _warnings(data: Dataset, trials: Sequence[Trial]) -> tuple[ResultWarning, ...]:
+    return tuple(ResultWarning(**one._asdict()) for one in dataset_warnings(data, trials))
+
+
+def _is_skip(on_error: OnError) -> bool:
+    if on_error not in ("stop", "skip"):
+        raise SettingsError(f"on_error: found {on_error!r}, expected stop or skip")
+    return on_error == "skip"

@@ -1,0 +1,2 @@
+from .result import Result as Result
+from .result import load_result as load_result

@@ -1,0 +1,488 @@
+"""What a result holds, as records with the very keys of its JSON, and how it is read back, every key checked.
+
+Keys that are not named here are left alone, so results of later versions can be read.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+
+import msgspec
+from msgspec import Meta, Struct, field
+
+from todframes.config import read_file
+from todframes.errors import DataError
+
+if TYPE_CHECKING:
+    from todframes.enhancement.algorithm import Enhancement
+    from todframes.enhancement.compare import AlgorithmResult, Compared
+    from todframes.frames.dataset import Dataset
+    from todframes.psychometrics.fit import PsychometricFit
+    from todframes.scoring.score import GroupFit
+
+SCHEMA = 1
+
+
+MAX_MB = 64
+
+
+PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+
+
+CONTENT = {
+    "score": "fits",
+    "naked-eye": "fits",
+    "fit": "fits",
+    "curve": "fits",
+    "compare": "algorithms",
+    "accuracy": "scenes",
+}
+"""Commands with a report, and the key that such a result cannot do without."""
+
+
+Positive = Annotated[float, Meta(gt=0)]
+
+
+Proportion = Annotated[float, Meta(ge=0, le=1)]
+
+
+Interval = tuple[Positive | None, Positive | None]
+
+
+Group = dict[str, float | str]
+
+
+Record = dict[str, Any]
+
+
+NO_DIFFERENCE = "no difference shown"
+
+
+PSNR_STEP_DB, SSIM_STEP = 0.1, 0.005
+"""Changes of PSNR and SSIM that count as none."""
+
+
+def _null() -> None:
+    return None
+
+
+def _empty() -> tuple[()]:
+    return ()
+
+
+# JSON leaves out what equals its default, but not what equals the value of a default factory.
+NULL: Any = field(default_factory=_null)
+"""A field that may be missing where a result is read, and is written as null where it has no value."""
+
+
+EMPTY: Any = field(default_factory=_empty)
+"""The same of a list, written even when it is empty."""
+
+
+class FitPoint(Struct, frozen=True):
+    """The proportion correct at one level; `n_trials` is 0 where it was computed."""
+
+    level: Positive
+    n_trials: int
+    p_correct: Proportion
+
+
+class Fit(Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """A threshold and the curve it was read from, one object of `fits`.
+
+    Attributes
+    ----------
+    group : dict
+        Values that the trials of this curve share, by column, such as {"size_mrad": 2.0}.
+    level : str
+        What `threshold`, `alpha` and the levels of `points` are values of: contrast, snr, size_mrad.
+    status : str
+        "ok", or what is wrong with the threshold: "extrapolated", "never_reached", "always_exceeded",
+        "too_few_levels".
+    threshold : float or None
+        Level at the raw proportion correct `p_correct`.
+    threshold_ci95 : (float or None, float or None) or None
+        95 % interval; an end is None where the data leave it open.
+    threshold_numerical_error, threshold_displacement_error : float or None
+        Error of a computed threshold, and half the 95 % interval over displacements of the retina.
+    points_threshold : float or None
+        Where the points themselves cross the criterion.
+    alpha, beta, gamma, delta : float or None
+        Parameters of the Weibull curve, Hogervorst et al. 2001, eq. 3.
+    points : tuple of FitPoint
+    p_correct_error_bound, p_correct_left_out_bound : float or None
+        Bounds on the error in P(correct): noise that is not Gaussian, and what the plan leaves out.
+    delta_t_mk : float or None
+        The threshold as a temperature difference, in mK.
+    """
+
+    group: Group
+    level: str
+    status: str
+    threshold: Positive | None = NULL
+    threshold_ci95: Interval | None = NULL
+    threshold_numerical_error: float | None = NULL
+    threshold_displacement_error: float | None = NULL
+    p_correct: Proportion
+    alpha: Positive | None = NULL
+    beta: Positive | None = NULL
+    gamma: Proportion | None = NULL
+    delta: Proportion | None = NULL
+    n_trials: int = field(default_factory=int)
+    points: tuple[FitPoint, ...] = EMPTY
+    points_threshold: Positive | None = NULL
+    delta_t_mk: float | None = NULL
+    n_displacements: int | None = None
+    n_phases: int | None = None
+    p_correct_error_bound: float | None = NULL
+    p_correct_left_out_bound: float | None = NULL
+    plan: tuple[Record, ...] = ()
+    run_time_s: float | None = NULL
+
+    @classmethod
+    def of_counts(cls, group: Group, level: str, fit: PsychometricFit) -> Fit:
+        """Make one from a psychometric fit."""
+        values = {one.name: getattr(fit, one.name) for one in dataclasses.fields(fit) if one.name != "points"}
+        points = tuple(FitPoint(one.level, one.n_trials, one.p_correct) for one in fit.points)
+        return cls(group=group, level=level, points=points, **values)
+
+    @classmethod
+    def of_trials(cls, dataset: Dataset, fit: GroupFit) -> Fit:
+        """Make one from the fit to the scored trials of a group."""
+        return msgspec.structs.replace(
+            cls.of_counts(group_of(dataset, fit.group), dataset.experiment.level, fit.fit),
+            p_correct_error_bound=fit.non_gaussian_bound,
+            p_correct_left_out_bound=fit.left_out_bound,
+            threshold_displacement_error=fit.numerical_error,
+            n_displacements=fit.n_displacements,
+            run_time_s=round(fit.run_time_s, 4),
+        )
+
+
+def group_of(dataset: Dataset, values: Sequence[float | str]) -> Group:
+    """Name the values that a dataset's trials are grouped by."""
+    return dict(zip(dataset.experiment.group_by, values, strict=True))
+
+
+class Ratio(Struct, frozen=True, kw_only=True):
+    """An algorithm's threshold over that of the reference, in one group; without one, in all of them together."""
+
+    verdict: str
+    group: Group = {}
+    ratio: Positive | None = None
+    ratio_ci95: Interval | None = None
+    p_value: float | None = None
+    p_value_holm: float | None = None
+
+
+class Algorithm(Struct, frozen=True, kw_only=True):
+    """An algorithm of `compare`; the reference has no ratios."""
+
+    name: str
+    spec: str | None = None
+    what: str | None = None
+    library: str | None = None
+    domain: str | None = None
+    parameters: Record = {}
+    magnification: float = 1.0
+    fits: tuple[Fit, ...] = ()
+    ratios: tuple[Ratio, ...] = ()
+    overall: Ratio | None = None
+    verdict: str | None = None
+    psnr_db: float | None = None
+    psnr_change_db: float | None = None
+    ssim: float | None = None
+    ssim_change: float | None = None
+    disagrees: tuple[str, ...] = ()
+    n_clipped: int | None = None
+    cpu_s: float | None = None
+
+
+def algorithms(dataset: Dataset, results: Sequence[AlgorithmResult]) -> tuple[Algorithm, ...]:
+    """Make the records of compared algorithms, the reference first."""
+    reference, names = results[0], [one.enhancement.name for one in results]
+    found = []
+    for one in results:
+        algorithm = one.enhancement
+        ratios = tuple(_ratio(dataset, compared) for compared in one.compared)
+        overall = None if one.overall is None else _ratio(dataset, one.overall)
+        verdict = overall.verdict if overall is not None else ratios[0].verdict if ratios else None
+        changes = {
+            "psnr_change_db": _difference(one.psnr_db, reference.psnr_db),
+            "ssim_change": _difference(one.ssim, reference.ssim),
+        }
+        found.append(
+            Algorithm(
+                name=algorithm.name if names.count(algorithm.name) == 1 else algorithm.spec,
+                spec=algorithm.spec,
+                what=algorithm.what,
+                library=algorithm.declaration.library,
+                domain=algorithm.declaration.domain,
+                parameters={name: plain_value(value) for name, value in algorithm.values.items()},
+                magnification=algorithm.magnification,
+                fits=tuple(Fit.of_trials(dataset, fit) for fit in one.scored.fits),
+                ratios=ratios,
+                overall=overall,
+                verdict=verdict,
+                psnr_db=one.psnr_db,
+                ssim=one.ssim,
+                **changes,
+                disagrees=() if verdict is None else _disagreeing(changes, verdict),
+                n_clipped=one.n_clipped,
+                cpu_s=round(one.cpu_s, 4),
+            )
+        )
+    return tuple(found)
+
+
+def _ratio(dataset: Dataset, compared: Compared) -> Ratio:
+    return Ratio(
+        verdict=compared.verdict,
+        group={} if compared.group is None else group_of(dataset, compared.group),
+        ratio=compared.ratio.ratio,
+        ratio_ci95=compared.ratio.ratio_ci95,
+        p_value=compared.ratio.p_value,
+        p_value_holm=compared.p_value_holm,
+    )
+
+
+def _difference(value: float | None, reference: float | None) -> float | None:
+    return None if value is None or reference is None else value - reference
+
+
+def _disagreeing(changes: dict[str, float | None], verdict: str) -> tuple[str, ...]:
+    """Tell which of PSNR and SSIM say something else than the observer does."""
+    found = []
+    for name, key, step in (("psnr", "psnr_change_db", PSNR_STEP_DB), ("ssim", "ssim_change", SSIM_STEP)):
+        change = changes[key]
+        if change is not None:
+            opinion = NO_DIFFERENCE if abs(change) < step else "better" if change > 0 else "worse"
+            found += [name] if opinion != verdict else []
+    return tuple(found)
+
+
+def plain_value(value: object) -> object:
+    """Return a parameter's value as JSON has it; a text where it has no such thing."""
+    return value if value is None or isinstance(value, bool | int | float | str) else repr(value)
+
+
+def enhancement_record(algorithm: Enhancement) -> Record:
+    """Describe an algorithm that can be used, as `todframes enhancements --json` does."""
+    return {
+        "name": algorithm.name,
+        "what": algorithm.what,
+        "domain": algorithm.declaration.domain,
+        "changes_pitch": algorithm.declaration.magnification != 1.0,
+        "library": algorithm.declaration.library,
+        "parameters": [
+            {
+                "name": one.name,
+                "default": plain_value(one.default),
+                "unit": (one.meta.extra or {}).get("unit") or None,
+                "range": None if one.meta.ge is None else [one.meta.ge, one.meta.le],
+                "choices": list(one.choices) or None,
+                "what": one.meta.description or None,
+            }
+            for one in algorithm.parameters
+        ],
+    }
+
+
+class Estimator(Struct, frozen=True, kw_only=True):
+    """A way to compute a threshold, and what it took and how wrong it was at each budget."""
+
+    name: str
+    label: str | None = None
+    set_up_cpu_s: float | None = None
+    slope: float | None = None
+    slope_standard_error: float | None = None
+    points: tuple[Record, ...] = ()
+    cpu_s_at: tuple[Record, ...] = ()
+
+    @property
+    def title(self) -> str:
+        """The name for people."""
+        return self.label or self.name
+
+
+class SpeedRatio(Struct, frozen=True, kw_only=True):
+    """How many times less CPU the closed form of a scene takes than the first estimator, at a relative error."""
+
+    threshold_error: Positive
+    ratio: Positive | None = None
+    closed_form: str | None = None
+    extrapolated: bool = False
+    at_least: bool = False
+
+
+class SceneResult(Struct, frozen=True, kw_only=True):
+    """A scene of `accuracy`."""
+
+    name: str
+    title: str | None = None
+    description: str = ""
+    level: str = "level"
+    threshold: float | None = None
+    threshold_bound: float | None = None
+    slope: float | None = None
+    p_correct_error_bound: float | None = None
+    estimators: tuple[Estimator, ...] = ()
+    variants: tuple[Record, ...] = ()
+    speed_ratios: tuple[SpeedRatio, ...] = ()
+
+    @property
+    def heading(self) -> str:
+        """The title with a capital letter."""
+        title = self.title or self.name
+        return title[:1].upper() + title[1:]
+
+
+class Thumbnail(Struct, frozen=True):
+    """A PNG of an example. `scale` is the value of white, and minus that of black where zero is mid-grey."""
+
+    name: str
+    png: bytes
+    scale: float | None = None
+
+
+class Example(Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """A trial near threshold: the frame as displayed and what the observer makes of it."""
+
+    group: Group
+    algorithm: str | None = None
+    level: str = field(default_factory=lambda: "level")
+    strength: float | None = NULL
+    orientation: str | None = NULL
+    p_correct: float | None = None
+    frame: str | None = None
+    n_frames: int | None = None
+    width_mrad: float | None = NULL
+    pictures: tuple[Thumbnail, ...]
+
+
+class ResultWarning(Struct, frozen=True, kw_only=True):
+    """A fact that makes the result less sure, under a stable `code`."""
+
+    code: str = ""
+    group: Group = {}
+    message: str
+    found: Any = None
+    expected: Any = None
+
+
+class ResultData(Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """What `result.json` holds; `todframes.report.result.Result` is the same with all that can be done with it."""
+
+    schema: int
+    command: str
+    version: str = field(default_factory=lambda: "?")
+    versions: Record = field(default_factory=lambda: {})  # noqa: PIE807 - `dict` would be left out when empty
+    settings: Record = field(default_factory=lambda: {})  # noqa: PIE807
+    seed: int | None = NULL
+    fits: tuple[Fit, ...] = EMPTY
+    algorithms: tuple[Algorithm, ...] = ()
+    scenes: tuple[SceneResult, ...] = ()
+    cases: tuple[Record, ...] = ()
+    data_range_cd_m2: float | None = None
+    verdict: tuple[Any, ...] | str = ()
+    plan: tuple[Record, ...] = ()
+    dataset: str | None = None
+    skipped: tuple[Record, ...] = EMPTY
+    warnings: tuple[ResultWarning, ...] = EMPTY
+    negative_luminance_pixels: int | None = None
+    located: tuple[Record, ...] | None = None
+    examples: tuple[Example, ...] | None = None
+    run_time_s: float | None = NULL
+
+    @property
+    def thresholds(self) -> tuple[Fit, ...]:
+        """All thresholds, a `Fit` each; those of a comparison have "algorithm" among the values of their group."""
+        of_algorithms = (
+            msgspec.structs.replace(fit, group={"algorithm": one.name} | fit.group)
+            for one in self.algorithms
+            for fit in one.fits
+        )
+        return (*self.fits, *of_algorithms)
+
+
+D = TypeVar("D", bound=ResultData)
+
+
+def read_bytes(path: Path) -> bytes:
+    """Read the file of a result.
+
+    Raises
+    ------
+    DataError
+        If it cannot be read or is too long.
+    """
+    return read_file(path, most_mb=MAX_MB)
+
+
+def decode(content: bytes, where: str, kind: type[D]) -> D:
+    """Decode and check a result.
+
+    Parameters
+    ----------
+    content : bytes
+        One JSON object, with or without a byte-order mark.
+    where : str
+        The file; every message begins with it.
+    kind : type
+        `ResultData` or a subclass.
+
+    Raises
+    ------
+    DataError
+        If it is no JSON, of another schema or of a command without a report, or lacks what a report cannot do
+        without.
+    """
+    try:
+        result = msgspec.json.decode(content.removeprefix(b"\xef\xbb\xbf"), type=kind)
+    except msgspec.ValidationError as error:
+        raise DataError(f"{where}: {_in_words(str(error))}") from None
+    except UnicodeDecodeError:
+        raise DataError(f"{where}: not UTF-8, expected a result in JSON") from None
+    except (msgspec.DecodeError, RecursionError) as error:
+        raise DataError(f"{where}: not a result in JSON ({error})") from None
+    if result.schema != SCHEMA:
+        raise DataError(f"{where}: schema: found {result.schema}, expected {SCHEMA}")
+    if result.command not in CONTENT:
+        raise DataError(f"{where}: command: found {result.command!r}, expected one of {', '.join(CONTENT)}")
+    if not getattr(result, CONTENT[result.command]):
+        raise DataError(f"{where}: {CONTENT[result.command]}: found none, expected at least one")
+    _check_fits(result.fits, f"{where}: fits")
+    _check_fits(result.thresholds[len(result.fits) :], f"{where}: fits of all algorithms")
+    for number, example in enumerate(result.examples or ()):
+        for picture in example.pictures:
+            if not picture.png.startswith(PNG_SIGNATURE + b"\0\0\0\rIHDR"):
+                raise DataError(f"{where}: examples[{number}]: picture {picture.name!r} is no PNG")
+    return result
+
+
+def _check_fits(fits: Sequence[Fit], where: str) -> None:
+    """Fits of one result stand in one table: they share level and group columns."""
+    for number, fit in enumerate(fits):
+        for name, found, expected in (
+            ("level", fit.level, fits[0].level),
+            ("group", ", ".join(fit.group), ", ".join(fits[0].group)),
+        ):
+            if found != expected:
+                raise DataError(
+                    f"{where}[{number}].{name}: found {found!r}, expected {expected!r} as in the first"
+                )
+
+
+def _in_words(problem: str) -> str:
+    """A message of msgspec as this package puts it: where, found, expected."""
+    what, _, place = problem.partition(" - at ")
+    place = place.strip("`").removeprefix("$").removeprefix(".")
+    if missing := re.fullmatch(r"Object missing required field `(\w+)`", what):
+        return f"{place}.{missing[1]} is missing".removeprefix(".")
+    expected, _, found = what.replace("`", "").replace(" | null", "").partition(", got ")
+    found = f"found {found}, " if found else ""
+    return f"{place or 'the result'}: {found}{expected[0].lower()}{expected[1:]}"

@@ -1,0 +1,260 @@
+"""A table as one value with five forms: terminal, CSV, Markdown, HTML and a pandas DataFrame."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from html import escape
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+
+from todframes.report.wording import interval_phrase, plain
+from todframes.safe_text import csv_text, visible
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+    from rich.table import Table as RichTable
+
+
+LONGEST_TABLE = 200
+"""Rows of the HTML form; the CSV has all of them."""
+
+
+EXACT = 15
+"""Digits of a number that is shown as it is."""
+
+
+LEAST_TEXT_WIDTH = 16
+"""A column of long texts in the terminal is wrapped down to so many letters, and no further."""
+
+
+HIDDEN = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069\ud800-\udfff\ufffe\uffff]")
+"""What HTML does not allow, and what would turn the direction of the text beside it."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Column:
+    """What stands in a column and how.
+
+    Attributes
+    ----------
+    key : str
+        Of the records, and the column's name in CSV.
+    header : str
+        What stands above it on screen; by default the key in words.
+    digits : int
+        Significant digits on screen.
+    sign : str
+        What stands before each number on screen.
+    none : str
+        What stands on screen where a record has no value.
+    interval : str
+        Begins the two names in CSV of a column of pairs; "" where values are not pairs.
+    rank : int
+        A terminal too narrow for all columns drops those of the highest rank first, but none of rank 0.
+    in_file_only : bool
+        Whether only the CSV and the DataFrame have it.
+    is_detail : bool
+        Whether the terminal shows it only if asked for details.
+    wraps : bool
+        Whether long texts are wrapped in the terminal.
+    is_name : bool
+        Whether values tell rows apart: also shown with the details, and written once in the terminal where the
+        first column of several rows has the same.
+    """
+
+    key: str
+    header: str = ""
+    digits: int = 4
+    sign: str = ""
+    none: str = "–"
+    interval: str = ""
+    rank: int = 0
+    in_file_only: bool = False
+    is_detail: bool = False
+    wraps: bool = False
+    is_name: bool = False
+
+    @property
+    def heading(self) -> str:
+        """What stands above it."""
+        return self.header or self.key.replace("_", " ")
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the column, or of its two ends, in CSV."""
+        return (f"{self.interval}_low", f"{self.interval}_high") if self.interval else (self.key,)
+
+    def text(self, value: Any) -> str:
+        """Write a value for a person."""
+        match value:
+            case None:
+                return self.none
+            case bool():
+                return "yes" if value else "no"
+            case float() if self.digits < EXACT:
+                return self.sign + plain(value, self.digits)
+            case float():
+                return f"{value:.15g}"
+            case tuple() if self.interval:
+                return interval_phrase(value, self.digits)
+            case str() | int():
+                return str(value)
+            case _:
+                return msgspec.json.encode(value).decode()
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """Records under headers; `file` is the name of its CSV file, `title` what it shows."""
+
+    title: str
+    file: str
+    columns: tuple[Column, ...]
+    records: tuple[Mapping[str, Any], ...]
+
+    @classmethod
+    def of(
+        cls, title: str, file: str, columns: Iterable[Column | str], records: Iterable[Mapping[str, Any]]
+    ) -> Table:
+        """Make a table; a text stands for a column that is nothing but a key."""
+        made = (Column(key=one) if isinstance(one, str) else one for one in columns)
+        return cls(title, file, tuple(made), tuple(records))
+
+    def without_empty_columns(self, *but: str) -> Table:
+        """Leave out columns in which no record has a value, but for those of some keys."""
+        used = {key for record in self.records for key, value in record.items() if value is not None}
+        return replace(self, columns=tuple(one for one in self.columns if one.key in used or one.key in but))
+
+    def is_numeric(self, column: Column) -> bool:
+        """Whether the values of a column are numbers or intervals."""
+        values = (record.get(column.key) for record in self.records)
+        return all(
+            value is None or (isinstance(value, int | float | tuple) and not isinstance(value, bool))
+            for value in values
+        )
+
+    def rows(self, columns: Sequence[Column]) -> list[list[str]]:
+        """Write the cells of some columns for a person."""
+        return [[one.text(record.get(one.key)) for one in columns] for record in self.records]
+
+    def csv(self) -> str:
+        """Write all columns as CSV; numbers have all their digits, and no text is a formula."""
+        header = [name for column in self.columns for name in column.names]
+        rows = (
+            [field_text(value) for column in self.columns for value in _ends(column, record)]
+            for record in self.records
+        )
+        return csv_text([header, *rows])
+
+    def markdown(self) -> str:
+        """Write the shown columns as a table of GitHub's Markdown."""
+        shown = [one for one in self.columns if not one.in_file_only]
+        rule = ["---:" if self.is_numeric(one) else "---" for one in shown]
+        lines = [[one.heading for one in shown], rule, *self.rows(shown)]
+        return "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |" for line in lines)
+
+    @property
+    def n_rows_hidden(self) -> int:
+        """Rows that the HTML form leaves out."""
+        return max(0, len(self.records) - LONGEST_TABLE)
+
+    def html(self, caption_id: str = "") -> str:
+        """Write the shown columns of the first rows as an HTML `table` element, its caption with an id."""
+        shown = [one for one in self.columns if not one.in_file_only]
+        kinds = [' class="number"' if self.is_numeric(one) else "" for one in shown]
+        heads = "".join(
+            f'<th scope="col"{kind}>{markup(one.heading)}</th>' for one, kind in zip(shown, kinds, strict=True)
+        )
+        body = []
+        for row in replace(self, records=self.records[:LONGEST_TABLE]).rows(shown):
+            first, *others = (f"{kind}>{markup(text)}" for kind, text in zip(kinds, row, strict=True))
+            cells = "".join(f"<td{cell}</td>" for cell in others)
+            body.append(f'<tr><th scope="row"{first}</th>{cells}</tr>')
+        lines = "\n".join(body)
+        mark = f' id="{caption_id}"' if caption_id else ""
+        head = f"<table>\n<caption{mark}>{markup(self.title)}</caption>\n<thead><tr>{heads}</tr></thead>"
+        return f"{head}\n<tbody>\n{lines}\n</tbody>\n</table>"
+
+    def to_dataframe(self) -> DataFrame:
+        """Return all columns as a pandas DataFrame, an interval as two.
+
+        Raises
+        ------
+        ImportError
+            If pandas is not installed.
+        """
+        try:
+            from pandas import DataFrame
+        except ImportError as error:
+            raise ImportError("a DataFrame needs pandas, which is not installed: pip install pandas") from error
+        names = [name for column in self.columns for name in column.names]
+        rows = [[value for column in self.columns for value in _ends(column, record)] for record in self.records]
+        return DataFrame(rows, columns=names)
+
+    def terminal(self, width: int, *, details: bool = False) -> RichTable:
+        """Make a rich table that fits a terminal: narrow, it has fewer columns, but no number is cut.
+
+        Parameters
+        ----------
+        width : int
+            Letters in a line.
+        details : bool
+            Show the columns that are details, behind the first ones that tell the rows apart.
+        """
+        from rich.console import Console
+
+        shown = [one for one in self.columns if not one.in_file_only]
+        shown = [one for one in shown if one.is_name or one.is_detail == details]
+        console = Console(width=10_000)
+        while True:
+            table = self._rich(shown)
+            rank = max((one.rank for one in shown), default=0)
+            if not rank or console.measure(table).minimum <= width:
+                return table
+            shown = [one for one in shown if one.rank < rank]
+
+    def _rich(self, columns: Sequence[Column]) -> RichTable:
+        from rich.box import SIMPLE_HEAD
+        from rich.table import Table as RichTable
+        from rich.text import Text
+
+        # Text, not str: names are data, and rich would take brackets in them for markup.
+        table = RichTable(
+            title=Text(visible(self.title)), title_justify="left", title_style="bold", box=SIMPLE_HEAD
+        )
+        for column in columns:
+            table.add_column(
+                Text(visible(column.heading)),
+                justify="right" if self.is_numeric(column) else "left",
+                no_wrap=not column.wraps,
+                min_width=LEAST_TEXT_WIDTH if column.wraps else None,
+            )
+        before = None
+        for row in self.rows(columns):
+            # A name that is that of the row above is not written again.
+            repeated = before == row[0] and columns[0].is_name
+            table.add_row(*(Text(visible(cell)) for cell in ["" if repeated else row[0], *row[1:]]))
+            before = row[0]
+        return table
+
+
+def markup(text: str) -> str:
+    """Make a text safe to stand in HTML."""
+    return escape(HIDDEN.sub("\ufffd", text))
+
+
+def _ends(column: Column, record: Mapping[str, Any]) -> tuple[Any, ...]:
+    value = record.get(column.key)
+    return (value or (None, None)) if column.interval else (value,)
+
+
+def field_text(value: object) -> str:
+    """Write a value as a field of CSV: all digits of a number, nothing for None and NaN."""
+    if value is None or value != value:
+        return ""
+    if isinstance(value, str):
+        return value
+    return repr(value) if isinstance(value, float) else msgspec.json.encode(value).decode()
