@@ -82,8 +82,8 @@ class SensorMtf(msgspec.Struct, frozen=True, kw_only=True):
         # Of the stages those go first that are 1 as a rule; the two products stay.
         ranks = {"electronics": 3, "optics_blur": 3, "hold": 2, "display": 2, "diffraction": 1, "detector": 1}
         columns = [
-            Column(key=names[0], header="cycles/mrad"),
-            *(Column(key=name, header=name, digits=4, rank=ranks.get(name, 0)) for name in self.mtf),
+            Column(key=names[0], header="cycles/mrad", decimals=2),
+            *(Column(key=name, header=name, decimals=4, rank=ranks.get(name, 0)) for name in self.mtf),
         ]
         return Table.of(title, "mtf.csv", columns, records[::step])
 

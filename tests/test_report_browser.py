@@ -11,13 +11,13 @@ import shutil
 import subprocess
 from html import unescape
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import pytest
 
 from todframes.cli.console import run
 from todframes.cli.main import cli
-from todframes.report.html import report_html
+from todframes.report.result import read_result
 
 SAMPLES = Path(__file__).parent.parent / "sample_frames"
 WIDTHS = (1280, 390)
@@ -48,6 +48,10 @@ for (const [name, text] of Object.entries(pages)) for (const width of widths) {
 }
 </script></body></html>
 """
+
+
+def report_html(result: dict[str, Any]) -> bytes:
+    return read_result(json.dumps(result).encode(), "result").to_html().encode()
 
 
 class Visit(NamedTuple):

@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import base64
 import io
+import json
 from typing import Any
 
 import cv2
 import numpy as np
 from timing import Row, best_s
-from todframes.report.convert import encode
 
 from todframes.report import figures
 from todframes.report.examples import DISPLAY_SIDE_PX, MOST_BANDS, MOST_EXAMPLES, RETINA_SIDE_PX
 from todframes.report.figure_style import style
-from todframes.report.html import report_html
-from todframes.report.result import Fit, read_result
+from todframes.report.result import Result, read_result
 
 CURVES, LEVELS = 10, 9
 
@@ -46,22 +45,21 @@ def ten_curves() -> dict[str, Any]:
     return {"schema": 1, "command": "score", "settings": settings, "fits": fits, "examples": examples}
 
 
-def by_matplotlib(fits: list[Fit]) -> None:
+def by_matplotlib(result: Result) -> None:
     """The same two figures, built and saved as the same kind of SVG by matplotlib alone."""
     import matplotlib as mpl
 
     with style(), mpl.rc_context({"svg.fonttype": "none"}):
-        for figure in (figures.tod_figure(fits), figures.psychometric_figure(fits)):
-            figure.savefig(io.BytesIO(), format="svg")
+        for picture in figures.pictures(result):
+            picture.figure().savefig(io.BytesIO(), format="svg")
 
 
 def rows() -> list[Row]:
     """All figures of this file."""
-    result = ten_curves()
-    fits = read_result(encode(result), "result").fits
-    size_mb = len(report_html(result)) / 2**20
-    ours_s = best_s(lambda: report_html(result), 10)
-    theirs_s = best_s(lambda: by_matplotlib(fits), 10)
+    result = read_result(json.dumps(ten_curves()).encode(), "result")
+    size_mb = len(result.to_html()) / 2**20
+    ours_s = best_s(result.to_html, 10)
+    theirs_s = best_s(lambda: by_matplotlib(result), 10)
     what = f"report of {CURVES} curves"
     return [
         Row(f"{what} with {MOST_EXAMPLES} examples, MB", size_mb, "<= 1"),

@@ -32,6 +32,10 @@ MOST_ALIKE = 10
 """Problems of a kind that are told."""
 
 
+WHOLE = 10_000
+"""Letters in a line where there is no end to it."""
+
+
 @contextmanager
 def staged(out: str | None) -> Iterator[Callable[[Callable[[], dict[str, bytes]]], None]]:
     """Hold a place for results, found before the work and filled when the block ends well; none without a name.
@@ -89,7 +93,7 @@ def finish(
     else:
         print_table(tables.thresholds(result, title))
     if verbose:
-        print_table(tables.thresholds(result, "Fitted curves"), details=True)
+        print_table(tables.thresholds(result, "Details"), details=True)
     for sentence in [*result.verdict, *cautions(result), *(remarks(result) if verbose else [])]:
         echo(sentence)
     echo(f"{result.run_time_s:.2f} s")
@@ -101,11 +105,12 @@ def print_table(table: Table, *, details: bool = False) -> None:
     """Show a table on standard output, as narrow as a terminal is; whole where none is at the other end."""
     from rich.console import Console
 
-    fits = sys.stdout.isatty() or "COLUMNS" in os.environ
-    made = table.terminal(Console().width if fits else 10_000, details=details)
-    needed = Console(width=10_000).measure(made)
-    width = max(Console().width, needed.minimum) if fits else needed.maximum
-    Console(width=width, markup=False).print(made)
+    if details and not any(one.is_detail for one in table.columns):
+        return
+    is_narrow = sys.stdout.isatty() or "COLUMNS" in os.environ
+    laid_out = table.terminal(Console().width if is_narrow else WHOLE, details=details)
+    # A table that is wider than the terminal is better than one whose numbers are cut.
+    Console(width=WHOLE, markup=False).print(laid_out)
 
 
 def echo(*lines: str) -> None:

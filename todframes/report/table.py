@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from html import escape
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import msgspec
 
@@ -15,7 +15,7 @@ from todframes.safe_text import csv_text, visible
 
 if TYPE_CHECKING:
     from pandas import DataFrame
-    from rich.table import Table as RichTable
+    from rich.console import Group
 
 
 LONGEST_TABLE = 200
@@ -46,6 +46,8 @@ class Column:
         What stands above it on screen; by default the key in words.
     digits : int
         Significant digits on screen.
+    decimals : int, optional
+        Digits behind the point on screen, in place of these.
     sign : str
         What stands before each number on screen.
     none : str
@@ -68,6 +70,7 @@ class Column:
     key: str
     header: str = ""
     digits: int = 4
+    decimals: int | None = None
     sign: str = ""
     none: str = "–"
     interval: str = ""
@@ -94,6 +97,8 @@ class Column:
                 return self.none
             case bool():
                 return "yes" if value else "no"
+            case float() if self.decimals is not None:
+                return f"{value:.{self.decimals}f}"
             case float() if self.digits < EXACT:
                 return self.sign + plain(value, self.digits)
             case float():
@@ -194,51 +199,67 @@ class Table:
         rows = [[value for column in self.columns for value in _ends(column, record)] for record in self.records]
         return DataFrame(rows, columns=names)
 
-    def terminal(self, width: int, *, details: bool = False) -> RichTable:
-        """Make a rich table that fits a terminal: narrow, it has fewer columns, but no number is cut.
+    def terminal(self, width: int, *, details: bool = False) -> Group:
+        """Lay the table out for a terminal: narrow, it has fewer columns, but no number is cut or broken.
 
         Parameters
         ----------
         width : int
             Letters in a line.
         details : bool
-            Show the columns that are details, behind the first ones that tell the rows apart.
+            Show the columns that are details, behind those that tell the rows apart, instead of the others.
+
+        Returns
+        -------
+        rich Group
+            Title and table, to be printed on a console that is wide enough.
         """
-        from rich.console import Console
-
-        shown = [one for one in self.columns if not one.in_file_only]
-        shown = [one for one in shown if one.is_name or one.is_detail == details]
-        console = Console(width=10_000)
-        while True:
-            table = self._rich(shown)
-            rank = max((one.rank for one in shown), default=0)
-            if not rank or console.measure(table).minimum <= width:
-                return table
-            shown = [one for one in shown if one.rank < rank]
-
-    def _rich(self, columns: Sequence[Column]) -> RichTable:
         from rich.box import SIMPLE_HEAD
+        from rich.console import Group
         from rich.table import Table as RichTable
         from rich.text import Text
 
+        shown = [one for one in self.columns if not one.in_file_only and (one.is_name or one.is_detail == details)]
+        while True:
+            rows = [list(map(visible, row)) for row in self.rows(shown)]
+            cells = zip(*rows, strict=True) if rows else [()] * len(shown)
+            least, most = zip(*map(_widths, shown, cells), strict=True)
+            # Two letters of padding around each column, one between them and one at each end.
+            room = width - sum(least) - 3 * len(shown) - 1
+            rank = max(one.rank for one in shown)
+            if room >= 0 or not rank:
+                break
+            shown = [one for one in shown if one.rank < rank]
         # Text, not str: names are data, and rich would take brackets in them for markup.
-        table = RichTable(
-            title=Text(visible(self.title)), title_justify="left", title_style="bold", box=SIMPLE_HEAD
-        )
-        for column in columns:
+        table = RichTable(box=SIMPLE_HEAD)
+        # Short columns get what they want first, long texts what is left.
+        widths = list(least)
+        for place in sorted(range(len(shown)), key=lambda k: (shown[k].wraps, most[k])):
+            more = max(min(most[place] - least[place], room), 0)
+            widths[place] += more
+            room -= more
+        for column, letters in zip(shown, widths, strict=True):
+            side: Literal["left", "right"] = "right" if self.is_numeric(column) else "left"
             table.add_column(
-                Text(visible(column.heading)),
-                justify="right" if self.is_numeric(column) else "left",
-                no_wrap=not column.wraps,
-                min_width=LEAST_TEXT_WIDTH if column.wraps else None,
+                Text(visible(column.heading)), justify=side, vertical="top", width=letters, overflow="fold"
             )
         before = None
-        for row in self.rows(columns):
+        for first, *others in rows:
             # A name that is that of the row above is not written again.
-            repeated = before == row[0] and columns[0].is_name
-            table.add_row(*(Text(visible(cell)) for cell in ["" if repeated else row[0], *row[1:]]))
-            before = row[0]
-        return table
+            repeated = shown[0].is_name and first == before
+            table.add_row(*map(Text, ["" if repeated else first, *others]))
+            before = first
+        return Group(Text(visible(self.title), style="bold"), table)
+
+
+def _widths(column: Column, cells: Iterable[str]) -> tuple[int, int]:
+    """Letters that a column needs, with its header and long texts wrapped, and those that it would like."""
+    from rich.cells import cell_len
+
+    longest = max(map(cell_len, cells), default=0)
+    header = max(map(cell_len, column.heading.split()), default=1)
+    least = min(longest, LEAST_TEXT_WIDTH) if column.wraps else longest
+    return max(least, header), max(longest, cell_len(column.heading))
 
 
 def markup(text: str) -> str:

@@ -33,11 +33,11 @@ THRESHOLD_COLUMNS = (
 
 
 RATIO_COLUMNS = (
-    Column(key="ratio", none="1"),
-    Column(key="ratio_ci95", header="95 % interval", interval="ratio", none=""),
+    Column(key="ratio", none="1", digits=3),
+    Column(key="ratio_ci95", header="95 % interval", interval="ratio", none="", digits=3),
     Column(key="p_value", in_file_only=True),
-    Column(key="p_value_holm", header="p (Holm)", digits=2, none=""),
-    Column(key="verdict", none="reference"),
+    Column(key="p_value_holm", header="p (Holm)", digits=2, none="", rank=2),
+    Column(key="verdict", none="reference", wraps=True),
 )
 
 
@@ -47,8 +47,8 @@ MEASURE_COLUMNS = (
     Column(key="psnr_change_db", header="change (dB)", digits=3, rank=2),
     Column(key="ssim", header="SSIM"),
     Column(key="ssim_change", header="change", digits=3, rank=2),
-    Column(key="verdict", header="the observer says", none="reference"),
-    Column(key="disagrees", header="that disagrees", none=""),
+    Column(key="verdict", header="the observer says", none="reference", wraps=True),
+    Column(key="disagrees", header="measures that disagree", none="", wraps=True),
     Column(key="n_clipped", header="values clipped", is_detail=True),
     Column(key="cpu_s", header="CPU time (s)", digits=3, rank=1),
 )
@@ -212,16 +212,14 @@ def enhancements(found: Sequence[Record]) -> Table:
             span = ", ".join(map(str, parameter["choices"] or ())) or " – ".join(f"{end:g}" for end in ends)
             records.append(
                 {
-                    "name": one["name"],
-                    "parameter": parameter["name"],
+                    "name": f"  {parameter['name']}",
                     "what": parameter["what"],
                     "default": " ".join(filter(None, (shown, parameter["unit"]))),
                     "range": span,
                 }
             )
     columns = [
-        Column(key="name", is_name=True),
-        Column(key="parameter", none=""),
+        Column(key="name"),
         Column(key="what", header="what it does; what a parameter is", none="", wraps=True),
         Column(key="default", none=""),
         Column(key="range", none="", wraps=True, rank=1),
