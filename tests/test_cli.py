@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -20,8 +21,9 @@ SAMPLES = Path(__file__).parent.parent / "sample_frames"
 
 
 @pytest.fixture
-def todframes(capsys: pytest.CaptureFixture[str]):
-    """Runs a command line; gives exit status, standard output and standard error."""
+def todframes(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch):
+    """Runs a command line; gives exit status, standard output and standard error. No terminal is at the other end."""
+    monkeypatch.delenv("COLUMNS", raising=False)
 
     def call(*arguments: str | Path) -> tuple[int, str, str]:
         status = run(cli, [str(argument) for argument in arguments])
@@ -111,8 +113,33 @@ def test_nothing_is_written_without_out(todframes, make_dataset, tmp_path: Path,
 def test_score_shows_a_table(todframes, make_dataset) -> None:
     status, out, err = todframes("score", make_dataset(contrasts=(0.05, 0.1, 0.2)).path)
     assert (status, err) == (0, "")
-    for text in ("size_mrad", "threshold contrast", "95 % interval", "ok", "the summed noise"):
+    for text in ("size (mrad)", "threshold contrast", "95 % interval", "ok"):
         assert text in out
+    for text in ("α", "time (s)", "the summed noise"):
+        assert text not in out
+
+
+def test_verbose_shows_the_curves_and_what_the_numbers_leave_out(todframes, make_dataset) -> None:
+    out = todframes("score", make_dataset(contrasts=(0.05, 0.1, 0.2)).path, "--verbose")[1]
+    for text in ("α", "β", "δ", "time (s)", "the summed noise"):
+        assert text in out
+
+
+@pytest.mark.parametrize("width", [80, 60])
+def test_a_narrow_terminal_has_fewer_columns_and_whole_numbers(todframes, monkeypatch, width: int) -> None:
+    """Every line fits, and thresholds have the digits that they have on a wide one."""
+    command = ("score", SAMPLES / "naked_eye", "--tolerance", "0.02", "--set", "resamples=200")
+    wide = todframes(*command)[1]
+    monkeypatch.setenv("COLUMNS", str(width))
+    narrow = todframes(*command)[1]
+    rows, expected = (
+        [re.split("  +", line.strip()) for line in text.splitlines() if re.match(" +[0-9]", line)]
+        for text in (narrow, wide)
+    )
+    assert [row[:3] for row in rows] == [row[:3] for row in expected]
+    assert [len(row) for row in expected] == [6] * 4
+    assert all(len(line) <= width for line in narrow.splitlines())
+    assert "…" not in narrow
 
 
 def test_settings_file_and_which_goes_first(todframes, make_dataset, tmp_path: Path) -> None:
@@ -131,7 +158,7 @@ def test_locate_says_what_it_found(todframes, make_dataset) -> None:
     (place,) = json.loads(out)["located"]
     assert place["group"] == {"size_mrad": 2.0}
     assert (place["x_px"], place["y_px"]) == pytest.approx((19.5, 19.5), abs=0.02)
-    assert err.startswith("located: size_mrad 2: x_px 19.50, y_px 19.50 (±")
+    assert err.startswith("located: 2 mrad: x_px 19.50, y_px 19.50 (±")
     assert todframes("score", path, "--locate", "--json", "--quiet")[2] == ""
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import json
 from collections.abc import Sequence
 from typing import Any
@@ -18,6 +17,7 @@ from todframes.frames.contrast import Patch
 from todframes.frames.dataset import load_dataset
 from todframes.observers.pyramid import PyramidObserver, PyramidSettings
 from todframes.observers.retina import RetinaGrid
+from todframes.report.data import Example, Thumbnail
 from todframes.report.examples import FramePart, examples, pictures
 from todframes.scoring.score import score_dataset
 from todframes.stimulus import Stimulus
@@ -26,18 +26,23 @@ from todframes.stimulus import Stimulus
 HALF, THREE_QUARTERS, WHITE = 188, 225, 255
 
 
-def decoded(one: dict[str, Any]) -> dict[str, np.ndarray]:
+Drawn = Example | tuple[float, tuple[Thumbnail, ...]]
+
+
+def thumbnails(drawn: Drawn) -> tuple[Thumbnail, ...]:
+    return drawn.pictures if isinstance(drawn, Example) else drawn[1]
+
+
+def decoded(drawn: Drawn) -> dict[str, np.ndarray]:
     """The pictures of an example by name, as integers."""
     return {
-        picture["name"]: cv2.imdecode(
-            np.frombuffer(base64.b64decode(picture["png"]), np.uint8), cv2.IMREAD_UNCHANGED
-        ).astype(int)
-        for picture in one["pictures"]
+        one.name: cv2.imdecode(np.frombuffer(one.png, np.uint8), cv2.IMREAD_UNCHANGED).astype(int)
+        for one in thumbnails(drawn)
     }
 
 
-def scales(one: dict[str, Any]) -> dict[str, float]:
-    return {picture["name"]: picture["scale"] for picture in one["pictures"]}
+def scales(drawn: Drawn) -> dict[str, float | None]:
+    return {one.name: one.scale for one in thumbnails(drawn)}
 
 
 class Watcher(PyramidObserver):
@@ -51,9 +56,7 @@ class Watcher(PyramidObserver):
         return tuple(self.bands)
 
 
-def watched(
-    bands: Sequence[FloatArray], *, levels: int = 4, size_mrad: float = 1.0, **more: Any
-) -> dict[str, Any]:
+def watched(bands: Sequence[FloatArray], *, levels: int = 4, size_mrad: float = 1.0, **more: Any) -> Drawn:
     """Pictures with given bands; display pixels and retina samples of 0.1 mrad, nothing on the display."""
     observer = Watcher(bands, PyramidSettings(retina_pitch_mrad=0.1, levels=levels))
     side = observer.grid(Stimulus(size_mrad)).side
@@ -74,11 +77,11 @@ def test_display_shows_the_frame(make_dataset, orientation: str) -> None:
     assert [one.fit.status for one in scored.fits] == ["ok"]
     (one,) = examples(dataset, scored, observer)
     display, retina = decoded(one)["display"], decoded(one)["retina"]
-    assert (one["strength"], one["frame"]) == (0.5, made.rows[1]["frame"])
-    assert (one["orientation"], one["n_frames"], one["group"]) == (orientation, 1, {"size_mrad": 2.0})
+    assert (one.strength, one.frame) == (0.5, made.rows[1]["frame"])
+    assert (one.orientation, one.n_frames, one.group) == (orientation, 1, {"size_mrad": 2.0})
     # 1.5 sizes on each side of the middle, in pixels of 0.25 mrad.
     assert display.shape == (25, 25)
-    assert one["width_mrad"] == 6.25
+    assert one.width_mrad == 6.25
     assert (display[0, 0], display[12, 12]) == (HALF, THREE_QUARTERS)
     assert scales(one)["display"] == 1.0
     # Half floats keep 11 bits of the luminance.
@@ -98,11 +101,11 @@ def test_levels_nearest_to_threshold_of_some_groups(make_dataset) -> None:
     scored = score_dataset(dataset, observer)
     assert all(one.fit.threshold is not None for one in scored.fits)
     found = examples(dataset, scored, observer)
-    assert [one["group"]["size_mrad"] for one in found] == [1.0, 1.5, 1.75, 2.25]
+    assert [one.group["size_mrad"] for one in found] == [1.0, 1.5, 1.75, 2.25]
     for one in found:
-        (fit,) = [fit.fit for fit in scored.fits if fit.group == (one["group"]["size_mrad"],)]
+        (fit,) = [fit.fit for fit in scored.fits if fit.group == (one.group["size_mrad"],)]
         levels = np.array([0.02, 0.06, 0.18])
-        assert one["strength"] == levels[np.abs(np.log(levels / fit.threshold)).argmin()]
+        assert one.strength == levels[np.abs(np.log(levels / fit.threshold)).argmin()]
 
 
 def test_no_threshold_no_example(make_dataset) -> None:
