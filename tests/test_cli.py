@@ -22,7 +22,7 @@ SAMPLES = Path(__file__).parent.parent / "sample_frames"
 
 @pytest.fixture
 def todframes(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch):
-    """Runs a command line; gives exit status, standard output and standard error. No terminal is at the other end."""
+    """Runs a command line, no terminal at its end; gives exit status, standard output and standard error."""
     monkeypatch.delenv("COLUMNS", raising=False)
 
     def call(*arguments: str | Path) -> tuple[int, str, str]:

@@ -39,7 +39,7 @@ def flat(image, *, note: object = object()):
 
 @pytest.fixture
 def todframes(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch):
-    """Runs a command line; gives exit status, standard output and standard error. No terminal is at the other end."""
+    """Runs a command line, no terminal at its end; gives exit status, standard output and standard error."""
     monkeypatch.delenv("COLUMNS", raising=False)
 
     def call(*arguments: str | Path) -> tuple[int, str, str]:

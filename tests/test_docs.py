@@ -59,7 +59,9 @@ def test_python_example(monkeypatch, capsys) -> None:
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) == 4
     for line, size in zip(lines, (0.6, 0.9, 1.4, 2.4), strict=True):
-        threshold, low, high = map(float, re.fullmatch(rf"\({size},\) (\S+) \((\S+), (\S+)\)", line).groups())
+        threshold, low, high = map(
+            float, re.fullmatch(rf"{{'size_mrad': {size}}} (\S+) \((\S+), (\S+)\)", line).groups()
+        )
         assert low <= threshold <= high
 
 

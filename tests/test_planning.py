@@ -307,5 +307,5 @@ def test_refused_tolerances(arguments):
 def test_explained_scoring():
     told = CliRunner().invoke(cli, ["score", str(NAKED_EYE), "--explain"])
     assert told.exit_code == 0
-    for text in ("frame rows", "field", "left out", "bound on P", "time (s)"):
+    for text in ("frame rows", "field", "left out", "bound on P", "saves (s)"):
         assert text in told.stdout

@@ -5,7 +5,9 @@ from __future__ import annotations
 import io
 import os
 import re
+import shutil
 import sys
+import textwrap
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, redirect_stdout, suppress
 from typing import TYPE_CHECKING, Any
@@ -95,7 +97,7 @@ def finish(
     if verbose:
         print_table(tables.thresholds(result, "Details"), details=True)
     for sentence in [*result.verdict, *cautions(result), *(remarks(result) if verbose else [])]:
-        echo(sentence)
+        echo(*textwrap.wrap(visible(sentence), terminal_width()))
     echo(f"{result.run_time_s:.2f} s")
     if out is not None:
         echo(f"written: {out}")
@@ -107,8 +109,7 @@ def print_table(table: Table, *, details: bool = False) -> None:
 
     if details and not any(one.is_detail for one in table.columns):
         return
-    is_narrow = sys.stdout.isatty() or "COLUMNS" in os.environ
-    laid_out = table.terminal(Console().width if is_narrow else WHOLE, details=details)
+    laid_out = table.terminal(terminal_width(), details=details)
     # A table that is wider than the terminal is better than one whose numbers are cut.
     Console(width=WHOLE, markup=False).print(laid_out)
 
@@ -117,6 +118,12 @@ def echo(*lines: str) -> None:
     """Show lines on standard output, with escapes for characters that a terminal would obey."""
     for line in lines:
         click.echo(visible(line))
+
+
+def terminal_width() -> int:
+    """Return how many letters fit into a line; a great many where no terminal is at the other end."""
+    is_terminal = sys.stdout.isatty() or "COLUMNS" in os.environ
+    return shutil.get_terminal_size().columns if is_terminal else WHOLE
 
 
 def say(text: str) -> None:

@@ -247,8 +247,7 @@ def plan(result: ResultData) -> Table:
         Column(key="bound", header="bound on P", digits=2, none=""),
         Column(key="saves_s", header="saves (s)", digits=2, none="", rank=1),
     ]
-    title = "Plan: what was computed and what was left out"
-    return Table.of(title, "plan.csv", columns, records).without_empty_columns("stage")
+    return Table.of("Plan", "plan.csv", columns, records).without_empty_columns("stage")
 
 
 UNUSED = ("bound", "saves_s")

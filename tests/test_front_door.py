@@ -1,0 +1,217 @@
+"""`import todframes as tod`: few names, nothing slow, and calls that do what the commands do."""
+
+from __future__ import annotations
+
+import doctest
+import inspect
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+import sensor_sim as ss
+import todframes as tod
+from sensor_sim.cli import cli as sensor_cli
+from todframes.cli.console import run
+from todframes.cli.main import cli
+from todframes.report.data import decode
+
+ROOT = Path(__file__).parent.parent
+NAKED_EYE, ENHANCEMENT = ROOT / "sample_frames" / "naked_eye", ROOT / "sample_frames" / "enhancement"
+CAMERA = ROOT / "sample_frames" / "staring_camera.toml"
+NAMES = [(package, name) for package in (tod, ss) for name in dir(package)]
+
+
+@pytest.fixture
+def commanded(capsys: pytest.CaptureFixture[str]):
+    """Runs a command line; gives its JSON."""
+
+    def call(command, *arguments: object) -> dict[str, object]:
+        assert run(command, [*map(str, arguments), "--json"]) == 0
+        return json.loads(capsys.readouterr().out)
+
+    return call
+
+
+@pytest.fixture(scope="module")
+def scored() -> tod.Result:
+    return tod.score(NAKED_EYE, fit=tod.FitSettings(resamples=200))
+
+
+def same(result: tod.Result, made: dict[str, object]) -> bool:
+    """Whether a call and a command gave the same but for times and what only is drawn."""
+
+    def timeless(value: object) -> object:
+        if isinstance(value, dict):
+            skipped = ("run_time_s", "saves_s", "cpu_s", "examples", "versions")
+            return {key: timeless(one) for key, one in value.items() if key not in skipped}
+        return [timeless(one) for one in value] if isinstance(value, list) else value
+
+    return timeless(json.loads(result.to_json())) == timeless(made)
+
+
+def test_names() -> None:
+    assert 25 <= len(dir(tod)) <= 35
+    assert {"score", "compare", "fit_counts", "naked_eye", "load_result", "Result", "PyramidObserver"} <= set(
+        dir(tod)
+    )
+    assert {"curve", "simulate", "mtf", "load_sensor", "Sensor"} <= set(dir(ss))
+    for package, name in NAMES:
+        assert getattr(package, name) is not None
+    assert callable(ss.simulate)
+
+
+@pytest.mark.parametrize("package", ["todframes", "sensor_sim"])
+def test_import_loads_nothing(package: str) -> None:
+    code = f"import sys, {package}; dir({package}); sys.exit('numpy' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+@pytest.mark.parametrize(("package", "name"), NAMES, ids=[name for _, name in NAMES])
+def test_examples_of_docstrings_run(package, name: str, monkeypatch) -> None:
+    monkeypatch.chdir(ROOT)
+    found = getattr(package, name)
+    if not (inspect.isroutine(found) or inspect.isclass(found)):
+        pytest.skip("has no docstring of its own")
+    assert inspect.getdoc(found)
+    for test in doctest.DocTestFinder(recurse=False).find(found, name, globs={}):
+        assert doctest.DocTestRunner(optionflags=doctest.NORMALIZE_WHITESPACE).run(test).failed == 0
+
+
+def test_score_is_the_command(commanded, scored) -> None:
+    assert same(scored, commanded(cli, "score", NAKED_EYE, "--set", "resamples=200"))
+
+
+def test_observer_by_keywords_is_the_command(commanded) -> None:
+    made = commanded(cli, "naked-eye", "--size-mrad", "1", "--internal-noise", "0.25")
+    assert same(tod.naked_eye(size_mrad=1.0, observer=tod.PyramidObserver(internal_noise=0.25)), made)
+
+
+def test_compare_takes_functions(scored) -> None:
+    def half(image, share=0.5):
+        return 0.5 + share * (image - 0.5)
+
+    result = tod.compare(NAKED_EYE, [half], white=100.0, fit=tod.FitSettings(resamples=200), examples=False)
+    assert [one.name.rpartition(".")[2] for one in result.algorithms] == ["none", "half"]
+    assert [one.threshold for one in result.algorithms[0].fits] == [one.threshold for one in scored.fits]
+    assert {one.group["algorithm"] for one in result.thresholds} == {one.name for one in result.algorithms}
+
+
+def test_curve_is_the_command(commanded) -> None:
+    arguments = ("curve", CAMERA, "--size-detectors", "4", "--tolerance", "0.05")
+    assert same(ss.curve(CAMERA, size_detectors=[4], tolerance=0.05), commanded(sensor_cli, *arguments))
+
+
+def test_counts_by_group_are_fitted_one_by_one() -> None:
+    level, right, n = [0.1, 0.2, 0.4, 0.8], [12, 18, 30, 38], [40] * 4
+    alone = tod.fit_counts(level, right, n).fits[0]
+    both = tod.fit_counts(level * 2, right * 2, n * 2, groups={"eye": ["left"] * 4 + ["right"] * 4})
+    assert [one.group for one in both.thresholds] == [{"eye": "left"}, {"eye": "right"}]
+    assert [one.threshold for one in both.thresholds] == [alone.threshold] * 2
+    with pytest.raises(tod.DataError, match="groups: eye: found 1 values, expected 4"):
+        tod.fit_counts(level, right, n, groups={"eye": ["left"]})
+
+
+def test_result_comes_back_with_its_trials(scored, tmp_path: Path) -> None:
+    scored.save(tmp_path / "out")
+    names = {"result.json", "report.html", "scores.csv", "psychometric.png", "tod_curve.png"}
+    assert {path.name for path in (tmp_path / "out").iterdir()} == names
+    again = tod.load_result(tmp_path / "out")
+    assert again == scored
+    assert again.trials.csv() == scored.trials.csv()
+    before = {path.name: path.read_bytes() for path in (tmp_path / "out").iterdir()}
+    again.save(tmp_path / "out")
+    assert {path.name: path.read_bytes() for path in (tmp_path / "out").iterdir()} == before
+
+
+def test_dataframe(scored) -> None:
+    frame = scored.to_dataframe()
+    assert frame["size_mrad"].tolist() == [0.6, 0.9, 1.4, 2.4]
+    assert frame["threshold"].tolist() == [one.threshold for one in scored.thresholds]
+    assert frame["threshold_ci95_high"].tolist() == [one.threshold_ci95[1] for one in scored.thresholds]
+    assert len(scored.trials.to_dataframe()) == 336
+
+
+def test_dataframe_without_pandas_says_what_to_do(scored, monkeypatch) -> None:
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(ImportError, match="needs pandas, which is not installed: pip install pandas"):
+        scored.to_dataframe()
+
+
+def test_plots_into_ones_own_axes(scored) -> None:
+    left, right = Figure().subplots(1, 2)
+    assert scored.plot_tod(left) is left
+    assert scored.plot_psychometric(ax=right) is right
+    x, y = left.lines[0].get_data()
+    assert np.allclose(1.0 / np.asarray(x), [0.6, 0.9, 1.4, 2.4])
+    assert np.allclose(y, [one.threshold for one in scored.thresholds])
+    assert [text.get_text() for text in right.get_legend().get_texts()] == [
+        "0.6 mrad",
+        "0.9 mrad",
+        "1.4 mrad",
+        "2.4 mrad",
+    ]
+
+
+def test_nothing_to_plot_is_said() -> None:
+    result = tod.naked_eye(size_mrad=1.0)
+    with pytest.raises(tod.DataError, match="plot_tod: found no thresholds at two or more sizes"):
+        result.plot_tod()
+    with pytest.raises(tod.DataError, match="plot_psychometric: found no thresholds with points"):
+        result.plot_psychometric()
+
+
+def test_a_notebook_shows_table_and_curve(scored) -> None:
+    shown = scored._repr_html_()
+    assert shown.count("<table>") == shown.count("<svg") == 1
+    assert "0.3030" in shown and "http" not in shown
+    assert repr(scored).startswith("<Result of score: At 75 % correct the threshold contrast is 0.303")
+
+
+def test_own_observer_from_a_module(tmp_path: Path, monkeypatch, commanded) -> None:
+    """As by its registered name, number for number, from the folder where one is."""
+    code = "from todframes.observers.pyramid import PyramidObserver\nclass Mine(PyramidObserver):\n    pass\n"
+    (tmp_path / "own_observers.py").write_text(code, encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [path for path in sys.path if path])
+    arguments = ("naked-eye", "--size-mrad", "1")
+    mine = commanded(cli, *arguments, "--observer", "own_observers:Mine")
+    usual = commanded(cli, *arguments)
+    sys.modules.pop("own_observers")
+    assert mine["settings"] == usual["settings"] | {"observer": "own_observers:Mine"}
+    assert mine["fits"] == usual["fits"]
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("nowhere_at_all:Mine", "cannot be loaded .ModuleNotFoundError"),
+        ("math:Mine", "cannot be loaded .AttributeError"),
+        ("math:sqrt", "found no observer, expected a class with a settings_type"),
+    ],
+)
+def test_observers_that_are_none(name: str, message: str) -> None:
+    with pytest.raises(tod.SettingsError, match=message):
+        tod.find_observer(name)
+
+
+def test_settings_of_an_observer_are_checked() -> None:
+    with pytest.raises(tod.SettingsError, match="nearest valid one is 'internal_noise'"):
+        tod.PyramidObserver(internal_noize=0.1)
+
+
+def test_stages_are_those_of_the_clearest_trial(tmp_path: Path) -> None:
+    sizes, snr = [3.0, 4.0], [1.0, 8.0, 2.0]
+    ss.simulate(CAMERA, size_detectors=sizes, snr=snr, trials=1, out=tmp_path / "out", stages=True)
+    found = {path.name for path in (tmp_path / "out" / "stages").iterdir()}
+    assert "stages.png" in found and len(found) == 8
+
+
+def test_result_of_the_least_fields() -> None:
+    fit = {"group": {}, "level": "contrast", "status": "ok", "p_correct": 0.75, "threshold": 0.2}
+    content = json.dumps({"schema": 1, "command": "score", "fits": [fit]}).encode()
+    assert decode(content, "result", tod.Result).thresholds[0].threshold_ci95 is None
