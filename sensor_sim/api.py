@@ -72,7 +72,7 @@ def curve(
     >>> import sensor_sim as ss
     >>> result = ss.curve("sample_frames/staring_camera.toml", size_detectors=[4, 6], tolerance=0.01)
     >>> [round(one.threshold, 1) for one in result.thresholds]
-    [2.9, 1.2]
+    [3.3, 1.1]
     """
     started = time.perf_counter()
     from sensor_sim.curve_plan import plan_curve
@@ -232,7 +232,7 @@ def mtf(sensor: Sensor | Path | str) -> SensorMtf:
     >>> import sensor_sim as ss
     >>> transfer = ss.mtf("sample_frames/staring_camera.toml")
     >>> round(transfer.nyquist_cyc_per_mrad, 2), [*transfer.mtf][:2]
-    (2.5, ['diffraction', 'optics_blur'])
+    (7.34, ['diffraction', 'optics_blur'])
     """
     from sensor_sim.mtf_report import sensor_mtf
 

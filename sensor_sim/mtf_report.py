@@ -11,7 +11,7 @@ import numpy as np
 from sensor_sim.sensor import Sensor
 from sensor_sim.transfer import stages
 from todframes import __version__
-from todframes.report.figure_style import COLOURS, INK, add_legend, label_text, new_figure, style
+from todframes.report.figure_style import COLOURS, INK, label_text, new_figure, style
 from todframes.report.figures import save_png
 from todframes.report.table import Column, Table
 
@@ -132,7 +132,7 @@ class SensorMtf(msgspec.Struct, frozen=True, kw_only=True):
                     va="top",
                     fontsize="small",
                 )
-        add_legend(axes)
+        axes.legend(frameon=True, framealpha=1.0, edgecolor="none").set_in_layout(False)
 
     def files(self) -> dict[str, bytes]:
         """Make `mtf.csv` and `mtf.png`."""

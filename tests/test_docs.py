@@ -59,9 +59,8 @@ def test_python_example(monkeypatch, capsys) -> None:
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) == 4
     for line, size in zip(lines, (0.6, 0.9, 1.4, 2.4), strict=True):
-        threshold, low, high = map(
-            float, re.fullmatch(rf"{{'size_mrad': {size}}} (\S+) \((\S+), (\S+)\)", line).groups()
-        )
+        pattern = rf"{{'size_mrad': {size}}} (\S+) \((\S+), (\S+)\)"
+        threshold, low, high = map(float, re.fullmatch(pattern, line).groups())
         assert low <= threshold <= high
 
 

@@ -112,7 +112,7 @@ def test_no_threshold_no_example(make_dataset) -> None:
     dataset = load_dataset(make_dataset(contrasts=(0.001, 0.002)).path)
     scored = score_dataset(dataset, PyramidObserver())
     assert [one.fit.status for one in scored.fits] == ["never_reached"]
-    assert examples(dataset, scored, PyramidObserver()) == []
+    assert examples(dataset, scored, PyramidObserver()) == ()
 
 
 def test_frames_of_a_trial_are_averaged() -> None:
