@@ -155,14 +155,14 @@ def enhancement(folder: Path) -> None:
 
 
 def staring_camera(folder: Path) -> None:
-    """The paper's second experiment: a simulated staring camera with noise, 16-bit PNG.
+    """The paper's second experiment: a simulated staring camera with noise, 16-bit EXR in cd/m².
 
     The README beside this file has the `sensor-sim simulate` command that makes the same.
     """
-    trials = plan_trials([4.5, 5.5, 7.0], [1.0, 1.4, 2.0, 2.8, 4.0, 5.6], 8)
+    trials = plan_trials([5.0, 6.0, 7.5], [0.35, 0.6, 1.0, 1.6, 2.5, 4.0], 9)
     folder.mkdir(parents=True, exist_ok=True)
     shutil.rmtree(folder / "frames", ignore_errors=True)
-    write_dataset(folder, load_sensor(SENSOR), trials, seed=1, frame_format="png")
+    write_dataset(folder, load_sensor(SENSOR), trials, seed=2, frame_format="exr")
 
 
 def _write(path: Path, values: np.ndarray, pixel_type: str) -> None:
