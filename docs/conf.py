@@ -1,0 +1,43 @@
+"""Settings of the documentation: sphinx-build -W docs docs/_build. Nothing is fetched from a network."""
+
+import todframes
+
+project = "todframes"
+author = "the todframes developers"
+copyright = author  # noqa: A001
+release = todframes.__version__
+
+extensions = ["myst_parser", "numpydoc", "sphinx.ext.autodoc", "sphinx.ext.autosummary", "sphinx_click"]
+exclude_patterns = ["_build"]
+templates_path = ["_templates"]
+default_role = "literal"
+nitpicky = False
+
+# Links of the form page.md#heading, as on any page that shows Markdown.
+myst_heading_anchors = 4
+myst_enable_extensions = ["colon_fence"]
+
+# A page for each name of the front doors, taken from their __all__.
+autosummary_ignore_module_all = False
+autosummary_imported_members = True
+autodoc_member_order = "bysource"
+autodoc_typehints = "none"
+numpydoc_show_class_members = False
+
+html_theme = "pydata_sphinx_theme"
+html_static_path = ["_static"]
+html_css_files = ["site.css"]
+html_title = f"todframes {release}"
+html_copy_source = False
+html_show_sourcelink = False
+html_sidebars = {"index": []}
+html_theme_options = {
+    "logo": {"text": "todframes"},
+    "navbar_end": ["theme-switcher"],
+    "footer_start": ["copyright"],
+    "footer_end": [],
+    "secondary_sidebar_items": ["page-toc"],
+    "show_prev_next": True,
+    "show_toc_level": 2,
+    "header_links_before_dropdown": 6,
+}
