@@ -34,7 +34,7 @@ def main(seconds: str, folder: Path) -> int:
         (folder / "accuracy").mkdir(parents=True, exist_ok=True)
         for picture in Path(made).glob("*.png"):
             (folder / "accuracy" / picture.name).write_bytes(picture.read_bytes())
-    closing = f"\nThis page and its pictures are made by `python docs/make_accuracy.py {seconds}`.\n"
+    closing = f"\n`python docs/make_accuracy.py {seconds}` makes this page and its pictures.\n"
     (folder / "accuracy.md").write_text(page(result, folder="accuracy/") + closing, encoding="utf-8")
     return 0
 

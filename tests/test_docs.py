@@ -1,80 +1,218 @@
-"""The README's commands and code, and the sample datasets, do what they say."""
+"""The commands and the code of the README and of the documentation, and the sample datasets, do what they say."""
 
 from __future__ import annotations
 
+import importlib
 import json
 import re
 import runpy
 import shlex
+import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from sensor_sim.cli import cli as sensor_sim
+from todframes import __version__
 from todframes.cli.console import run
 from todframes.cli.main import cli
 from todframes.enhancement.algorithm import Declaration, find_enhancement
+from todframes.errors import SettingsError
+from todframes.observers.interface import find_observer
 from todframes.observers.pyramid import PyramidObserver
 from todframes.scoring.naked_eye import contrast_threshold
 
 ROOT = Path(__file__).parent.parent
+DOCS = ROOT / "docs"
 SAMPLES = ["naked_eye", "grabbed_8bit", "staring_camera", "enhancement"]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
-ENHANCEMENT = (ROOT / "docs" / "enhancement.md").read_text(encoding="utf-8")
+ENHANCEMENT = (DOCS / "enhancement.md").read_text(encoding="utf-8")
+COMMANDS = {"todframes": cli, "sensor-sim": sensor_sim}
+
+
+def blocks(text: str, language: str) -> list[str]:
+    return re.findall(rf"^```{language}\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
 
 
 def block(language: str) -> str:
-    found = re.search(rf"^```{language}\n(.*?)^```$", README, re.MULTILINE | re.DOTALL)
+    found = blocks(README, language)
     assert found, f"README has no block {language}"
-    return found[1]
+    return found[0]
 
 
-def test_first_command_scores_the_samples(tmp_path: Path, monkeypatch, capsys) -> None:
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty working folder that sees the sample frames; a page's commands may write into it."""
+    (tmp_path / "sample_frames").symlink_to(ROOT / "sample_frames")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setenv("MPLBACKEND", "agg")
+    return tmp_path
+
+
+def front_door(text: str) -> None:
+    """Skip the test if a name of `tod.` or `ss.` in the text is not there yet."""
+    for alias, name in sorted(set(re.findall(r"\b(tod|ss)\.(\w+)", text))):
+        package = {"tod": "todframes", "ss": "sensor_sim"}[alias]
+        if not hasattr(importlib.import_module(package), name):
+            pytest.skip(f"waits for {package}.{name}")
+
+
+def run_commands(text: str) -> None:
+    """Every command of a block, as if typed in the working folder."""
+    for line in text.replace("\\\n", " ").splitlines():
+        program, *arguments = shlex.split(line)
+        assert run(COMMANDS[program], arguments) == 0, line
+
+
+def run_code(*parts: str) -> dict:
+    """Code of a page, in one go."""
+    code = "\n".join(parts)
+    front_door(code)
+    names: dict = {}
+    exec(compile(code, "page", "exec"), names)
+    return names
+
+
+def page(name: str) -> str:
+    return (DOCS / name).read_text(encoding="utf-8")
+
+
+def test_first_command_scores_the_samples(folder: Path, capsys) -> None:
     """All of it but the installation, which a test cannot repeat in its own environment."""
     make, install, *commands = (part.strip() for part in block("sh run").split("&&"))
     assert (make, install) == ("python3 -m venv .venv", ".venv/bin/pip install -q .")
     assert len(commands) == 2
-    (tmp_path / "sample_frames").symlink_to(ROOT / "sample_frames")
-    monkeypatch.chdir(tmp_path)
     for command in commands:
         program, *arguments = shlex.split(command)
         assert program == ".venv/bin/todframes"
         assert run(cli, arguments) == 0
     shown = capsys.readouterr().out
-    result = json.loads((tmp_path / "tod_result" / "result.json").read_text(encoding="utf-8"))
+    result = json.loads((folder / "tod_result" / "result.json").read_text(encoding="utf-8"))
     assert [fit["status"] for fit in result["fits"]] == ["ok"] * 4
-    assert (tmp_path / "tod_result" / "tod_curve.png").stat().st_size > 10_000
+    assert (folder / "tod_result" / "tod_curve.png").stat().st_size > 10_000
     # The README shows this very table; sizes and thresholds at least must be those.
     rows = [line.split()[:2] for line in block("text").splitlines() if re.match(r" +\d", line)]
     assert len(rows) == 4
-    shown_rows = [line.split()[:2] for line in shown.splitlines() if re.match(r" +\d", line)]
-    assert rows == shown_rows[:4]
+    shown_rows = [line for line in shown.splitlines() if re.match(r" +\d", line)]
+    assert rows == [line.split()[:2] for line in shown_rows[:4]]
+    # Both tables look like success: thresholds within the levels shown, intervals with both ends.
     assert len(shown_rows) == 7
+    assert all("ok" in line.split() and "?" not in line for line in shown_rows)
+
+
+def test_thresholds_that_the_page_of_the_samples_states(capsys) -> None:
+    text = (ROOT / "sample_frames" / "README.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| ([\d.]+) \| ([\d.]+) \| ([\d.]+) – ([\d.]+) \| ([\d.]+) \|$", text, re.MULTILINE)
+    assert run(cli, ["score", str(ROOT / "sample_frames" / "staring_camera"), "--json"]) == 0
+    fits = json.loads(capsys.readouterr().out)["fits"]
+    assert len(rows) == len(fits) == 3
+    for row, fit in zip(rows, fits, strict=True):
+        size, threshold, low, high, all_cameras = map(float, row)
+        assert fit["group"]["size_detectors"] == size
+        assert [fit["threshold"], *fit["threshold_ci95"]] == pytest.approx([threshold, low, high], rel=1e-3)
+        assert low < all_cameras < high
 
 
 def test_python_example(monkeypatch, capsys) -> None:
     monkeypatch.chdir(ROOT)
-    exec(compile(block("python"), "README.md", "exec"), {})
+    run_code(block("python"))
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) == 4
     for line, size in zip(lines, (0.6, 0.9, 1.4, 2.4), strict=True):
-        pattern = rf"{{'size_mrad': {size}}} (\S+) \((\S+), (\S+)\)"
+        pattern = rf"{{'size_mrad': {size}}} (\S+) [(\[](\S+), (\S+)[)\]]"
         threshold, low, high = map(float, re.fullmatch(pattern, line).groups())
         assert low <= threshold <= high
 
 
+def test_tutorial(folder: Path, capsys) -> None:
+    """From an array to a picture in ten lines, with thresholds that are there."""
+    make, *score = blocks(page("tutorial.md"), "python")
+    assert sum(bool(line.strip()) for part in score for line in part.splitlines()) <= 10
+    names = run_code(make, *score)
+    assert names["frames"].shape == (180, 96, 96)
+    assert [found.status for found in names["result"].thresholds] == ["ok"] * 3
+    assert len(capsys.readouterr().out.splitlines()) == 3
+    assert (folder / "tod_curve.png").stat().st_size > 10_000
+
+
+# Files that a page tells its reader to save, by the number of the block that holds them.
+SAVED = {"fit_counts.md": ("counts.csv", "text", 0), "own_enhancement.md": ("my_enhancements.py", "python", 0)}
+HOW_TO = ["own_frames.md", "compare_algorithms.md", "simulate_sensor.md", "fit_counts.md", "own_enhancement.md"]
+
+
+@pytest.mark.parametrize("name", HOW_TO)
+def test_commands_of_a_how_to_page(name: str, folder: Path) -> None:
+    text = page(name)
+    if name in SAVED:
+        file, language, number = SAVED[name]
+        (folder / file).write_text(blocks(text, language)[number], encoding="utf-8")
+    commands = blocks(text, "sh")
+    assert commands
+    for command in commands:
+        run_commands(command)
+
+
+@pytest.mark.parametrize("name", [*HOW_TO, "api.md"])
+@pytest.mark.usefixtures("folder")
+def test_code_of_a_page(name: str, capsys) -> None:
+    text = page(name)
+    run_code(*blocks(text, "python"))
+    if name == "own_frames.md":
+        assert capsys.readouterr().out == "never_reached\n"
+
+
+def test_own_observer_by_its_module(folder: Path, capsys) -> None:
+    try:
+        find_observer("todframes.observers.pyramid:PyramidObserver")
+    except SettingsError:
+        pytest.skip("waits for --observer MODULE:CLASS")
+    text = page("own_observer.md")
+    (folder / "retina_samples.py").write_text(blocks(text, "python")[0], encoding="utf-8")
+    run_commands(blocks(text, "sh module")[0])
+    sys.modules.pop("retina_samples", None)
+    assert " 8 " in capsys.readouterr().out
+
+
 def test_documented_files_exist() -> None:
-    for name in re.findall(r"\]\(([\w./]+)\)", README):
-        assert (ROOT / name).exists(), name
-    for name in re.findall(r"\]\(([\w./]+)(?:#[\w-]+)?\)", ENHANCEMENT):
-        assert (ROOT / "docs" / name).exists(), name
+    for text in (README, (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")):
+        for name in re.findall(r"\]\(([\w./]+)\)", text):
+            assert (ROOT / name).exists(), name
+
+
+def test_versions_are_one() -> None:
+    """That of the package, of its metadata and of the citation."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    citation = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+    assert re.search(r"^version: (.*)$", citation, re.MULTILINE)[1] == project["version"] == __version__
+
+
+@pytest.mark.oracle
+def test_site_has_no_warnings_and_loads_nothing(tmp_path: Path) -> None:
+    """Built by the README's command; no page needs anything from elsewhere."""
+    pytest.importorskip("sphinx", reason="the site needs the docs extra")
+    program, *arguments = shlex.split(block("sh docs").partition("&&")[2])
+    assert (program, arguments[-2:]) == (".venv/bin/sphinx-build", ["docs", "docs/_build"])
+    command = [sys.executable, "-m", "sphinx", *arguments[:-1], str(tmp_path)]
+    built = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert (built.returncode, built.stderr) == (0, "")
+    pages = sorted(tmp_path.rglob("*.html"))
+    assert len(pages) > 20
+    for html in pages:
+        loaded = re.findall(
+            r"<(?:script|link|img|iframe)\b[^>]*?(?:src|href)=\"([^\"]*)\"", html.read_text("utf-8")
+        )
+        assert not [address for address in loaded if re.match(r"(?:https?:)?//", address)], html
 
 
 def test_own_functions_of_the_enhancement_page(tmp_path: Path, monkeypatch) -> None:
     """The functions it shows can be used as it says."""
-    found = re.search(r"^```python\n(.*?)^```$", ENHANCEMENT, re.MULTILINE | re.DOTALL)
-    (tmp_path / "own_of_docs.py").write_text(found[1], encoding="utf-8")
+    (tmp_path / "own_of_docs.py").write_text(
+        "\n".join(blocks(page("own_enhancement.md"), "python")), encoding="utf-8"
+    )
     monkeypatch.syspath_prepend(tmp_path)
     image = np.full((6, 8), 0.6, np.float32)
     assert np.allclose(find_enhancement("own_of_docs:stretched:gain=3").run(image)[0], 0.8, atol=1e-6)
@@ -87,22 +225,21 @@ def test_declarations_of_the_enhancement_page() -> None:
     """Its table of what the decorator takes has all of it."""
     from dataclasses import fields
 
-    table = ENHANCEMENT.partition("What the decorator")[2].partition("\n\nA package")[0]
+    table = page("own_enhancement.md").partition("What the decorator")[2].partition("\n\nA package")[0]
     assert re.findall(r"^\| `(\w+)` \|", table, re.MULTILINE) == [field.name for field in fields(Declaration)]
 
 
-def test_enhancement_of_the_samples_is_as_shown(tmp_path: Path, monkeypatch, capsys) -> None:
+@pytest.mark.usefixtures("folder")
+def test_enhancement_of_the_samples_is_as_shown(capsys) -> None:
     """The page's command gives the page's thresholds, ratios and verdicts: one helps, one hurts, one neither."""
     command = re.search(r"^```sh\n(.*?)^```$", ENHANCEMENT, re.MULTILINE | re.DOTALL)[1]
-    (tmp_path / "sample_frames").symlink_to(ROOT / "sample_frames")
-    monkeypatch.chdir(tmp_path)
     program, *arguments = shlex.split(command.replace("\\\n", " "))
     assert (program, run(cli, arguments)) == ("todframes", 0)
-    page = re.search(r"^```text\n(.*?)^```$", ENHANCEMENT, re.MULTILINE | re.DOTALL)[1]
+    stated = re.search(r"^```text\n(.*?)^```$", ENHANCEMENT, re.MULTILINE | re.DOTALL)[1]
     rows = re.compile(
         r"(all|[\d.]+) +([\d.]+)(?: +([\d.]+))? .* (better|worse|no difference shown|reference) *$", re.M
     )
-    shown, found = (rows.findall(text.partition("Beside")[0]) for text in (page, capsys.readouterr().out))
+    shown, found = (rows.findall(text.partition("Beside")[0]) for text in (stated, capsys.readouterr().out))
     assert len(shown) == len(found) == 3 + 3 * 4
     assert [row[-1] for row in found if row[0] == "all"] == ["better", "worse", "no difference shown"]
     for (size, *ours, verdict), (found_size, *theirs, found_verdict) in zip(shown, found, strict=True):

@@ -24,6 +24,7 @@ from todframes.observers.pyramid import PyramidObserver, PyramidSettings
 
 ROOT = Path(__file__).parent.parent
 DOCS = (ROOT / "docs" / "observers.md").read_text(encoding="utf-8")
+OWN = (ROOT / "docs" / "own_observer.md").read_text(encoding="utf-8")
 STAR_LIKE = ROOT / "sample_frames" / "star_like.toml"
 NEARLY_SHARP = """\
 schema = 1
@@ -181,7 +182,7 @@ def test_settings_that_are_shown_for_a_sensor_can_be_had(monkeypatch, capsys) ->
 def example(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """The example of one's own observer, installed as its package would be; the command that is shown with it."""
     code, entry_points, command = (
-        re.search(rf"^```{language}\n(.*?)^```$", DOCS, re.MULTILINE | re.DOTALL)[1]
+        re.search(rf"^```{language}\n(.*?)^```$", OWN, re.MULTILINE | re.DOTALL)[1]
         for language in ("python", "toml", "sh own")
     )
     (tmp_path / "retina_samples.py").write_text(code, encoding="utf-8")

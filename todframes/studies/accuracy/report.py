@@ -78,25 +78,26 @@ def page(result: Result, *, folder: str = "") -> str:
 INTRODUCTION = """\
 # Error against run time
 
-What each digit of a threshold costs. Every scene is computed in several ways, each with more and more work, and
-held against a converged value that carries its own bound. `todframes accuracy` measures it, here with
-`--time {seconds:g}` (CPU seconds a scene) and version {version}. Times are those of one machine; their ratios
-hardly depend on it.
+This page shows the CPU time that each digit of a threshold costs. Every scene is computed in several ways, each
+with more and more work. Errors refer to a converged value, which carries its own bound. `todframes accuracy`
+measures them, here with `--time {seconds:g}` (CPU seconds for a scene) and version {version}. The times are
+those of one machine; their ratios hardly depend on it.
 
-| estimator | what it does |
+| estimator | how it works |
 | --- | --- |
-| literal Monte Carlo | as in the paper: frames drawn, noise on every neuron, correlation, the largest score |
+| literal Monte Carlo | as in the paper: frames are drawn, every neuron gets noise, the largest score answers |
 | Monte Carlo on folded scores | pyramid and templates folded into four weight images, noise into one four-vector |
 | expected decisions, random phases | no noise is drawn: P(correct) of each trial is computed |
 | closed form | the same, with trials placed evenly; for cameras, planned for an error (`--tolerance`) |
 
-- **Error**: root mean square about the converged value over independent estimates; of the threshold, relative.
-  Grey is what is below the bound on the converged value's error.
-- **CPU**: of one estimate, set-up included. The closed form searches its threshold. The Monte Carlos are told
-  where it is and how steep P(correct) is there, the least that any choice of levels could take; only on recorded
-  frames do they fit a psychometric function, as `score` does.
+- **Error**: root mean square of the difference from the converged value, over independent estimates; for the
+  threshold, relative. Grey marks errors below the bound on the error of
+  the converged value.
+- **CPU**: time of one estimate, set-up included. The closed form searches its threshold. The Monte Carlos know
+  the threshold and the slope of P(correct) there, which is the least work that any choice of levels could need;
+  only on recorded frames do they fit a psychometric function, as `score` does.
 - **Slope** of the error against the CPU time beyond the set-up, both logarithmic: −½ for independent trials.
 - **Times less** CPU than the literal Monte Carlo at equal error. `*`: extrapolated along the measured 1/√N.
 - The literal Monte Carlo draws uniform noise on detectors and neurons. On folded scores the noise is Gaussian;
   expected decisions and closed forms correct that for neurons.
-- The second table changes one thing about the closed form at a time, with equal trials."""
+- The second table changes one part of the closed form at a time, with equal trials."""

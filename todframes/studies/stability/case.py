@@ -203,16 +203,17 @@ def outcome_table(outcomes: Sequence[Outcome], *, documented: bool = False) -> T
 PAGE = """\
 # Stability in the extremes
 
-`todframes stability` tries inputs from the edge of what may come, {number} of them, and fails if one keeps fewer
-digits than it must. It takes half a minute and 2 GB; the tests run the same cases. This page is made by
+`todframes stability` tries inputs from the edge of what can occur, {number} of them, and fails if one keeps
+fewer digits than required. It takes half a minute and 2 GB; the tests run the same cases. This command makes
+the page:
 
     todframes stability --markdown > docs/stability.md
 
-What is expected comes from outside of the code under trial: closed forms, laws that hold exactly, and numbers
-that mpmath gave at 50 digits, which `tests/test_stability_references.py` computes again by other methods. *Digits*
-are the right decimal digits of the worst number of a case; from 12 on they are a matter of the machine. Of several
-numbers the first and the last are shown. Warnings and exceptions count as failures. *Refused* means: by one line
-that says what was found and what was expected.
+The expected values come from outside of the code under test: closed forms, laws that hold exactly, and numbers
+that mpmath gave at 50 digits, which `tests/test_stability_references.py` computes again by other methods.
+*Digits* are the right decimal digits of the worst number of a case; from 12 on they depend on the machine. If a
+case has several numbers, the first and the last are shown. Warnings and exceptions count as failures. *Refused*
+means: with one line that says what was found and what was expected.
 """
 
 
