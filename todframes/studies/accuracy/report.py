@@ -91,8 +91,7 @@ those of one machine; their ratios hardly depend on it.
 | closed form | the same, with trials placed evenly; for cameras, planned for an error (`--tolerance`) |
 
 - **Error**: root mean square of the difference from the converged value, over independent estimates; for the
-  threshold, relative. Grey marks errors below the bound on the error of
-  the converged value.
+  threshold, relative. Grey marks errors below the bound on the error of the converged value.
 - **CPU**: time of one estimate, set-up included. The closed form searches its threshold. The Monte Carlos know
   the threshold and the slope of P(correct) there, which is the least work that any choice of levels could need;
   only on recorded frames do they fit a psychometric function, as `score` does.
