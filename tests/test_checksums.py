@@ -60,6 +60,13 @@ def test_exr_without_a_checksum_is_warned_of(make_dataset, todframes, tmp_path) 
     assert (status, json.loads(out)["warnings"], err) == (0, [], "")
 
 
+def test_validate_warns_too(make_dataset, todframes) -> None:
+    made = make_dataset()
+    status, out, err = todframes("validate", made.path)
+    assert (status, out) == (0, f"{made.path}: 8 frames in 8 trials, all good\n")
+    assert err.startswith("warning: 8 of 8 frames are EXR without a sha256")
+
+
 def test_frames_left_out_are_not_counted(make_dataset) -> None:
     data = load_dataset(make_dataset().path)
     assert dataset_warnings(data, data.trials[:3])[0].found == 3

@@ -33,7 +33,7 @@ def todframes(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatc
 
 
 def test_score_as_json(todframes, make_dataset) -> None:
-    path = make_dataset(sizes_mrad=(1.0, 2.0), contrasts=(0.05, 0.1, 0.2), repeats=2).path
+    path = make_dataset(sizes_mrad=(1.0, 2.0), contrasts=(0.05, 0.1, 0.2), repeats=2, suffix=".png").path
     status, out, err = todframes("score", path, "--json", "--internal-noise", "0.25", "--set", "kernel_a=0.4")
     assert (status, err) == (0, "")
     result = json.loads(out)
@@ -111,7 +111,7 @@ def test_nothing_is_written_without_out(todframes, make_dataset, tmp_path: Path,
 
 
 def test_score_shows_a_table(todframes, make_dataset) -> None:
-    status, out, err = todframes("score", make_dataset(contrasts=(0.05, 0.1, 0.2)).path)
+    status, out, err = todframes("score", make_dataset(contrasts=(0.05, 0.1, 0.2), suffix=".png").path)
     assert (status, err) == (0, "")
     for text in ("size (mrad)", "threshold contrast", "95 % interval", "ok"):
         assert text in out
@@ -196,7 +196,7 @@ def test_fit(todframes, tmp_path: Path) -> None:
 
 
 def test_validate(todframes, make_dataset) -> None:
-    made = make_dataset()
+    made = make_dataset(suffix=".png")
     status, out, err = todframes("validate", made.path)
     assert (status, out, err) == (0, f"{made.path}: 8 frames in 8 trials, all good\n", "")
 
