@@ -362,7 +362,9 @@ def test_help_imports_nothing_slow():
 def changed(table: str, key: str, value: str) -> str:
     """The good settings with another value of a key."""
     before, after = SENSOR.split(f"[{table}]\n")
-    return f"{before}[{table}]\n" + re.sub(rf"^{key} = .*$", f"{key} = {value}", after, count=1, flags=re.MULTILINE)
+    return f"{before}[{table}]\n" + re.sub(
+        rf"^{key} = .*$", f"{key} = {value}", after, count=1, flags=re.MULTILINE
+    )
 
 
 def sensor_with(sensor_file: Path, text: str) -> Path:
@@ -449,7 +451,9 @@ def test_sizes_and_ratios(sensor_file, tmp_path, values, message):
 
 @pytest.mark.parametrize("option", ["--size-detectors=2,big", "--snr=nan", "--size-detectors=2,3,2"])
 def test_bad_list_of_simulate(fails, sensor_file, option):
-    fails(*simulate(sensor_file, option), wanted=("size_detectors|--size-detectors|snr", "found", "expected|twice"))
+    fails(
+        *simulate(sensor_file, option), wanted=("size_detectors|--size-detectors|snr", "found", "expected|twice")
+    )
 
 
 @pytest.mark.parametrize("sizes", ["2,big", "0"])
