@@ -64,12 +64,11 @@ def sensor_file(tmp_path) -> Path:
 
 
 @pytest.fixture
-def sensor_sim(capfd, monkeypatch):
+def sensor_sim(capfd):
     """Runs a command line; status, standard output, lines of standard error. A warning would raise.
 
     No terminal is at the other end.
     """
-    monkeypatch.delenv("COLUMNS", raising=False)
 
     def call(*arguments):
         capfd.readouterr()

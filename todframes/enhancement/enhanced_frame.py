@@ -211,10 +211,9 @@ class DecodedFrame:
         """
         rule, m = self.screen.display.background_luminance_cd_m2, picture.magnification
         of_frame = rule in ("border", "frame_mean")
-        whole = whole or of_frame
         y = _Axis.of(picture.values.shape[0], None if whole else place.rows, place.y_px, self.first_row, m)
         x = _Axis.of(picture.values.shape[1], None if whole else place.columns, place.x_px, self.first_column, m)
-        luminance = picture.luminance(y.used, x.used)
+        luminance = picture.luminance() if of_frame else picture.luminance(y.used, x.used)
         if of_frame:
             background = border_mean(luminance) if rule == "border" else float(luminance.mean())
         else:
@@ -222,7 +221,10 @@ class DecodedFrame:
             assert given is not None  # the manifest was checked for it
             background = given * self._brightening(picture)
         n_negative = int(np.count_nonzero(luminance < 0.0))
-        patch = Patch(finite_contrast(luminance, background), y.first, x.first, n_negative)
+        contrast = finite_contrast(luminance, background)
+        if of_frame:
+            contrast = np.ascontiguousarray(contrast[y.used, x.used])
+        patch = Patch(contrast, y.first, x.first, n_negative)
         return CroppedImage(patch, x.centre_px, y.centre_px, self.screen.display.pitch_mrad / m)
 
     @cached_property
