@@ -7,6 +7,7 @@ import csv
 import io
 import json
 import math
+import signal
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,6 +22,11 @@ PITCH_MRAD = 0.25
 WHITE, BACKGROUND = 100.0, 50.0  # cd/m²
 # A grey PNG of one pixel, in base64.
 ONE_PIXEL = "iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAAAAAA6fptVAAAACklEQVR4nGNoAAAAggCBd81ytgAAAABJRU5ErkJggg=="
+
+
+def pytest_configure() -> None:
+    """Let Ctrl-C interrupt, for the tests of it: a job in the background of a shell script ignores it."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.fixture(autouse=True)

@@ -124,21 +124,21 @@ def test_verbose_shows_the_curves_and_what_the_numbers_leave_out(todframes, make
         assert text in out
 
 
-@pytest.mark.parametrize("width", [80, 60])
-def test_a_narrow_terminal_has_fewer_columns_and_whole_numbers(todframes, monkeypatch, width: int) -> None:
+def test_a_narrow_terminal_has_fewer_columns_and_whole_numbers(todframes, monkeypatch) -> None:
     """Every line fits, and thresholds have the digits that they have on a wide one."""
     command = ("score", SAMPLES / "naked_eye", "--tolerance", "0.02", "--set", "resamples=200")
     wide = todframes(*command)[1]
-    monkeypatch.setenv("COLUMNS", str(width))
-    narrow = todframes(*command)[1]
-    rows, expected = (
-        [re.split("  +", line.strip()) for line in text.splitlines() if re.match(" +[0-9]", line)]
-        for text in (narrow, wide)
-    )
-    assert [row[:3] for row in rows] == [row[:3] for row in expected]
-    assert [len(row) for row in expected] == [6] * 4
-    assert all(len(line) <= width for line in narrow.splitlines())
-    assert "…" not in narrow
+    for width in (80, 60):
+        monkeypatch.setenv("COLUMNS", str(width))
+        narrow = todframes(*command)[1]
+        rows, expected = (
+            [re.split("  +", line.strip()) for line in text.splitlines() if re.match(" +[0-9]", line)]
+            for text in (narrow, wide)
+        )
+        assert [row[:3] for row in rows] == [row[:3] for row in expected]
+        assert [len(row) for row in expected] == [6] * 4
+        assert all(len(line) <= width for line in narrow.splitlines())
+        assert "…" not in narrow
 
 
 def test_settings_file_and_which_goes_first(todframes, make_dataset, tmp_path: Path) -> None:

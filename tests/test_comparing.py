@@ -191,6 +191,7 @@ def test_gain_is_as_good_as_less_internal_noise(make_dataset) -> None:
     assert np.allclose(twice.p_correct, quiet.p_correct, rtol=0.0, atol=1e-5)
 
 
+@pytest.mark.slow
 def test_gain_of_noise_limited_frames_does_nothing(make_dataset) -> None:
     """A linear, invertible change: signal and noise are what they were to each other, so is the threshold."""
     made = noisy_frames(make_dataset, sigma=0.4)
@@ -221,6 +222,7 @@ def noisy_frames(
     return made
 
 
+@pytest.mark.slow
 def test_averaging_n_noisy_frames_lowers_the_threshold_by_the_root_of_n(make_dataset) -> None:
     """By √4, within the intervals: one frame a trial, and four a trial of half the contrast."""
     observer = PyramidObserver(PyramidSettings(internal_noise=0.02))  # 2 % of the noise on the retina

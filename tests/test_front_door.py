@@ -71,7 +71,13 @@ def test_import_loads_nothing(package: str) -> None:
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
-@pytest.mark.parametrize(("package", "name"), NAMES, ids=[name for _, name in NAMES])
+def marks(name: str) -> list[pytest.MarkDecorator]:
+    return [pytest.mark.slow] if name == "compare" else []
+
+
+@pytest.mark.parametrize(
+    ("package", "name"), [pytest.param(*one, id=one[1], marks=marks(one[1])) for one in NAMES]
+)
 def test_examples_of_docstrings_run(package, name: str, monkeypatch) -> None:
     monkeypatch.chdir(ROOT)
     found = getattr(package, name)
