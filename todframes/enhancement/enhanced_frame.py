@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -19,7 +19,7 @@ from todframes.errors import DataError, FrameError, SettingsError
 from todframes.frames.contrast import Patch, check_sha256, finite_contrast
 from todframes.frames.dataset import Dataset, FrameReference, Trial
 from todframes.frames.display import Display, border_mean
-from todframes.frames.files import FULL_SCALE, FrameFile, read_frame
+from todframes.frames.files import FULL_SCALE, FrameSource, read_frame
 from todframes.observers.interface import Observer
 from todframes.observers.retina import RetinaGrid
 from todframes.scoring.retina_view import Placement, Shown, place_grid
@@ -113,7 +113,7 @@ class DecodedFrame:
 
     Parameters
     ----------
-    file : FrameFile
+    file : FrameSource
         Decoded here, whole.
     screen : Screen
 
@@ -123,7 +123,7 @@ class DecodedFrame:
         If its pixels are damaged or not finite.
     """
 
-    def __init__(self, file: FrameFile, screen: Screen) -> None:
+    def __init__(self, file: FrameSource, screen: Screen) -> None:
         self.screen = screen
         frame = file.read()
         self.first_row, self.first_column = frame.first_row, frame.first_column
@@ -299,13 +299,13 @@ class TrialReader:
         dataset: Dataset,
         trial: Trial,
         observer: Observer,
-        grid_of: Callable[[], RetinaGrid],
+        grid: RetinaGrid,
         displacement_samples: Sequence[tuple[float, float]] | FloatArray = ((0.0, 0.0),),
         *,
         whole: bool = False,
     ) -> list[Shown]:
         """What is shown after each algorithm."""
-        found = self.read(dataset, trial, observer, grid_of, displacement_samples, whole=whole)
+        found = self.read(dataset, trial, observer, grid, displacement_samples, whole=whole)
         return [one.shown for one in found]
 
     def read(
@@ -313,7 +313,7 @@ class TrialReader:
         dataset: Dataset,
         trial: Trial,
         observer: Observer,
-        grid_of: Callable[[], RetinaGrid],
+        grid: RetinaGrid,
         displacement_samples: Sequence[tuple[float, float]] | FloatArray = ((0.0, 0.0),),
         *,
         whole: bool = False,
@@ -328,8 +328,8 @@ class TrialReader:
         frames, n_rows = [], []
         for frame in trial.frames:
             check_sha256(dataset, frame)
-            with FrameFile(dataset.frame_path(frame)) as file:
-                place = place_grid(dataset, trial, file, observer, grid_of, displacement_samples)
+            with dataset.open(frame) as file:
+                place = place_grid(dataset, trial, file, observer, grid, displacement_samples)
                 decoded = DecodedFrame(file, self.screen)
             n_rows.append(file.header.height)
             looked = []

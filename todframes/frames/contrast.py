@@ -14,7 +14,7 @@ from todframes._typing import FloatArray
 from todframes.errors import DataError, FrameError
 from todframes.frames.dataset import Dataset, FrameReference, Skipped, Trial
 from todframes.frames.display import BackgroundRule, Display, border_values, weber_contrast
-from todframes.frames.files import BAND_VALUES, FrameFile, code_values, frame_sha256
+from todframes.frames.files import BAND_VALUES, FrameFile, FrameSource, code_values, frame_sha256
 from todframes.frames.position import centroid_position, check_on_frame
 
 MOST_HELD_PX = 2**20
@@ -67,7 +67,7 @@ def skipped_frames(dataset: Dataset, trial: Trial, error: FrameError | str) -> l
 
 
 def read_contrast(
-    file: FrameFile,
+    file: FrameSource,
     display: Display,
     frame: FrameReference,
     rows: tuple[int, int] | None = None,
@@ -170,14 +170,14 @@ def frame_problems(dataset: Dataset, trial: Trial) -> Iterator[FrameError]:
         path = dataset.frame_path(frame)
         try:
             check_sha256(dataset, frame)
-            with FrameFile(path) as file:
+            with dataset.open(frame) as file:
                 pitch_mrad = dataset.display.pitch_mrad
                 x, y = centroid_position(trial, file.header, "centroid", pitch_mrad)
                 check_on_frame(path, trial, file.header, x, y, pitch_mrad)
                 read_contrast(file, dataset.display, frame, (0, 0), every_pixel=True)
             if (reference := dataset.reference_path(frame)) is not None:
-                with FrameFile(reference) as file:
-                    for _ in file.bands():
+                with FrameFile(reference) as other:
+                    for _ in other.bands():
                         pass
         except FrameError as error:
             yield error

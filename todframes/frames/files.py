@@ -9,7 +9,7 @@ import zlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO, Literal, Self, get_args
+from typing import Any, BinaryIO, Literal, Protocol, Self, get_args
 
 import numpy as np
 import OpenImageIO as oiio
@@ -123,6 +123,33 @@ class FrameHeader:
     channels: tuple[str, ...]
     pixel_type: PixelType
     attributes: dict[str, str]
+
+
+class FrameSource(Protocol):
+    """An open frame, for a `with` statement: its header at once, its pixels when asked for.
+
+    `path` names it in messages; the members are those of `FrameFile`, which is one, as `ArrayFrame` is.
+    """
+
+    path: Path
+    header: FrameHeader
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(self, *_: object) -> None: ...
+
+    @property
+    def stored_type(self) -> np.dtype[Any]:
+        """Type of the values of `Frame.stored`."""
+
+    def read(self, *, rows: Range | None = None, columns: Range | None = None) -> Frame:
+        """Return a rectangle of the frame."""
+
+    def bands(self, *, rows: Range | None = None, columns: Range | None = None) -> Iterator[Frame]:
+        """Yield a rectangle of the frame in bands of rows."""
+
+    def clip(self, rows: Range | None, columns: Range | None) -> tuple[Range, Range]:
+        """Return the rows and columns of a rectangle that the frame has pixels for."""
 
 
 class FrameFile:
