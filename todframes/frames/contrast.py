@@ -110,6 +110,8 @@ def read_contrast(
                 kept[max(begin - top, 0) : end - top] = part[:, left - band.first_column :][:, : right - left]
         background = _background(rule, found, frame)
         check_contrast(found.largest, background)
+    except FrameError:
+        raise
     except DataError as error:
         raise FrameError(file.path, str(error)) from None
     if is_small:

@@ -238,11 +238,7 @@ class FrameFile:
 
     def clip(self, rows: Range | None, columns: Range | None) -> tuple[Range, Range]:
         """Rows and columns of a rectangle that the file has pixels for."""
-        header = self.header
-        return (
-            _clip(rows, header.first_row, header.n_rows),
-            _clip(columns, header.first_column, header.n_columns),
-        )
+        return clip_rectangle(self.header, rows, columns)
 
     def _band_rows(self, top: int, bottom: int) -> Iterator[Range]:
         """Rows in bands that end where chunks or tiles do."""
@@ -398,6 +394,11 @@ def _not_finite(stored: NDArray[Any]) -> NDArray[np.bool_] | None:
     is_half = stored.dtype == np.float16  # for which numpy's isfinite takes five times as long
     bad = (stored.view(np.uint16) & 0x7C00) == 0x7C00 if is_half else ~np.isfinite(stored)
     return bad.any(axis=2) if bad.any() else None
+
+
+def clip_rectangle(header: FrameHeader, rows: Range | None, columns: Range | None) -> tuple[Range, Range]:
+    """Clip a rectangle of a frame, by default all of it, to the pixels that there are."""
+    return _clip(rows, header.first_row, header.n_rows), _clip(columns, header.first_column, header.n_columns)
 
 
 def _clip(wanted: Range | None, first: int, count: int) -> Range:
