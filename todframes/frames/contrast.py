@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Callable, Iterator
 from functools import partial
@@ -39,10 +40,25 @@ class Patch(NamedTuple):
         if self.to_contrast is None:
             yield self
             return
-        n_rows = max(BAND_VALUES // max(self.values[:1].size, 1), 1)
-        for begin in range(0, len(self.values), n_rows):
-            contrast = self.to_contrast(self.values[begin : begin + n_rows])
-            yield Patch(contrast, self.row + begin, self.column, 0)
+        begin = self.row
+        for values in row_bands(self.values):
+            yield Patch(self.to_contrast(values), begin, self.column, 0)
+            begin += len(values)
+
+    def held(self) -> Patch:
+        """Return the patch to be held for a while: as contrast if small, else without what it is a part of."""
+        if self.to_contrast is None:
+            return self
+        if math.prod(self.values.shape[:2]) <= MOST_HELD_PX:
+            return self._replace(values=self.to_contrast(self.values), to_contrast=None)
+        return self._replace(values=np.ascontiguousarray(self.values))
+
+
+def row_bands(values: NDArray[Any]) -> Iterator[NDArray[Any]]:
+    """Yield an array in bands of rows, none of which takes much memory."""
+    n_rows = max(BAND_VALUES // max(values[:1].size, 1), 1)
+    for begin in range(0, len(values) if values.size else 0, n_rows):
+        yield values[begin : begin + n_rows]
 
 
 def check_sha256(dataset: Dataset, frame: FrameReference) -> None:
@@ -95,7 +111,7 @@ def read_contrast(
         if is_small
         else np.empty((bottom - top, right - left, len(file.header.channels)), file.stored_type)
     )
-    found = _Luminance()
+    found = LuminanceFound()
     try:
         for band in file.bands() if whole else file.bands(rows=rows, columns=columns):
             luminance = display.luminance(band.values)
@@ -119,7 +135,7 @@ def read_contrast(
     return Patch(kept, top, left, found.n_negative, partial(_contrast, display, background))
 
 
-class _Luminance:
+class LuminanceFound:
     """What is found out about the luminance of a frame, band by band."""
 
     def __init__(self) -> None:
@@ -141,7 +157,7 @@ class _Luminance:
         self.n_averaged += luminance.size
 
 
-def _background(rule: float | BackgroundRule, found: _Luminance, frame: FrameReference) -> float:
+def _background(rule: float | BackgroundRule, found: LuminanceFound, frame: FrameReference) -> float:
     if rule == "column":
         assert frame.background_luminance_cd_m2 is not None  # the manifest was checked for it
         return frame.background_luminance_cd_m2
@@ -151,12 +167,6 @@ def _background(rule: float | BackgroundRule, found: _Luminance, frame: FrameRef
 def _contrast(display: Display, background_luminance_cd_m2: float, stored: NDArray[Any]) -> FloatArray:
     """Contrast of pixels as stored."""
     return weber_contrast(display.luminance(code_values(stored)), background_luminance_cd_m2)
-
-
-def finite_contrast(luminance: FloatArray, background_luminance_cd_m2: float) -> FloatArray:
-    """Weber contrast; DataError if it overflows, or the background is not a positive number."""
-    check_contrast(max(-float(luminance.min()), float(luminance.max())), background_luminance_cd_m2)
-    return weber_contrast(luminance, background_luminance_cd_m2)
 
 
 def check_contrast(largest_luminance_cd_m2: float, background_luminance_cd_m2: float) -> None:

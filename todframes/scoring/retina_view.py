@@ -21,7 +21,7 @@ from todframes.frames.position import (
     check_on_frame,
 )
 from todframes.observers.interface import Observer
-from todframes.observers.retina import RetinaGrid, add_resampled
+from todframes.observers.retina import RetinaGrid, resample, resampled_rows
 
 
 class Placement(NamedTuple):
@@ -163,22 +163,38 @@ def retina_image(
     shown: Shown, grid: RetinaGrid, displacement_samples: tuple[float, float] = (0.0, 0.0)
 ) -> FloatArray:
     """Mean contrast of a trial's frames on a retina grid, displaced along x and y: (side, side)."""
-    dx, dy = (d * grid.pitch_mrad / shown.pixel_pitch_mrad for d in displacement_samples)
+    pitch_mrad = shown.pixel_pitch_mrad
+    dx, dy = (d * grid.pitch_mrad / pitch_mrad for d in displacement_samples)
+    images = [
+        _on_retina(patch, grid, x + dx, y + dy, pitch_mrad)
+        for patch, x, y in zip(shown.patches, shown.x_px, shown.y_px, strict=True)
+    ]
+    return images[0] if len(images) == 1 else np.asarray(sum(images) / len(images))
+
+
+def _on_retina(patch: Patch, grid: RetinaGrid, x_px: float, y_px: float, pixel_pitch_mrad: float) -> FloatArray:
+    if patch.to_contrast is None:
+        return resample(
+            patch.values,
+            grid,
+            x_px=x_px,
+            y_px=y_px,
+            pixel_pitch_mrad=pixel_pitch_mrad,
+            first_row=patch.row,
+            first_column=patch.column,
+        )
     image = np.zeros((grid.side, grid.side))
-    for patch, x, y in zip(shown.patches, shown.x_px, shown.y_px, strict=True):
-        for band in patch.bands():
-            add_resampled(
-                image,
-                band.values,
-                grid,
-                x_px=x + dx,
-                y_px=y + dy,
-                pixel_pitch_mrad=shown.pixel_pitch_mrad,
-                first_row=band.row,
-                first_column=band.column,
-            )
-    if len(shown.patches) > 1:
-        image /= len(shown.patches)
+    for band in patch.bands():
+        top, part = resampled_rows(
+            band.values,
+            grid,
+            x_px=x_px,
+            y_px=y_px,
+            pixel_pitch_mrad=pixel_pitch_mrad,
+            first_row=band.row,
+            first_column=band.column,
+        )
+        image[top : top + len(part)] += part
     return image
 
 
