@@ -15,10 +15,12 @@ from todframes._typing import FloatArray
 from todframes.errors import FrameError, SettingsError
 from todframes.frames.contrast import skipped_frames
 from todframes.frames.dataset import Dataset, Skipped, Trial
+from todframes.frames.position import check_place
 from todframes.observers.interface import Observer, Readout
 from todframes.observers.retina import RetinaGrid
 from todframes.scoring.plan import ScorePlan
 from todframes.scoring.retina_view import Shown, read_trial, retina_image
+from todframes.stimulus import Stimulus
 from todframes.threads import map_in_threads
 
 T = TypeVar("T")
@@ -211,11 +213,15 @@ def see_trials(
     order = sorted(trials, key=lambda trial: (trial.stimulus.size_mrad, trial.stimulus.polarity))
     tasks = [order[start : start + TRIALS_PER_TASK] for start in range(0, len(order), TRIALS_PER_TASK)]
     readout_of = lru_cache(maxsize=4)(scoring.plan.readout)
+    fitting: set[Stimulus] = set()
 
     def show_task(task: list[Trial]) -> tuple[list[T], list[Skipped]]:
         seen, skipped = [], []
         for trial in task:
             try:
+                if trial.stimulus not in fitting:  # a readout may be huge: not for what is larger than its frame
+                    check_place(scoring.dataset, trial, scoring.plan.observer.centre)
+                    fitting.add(trial.stimulus)
                 try:
                     readout = readout_of(trial.stimulus)
                 except SettingsError as error:  # of this row's size alone
