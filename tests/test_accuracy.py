@@ -332,6 +332,7 @@ class NoisyChain(FoldedChain):
     def __init__(self, spread: float) -> None:
         whole = FoldedChain(UNDER_SAMPLED, PyramidObserver(), 3.0)
         self.sensor, self.size_detectors, self.plan = whole.sensor, 3.0, replace(whole.plan, steps=())
+        self.noise_covariance = whole.noise_covariance
         self.spread = spread
 
     def replicates(self, places: int, seed: int) -> list[list[Phases]]:

@@ -1,6 +1,7 @@
-"""Bad input at the command line: one line that says what is wrong and where, a status, and nothing half-written.
+"""Bad input: one line that says what is wrong and where, a status, and nothing half-written.
 
-Contract, section 5. Each case spoils a good dataset in one way; `wanted` are patterns for what the line must say.
+Each case spoils good input in one way; `wanted` are patterns for what the line must say. All cases meet the call
+that reads such input, whose error a command prints; a few of each kind go through the commands.
 """
 
 import errno
@@ -15,6 +16,7 @@ import sys
 import time
 import zlib
 from collections.abc import Callable
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -24,7 +26,15 @@ import pytest
 from todframes import output
 from todframes.cli import main as cli
 from todframes.cli.console import run
+from todframes.cli.options import make_fit, make_observer
+from todframes.errors import DataError, FrameError, SettingsError
+from todframes.frames.contrast import frame_problems
+from todframes.frames.dataset import load_dataset
 from todframes.frames.files import write_frame
+from todframes.observers.pyramid import PyramidObserver
+from todframes.psychometrics.counts import read_counts
+from todframes.psychometrics.fit import FitSettings
+from todframes.scoring.score import score_dataset
 
 BAD_DATA, BAD_SETTINGS, INTERRUPTED = 1, 2, 130
 BAD = 1
@@ -74,6 +84,35 @@ def fails(todframes, tmp_path):
 def assert_says(line, wanted):
     missing = [pattern for pattern in wanted if not re.search(pattern, line)]
     assert not missing, f"{line!r} lacks {missing}"
+
+
+@contextmanager
+def refused(kind, wanted):
+    """The block must raise an error of this very kind, in one line with all the patterns."""
+    with pytest.raises(kind, match=wanted[0]) as caught:
+        yield
+    assert caught.type is kind
+    assert_says(str(caught.value), ("^[^\n]*$", *wanted))
+
+
+def score(data, *, skip_bad_frames=False):
+    settings = FitSettings(resamples=0)
+    return score_dataset(data, PyramidObserver(), fit_settings=settings, skip_bad_frames=skip_bad_frames)
+
+
+def assert_spoils(dataset, bad, wanted, kind=DataError):
+    """A bad row or frame stops a score, or is skipped and listed; checking finds it and nothing else."""
+    data = load_dataset(dataset.path)
+    with refused(kind, wanted):
+        score(data)
+    scored = score(data, skip_bad_frames=True)
+    assert [one.frame for one in scored.skipped] == [dataset.rows[bad]["frame"].strip()]
+    assert_says(scored.skipped[0].error, wanted)
+    assert sum(group.fit.n_trials for group in scored.fits) == len(dataset.rows) - 1
+    problems = [row.error for row in data.bad_rows]
+    problems += [str(error) for trial in data.trials for error in frame_problems(data, trial)]
+    assert len(problems) == 1, problems
+    assert_says(problems[0], wanted)
 
 
 def tree(folder):
@@ -232,7 +271,6 @@ FRAMES = {
         display=(("eotf", "srgb"),),
     ),
 }
-frame_cases = pytest.mark.parametrize("case", FRAMES.values(), ids=FRAMES.keys())
 
 
 def make_good_for(case, dataset):
@@ -242,29 +280,37 @@ def make_good_for(case, dataset):
             write_frame(dataset.frame(row), np.full((48, 48), 0.5))
 
 
-@pytest.mark.parametrize("workers", [1, 2])
-@frame_cases
-def test_bad_frame_stops_score(case, workers, make_dataset, fails, tmp_path):
+@pytest.mark.parametrize("case", FRAMES.values(), ids=FRAMES.keys())
+def test_bad_frame(case, make_dataset):
     dataset = case.of(make_dataset)
     make_good_for(case, dataset)
+    assert_spoils(dataset, BAD, (re.escape(str(dataset.frame(BAD))), *case.wanted), FrameError)
+
+
+of_each_kind = pytest.mark.parametrize(
+    "name", ["exr truncated", "png flipped", "nan", "smaller than the triangle"]
+)
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+@of_each_kind
+def test_bad_frame_stops_score(name, workers, make_dataset, fails, tmp_path):
+    dataset = FRAMES[name].of(make_dataset)
     fails(
         "score", dataset.path, "-o", tmp_path / "out", "--workers", workers,
-        status=BAD_DATA, wanted=(re.escape(str(dataset.frame(BAD))), *case.wanted),
+        status=BAD_DATA, wanted=(re.escape(str(dataset.frame(BAD))), *FRAMES[name].wanted),
     )  # fmt: skip
 
 
-@frame_cases
-def test_bad_frame_is_skipped_and_listed(case, make_dataset, todframes):
-    dataset = case.of(make_dataset)
-    make_good_for(case, dataset)
-    assert_skipped(dataset, [BAD], case.wanted, todframes)
+@of_each_kind
+def test_bad_frame_is_skipped_and_listed(name, make_dataset, todframes):
+    assert_skipped(FRAMES[name].of(make_dataset), [BAD], FRAMES[name].wanted, todframes)
 
 
-@frame_cases
-def test_bad_frame_is_found_by_validate(case, make_dataset, todframes):
-    dataset = case.of(make_dataset)
-    make_good_for(case, dataset)
-    assert_validate_finds(dataset, [(re.escape(str(dataset.frame(BAD))), *case.wanted)], todframes)
+@of_each_kind
+def test_bad_frame_is_found_by_validate(name, make_dataset, todframes):
+    dataset = FRAMES[name].of(make_dataset)
+    assert_validate_finds(dataset, [(re.escape(str(dataset.frame(BAD))), *FRAMES[name].wanted)], todframes)
 
 
 def assert_skipped(dataset, bad, wanted, todframes):
@@ -293,18 +339,17 @@ def assert_validate_finds(dataset, problems, todframes):
 
 
 @pytest.mark.parametrize("case", ["exr declares 60000", "exr declares too many bytes", "png declares 60000"])
-def test_nobody_is_asked_to_raise_limits(case, make_dataset, fails):
+def test_nobody_is_asked_to_raise_limits(case, make_dataset):
     """OpenImageIO's advice, which no user of this package can follow."""
     dataset = FRAMES[case].of(make_dataset)
-    fails("score", dataset.path, status=BAD_DATA, wanted=(re.escape(str(dataset.frame(BAD))), "^(?!.*attribute)"))
+    with refused(FrameError, (re.escape(str(dataset.frame(BAD))), "^(?!.*attribute)")):
+        score(load_dataset(dataset.path))
 
 
-def test_wrong_sha256(make_dataset, fails, todframes):
+def test_wrong_sha256(make_dataset):
     dataset = make_dataset(row_changes={BAD: {"sha256": "0" * 64}})
-    wanted = ("sha256", "0{64}", "[0-9a-f]{64}")
-    fails("score", dataset.path, status=BAD_DATA, wanted=(re.escape(str(dataset.frame(BAD))), *wanted))
-    assert_skipped(dataset, [BAD], wanted, todframes)
-    assert_validate_finds(dataset, [wanted], todframes)
+    wanted = (re.escape(str(dataset.frame(BAD))), "sha256", "0{64}", "[0-9a-f]{64}")
+    assert_spoils(dataset, BAD, wanted, FrameError)
 
 
 @pytest.mark.parametrize("spoil", [Path.unlink, replaced_by_folder, replaced_by_pipe], ids=lambda f: f.__name__)
@@ -434,25 +479,17 @@ ROWS = {
 }
 
 
-@pytest.fixture(params=ROWS.values(), ids=ROWS.keys())
-def bad_row(request, make_dataset):
-    changes, wanted = request.param
-    return make_dataset(row_changes={BAD: changes}), (BAD_LINE, *wanted)
+@pytest.mark.parametrize(("changes", "wanted"), ROWS.values(), ids=ROWS.keys())
+def test_bad_row(changes, wanted, make_dataset):
+    dataset = make_dataset(row_changes={BAD: changes})
+    assert_spoils(dataset, BAD, (re.escape(str(dataset.manifest_file)), BAD_LINE, *wanted))
 
 
-def test_bad_row_stops_score(bad_row, fails, tmp_path):
-    dataset, wanted = bad_row
-    where = re.escape(str(dataset.manifest_file))
-    fails("score", dataset.path, "-o", tmp_path / "out", status=BAD_DATA, wanted=(where, *wanted))
-
-
-def test_bad_row_is_skipped_and_listed(bad_row, todframes):
-    dataset, wanted = bad_row
+def test_bad_row_meets_the_commands(make_dataset, fails, todframes, tmp_path):
+    dataset = make_dataset(row_changes={BAD: {"size_mrad": "-1"}})
+    wanted = (re.escape(str(dataset.manifest_file)), BAD_LINE, "size_mrad", "'-1'", "> 0")
+    fails("score", dataset.path, "-o", tmp_path / "out", status=BAD_DATA, wanted=wanted)
     assert_skipped(dataset, [BAD], wanted, todframes)
-
-
-def test_bad_row_is_found_by_validate(bad_row, todframes):
-    dataset, wanted = bad_row
     assert_validate_finds(dataset, [wanted], todframes)
 
 
@@ -465,58 +502,47 @@ PLACES = {
 
 
 @pytest.mark.parametrize("changes", PLACES.values(), ids=PLACES.keys())
-def test_triangle_off_the_frame(changes, make_dataset, fails, todframes):
+def test_triangle_off_the_frame(changes, make_dataset):
     dataset = make_dataset(row_changes={BAD: changes})
-    wanted = ("off the frame",)
-    fails("score", dataset.path, status=BAD_DATA, wanted=(re.escape(str(dataset.frame(BAD))), *wanted))
-    assert_skipped(dataset, [BAD], wanted, todframes)
-    assert_validate_finds(dataset, [wanted], todframes)
+    assert_spoils(dataset, BAD, (re.escape(str(dataset.frame(BAD))), "off the frame"), FrameError)
 
 
 @pytest.mark.parametrize("size_mrad", ["20", "700", "1e9", "1e308"])
-def test_triangle_larger_than_the_frame(size_mrad, make_dataset, fails, todframes):
+def test_triangle_larger_than_the_frame(size_mrad, make_dataset):
     dataset = make_dataset(row_changes={BAD: {"size_mrad": size_mrad}})
-    wanted = ("48 × 48 pixels", "smaller than the triangle")
-    fails("score", dataset.path, status=BAD_DATA, wanted=(re.escape(str(dataset.frame(BAD))), *wanted))
-    assert_skipped(dataset, [BAD], wanted, todframes)
-    assert_validate_finds(dataset, [wanted], todframes)
+    wanted = (re.escape(str(dataset.frame(BAD))), "48 × 48 pixels", "smaller than the triangle")
+    assert_spoils(dataset, BAD, wanted, FrameError)
 
 
 @pytest.mark.parametrize("background", ["0", "-50", "", "nan", "dark"])
-def test_background_column(background, make_dataset, fails, todframes):
+def test_background_column(background, make_dataset):
     dataset = make_dataset(display={"background_luminance_cd_m2": "column"})
     for row in dataset.rows:
         row["background_luminance_cd_m2"] = "50"
     dataset.rows[BAD]["background_luminance_cd_m2"] = background
     dataset.save()
-    wanted = (BAD_LINE, "background_luminance_cd_m2", f"'{background}'", "> 0")
-    fails("score", dataset.path, status=BAD_DATA, wanted=wanted)
-    assert_skipped(dataset, [BAD], wanted, todframes)
-    assert_validate_finds(dataset, [wanted], todframes)
+    assert_spoils(dataset, BAD, (BAD_LINE, "background_luminance_cd_m2", f"'{background}'", "> 0"))
 
 
-def test_contrast_beyond_all_numbers(make_dataset, fails, todframes):
+def test_contrast_beyond_all_numbers(make_dataset):
     """A background so near to zero that the contrast overflows is the row's fault, not a setting's."""
     dataset = make_dataset(display={"background_luminance_cd_m2": "column"})
     for row in dataset.rows:
         row["background_luminance_cd_m2"] = "50"
     dataset.rows[BAD]["background_luminance_cd_m2"] = "1e-320"
     dataset.save()
-    wanted = (f"{BAD_LINE}|{re.escape(dataset.rows[BAD]['frame'])}", "background|luminance|contrast")
-    fails("score", dataset.path, status=BAD_DATA, wanted=wanted)
-    assert_skipped(dataset, [BAD], wanted, todframes)
-    assert_validate_finds(dataset, [wanted], todframes)
+    assert_spoils(dataset, BAD, (re.escape(str(dataset.frame(BAD))), "background|luminance|contrast"), FrameError)
 
 
-def test_background_column_missing(make_dataset, fails):
+def test_background_column_missing(make_dataset):
     dataset = make_dataset(display={"background_luminance_cd_m2": "column"})
     wanted = (re.escape(str(dataset.manifest_file)), "column 'background_luminance_cd_m2' is missing")
-    for command in ("score", "validate"):
-        fails(command, dataset.path, status=BAD_DATA, wanted=wanted)
+    with refused(DataError, wanted):
+        load_dataset(dataset.path)
 
 
 @pytest.mark.parametrize("linked", ["file", "folder"])
-def test_link_out_of_the_dataset(linked, make_dataset, fails, todframes, tmp_path):
+def test_link_out_of_the_dataset(linked, make_dataset, tmp_path):
     dataset = make_dataset()
     elsewhere = tmp_path / "elsewhere"
     elsewhere.mkdir()
@@ -528,19 +554,13 @@ def test_link_out_of_the_dataset(linked, make_dataset, fails, todframes, tmp_pat
         (dataset.path / "link").symlink_to(elsewhere)
         dataset.rows[BAD]["frame"] = "link/secret.exr"
     dataset.save()
-    wanted = (BAD_LINE, "link", "outside")
-    fails("score", dataset.path, status=BAD_DATA, wanted=wanted)
-    assert_skipped(dataset, [BAD], wanted, todframes)
-    assert_validate_finds(dataset, [wanted], todframes)
+    assert_spoils(dataset, BAD, (BAD_LINE, "link", "outside"))
 
 
-def test_link_to_itself(make_dataset, fails, todframes):
+def test_link_to_itself(make_dataset):
     dataset = make_dataset(row_changes={BAD: {"frame": "loop.exr"}})
     (dataset.path / "loop.exr").symlink_to("loop.exr")
-    wanted = (r"loop\.exr",)
-    fails("score", dataset.path, status=BAD_DATA, wanted=wanted)
-    assert_skipped(dataset, [BAD], wanted, todframes)
-    assert_validate_finds(dataset, [wanted], todframes)
+    assert_spoils(dataset, BAD, (r"loop\.exr",), FrameError)
 
 
 def test_dataset_behind_a_link_is_fine(make_dataset, todframes, tmp_path):
@@ -549,16 +569,13 @@ def test_dataset_behind_a_link_is_fine(make_dataset, todframes, tmp_path):
 
 
 @pytest.mark.parametrize("spelling", ["frames/{}", "./frames/{}", "frames//{}", "frames/../frames/{}"])
-def test_duplicate_row(spelling, make_dataset, fails, todframes):
+def test_duplicate_row(spelling, make_dataset):
     """The row that repeats is the bad one; the first stays."""
     dataset = make_dataset()
     name = dataset.frame(BAD).name
     dataset.rows.append(dataset.rows[BAD] | {"frame": spelling.format(name)})
     dataset.save()
-    wanted = ("line 10", re.escape(name), BAD_LINE)
-    fails("score", dataset.path, status=BAD_DATA, wanted=(re.escape(str(dataset.manifest_file)), *wanted))
-    assert_skipped(dataset, [8], wanted, todframes)
-    assert_validate_finds(dataset, [wanted], todframes)
+    assert_spoils(dataset, 8, (re.escape(str(dataset.manifest_file)), "line 10", re.escape(name), BAD_LINE))
 
 
 DISAGREEMENTS = {
@@ -570,19 +587,19 @@ DISAGREEMENTS = {
 
 
 @pytest.mark.parametrize(("field", "changes"), DISAGREEMENTS.items(), ids=DISAGREEMENTS.keys())
-def test_frames_of_a_trial_disagree(field, changes, make_dataset, fails, todframes):
+def test_frames_of_a_trial_disagree(field, changes, make_dataset):
     dataset = make_dataset(repeats=2)
     for number, row in enumerate(dataset.rows):
         row["trial"] = f"trial {number // 2}"
     dataset.rows[BAD] |= changes
     dataset.save()
     column = {"stimulus": "size_mrad", "level": "contrast"}.get(field, field)
-    wanted = (BAD_LINE, column, "'trial 0'")
-    fails("score", dataset.path, status=BAD_DATA, wanted=wanted)
-    assert_validate_finds(dataset, [wanted], todframes)
-    status, out, errors = todframes("score", dataset.path, "--on-error", "skip", "--json")
-    assert status == 0, errors
-    assert sum(fit["n_trials"] for fit in json.loads(out)["fits"]) == 7
+    data = load_dataset(dataset.path)
+    (bad,) = data.bad_rows
+    assert_says(bad.error, (BAD_LINE, column, "'trial 0'"))
+    with refused(DataError, (re.escape(bad.error),)):
+        score(data)
+    assert sum(group.fit.n_trials for group in score(data, skip_bad_frames=True).fits) == 7
 
 
 # The manifest as a whole --------------------------------------------------------------------------------------
@@ -607,26 +624,32 @@ MANIFESTS = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("command", ["score", "score --on-error skip", "validate"])
 @pytest.mark.parametrize(("content", "wanted"), MANIFESTS.values(), ids=MANIFESTS.keys())
-def test_bad_manifest(command, content, wanted, make_dataset, fails):
+def test_bad_manifest(content, wanted, make_dataset):
     dataset = make_dataset(contrasts=(0.5,))
     dataset.manifest_file.write_bytes(content)
-    wanted = (re.escape(str(dataset.manifest_file)), *wanted)
-    fails(*command.split(), dataset.path, status=BAD_DATA, wanted=wanted)
+    with refused(DataError, (re.escape(str(dataset.manifest_file)), *wanted)):
+        load_dataset(dataset.path)
+
+
+@pytest.mark.parametrize("command", ["score", "score --on-error skip", "validate", "compare --enhance median"])
+def test_bad_manifest_meets_the_commands(command, make_dataset, fails):
+    dataset = make_dataset(contrasts=(0.5,))
+    dataset.manifest_file.write_bytes(b"")
+    wanted = (re.escape(str(dataset.manifest_file)), "column 'frame' is missing")
+    name, *options = command.split()
+    fails(name, dataset.path, *options, status=BAD_DATA, wanted=wanted)
 
 
 @pytest.mark.parametrize("fields", ["frames/x.exr,up,2", "frames/x.exr,up,2,0.5,0.5", "frames/x.exr"])
-def test_fields_of_a_row(fields, make_dataset, fails, todframes):
+def test_fields_of_a_row(fields, make_dataset):
     dataset = make_dataset()
     lines = dataset.manifest_file.read_text().splitlines()
     lines[1 + BAD] = fields
     dataset.manifest_file.write_text("\n".join(lines))
     dataset.rows[BAD]["frame"] = "frames/x.exr"
     wanted = (re.escape(str(dataset.manifest_file)), BAD_LINE, "fields", str(len(fields.split(","))), "4")
-    fails("score", dataset.path, status=BAD_DATA, wanted=wanted)
-    assert_skipped(dataset, [BAD], wanted, todframes)
-    assert_validate_finds(dataset, [wanted], todframes)
+    assert_spoils(dataset, BAD, wanted)
 
 
 def test_line_break_in_a_name_stays_in_its_line(make_dataset, fails, todframes):
@@ -638,29 +661,28 @@ def test_line_break_in_a_name_stays_in_its_line(make_dataset, fails, todframes):
 
 
 @pytest.mark.parametrize("content", ["folder", "missing"])
-@pytest.mark.parametrize("command", ["score", "validate"])
-def test_manifest_is_no_file(command, content, make_dataset, fails):
+def test_manifest_is_no_file(content, make_dataset):
     dataset = make_dataset(contrasts=(0.5,))
     dataset.manifest_file.unlink()
     if content == "folder":
         dataset.manifest_file.mkdir()
     wanted = (re.escape(str(dataset.manifest_file)), "directory|folder" if content == "folder" else "no such file")
-    fails(command, dataset.path, status=BAD_DATA, wanted=wanted)
+    with refused(DataError, wanted):
+        load_dataset(dataset.path)
 
 
-@pytest.mark.parametrize("command", ["score", "validate"])
-def test_dataset_is_no_folder(command, fails, tmp_path):
+@pytest.mark.parametrize("name", ["missing", "file", "file/below"])
+def test_dataset_is_no_folder(name, tmp_path):
     (tmp_path / "file").write_text("")
-    for path in (tmp_path / "missing", tmp_path / "file", tmp_path / "file" / "below"):
-        fails(command, path, status=BAD_DATA, wanted=(re.escape(str(path)), "not a folder", "dataset.toml"))
+    with refused(DataError, (re.escape(str(tmp_path / name)), "not a folder", "dataset.toml")):
+        load_dataset(tmp_path / name)
 
 
-def test_dataset_without_settings(make_dataset, fails):
+def test_dataset_without_settings(make_dataset):
     dataset = make_dataset(contrasts=(0.5,))
     dataset.settings_file.unlink()
-    fails(
-        "score", dataset.path, status=BAD_SETTINGS, wanted=(re.escape(str(dataset.settings_file)), "no such file")
-    )
+    with refused(SettingsError, (re.escape(str(dataset.settings_file)), "no such file")):
+        load_dataset(dataset.path)
 
 
 # Files that are none, and those of others --------------------------------------------------------------------
@@ -690,19 +712,19 @@ def as_link(path):
     ("spoil", "wanted"),
     [(as_pipe, "is a pipe or device, expected a file"), (as_endless_device, "outside"), (as_link, "outside")],
 )
-@pytest.mark.parametrize("command", ["score", "validate"])
 @pytest.mark.parametrize("name", ["dataset.toml", "manifest.csv", "lut.csv"])
-def test_files_of_a_dataset(name, command, spoil, wanted, make_dataset, fails):
+def test_files_of_a_dataset(name, spoil, wanted, make_dataset):
     """A pipe would be waited for, a device read for ever, and a message might show a stranger's file."""
     dataset = make_dataset(display={"eotf": "lut", "lut": "lut.csv", "white_luminance_cd_m2": None})
     (dataset.path / "lut.csv").write_text("code_value,luminance_cd_m2\n0,0\n1,100\n")
     spoil(dataset.path / name)
-    status = BAD_DATA if name == "manifest.csv" else BAD_SETTINGS
-    fails(command, dataset.path, status=status, wanted=(name.replace(".", r"\."), wanted, "^(?!.*root:x)"))
+    kind = DataError if name == "manifest.csv" else SettingsError
+    with refused(kind, (name.replace(".", r"\."), wanted, "^(?!.*root:x)")):
+        load_dataset(dataset.path)
 
 
 @pytest.mark.parametrize("name", ["../passwd", "{}/passwd", "/etc/passwd"])
-def test_luminance_table_outside_of_the_dataset(name, make_dataset, fails, tmp_path):
+def test_luminance_table_outside_of_the_dataset(name, make_dataset, tmp_path):
     (tmp_path / "passwd").write_text(SECRET)
     name = name.format(tmp_path)
     dataset = make_dataset(display={"eotf": "lut", "lut": name, "white_luminance_cd_m2": None})
@@ -713,7 +735,8 @@ def test_luminance_table_outside_of_the_dataset(name, make_dataset, fails, tmp_p
         "outside",
         "^(?!.*root:x)",
     )
-    fails("score", dataset.path, status=BAD_SETTINGS, wanted=wanted)
+    with refused(SettingsError, wanted):
+        load_dataset(dataset.path)
 
 
 def test_paths_of_the_dataset_itself(make_dataset, todframes, tmp_path):
@@ -824,11 +847,19 @@ DISPLAYS = {
 
 
 @pytest.mark.parametrize(("display", "wanted"), DISPLAYS.values(), ids=DISPLAYS.keys())
-def test_bad_display(display, wanted, make_dataset, fails, tmp_path):
+def test_bad_display(display, wanted, make_dataset):
     dataset = make_dataset(contrasts=(0.5,), display=display)
-    wanted = (re.escape(str(dataset.path)), *wanted)
-    fails("score", dataset.path, "-o", tmp_path / "out", status=BAD_SETTINGS, wanted=wanted)
-    fails("validate", dataset.path, status=BAD_SETTINGS, wanted=wanted)
+    with refused(SettingsError, (re.escape(str(dataset.path)), *wanted)):
+        load_dataset(dataset.path)
+
+
+@pytest.mark.parametrize("command", ["score", "validate", "compare --enhance median"])
+def test_bad_settings_meet_the_commands(command, make_dataset, fails, tmp_path):
+    dataset = make_dataset(contrasts=(0.5,), display={"pixel_pitch_mrad": -0.7})
+    name, *options = command.split()
+    more = () if name == "validate" else ("-o", tmp_path / "out")
+    wanted = (re.escape(str(dataset.settings_file)), "pixel_pitch_mrad", "-0.7", "> 0")
+    fails(name, dataset.path, *options, *more, status=BAD_SETTINGS, wanted=wanted)
 
 
 EXPERIMENTS = {
@@ -842,17 +873,17 @@ EXPERIMENTS = {
 
 
 @pytest.mark.parametrize(("experiment", "wanted"), EXPERIMENTS.values(), ids=EXPERIMENTS.keys())
-def test_bad_experiment(experiment, wanted, make_dataset, fails):
+def test_bad_experiment(experiment, wanted, make_dataset):
     dataset = make_dataset(contrasts=(0.5,), experiment=experiment)
-    wanted = (re.escape(str(dataset.settings_file)), r"\[experiment\]", *wanted)
-    fails("score", dataset.path, status=BAD_SETTINGS, wanted=wanted)
+    with refused(SettingsError, (re.escape(str(dataset.settings_file)), r"\[experiment\]", *wanted)):
+        load_dataset(dataset.path)
 
 
-def test_columns_of_the_experiment_missing(make_dataset, fails):
-    for number, experiment in enumerate(({"level": "snr"}, {"group_by": ["lens"]})):
-        dataset = make_dataset(f"dataset {number}", contrasts=(0.5,), experiment=experiment)
-        name = experiment.get("level", "lens")
-        fails("score", dataset.path, status=BAD_DATA, wanted=(r"manifest\.csv", f"column '{name}' is missing"))
+@pytest.mark.parametrize(("experiment", "name"), [({"level": "snr"}, "snr"), ({"group_by": ["lens"]}, "lens")])
+def test_columns_of_the_experiment_missing(experiment, name, make_dataset):
+    dataset = make_dataset(contrasts=(0.5,), experiment=experiment)
+    with refused(DataError, (r"manifest\.csv", f"column '{name}' is missing")):
+        load_dataset(dataset.path)
 
 
 DISPLAY_TABLE = (
@@ -902,12 +933,12 @@ TOML = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("command", ["score", "validate"])
 @pytest.mark.parametrize(("content", "wanted"), TOML.values(), ids=TOML.keys())
-def test_bad_toml(command, content, wanted, make_dataset, fails):
+def test_bad_toml(content, wanted, make_dataset):
     dataset = make_dataset(contrasts=(0.5,))
     dataset.settings_file.write_bytes(content)
-    fails(command, dataset.path, status=BAD_SETTINGS, wanted=(re.escape(str(dataset.settings_file)), *wanted))
+    with refused(SettingsError, (re.escape(str(dataset.settings_file)), *wanted)):
+        load_dataset(dataset.path)
 
 
 # The table is part of the settings: all that is wrong in it has the same status.
@@ -929,14 +960,13 @@ TABLES = {
 
 
 @pytest.mark.parametrize(("content", "wanted"), TABLES.values(), ids=TABLES.keys())
-def test_bad_luminance_table(content, wanted, make_dataset, fails):
+def test_bad_luminance_table(content, wanted, make_dataset):
     dataset = make_dataset(
         contrasts=(0.5,), display={"eotf": "lut", "lut": "lut.csv", "white_luminance_cd_m2": None}
     )
     (dataset.path / "lut.csv").write_bytes(content)
-    fails(
-        "score", dataset.path, status=BAD_SETTINGS, wanted=(re.escape(str(dataset.path / "lut.csv")), *wanted)
-    )  # fmt: skip
+    with refused(SettingsError, (re.escape(str(dataset.path / "lut.csv")), *wanted)):
+        load_dataset(dataset.path)
 
 
 # Command line -------------------------------------------------------------------------------------------------
@@ -953,29 +983,9 @@ USAGES = {
     "workers zero": ("score x --workers 0", ("--workers", "0")),
     "noise text": ("score x --internal-noise low", ("--internal-noise", "low")),
     "noise negative": ("score x --internal-noise -1", ("internal_noise", "-1", "from 0 to")),
-    "noise nan": ("score x --internal-noise nan", ("internal_noise", "nan", "from 0 to")),
-    "criterion at guessing": ("score x --p-correct 0.25", ("p_correct", "0.25")),
     "criterion above one": ("score x --p-correct 75", ("p_correct", "75")),
-    "criterion nan": ("score x --p-correct nan", ("p_correct", "nan")),
     "set unknown": ("score x --set kernal_a=0.4", ("'kernal_a'", "'kernel_a'")),
-    "set unknown fit setting": ("score x --set lapserate=0.1", ("'lapserate'", "'lapse_rate'")),
     "set without equals": ("score x --set kernel_a", ("--set", "kernel_a", "NAME=VALUE")),
-    "set without name": ("score x --set =0.4", ("--set", "=0.4", "NAME=VALUE")),
-    "set without value": ("score x --set kernel_a=", ("kernel_a", "''", "float|number")),
-    "set text": ("score x --set kernel_a=wide", ("kernel_a", "'wide'", "float|number")),
-    "set beyond range": ("score x --set kernel_a=2", ("kernel_a", "2", "from 0 to 1")),
-    "set date": ("score x --set internal_noise=2001-01-01", ("internal_noise", "2001")),
-    "set levels to a date": ("score x --set levels=2001-01-01", ("levels", "2001")),
-    "set levels to a fraction": ("score x --set levels=4.5", ("levels", "4.5")),
-    "set nested list": (f"score x --set levels={'[' * 2000}{']' * 2000}", ("levels", "whole number")),
-    "set 5,000 digits": (f"score x --set levels={'9' * 5000}", ("levels", "whole number")),
-    "set 5,000 hexadecimal digits": (f"score x --set levels=0x{'f' * 5000}", ("levels", "whole number")),
-    "set long name": (f"score x --set {'k' * 100_000}=1", ("unknown key 'kkk", "…")),
-    "set levels beyond": ("score x --set levels=99", ("levels", "99", "1 to 11")),
-    "set centre": ("score x --set centre=middle", ("centre", "'middle'", "centroid", "bounding_box")),
-    "set lapse rate": ("score x --set lapse_rate=0.9", ("lapse_rate", "0.9")),
-    "set resamples": ("score x --set resamples=5", ("resamples", "5", "40")),
-    "set pitch zero": ("score x --set retina_pitch_mrad=0", ("retina_pitch_mrad", "0", "from 1e-06 to")),
     "observer unknown": ("score x --observer pyramyd", ("'pyramyd'", "'pyramid'")),
     "naked eye without either": ("naked-eye", ("--contrast", "--size-mrad")),
     "naked eye with both": ("naked-eye --contrast 1 --size-mrad 1", ("--contrast", "--size-mrad")),
@@ -996,7 +1006,6 @@ USAGES = {
     "size beyond all numbers": ("naked-eye --size-mrad 1e308", ("mrad", "expected")),
     "counts not given": ("fit", ("COUNTS",)),
     "fit setting unknown": ("fit x --set gess_rate=0.5", ("'gess_rate'", "'guess_rate'")),
-    "fit criterion": ("fit x --p-correct 0.1", ("p_correct", "0.1")),
 }
 
 
@@ -1004,6 +1013,56 @@ USAGES = {
 def test_bad_usage(line, wanted, fails):
     """Before any file is looked at: there is no dataset `x`."""
     fails(*line.split(), status=BAD_SETTINGS, wanted=wanted)
+
+
+ASSIGNMENTS = {
+    "unknown": ("kernal_a=0.4", ("'kernal_a'", "'kernel_a'")),
+    "unknown fit setting": ("lapserate=0.1", ("'lapserate'", "'lapse_rate'")),
+    "without equals": ("kernel_a", ("--set", "kernel_a", "NAME=VALUE")),
+    "without name": ("=0.4", ("--set", "=0.4", "NAME=VALUE")),
+    "without value": ("kernel_a=", ("kernel_a", "''", "float|number")),
+    "text": ("kernel_a=wide", ("kernel_a", "'wide'", "float|number")),
+    "beyond range": ("kernel_a=2", ("kernel_a", "2", "from 0 to 1")),
+    "date": ("internal_noise=2001-01-01", ("internal_noise", "2001")),
+    "levels to a date": ("levels=2001-01-01", ("levels", "2001")),
+    "levels to a fraction": ("levels=4.5", ("levels", "4.5")),
+    "nested list": (f"levels={'[' * 2000}{']' * 2000}", ("levels", "whole number")),
+    "5,000 digits": (f"levels={'9' * 5000}", ("levels", "whole number")),
+    "5,000 hexadecimal digits": (f"levels=0x{'f' * 5000}", ("levels", "whole number")),
+    "long name": (f"{'k' * 100_000}=1", ("unknown key 'kkk", "…")),
+    "levels beyond": ("levels=99", ("levels", "99", "1 to 11")),
+    "centre": ("centre=middle", ("centre", "'middle'", "centroid", "bounding_box")),
+    "lapse rate": ("lapse_rate=0.9", ("lapse_rate", "0.9")),
+    "resamples": ("resamples=5", ("resamples", "5", "40")),
+    "pitch zero": ("retina_pitch_mrad=0", ("retina_pitch_mrad", "0", "from 1e-06 to")),
+    "noise negative": ("internal_noise=-1", ("internal_noise", "-1", "from 0 to")),
+    "noise nan": ("internal_noise=nan", ("internal_noise", "nan", "from 0 to")),
+    "criterion at guessing": ("p_correct=0.25", ("p_correct", "0.25")),
+    "criterion nan": ("p_correct=nan", ("p_correct", "nan")),
+}
+
+
+def asked(**options):
+    return {"observer": "pyramid", "observer_settings": None, "internal_noise": None, "p_correct": None} | options
+
+
+@pytest.mark.parametrize(("assignment", "wanted"), ASSIGNMENTS.values(), ids=ASSIGNMENTS.keys())
+def test_bad_assignment(assignment, wanted):
+    with refused(SettingsError, wanted):
+        make_observer(asked(assignments=[assignment]))
+
+
+@pytest.mark.parametrize(
+    ("assignment", "wanted"),
+    [
+        ("p_correct=0.1", ("p_correct", "0.1")),
+        ("guess_rate=1", ("guess_rate", "found 1")),
+        ("kernel_a=0.4", ("'kernel_a'",)),
+    ],
+)
+def test_bad_assignment_of_a_fit(assignment, wanted):
+    with refused(SettingsError, wanted):
+        make_fit({"p_correct": None, "assignments": [assignment]})
 
 
 @pytest.mark.parametrize("setting", ["band_gain=1e300", "internal_noise=1e300", "internal_noise_sd=1e300"])
@@ -1019,7 +1078,7 @@ def test_out_of_memory(make_dataset, todframes, tmp_path, monkeypatch):
         raise MemoryError("Unable to allocate 2.00 GiB for an array with shape (16385, 16385)")
 
     dataset = make_dataset(contrasts=(0.5,))
-    monkeypatch.setattr("todframes.scoring.score.retina_view.read_trial", too_large)
+    monkeypatch.setattr("todframes.scoring.retina_view.read_trial", too_large)
     before = tree(tmp_path)
     status, out, errors = todframes("score", dataset.path, "-o", tmp_path / "out")
     assert status in (BAD_DATA, BAD_SETTINGS)
@@ -1057,12 +1116,20 @@ OBSERVER_SETTINGS = {
 
 
 @pytest.mark.parametrize(("content", "wanted"), OBSERVER_SETTINGS.values(), ids=OBSERVER_SETTINGS.keys())
-def test_bad_observer_settings(content, wanted, fails, tmp_path):
+def test_bad_observer_settings(content, wanted, tmp_path):
     path = tmp_path / "observer.toml"
     if content is not None:
         path.write_bytes(content)
-    wanted = (re.escape(str(path)), *wanted)
-    fails("score", "x", "--observer-settings", path, status=BAD_SETTINGS, wanted=wanted)
+    with refused(SettingsError, (re.escape(str(path)), *wanted)):
+        make_observer(asked(assignments=[], observer_settings=path))
+
+
+def test_bad_observer_settings_meet_the_commands(fails, tmp_path):
+    path = tmp_path / "observer.toml"
+    path.write_text("kernal_a = 0.4\n")
+    for line in ("score x", "compare x --enhance median", "naked-eye --size-mrad 1"):
+        wanted = (re.escape(str(path)), "'kernal_a'", "'kernel_a'")
+        fails(*line.split(), "--observer-settings", path, status=BAD_SETTINGS, wanted=wanted)
 
 
 # Counts -------------------------------------------------------------------------------------------------------
@@ -1088,16 +1155,18 @@ COUNTS = {
 
 
 @pytest.mark.parametrize(("content", "wanted"), COUNTS.values(), ids=COUNTS.keys())
-def test_bad_counts(content, wanted, fails, tmp_path):
+def test_bad_counts(content, wanted, tmp_path):
     path = tmp_path / "counts.csv"
     path.write_bytes(content)
-    fails("fit", path, "--json", status=BAD_DATA, wanted=(re.escape(str(path)), *wanted))
+    with refused(DataError, (re.escape(str(path)), *wanted)):
+        read_counts(path)
 
 
 def test_counts_are_no_file(fails, tmp_path):
-    fails("fit", tmp_path, status=BAD_DATA, wanted=(re.escape(str(tmp_path)), "directory|folder"))
+    with refused(DataError, (re.escape(str(tmp_path)), "directory|folder")):
+        read_counts(tmp_path)
     missing = tmp_path / "missing.csv"
-    fails("fit", missing, status=BAD_DATA, wanted=(re.escape(str(missing)), "no such file"))
+    fails("fit", missing, "--json", status=BAD_DATA, wanted=(re.escape(str(missing)), "no such file"))
 
 
 # Where results go ---------------------------------------------------------------------------------------------
@@ -1173,7 +1242,7 @@ def test_an_interruption_says_that_results_were_written(make_dataset, todframes,
     def interrupted(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(cli, "print_result", interrupted)
+    monkeypatch.setattr("todframes.cli.score.finish", interrupted)
     out, dataset = tmp_path / "out", make_dataset()
     status, _, errors = todframes("score", dataset.path, "-o", out)
     assert (status, errors) == (INTERRUPTED, [f"error: interrupted, but {out} was written before"])

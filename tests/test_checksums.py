@@ -170,7 +170,7 @@ def test_manifest_that_cannot_be_written(make_dataset, todframes, monkeypatch) -
     def full(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
-    for broken in ((checksums, "write_files", full), (checksums.os, "access", lambda _, mode: not mode & os.W_OK)):
+    for broken in ((checksums, "write_file", full), (checksums.os, "access", lambda _, mode: not mode & os.W_OK)):
         with monkeypatch.context() as patch:
             patch.setattr(*broken)
             status, _, err = todframes("validate", made.path, "--add-sha256")
@@ -180,10 +180,10 @@ def test_manifest_that_cannot_be_written(make_dataset, todframes, monkeypatch) -
         assert sorted(path.name for path in made.path.iterdir()) == ["dataset.toml", "frames", "manifest.csv"]
 
 
-def test_manifest_behind_a_link(make_dataset, todframes, tmp_path) -> None:
+def test_manifest_behind_a_link(make_dataset, todframes) -> None:
     made = make_dataset()
-    made.manifest_file.rename(tmp_path / "shared.csv")
-    made.manifest_file.symlink_to(tmp_path / "shared.csv")
+    made.manifest_file.rename(made.path / "shared.csv")
+    made.manifest_file.symlink_to(made.path / "shared.csv")
     assert todframes("validate", made.path, "--add-sha256")[0] == 0
     assert made.manifest_file.is_symlink()
-    assert "sha256" in (tmp_path / "shared.csv").read_text(encoding="utf-8")
+    assert "sha256" in (made.path / "shared.csv").read_text(encoding="utf-8")

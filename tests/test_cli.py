@@ -21,9 +21,8 @@ SAMPLES = Path(__file__).parent.parent / "sample_frames"
 
 
 @pytest.fixture
-def todframes(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch):
+def todframes(capsys: pytest.CaptureFixture[str]):
     """Runs a command line, no terminal at its end; gives exit status, standard output and standard error."""
-    monkeypatch.delenv("COLUMNS", raising=False)
 
     def call(*arguments: str | Path) -> tuple[int, str, str]:
         status = run(cli, [str(argument) for argument in arguments])

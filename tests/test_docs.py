@@ -200,6 +200,7 @@ def test_versions_are_one() -> None:
     assert re.search(r"^version: (.*)$", citation, re.MULTILINE)[1] == project["version"] == __version__
 
 
+@pytest.mark.slow
 @pytest.mark.oracle
 def test_site_has_no_warnings_and_loads_nothing(tmp_path: Path) -> None:
     """Built by the README's command; no page needs anything from elsewhere."""
@@ -239,6 +240,7 @@ def test_declarations_of_the_enhancement_page() -> None:
     assert re.findall(r"^\| `(\w+)` \|", table, re.MULTILINE) == [field.name for field in fields(Declaration)]
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("folder")
 def test_enhancement_of_the_samples_is_as_shown(capsys) -> None:
     """The page's command gives the page's thresholds, ratios and verdicts: one helps, one hurts, one neither."""
@@ -279,6 +281,7 @@ def made_again(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SAMPLES)
 def test_samples_can_be_made_again(made_again: Path, name: str) -> None:
     ours, theirs = ROOT / "sample_frames" / name, made_again / name
@@ -295,6 +298,7 @@ def test_samples_are_valid(name: str, capsys) -> None:
     assert "all good" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_grabbed_frames_have_thresholds(capsys) -> None:
     assert run(cli, ["score", str(ROOT / "sample_frames" / "grabbed_8bit"), "--json"]) == 0
     fits = json.loads(capsys.readouterr().out)["fits"]

@@ -189,8 +189,8 @@ def test_own_observer_from_a_module(tmp_path: Path, monkeypatch, commanded) -> N
 @pytest.mark.parametrize(
     ("name", "message"),
     [
-        ("nowhere_at_all:Mine", "cannot be loaded .ModuleNotFoundError"),
-        ("math:Mine", "cannot be loaded .AttributeError"),
+        ("nowhere_at_all:Mine", "module 'nowhere_at_all' cannot be imported .ModuleNotFoundError"),
+        ("math:Mine", "math: unknown key 'Mine'"),
         ("math:sqrt", "found no observer, expected a class with a settings_type"),
     ],
 )

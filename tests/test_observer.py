@@ -254,6 +254,7 @@ def test_polarity_and_noise_scale() -> None:
     assert np.allclose(direct.noise_covariance, bright.noise_covariance, rtol=1e-14)
 
 
+@pytest.mark.slow
 def test_more_bands_and_a_wider_field_change_nothing_that_matters() -> None:
     """What PyramidObserver.grid leaves out, against two octaves more, at the worst sizes for its rule."""
     for samples in (2.0, 17.5, 35.0):
@@ -277,6 +278,7 @@ def drawn_noise(observer: PyramidObserver) -> np.ndarray:
     return np.concatenate(draws)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("contrast", [0.03, 0.08, 0.14, 0.2, 0.28])
 def test_literal_monte_carlo_agrees_with_the_closed_form(
     observer: PyramidObserver, drawn_noise: np.ndarray, contrast: float

@@ -126,6 +126,7 @@ def answers_of_two_alike(*, common: float, own: float, sampled: bool) -> tuple[n
     return middle * LEVELS, np.array(answers, dtype=np.float64)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("experiments", "common", "own", "sampled"), [(300, 1.0, 0.5, False), (100, 0.0, 0.5, True)]
 )

@@ -110,6 +110,7 @@ def test_left_out_bands_are_those_of_a_wider_readout(size_samples, settings):
 # Curves -------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", range(6))
 def test_planned_and_full_thresholds_differ_by_less_than_their_bounds(number):
     rng = np.random.default_rng(100 + number)
@@ -179,6 +180,7 @@ def test_no_external_noise_no_covariance(monkeypatch):
     assert found == pytest.approx(expected, abs=plan.bound + 1e-4)
 
 
+@pytest.mark.slow
 def test_explained_curve():
     arguments = [
         "curve",
@@ -230,6 +232,7 @@ def test_a_large_frame_is_read_where_the_triangle_is(tmp_path, monkeypatch):
     assert planned.fits[0].left_out_bound < 1e-3
 
 
+@pytest.mark.slow
 def test_planned_scores_are_the_full_ones_within_the_bound():
     planned, full = (
         score_dataset(load_dataset(NAKED_EYE), PyramidObserver(), plan_name=name) for name in ("needed", "full")
@@ -258,6 +261,7 @@ def test_a_frame_that_ends_where_the_field_does(make_dataset, side_px):
     assert bound < 1e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 56, 88, 184])
 def test_planned_and_full_scores_of_random_frames(tmp_path, seed):
     """Triangles in the middle and elsewhere, frames that end within the retina's field."""
@@ -280,6 +284,7 @@ def test_a_bad_frame_leaves_no_bound_out(make_dataset):
         write_frame(made.frame(number), 50.0 * (1.0 + 0.1 * whole))
 
 
+@pytest.mark.slow
 def test_tolerance_takes_as_many_displacements_as_needed():
     dataset = load_dataset(NAKED_EYE)
     dataset = replace(dataset, trials=tuple(t for t in dataset.trials if t.group == (0.6,)))

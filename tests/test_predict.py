@@ -103,6 +103,7 @@ def seen_frames(sensor: Sensor, observer: Observer, size: float, levels, trials:
     return Seen(level, correct, retina, answers[np.arange(len(correct)), correct])
 
 
+@pytest.mark.slow
 @sensors
 def test_frames_have_the_computed_threshold(sensor, size, observer):
     """2,000 frames, and the literal observer with noise on every neuron on 300 of them."""
@@ -211,6 +212,7 @@ class LopsidedObserver:
         return replace(readout, deviations=deviations, noise_covariance=readout.noise_covariance + more)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("jitter", [0.5, 4.0], ids=["default jitter", "wide jitter"])
 def test_observer_that_is_not_symmetric_sees_all_orientations(jitter, observer):
     lopsided = LopsidedObserver(jitter)
@@ -361,6 +363,7 @@ def acuity_mrad(observer: Observer, *, pitch_mrad: float, blur_width_mrad: float
     return brentq(excess, 0.12, 1.0, xtol=1e-3)
 
 
+@pytest.mark.slow
 def test_under_sampled_sensors_respond_to_the_pitch_more_than_to_the_optics(observer):
     """Pitch and optics blur of the same equivalent width, each made a quarter wider in turn.
 
@@ -412,6 +415,7 @@ def test_published_threshold_of_the_star_like_sensor(observer):
 # The stated error ---------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @sensors
 def test_interval_covers_the_threshold(sensor, size, observer):
     """If 95 % of the intervals do, fewer than 34 of 40 come once in 300 runs (binomial)."""

@@ -278,6 +278,7 @@ def covered(fit: PsychometricFit, truth: float) -> bool:
 # √(.95·.05/300) = 1.26 %: 92 to 98 % is 2.4 SD either way. The seeds are fixed, so the tests do not flicker.
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("beta", "lapse_rate", "level"),
     [
@@ -298,6 +299,7 @@ def test_interval_of_answers_holds_the_threshold_as_often_as_stated(beta, lapse_
     assert 0.92 <= np.mean([covered(fit, 1.0) for fit in fits]) <= 0.98
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("n_trials", [1, 30])
 def test_interval_of_probabilities_holds_the_threshold_as_often_as_stated(n_trials):
     level = np.repeat(np.geomspace(0.5, 2.0, 7 if n_trials > 1 else 12), n_trials)
@@ -396,6 +398,7 @@ def test_import_does_not_load_the_slow_parts_of_scipy():
     assert loaded.strip() == "[]"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("size_mrad", "lowest", "highest"), [(0.6, 0.5, 2.0), (1.0, 0.35, 2.0), (1.0, 0.8, 1.3)])
 def test_interval_of_expected_decisions_is_honest_for_the_real_observer(
     size_mrad: float, lowest: float, highest: float

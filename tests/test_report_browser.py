@@ -19,6 +19,8 @@ from todframes.cli.console import run
 from todframes.cli.main import cli
 from todframes.report.result import read_result
 
+pytestmark = pytest.mark.slow
+
 SAMPLES = Path(__file__).parent.parent / "sample_frames"
 WIDTHS = (1280, 390)
 QUIET = (

@@ -57,7 +57,7 @@ SENSOR = Sensor(
 
 def load(tmp_path, text) -> Sensor:
     path = tmp_path / "SENSOR.toml"
-    path.write_text(text, encoding="utf-8")
+    path.write_text(text, encoding="utf-8", errors="surrogateescape")
     return load_sensor(path)
 
 
@@ -133,6 +133,14 @@ def test_a_missing_key_is_named(tmp_path, table, line):
         load(tmp_path, STAR.replace(f"\n{line}\n", "\n"))
 
 
+@pytest.mark.parametrize(("table", "line"), [*RANGES, ("noise", 'distribution = "uniform"')])
+def test_an_unknown_key_names_the_nearest(tmp_path, table, line):
+    key, value = line.split(" = ")
+    match = rf"^.*SENSOR\.toml: \[{table}\]: unknown key '{key[:-1]}_'; the nearest valid one is '{key}'$"
+    with pytest.raises(SettingsError, match=match):
+        load(tmp_path, STAR.replace(line, f"{key[:-1]}_ = {value}"))
+
+
 @pytest.mark.parametrize(
     ("old", "new", "match"),
     [
@@ -153,6 +161,10 @@ def test_a_missing_key_is_named(tmp_path, table, line):
         ),
         ("frames_integrated = 6", "frames_integrated = 6.5", r"\[noise\]: frames_integrated: found 6.5"),
         ("[optics]", "[optics", "not valid TOML"),
+        ("[optics]", "[optic]", r"unknown key 'optic'; the nearest valid one is 'optics'$"),
+        ("gain = 1.0", "gain = " + "[" * 2000 + "]" * 2000, "not valid TOML: .*nested too deep"),
+        ("gain = 1.0", "gain = " + "9" * 5000, "not valid TOML: .*whole number of too many digits"),
+        ("star", "st\udce4r", r"not UTF-8 \(byte \d+\)$"),
     ],
 )
 def test_other_mistakes_are_named(tmp_path, old, new, match):

@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from sensor_sim import cli, simulate
+from sensor_sim import cli, simulation
 from sensor_sim.pictures import trial_stages
 from sensor_sim.sensor import Detector, Electronics, Noise, Optics, Sensor, SensorDisplay
 from sensor_sim.simulation import SimulatedTrial, Simulator, plan_trials, white_luminance_cd_m2, write_dataset
@@ -493,7 +493,7 @@ def test_stages_are_written_as_pictures(simulate_command, tmp_path):
     status, _, errors = simulate_command(tmp_path / "dataset", "--stages")
     assert (status, errors) == (0, [])
     pictures = tmp_path / "dataset" / "stages"
-    assert sorted(file.name for file in pictures.iterdir()) == [f"{name}.png" for name in STAGES]
+    assert sorted(file.name for file in pictures.iterdir()) == [f"{name}.png" for name in (*STAGES, "stages")]
     stages = trial_stages(SENSOR, plan_trials([SIZE], [2.0], 4)[0], seed=1)
     for name in STAGES:
         grey = pixels(pictures / f"{name}.png")
@@ -648,7 +648,7 @@ def test_disk_full_at_the_manifest(simulate_command, tmp_path, monkeypatch):
     def no_space(*_):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    monkeypatch.setattr(simulate, "_manifest", no_space)
+    monkeypatch.setattr(simulation, "_manifest", no_space)
     assert_refused(
         simulate_command(tmp_path / "dataset"), BAD_SETTINGS, str(tmp_path / "dataset"), "No space left on device"
     )

@@ -8,6 +8,7 @@ import re
 import warnings
 from importlib.metadata import entry_points
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -34,7 +35,16 @@ EXACT = Case("some", "exact", 1.5, "closed form", lambda: 1.5)
 SHORT = Case("some", "short", [2.0, 4.0], "closed form", lambda: [2.0, 4.0 + 4e-4], 6)
 
 
-@pytest.mark.parametrize("case", CASES, ids=[f"{case.group}: {case.name}" for case in CASES])
+SLOW = ("curve: 1,000 ", "observer: 2,000 ")
+"""Cases that take seconds each."""
+
+
+def param(case: Case) -> Any:
+    name = f"{case.group}: {case.name}"
+    return pytest.param(case, id=name, marks=[pytest.mark.slow] if name.startswith(SLOW) else [])
+
+
+@pytest.mark.parametrize("case", [param(case) for case in CASES])
 def test_case_holds(case: Case) -> None:
     assert shortfall([run_case(case)]) is None
 

@@ -376,6 +376,7 @@ def test_every_number_from_mpmath_has_a_reference() -> None:
     assert FROM_MPMATH.keys() == REFERENCES.keys()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", FROM_MPMATH.values(), ids=list(FROM_MPMATH))
 def test_expected_numbers_are_those_of_mpmath(case: Case) -> None:
     computed = [float(value) for value in REFERENCES[case.name]()]

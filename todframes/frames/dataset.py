@@ -125,7 +125,7 @@ class Dataset:
     def has_frame(self, frame: FrameReference) -> bool:
         """Whether the frame is there."""
         # A million paths take seconds; as Path objects, half a minute.
-        return os.path.exists(f"{self.path}{os.sep}{frame.path}")  # noqa: PTH110
+        return os.path.exists(os.path.join(self.path, frame.path))  # noqa: PTH110, PTH118
 
     def open(self, frame: FrameReference) -> FrameSource:
         """Open a frame; FrameError if it cannot be used."""
