@@ -6,7 +6,6 @@ FOLDER/accuracy.md; by default that is the folder of this script.
 
 from __future__ import annotations
 
-import json
 import os
 import sys
 import tempfile
@@ -18,6 +17,7 @@ os.environ.setdefault("OPENCV_FOR_THREADS_NUM", "1")
 
 from todframes.cli.console import run
 from todframes.cli.main import cli
+from todframes.report.result import load_result
 from todframes.studies.accuracy.report import page
 
 HERE = Path(__file__).parent
@@ -30,7 +30,7 @@ def main(seconds: str, folder: Path) -> int:
         status = run(cli, ["accuracy", "--time", seconds, "--dataset", str(FRAMES), "-o", made])
         if status:
             return status
-        result = json.loads((Path(made) / "accuracy.json").read_text(encoding="utf-8"))
+        result = load_result(Path(made) / "accuracy.json")
         (folder / "accuracy").mkdir(parents=True, exist_ok=True)
         for picture in Path(made).glob("*.png"):
             (folder / "accuracy" / picture.name).write_bytes(picture.read_bytes())

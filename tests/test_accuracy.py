@@ -19,6 +19,7 @@ from todframes.cli.console import run
 from todframes.cli.main import cli
 from todframes.observers.pyramid import PyramidObserver
 from todframes.psychometrics.weibull import weibull, weibull_level
+from todframes.report.result import load_result
 from todframes.scoring.naked_eye import contrast_threshold
 from todframes.studies.accuracy import estimators
 from todframes.studies.accuracy import report as accuracy_report
@@ -424,7 +425,7 @@ def test_out(todframes, tmp_path: Path):
     }
     picture = (folder / "accuracy_known.png").read_bytes()
     assert picture.startswith(b"\x89PNG") and 5_000 < len(picture) < 100_000
-    result = json.loads((folder / "accuracy.json").read_text(encoding="utf-8"))
+    result = load_result(folder / "accuracy.json")
     page = (folder / "accuracy.md").read_text(encoding="utf-8")
     assert page == accuracy_report.page(result)
     assert "(accuracy_known.png)" in page
@@ -437,7 +438,7 @@ def test_out_appears_whole_or_not_at_all(todframes, monkeypatch, tmp_path: Path)
     def broken(_: object) -> bytes:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(accuracy_report, "pictures", broken)
+    monkeypatch.setattr(accuracy_report, "page", broken)
     assert todframes("accuracy", "--scene", "known", "--time", "0.05", "-o", tmp_path / "result")[0] == 130
     assert list(tmp_path.iterdir()) == []
 

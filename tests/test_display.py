@@ -11,7 +11,7 @@ from todframes.errors import DataError, SettingsError
 from todframes.frames.display import (
     Display,
     LuminanceTable,
-    border_mean,
+    border_values,
     bt1886_luminance,
     srgb_to_linear,
     weber_contrast,
@@ -164,8 +164,8 @@ def test_bad_lut(code: list[float], luminance: list[float], message: str) -> Non
 def test_border_is_the_outermost_ring() -> None:
     luminance = np.zeros((4, 5))
     luminance[0, 0], luminance[-1, 2], luminance[1:-1, 1:-1] = 7.0, 14.0, 1e6
-    assert border_mean(luminance) == pytest.approx(21.0 / 14.0)
-    assert border_mean(np.array([[2.0, 4.0]])) == pytest.approx(3.0)
+    assert border_values(luminance).mean() == pytest.approx(21.0 / 14.0)
+    assert border_values(np.array([[2.0, 4.0]])).mean() == pytest.approx(3.0)
 
 
 def test_contrast_is_signed() -> None:

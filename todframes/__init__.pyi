@@ -2,6 +2,7 @@ from .api import compare as compare
 from .api import fit_counts as fit_counts
 from .api import naked_eye as naked_eye
 from .api import score as score
+from .api import score_frames as score_frames
 from .enhancement.algorithm import find_enhancement as find_enhancement
 from .enhancement.algorithm import parameter as parameter
 from .errors import DataError as DataError
@@ -28,5 +29,6 @@ from .report.result import load_result as load_result
 from .stimulus import ORIENTATIONS as ORIENTATIONS
 from .stimulus import Orientation as Orientation
 from .stimulus import Stimulus as Stimulus
+from .stimulus import coverage as coverage
 
 __version__: str

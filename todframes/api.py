@@ -15,6 +15,7 @@ from todframes._typing import Json
 from todframes.errors import DataError, SettingsError
 from todframes.frames.checksums import dataset_warnings
 from todframes.frames.dataset import Dataset, Trial, load_dataset
+from todframes.frames.display import Display
 from todframes.observers.interface import ENTRY_POINT_GROUP, Observer, find_observer
 from todframes.psychometrics.fit import FitSettings
 from todframes.psychometrics.fit import fit_counts as fit_counts_of_one
@@ -137,6 +138,97 @@ def score(
         negative_luminance_pixels=scored.n_negative,
         **more,
     ).with_trials(lambda: tables.trials(data, scored))
+
+
+def score_frames(
+    frames: Iterable[ArrayLike],
+    *,
+    orientation: str | Sequence[str],
+    level: float | Sequence[float],
+    size_mrad: float | Sequence[float],
+    display: Display,
+    group: Mapping[str, Sequence[float | str]] | None = None,
+    position: ArrayLike | None = None,
+    polarity: int | Sequence[int] = 1,
+    trial: Sequence[object] | None = None,
+    level_name: str = "contrast",
+    **settings: Any,
+) -> Result:
+    """Score frames that are in memory and fit their thresholds, without touching a disk.
+
+    Where an argument has a value for each frame, one value may stand for all.
+
+    Parameters
+    ----------
+    frames : array_like, shape (n, rows, columns), or iterable of n arrays (rows, columns)
+        Code values or luminance, as the display says; (rows, columns, 3) for colour. Integers of 8 and 16 bits are
+        divided by their full scale.
+    orientation : str or sequence of str
+        Where the apex points: "up", "right", "down" or "left".
+    level : float or sequence of float
+        Stimulus strength, > 0.
+    size_mrad : float or sequence of float
+        √(area) of the triangle as displayed, in mrad of visual angle.
+    display : Display
+        How code values become luminance, and the visual angle of a pixel.
+    group : mapping, optional
+        Columns of n values each by name; frames with the same values share a curve. Default: a curve a size.
+    position : array_like, shape (2,) or (n, 2), optional
+        x and y of the triangle's centroid in pixels; (0, 0) is the centre of the top left one. Default: the middle
+        of the frame.
+    polarity : int or sequence of int
+        1 brighter or -1 darker than the background.
+    trial : sequence, optional
+        Names of trials: frames of one trial are averaged in contrast before the observer sees them. Default: each
+        frame is a trial.
+    level_name : str
+        What the level is, for tables and pictures.
+    **settings
+        As for `score`: observer, decisions, seed, p_correct, locate, workers and so on.
+
+    Returns
+    -------
+    Result
+
+    Raises
+    ------
+    DataError
+        If there are no frames, an argument has another number of values, or a value cannot be.
+    FrameError
+        If a frame cannot be used; it is named by its number, from 0.
+    SettingsError
+        If a setting is not what it should be.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import todframes as tod
+    >>> shown = [(turn, level) for level in (0.02, 0.05, 0.1, 0.2, 0.4) for turn in tod.ORIENTATIONS]
+    >>> middle = {"size_px": 6, "x_px": 31.5, "y_px": 31.5}
+    >>> frames = [50 * (1 + level * tod.coverage((64, 64), orientation=turn, **middle)) for turn, level in shown]
+    >>> display = tod.Display(
+    ...     eotf="linear", white_luminance_cd_m2=1, pixel_pitch_mrad=0.25, background_luminance_cd_m2=50
+    ... )
+    >>> orientation, level = zip(*shown)
+    >>> result = tod.score_frames(frames, orientation=orientation, level=level, size_mrad=1.5, display=display)
+    >>> result.thresholds[0].status
+    'ok'
+    """
+    from todframes.frames.memory import memory_dataset
+
+    data = memory_dataset(
+        frames,
+        orientation=orientation,
+        level=level,
+        size_mrad=size_mrad,
+        display=display,
+        group=group,
+        position=position,
+        polarity=polarity,
+        trial=trial,
+        level_name=level_name,
+    )
+    return score(data, **settings)
 
 
 def compare(

@@ -7,9 +7,11 @@ the same noise on its neurons.
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal, NamedTuple
+from functools import partial
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -19,14 +21,13 @@ from todframes.enhancement.image_quality import psnr_db
 from todframes.errors import SettingsError
 from todframes.frames.dataset import Dataset, Trial
 from todframes.frames.position import check_places
-from todframes.observers.interface import Observer
+from todframes.observers.interface import Observer, Readout
 from todframes.psychometrics.fit import MAX_RESAMPLES, FitSettings
 from todframes.psychometrics.paired_bootstrap import RatioDraws, ThresholdRatio, holm, ratio_draws, threshold_ratio
 from todframes.scoring.error_budget import PlanName
-from todframes.scoring.plan import ScorePlan, plan_score
-from todframes.scoring.retina_view import Shown
-from todframes.scoring.score import GroupFitter, ScoredDataset, check_seen, usable_trials
-from todframes.scoring.trials import RATIO_STREAMS, Decisions, ReadoutOf, SeenTrial, TrialScorer, see_trials
+from todframes.scoring.plan import plan_score
+from todframes.scoring.score import ScoredDataset, check_seen, fit_groups, usable_trials
+from todframes.scoring.trials import RATIO_STREAMS, Decisions, Scoring, SeenTrial, look_at, see, see_trials
 
 Verdict = Literal["better", "worse", "no difference shown", "mixed"]
 
@@ -125,14 +126,19 @@ def compare_dataset(
     reader, expected = TrialReader(algorithms, screen), decisions == "expected"
     # Of frames after the algorithms as well: what is left out of one view is left out of all.
     plan = plan_score(dataset, whole, observer, name=plan_name, expected=expected, read=reader)
-    scorer = _Scorer(TrialScorer(dataset, plan, decisions, seed), reader)
-    seen, unread = see_trials(scorer, whole, skip_bad_frames=skip_bad_frames, workers=workers, progress=progress)
+    seen, unread = see_trials(
+        Scoring(dataset, plan, decisions, seed),
+        whole,
+        partial(_show, reader),
+        skip_bad_frames=skip_bad_frames,
+        workers=workers,
+        progress=progress,
+    )
     skipped += unread
     check_seen(dataset, seen, skipped)
-    fit_groups = GroupFitter(plan, seed, fit_settings, expected)
+    fit = partial(fit_groups, plan, seed=seed, fit_settings=fit_settings, expected=expected)
     scored = [
-        replace(fit_groups([trial.seen[k] for trial in seen]), skipped=tuple(skipped))
-        for k in range(len(algorithms))
+        replace(fit([trial.seen[k] for trial in seen]), skipped=tuple(skipped)) for k in range(len(algorithms))
     ]
     compared = _compared(scored, seed, fit_settings)
     black, white = screen.luminance_range
@@ -163,29 +169,20 @@ class _SeenTrial(NamedTuple):
     measured: list[tuple[Measured, ...]]
 
 
-class _Scorer(NamedTuple):
-    """Shows trials after each algorithm."""
-
-    scorer: TrialScorer
-    reader: TrialReader
-
-    @property
-    def dataset(self) -> Dataset:
-        return self.scorer.dataset
-
-    @property
-    def plan(self) -> ScorePlan:
-        return self.scorer.plan
-
-    def __call__(self, trial: Trial, readout_of: ReadoutOf) -> _SeenTrial:
-        measured: list[tuple[Measured, ...]] = []
-
-        def read(*arguments: Any, **more: Any) -> list[Shown]:
-            found = self.reader.read(*arguments, **more)
-            measured.extend(one.measured for one in found)
-            return [one.shown for one in found]
-
-        return _SeenTrial(self.scorer.see(trial, readout_of, read), measured)
+def _show(reader: TrialReader, scoring: Scoring, trial: Trial, readout: Readout | None) -> _SeenTrial:
+    """Show a trial after each algorithm."""
+    started = time.perf_counter()
+    look = look_at(scoring, trial, readout)
+    found = reader.read(
+        scoring.dataset,
+        trial,
+        look.observer,
+        look.grid,
+        look.displacement_samples,
+        whole=scoring.plan.whole_frames,
+    )
+    seen = see(scoring, trial, look, [one.shown for one in found], started)
+    return _SeenTrial(seen, [one.measured for one in found])
 
 
 def _compared(scored: Sequence[ScoredDataset], seed: int, fit_settings: FitSettings) -> list[list[Compared]]:

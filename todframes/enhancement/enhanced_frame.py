@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -16,10 +16,10 @@ from todframes._typing import FloatArray
 from todframes.enhancement.algorithm import ROUNDING, Enhancement, Image
 from todframes.enhancement.image_quality import squared_error_and_ssim
 from todframes.errors import DataError, FrameError, SettingsError
-from todframes.frames.contrast import Patch, check_sha256, finite_contrast
+from todframes.frames.contrast import LuminanceFound, Patch, check_contrast, check_sha256, row_bands
 from todframes.frames.dataset import Dataset, FrameReference, Trial
-from todframes.frames.display import Display, border_mean
-from todframes.frames.files import FULL_SCALE, FrameFile, read_frame
+from todframes.frames.display import Display, weber_contrast
+from todframes.frames.files import FULL_SCALE, FrameSource, read_frame
 from todframes.observers.interface import Observer
 from todframes.observers.retina import RetinaGrid
 from todframes.scoring.retina_view import Placement, Shown, place_grid
@@ -84,10 +84,13 @@ class EnhancedImage:
     n_clipped: int = 0
     cpu_s: float = 0.0
 
-    def luminance(self, rows: slice = slice(None), columns: slice = slice(None)) -> FloatArray:
-        """Luminance of a range of its rows and columns, in cd/m²."""
-        part = self.values[rows, columns]
-        return part.astype(np.float64) if part.ndim == 2 else self.screen.display.luminance(part)
+    def luminance(self) -> FloatArray:
+        """Luminance in cd/m², shape (rows, columns)."""
+        return self.luminance_of(self.values)
+
+    def luminance_of(self, values: NDArray[np.floating]) -> FloatArray:
+        """Luminance of some of its rows and columns, in cd/m²."""
+        return _luminance(self.screen.display, values)
 
     def border_luminance(self) -> float:
         """Mean over the outermost ring of pixels, in cd/m²."""
@@ -113,7 +116,7 @@ class DecodedFrame:
 
     Parameters
     ----------
-    file : FrameFile
+    file : FrameSource
         Decoded here, whole.
     screen : Screen
 
@@ -123,7 +126,7 @@ class DecodedFrame:
         If its pixels are damaged or not finite.
     """
 
-    def __init__(self, file: FrameFile, screen: Screen) -> None:
+    def __init__(self, file: FrameSource, screen: Screen) -> None:
         self.screen = screen
         frame = file.read()
         self.first_row, self.first_column = frame.first_row, frame.first_column
@@ -210,22 +213,27 @@ class DecodedFrame:
             If the background is not a positive number, or contrast overflows.
         """
         rule, m = self.screen.display.background_luminance_cd_m2, picture.magnification
-        of_frame = rule in ("border", "frame_mean")
         y = _Axis.of(picture.values.shape[0], None if whole else place.rows, place.y_px, self.first_row, m)
         x = _Axis.of(picture.values.shape[1], None if whole else place.columns, place.x_px, self.first_column, m)
-        luminance = picture.luminance() if of_frame else picture.luminance(y.used, x.used)
-        if of_frame:
-            background = border_mean(luminance) if rule == "border" else float(luminance.mean())
+        part = picture.values[y.used, x.used]
+        found = LuminanceFound()
+        for values in row_bands(picture.values if rule in ("border", "frame_mean") else part):
+            luminance = picture.luminance_of(values)
+            found.add(luminance)
+            if rule == "frame_mean":
+                found.average(luminance)
+        if rule == "border":
+            background = picture.border_luminance()
+        elif rule == "frame_mean":
+            background = found.sum / found.n_averaged
         else:
             given = given_background_cd_m2 if isinstance(rule, str) else rule
             assert given is not None  # the manifest was checked for it
             background = given * self._brightening(picture)
-        n_negative = int(np.count_nonzero(luminance < 0.0))
-        contrast = finite_contrast(luminance, background)
-        if of_frame:
-            contrast = np.ascontiguousarray(contrast[y.used, x.used])
-        patch = Patch(contrast, y.first, x.first, n_negative)
-        return CroppedImage(patch, x.centre_px, y.centre_px, self.screen.display.pitch_mrad / m)
+        check_contrast(found.largest, background)
+        to_contrast = partial(_contrast, self.screen.display, background)
+        patch = Patch(part, y.first, x.first, found.n_negative, to_contrast)
+        return CroppedImage(patch.held(), x.centre_px, y.centre_px, self.screen.display.pitch_mrad / m)
 
     @cached_property
     def _border_luminance(self) -> float:
@@ -239,6 +247,16 @@ class DecodedFrame:
         if not before > 0.0:
             raise DataError(f"the frame's border has a luminance of {before:g} cd/m², expected > 0")
         return picture.border_luminance() / before
+
+
+def _luminance(display: Display, values: NDArray[np.floating]) -> FloatArray:
+    """Luminance in cd/m² of code values, (rows, columns, channels), or of what is luminance already."""
+    return values.astype(np.float64) if values.ndim == 2 else display.luminance(values)
+
+
+def _contrast(display: Display, background_luminance_cd_m2: float, values: NDArray[np.floating]) -> FloatArray:
+    """Weber contrast of the same."""
+    return weber_contrast(_luminance(display, values), background_luminance_cd_m2)
 
 
 class _Axis(NamedTuple):
@@ -301,13 +319,13 @@ class TrialReader:
         dataset: Dataset,
         trial: Trial,
         observer: Observer,
-        grid_of: Callable[[], RetinaGrid],
+        grid: RetinaGrid,
         displacement_samples: Sequence[tuple[float, float]] | FloatArray = ((0.0, 0.0),),
         *,
         whole: bool = False,
     ) -> list[Shown]:
         """What is shown after each algorithm."""
-        found = self.read(dataset, trial, observer, grid_of, displacement_samples, whole=whole)
+        found = self.read(dataset, trial, observer, grid, displacement_samples, whole=whole)
         return [one.shown for one in found]
 
     def read(
@@ -315,7 +333,7 @@ class TrialReader:
         dataset: Dataset,
         trial: Trial,
         observer: Observer,
-        grid_of: Callable[[], RetinaGrid],
+        grid: RetinaGrid,
         displacement_samples: Sequence[tuple[float, float]] | FloatArray = ((0.0, 0.0),),
         *,
         whole: bool = False,
@@ -330,8 +348,8 @@ class TrialReader:
         frames, n_rows = [], []
         for frame in trial.frames:
             check_sha256(dataset, frame)
-            with FrameFile(dataset.frame_path(frame)) as file:
-                place = place_grid(dataset, trial, file, observer, grid_of, displacement_samples)
+            with dataset.open(frame) as file:
+                place = place_grid(dataset, trial, file, observer, grid, displacement_samples)
                 decoded = DecodedFrame(file, self.screen)
             n_rows.append(file.header.height)
             looked = []

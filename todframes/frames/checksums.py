@@ -12,6 +12,7 @@ from pathlib import Path
 from todframes.errors import DataError, OutputError
 from todframes.frames.dataset import Dataset, DatasetWarning, Trial
 from todframes.frames.files import has_own_checksums
+from todframes.frames.memory import MemoryDataset
 from todframes.output import write_file
 
 COLUMN = "sha256"
@@ -30,6 +31,8 @@ def dataset_warnings(dataset: Dataset, trials: Sequence[Trial]) -> list[DatasetW
     FrameError
         If a frame cannot be read any more.
     """
+    if isinstance(dataset, MemoryDataset):
+        return []
     frames = [frame for trial in trials for frame in trial.frames]
     unverified = sum(frame.sha256 is None and not has_own_checksums(dataset.frame_path(frame)) for frame in frames)
     if not unverified:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Callable, Iterator
 from functools import partial
@@ -14,7 +15,7 @@ from todframes._typing import FloatArray
 from todframes.errors import DataError, FrameError
 from todframes.frames.dataset import Dataset, FrameReference, Skipped, Trial
 from todframes.frames.display import BackgroundRule, Display, border_values, weber_contrast
-from todframes.frames.files import BAND_VALUES, FrameFile, code_values, frame_sha256
+from todframes.frames.files import BAND_VALUES, FrameFile, FrameSource, code_values, frame_sha256
 from todframes.frames.position import centroid_position, check_on_frame
 
 MOST_HELD_PX = 2**20
@@ -39,10 +40,25 @@ class Patch(NamedTuple):
         if self.to_contrast is None:
             yield self
             return
-        n_rows = max(BAND_VALUES // max(self.values[:1].size, 1), 1)
-        for begin in range(0, len(self.values), n_rows):
-            contrast = self.to_contrast(self.values[begin : begin + n_rows])
-            yield Patch(contrast, self.row + begin, self.column, 0)
+        begin = self.row
+        for values in row_bands(self.values):
+            yield Patch(self.to_contrast(values), begin, self.column, 0)
+            begin += len(values)
+
+    def held(self) -> Patch:
+        """Return the patch to be held for a while: as contrast if small, else without what it is a part of."""
+        if self.to_contrast is None:
+            return self
+        if math.prod(self.values.shape[:2]) <= MOST_HELD_PX:
+            return self._replace(values=self.to_contrast(self.values), to_contrast=None)
+        return self._replace(values=np.ascontiguousarray(self.values))
+
+
+def row_bands(values: NDArray[Any]) -> Iterator[NDArray[Any]]:
+    """Yield an array in bands of rows, none of which takes much memory."""
+    n_rows = max(BAND_VALUES // max(values[:1].size, 1), 1)
+    for begin in range(0, len(values) if values.size else 0, n_rows):
+        yield values[begin : begin + n_rows]
 
 
 def check_sha256(dataset: Dataset, frame: FrameReference) -> None:
@@ -67,7 +83,7 @@ def skipped_frames(dataset: Dataset, trial: Trial, error: FrameError | str) -> l
 
 
 def read_contrast(
-    file: FrameFile,
+    file: FrameSource,
     display: Display,
     frame: FrameReference,
     rows: tuple[int, int] | None = None,
@@ -95,7 +111,7 @@ def read_contrast(
         if is_small
         else np.empty((bottom - top, right - left, len(file.header.channels)), file.stored_type)
     )
-    found = _Luminance()
+    found = LuminanceFound()
     try:
         for band in file.bands() if whole else file.bands(rows=rows, columns=columns):
             luminance = display.luminance(band.values)
@@ -110,6 +126,8 @@ def read_contrast(
                 kept[max(begin - top, 0) : end - top] = part[:, left - band.first_column :][:, : right - left]
         background = _background(rule, found, frame)
         check_contrast(found.largest, background)
+    except FrameError:
+        raise
     except DataError as error:
         raise FrameError(file.path, str(error)) from None
     if is_small:
@@ -117,7 +135,7 @@ def read_contrast(
     return Patch(kept, top, left, found.n_negative, partial(_contrast, display, background))
 
 
-class _Luminance:
+class LuminanceFound:
     """What is found out about the luminance of a frame, band by band."""
 
     def __init__(self) -> None:
@@ -139,7 +157,7 @@ class _Luminance:
         self.n_averaged += luminance.size
 
 
-def _background(rule: float | BackgroundRule, found: _Luminance, frame: FrameReference) -> float:
+def _background(rule: float | BackgroundRule, found: LuminanceFound, frame: FrameReference) -> float:
     if rule == "column":
         assert frame.background_luminance_cd_m2 is not None  # the manifest was checked for it
         return frame.background_luminance_cd_m2
@@ -149,12 +167,6 @@ def _background(rule: float | BackgroundRule, found: _Luminance, frame: FrameRef
 def _contrast(display: Display, background_luminance_cd_m2: float, stored: NDArray[Any]) -> FloatArray:
     """Contrast of pixels as stored."""
     return weber_contrast(display.luminance(code_values(stored)), background_luminance_cd_m2)
-
-
-def finite_contrast(luminance: FloatArray, background_luminance_cd_m2: float) -> FloatArray:
-    """Weber contrast; DataError if it overflows, or the background is not a positive number."""
-    check_contrast(max(-float(luminance.min()), float(luminance.max())), background_luminance_cd_m2)
-    return weber_contrast(luminance, background_luminance_cd_m2)
 
 
 def check_contrast(largest_luminance_cd_m2: float, background_luminance_cd_m2: float) -> None:
@@ -170,14 +182,14 @@ def frame_problems(dataset: Dataset, trial: Trial) -> Iterator[FrameError]:
         path = dataset.frame_path(frame)
         try:
             check_sha256(dataset, frame)
-            with FrameFile(path) as file:
+            with dataset.open(frame) as file:
                 pitch_mrad = dataset.display.pitch_mrad
                 x, y = centroid_position(trial, file.header, "centroid", pitch_mrad)
                 check_on_frame(path, trial, file.header, x, y, pitch_mrad)
                 read_contrast(file, dataset.display, frame, (0, 0), every_pixel=True)
             if (reference := dataset.reference_path(frame)) is not None:
-                with FrameFile(reference) as file:
-                    for _ in file.bands():
+                with FrameFile(reference) as other:
+                    for _ in other.bands():
                         pass
         except FrameError as error:
             yield error

@@ -22,6 +22,7 @@ from todframes.config import (
 )
 from todframes.errors import DataError, SettingsError
 from todframes.frames.display import Display, LuminanceTable
+from todframes.frames.files import FrameFile, FrameSource
 from todframes.stimulus import ORIENTATIONS, Orientation, Stimulus
 
 SCHEMA = 1
@@ -120,6 +121,15 @@ class Dataset:
     def frame_path(self, frame: FrameReference) -> Path:
         """Where the frame is on disk."""
         return self.path / frame.path
+
+    def has_frame(self, frame: FrameReference) -> bool:
+        """Whether the frame is there."""
+        # A million paths take seconds; as Path objects, half a minute.
+        return os.path.exists(os.path.join(self.path, frame.path))  # noqa: PTH110, PTH118
+
+    def open(self, frame: FrameReference) -> FrameSource:
+        """Open a frame; FrameError if it cannot be used."""
+        return FrameFile(self.frame_path(frame))
 
     def reference_path(self, frame: FrameReference) -> Path | None:
         """Where the same frame without noise is on disk, if there is one."""

@@ -223,11 +223,6 @@ def bt1886_luminance(
     return np.asarray((black_root + (white_root - black_root) * code_value) ** 2.4)
 
 
-def border_mean(luminance: FloatArray) -> float:
-    """Mean over the outermost ring of pixels of a frame, shape (rows, columns)."""
-    return float(border_values(luminance).mean())
-
-
 def border_values(luminance: FloatArray, *, top: bool = True, bottom: bool = True) -> FloatArray:
     """Those of a band of rows, shape (rows, columns), that lie on the border of a frame; 1-D.
 

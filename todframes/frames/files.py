@@ -9,7 +9,7 @@ import zlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO, Literal, Self, get_args
+from typing import Any, BinaryIO, Literal, Protocol, Self, get_args
 
 import numpy as np
 import OpenImageIO as oiio
@@ -125,6 +125,33 @@ class FrameHeader:
     attributes: dict[str, str]
 
 
+class FrameSource(Protocol):
+    """An open frame, for a `with` statement: its header at once, its pixels when asked for.
+
+    `path` names it in messages; the members are those of `FrameFile`, which is one, as `ArrayFrame` is.
+    """
+
+    path: Path
+    header: FrameHeader
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(self, *_: object) -> None: ...
+
+    @property
+    def stored_type(self) -> np.dtype[Any]:
+        """Type of the values of `Frame.stored`."""
+
+    def read(self, *, rows: Range | None = None, columns: Range | None = None) -> Frame:
+        """Return a rectangle of the frame."""
+
+    def bands(self, *, rows: Range | None = None, columns: Range | None = None) -> Iterator[Frame]:
+        """Yield a rectangle of the frame in bands of rows."""
+
+    def clip(self, rows: Range | None, columns: Range | None) -> tuple[Range, Range]:
+        """Return the rows and columns of a rectangle that the frame has pixels for."""
+
+
 class FrameFile:
     """An open frame file: its `header` at once, its pixels when asked for.
 
@@ -211,11 +238,7 @@ class FrameFile:
 
     def clip(self, rows: Range | None, columns: Range | None) -> tuple[Range, Range]:
         """Rows and columns of a rectangle that the file has pixels for."""
-        header = self.header
-        return (
-            _clip(rows, header.first_row, header.n_rows),
-            _clip(columns, header.first_column, header.n_columns),
-        )
+        return clip_rectangle(self.header, rows, columns)
 
     def _band_rows(self, top: int, bottom: int) -> Iterator[Range]:
         """Rows in bands that end where chunks or tiles do."""
@@ -371,6 +394,11 @@ def _not_finite(stored: NDArray[Any]) -> NDArray[np.bool_] | None:
     is_half = stored.dtype == np.float16  # for which numpy's isfinite takes five times as long
     bad = (stored.view(np.uint16) & 0x7C00) == 0x7C00 if is_half else ~np.isfinite(stored)
     return bad.any(axis=2) if bad.any() else None
+
+
+def clip_rectangle(header: FrameHeader, rows: Range | None, columns: Range | None) -> tuple[Range, Range]:
+    """Clip a rectangle of a frame, by default all of it, to the pixels that there are."""
+    return _clip(rows, header.first_row, header.n_rows), _clip(columns, header.first_column, header.n_columns)
 
 
 def _clip(wanted: Range | None, first: int, count: int) -> Range:

@@ -14,7 +14,6 @@ from todframes._typing import FloatArray
 from todframes.errors import DataError, FrameError
 from todframes.frames.contrast import Patch, check_sha256, read_contrast, skipped_frames
 from todframes.frames.dataset import Dataset, FrameReference, Skipped, Trial
-from todframes.frames.files import FrameFile
 from todframes.frames.position import to_centroid
 from todframes.stimulus import ORIENTATIONS, Centre, Orientation, Stimulus, coverage
 
@@ -156,7 +155,7 @@ class _Sums:
     def _contrast(self, frame: FrameReference, stimulus: Stimulus) -> FloatArray:
         path = self.dataset.frame_path(frame)
         check_sha256(self.dataset, frame)
-        with FrameFile(path) as file:
+        with self.dataset.open(frame) as file:
             patch = read_contrast(file, self.dataset.display, frame)
             header = file.header
         shape = patch.values.shape[:2]

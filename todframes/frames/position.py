@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from pathlib import Path
 
 from todframes.errors import FrameError
 from todframes.frames.dataset import Dataset, Trial
-from todframes.frames.files import FrameFile, FrameHeader
+from todframes.frames.files import FrameHeader
 from todframes.stimulus import Centre, bounding_box_offset, vertices
 
 
@@ -44,9 +43,8 @@ def check_places(dataset: Dataset, trials: Sequence[Trial], centre: Centre) -> N
     """
     for trial in trials:
         for frame in trial.frames:
-            path = os.path.join(dataset.path, frame.path)  # noqa: PTH118 - as below
-            if not os.path.exists(path):  # noqa: PTH110 - a million paths take seconds, as Path objects half a minute
-                raise FrameError(path, "cannot be opened: No such file or directory")
+            if not dataset.has_frame(frame):
+                raise FrameError(dataset.frame_path(frame), "cannot be opened: No such file or directory")
     of_stimulus = {trial.stimulus: trial for trial in reversed(trials)}
     for trial in sorted(of_stimulus.values(), key=lambda trial: trial.number):
         check_place(dataset, trial, centre)
@@ -54,7 +52,7 @@ def check_places(dataset: Dataset, trials: Sequence[Trial], centre: Centre) -> N
 
 def check_place(dataset: Dataset, trial: Trial, centre: Centre) -> None:
     """Raise FrameError if the triangle of a trial does not lie on its first frame, whose header alone is read."""
-    with FrameFile(dataset.frame_path(trial.frames[0])) as file:
+    with dataset.open(trial.frames[0]) as file:
         x, y = centroid_position(trial, file.header, centre, dataset.display.pitch_mrad)
         check_on_frame(file.path, trial, file.header, x, y, dataset.display.pitch_mrad)
 

@@ -174,9 +174,7 @@ def resample(
 
     Hogervorst et al. 2001, section 4.1.
     """
-    image = np.zeros((grid.side, grid.side))
-    add_resampled(
-        image,
+    top, part = resampled_rows(
         contrast,
         grid,
         x_px=x_px,
@@ -185,11 +183,14 @@ def resample(
         first_row=first_row,
         first_column=first_column,
     )
+    if len(part) == grid.side:
+        return part
+    image = np.zeros((grid.side, grid.side))
+    image[top : top + len(part)] = part
     return image
 
 
-def add_resampled(
-    image: FloatArray,
+def resampled_rows(
     contrast: FloatArray,
     grid: RetinaGrid,
     *,
@@ -198,21 +199,28 @@ def add_resampled(
     pixel_pitch_mrad: float,
     first_row: int,
     first_column: int,
-) -> None:
-    """Add what a part of a frame contributes to a retina image, (side, side); parameters as for `resample`."""
+) -> tuple[int, FloatArray]:
+    """Those rows of `resample` that the pixels touch, and the number of the first; parameters are the same."""
     n_rows, n_columns = contrast.shape
-    if not (n_rows and n_columns):
-        return
-    overlap = _dense_overlap if grid.side * max(n_rows, n_columns) <= MOST_DENSE else overlap_matrix
+    edges = _pixel_edges(grid, y_px, pixel_pitch_mrad, first_row, n_rows)
+    top = min(max(math.floor(edges[0]), 0), grid.side)
+    bottom = max(min(math.ceil(edges[-1]), grid.side), top)
+    if not (top < bottom and n_rows and n_columns):
+        return top, np.zeros((0, grid.side))
+    is_dense = grid.side * max(n_rows, n_columns) <= MOST_DENSE
+    overlap = _dense_overlap if is_dense else overlap_matrix
     rows = overlap(grid, centre_px=y_px, pixel_pitch_mrad=pixel_pitch_mrad, first_pixel=first_row, n_pixels=n_rows)
     columns = overlap(
         grid, centre_px=x_px, pixel_pitch_mrad=pixel_pitch_mrad, first_pixel=first_column, n_pixels=n_columns
     )
-    # Of a band of rows only the samples that it touches.
-    edges = _pixel_edges(grid, y_px, pixel_pitch_mrad, first_row, n_rows)
-    top, bottom = max(math.floor(edges[0]), 0), min(math.ceil(edges[-1]), grid.side)
-    if top < bottom:
-        image[top:bottom] += (columns @ (rows[top:bottom] @ contrast).T).T
+    if bottom - top < grid.side:
+        rows = rows[top:bottom]
+    if is_dense:
+        return top, np.asarray(rows @ contrast @ columns.T)
+    # Either order is exact; the larger array is the one not to make, or to copy.
+    if n_rows > grid.side:
+        return top, np.asarray((columns @ (rows @ contrast).T).T)
+    return top, np.asarray(rows @ (columns @ contrast.T).T)
 
 
 def gaussian_blur(image: FloatArray, sigma: float) -> FloatArray:

@@ -18,7 +18,6 @@ from todframes.enhancement.compare import AlgorithmResult
 from todframes.enhancement.enhanced_frame import Screen, TrialReader
 from todframes.frames.contrast import Patch, check_sha256, read_contrast
 from todframes.frames.dataset import Dataset, Trial
-from todframes.frames.files import FrameFile
 from todframes.frames.position import centroid_position
 from todframes.observers.interface import Observer
 from todframes.report.data import Example, Thumbnail, group_of
@@ -129,7 +128,7 @@ def _shown(dataset: Dataset, trial: Trial, observer: Observer) -> list[FramePart
     found = []
     for frame in trial.frames:
         check_sha256(dataset, frame)
-        with FrameFile(dataset.frame_path(frame)) as file:
+        with dataset.open(frame) as file:
             x, y = centroid_position(trial, file.header, observer.centre, pitch_mrad)
             rows, columns = ((round(place) - reach_px, round(place) + reach_px + 1) for place in (y, x))
             found.append(FramePart(read_contrast(file, dataset.display, frame, rows, columns), x, y))
@@ -261,9 +260,8 @@ def compare_examples(
     for group in evenly([one for one in reference.fits if one.fit.threshold is not None], MOST_GROUPS):
         place = nearest_trial(reference, group)
         trial = reference.trials[place]
-        grid_of = partial(observer.grid, trial.stimulus)
         dx, dy = np.nan_to_num(reference.displacement_samples[place]).tolist()
-        after = reader(dataset, trial, observer, grid_of, [(dx, dy)], whole=True)
+        after = reader(dataset, trial, observer, observer.grid(trial.stimulus), [(dx, dy)], whole=True)
         draw = partial(_drawn, (dx, dy), observer, trial.stimulus)
         white = max(draw(one)[1][0].scale or 0.0 for one in after)
         for result, one in zip(shown_results, after, strict=True):

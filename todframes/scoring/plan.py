@@ -75,8 +75,16 @@ class ScorePlan:
         return self.observer
 
     def readout(self, stimulus: Stimulus) -> Readout | None:
-        """What it looks at and how, no wider than needed; None if the observer is not linear."""
-        readout = self.observer_of(stimulus).readout(stimulus)
+        """Return what it looks at and how, no wider than needed; None if the observer is not linear.
+
+        Raises
+        ------
+        SettingsError
+            If the observer has no grid for this size.
+        """
+        observer = self.observer_of(stimulus)
+        observer.grid(stimulus)  # refuses what is too large before its readout is made
+        readout = observer.readout(stimulus)
         half_width = self.stimuli[stimulus].half_width
         return readout if readout is None or half_width is None else readout.cropped(half_width)
 
@@ -146,7 +154,7 @@ def _weigh(dataset: Dataset, trials: Sequence[Trial], observer: Observer, budget
     # Frames that cannot be read are met again, too; others take their places.
     for trial in islice(dict.fromkeys((*tried, *trials)), len(tried) + MOST_BAD):
         with suppress(FrameError):
-            shown += read(dataset, trial, observer, lambda: widest, displaced_mrad / widest.pitch_mrad)
+            shown += read(dataset, trial, observer, widest, displaced_mrad / widest.pitch_mrad)
             n_read += 1
         if n_read == len(tried):
             break

@@ -2,27 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
 from todframes._typing import FloatArray
-from todframes.errors import FrameError, SettingsError
 from todframes.frames.contrast import (
     Patch,
     check_sha256,
     read_contrast,
 )
 from todframes.frames.dataset import Dataset, Trial
-from todframes.frames.files import FrameFile
+from todframes.frames.files import FrameSource
 from todframes.frames.position import (
     _from_centroid,
     centroid_position,
     check_on_frame,
 )
 from todframes.observers.interface import Observer
-from todframes.observers.retina import RetinaGrid, add_resampled
+from todframes.observers.retina import RetinaGrid, resample, resampled_rows
 
 
 class Placement(NamedTuple):
@@ -37,25 +36,21 @@ class Placement(NamedTuple):
 def place_grid(
     dataset: Dataset,
     trial: Trial,
-    file: FrameFile,
+    file: FrameSource,
     observer: Observer,
-    grid_of: Callable[[], RetinaGrid],
+    grid: RetinaGrid,
     displacement_samples: Sequence[tuple[float, float]] | FloatArray,
 ) -> Placement:
-    """Where the observer's grid lies on an open frame of a trial, displaced by any of `displacement_samples`.
+    """Find where a grid of the observer lies on an open frame, displaced by any of `displacement_samples`.
 
     Raises
     ------
     FrameError
-        If the triangle does not lie on the frame, or the observer has no grid for it.
+        If the triangle does not lie on the frame.
     """
     pitch, header = dataset.display.pitch_mrad, file.header
     x, y = centroid_position(trial, header, observer.centre, pitch)
     check_on_frame(file.path, trial, header, x, y, pitch)
-    try:
-        grid = grid_of()
-    except SettingsError as error:  # of this row's size alone
-        raise FrameError(file.path, str(error)) from None
     offsets = np.array(displacement_samples) * grid.pitch_mrad / pitch
     to_centre_x, to_centre_y = _from_centroid(trial, observer.centre, pitch)
     x, y = x + to_centre_x, y + to_centre_y
@@ -101,15 +96,27 @@ class Shown(NamedTuple):
         return sum(patch.n_negative for patch in self.patches)
 
 
-Reader = Callable[..., Sequence[Shown]]
-"""Reads a trial in one way or several; arguments and errors are those of `read_trial`, which does it in one."""
+class Reader(Protocol):
+    """Reads a trial as it is shown in one way or in several; arguments and errors are those of `read_trial`."""
+
+    def __call__(
+        self,
+        dataset: Dataset,
+        trial: Trial,
+        observer: Observer,
+        grid: RetinaGrid,
+        displacement_samples: Sequence[tuple[float, float]] | FloatArray = ((0.0, 0.0),),
+        *,
+        whole: bool = False,
+    ) -> Sequence[Shown]:
+        """Return what is shown in each way."""
 
 
 def read_trial(
     dataset: Dataset,
     trial: Trial,
     observer: Observer,
-    grid_of: Callable[[], RetinaGrid],
+    grid: RetinaGrid,
     displacement_samples: Sequence[tuple[float, float]] | FloatArray = ((0.0, 0.0),),
     *,
     whole: bool = False,
@@ -118,8 +125,6 @@ def read_trial(
 
     Parameters
     ----------
-    grid_of : callable
-        The grid; asked for once it is known that the triangle lies on the frame.
     displacement_samples : sequence of (float, float), or ndarray, shape (n, 2)
         By how much the retina grid is displaced along x and y, in retina samples.
 
@@ -131,8 +136,8 @@ def read_trial(
     patches, places, n_rows = [], [], []
     for frame in trial.frames:
         check_sha256(dataset, frame)
-        with FrameFile(dataset.frame_path(frame)) as file:
-            place = place_grid(dataset, trial, file, observer, grid_of, displacement_samples)
+        with dataset.open(frame) as file:
+            place = place_grid(dataset, trial, file, observer, grid, displacement_samples)
             part = (None, None) if whole else (place.rows, place.columns)
             patches.append(read_contrast(file, dataset.display, frame, *part))
             places.append(place)
@@ -145,35 +150,51 @@ def read_as_it_is(
     dataset: Dataset,
     trial: Trial,
     observer: Observer,
-    grid_of: Callable[[], RetinaGrid],
+    grid: RetinaGrid,
     displacement_samples: Sequence[tuple[float, float]] | FloatArray = ((0.0, 0.0),),
     *,
     whole: bool = False,
 ) -> tuple[Shown]:
     """`read_trial` as a `Reader`."""
-    return (read_trial(dataset, trial, observer, grid_of, displacement_samples, whole=whole),)
+    return (read_trial(dataset, trial, observer, grid, displacement_samples, whole=whole),)
 
 
 def retina_image(
     shown: Shown, grid: RetinaGrid, displacement_samples: tuple[float, float] = (0.0, 0.0)
 ) -> FloatArray:
     """Mean contrast of a trial's frames on a retina grid, displaced along x and y: (side, side)."""
-    dx, dy = (d * grid.pitch_mrad / shown.pixel_pitch_mrad for d in displacement_samples)
+    pitch_mrad = shown.pixel_pitch_mrad
+    dx, dy = (d * grid.pitch_mrad / pitch_mrad for d in displacement_samples)
+    images = [
+        _on_retina(patch, grid, x + dx, y + dy, pitch_mrad)
+        for patch, x, y in zip(shown.patches, shown.x_px, shown.y_px, strict=True)
+    ]
+    return images[0] if len(images) == 1 else np.asarray(sum(images) / len(images))
+
+
+def _on_retina(patch: Patch, grid: RetinaGrid, x_px: float, y_px: float, pixel_pitch_mrad: float) -> FloatArray:
+    if patch.to_contrast is None:
+        return resample(
+            patch.values,
+            grid,
+            x_px=x_px,
+            y_px=y_px,
+            pixel_pitch_mrad=pixel_pitch_mrad,
+            first_row=patch.row,
+            first_column=patch.column,
+        )
     image = np.zeros((grid.side, grid.side))
-    for patch, x, y in zip(shown.patches, shown.x_px, shown.y_px, strict=True):
-        for band in patch.bands():
-            add_resampled(
-                image,
-                band.values,
-                grid,
-                x_px=x + dx,
-                y_px=y + dy,
-                pixel_pitch_mrad=shown.pixel_pitch_mrad,
-                first_row=band.row,
-                first_column=band.column,
-            )
-    if len(shown.patches) > 1:
-        image /= len(shown.patches)
+    for band in patch.bands():
+        top, part = resampled_rows(
+            band.values,
+            grid,
+            x_px=x_px,
+            y_px=y_px,
+            pixel_pitch_mrad=pixel_pitch_mrad,
+            first_row=band.row,
+            first_column=band.column,
+        )
+        image[top : top + len(part)] += part
     return image
 
 
@@ -192,6 +213,6 @@ def view_trial(
     FrameError
         If a frame cannot be used, or the triangle does not lie on it.
     """
-    shown = read_trial(dataset, trial, observer, lambda: observer.grid(trial.stimulus), [displacement_samples])
-    image = retina_image(shown, observer.grid(trial.stimulus), displacement_samples)
-    return View(image, shown.n_negative)
+    grid = observer.grid(trial.stimulus)
+    shown = read_trial(dataset, trial, observer, grid, [displacement_samples])
+    return View(retina_image(shown, grid, displacement_samples), shown.n_negative)

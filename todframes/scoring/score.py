@@ -20,7 +20,15 @@ from todframes.observers.interface import Observer
 from todframes.psychometrics.fit import FitSettings, PsychometricFit, fit_trials
 from todframes.scoring.error_budget import PlanName, Step
 from todframes.scoring.plan import ScorePlan, plan_score
-from todframes.scoring.trials import FIT_STREAMS, REPLICATES, Decisions, SeenTrial, TrialScorer, see_trials
+from todframes.scoring.trials import (
+    FIT_STREAMS,
+    REPLICATES,
+    Decisions,
+    Scoring,
+    SeenTrial,
+    score_trial,
+    see_trials,
+)
 from todframes.stimulus import Stimulus
 
 MOST_DISPLACEMENTS = 64
@@ -145,27 +153,27 @@ def score_dataset(
     plan = plan_score(
         dataset, whole, observer, name=plan_name, tolerance=tolerance or DEFAULT_TOLERANCE, expected=expected
     )
-    scorer = TrialScorer(dataset, plan, decisions, seed, displacements=0 if tolerance is None else 1)
-    see = partial(see_trials, skip_bad_frames=skip_bad_frames, workers=workers)
-    seen, unread = see(scorer, whole, progress=progress)
+    scoring = Scoring(dataset, plan, decisions, seed, displacements=0 if tolerance is None else 1)
+    see = partial(see_trials, show=score_trial, skip_bad_frames=skip_bad_frames, workers=workers)
+    seen, unread = see(scoring, whole, progress=progress)
     skipped += unread
     check_seen(dataset, seen, skipped)
-    fit_groups = GroupFitter(plan, seed, fit_settings or FitSettings(), expected)
-    decided = fit_groups(seen)
+    fit = partial(fit_groups, plan, seed=seed, fit_settings=fit_settings or FitSettings(), expected=expected)
+    decided = fit(seen)
     if tolerance is not None:
         again = [
             one
             for group in decided.fits
             if (displacements := _displacements_needed(group, tolerance)) > 1
             for one in see(
-                replace(scorer, displacements=displacements),
+                replace(scoring, displacements=displacements),
                 [one.trial for one in seen if one.trial.group == group.group],
                 progress=None,
             )[0]
         ]
         if again:
             of_number = {one.trial.number: one for one in seen + again}
-            decided = fit_groups(list(of_number.values()))
+            decided = fit(list(of_number.values()))
     return replace(decided, skipped=tuple(skipped))
 
 
@@ -213,102 +221,92 @@ def _single(displacements: FloatArray) -> FloatArray:
     return displacements[0] if len(displacements) == 1 else np.full(2, np.nan)
 
 
-@dataclass(frozen=True, slots=True)
-class GroupFitter:
-    """Decides on trials that were seen and fits a curve to each group."""
+def fit_groups(
+    plan: ScorePlan, seen: Sequence[SeenTrial], *, seed: int, fit_settings: FitSettings, expected: bool
+) -> ScoredDataset:
+    """Decide on trials that were seen and fit a curve to each group.
 
-    plan: ScorePlan
-    seed: int
-    fit_settings: FitSettings
-    expected: bool
-
-    def __call__(self, seen: Sequence[SeenTrial]) -> ScoredDataset:
-        """All of it but what was skipped; trials come out in the manifest's order."""
-        seen = sorted(seen, key=lambda one: one.trial.number)
-        trials = tuple(one.trial for one in seen)
-        correct = np.array([trial.orientation.quarter_turns for trial in trials])
-        probabilities, p_each, bounds = self._decide(seen, correct)
-        answers = probabilities.argmax(axis=1)
-        if not self.expected:
-            answers = np.array([one.answer for one in seen])
-            p_each = [np.array([float(answer == right)]) for answer, right in zip(answers, correct, strict=True)]
-            bounds[:] = 0.0
-        places: dict[tuple[float | str, ...], list[int]] = {}
-        for place, trial in enumerate(trials):
-            places.setdefault(trial.group, []).append(place)
-        # Numbers before texts, each in their order.
-        ordered = sorted(places.items(), key=lambda item: [(isinstance(v, str), v) for v in item[0]])
-        return ScoredDataset(
-            trials=trials,
-            displacement_samples=np.array([_single(one.displacement_samples) for one in seen]),
-            scores=np.array([one.scores.mean(axis=0) for one in seen]),
-            probabilities=probabilities,
-            answers=answers.astype(np.intp),
-            p_correct=np.array([p.mean() for p in p_each]),
-            fits=tuple(
-                self._fit(number, group, [seen[k] for k in these], [p_each[k] for k in these], bounds[these].max())
-                for number, (group, these) in enumerate(ordered)
-            ),
-            skipped=(),
-            n_negative=sum(one.n_negative for one in seen),
-            plan=(*self.plan.steps, _displacement_step([len(p) for p in p_each])),
-        )
-
-    def _decide(
-        self, seen: Sequence[SeenTrial], correct: NDArray[np.intp]
-    ) -> tuple[FloatArray, list[FloatArray], FloatArray]:
-        """Probability of each answer, of the correct one with each displacement, and the bound on its error."""
-        probabilities = np.full((len(seen), 4), np.nan)
-        p_each: list[FloatArray] = [np.full(1, np.nan)] * len(seen)
-        bounds = np.zeros(len(seen))
-        places: dict[Stimulus, list[int]] = {}
-        for place, one in enumerate(seen):
-            places.setdefault(one.trial.stimulus, []).append(place)
-        for stimulus, these in places.items():
-            readout = self.plan.observer_of(stimulus).readout(stimulus)
-            if readout is None:
-                continue
-            deviations = np.concatenate([seen[k].deviations for k in these])
-            answers = readout.answer_probabilities(deviations)
-            ends = np.cumsum([len(seen[k].deviations) for k in these])[:-1]
-            for k, of_trial in zip(these, np.split(answers, ends), strict=True):
-                probabilities[k], p_each[k] = of_trial.mean(axis=0), of_trial[:, correct[k]]
-            bounds[these] = readout.non_gaussian_bound
-        return probabilities, p_each, bounds
-
-    def _fit(
-        self,
-        number: int,
-        group: tuple[float | str, ...],
-        seen: Sequence[SeenTrial],
-        p_each: Sequence[FloatArray],
-        non_gaussian_bound: float,
-    ) -> GroupFit:
+    Returns all but what was skipped; trials are in the manifest's order.
+    """
+    seen = sorted(seen, key=lambda one: one.trial.number)
+    trials = tuple(one.trial for one in seen)
+    correct = np.array([trial.orientation.quarter_turns for trial in trials])
+    probabilities, p_each, bounds = _decide(plan, seen, correct)
+    answers = probabilities.argmax(axis=1)
+    if not expected:
+        answers = np.array([one.answer for one in seen])
+        p_each = [np.array([float(answer == right)]) for answer, right in zip(answers, correct, strict=True)]
+        bounds[:] = 0.0
+    places: dict[tuple[float | str, ...], list[int]] = {}
+    for place, trial in enumerate(trials):
+        places.setdefault(trial.group, []).append(place)
+    # Numbers before texts, each in their order.
+    ordered = sorted(places.items(), key=lambda item: [(isinstance(v, str), v) for v in item[0]])
+    fits = []
+    for number, (group, members) in enumerate(ordered):
         started = time.perf_counter()
-        level = np.array([one.trial.level for one in seen])
-        rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(FIT_STREAMS, number)))
-        fit = fit_trials(level, np.array([p.mean() for p in p_each]), settings=self.fit_settings, rng=rng)
-        bound = self.plan.bound({one.trial.stimulus for one in seen})
-        return GroupFit(
-            group=group,
-            fit=fit,
-            non_gaussian_bound=float(non_gaussian_bound),
-            left_out_bound=bound,
-            numerical_error=self._numerical_error(level, p_each, fit),
-            n_displacements=max(len(p) for p in p_each),
-            run_time_s=sum(one.seconds for one in seen) + time.perf_counter() - started,
+        of_group, p_of_group = [seen[k] for k in members], [p_each[k] for k in members]
+        level = np.array([one.trial.level for one in of_group])
+        rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(FIT_STREAMS, number)))
+        fit = fit_trials(level, np.array([p.mean() for p in p_of_group]), settings=fit_settings, rng=rng)
+        fits.append(
+            GroupFit(
+                group=group,
+                fit=fit,
+                non_gaussian_bound=float(bounds[members].max()),
+                left_out_bound=plan.bound({one.trial.stimulus for one in of_group}),
+                numerical_error=_numerical_error(level, p_of_group, fit, fit_settings),
+                n_displacements=max(len(p) for p in p_of_group),
+                run_time_s=sum(one.seconds for one in of_group) + time.perf_counter() - started,
+            )
         )
+    return ScoredDataset(
+        trials=trials,
+        displacement_samples=np.array([_single(one.displacement_samples) for one in seen]),
+        scores=np.array([one.scores.mean(axis=0) for one in seen]),
+        probabilities=probabilities,
+        answers=answers.astype(np.intp),
+        p_correct=np.array([p.mean() for p in p_each]),
+        fits=tuple(fits),
+        skipped=(),
+        n_negative=sum(one.n_negative for one in seen),
+        plan=(*plan.steps, _displacement_step([len(p) for p in p_each])),
+    )
 
-    def _numerical_error(
-        self, level: FloatArray, p_each: Sequence[FloatArray], fit: PsychometricFit
-    ) -> float | None:
-        """Half-width of the threshold's 95 % interval over displacements, from the spread among replicates."""
-        if fit.threshold is None or len(p_each[0]) < REPLICATES:
-            return None
-        settings, rng = replace(self.fit_settings, resamples=0), np.random.default_rng(0)
-        sets = np.array([p.reshape(REPLICATES, -1).mean(axis=1) for p in p_each]).T
-        thresholds = [fit_trials(level, p, settings=settings, rng=rng).threshold for p in sets]
-        found = [threshold for threshold in thresholds if threshold is not None]
-        if len(found) < REPLICATES:
-            return None
-        return float(STANDARD_ERRORS_95 * np.std(found, ddof=1) / math.sqrt(REPLICATES))
+
+def _decide(
+    plan: ScorePlan, seen: Sequence[SeenTrial], correct: NDArray[np.intp]
+) -> tuple[FloatArray, list[FloatArray], FloatArray]:
+    """Compute the probability of each answer, of the correct one with each displacement, and its error bound."""
+    probabilities = np.full((len(seen), 4), np.nan)
+    p_each: list[FloatArray] = [np.full(1, np.nan)] * len(seen)
+    bounds = np.zeros(len(seen))
+    places: dict[Stimulus, list[int]] = {}
+    for place, one in enumerate(seen):
+        places.setdefault(one.trial.stimulus, []).append(place)
+    for stimulus, members in places.items():
+        readout = plan.observer_of(stimulus).readout(stimulus)
+        if readout is None:
+            continue
+        deviations = np.concatenate([seen[k].deviations for k in members])
+        answers = readout.answer_probabilities(deviations)
+        ends = np.cumsum([len(seen[k].deviations) for k in members])[:-1]
+        for k, of_trial in zip(members, np.split(answers, ends), strict=True):
+            probabilities[k], p_each[k] = of_trial.mean(axis=0), of_trial[:, correct[k]]
+        bounds[members] = readout.non_gaussian_bound
+    return probabilities, p_each, bounds
+
+
+def _numerical_error(
+    level: FloatArray, p_each: Sequence[FloatArray], fit: PsychometricFit, fit_settings: FitSettings
+) -> float | None:
+    """Compute the half-width of the threshold's 95 % interval, from the spread among replicates."""
+    if fit.threshold is None or len(p_each[0]) < REPLICATES:
+        return None
+    settings, rng = replace(fit_settings, resamples=0), np.random.default_rng(0)
+    sets = np.array([p.reshape(REPLICATES, -1).mean(axis=1) for p in p_each]).T
+    thresholds = [fit_trials(level, p, settings=settings, rng=rng).threshold for p in sets]
+    found = [threshold for threshold in thresholds if threshold is not None]
+    if len(found) < REPLICATES:
+        return None
+    return float(STANDARD_ERRORS_95 * np.std(found, ddof=1) / math.sqrt(REPLICATES))

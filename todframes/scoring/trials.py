@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Literal, NamedTuple, Protocol, TypeVar
+from typing import Literal, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -15,19 +15,15 @@ from todframes._typing import FloatArray
 from todframes.errors import FrameError, SettingsError
 from todframes.frames.contrast import skipped_frames
 from todframes.frames.dataset import Dataset, Skipped, Trial
-from todframes.observers.interface import Readout
+from todframes.frames.position import check_place
+from todframes.observers.interface import Observer, Readout
 from todframes.observers.retina import RetinaGrid
 from todframes.scoring.plan import ScorePlan
-from todframes.scoring.retina_view import Reader, read_as_it_is, retina_image
+from todframes.scoring.retina_view import Shown, read_trial, retina_image
+from todframes.stimulus import Stimulus
 from todframes.threads import map_in_threads
 
 T = TypeVar("T")
-
-
-T_co = TypeVar("T_co", covariant=True)
-
-
-ReadoutOf = Callable[[Trial], Readout | None]
 
 
 Decisions = Literal["expected", "sampled"]
@@ -79,24 +75,9 @@ class SeenTrial(NamedTuple):
     seconds: float
 
 
-class Scorer(Protocol[T_co]):
-    """What `see_trials` does with each trial, from any thread."""
-
-    @property
-    def dataset(self) -> Dataset:
-        """Where the trials are from."""
-
-    @property
-    def plan(self) -> ScorePlan:
-        """Whose readouts it is given."""
-
-    def __call__(self, trial: Trial, readout_of: ReadoutOf) -> T_co:
-        """Show one trial; FrameError if a frame cannot be used."""
-
-
 @dataclass(frozen=True, slots=True)
-class TrialScorer:
-    """Scores trials; holds nothing that changes, so threads share it.
+class Scoring:
+    """How all trials of a dataset are scored; nothing in it changes, so threads share it.
 
     `displacements` is how many each trial has in each of the replicates; 0: one alone, from its own stream.
     """
@@ -107,62 +88,96 @@ class TrialScorer:
     seed: int
     displacements: int = 0
 
-    def __call__(self, trial: Trial, readout_of: ReadoutOf) -> SeenTrial:
-        """Show one trial.
 
-        Raises
-        ------
-        FrameError
-            If a frame cannot be used.
-        SettingsError
-            If the observer is not linear and its answer is not drawn.
-        """
-        (seen,) = self.see(trial, readout_of, read_as_it_is)
-        return seen
+class Look(NamedTuple):
+    """How the observer looks at a trial, in whatever ways that is shown.
 
-    def see(self, trial: Trial, readout_of: ReadoutOf, read: Reader) -> list[SeenTrial]:
-        """Show one trial in each of the ways that `read` gives, with the same displacements and the same noise.
+    `displacement_samples`, (d, 2), are those of the retina grid; `rng` is the trial's own stream after that draw.
+    `readout` is None if the observer is not linear.
+    """
 
-        Errors are those of showing one, and of `read`.
-        """
+    observer: Observer
+    grid: RetinaGrid
+    displacement_samples: FloatArray
+    rng: np.random.Generator
+    readout: Readout | None
+
+
+def look_at(scoring: Scoring, trial: Trial, readout: Readout | None) -> Look:
+    """Find how the observer looks at a trial.
+
+    Raises
+    ------
+    SettingsError
+        If the observer is not linear and its answer is not drawn.
+    """
+    if readout is None and scoring.decisions == "expected":
+        raise SettingsError("decisions: found 'expected', but this observer is not linear; expected 'sampled'")
+    observer = scoring.plan.observer_of(trial.stimulus)
+    rng = np.random.default_rng(np.random.SeedSequence(scoring.seed, spawn_key=(TRIAL_STREAMS, trial.number)))
+    displaced = _displacements(scoring, trial, rng, observer.position_jitter_samples)
+    grid = observer.grid(trial.stimulus) if readout is None else readout.grid
+    return Look(observer, grid, displaced, rng, readout)
+
+
+def see(scoring: Scoring, trial: Trial, look: Look, ways: Sequence[Shown], started: float) -> list[SeenTrial]:
+    """Show a trial in each of some ways, with the same displacements and the same noise.
+
+    Parameters
+    ----------
+    started : float
+        When `time.perf_counter` began to count for this trial; the time until now is shared among the ways.
+    """
+    reading_s = (time.perf_counter() - started) / len(ways)
+    displaced, state = look.displacement_samples, look.rng.bit_generator.state
+    seen = []
+    for shown in ways:
         started = time.perf_counter()
-        observer = self.plan.observer_of(trial.stimulus)
-        rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(TRIAL_STREAMS, trial.number)))
-        displaced = self._displacements(trial, rng, observer.position_jitter_samples)
+        scores = deviations = np.full((len(displaced), 4), np.nan)
+        answer = NO_ANSWER
+        if look.readout is not None:
+            pairs = [_scores(look.readout, retina_image(shown, look.grid, (dx, dy))) for dx, dy in displaced]
+            scores, deviations = (np.array(part) for part in zip(*pairs, strict=True))
+        if scoring.decisions == "sampled":
+            image = retina_image(shown, look.grid, (displaced[0, 0], displaced[0, 1]))
+            look.rng.bit_generator.state = state
+            answer = look.observer.respond(image, trial.stimulus, look.rng).quarter_turns
+        seconds = reading_s + time.perf_counter() - started
+        seen.append(SeenTrial(trial, displaced, scores, deviations, answer, shown.n_negative, seconds))
+    return seen
 
-        def grid_of() -> RetinaGrid:
-            observer.grid(trial.stimulus)  # refuses what is too large before its readout is made
-            readout = readout_of(trial)
-            return observer.grid(trial.stimulus) if readout is None else readout.grid
 
-        ways = read(self.dataset, trial, observer, grid_of, displaced, whole=self.plan.whole_frames)
-        reading_s = (time.perf_counter() - started) / len(ways)
-        readout, grid = readout_of(trial), grid_of()
-        if readout is None and self.decisions == "expected":
-            raise SettingsError("decisions: found 'expected', but this observer is not linear; expected 'sampled'")
-        seen, state = [], rng.bit_generator.state
-        for shown in ways:
-            started = time.perf_counter()
-            scores = deviations = np.full((len(displaced), 4), np.nan)
-            answer = NO_ANSWER
-            if readout is not None:
-                pairs = [_scores(readout, retina_image(shown, grid, (dx, dy))) for dx, dy in displaced]
-                scores, deviations = (np.array(part) for part in zip(*pairs, strict=True))
-            if self.decisions == "sampled":
-                image = retina_image(shown, grid, (displaced[0, 0], displaced[0, 1]))
-                rng.bit_generator.state = state
-                answer = observer.respond(image, trial.stimulus, rng).quarter_turns
-            seconds = reading_s + time.perf_counter() - started
-            seen.append(SeenTrial(trial, displaced, scores, deviations, answer, shown.n_negative, seconds))
-        return seen
+def score_trial(scoring: Scoring, trial: Trial, readout: Readout | None) -> SeenTrial:
+    """Read a trial and show it to the observer.
 
-    def _displacements(self, trial: Trial, rng: np.random.Generator, jitter: float) -> FloatArray:
-        if not self.displacements:
-            return rng.uniform(-jitter, jitter, (1, 2))
-        key = (DISPLACEMENT_STREAMS, self.displacements, trial.number)
-        shifts = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=key)).random((REPLICATES, 1, 2))
-        evenly = (shifts + np.arange(self.displacements)[:, None] * KRONECKER_STEPS) % 1.0
-        return np.asarray(jitter * (2.0 * evenly.reshape(-1, 2) - 1.0))
+    Raises
+    ------
+    FrameError
+        If a frame cannot be used.
+    SettingsError
+        If the observer is not linear and its answer is not drawn.
+    """
+    started = time.perf_counter()
+    look = look_at(scoring, trial, readout)
+    shown = read_trial(
+        scoring.dataset,
+        trial,
+        look.observer,
+        look.grid,
+        look.displacement_samples,
+        whole=scoring.plan.whole_frames,
+    )
+    (seen,) = see(scoring, trial, look, [shown], started)
+    return seen
+
+
+def _displacements(scoring: Scoring, trial: Trial, rng: np.random.Generator, jitter: float) -> FloatArray:
+    if not scoring.displacements:
+        return rng.uniform(-jitter, jitter, (1, 2))
+    key = (DISPLACEMENT_STREAMS, scoring.displacements, trial.number)
+    shifts = np.random.default_rng(np.random.SeedSequence(scoring.seed, spawn_key=key)).random((REPLICATES, 1, 2))
+    evenly = (shifts + np.arange(scoring.displacements)[:, None] * KRONECKER_STEPS) % 1.0
+    return np.asarray(jitter * (2.0 * evenly.reshape(-1, 2) - 1.0))
 
 
 def _scores(readout: Readout, contrast: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -174,14 +189,20 @@ def _scores(readout: Readout, contrast: FloatArray) -> tuple[FloatArray, FloatAr
 
 
 def see_trials(
-    scorer: Scorer[T],
+    scoring: Scoring,
     trials: Sequence[Trial],
+    show: Callable[[Scoring, Trial, Readout | None], T],
     *,
     skip_bad_frames: bool,
     workers: int,
     progress: Callable[[int], None] | None,
 ) -> tuple[list[T], list[Skipped]]:
     """Show trials, in threads, and list the frames of those that cannot be used, if they may be skipped.
+
+    Parameters
+    ----------
+    show : function
+        What is done with each trial, from any thread: `score_trial`, or another that raises what that raises.
 
     Raises
     ------
@@ -191,23 +212,31 @@ def see_trials(
     # Trials of one stimulus together, so that few readouts are held at a time.
     order = sorted(trials, key=lambda trial: (trial.stimulus.size_mrad, trial.stimulus.polarity))
     tasks = [order[start : start + TRIALS_PER_TASK] for start in range(0, len(order), TRIALS_PER_TASK)]
-    readout_of_stimulus = lru_cache(maxsize=4)(scorer.plan.readout)
+    readout_of = lru_cache(maxsize=4)(scoring.plan.readout)
+    fitting: set[Stimulus] = set()
 
-    def see(task: list[Trial]) -> tuple[list[T], list[Skipped]]:
+    def show_task(task: list[Trial]) -> tuple[list[T], list[Skipped]]:
         seen, skipped = [], []
         for trial in task:
             try:
-                seen.append(scorer(trial, lambda one: readout_of_stimulus(one.stimulus)))
+                if trial.stimulus not in fitting:  # a readout may be huge: not for what is larger than its frame
+                    check_place(scoring.dataset, trial, scoring.plan.observer.centre)
+                    fitting.add(trial.stimulus)
+                try:
+                    readout = readout_of(trial.stimulus)
+                except SettingsError as error:  # of this row's size alone
+                    raise FrameError(scoring.dataset.frame_path(trial.frames[0]), str(error)) from None
+                seen.append(show(scoring, trial, readout))
             except FrameError as error:
                 if not skip_bad_frames:
                     raise
-                skipped += skipped_frames(scorer.dataset, trial, error)
+                skipped += skipped_frames(scoring.dataset, trial, error)
         return seen, skipped
 
     # Threads: decoding releases the interpreter lock, and no worker process can die and take results along.
     all_seen: list[T] = []
     all_skipped: list[Skipped] = []
-    with closing(map_in_threads(see, tasks, workers)) as results:
+    with closing(map_in_threads(show_task, tasks, workers)) as results:
         for seen, skipped in results:
             all_seen += seen
             all_skipped += skipped

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import ClassVar
 
@@ -70,7 +69,7 @@ class Frames:
         of_stimulus = {trial.stimulus: readout_of(trial.stimulus) for trial in trials}
         self.readouts = [readout for trial in trials if (readout := of_stimulus[trial.stimulus]) is not None]
         self._shown = [
-            read_trial(dataset, trial, observer, partial(getattr, readout, "grid"), corners)
+            read_trial(dataset, trial, observer, readout.grid, corners)
             for trial, readout in zip(trials, self.readouts, strict=True)
         ]
         self.covariance = np.array([readout.noise_covariance for readout in self.readouts])

@@ -1,0 +1,122 @@
+"""Frames in memory are scored as files are, and refused as files are."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import todframes as tod
+
+SAMPLES = Path(__file__).parent.parent / "sample_frames"
+SIDE = 48
+DISPLAY = tod.Display(
+    eotf="linear", white_luminance_cd_m2=1.0, pixel_pitch_mrad=0.3, background_luminance_cd_m2=50.0
+)
+
+
+def frame(orientation="up", contrast=0.2):
+    triangle = tod.coverage(
+        (SIDE, SIDE), size_px=6.0, x_px=23.5, y_px=23.5, orientation=tod.Orientation(orientation)
+    )
+    return 50.0 * (1.0 + contrast * triangle)
+
+
+def scored(frames, **changes):
+    shown = {"orientation": "up", "level": 0.2, "size_mrad": 1.8, "display": DISPLAY, "examples": False}
+    return tod.score_frames(frames, **(shown | changes))
+
+
+@pytest.mark.parametrize("name", ["naked_eye", "grabbed_8bit"])
+def test_arrays_give_the_numbers_of_their_files(name):
+    """The same pixels, the same manifest rows and so the same random streams: the same numbers to the last bit."""
+    data = tod.load_dataset(SAMPLES / name)
+    on_disk = tod.score(data, examples=False)
+    assert data.experiment.group_by == ("size_mrad",)
+    stored = [tod.read_frame(data.frame_path(one.frames[0])).stored for one in data.trials]
+    assert all(len(one.frames) == 1 and one.number == k for k, one in enumerate(data.trials))
+    places = [(one.x_px, one.y_px) for one in data.trials]
+    in_memory = tod.score_frames(
+        [one[..., 0] if one.shape[2] == 1 else one for one in stored],
+        orientation=[one.orientation for one in data.trials],
+        level=[one.level for one in data.trials],
+        size_mrad=[one.stimulus.size_mrad for one in data.trials],
+        polarity=[one.stimulus.polarity for one in data.trials],
+        position=None if places[0][0] is None else places,
+        display=data.display,
+        level_name=data.experiment.level,
+        examples=False,
+    )
+    assert len(in_memory.thresholds) == len(on_disk.thresholds) > 1
+    for ours, theirs in zip(in_memory.thresholds, on_disk.thresholds, strict=True):
+        assert (ours.group, ours.level, ours.status) == (theirs.group, theirs.level, theirs.status)
+        assert (ours.threshold, ours.threshold_ci95) == (theirs.threshold, theirs.threshold_ci95)
+    assert in_memory.warnings == ()
+
+
+def test_integers_are_divided_by_their_full_scale():
+    """A code of 8 bits is the same share of full scale as 257 times it in 16 bits, and as the quotient itself."""
+    codes = np.round(frame(contrast=0.5) * 2.0).astype(np.uint8)
+    display = tod.Display(
+        eotf="linear", white_luminance_cd_m2=127.5, pixel_pitch_mrad=0.3, background_luminance_cd_m2=50.0
+    )
+    shown = {"display": display, "decisions": "sampled", "level": 0.5}
+    of_type = [
+        scored([one] * 8, **shown).trials.records
+        for one in (codes, codes.astype(np.uint16) * 257, (codes / 255.0).astype(np.float32))
+    ]
+    assert of_type[0] == of_type[1] == of_type[2]
+
+
+def test_frames_of_a_trial_are_averaged():
+    """A frame and its mirror image in contrast have the mean of no contrast: all answers are alike."""
+    pair = [frame(contrast=0.3), frame(contrast=-0.3)]
+    (record,) = scored(
+        pair, trial=["a", "a"], observer=tod.PyramidObserver(position_jitter_samples=0.0)
+    ).trials.records
+    assert record["n_frames"] == 2
+    assert record["p_correct"] == pytest.approx(0.25, abs=1e-6)  # 32-bit code values
+
+
+def test_any_iterable_and_a_page_with_examples():
+    result = scored((frame(one) for one in tod.ORIENTATIONS), orientation=list(tod.ORIENTATIONS), examples=True)
+    assert result.dataset == "in memory"
+    assert "<html" in result.to_html()
+
+
+@pytest.mark.parametrize(
+    ("frames", "changes", "message"),
+    [
+        ([], {}, r"frames: found none, expected at least one"),
+        ([frame()], {"orientation": ["up", "left"]}, r"orientation: found 2 values, expected 1, one a frame"),
+        (
+            [frame()],
+            {"orientation": "upwards"},
+            r"orientation\[0\]: found 'upwards', expected up, right",
+        ),
+        ([frame()], {"level": 0.0}, r"level\[0\]: found 0\.0, expected a finite number > 0"),
+        ([frame()], {"size_mrad": [np.nan]}, r"size_mrad\[0\]: found nan, expected a finite number > 0"),
+        ([frame()], {"polarity": 2}, r"polarity\[0\]: found 2, expected 1 or -1"),
+        ([frame()], {"position": (np.inf, 1.0)}, r"position: found NaN or infinity, expected x and y in pixels"),
+        ([frame()] * 2, {"trial": ["a", "a"], "level": [0.1, 0.2]}, r"trial 'a': frame 1 shows another stimulus"),
+    ],
+)
+def test_arguments_that_cannot_be(frames, changes, message):
+    with pytest.raises(tod.DataError, match=message):
+        scored(frames, **changes)
+
+
+@pytest.mark.parametrize(
+    ("image", "message"),
+    [
+        (np.zeros((SIDE, SIDE, 2)), r"frame 0: found an array of float32 and shape \(48, 48, 2\), expected"),
+        (np.zeros((SIDE, SIDE), dtype=np.int64), r"frame 0: found an array of int64"),
+        (np.zeros((0, SIDE)), r"frame 0: found an array of float32 and shape \(0, 48, 1\)"),
+        (np.full((SIDE, SIDE), np.nan), r"^in memory/frame 0: \d+ pixels are NaN or infinite"),
+        (np.full((4, 4), 50.0), r"frame 0: the frame has 4 × 4 pixels, smaller than the triangle of 1\.8 mrad"),
+    ],
+)
+def test_frames_that_cannot_be_used(image, message):
+    with pytest.raises(tod.FrameError, match=message):
+        scored([image])

@@ -1,0 +1,185 @@
+"""Frames that are in memory, as a dataset: nothing is read from a disk."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from todframes.errors import DataError, FrameError
+from todframes.frames.dataset import Dataset, Experiment, FrameReference, Trial
+from todframes.frames.display import Display
+from todframes.frames.files import Frame, FrameHeader, FrameSource, Range, clip_rectangle
+from todframes.stimulus import ORIENTATIONS, Orientation, Stimulus
+
+PIXEL_TYPES: dict[str, Any] = {"uint8": "uint8", "uint16": "uint16", "float16": "half"}
+"""Pixel types of arrays by their NumPy type; other floating-point types are held as "float", 32 bits."""
+
+
+@dataclass(frozen=True, slots=True)
+class MemoryDataset(Dataset):
+    """A dataset whose frames are arrays; see `memory_dataset`."""
+
+    arrays: Mapping[str, NDArray[Any]]
+
+    def has_frame(self, frame: FrameReference) -> bool:
+        """Whether the frame is there."""
+        return frame.path in self.arrays
+
+    def open(self, frame: FrameReference) -> FrameSource:
+        """Open a frame; FrameError if it cannot be used."""
+        return ArrayFrame(self.frame_path(frame), self.arrays[frame.path])
+
+
+class ArrayFrame:
+    """A frame in memory, as a `FrameSource`.
+
+    Parameters
+    ----------
+    path : Path
+        Names the frame in messages.
+    stored : ndarray, shape (rows, columns) or (rows, columns, 1 or 3)
+
+    Raises
+    ------
+    FrameError
+        If the array has another shape or holds neither integers of 8 or 16 bits nor floating-point numbers.
+    """
+
+    def __init__(self, path: Path, stored: NDArray[Any]) -> None:
+        self.path = path
+        if stored.dtype.kind == "f" and stored.dtype != np.float16:
+            stored = stored.astype(np.float32, copy=False)
+        if stored.ndim == 2:
+            stored = stored[..., None]
+        pixel_type: Any = "float" if stored.dtype == np.float32 else PIXEL_TYPES.get(stored.dtype.name)
+        if pixel_type is None or stored.ndim != 3 or stored.shape[2] not in (1, 3) or not stored.size:
+            raise FrameError(
+                path,
+                f"found an array of {stored.dtype} and shape {stored.shape}, expected (rows, columns) or (rows, "
+                "columns, 3) of uint8, uint16 or floating-point numbers",
+            )
+        self._stored = stored
+        height, width, n_channels = stored.shape
+        channels = ("Y",) if n_channels == 1 else ("R", "G", "B")
+        self.header = FrameHeader(height, width, 0, 0, height, width, channels, pixel_type, {})
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+    @property
+    def stored_type(self) -> np.dtype[Any]:
+        """Type of the values of `Frame.stored`."""
+        return self._stored.dtype
+
+    def read(self, *, rows: Range | None = None, columns: Range | None = None) -> Frame:
+        """Return a rectangle of the frame; FrameError if a pixel of it is NaN or infinite."""
+        (frame,) = self.bands(rows=rows, columns=columns)
+        return frame
+
+    def bands(self, *, rows: Range | None = None, columns: Range | None = None) -> Iterator[Frame]:
+        """Yield a rectangle of the frame, in one band; FrameError if a pixel of it is NaN or infinite."""
+        (top, bottom), (left, right) = self.clip(rows, columns)
+        part = self._stored[top:bottom, left:right]
+        if part.dtype.kind == "f" and not np.isfinite(part).all():
+            bad = np.argwhere(~np.isfinite(part).all(axis=2))
+            where = f"row {bad[0, 0] + top}, column {bad[0, 1] + left}"
+            raise FrameError(self.path, f"{len(bad)} pixels are NaN or infinite, the first at {where}")
+        yield Frame(part, top, left, self.header.height, self.header.width)
+
+    def clip(self, rows: Range | None, columns: Range | None) -> tuple[Range, Range]:
+        """Return the rows and columns of a rectangle that the frame has."""
+        return clip_rectangle(self.header, rows, columns)
+
+
+def memory_dataset(
+    frames: Iterable[ArrayLike],
+    *,
+    orientation: Sequence[str] | str,
+    level: Sequence[float] | float,
+    size_mrad: Sequence[float] | float,
+    display: Display,
+    group: Mapping[str, Sequence[float | str]] | None = None,
+    position: ArrayLike | None = None,
+    polarity: Sequence[int] | int = 1,
+    trial: Sequence[object] | None = None,
+    level_name: str = "contrast",
+) -> MemoryDataset:
+    """Make a dataset of frames in memory; parameters are those of `todframes.score_frames`.
+
+    Raises
+    ------
+    DataError
+        If there are no frames, or an argument has another number of values or a value that cannot be.
+    """
+    images = [np.asarray(frame) for frame in frames]
+    n = len(images)
+    if not n:
+        raise DataError("frames: found none, expected at least one")
+    orientations = _column("orientation", orientation, n)
+    levels, sizes = _numbers("level", level, n), _numbers("size_mrad", size_mrad, n)
+    polarities = _column("polarity", polarity, n)
+    groups = {"size_mrad": sizes} if group is None else {name: _column(name, v, n) for name, v in group.items()}
+    places: list[tuple[float | None, float | None]] = [(None, None)] * n
+    if position is not None:
+        centres = np.broadcast_to(np.asarray(position, np.float64), (n, 2))
+        if not np.isfinite(centres).all():
+            raise DataError("position: found NaN or infinity, expected x and y in pixels")
+        places = [(x, y) for x, y in centres.tolist()]
+    names = [str(one) for one in (range(n) if trial is None else _column("trial", trial, n))]
+    trials: dict[str, Trial] = {}
+    arrays: dict[str, NDArray[Any]] = {}
+    for k, image in enumerate(images):
+        path = f"frame {k}"
+        arrays[path] = image
+        if orientations[k] not in ORIENTATIONS:
+            raise DataError(f"orientation[{k}]: found {orientations[k]!r}, expected up, right, down or left")
+        if polarities[k] not in (1, -1):
+            raise DataError(f"polarity[{k}]: found {polarities[k]!r}, expected 1 or -1")
+        made = Trial(
+            number=k,
+            name=names[k],
+            frames=(FrameReference(path, None, None),),
+            orientation=Orientation(orientations[k]),
+            stimulus=Stimulus(sizes[k], int(polarities[k])),
+            level=levels[k],
+            group=tuple(v if isinstance(v, str) else float(v) for v in (column[k] for column in groups.values())),
+            x_px=places[k][0],
+            y_px=places[k][1],
+        )
+        if names[k] in trials:
+            first = trials[names[k]]
+            if made[3:] != first[3:]:
+                raise DataError(
+                    f"trial {names[k]!r}: frame {k} shows another stimulus than the trial's other frames"
+                )
+            made = first._replace(frames=first.frames + made.frames)
+        trials[names[k]] = made
+    experiment = Experiment(level=level_name, group_by=tuple(groups))
+    return MemoryDataset(Path("in memory"), display, experiment, tuple(trials.values()), (), frozenset(), arrays)
+
+
+def _column(name: str, values: Any, n: int) -> list[Any]:
+    """Return one value a frame, from one for all or a sequence."""
+    if isinstance(values, str) or not np.ndim(values):
+        return [values] * n
+    column = values.tolist() if isinstance(values, np.ndarray) else list(values)
+    if len(column) != n:
+        raise DataError(f"{name}: found {len(column)} values, expected {n}, one a frame")
+    return column
+
+
+def _numbers(name: str, values: Any, n: int) -> list[float]:
+    column = [float(value) for value in _column(name, values, n)]
+    for k, value in enumerate(column):
+        if not (math.isfinite(value) and value > 0):
+            raise DataError(f"{name}[{k}]: found {value!r}, expected a finite number > 0")
+    return column
