@@ -240,6 +240,7 @@ def converged(scene) -> Converged:
     return scene.converge()
 
 
+@pytest.mark.slow
 def test_every_monte_carlo_has_the_converged_mean(scene, converged):
     """Its trials' own P(correct) where it is one level; recorded frames through the fit of their mean."""
     for estimator in scene.estimators(converged)[:3]:
@@ -270,6 +271,7 @@ def test_closed_form_goes_to_the_converged_value(scene, converged):
             assert estimate.p_correct - 0.75 == pytest.approx(-off * converged.slope, abs=0.1 * abs(off) + 1e-6)
 
 
+@pytest.mark.slow
 def test_variants_change_little(scene, converged):
     first, *others = scene.variants(converged)
     reference = first.prepare()(np.random.default_rng(3))
@@ -344,6 +346,7 @@ class NoisyChain(FoldedChain):
         return weibull(snr, alpha=2.0, beta=1.3, guess_rate=0.25, lapse_rate=0.0) + phases.signal[..., 0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("spread", [0.05, 0.07, 0.1])
 def test_error_that_ends_a_refinement_is_honest(spread):
     """The first error below the tolerance is small by chance more often than not: the stated one makes up for it.

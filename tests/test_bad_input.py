@@ -1393,7 +1393,7 @@ def test_exit_statuses(make_dataset, tmp_path):
 def test_standard_output_is_full(option):
     with Path("/dev/full").open("w") as full:
         done = subprocess.run(
-            [*COMMAND, "naked-eye", "--size-mrad", "1", *option], stdout=full, stderr=subprocess.PIPE, text=True,
+            [*COMMAND, "enhancements", *option], stdout=full, stderr=subprocess.PIPE, text=True,
             timeout=60, check=False,
         )  # fmt: skip
     assert done.returncode != 0
@@ -1405,14 +1405,16 @@ def test_reader_of_standard_output_is_gone():
     read_end, write_end = os.pipe()
     os.close(read_end)
     done = subprocess.run(
-        [*COMMAND, "naked-eye", "--size-mrad", "1"], stdout=write_end, stderr=subprocess.PIPE, text=True,
+        [*COMMAND, "enhancements"], stdout=write_end, stderr=subprocess.PIPE, text=True,
         timeout=60, check=False,
     )  # fmt: skip
     os.close(write_end)
     assert done.stderr == ""
 
 
-@pytest.mark.parametrize("encoding", ["ascii", "latin-1", "cp1252"])
+@pytest.mark.parametrize(
+    "encoding", ["ascii", *(pytest.param(name, marks=pytest.mark.slow) for name in ("latin-1", "cp1252"))]
+)
 def test_standard_output_of_few_characters(encoding, tmp_path):
     """As in a Windows console, or where output goes to a file there."""
     counts = tmp_path / "counts.csv"

@@ -13,9 +13,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from todframes.cli.console import run
+from todframes.api import score
+from todframes.cli.console import finish, run
 from todframes.cli.main import cli
 from todframes.frames.files import write_frame
+from todframes.psychometrics.fit import FitSettings
 
 SAMPLES = Path(__file__).parent.parent / "sample_frames"
 
@@ -124,13 +126,18 @@ def test_verbose_shows_the_curves_and_what_the_numbers_leave_out(todframes, make
         assert text in out
 
 
-def test_a_narrow_terminal_has_fewer_columns_and_whole_numbers(todframes, monkeypatch) -> None:
+def test_a_narrow_terminal_has_fewer_columns_and_whole_numbers(capsys, monkeypatch) -> None:
     """Every line fits, and thresholds have the digits that they have on a wide one."""
-    command = ("score", SAMPLES / "naked_eye", "--tolerance", "0.02", "--set", "resamples=200")
-    wide = todframes(*command)[1]
+    result = score(SAMPLES / "naked_eye", tolerance=0.02, fit=FitSettings(resamples=200), examples=False)
+
+    def shown() -> str:
+        finish(result, "Thresholds", as_json=False, verbose=False)
+        return capsys.readouterr().out
+
+    wide = shown()
     for width in (80, 60):
         monkeypatch.setenv("COLUMNS", str(width))
-        narrow = todframes(*command)[1]
+        narrow = shown()
         rows, expected = (
             [re.split("  +", line.strip()) for line in text.splitlines() if re.match(" +[0-9]", line)]
             for text in (narrow, wide)

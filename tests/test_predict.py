@@ -176,10 +176,19 @@ def brute_force(sensor: Sensor, observer: Observer, size: float, snr: float, n: 
 SMOOTHED = replace(UNDER_SAMPLED, display=replace(UNDER_SAMPLED.display, blur_sigma_px=1.6, gain=1.2))
 
 
+OTHERS = {
+    "bounding box": {"centre": "bounding_box"},
+    "no jitter": {"position_jitter_samples": 0.0},
+    "wide jitter": {"position_jitter_samples": 2.0},
+}
+
+
 @pytest.mark.parametrize(
     "settings",
-    [{}, {"centre": "bounding_box"}, {"position_jitter_samples": 0.0}, {"position_jitter_samples": 2.0}],
-    ids=["default", "bounding box", "no jitter", "wide jitter"],
+    [
+        pytest.param({}, id="default"),
+        *(pytest.param(settings, id=name, marks=pytest.mark.slow) for name, settings in OTHERS.items()),
+    ],
 )
 @pytest.mark.parametrize("snr", [1.5, math.inf])
 def test_proportion_correct_is_the_mean_over_random_phases(settings, snr):
@@ -316,6 +325,7 @@ def test_internal_noise_can_be_scaled_afterwards():
     assert predict_threshold(chain) == before
 
 
+@pytest.mark.slow
 def test_without_detector_noise_the_curve_ends_at_what_the_sampling_leaves(observer):
     chain = FoldedChain(UNDER_SAMPLED, observer, 2.0)
     best = np.mean([chain.proportion_correct(phases_of(chain, 13, seed), math.inf) for seed in range(4)])

@@ -685,7 +685,13 @@ def test_file_that_cannot_grow(tmp_path):
     assert tree(tmp_path) == before
 
 
-@pytest.mark.parametrize("stop", SIGNALS, ids=lambda number: number.name)
+@pytest.mark.parametrize(
+    "stop",
+    [
+        pytest.param(number, id=number.name, marks=[] if number == signal.SIGINT else pytest.mark.slow)
+        for number in SIGNALS
+    ],
+)
 @pytest.mark.parametrize("workers", [1, 2])
 def test_interruption_leaves_nothing(tmp_path, workers, stop):
     (tmp_path / "SENSOR.toml").write_text(SENSOR_TOML, encoding="utf-8")
