@@ -339,10 +339,9 @@ class NoisyChain(FoldedChain):
         off = self.spread / places * np.random.default_rng([seed, places]).normal(size=REPLICATES)
         return [[Phases(np.full((places, 1, 4), one), np.zeros((places, 4, 4)), 0)] for one in off]
 
-    def proportion_correct(self, phases: list[Phases], snr: float, contrast: float = 1.0) -> float:
+    def _p_correct(self, phases: Phases, snr: float, contrast: float = 1.0) -> np.ndarray:
         assert contrast == 1.0
-        off = np.mean([part.signal[..., 0].mean() for part in phases])
-        return float(weibull(snr, alpha=2.0, beta=1.3, guess_rate=0.25, lapse_rate=0.0) + off)
+        return weibull(snr, alpha=2.0, beta=1.3, guess_rate=0.25, lapse_rate=0.0) + phases.signal[..., 0]
 
 
 @pytest.mark.parametrize("spread", [0.05, 0.07, 0.1])

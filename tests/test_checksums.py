@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from todframes import output
 from todframes.cli.console import run
 from todframes.cli.main import cli
 from todframes.errors import DataError
@@ -170,7 +171,7 @@ def test_manifest_that_cannot_be_written(make_dataset, todframes, monkeypatch) -
     def full(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
-    for broken in ((checksums, "write_file", full), (checksums.os, "access", lambda _, mode: not mode & os.W_OK)):
+    for broken in ((output, "write_files", full), (checksums.os, "access", lambda _, mode: not mode & os.W_OK)):
         with monkeypatch.context() as patch:
             patch.setattr(*broken)
             status, _, err = todframes("validate", made.path, "--add-sha256")
