@@ -222,13 +222,13 @@ def test_two_of_one_name_have_their_parameters_as_names(todframes, dataset: Path
     ]
 
 
-@pytest.mark.parametrize("start", [["-c", "from todframes.cli.main import main; main()"], ["-m", "todframes"]])
-def test_own_module_from_the_present_folder(dataset: Path, here: Path, start: list[str], tmp_path: Path) -> None:
+@pytest.mark.parametrize("start", ["script", pytest.param("-m", marks=pytest.mark.slow)])
+def test_own_module_from_the_present_folder(dataset: Path, here: Path, start: str, tmp_path: Path) -> None:
     """As by `python -m`, and as by a console script, which has its own folder first on the path."""
     (tmp_path / "bin").mkdir()
     script = tmp_path / "bin" / "todframes"
     script.write_text("from todframes.cli.main import main\nmain()\n", encoding="utf-8")
-    command = [str(script)] if start[0] == "-c" else start
+    command = [str(script)] if start == "script" else ["-m", "todframes"]
     done = subprocess.run(
         [sys.executable, *command, "compare", str(dataset), "--enhance", "my_algorithms:twice", "--json"],
         cwd=here,
@@ -243,8 +243,8 @@ def test_own_module_from_the_present_folder(dataset: Path, here: Path, start: li
 HOSTILE = "import pathlib, sys\npathlib.Path(__file__).with_name('ran').touch()\nsys.exit('ran')\n"
 
 
-@pytest.mark.parametrize("spec", ["median", "my_algorithms:twice"])
-@pytest.mark.parametrize("start", ["script", "-m"])
+@pytest.mark.parametrize("spec", [pytest.param("median", marks=pytest.mark.slow), "my_algorithms:twice"])
+@pytest.mark.parametrize("start", ["script", pytest.param("-m", marks=pytest.mark.slow)])
 def test_nothing_else_runs_from_the_present_folder(
     dataset: Path, here: Path, start: str, spec: str, tmp_path: Path
 ) -> None:

@@ -41,6 +41,7 @@ def test_position_is_found_in_noise_and_clutter(make_dataset, x_px: float, y_px:
     assert {(trial.x_px, trial.y_px) for trial in data.trials} == {(found.x_px, found.y_px)}
 
 
+@pytest.mark.slow
 def test_standard_error_is_honest(make_dataset) -> None:
     """Scatter over repeated experiments against the error that each states."""
     made = make_dataset(contrasts=(0.2,), repeats=2, side_px=40)

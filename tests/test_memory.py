@@ -70,6 +70,7 @@ def todframes(capsys: pytest.CaptureFixture[str]):
     return command_line
 
 
+@pytest.mark.slow
 @linux
 @pytest.mark.parametrize(
     ("command", "background"),

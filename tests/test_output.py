@@ -20,7 +20,11 @@ from todframes import output, signals
 from todframes.errors import OutputError
 from todframes.output import MARK, STAGING, new_folder, output_folder, write_file, write_files
 
-SIGNALS = [*signals.SIGNALS, signal.SIGKILL] if hasattr(signal, "SIGKILL") else signals.SIGNALS
+QUICK = "SIGINT", "SIGKILL"
+SIGNALS = [
+    pytest.param(number, id=number.name, marks=[] if number.name in QUICK else pytest.mark.slow)
+    for number in (*signals.SIGNALS, *([signal.SIGKILL] if hasattr(signal, "SIGKILL") else []))
+]
 CALLS = ("mkdir", "open", "link", "rename", "replace", "unlink", "rmdir", "chmod")
 """Of `os`, each one that changes something on disk."""
 NOT_REACHED, INTERRUPTED = 99, 130
@@ -154,7 +158,7 @@ OLD, NEW, NEXT = dataset("old", "abc"), dataset("new"), dataset("next")
 
 @forks
 @forks_with_threads
-@pytest.mark.parametrize("number", SIGNALS, ids=lambda number: number.name)
+@pytest.mark.parametrize("number", SIGNALS)
 def test_a_dataset_is_replaced_whole_or_not_at_all(tmp_path: Path, number: int) -> None:
     seen = []
     for path, says_written in endings(
@@ -175,7 +179,7 @@ def test_a_dataset_is_replaced_whole_or_not_at_all(tmp_path: Path, number: int) 
 @forks
 @forks_with_threads
 @pytest.mark.parametrize("there", [False, True], ids=["absent", "empty"])
-@pytest.mark.parametrize("number", SIGNALS, ids=lambda number: number.name)
+@pytest.mark.parametrize("number", SIGNALS)
 def test_a_dataset_appears_whole_or_not_at_all(tmp_path: Path, number: int, there: bool) -> None:
     """After a kill there may be parts, but no dataset.toml; the next run takes them away."""
     seen = []
@@ -203,7 +207,7 @@ def test_a_dataset_appears_whole_or_not_at_all(tmp_path: Path, number: int, ther
 
 @forks
 @forks_with_threads
-@pytest.mark.parametrize("number", SIGNALS, ids=lambda number: number.name)
+@pytest.mark.parametrize("number", SIGNALS)
 def test_results_are_replaced_together_and_result_json_last(tmp_path: Path, number: int) -> None:
     old = dict.fromkeys(("notes.txt", "scores.csv", "psychometric.png"), "old")
     old["result.json"] = '{"command": "score", "seed": 1}'
@@ -231,7 +235,7 @@ def test_results_are_replaced_together_and_result_json_last(tmp_path: Path, numb
 
 @forks
 @forks_with_threads
-@pytest.mark.parametrize("number", SIGNALS, ids=lambda number: number.name)
+@pytest.mark.parametrize("number", SIGNALS)
 def test_a_file_is_replaced_whole_or_not_at_all(tmp_path: Path, number: int) -> None:
     seen = []
     for path, says_written in endings(
