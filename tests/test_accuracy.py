@@ -15,7 +15,6 @@ from sensor_sim.curve_plan import full_plan
 from sensor_sim.predict import REPLICATES, FoldedChain, Phases, predict_threshold
 from sensor_sim.sensor import Detector, Optics, Sensor, SensorDisplay
 from sensor_sim.studies.accuracy import STAR_LIKE, Camera
-from todframes._typing import FloatArray
 from todframes.cli.console import run
 from todframes.cli.main import cli
 from todframes.observers.pyramid import PyramidObserver
@@ -335,13 +334,14 @@ class NoisyChain(FoldedChain):
     def __init__(self, spread: float) -> None:
         whole = FoldedChain(UNDER_SAMPLED, PyramidObserver(), 3.0)
         self.sensor, self.size_detectors, self.plan = whole.sensor, 3.0, replace(whole.plan, steps=())
+        self.noise_covariance = whole.noise_covariance
         self.spread = spread
 
     def replicates(self, places: int, seed: int) -> list[list[Phases]]:
         off = self.spread / places * np.random.default_rng([seed, places]).normal(size=REPLICATES)
         return [[Phases(np.full((places, 1, 4), one), np.zeros((places, 4, 4)), 0)] for one in off]
 
-    def _p_correct(self, phases: Phases, snr: float, contrast: float = 1.0) -> FloatArray:
+    def _p_correct(self, phases: Phases, snr: float, contrast: float = 1.0) -> np.ndarray:
         assert contrast == 1.0
         return weibull(snr, alpha=2.0, beta=1.3, guess_rate=0.25, lapse_rate=0.0) + phases.signal[..., 0]
 

@@ -10,9 +10,11 @@ from pathlib import Path
 
 import pytest
 
+from todframes import output
 from todframes.cli.console import run
 from todframes.cli.main import cli
 from todframes.errors import DataError
+from todframes.frames import checksums
 from todframes.frames.checksums import dataset_warnings, write_sha256
 from todframes.frames.dataset import load_dataset
 
@@ -169,7 +171,7 @@ def test_manifest_that_cannot_be_written(make_dataset, todframes, monkeypatch) -
     def full(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
-    for broken in (("todframes.output.os.fsync", full), ("os.access", lambda _, mode: not mode & os.W_OK)):
+    for broken in ((output, "write_files", full), (checksums.os, "access", lambda _, mode: not mode & os.W_OK)):
         with monkeypatch.context() as patch:
             patch.setattr(*broken)
             status, _, err = todframes("validate", made.path, "--add-sha256")

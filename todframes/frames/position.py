@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 from pathlib import Path
 
 from todframes.errors import FrameError
 from todframes.frames.dataset import Dataset, Trial
 from todframes.frames.files import FrameHeader
-from todframes.stimulus import Centre, bounding_box_offset, vertices
+from todframes.stimulus import Centre, Orientation, bounding_box_offset, vertices
 
 
 def centroid_position(
@@ -70,8 +71,8 @@ def check_on_frame(
 ) -> None:
     """Raise FrameError if not the whole triangle lies on pixels that the file has."""
     size_px = min(trial.stimulus.size_mrad / pixel_pitch_mrad, 1e300)  # whose corners are numbers still
-    corners = vertices(size=size_px, orientation=trial.orientation, x=x, y=y)
-    (left, top), (right, bottom) = corners.min(axis=0), corners.max(axis=0)
+    left, top, right, bottom = _reach(size_px, trial.orientation)
+    left, top, right, bottom = x + left, y + top, x + right, y + bottom
     first_x, first_y = header.first_column - 0.5, header.first_row - 0.5
     last_x, last_y = first_x + header.n_columns, first_y + header.n_rows
     if right - left > header.n_columns or bottom - top > header.n_rows:
@@ -86,3 +87,11 @@ def check_on_frame(
             f"the triangle reaches from ({left:.6g}, {top:.6g}) to ({right:.6g}, {bottom:.6g}) px, off the frame "
             f"({first_x:.1f}, {first_y:.1f}) to ({last_x:.1f}, {last_y:.1f}) px",
         )
+
+
+@lru_cache(maxsize=64)
+def _reach(size_px: float, orientation: Orientation) -> tuple[float, float, float, float]:
+    """Find how far a triangle reaches from its centroid: left, top, right and bottom, in pixels."""
+    corners = vertices(size=size_px, orientation=orientation)
+    (left, top), (right, bottom) = corners.min(axis=0).tolist(), corners.max(axis=0).tolist()
+    return left, top, right, bottom

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Sequence
 from contextlib import closing
@@ -17,6 +18,7 @@ from todframes.frames.contrast import skipped_frames
 from todframes.frames.dataset import Dataset, Skipped, Trial
 from todframes.frames.position import check_place
 from todframes.observers.interface import Observer, Readout
+from todframes.observers.internal_noise import inner_product
 from todframes.observers.retina import RetinaGrid
 from todframes.scoring.plan import ScorePlan
 from todframes.scoring.retina_view import Shown, read_trial, retina_image
@@ -183,7 +185,7 @@ def _displacements(scoring: Scoring, trial: Trial, rng: np.random.Generator, jit
 def _scores(readout: Readout, contrast: FloatArray) -> tuple[FloatArray, FloatArray]:
     deviations = readout.score_deviations(contrast)
     # Without noise, or where contrast is huge, nothing but rounding may tell scores apart that are the same.
-    rounding = 1e-13 * readout.norm * float(np.linalg.norm(contrast))
+    rounding = 1e-13 * readout.norm * math.sqrt(inner_product(contrast, contrast))
     deviations = np.where(np.abs(deviations) < rounding, 0.0, deviations)
     return deviations + readout.common_score(contrast), deviations
 
