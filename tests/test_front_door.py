@@ -134,7 +134,9 @@ def test_result_comes_back_with_its_trials(scored, tmp_path: Path) -> None:
     assert {path.name: path.read_bytes() for path in (tmp_path / "out").iterdir()} == before
 
 
+@pytest.mark.oracle
 def test_dataframe(scored) -> None:
+    pytest.importorskip("pandas", reason="pandas comes with the dev extra")
     frame = scored.to_dataframe()
     assert frame["size_mrad"].tolist() == [0.6, 0.9, 1.4, 2.4]
     assert frame["threshold"].tolist() == [one.threshold for one in scored.thresholds]
