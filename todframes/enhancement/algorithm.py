@@ -1,12 +1,12 @@
-"""What an enhancement algorithm is: a function of an image and named parameters, and what it says of itself.
+"""Enhancement algorithms: functions of an image and named parameters, with an optional declaration.
 
     @enhancement(domain="luminance")
     def brighten(image, *, gain: Annotated[float, parameter(0.1, 10.0, what="factor")] = 2.0):
-        \"\"\"All pixels brighter.\"\"\"
+        \"\"\"Multiply all pixels by a factor.\"\"\"
         return gain * image
 
-Nothing of that is needed: any function that takes an image and gives one of the same shape is an algorithm of code
-values.
+The declaration is optional: any function that takes an image of code values and returns one of the same shape is
+an algorithm.
 """
 
 from __future__ import annotations
@@ -36,31 +36,34 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 
 REFERENCE = "none"
+"""Name of the algorithm that leaves frames as they are."""
 
 
 DECLARATION = "todframes_enhancement"
+"""Name of the function attribute that holds its declaration."""
 
 
 ROUNDING = 1e-6
-"""By how much a value may lie outside of its range: 32-bit arithmetic of values near 1."""
+"""Largest excess of a value over its range that counts as rounding of 32-bit values near 1."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Declaration:
-    """What a function says of itself.
+    """The properties of an enhancement function, as its author declares them.
 
     Attributes
     ----------
     domain : {"code_value", "luminance"}
-        What it takes and gives: code values, white being 1, or luminance, black being 0 and white 1.
+        Values of the image that it takes and returns: code values with white as 1, or luminance with black as 0
+        and white as 1.
     magnification : float or str
-        Pixels that it gives for one along each axis, or the name of the parameter that says so.
+        Number of output pixels for one input pixel along each axis, or the name of the parameter with this number.
     each_channel : bool
-        Whether it takes one channel at a time; otherwise a colour image is handed over whole.
+        Whether it takes one channel at a time; otherwise it takes a colour image whole.
     writes : bool
-        Whether it may write into the image, and so gets a copy.
+        Whether it may write into the image; if so, it gets a copy.
     library : str
-        Where the work is done.
+        Library and function that do the work.
     """
 
     domain: Domain = "code_value"
@@ -84,16 +87,16 @@ def enhancement(
     writes: bool = True,
     library: str = "",
 ) -> Callable[[F], F]:
-    """Declare what a function of `function(image, **parameters)` is; see `Declaration`.
+    """Return a decorator that declares the properties of `function(image, **parameters)`; see `Declaration`.
 
-    The image has shape (rows, columns), or (rows, columns, 3) where a frame is in colour, and 32-bit values. The
-    function gives another one of this shape times the magnification. Its docstring's first line says what it does;
-    parameters may be annotated with `parameter`.
+    The image has shape (rows, columns), or (rows, columns, 3) if a frame is in colour, and 32-bit values. The
+    function returns an image of this shape times the magnification. The first line of its docstring describes it
+    in lists and reports; parameters may be annotated with `parameter`.
 
     Raises
     ------
     SettingsError
-        If the domain is neither.
+        If the domain or the magnification is not valid.
     """
     declaration = Declaration(
         domain=domain, magnification=magnification, each_channel=each_channel, writes=writes, library=library
@@ -107,18 +110,18 @@ def enhancement(
 
 
 def parameter(low: float, high: float, *, unit: str = "", what: str = "") -> msgspec.Meta:
-    """Range, unit and meaning of a parameter for its annotation: `Annotated[float, parameter(0.1, 50.0)]`."""
+    """Return a parameter's range, unit and meaning for annotations: `Annotated[float, parameter(0.1, 50.0)]`."""
     return msgspec.Meta(ge=low, le=high, description=what, extra={"unit": unit})
 
 
 def meaning(what: str) -> msgspec.Meta:
-    """Meaning of a parameter without a range, for its annotation."""
+    """Return the meaning of a parameter without a range for its annotation."""
     return msgspec.Meta(description=what)
 
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """A parameter of an algorithm: `kind` is its type, with a range if it declares one."""
+    """A parameter of an algorithm; `kind` is its type, with a range if the function declares one."""
 
     name: str
     kind: Any
@@ -126,13 +129,13 @@ class Parameter:
 
     @property
     def meta(self) -> msgspec.Meta:
-        """Range, unit and meaning; empty where the function does not declare them."""
+        """Range, unit and meaning of the parameter; empty if the function does not declare them."""
         found = [part for part in get_args(self.kind) if isinstance(part, msgspec.Meta)]
         return found[0] if found else msgspec.Meta()
 
     @property
     def choices(self) -> tuple[Any, ...]:
-        """The values that it may have, if they are few."""
+        """The allowed values of a parameter of type Literal; empty for other types."""
         kind = get_args(self.kind)[0] if get_origin(self.kind) is Annotated else self.kind
         return get_args(kind) if get_origin(kind) is Literal else ()
 
@@ -141,8 +144,8 @@ class Parameter:
 class Enhancement:
     """An algorithm with the values of its parameters.
 
-    `spec` is what the user wrote, `name` the part of it before the parameters. `any_parameter` tells that the
-    function takes others than those it names.
+    `spec` is the text that the user wrote, `name` the part of it before the parameters. `any_parameter` tells
+    whether the function accepts parameters that it does not name.
     """
 
     name: str
@@ -155,22 +158,22 @@ class Enhancement:
 
     @property
     def what(self) -> str:
-        """What it does, in a line."""
+        """The first line of the function's docstring; empty if there is none."""
         return (inspect.getdoc(self.function) or "").partition("\n")[0]
 
     @property
     def is_reference(self) -> bool:
-        """Whether it leaves the frame as it is."""
+        """Whether this is the algorithm that leaves frames as they are."""
         return self.name == REFERENCE
 
     @property
     def magnification(self) -> float:
-        """Pixels that it gives for one along each axis."""
+        """Number of output pixels for one input pixel along each axis."""
         declared = self.declaration.magnification
         return float(self.values[declared] if isinstance(declared, str) else declared)
 
     def run(self, image: Image) -> tuple[Image, float]:
-        """What it makes of an image, and the processor time in seconds that its function took.
+        """Apply the algorithm to an image; return the result and the processor time in seconds.
 
         Parameters
         ----------
@@ -179,12 +182,13 @@ class Enhancement:
         Returns
         -------
         (ndarray, float)
-            Of a floating-point type and this shape times the magnification.
+            The image after the algorithm, of a floating-point type and the given shape times the magnification,
+            and the processor time that the function took, in seconds.
 
         Raises
         ------
         DataError
-            If the function fails or gives anything else, NaN and infinity included; the message names the
+            If the function fails or returns anything else, including NaN or infinity; the message names the
             algorithm.
         """
         if self.declaration.each_channel and image.ndim == 3:
@@ -193,7 +197,7 @@ class Enhancement:
         given = image.copy() if self.declaration.writes else image
         started = time.thread_time()
         try:
-            with np.errstate(all="ignore"):  # what comes of it is looked at below
+            with np.errstate(all="ignore"):  # the result is checked below
                 found = self.function(given, **self.values)
         except SystemExit:
             raise DataError(f"{self.spec}: called sys.exit, expected it to return an image") from None
@@ -220,23 +224,28 @@ class Enhancement:
 
 
 ENTRY_POINT_GROUP = "todframes.enhancements"
+"""Entry-point group in which packages register algorithms."""
 
 
 def find_enhancement(spec: str | Callable[..., Any]) -> Enhancement:
-    """Return an algorithm that is named, or given as a function.
+    """Return the algorithm with a given name, or made of a given function.
 
     Parameters
     ----------
     spec : str or function
-        `name`, that of an entry point of the group `todframes.enhancements`, or `module:function`; either may be
-        followed by `:parameter=value,…`. `module:function` runs the module, which may lie in the current folder.
-        Or a function of an image and keyword parameters, `functools.partial` of one included, which takes the
-        defaults of its parameters.
+        Either a text: the name of an entry point of the group `todframes.enhancements`, or `module:function`; both
+        may be followed by `:parameter=value,…`. `module:function` runs the module, which may lie in the current
+        folder. Or a function of an image and keyword parameters, or a `functools.partial` of one; its parameters
+        have their default values.
+
+    Returns
+    -------
+    Enhancement
 
     Raises
     ------
     SettingsError
-        If there is none of this name or it cannot be imported, or a parameter is unknown, missing or out of range.
+        If the name is unknown, the module cannot be imported, or a parameter is unknown, missing or out of range.
     """
     if not isinstance(spec, str):
         named = getattr(spec, "func", spec)
@@ -255,7 +264,7 @@ def find_enhancement(spec: str | Callable[..., Any]) -> Enhancement:
 
 
 def enhancement_names() -> list[str]:
-    """Names of the registered algorithms, those of this package first."""
+    """Return the names of the registered algorithms; those of this package come first."""
     from importlib.metadata import entry_points
 
     found = {entry.name: entry for entry in entry_points(group=ENTRY_POINT_GROUP)}
@@ -281,7 +290,7 @@ def _function(found: Any, where: str) -> Callable[..., Any]:
 
 
 def _described(name: str, spec: str, function: Callable[..., Any], where: str) -> Enhancement:
-    """An algorithm without values yet, from its function's signature."""
+    """Describe an algorithm by its function's signature; it has no parameter values yet."""
     try:
         signature = list(inspect.signature(function).parameters.values())
     except (TypeError, ValueError):
@@ -292,7 +301,7 @@ def _described(name: str, spec: str, function: Callable[..., Any], where: str) -
         raise SettingsError(f"{where}: takes no image; expected function(image, **parameters)")
     try:
         kinds = get_type_hints(function, include_extras=True)
-    except Exception:  # names that exist for type checkers only
+    except Exception:  # annotations may use names that exist for type checkers only
         kinds = {}
     named = [one for one in signature[1:] if one.kind in (one.KEYWORD_ONLY, one.POSITIONAL_OR_KEYWORD)]
     return Enhancement(
@@ -308,14 +317,14 @@ def _described(name: str, spec: str, function: Callable[..., Any], where: str) -
 
 
 def _kind_of(default: object) -> Any:
-    """The type of a parameter that has no annotation."""
+    """Return the type of a parameter without an annotation, from its default."""
     if isinstance(default, bool | str):
         return type(default)
     return float if isinstance(default, int | float) else Any
 
 
 def _values(algorithm: Enhancement, assignments: str, where: str) -> dict[str, Any]:
-    """All parameters: the values assigned, `name=value` with commas between them, and the others' defaults."""
+    """Return the values of all parameters: those in `assignments`, `name=value,…`, and defaults for the others."""
     known = {one.name: one for one in algorithm.parameters}
     assigned: dict[str, Any] = {}
     for assignment in filter(None, assignments.split(",")):

@@ -1,6 +1,7 @@
-"""The enhancement algorithms that come with the package, each a call of scikit-image or OpenCV.
+"""The enhancement algorithms of this package; each calls scikit-image or OpenCV.
 
-Images are code values, white being 1, of shape (rows, columns).
+Images are code values with white as 1, of shape (rows, columns). The first lines of the functions' docstrings
+appear in lists and reports.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ Iterations = Annotated[int, parameter(1, 1000, what="iterations")]
 
 
 def _built_in(library: str, *, magnification: float | str = 1.0) -> Callable[[F], F]:
-    """Algorithms of code values that take one channel at a time and leave the image that they are given alone."""
+    """Declare an algorithm of code values that takes one channel at a time and does not write into its input."""
     return enhancement(each_channel=True, writes=False, magnification=magnification, library=library)
 
 
@@ -155,7 +156,7 @@ def richardson_lucy(image: Image, *, sigma: Sigma = 1.0, iterations: Iterations 
     """Richardson–Lucy deconvolution of a Gaussian blur."""
     from skimage.restoration import richardson_lucy as deconvolve
 
-    # What lies beyond the border creeps inwards like a random walk, a blur's width at each iteration.
+    # The effect of the border spreads inwards like a random walk, by a blur's width at each iteration.
     reach = 5.0 * math.sqrt(iterations)
     image = _not_negative(image)
     return _deconvolved(image, lambda wide, psf: deconvolve(wide, psf, iterations, clip=False), sigma, reach)
@@ -205,9 +206,10 @@ def lanczos(image: Image, *, factor: Factor = 2) -> Image:
 def _deconvolved(
     image: Image, deconvolve: Callable[[Image, Image], Any], sigma: float, reach_in_sigmas: float
 ) -> Image:
-    """A Gaussian blur undone; the image is reflected at its borders as far as they are felt.
+    """Deconvolve a Gaussian blur with the image reflected at its borders.
 
-    Or deconvolution would see the other side of the frame, or black, beyond them.
+    The reflected margin is as wide as the effect of a border, `reach_in_sigmas`. Without it, deconvolution would
+    use the opposite side of the frame, or black, beyond a border.
     """
     line = cv2.getGaussianKernel(2 * math.ceil(4.0 * sigma) + 1, sigma)
     margin = math.ceil(reach_in_sigmas * sigma)

@@ -1,6 +1,6 @@
-"""Dataset × observer × algorithms → thresholds of each, and their ratios to the frames as they are.
+"""Comparison of algorithms on a dataset: thresholds after each, and their ratios to those without enhancement.
 
-All are given the same frames, and what they make of them is looked at with the same displacement of the retina and
+All algorithms get the same frames. The observer sees their results with the same displacement of the retina and
 the same noise on its neurons.
 """
 
@@ -33,16 +33,17 @@ Verdict = Literal["better", "worse", "no difference shown", "mixed"]
 
 
 SIGNIFICANCE = 0.05
+"""Corrected p-value below which a difference of thresholds is reported."""
 
 
 RESAMPLES_PER_COMPARISON = 80
-"""So that the smallest p-value there can be, 2 / resamples, is half of 5 % even after Holm's correction."""
+"""Resamples for each ratio: the smallest p-value, 2 / resamples, is half of 5 % even after Holm's correction."""
 
 
 class Compared(NamedTuple):
-    """A ratio of thresholds, algorithm to reference, and what it says; of one group, or of all if `group` is None.
+    """The threshold ratio of an algorithm to the reference and its verdict, in a group, or in all if it is None.
 
-    `p_value_holm` is corrected for the number of all ratios of the comparison, and the verdict rests on it.
+    `p_value_holm` is corrected for the number of ratios in the whole comparison; the verdict is based on it.
     """
 
     group: tuple[float | str, ...] | None
@@ -53,12 +54,12 @@ class Compared(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class AlgorithmResult:
-    """An algorithm's scores and how they compare with the reference's.
+    """The scores of an algorithm and their comparison with those of the reference.
 
     `compared` has one item for each group, in the order of `scored.fits`; for several groups `overall` is their
-    geometric mean. Both are empty for the reference itself. `psnr_db` and `ssim` are those of the displayed
-    luminance against the frames without noise, over all frames that have one; None if there are none. `n_clipped`
-    values were beyond the display's range. `cpu_s` is the algorithm's own running time over all frames.
+    geometric mean. Both are empty for the reference itself. `psnr_db` and `ssim` compare the displayed luminance
+    with the frames without noise, over all frames that have one; None if there are none. `n_clipped` is the number
+    of values beyond the display's range. `cpu_s` is the algorithm's own processor time over all frames in seconds.
     """
 
     enhancement: Enhancement
@@ -87,29 +88,30 @@ def compare_dataset(
 ) -> tuple[AlgorithmResult, ...]:
     """Show every trial to the observer as it is and after each algorithm, and compare the thresholds.
 
+    Parameters not listed are those of `score_dataset`. With the same plan, the scores and fits of the reference
+    are those of `score_dataset`, number for number.
+
     Parameters
     ----------
     enhancements : sequence of Enhancement
-        The reference, `none`, comes first in the result, whether it is among them or not.
+        Algorithms to compare. The reference, `none`, is the first in the result even if it is not among them.
     screen : Screen, optional
         Default: the dataset's display with a white of 1, and no clipping.
     plan_name : {"needed", "full"}
-        As in `score_dataset`; one plan for all algorithms, made from frames before and after them.
-
-    The others are as in `score_dataset`. With the same plan its scores and fits are the reference's, number for
-    number.
+        As in `score_dataset`. All algorithms have one plan, made from frames before and after enhancement.
 
     Returns
     -------
     tuple of AlgorithmResult
+        One for each algorithm, the reference first.
 
     Raises
     ------
     FrameError, DataError
-        The first thing wrong with a row, a frame or what an algorithm makes of it, unless such trials are skipped:
-        for all algorithms alike.
+        If a row or frame is bad, or an algorithm fails on a frame. If bad frames are skipped, the trial is skipped
+        for all algorithms instead.
     SettingsError
-        If an algorithm is there twice, there are no resamples, or decisions are "expected" and the observer is not
+        If an algorithm is given twice, there are no resamples, or decisions are "expected" and the observer is not
         linear.
     """
     fit_settings = fit_settings or FitSettings()
@@ -124,7 +126,7 @@ def compare_dataset(
     if not skip_bad_frames:
         check_places(dataset, whole, observer.centre)
     reader, expected = TrialReader(algorithms, screen), decisions == "expected"
-    # Of frames after the algorithms as well: what is left out of one view is left out of all.
+    # The plan considers frames after the algorithms too: what it leaves out is left out for all algorithms.
     plan = plan_score(dataset, whole, observer, name=plan_name, expected=expected, read=reader)
     seen, unread = see_trials(
         Scoring(dataset, plan, decisions, seed),
@@ -163,14 +165,14 @@ def compare_dataset(
 
 
 class _SeenTrial(NamedTuple):
-    """What the observer made of a trial after each algorithm, and what was measured of each of its frames."""
+    """The observer's scores of a trial after each algorithm, and the measurements of each of its frames."""
 
     seen: list[SeenTrial]
     measured: list[tuple[Measured, ...]]
 
 
 def _show(reader: TrialReader, scoring: Scoring, trial: Trial, readout: Readout | None) -> _SeenTrial:
-    """Show a trial after each algorithm."""
+    """Show a trial to the observer after each algorithm."""
     started = time.perf_counter()
     look = look_at(scoring, trial, readout)
     found = reader.read(
@@ -186,7 +188,7 @@ def _show(reader: TrialReader, scoring: Scoring, trial: Trial, readout: Readout 
 
 
 def _compared(scored: Sequence[ScoredDataset], seed: int, fit_settings: FitSettings) -> list[list[Compared]]:
-    """Of each algorithm, the reference first: one comparison a group, and one of all if there are several."""
+    """Compare each algorithm with the reference: once a group, and once over all groups if there are several."""
     trials, groups = scored[0].trials, [fit.group for fit in scored[0].fits]
     several = len(groups) > 1
     n_comparisons = (len(scored) - 1) * (len(groups) + several)

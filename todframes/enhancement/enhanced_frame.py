@@ -1,4 +1,4 @@
-"""A frame, decoded once, as a display shows it after each of several algorithms."""
+"""Frames after enhancement: each is decoded once and shown as after each of several algorithms."""
 
 from __future__ import annotations
 
@@ -27,20 +27,21 @@ from todframes.scoring.retina_view import Placement, Shown, place_grid
 
 @dataclass(frozen=True, slots=True)
 class Screen:
-    """A display and what algorithms may do with it.
+    """A display, the white of the algorithms on it, and whether their results may be clipped.
 
     Attributes
     ----------
     display : Display
     white : float
-        Code value that algorithms take as 1: with `eotf = "linear"` any number > 0, else 1.
+        Code value that algorithms see as 1: any number > 0 with `eotf = "linear"`, else 1.
     allow_clipping : bool
-        Whether values that the display cannot show are set to the nearest that it can, or are errors.
+        Whether values that the display cannot show are set to the nearest value that it can; otherwise they are
+        errors.
 
     Raises
     ------
     SettingsError
-        If `white` is not such a number.
+        If `white` is out of range.
     """
 
     display: Display
@@ -55,13 +56,13 @@ class Screen:
 
     @property
     def code_range(self) -> tuple[float, float]:
-        """Code values of black and white."""
+        """The code values of black and white."""
         table = self.display.lut
         return (0.0, self.white) if table is None else (float(table.code_value[0]), float(table.code_value[-1]))
 
     @property
     def luminance_range(self) -> tuple[float, float]:
-        """Luminance of black and white in cd/m²; the data range of PSNR and SSIM is their difference."""
+        """The luminances of black and white in cd/m²; the data range of PSNR and SSIM is their difference."""
         if self.display.lut is not None:
             measured = self.display.lut.luminance_cd_m2
             return float(measured.min()), float(measured.max())
@@ -71,11 +72,11 @@ class Screen:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EnhancedImage:
-    """What a display shows of a frame after an algorithm.
+    """The picture that a display shows of a frame after an algorithm.
 
     `values` are code values, shape (rows, columns, channels), or luminance in cd/m², (rows, columns). There are
-    `magnification` pixels for one of the frame along each axis. `n_clipped` values were beyond its range;
-    `cpu_s` is the algorithm's own running time.
+    `magnification` pixels for one of the frame along each axis. `n_clipped` is the number of values beyond the
+    display's range; `cpu_s` is the algorithm's own processor time in seconds.
     """
 
     screen: Screen
@@ -85,15 +86,15 @@ class EnhancedImage:
     cpu_s: float = 0.0
 
     def luminance(self) -> FloatArray:
-        """Luminance in cd/m², shape (rows, columns)."""
+        """Compute the luminance in cd/m², shape (rows, columns)."""
         return self.luminance_of(self.values)
 
     def luminance_of(self, values: NDArray[np.floating]) -> FloatArray:
-        """Luminance of some of its rows and columns, in cd/m²."""
+        """Compute the luminance of a part of `values`, in cd/m²."""
         return _luminance(self.screen.display, values)
 
     def border_luminance(self) -> float:
-        """Mean over the outermost ring of pixels, in cd/m²."""
+        """Compute the mean luminance over the outermost ring of pixels, in cd/m²."""
         sides = (0, slice(1, None)), (-1, slice(None, -1)), (slice(None, -1), 0), (slice(1, None), -1)
         values = self.values
         if min(values.shape[:2]) < 2:
@@ -103,7 +104,7 @@ class EnhancedImage:
 
 
 class CroppedImage(NamedTuple):
-    """Part of a picture, and where on it the retina's middle lies if not displaced, in the picture's pixels."""
+    """A part of a picture, and the middle of the undisplaced retina on it, in the picture's pixels."""
 
     patch: Patch
     x_px: float
@@ -117,13 +118,13 @@ class DecodedFrame:
     Parameters
     ----------
     file : FrameSource
-        Decoded here, whole.
+        The open frame; it is decoded whole.
     screen : Screen
 
     Raises
     ------
     FrameError
-        If its pixels are damaged or not finite.
+        If the frame's pixels are damaged or not finite.
     """
 
     def __init__(self, file: FrameSource, screen: Screen) -> None:
@@ -135,7 +136,7 @@ class DecodedFrame:
 
     @cached_property
     def code_values(self) -> Image:
-        """What algorithms of code values get, white being 1; two-dimensional where all channels are alike."""
+        """The input of algorithms of code values, with white as 1; two-dimensional if all channels are equal."""
         values, white = self.original.values, self.screen.white
         if self.is_integer and white != 1.0:
             raise DataError(f"white: found {white:g}, expected 1 for integer code values")
@@ -150,18 +151,18 @@ class DecodedFrame:
 
     @cached_property
     def relative_luminance(self) -> Image:
-        """What algorithms of luminance get: float32, black being 0 and white 1."""
+        """The input of algorithms of luminance: float32, (rows, columns), with black as 0 and white as 1."""
         self.code_values  # noqa: B018 - for its checks
         black, white = self.screen.luminance_range
         return ((self.original.luminance() - black) / (white - black)).astype(np.float32)
 
     def after(self, enhancement: Enhancement) -> EnhancedImage:
-        """What the display shows after an algorithm.
+        """Return the picture that the display shows after an algorithm.
 
         Raises
         ------
         DataError
-            If the algorithm fails or gives what the display cannot show.
+            If the algorithm fails or returns values that the display cannot show.
         """
         if enhancement.is_reference:
             return self.original
@@ -200,12 +201,18 @@ class DecodedFrame:
         *,
         whole: bool = False,
     ) -> CroppedImage:
-        """The part of a picture that a retina grid touches, or all of it, as contrast.
+        """Return the part of a picture that a retina grid touches, or all of it, as contrast.
 
         Parameters
         ----------
+        picture : EnhancedImage
+            The frame after an algorithm.
+        place : Placement
+            Position of the grid on the frame.
         given_background_cd_m2 : float or None
-            The manifest's, where the display's rule is "column".
+            Background luminance in the manifest, for the display's rule "column".
+        whole : bool
+            Return the whole picture.
 
         Raises
         ------
@@ -240,7 +247,7 @@ class DecodedFrame:
         return self.original.border_luminance()
 
     def _brightening(self, picture: EnhancedImage) -> float:
-        """How much brighter the border is after the algorithm: what a given background becomes by it."""
+        """Compute the factor by which an algorithm changes the border's luminance, and so a given background."""
         if picture is self.original:
             return 1.0
         before = self._border_luminance
@@ -250,20 +257,20 @@ class DecodedFrame:
 
 
 def _luminance(display: Display, values: NDArray[np.floating]) -> FloatArray:
-    """Luminance in cd/m² of code values, (rows, columns, channels), or of what is luminance already."""
+    """Return the luminance in cd/m² of code values, (rows, columns, channels), or of values that are luminance."""
     return values.astype(np.float64) if values.ndim == 2 else display.luminance(values)
 
 
 def _contrast(display: Display, background_luminance_cd_m2: float, values: NDArray[np.floating]) -> FloatArray:
-    """Weber contrast of the same."""
+    """Compute the Weber contrast of code values or luminance, as in `_luminance`."""
     return weber_contrast(_luminance(display, values), background_luminance_cd_m2)
 
 
 class _Axis(NamedTuple):
-    """Pixels of a picture along one axis that are looked at.
+    """The pixels of a picture that are used along one axis.
 
-    `used` counts from the picture's first pixel. `first`, the first of them, and `centre_px`, the middle of the
-    retina, count from where pixel 0 of the frame begins.
+    `used` counts from the picture's first pixel. `first`, the first pixel used, and `centre_px`, the middle of the
+    retina, count from the start of pixel 0 of the frame.
     """
 
     used: slice
@@ -272,7 +279,7 @@ class _Axis(NamedTuple):
 
     @classmethod
     def of(cls, length: int, span: tuple[int, int] | None, centre_px: float, begins: int, m: float) -> _Axis:
-        """From a range of the frame's pixels, None for all, and a place on it.
+        """Return the pixels of a picture for a range of the frame's pixels, None for all, and a position on it.
 
         The picture has `length` pixels, `m` for one of the frame, and begins with the frame's pixel `begins`.
         """
@@ -286,11 +293,11 @@ class _Axis(NamedTuple):
 
 
 class Measured(NamedTuple):
-    """What is measured of a frame after an algorithm.
+    """The measurements of a frame after an algorithm.
 
-    `squared_error`, in (cd/m²)², and `ssim` are those of the displayed luminance against the frame without noise;
-    None if there is none with as many pixels. `n_clipped` values were beyond the display's range; `cpu_s` is the
-    algorithm's own running time.
+    `squared_error`, in (cd/m²)², and `ssim` compare the displayed luminance with the frame without noise; None if
+    there is none with as many pixels. `n_clipped` is the number of values beyond the display's range; `cpu_s` is
+    the algorithm's own processor time in seconds.
     """
 
     squared_error: float | None
@@ -300,14 +307,14 @@ class Measured(NamedTuple):
 
 
 class EnhancedTrial(NamedTuple):
-    """A trial after an algorithm, and what is measured of each of its frames."""
+    """A trial after an algorithm, and the measurements of each of its frames."""
 
     shown: Shown
     measured: tuple[Measured, ...]
 
 
 class TrialReader:
-    """Reads trials; calling it is reading as a `Reader` does, one way an algorithm."""
+    """A `Reader` of trials that applies several algorithms; it returns one `Shown` for each of them."""
 
     def __init__(self, algorithms: Sequence[Enhancement], screen: Screen) -> None:
         self.algorithms = tuple(algorithms)
@@ -324,7 +331,7 @@ class TrialReader:
         *,
         whole: bool = False,
     ) -> list[Shown]:
-        """What is shown after each algorithm."""
+        """Return the trial as shown after each algorithm."""
         found = self.read(dataset, trial, observer, grid, displacement_samples, whole=whole)
         return [one.shown for one in found]
 
@@ -338,7 +345,7 @@ class TrialReader:
         *,
         whole: bool = False,
     ) -> list[EnhancedTrial]:
-        """What is shown after each algorithm, and measured; parameters as those of `read_trial`.
+        """Return the trial as shown after each algorithm, with measurements; parameters are those of `read_trial`.
 
         Raises
         ------
@@ -385,7 +392,7 @@ class TrialReader:
 
 
 def _of_trial(frames: Sequence[tuple[CroppedImage, Measured]], n_rows: int) -> EnhancedTrial:
-    """One algorithm's frames as a trial."""
+    """Combine one algorithm's frames into a trial."""
     looked, measured = zip(*frames, strict=True)
     patches, xs, ys, pitches = zip(*looked, strict=True)
     return EnhancedTrial(Shown(patches, xs, ys, pitches[0], n_rows), measured)

@@ -1,4 +1,4 @@
-"""How like two images are by the usual measures, which know nothing of an observer."""
+"""Measures of image quality without an observer: mean squared error, PSNR and SSIM."""
 
 from __future__ import annotations
 
@@ -7,20 +7,27 @@ import math
 from todframes._typing import FloatArray
 
 WINDOW_PX = 11
-"""Side of the Gaussian window of SSIM: 3.5 standard deviations of 1.5 pixels either way."""
+"""Side of the Gaussian window of SSIM in pixels: 3.5 standard deviations of 1.5 pixels on either side."""
 
 
 def squared_error_and_ssim(
     image: FloatArray, reference: FloatArray, *, data_range: float
 ) -> tuple[float, float | None]:
-    """Mean squared error and mean structural similarity of two images of the same shape, (rows, columns).
+    """Compute the mean squared error and the mean structural similarity (SSIM) of two images.
+
+    SSIM has the Gaussian window and the constants of Wang et al. 2004, IEEE Trans. Image Process. 13, 600.
+
+    Parameters
+    ----------
+    image, reference : ndarray, shape (rows, columns)
+        Luminance in cd/m².
+    data_range : float
+        Luminance of white less that of black, in cd/m².
 
     Returns
     -------
     (float, float or None)
-        SSIM is None for images with a side of fewer than 11 pixels.
-
-    Wang et al. 2004, IEEE Trans. Image Process. 13, 600, with its Gaussian window and constants.
+        Mean squared error in (cd/m²)², and SSIM; SSIM is None for images with a side of fewer than 11 pixels.
     """
     from skimage.metrics import mean_squared_error, structural_similarity
 
@@ -34,7 +41,7 @@ def squared_error_and_ssim(
 
 
 def psnr_db(squared_error: float | None, *, data_range: float) -> float | None:
-    """Peak signal-to-noise ratio in dB of a mean squared error; None if there is no error or it is not known."""
+    """Convert a mean squared error to a peak signal-to-noise ratio in dB; None if the error is 0 or not known."""
     if not squared_error:
         return None
     return 10.0 * math.log10(data_range**2 / squared_error)

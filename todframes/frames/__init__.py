@@ -1,4 +1,4 @@
-"""Frame files, displays, datasets, and where the triangle lies on a frame."""
+"""Frame files, displays, datasets and the position of the triangle on a frame."""
 
 import lazy_loader
 

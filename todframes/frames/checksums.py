@@ -1,4 +1,4 @@
-"""Frames whose files nothing checks: the warning about them, and the manifest's `sha256` column as the cure."""
+"""The warning about frame files without a checksum, and the writing of the manifest's `sha256` column."""
 
 from __future__ import annotations
 
@@ -16,20 +16,32 @@ from todframes.frames.memory import MemoryDataset
 from todframes.output import write_file
 
 COLUMN = "sha256"
+"""Name of the manifest column with the checksums."""
 
 
 BYTE_ORDER_MARK = "\ufeff"
 
 
 def dataset_warnings(dataset: Dataset, trials: Sequence[Trial]) -> list[DatasetWarning]:
-    """Collect the facts that make results from these trials less sure.
+    """Return the warnings about a dataset that make results from these trials less certain.
 
-    `unverified_frames`: frames with neither a checksum in the manifest nor, as PNG has, checksums of their own.
+    The only warning is `unverified_frames`. It counts the frames that have no checksum in the manifest and whose
+    file format has none either: PNG files contain checksums of their own, EXR files do not.
+
+    Parameters
+    ----------
+    dataset : Dataset
+    trials : sequence of Trial
+
+    Returns
+    -------
+    list of DatasetWarning
+        Empty if every frame is checked, or if the frames are in memory.
 
     Raises
     ------
     FrameError
-        If a frame cannot be read any more.
+        If a frame file can no longer be read.
     """
     if isinstance(dataset, MemoryDataset):
         return []
@@ -46,30 +58,31 @@ def dataset_warnings(dataset: Dataset, trials: Sequence[Trial]) -> list[DatasetW
 
 
 def check_writable(dataset: Dataset) -> None:
-    """Raise OutputError if the manifest cannot be replaced."""
+    """Raise OutputError if the manifest cannot be replaced because its folder is not writable."""
     path = _manifest(dataset)
     if not os.access(path.parent, os.W_OK | os.X_OK):
         raise OutputError(f"{path}: cannot be written (its folder is not writable)")
 
 
 def write_sha256(dataset: Dataset, sha256_of: Mapping[str, str]) -> None:
-    """Write checksums into the manifest where it has none; the file is replaced whole or not at all.
+    """Write checksums into the empty `sha256` fields of the manifest.
 
-    Values in all other fields, the order of rows and columns and the line ends stay as they are. Without a column
-    `sha256` the manifest gets one as its last.
+    The file is replaced whole or not at all. All other fields, the order of rows and columns and the line ends
+    stay as they are. A manifest without a column `sha256` gets it as its last column.
 
     Parameters
     ----------
+    dataset : Dataset
     sha256_of : mapping of str to str
-        Checksums by the frame's path in the manifest, one for each frame without; with none at all the manifest
-        is not touched.
+        Checksum of each frame that has none, by the frame's path in the manifest. If the mapping is empty, the
+        manifest is not touched.
 
     Raises
     ------
     DataError
-        If the manifest is no longer the one that was loaded.
+        If the manifest has changed since the dataset was loaded.
     OutputError
-        If it cannot be written.
+        If the manifest cannot be written.
     """
     if not sha256_of:
         return
@@ -85,18 +98,18 @@ def write_sha256(dataset: Dataset, sha256_of: Mapping[str, str]) -> None:
 
 
 def _manifest(dataset: Dataset) -> Path:
-    """The manifest; of a link, where it leads."""
+    """Return the path of the manifest, with symbolic links resolved."""
     return Path(os.path.realpath(dataset.path / "manifest.csv"))
 
 
 def _filled(text: str, sha256_of: Mapping[str, str]) -> str:
-    """A manifest's text with checksums in its empty `sha256` fields; LookupError if a frame has none."""
+    """Return a manifest's text with its empty `sha256` fields filled; LookupError if a frame has no checksum."""
     mark = BYTE_ORDER_MARK if text.startswith(BYTE_ORDER_MARK) else ""
     header, *rows = csv.reader(io.StringIO(text.removeprefix(mark), newline=""), strict=True)
     names = [name.strip() for name in header]
     at_frame = names.index("frame")
     if COLUMN not in names:
-        for row in filter(None, [header, *rows]):  # an empty line stays one
+        for row in filter(None, [header, *rows]):  # an empty line stays empty
             row.append("")
         header[-1] = COLUMN
         names.append(COLUMN)

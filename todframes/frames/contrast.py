@@ -1,4 +1,4 @@
-"""Frame files to Weber contrast, their checksums, and what is wrong with them."""
+"""Conversion of frame files to Weber contrast, and the checks of their checksums and pixels."""
 
 from __future__ import annotations
 
@@ -19,14 +19,15 @@ from todframes.frames.files import BAND_VALUES, FrameFile, FrameSource, code_val
 from todframes.frames.position import centroid_position, check_on_frame
 
 MOST_HELD_PX = 2**20
-"""Of a patch that is held as contrast, eight bytes a pixel."""
+"""Largest number of pixels of a patch that is held as contrast, which takes eight bytes a pixel."""
 
 
 class Patch(NamedTuple):
-    """A rectangle of a frame, as contrast or as what contrast is made of.
+    """A rectangle of a frame, held as contrast or as the stored values that contrast is computed from.
 
-    `row` and `column` are where its first pixel lies in the frame. A large rectangle is held as it is stored, one
-    to four bytes a value instead of eight; `to_contrast` turns a part of it, whole rows, into contrast.
+    `row` and `column` are the position of its first pixel in the frame. A large rectangle is held as stored, with
+    one to four bytes a value instead of eight; `to_contrast` then converts a band of whole rows into contrast.
+    `n_negative` counts the pixels read with a luminance below zero.
     """
 
     values: NDArray[Any]
@@ -36,7 +37,7 @@ class Patch(NamedTuple):
     to_contrast: Callable[[NDArray[Any]], FloatArray] | None = None
 
     def bands(self) -> Iterator[Patch]:
-        """The same in bands of rows, each as contrast."""
+        """Yield the patch in bands of rows, each as contrast."""
         if self.to_contrast is None:
             yield self
             return
@@ -46,7 +47,7 @@ class Patch(NamedTuple):
             begin += len(values)
 
     def held(self) -> Patch:
-        """Return the patch to be held for a while: as contrast if small, else without what it is a part of."""
+        """Return the patch for storage: as contrast if it is small, else as a copy of its stored values alone."""
         if self.to_contrast is None:
             return self
         if math.prod(self.values.shape[:2]) <= MOST_HELD_PX:
@@ -55,14 +56,14 @@ class Patch(NamedTuple):
 
 
 def row_bands(values: NDArray[Any]) -> Iterator[NDArray[Any]]:
-    """Yield an array in bands of rows, none of which takes much memory."""
+    """Yield an array in bands of rows, each of at most `BAND_VALUES` values or one row."""
     n_rows = max(BAND_VALUES // max(values[:1].size, 1), 1)
     for begin in range(0, len(values) if values.size else 0, n_rows):
         yield values[begin : begin + n_rows]
 
 
 def check_sha256(dataset: Dataset, frame: FrameReference) -> None:
-    """Raise FrameError if the manifest gives a checksum and the file has another."""
+    """Raise FrameError if the file does not have the checksum that the manifest gives."""
     if frame.sha256 is not None:
         path = dataset.frame_path(frame)
         found = frame_sha256(path)
@@ -71,7 +72,7 @@ def check_sha256(dataset: Dataset, frame: FrameReference) -> None:
 
 
 def skipped_frames(dataset: Dataset, trial: Trial, error: FrameError | str) -> list[Skipped]:
-    """All frames of a trial that cannot be used: it is averaged over all of them or not at all."""
+    """Return all frames of an unusable trial as skipped; a trial is averaged over all of its frames or none."""
     others = f"another frame of trial {trial.name} cannot be used"
     return [
         Skipped(
@@ -91,15 +92,31 @@ def read_contrast(
     *,
     every_pixel: bool = False,
 ) -> Patch:
-    """Contrast of a range of rows and columns of an open frame, all of them by default.
+    """Read a rectangle of an open frame as contrast.
 
-    Only the rows asked for are decoded, unless the background is a mean over the frame or `every_pixel` is to be
-    looked at. Pixels are decoded once, in bands of rows; only those asked for stay in memory.
+    Only the rows of the rectangle are decoded, unless the background is a mean over the frame or `every_pixel` is
+    set. Pixels are decoded once, in bands of rows; only the pixels of the rectangle stay in memory.
+
+    Parameters
+    ----------
+    file : FrameSource
+        The open frame.
+    display : Display
+    frame : FrameReference
+        The frame's row of the manifest, for its background luminance.
+    rows, columns : (int, int), optional
+        Half-open ranges in frame coordinates, clipped to the pixels that the file has. Default: all.
+    every_pixel : bool
+        Decode and check every pixel of the frame, not only those of the rectangle.
+
+    Returns
+    -------
+    Patch
 
     Raises
     ------
     FrameError
-        If the pixels cannot be read or their luminance or the background is not usable.
+        If the pixels cannot be read, their contrast overflows, or the background is not a positive number.
     """
     rule = display.background_luminance_cd_m2
     whole = every_pixel or rule in ("border", "frame_mean")
@@ -136,7 +153,7 @@ def read_contrast(
 
 
 class LuminanceFound:
-    """What is found out about the luminance of a frame, band by band."""
+    """Statistics of the luminance of a frame, collected band by band."""
 
     def __init__(self) -> None:
         self.n_negative = 0
@@ -145,14 +162,14 @@ class LuminanceFound:
         self.n_averaged = 0
 
     def add(self, luminance: FloatArray) -> None:
-        """Look at a band."""
+        """Update the largest luminance and the count of negative ones with a band."""
         lowest = float(luminance.min())
         self.largest = max(self.largest, -lowest, float(luminance.max()))
         if lowest < 0.0:
             self.n_negative += int(np.count_nonzero(luminance < 0.0))
 
     def average(self, luminance: FloatArray) -> None:
-        """Add pixels of a band to those whose mean is the background."""
+        """Add luminances to the mean that is the background."""
         self.sum += float(luminance.sum())
         self.n_averaged += luminance.size
 
@@ -165,19 +182,19 @@ def _background(rule: float | BackgroundRule, found: LuminanceFound, frame: Fram
 
 
 def _contrast(display: Display, background_luminance_cd_m2: float, stored: NDArray[Any]) -> FloatArray:
-    """Contrast of pixels as stored."""
+    """Compute the contrast of pixels as stored."""
     return weber_contrast(display.luminance(code_values(stored)), background_luminance_cd_m2)
 
 
 def check_contrast(largest_luminance_cd_m2: float, background_luminance_cd_m2: float) -> None:
     """Raise DataError if Weber contrast overflows, or the background is not a positive number."""
-    weber_contrast(np.zeros(0), background_luminance_cd_m2)  # for its check
+    weber_contrast(np.zeros(0), background_luminance_cd_m2)  # raises if the background is not > 0
     if largest_luminance_cd_m2 > sys.float_info.max * min(background_luminance_cd_m2, 1.0):
         raise DataError("the contrast is beyond all numbers; expected luminances nearer to the background's")
 
 
 def frame_problems(dataset: Dataset, trial: Trial) -> Iterator[FrameError]:
-    """What is wrong with the frames of a trial, every pixel of them looked at."""
+    """Yield an error for each frame of a trial that cannot be used; every pixel of every frame is checked."""
     for frame in trial.frames:
         path = dataset.frame_path(frame)
         try:

@@ -1,4 +1,4 @@
-"""A dataset on disk: `dataset.toml` and `manifest.csv` to checked trials."""
+"""Datasets on disk: `dataset.toml` and `manifest.csv` are read into checked trials."""
 
 from __future__ import annotations
 
@@ -26,18 +26,21 @@ from todframes.frames.files import FrameFile, FrameSource
 from todframes.stimulus import ORIENTATIONS, Orientation, Stimulus
 
 SCHEMA = 1
+"""Version of the format of `dataset.toml` that this package reads."""
 
 
 BACKGROUND_COLUMN = "background_luminance_cd_m2"
+"""Name of the manifest column with each frame's background luminance."""
 
 
 REFERENCE_COLUMN = "reference_frame"
+"""Name of the manifest column with the path of the same frame without noise."""
 
 
 class FrameReference(NamedTuple):
-    """A frame as the manifest names it: path relative to the dataset, and what its row says of the pixels.
+    """A frame as the manifest names it: its path relative to the dataset, its checksum and its background.
 
-    `reference` is the path of the same frame without noise, where there is one.
+    `reference` is the path of the same frame without noise; None if there is none.
     """
 
     path: str
@@ -47,11 +50,11 @@ class FrameReference(NamedTuple):
 
 
 class Trial(NamedTuple):
-    """One presentation: the frames to average, what they show and where.
+    """One presentation: the frames to average, their stimulus and its position.
 
-    `number` is that of the first frame's row in the manifest and seeds the trial's random stream. `x_px` and
-    `y_px` are where the triangle's centroid lies; None: the frame's centre. `group` has a value for each
-    `group_by`.
+    `number` is the number of the first frame's row in the manifest and seeds the trial's random stream. `x_px` and
+    `y_px` are the position of the triangle's centroid in pixels; None: the frame's centre. `group` has one value
+    for each column of `group_by`.
     """
 
     number: int
@@ -66,17 +69,17 @@ class Trial(NamedTuple):
 
 
 class Skipped(NamedTuple):
-    """A frame, or a row of the manifest, that cannot be used, and why."""
+    """A frame or a row of the manifest that cannot be used, with the reason."""
 
     frame: str
     error: str
 
 
 class DatasetWarning(NamedTuple):
-    """A fact about a dataset that makes results less sure, as it stands under `warnings` in `result.json`.
+    """A warning that results from a dataset are less certain, as written under `warnings` in `result.json`.
 
-    `code` is for programs, `message` for people. `group` has the `group_by` values that it is about, by column; it
-    is empty where it is about the whole dataset.
+    `code` is for programs, `message` for people. `group` has the `group_by` values of the group concerned, by
+    column; it is empty if the warning concerns the whole dataset.
     """
 
     code: str
@@ -88,7 +91,7 @@ class DatasetWarning(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Experiment:
-    """What was varied: the manifest column with the stimulus strength, and those with one curve a value."""
+    """The varied manifest columns: `level` is the stimulus strength, each group of `group_by` has a curve."""
 
     level: str
     group_by: tuple[str, ...] = ()
@@ -107,8 +110,8 @@ class Experiment:
 class Dataset:
     """A folder of frames whose settings and manifest have been read.
 
-    Bad rows are not among `trials`. A trial that lost a frame to one is, but its name is in `spoilt`: averaged
-    over fewer frames than others it must not be scored.
+    `bad_rows` are not among `trials`. A trial that lost a frame to a bad row is among `trials`, but its name is
+    also in `spoilt`: it would be averaged over fewer frames than the others and must not be scored.
     """
 
     path: Path
@@ -119,33 +122,42 @@ class Dataset:
     spoilt: frozenset[str]
 
     def frame_path(self, frame: FrameReference) -> Path:
-        """Where the frame is on disk."""
+        """Return the path of the frame on disk."""
         return self.path / frame.path
 
     def has_frame(self, frame: FrameReference) -> bool:
-        """Whether the frame is there."""
+        """Tell whether the frame's file exists."""
         # A million paths take seconds; as Path objects, half a minute.
         return os.path.exists(os.path.join(self.path, frame.path))  # noqa: PTH110, PTH118
 
     def open(self, frame: FrameReference) -> FrameSource:
-        """Open a frame; FrameError if it cannot be used."""
+        """Open a frame; raise FrameError if it cannot be used."""
         return FrameFile(self.frame_path(frame))
 
     def reference_path(self, frame: FrameReference) -> Path | None:
-        """Where the same frame without noise is on disk, if there is one."""
+        """Return the path of the same frame without noise; None if there is none."""
         return None if frame.reference is None else self.path / frame.reference
 
 
 def load_dataset(path: Path | str) -> Dataset:
     """Read and check `dataset.toml` and `manifest.csv`; no frame is opened.
 
+    Parameters
+    ----------
+    path : path
+        The dataset's folder.
+
+    Returns
+    -------
+    Dataset
+
     Raises
     ------
     SettingsError
         If `dataset.toml` is missing or unreadable, or has an unknown, missing or contradictory key.
     DataError
-        If the manifest is missing or unreadable, a column is missing, or there is no frame at all. A row that is
-        wrong raises nothing: it goes to `bad_rows`.
+        If the manifest is missing or unreadable, a column is missing, or there is no frame at all. A wrong row
+        raises nothing: it goes to `bad_rows`.
     """
     path = Path(path)
     if not os.path.isdir(path):  # noqa: PTH112 - Path.is_dir raises for a name that is too long
@@ -159,21 +171,22 @@ def load_dataset(path: Path | str) -> Dataset:
 
 
 def _inside(folder: str, name: str, where: str, real_folders: dict[str, str] | None = None) -> str:
-    """Full path, links followed, of a file that a dataset names; in `folder` they have been followed.
+    """Return the full path of a file that a dataset names, with symbolic links resolved.
 
-    Folders in `real_folders` are not followed again: a million rows would take a minute otherwise.
+    `folder` must have its links resolved already. `real_folders` caches resolved folders: without it a million
+    rows would take a minute.
 
     Raises
     ------
     DataError
-        If it is not in the dataset's folder: a message might show what it holds.
+        If the file is not in the dataset's folder: an error message might show its content.
     """
     if not name or "\0" in name:
         raise DataError(f"{where}: found {name!r}, expected a path")
     real_folders = {} if real_folders is None else real_folders
     parent, last = os.path.split(os.path.join(folder, name))  # noqa: PTH118 - pathlib is slow
     if parent not in real_folders:
-        # Not Path.resolve, which raises for a link that leads to itself.
+        # Path.resolve would raise for a link that leads to itself.
         real_folders[parent] = os.path.realpath(parent)
     full = os.path.join(real_folders[parent], last)  # noqa: PTH118
     if last in ("", os.curdir, os.pardir) or os.path.islink(full):  # noqa: PTH114
@@ -197,7 +210,7 @@ def _read_settings(path: Path) -> tuple[Display, Experiment]:
             raise SettingsError(f"{path}: table [{name}] is missing")
     table = dict(content["display"])
     check_keys(table, [field.name for field in fields(Display)], f"{path}: [display]")
-    if table.get("eotf") == "lut":  # whose luminances are absolute
+    if table.get("eotf") == "lut":  # luminances of a table are absolute
         table.pop("white_luminance_cd_m2", None)
         table.pop("black_luminance_cd_m2", None)
     if "white_luminance_cd_m2" not in table and table.get("eotf") != "lut":
@@ -235,7 +248,7 @@ def _read_lut(folder: Path, name: str, named: str) -> LuminanceTable:
 
 
 class _Manifest:
-    """Reads the rows, gathers frames into trials, and keeps what is wrong with which row."""
+    """Reader of the manifest: it checks the rows, gathers frames into trials and records the bad rows."""
 
     def __init__(self, folder: Path, display: Display, experiment: Experiment) -> None:
         self.folder = os.path.realpath(folder)
@@ -317,7 +330,7 @@ class _Manifest:
         return frame
 
     def _joined(self, first: Trial, other: Trial, where: str) -> Trial:
-        """A trial with one frame more; everything but the frame must agree."""
+        """Return a trial with one frame more; everything but the frame must agree."""
         expected, found = (self._shown(trial) for trial in (first, other))
         for name, value in found.items():
             if value != expected[name]:
@@ -328,7 +341,7 @@ class _Manifest:
         return first._replace(frames=first.frames + other.frames)
 
     def _shown(self, trial: Trial) -> dict[str, object]:
-        """What the manifest says of a trial, by column."""
+        """Return the values of a trial in the manifest, by column."""
         return {
             "orientation": trial.orientation.value,
             "size_mrad": trial.stimulus.size_mrad,

@@ -1,4 +1,4 @@
-"""From code values to luminance and contrast, and the viewing geometry."""
+"""Displays: the conversion of code values to luminance and contrast, and the viewing geometry."""
 
 from __future__ import annotations
 
@@ -19,23 +19,31 @@ BackgroundRule = Literal["border", "frame_mean", "column"]
 
 
 REC_709_LUMINANCE_WEIGHTS = np.array([0.2126, 0.7152, 0.0722])
+"""Weights of linear red, green and blue in the luminance, of ITU-R BT.709."""
 
 
 LARGEST_LUMINANCE_CD_M2 = 1e12
-"""A thousand times the sun's; beyond is a slip of the pen."""
+"""Largest luminance accepted, a thousand times that of the sun; a larger one is a mistake in the input."""
 
 
 PITCH_RANGE_MRAD = (1e-6, 1e6)
-"""What is not in here is a slip of the pen, and might overflow."""
+"""Smallest and largest pixel pitch accepted; others are a mistake in the input and might overflow."""
 
 
 PITCH_TOLERANCE = 1e-3
-"""Relative difference up to which a pitch given in both ways counts as the same."""
+"""Largest relative difference between two pitches that count as equal when both are given."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LuminanceTable:
-    """A measured display: luminance_cd_m2 at code values that rise within [0, 1]; linear in between.
+    """The measured luminance of a display by code value, interpolated linearly.
+
+    Attributes
+    ----------
+    code_value : ndarray, shape (n,)
+        Rising, within [0, 1].
+    luminance_cd_m2 : ndarray, shape (n,)
+        Luminance at each code value, in cd/m².
 
     Raises
     ------
@@ -68,7 +76,7 @@ class LuminanceTable:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Display:
-    """How a display turns code values into light, and at which visual angle.
+    """A display: its conversion of code values to luminance and its viewing geometry.
 
     Attributes
     ----------
@@ -164,26 +172,26 @@ class Display:
 
     @property
     def pitch_mrad(self) -> float:
-        """Visual angle of one pixel, given or from pixel pitch and viewing distance."""
+        """Visual angle of one pixel in mrad, as given or from pixel pitch and viewing distance."""
         return self.pixel_pitch_mrad if self.pixel_pitch_mrad is not None else self._pitch_from_lengths()
 
     def luminance(self, code_value: NDArray[np.floating]) -> FloatArray:
-        """Luminance of code values.
+        """Compute the luminance of code values.
 
         Parameters
         ----------
         code_value : ndarray, shape (rows, columns, channels)
-            One channel, or red, green and blue. Integer code values divided by their full scale.
+            One channel, or red, green and blue. Integer code values are divided by their full scale.
 
         Returns
         -------
         ndarray, shape (rows, columns)
-            cd/m², by the Rec. 709 weights after linearisation if there are three channels.
+            Luminance in cd/m². Three channels are linearised, then weighted as in Rec. 709.
 
         Raises
         ------
         DataError
-            If a code value lies outside of what the transfer function is defined for.
+            If a code value lies outside the range of the transfer function.
         """
         light = self._light(code_value.astype(np.float64))
         if light.shape[-1] == 1:
@@ -211,22 +219,31 @@ class Display:
 
 
 def srgb_to_linear(code_value: FloatArray) -> FloatArray:
-    """Relative luminance in [0, 1] of sRGB code values in [0, 1], any shape (IEC 61966-2-1)."""
+    """Compute the relative luminance in [0, 1] of sRGB code values in [0, 1], of any shape (IEC 61966-2-1)."""
     return np.where(code_value <= 0.04045, code_value / 12.92, ((code_value + 0.055) / 1.055) ** 2.4)
 
 
 def bt1886_luminance(
     code_value: FloatArray, *, white_luminance_cd_m2: float, black_luminance_cd_m2: float
 ) -> FloatArray:
-    """Luminance of code values in [0, 1], any shape, on the reference display of ITU-R BT.1886, Annex 1."""
+    """Compute the luminance in cd/m² of code values in [0, 1], of any shape, by ITU-R BT.1886, Annex 1."""
     white_root, black_root = white_luminance_cd_m2 ** (1 / 2.4), black_luminance_cd_m2 ** (1 / 2.4)
     return np.asarray((black_root + (white_root - black_root) * code_value) ** 2.4)
 
 
 def border_values(luminance: FloatArray, *, top: bool = True, bottom: bool = True) -> FloatArray:
-    """Those of a band of rows, shape (rows, columns), that lie on the border of a frame; 1-D.
+    """Return the pixels of a band of rows that lie on the border of the frame.
 
-    `top` and `bottom` say whether the band's first and last rows are the frame's.
+    Parameters
+    ----------
+    luminance : ndarray, shape (rows, columns)
+        A band of whole rows.
+    top, bottom : bool
+        Whether the band's first row is the frame's first, and its last row the frame's last.
+
+    Returns
+    -------
+    ndarray, shape (n,)
     """
     on_border = np.zeros(luminance.shape, np.bool_)
     on_border[:, [0, -1]] = True
@@ -236,7 +253,7 @@ def border_values(luminance: FloatArray, *, top: bool = True, bottom: bool = Tru
 
 
 def weber_contrast(luminance: FloatArray, background_luminance_cd_m2: float) -> FloatArray:
-    """Contrast L / L_background − 1, signed, of the shape of `luminance`.
+    """Compute the signed contrast L / L_background − 1, of the shape of `luminance`.
 
     Raises
     ------

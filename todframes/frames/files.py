@@ -1,4 +1,4 @@
-"""EXR and PNG → Frame; with `frame_writing`, the only user of OpenImageIO."""
+"""Reading and writing of EXR and PNG frame files; no other module calls OpenImageIO."""
 
 from __future__ import annotations
 
@@ -27,21 +27,23 @@ PixelType = Literal["half", "float", "uint8", "uint16"]
 
 
 MAX_SIDE_PX = 32768
+"""Largest number of rows or columns of a frame."""
 
 
 MAX_CHANNELS = 256
+"""Largest number of channels of a frame file."""
 
 
 MAX_DECODED_MB = 256
-"""All channels of a part, in their own pixel types. One MB is 2**20 bytes."""
+"""Largest decoded size of all channels of a part, in their own pixel types. One MB is 2**20 bytes."""
 
 
 BAND_VALUES = 2**19
-"""Of all channels, in a band of rows: what is decoded at a time, unless one chunk of the file holds more."""
+"""Number of values, of all channels, that are decoded at a time, unless one chunk of the file holds more."""
 
 
 MOST_ROWS_PER_CHUNK = 256
-"""Of an EXR, whatever its compression; smaller chunks divide it."""
+"""Largest number of rows in a chunk of an EXR for any compression; smaller chunk sizes divide it."""
 
 
 # OpenImageIO checks these before it allocates anything: a small file cannot claim all memory.
@@ -66,9 +68,11 @@ NUMPY_TYPES: dict[PixelType, Any] = {
 
 
 FULL_SCALE: dict[PixelType, int] = {"uint8": 255, "uint16": 65535}
+"""Stored value of code value 1, by integer pixel type."""
 
 
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+"""First bytes of every PNG file."""
 
 
 _LAYOUT_ATTRIBUTES = ("oiio:", "openexr:", "compression")
@@ -76,12 +80,12 @@ _LAYOUT_ATTRIBUTES = ("oiio:", "openexr:", "compression")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frame:
-    """A rectangle of a frame.
+    """A decoded rectangle of a frame.
 
     `stored` has shape (rows, columns, channels), with one channel (grey or luminance) or three (R, G, B), in the
-    file's pixel type; floating-point values are finite. `first_row` and `first_column` are where `stored[0, 0]`
-    lies in the frame, whose top left pixel is (0, 0). `height` and `width` are the whole frame's in pixels; for an
-    EXR the display window's.
+    file's pixel type; floating-point values are finite. `first_row` and `first_column` are the position of
+    `stored[0, 0]` in the frame, whose top left pixel is (0, 0). `height` and `width` are the size of the whole
+    frame in pixels; for an EXR, of its display window.
     """
 
     stored: NDArray[Any]
@@ -92,12 +96,12 @@ class Frame:
 
     @property
     def values(self) -> NDArray[np.float32]:
-        """Code values, of the shape of `stored`; see `code_values`."""
+        """Code values as 32-bit floats, of the shape of `stored`; see `code_values`."""
         return code_values(self.stored)
 
 
 def code_values(stored: NDArray[Any]) -> NDArray[np.float32]:
-    """Code values of pixels as stored, of any shape: integers are divided by full scale, 255 or 65535."""
+    """Convert stored pixels of any shape to code values: integers are divided by full scale, 255 or 65535."""
     values = np.array(stored, np.float32, order="C")
     if stored.dtype.kind == "u":
         values /= np.iinfo(stored.dtype).max
@@ -106,12 +110,12 @@ def code_values(stored: NDArray[Any]) -> NDArray[np.float32]:
 
 @dataclass(frozen=True, slots=True)
 class FrameHeader:
-    """What a file says of its frame.
+    """The size, pixel type, channels and text attributes of a frame file.
 
-    `height` and `width` are the whole frame's in pixels. `first_row`, `first_column`, `n_rows` and `n_columns` are
-    the rectangle of it that the file has pixels for: the part of an EXR's data window within its display window.
-    `channels` names the one or three channels that are read, `pixel_type` is the widest of theirs. `attributes`
-    are the file's texts, without those about the layout of pixels.
+    `height` and `width` are the size of the whole frame in pixels. `first_row`, `first_column`, `n_rows` and
+    `n_columns` are the rectangle of it that the file has pixels for: the part of an EXR's data window within its
+    display window. `channels` names the one or three channels that are read, `pixel_type` is the widest of their
+    types. `attributes` are the file's text attributes, without those about the layout of pixels.
     """
 
     height: int
@@ -126,9 +130,9 @@ class FrameHeader:
 
 
 class FrameSource(Protocol):
-    """An open frame, for a `with` statement: its header at once, its pixels when asked for.
+    """Protocol of an open frame, for a `with` statement: the header is read at once, pixels are read on request.
 
-    `path` names it in messages; the members are those of `FrameFile`, which is one, as `ArrayFrame` is.
+    `path` names the frame in messages. `FrameFile` and `ArrayFrame` implement this protocol.
     """
 
     path: Path
@@ -153,10 +157,15 @@ class FrameSource(Protocol):
 
 
 class FrameFile:
-    """An open frame file: its `header` at once, its pixels when asked for.
+    """An open frame file: its `header` is read at once, its pixels are read on request.
 
-    For a `with` statement, in one thread; each thread opens its own. The content tells the format, whatever the
-    extension.
+    Use it in a `with` statement and in one thread; each thread opens the file itself. The format is recognised
+    from the content, not from the extension.
+
+    Parameters
+    ----------
+    path : path
+        An EXR or PNG file.
 
     Raises
     ------
@@ -168,9 +177,9 @@ class FrameFile:
     def __init__(self, path: PathLike) -> None:
         self.path = Path(path)
         try:
-            str(self.path).encode()  # OpenImageIO takes no other names
+            str(self.path).encode()  # OpenImageIO accepts only names that UTF-8 can encode
             format_name = _recognise(self.path)
-            # With options an EXR takes three times as long to open, and it has no use for them.
+            # Options make an EXR three times as slow to open and have no effect on it.
             options = (_OPEN_OPTIONS,) if format_name == "png" else ()
             self._image: Any = oiio.ImageInput.open(str(self.path), *options)
             if self._image is None or self._image.format_name() != format_name:
@@ -195,13 +204,17 @@ class FrameFile:
         return stored_type
 
     def read(self, *, rows: Range | None = None, columns: Range | None = None) -> Frame:
-        """Decode a rectangle, and no more than the chunks of scan lines or the tiles that it touches.
+        """Decode a rectangle of the frame, and no more of the file than the chunks or tiles that it touches.
 
         Parameters
         ----------
         rows, columns : (int, int), optional
-            Half-open ranges in frame coordinates, clipped to the rectangle that the file has pixels for; what lies
-            outside of it altogether gives a Frame without pixels. Default: all.
+            Half-open ranges in frame coordinates, clipped to the rectangle that the file has pixels for; ranges
+            entirely outside of it give a Frame without pixels. Default: all.
+
+        Returns
+        -------
+        Frame
 
         Raises
         ------
@@ -217,10 +230,10 @@ class FrameFile:
         return Frame(stored, top, left, header.height, header.width)
 
     def bands(self, *, rows: Range | None = None, columns: Range | None = None) -> Iterator[Frame]:
-        """Decode a rectangle in bands of rows from top to bottom, none of which takes much memory.
+        """Yield a rectangle of the frame in bands of rows from top to bottom, each of about `BAND_VALUES` values.
 
-        Parameters and errors are those of `read`. No chunk of scan lines is decoded twice. An error is raised
-        when the band with the bad pixels is asked for.
+        Parameters and errors are those of `read`. No chunk of scan lines is decoded twice. After a band with bad
+        pixels nothing more is yielded; a FrameError about all of them follows at the end.
         """
         (top, bottom), (left, right) = self.clip(rows, columns)
         n_bad, first_bad = 0, ""
@@ -237,11 +250,11 @@ class FrameFile:
             raise FrameError(self.path, f"{n_bad} pixels are NaN or infinite, the first at {first_bad}")
 
     def clip(self, rows: Range | None, columns: Range | None) -> tuple[Range, Range]:
-        """Rows and columns of a rectangle that the file has pixels for."""
+        """Return the rows and columns of a rectangle that the file has pixels for."""
         return clip_rectangle(self.header, rows, columns)
 
     def _band_rows(self, top: int, bottom: int) -> Iterator[Range]:
-        """Rows in bands that end where chunks or tiles do."""
+        """Yield ranges of rows that end where chunks or tiles end."""
         spec = self._spec
         per_chunk = spec.tile_height or (1 if self._image.format_name() == "png" else MOST_ROWS_PER_CHUNK)
         per_chunk = spec.get_int_attribute("oiio:RowsPerChunk", per_chunk) or per_chunk
@@ -256,7 +269,7 @@ class FrameFile:
         self._part, self._channels = self._choose_channels()
         self._spec = spec = self._image.spec()
         self._left, self._top, width, height = spec.full_x, spec.full_y, spec.full_width, spec.full_height
-        if self._image.format_name() == "png":  # its offset says where on a page it is printed
+        if self._image.format_name() == "png":  # the offset of a PNG is its position on a printed page
             self._left, self._top, width, height = spec.x, spec.y, spec.width, spec.height
         sides = spec.width, spec.height, width, height
         if min(sides) < 1 or max(sides) > MAX_SIDE_PX or spec.depth > 1:
@@ -282,7 +295,7 @@ class FrameFile:
         )
 
     def _choose_channels(self) -> tuple[int, list[int]]:
-        """Part, which is then the current one, and its channels to read; the first part that has any."""
+        """Select the first part with channels to read; return its number and those channels."""
         found: list[str] = []
         while self._image.seek_subimage(len(found), 0):
             spec = self._image.spec()
@@ -296,7 +309,7 @@ class FrameFile:
         raise FrameError(self.path, f"found channels {names}; expected Y, or R, G and B, or only one")
 
     def _decode(self, top: int, bottom: int, left: int, right: int) -> NDArray[Any]:
-        """Pixels of a rectangle of the frame as stored."""
+        """Decode the pixels of a rectangle of the frame, as stored."""
         spec, first_channel = self._spec, min(self._channels)
         what = first_channel, max(self._channels) + 1, self.header.pixel_type
         y_begin, y_end = top + self._top - spec.y, bottom + self._top - spec.y
@@ -318,19 +331,36 @@ class FrameFile:
 
 
 def read_header(path: PathLike) -> FrameHeader:
-    """Header of a frame file; no pixels are decoded. Raises FrameError as FrameFile does."""
+    """Read the header of a frame file without decoding pixels. Raises FrameError as FrameFile does."""
     with FrameFile(path) as file:
         return file.header
 
 
 def read_frame(path: PathLike, *, rows: Range | None = None, columns: Range | None = None) -> Frame:
-    """Code values of a frame file, or of a rectangle of it. See FrameFile and FrameFile.read."""
+    """Read a frame file, or a rectangle of it.
+
+    Parameters
+    ----------
+    path : path
+        An EXR or PNG file.
+    rows, columns : (int, int), optional
+        Half-open ranges in frame coordinates, clipped to the pixels that the file has. Default: all.
+
+    Returns
+    -------
+    Frame
+
+    Raises
+    ------
+    FrameError
+        If the file cannot be read, or one of these pixels is damaged, NaN or infinite.
+    """
     with FrameFile(path) as file:
         return file.read(rows=rows, columns=columns)
 
 
 def frame_sha256(path: PathLike) -> str:
-    """SHA-256 of a file's bytes, 64 hexadecimal digits. Raises FrameError if it cannot be read."""
+    """Compute the SHA-256 of a file, as 64 hexadecimal digits. Raises FrameError if it cannot be read."""
     path = Path(path)
     try:
         _check_is_file(path)
@@ -341,9 +371,9 @@ def frame_sha256(path: PathLike) -> str:
 
 
 def has_own_checksums(path: PathLike) -> bool:
-    """Tell whether a frame file has a checksum over all of its bytes: a PNG has, an EXR has none over its header.
+    """Tell whether a frame file contains checksums of all of its content: a PNG does, an EXR does not.
 
-    Raises FrameError if it cannot be read.
+    Raises FrameError if the file cannot be read.
     """
     path = Path(path)
     try:
@@ -355,7 +385,7 @@ def has_own_checksums(path: PathLike) -> bool:
 
 
 def _check_is_file(path: Path) -> int:
-    """Size in bytes; a pipe would keep its reader waiting for ever."""
+    """Return the size of a file in bytes; refuse a pipe, which could block its reader for ever."""
     status = path.stat()
     if not stat.S_ISREG(status.st_mode):
         raise FrameError(path, "found a folder or device, expected an EXR or PNG file")
@@ -363,7 +393,7 @@ def _check_is_file(path: Path) -> int:
 
 
 def _recognise(path: Path) -> str:
-    """OpenImageIO's name of the format, from the content."""
+    """Return OpenImageIO's name of the format, recognised from the content."""
     size = _check_is_file(path)
     with path.open("rb") as file:
         start = file.read(len(PNG_SIGNATURE))
@@ -377,7 +407,7 @@ def _recognise(path: Path) -> str:
 
 
 def _check_png(path: Path, file: BinaryIO, size: int) -> None:
-    """Refuse damaged chunks here: libpng, which would as well, prints on standard error."""
+    """Raise FrameError if a chunk is damaged; libpng would also print on standard error."""
     kind = b""
     while kind != b"IEND":
         length, kind = int.from_bytes(file.read(4), "big"), file.read(4)
@@ -388,16 +418,16 @@ def _check_png(path: Path, file: BinaryIO, size: int) -> None:
 
 
 def _not_finite(stored: NDArray[Any]) -> NDArray[np.bool_] | None:
-    """Pixels with a NaN or an infinity, (rows, columns); None if there are none."""
+    """Return a mask of the pixels with a NaN or an infinity, (rows, columns); None if there are none."""
     if stored.dtype.kind == "u":
         return None
-    is_half = stored.dtype == np.float16  # for which numpy's isfinite takes five times as long
+    is_half = stored.dtype == np.float16  # numpy's isfinite takes five times as long for it
     bad = (stored.view(np.uint16) & 0x7C00) == 0x7C00 if is_half else ~np.isfinite(stored)
     return bad.any(axis=2) if bad.any() else None
 
 
 def clip_rectangle(header: FrameHeader, rows: Range | None, columns: Range | None) -> tuple[Range, Range]:
-    """Clip a rectangle of a frame, by default all of it, to the pixels that there are."""
+    """Clip half-open ranges of rows and columns, None for all, to the pixels that the frame has."""
     return _clip(rows, header.first_row, header.n_rows), _clip(columns, header.first_column, header.n_columns)
 
 
@@ -412,7 +442,10 @@ def _whole_tiles(begin: int, end: int, tile: int, size: int) -> Range:
 
 
 def _luminance_or_rgb(names: tuple[str, ...]) -> list[int]:
-    """Y, or else R, G and B, of the first layer that has them; channels without a layer first. Empty if none."""
+    """Return the indices of Y, or else of R, G and B, in the first layer that has them; empty if none has.
+
+    Channels without a layer come first.
+    """
     layers: dict[str, dict[str, int]] = {"": {}}
     for channel, name in enumerate(names):
         layer, _, kind = name.upper().rpartition(".")
@@ -425,12 +458,12 @@ def _luminance_or_rgb(names: tuple[str, ...]) -> list[int]:
 
 
 def openimageio_reason(source: Any) -> str:
-    """What OpenImageIO says of a failure, in one line. None stands for an input or output that was not made."""
+    """Return OpenImageIO's error message in one line; `source` is None if no input or output was created."""
     try:
         message = oiio.geterror() if source is None else source.geterror()
     except UnicodeDecodeError:
         message = ""
-    # What follows asks users to raise the limits of this module, which they cannot.
+    # The rest of the message asks users to raise the limits of this module, which they cannot.
     message = message.partition("Possible corrupt input?")[0]
     return " ".join(message.split()) or "OpenImageIO gives no reason"
 
@@ -449,28 +482,30 @@ def write_frame(
     compression: Compression = "zip",
     attributes: Mapping[str, str] | None = None,
 ) -> None:
-    """Write code values to an EXR or PNG file, whole or not at all; the same input gives the same bytes.
+    """Write code values to an EXR or PNG file.
+
+    The file is written whole or not at all; the same input gives the same bytes.
 
     Parameters
     ----------
     path : path
-        Ends in .exr or .png. An existing file is replaced.
+        A name that ends in .exr or .png. An existing file is replaced.
     values : array_like, (rows, columns) or (rows, columns, 1 or 3)
-        Code values; one channel is written as Y, three as R, G, B. For PNG within [0, 1], rounded to nearest.
+        Code values; one channel is written as Y, three as R, G, B. PNG takes values in [0, 1], rounded to nearest.
     pixel_type : {"half", "float", "uint16", "uint8"}, optional
-        The first two are for EXR, the last two for PNG. Default: half, uint16.
+        The first two are for EXR, the last two for PNG. Default: half for EXR, uint16 for PNG.
     compression : str
-        Of an EXR; a PNG has "zip" only.
+        Compression of an EXR; a PNG has "zip" only.
     attributes : mapping of str to str, optional
-        Texts that `read_header` gives back under the same names. A name should have a prefix of its own, such as
-        "todframes:seed"; the formats rename or drop some of the others.
+        Texts that `read_header` returns under the same names. A name should have a prefix, as in "todframes:seed";
+        the formats rename or drop some names without one.
 
     Raises
     ------
     SettingsError
-        If the extension, pixel type or compression is none of these, or an attribute would not be kept as it is.
+        If the extension, pixel type or compression is none of these, or the format cannot keep an attribute.
     FrameError, a ValueError
-        If values have another shape, are not finite or beyond the pixel type's range.
+        If values have another shape, are not finite or lie beyond the pixel type's range.
     OutputError, an OSError
         If the file cannot be written.
     """
@@ -494,7 +529,7 @@ def write_frame(
         _write(temporary, stored, pixel_type, compression, attributes)
         with FrameFile(temporary) as file:
             kept = file.header.attributes
-            file.read()  # a disk that fills up with the last bytes of an EXR is not reported
+            file.read()  # OpenImageIO does not report a disk that fills up with the last bytes of an EXR
         lost = [name for name, text in attributes.items() if kept.get(name) != text]
         if lost:
             like = "a name such as 'todframes:seed' and a text that is not empty and without NUL"
@@ -528,7 +563,7 @@ def _write(
 
 
 def _to_stored(path: Path, values: ArrayLike, pixel_type: PixelType) -> NDArray[Any]:
-    """Code values in the file's pixel type, (rows, columns, channels); FrameError if they do not fit it."""
+    """Convert code values to the file's pixel type, (rows, columns, channels); FrameError if they do not fit."""
     pixels, dtype = np.asarray(values), NUMPY_TYPES[pixel_type]
     pixels = pixels[..., np.newaxis] if pixels.ndim == 2 else pixels
     if pixels.ndim != 3 or pixels.shape[2] not in (1, 3) or pixels.size == 0 or pixels.dtype.kind not in "fiu":

@@ -1,4 +1,4 @@
-"""Where the triangle is, when nobody wrote it down: a position common to all frames of a group."""
+"""Search for the triangle's position if the manifest has none: one position for all frames of a group."""
 
 from __future__ import annotations
 
@@ -21,26 +21,27 @@ Group = tuple[float | str, ...]
 
 
 LEAST_PEAK = 6.0
-"""Height a peak of the correlation must have over its surroundings, in their standard deviations."""
+"""Least height of the correlation peak above its surroundings, in their standard deviations."""
 
 
 MOST_LOCATED_PX = 2**21
-"""Of a frame; of a larger one means over square blocks of pixels are looked at, `BLOCKS` of them."""
+"""Largest number of pixels of a frame that is searched pixel by pixel; a larger one is averaged over blocks."""
 
 
 BLOCKS = 2**19
+"""Number of square blocks of pixels that a large frame is divided into."""
 
 
 MOST_BLOCKS = 2**24
-"""Of a frame; more would fill the memory."""
+"""Largest number of blocks of a frame; more would fill the memory."""
 
 
 LEAST_BLOCKS = 16
-"""Along a triangle's size, unless they are single pixels: larger ones lose what its edges tell of its place."""
+"""Least number of blocks along a triangle's size, unless blocks are pixels: larger blocks blur its edges."""
 
 
 class Location(NamedTuple):
-    """Where the common point of a group's triangles was found, and the standard error along either axis."""
+    """The position found for a group's triangles, in pixels, and its standard error along either axis."""
 
     group: Group
     x_px: float
@@ -55,34 +56,35 @@ def locate_triangles(
     skip_bad_frames: bool = False,
     progress: Callable[[int], None] | None = None,
 ) -> tuple[Dataset, tuple[Location, ...]]:
-    """Find the position that the frames of each group have in common, for trials that have none.
+    """Find the triangle position common to the frames of each group, for trials without a position.
 
-    Frames are averaged by orientation. What all orientations share (bezel, overlay, shading, fixed pattern) is
-    the mean of these averages and is taken off; what is left is correlated with the differences of the
-    triangles, first on whole pixels, then with exact coverage between them.
+    Frames are averaged by orientation. The mean of these averages contains everything that the orientations share
+    (bezel, overlay, shading, fixed pattern) and is subtracted. The remainder is correlated with the differences of
+    the triangles, first on whole pixels, then between them with exact coverage.
 
     Parameters
     ----------
+    dataset : Dataset
     centre : {"centroid", "bounding_box"}
         The point that the triangles of all orientations have in common.
     skip_bad_frames : bool
-        Leave out trials that cannot be read, and groups in which no triangle stands out, and list them.
+        Skip trials that cannot be read and groups in which no triangle stands out, and list them in `bad_rows`.
     progress : callable
-        Told the number of trials done.
+        Called with the number of trials done since the last call.
 
     Returns
     -------
     Dataset
-        The same with `x_px` and `y_px` set where they were missing, and without trials that were skipped.
+        The dataset with `x_px` and `y_px` set where they were missing, and without the trials that were skipped.
     tuple of Location
-        One for each group with such trials.
+        One for each group with trials that had no position.
 
     Raises
     ------
     DataError
         If no triangle stands out, or the frames of a group differ in size.
     FrameError
-        If a frame cannot be read, unless bad ones are to be skipped.
+        If a frame cannot be read, unless bad frames are skipped.
     """
     groups: dict[Group, list[Trial]] = {}
     for trial in dataset.trials:
@@ -127,7 +129,7 @@ Means = dict[Stimulus, dict[Orientation, FloatArray]]
 
 
 class _Sums:
-    """Contrast of a group's frames, added up for each stimulus and orientation; all frames of one size."""
+    """Sums of the contrast of a group's frames by stimulus and orientation; all frames must have one size."""
 
     def __init__(self, dataset: Dataset) -> None:
         self.dataset = dataset
@@ -137,7 +139,7 @@ class _Sums:
         self.counts: Counter[tuple[Stimulus, Orientation]] = Counter()
 
     def add(self, trial: Trial) -> None:
-        """Add the frames of a trial, all or none."""
+        """Add all frames of a trial; if one cannot be read, add none."""
         contrasts = [self._contrast(frame, trial.stimulus) for frame in trial.frames]
         key = (trial.stimulus, trial.orientation)
         total = self.totals.setdefault(key, np.zeros(contrasts[0].shape))
@@ -146,7 +148,7 @@ class _Sums:
         self.counts[key] += len(contrasts)
 
     def means(self) -> Means:
-        """Mean contrast of each stimulus and orientation."""
+        """Return the mean contrast of each stimulus and orientation."""
         means: Means = {}
         for (stimulus, orientation), total in self.totals.items():
             means.setdefault(stimulus, {})[orientation] = total / self.counts[stimulus, orientation]
@@ -178,14 +180,14 @@ class _Sums:
 
 
 def _block_px(shape: tuple[int, ...], size_px: float) -> int:
-    """Side of the blocks of pixels that a frame is located by: one pixel, unless the frame is large."""
+    """Return the side of the blocks that a frame is searched in, in pixels: 1 unless the frame is large."""
     n_px = shape[0] * shape[1]
     wanted = 1 if n_px <= MOST_LOCATED_PX else math.ceil(math.sqrt(n_px / BLOCKS))
     return max(min(wanted, int(min(size_px, 1e9) / LEAST_BLOCKS)), 1)
 
 
 def _block_means(patch: Patch, block_px: int) -> FloatArray:
-    """Mean contrast of whole blocks of pixels of a whole frame."""
+    """Average the contrast of a whole frame over square blocks; incomplete blocks are dropped."""
     if block_px == 1 and patch.to_contrast is None:
         return patch.values
     n_rows, n_columns = (length // block_px for length in patch.values.shape[:2])
@@ -202,12 +204,12 @@ def _block_means(patch: Patch, block_px: int) -> FloatArray:
 
 
 def _size(shape: tuple[int, ...]) -> str:
-    """Columns × rows."""
+    """Return the text "columns × rows"."""
     return f"{shape[1]} × {shape[0]}"
 
 
 class _Matcher:
-    """Correlation of orientation differences in the frames with those of triangles at any place."""
+    """Correlation of the orientation differences in the frames with those of triangles at any position."""
 
     def __init__(self, means: Means, pixel_pitch_mrad: float, centre: Centre) -> None:
         self.centre = centre
@@ -217,7 +219,7 @@ class _Matcher:
         self.largest_px = max(stimulus.size_mrad for stimulus in means) / pixel_pitch_mrad
 
     def templates(self, stimulus: Stimulus, x: float, y: float, shape: tuple[int, int]) -> FloatArray:
-        """Triangle differences of unit energy, shape (orientation, rows, columns)."""
+        """Compute the triangle differences of unit energy, shape (orientation, rows, columns)."""
         size_px = stimulus.size_mrad / self.pitch
         triangles = {
             orientation: stimulus.polarity
@@ -229,7 +231,7 @@ class _Matcher:
         return np.asarray(stack / norm) if norm > 0.0 else stack  # within one pixel all orientations are alike
 
     def on_whole_pixels(self) -> FloatArray:
-        """Correlation with the centroid on each pixel, shape of a frame; wraps around at its edges."""
+        """Compute the correlation for a centroid on each pixel, of a frame's shape; it wraps at the edges."""
         total = np.zeros(self.shape)
         for stimulus, images in self.means.items():
             templates = self.templates(stimulus, self.shape[1] // 2, self.shape[0] // 2, self.shape)
@@ -239,11 +241,11 @@ class _Matcher:
         return total
 
     def at(self, x: float, y: float) -> float:
-        """Correlation with the centroid at (x, y), by exact coverage."""
+        """Compute the correlation for a centroid at (x, y), with exact coverage."""
         return sum(float(np.einsum("oij,oij->", images, templates)) for images, templates in self._around(x, y))
 
     def standard_error_px(self, x: float, y: float) -> float:
-        """Of x or y, from what the best triangle leaves unexplained around it, taken as white noise."""
+        """Compute the standard error of x or y in pixels; the best triangle's residual counts as white noise."""
         step = 0.25
         unexplained, steepness, n_pixels = 0.0, 0.0, 0
         for (images, best), (_, left), (_, right) in zip(
@@ -258,7 +260,7 @@ class _Matcher:
     def _around(
         self, x: float, y: float, window_x: float | None = None, window_y: float | None = None
     ) -> Iterable[tuple[FloatArray, FloatArray]]:
-        """Frames and templates in a window about a place, for each stimulus."""
+        """Yield the images and templates in a window around a position, for each stimulus."""
         reach = int(np.ceil(self.largest_px)) + 2
         middle_x = round(x if window_x is None else window_x)
         middle_y = round(y if window_y is None else window_y)
@@ -270,7 +272,7 @@ class _Matcher:
 
 
 def _less_common(images: dict[Orientation, FloatArray]) -> dict[Orientation, FloatArray]:
-    """Each image less the mean of all; a single orientation only loses its mean level."""
+    """Subtract from each image the mean of all; a single orientation only loses its mean level."""
     common = np.mean(list(images.values()), axis=0) if len(images) > 1 else next(iter(images.values())).mean()
     return {orientation: images[orientation] - common for orientation in ORIENTATIONS if orientation in images}
 
@@ -282,7 +284,7 @@ def _locate(dataset: Dataset, group: Group, sums: _Sums, centre: Centre) -> Loca
     matcher = _Matcher(sums.means(), block_px * dataset.display.pitch_mrad, centre)
     correlation = matcher.on_whole_pixels()
     rows, columns = matcher.shape
-    # The centroid is nowhere nearer to an edge than a third of the height, 0.439 sizes.
+    # The centroid is at least a third of the height, 0.439 sizes, away from each edge of the triangle.
     edge = int(np.ceil(0.4386 * matcher.largest_px - 0.5))
     if 2 * edge >= min(rows, columns):
         frames = f"frames of {columns * block_px} × {rows * block_px} pixels"
@@ -308,6 +310,6 @@ def _locate(dataset: Dataset, group: Group, sums: _Sums, centre: Centre) -> Loca
         },
     )
     x, y = (float(value) for value in found.x)
-    # From blocks, which count from the middle of the first one, to pixels.
+    # Conversion from blocks to pixels; block coordinates count from the middle of the first block.
     x_px, y_px = (block_px * place + (block_px - 1) / 2.0 for place in (x, y))
     return Location(group, x_px, y_px, block_px * matcher.standard_error_px(x, y))

@@ -1,4 +1,4 @@
-"""Frames that are in memory, as a dataset: nothing is read from a disk."""
+"""Datasets of frames in memory: nothing is read from a disk."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from todframes.frames.files import Frame, FrameHeader, FrameSource, Range, clip_
 from todframes.stimulus import ORIENTATIONS, Orientation, Stimulus
 
 PIXEL_TYPES: dict[str, Any] = {"uint8": "uint8", "uint16": "uint16", "float16": "half"}
-"""Pixel types of arrays by their NumPy type; other floating-point types are held as "float", 32 bits."""
+"""Pixel type by NumPy type; other floating-point arrays are held as "float", 32 bits."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,11 +28,11 @@ class MemoryDataset(Dataset):
     arrays: Mapping[str, NDArray[Any]]
 
     def has_frame(self, frame: FrameReference) -> bool:
-        """Whether the frame is there."""
+        """Tell whether the frame exists."""
         return frame.path in self.arrays
 
     def open(self, frame: FrameReference) -> FrameSource:
-        """Open a frame; FrameError if it cannot be used."""
+        """Open a frame; raise FrameError if it cannot be used."""
         return ArrayFrame(self.frame_path(frame), self.arrays[frame.path])
 
 
@@ -42,7 +42,7 @@ class ArrayFrame:
     Parameters
     ----------
     path : Path
-        Names the frame in messages.
+        Name of the frame in messages.
     stored : ndarray, shape (rows, columns) or (rows, columns, 1 or 3)
 
     Raises
@@ -81,12 +81,12 @@ class ArrayFrame:
         return self._stored.dtype
 
     def read(self, *, rows: Range | None = None, columns: Range | None = None) -> Frame:
-        """Return a rectangle of the frame; FrameError if a pixel of it is NaN or infinite."""
+        """Return a rectangle of the frame; raise FrameError if a pixel of it is NaN or infinite."""
         (frame,) = self.bands(rows=rows, columns=columns)
         return frame
 
     def bands(self, *, rows: Range | None = None, columns: Range | None = None) -> Iterator[Frame]:
-        """Yield a rectangle of the frame, in one band; FrameError if a pixel of it is NaN or infinite."""
+        """Yield a rectangle of the frame in one band; raise FrameError if a pixel of it is NaN or infinite."""
         (top, bottom), (left, right) = self.clip(rows, columns)
         part = self._stored[top:bottom, left:right]
         if part.dtype.kind == "f" and not np.isfinite(part).all():
@@ -113,12 +113,12 @@ def memory_dataset(
     trial: Sequence[object] | None = None,
     level_name: str = "contrast",
 ) -> MemoryDataset:
-    """Make a dataset of frames in memory; parameters are those of `todframes.score_frames`.
+    """Return a dataset of frames in memory; parameters are those of `todframes.score_frames`.
 
     Raises
     ------
     DataError
-        If there are no frames, or an argument has another number of values or a value that cannot be.
+        If there are no frames, or an argument has the wrong number of values or a value out of range.
     """
     images = [np.asarray(frame) for frame in frames]
     n = len(images)
@@ -168,7 +168,7 @@ def memory_dataset(
 
 
 def _column(name: str, values: Any, n: int) -> list[Any]:
-    """Return one value a frame, from one for all or a sequence."""
+    """Return one value a frame, from a single value for all frames or a sequence."""
     if isinstance(values, str) or not np.ndim(values):
         return [values] * n
     column = values.tolist() if isinstance(values, np.ndarray) else list(values)

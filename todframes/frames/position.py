@@ -1,4 +1,4 @@
-"""The position of a trial's triangle on its frame."""
+"""The position of a trial's triangle on its frame, and the check that the triangle lies on the frame."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from todframes.stimulus import Centre, Orientation, bounding_box_offset, vertice
 def centroid_position(
     trial: Trial, header: FrameHeader, centre: Centre, pixel_pitch_mrad: float
 ) -> tuple[float, float]:
-    """(x, y) of the triangle's centroid in pixels.
+    """Return the position (x, y) of the triangle's centroid in pixels.
 
-    The manifest's; without one, the triangle's `centre` lies at the frame's.
+    It is the position in the manifest. If there is none, the triangle's `centre` lies at the frame's centre.
     """
     if trial.x_px is not None and trial.y_px is not None:
         return trial.x_px, trial.y_px
@@ -27,15 +27,15 @@ def centroid_position(
 def to_centroid(
     trial: Trial, x_px: float, y_px: float, centre: Centre, pixel_pitch_mrad: float
 ) -> tuple[float, float]:
-    """(x, y) of the centroid of a trial's triangle whose `centre` lies at (x_px, y_px)."""
+    """Return the centroid (x, y) in pixels of a trial's triangle whose `centre` lies at (x_px, y_px)."""
     dx, dy = _from_centroid(trial, centre, pixel_pitch_mrad)
     return x_px - dx, y_px - dy
 
 
 def check_places(dataset: Dataset, trials: Sequence[Trial], centre: Centre) -> None:
-    """Check what takes little time, before anything large is computed.
+    """Check quickly that all files exist and that each stimulus lies on its frame.
 
-    Every file is looked for, and of each stimulus the first frame's header is read.
+    Only one header is read for each stimulus, that of its first frame.
 
     Raises
     ------
@@ -52,7 +52,7 @@ def check_places(dataset: Dataset, trials: Sequence[Trial], centre: Centre) -> N
 
 
 def check_place(dataset: Dataset, trial: Trial, centre: Centre) -> None:
-    """Raise FrameError if the triangle of a trial does not lie on its first frame, whose header alone is read."""
+    """Raise FrameError if a trial's triangle does not lie on its first frame; only the header is read."""
     with dataset.open(trial.frames[0]) as file:
         x, y = centroid_position(trial, file.header, centre, dataset.display.pitch_mrad)
         check_on_frame(file.path, trial, file.header, x, y, dataset.display.pitch_mrad)
@@ -69,8 +69,8 @@ def _from_centroid(trial: Trial, centre: Centre, pixel_pitch_mrad: float) -> tup
 def check_on_frame(
     path: Path, trial: Trial, header: FrameHeader, x: float, y: float, pixel_pitch_mrad: float
 ) -> None:
-    """Raise FrameError if not the whole triangle lies on pixels that the file has."""
-    size_px = min(trial.stimulus.size_mrad / pixel_pitch_mrad, 1e300)  # whose corners are numbers still
+    """Raise FrameError if any part of the triangle lies outside the pixels that the file has."""
+    size_px = min(trial.stimulus.size_mrad / pixel_pitch_mrad, 1e300)  # so that the corners stay finite
     left, top, right, bottom = _reach(size_px, trial.orientation)
     left, top, right, bottom = x + left, y + top, x + right, y + bottom
     first_x, first_y = header.first_column - 0.5, header.first_row - 0.5
@@ -91,7 +91,7 @@ def check_on_frame(
 
 @lru_cache(maxsize=64)
 def _reach(size_px: float, orientation: Orientation) -> tuple[float, float, float, float]:
-    """Find how far a triangle reaches from its centroid: left, top, right and bottom, in pixels."""
+    """Return the extent of a triangle from its centroid in pixels: left, top, right and bottom."""
     corners = vertices(size=size_px, orientation=orientation)
     (left, top), (right, bottom) = corners.min(axis=0).tolist(), corners.max(axis=0).tolist()
     return left, top, right, bottom

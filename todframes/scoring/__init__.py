@@ -1,4 +1,4 @@
-"""Datasets through an observer to thresholds, and the naked eye."""
+"""The scoring of datasets by an observer to obtain thresholds, and thresholds of the naked eye."""
 
 import lazy_loader
 

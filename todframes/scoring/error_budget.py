@@ -1,8 +1,8 @@
-"""What a computation does and what it leaves out: decided once, before it starts, and obeyed everywhere.
+"""The steps of a plan: which stages a computation keeps or leaves out, and bounds on the resulting error.
 
-A plan is a list of steps. Each thing that is left out carries a bound on its effect on P(correct), found by
-weighing it on a few trials; what is left out by an identity carries none. A thing whose bound does not fit into
-the share of the tolerance that it has is kept.
+A plan is made once, before a computation starts, and is a list of steps. Each stage that is left out has a bound
+on its effect on P(correct), estimated on a few trials; a stage that is left out without any effect has the bound
+0. A stage whose bound exceeds its share of the tolerance is kept.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ PlanName = Literal["needed", "full"]
 
 
 LEFT_OUT_SHARE = 0.5
-"""Of the tolerance; the rest is for the number of trials."""
+"""Share of the tolerance for the stages that are left out; the rest is for the number of trials."""
 
 
 SAFETY = 2.0
-"""What is left out is weighed on a few trials; others may differ from them, but not by as much as this."""
+"""Safety factor of a bound: it is estimated on a few trials, and others may differ from them by less than this."""
 
 
 class Step(NamedTuple):
@@ -32,14 +32,15 @@ class Step(NamedTuple):
     Attributes
     ----------
     stage : str
-        What could be left out.
+        Stage of the computation that could be left out.
     kept : bool
+        Whether the stage is kept.
     why : str
-        What is done, and the reason.
+        Decision and its reason.
     bound : float
-        On the change of P(correct); 0 if nothing changes.
+        Bound on the change of P(correct); 0 if nothing changes.
     saves_s, saves_once_s : float
-        Estimated time saved at each place that is computed, and once for all of them, in seconds.
+        Estimated time saved at each place that is computed, and once for all places, in seconds.
     """
 
     stage: str
@@ -51,7 +52,7 @@ class Step(NamedTuple):
 
 
 def plan_object(steps: Sequence[Step], places: float) -> list[dict[str, Any]]:
-    """A plan as it stands in `result.json`, with the time that it saves in all places together."""
+    """Return a plan as written to `result.json`, with the time in seconds that it saves over all `places`."""
     return [
         {
             "stage": step.stage,
@@ -65,12 +66,12 @@ def plan_object(steps: Sequence[Step], places: float) -> list[dict[str, Any]]:
 
 
 def total_bound(steps: Sequence[Step]) -> float:
-    """Bound on the change of P(correct) by everything that is left out together."""
+    """Return the bound on the change of P(correct) by all stages that are left out together."""
     return math.fsum(step.bound for step in steps if not step.kept)
 
 
 def decision_change(score_change: FloatArray, covariance: FloatArray, covariance_change: FloatArray) -> FloatArray:
-    """Bound on the change of P(each answer) when scores and their covariance change.
+    """Compute a bound on the change of P(each answer) for a change of scores and of their covariance.
 
     The answer is k while the differences D_j of score k from the others are positive. Moving their means by δ_j
     changes that with probability Σ |δ_j| / (σ_j √(2π)) at most, as no density of D_j exceeds 1/(σ_j √(2π)).
@@ -80,13 +81,14 @@ def decision_change(score_change: FloatArray, covariance: FloatArray, covariance
     Parameters
     ----------
     score_change : ndarray, shape (..., 4)
+        Change of the mean scores.
     covariance, covariance_change : ndarray, shape (..., 4, 4)
-        Broadcast against it.
+        Covariance of the scores and its change, broadcast against `score_change`.
 
     Returns
     -------
     ndarray, shape (..., 4)
-        At most 1; 1 where differences have no noise.
+        Bound, at most 1; 1 if the score differences have no noise.
     """
     to_differences = np.array([np.delete(np.eye(4)[k] - np.eye(4), k, axis=0) for k in range(4)])
     mean = np.einsum("kij,...j->...ki", to_differences, score_change)
@@ -97,7 +99,7 @@ def decision_change(score_change: FloatArray, covariance: FloatArray, covariance
     variance = np.diagonal(before, axis1=-2, axis2=-1)
     scale = np.sqrt(np.where(variance > 0.0, variance, 1.0))
     by_means = (np.abs(mean) / scale).sum(axis=-1) / math.sqrt(2.0 * math.pi)
-    # In units of the standard deviations first, for the inversion's sake.
+    # Division by the standard deviations keeps the inversion well conditioned.
     units = scale[..., :, None] * scale[..., None, :]
     eigenvalues, vectors = np.linalg.eigh(before / units)
     root = vectors / np.sqrt(np.maximum(eigenvalues, 1e-12))[..., None, :]

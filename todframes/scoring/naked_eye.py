@@ -1,6 +1,6 @@
-"""Thresholds of the naked eye: the triangle itself on the retina, with no display and no frames between.
+"""Thresholds of the naked eye: the triangle itself lies on the retina, without a display or frames.
 
-Hogervorst et al. 2001, section 7.
+The method is that of Hogervorst et al. 2001, section 7.
 """
 
 from __future__ import annotations
@@ -18,30 +18,30 @@ from todframes.psychometrics.threshold_search import find_crossing
 from todframes.stimulus import HEIGHT_PER_SIZE, ORIENTATIONS, Stimulus, coverage
 
 NODES = (6, 8, 12, 16, 24, 32, 48)
-"""Gauss–Legendre displacements along each axis: more and more, until the threshold moves no further."""
+"""Numbers of Gauss–Legendre displacements along each axis, tried in turn until the threshold is stable."""
 
 
 FEW_NODES, FEW_NODES_FROM_SAMPLES = (3, 4), 200.0
-"""Tried first for triangles of this size, which half a sample's displacement hardly changes."""
+"""Numbers tried first for triangles from this size in retina samples, which displacements hardly change."""
 
 
 TOLERANCE = 2e-4
-"""Relative change of a threshold that ends this."""
+"""Largest relative change of a stable threshold between two numbers of displacements."""
 
 
 CONTRAST_RANGE = (1e-12, 1e12)
-"""Contrasts that are searched, and that an acuity may be asked for."""
+"""Smallest and largest contrast in the search for a threshold; the largest also limits `contrast` arguments."""
 
 
 SIZE_RANGE_SAMPLES = (1e-2, 1e3)
-"""Sizes that are searched; larger ones are refused."""
+"""Smallest and largest size in the search for an acuity, in retina samples; larger sizes are refused."""
 
 
 class Threshold(NamedTuple):
-    """A threshold, or why there is none.
+    """A threshold, or the reason why there is none.
 
-    `threshold` is in the unit of what was varied; `numerical_error` is how much it moved when the number of
-    displacements that it is averaged over last grew.
+    `threshold` is in the unit of the varied quantity. `numerical_error` is its change at the last increase of the
+    number of displacements that it is averaged over, in the same unit.
     """
 
     status: Literal["ok", "never_reached", "always_exceeded"]
@@ -50,16 +50,18 @@ class Threshold(NamedTuple):
 
 
 def proportion_correct(observer: Observer, *, size_mrad: float, contrast: float, nodes: int = 16) -> float:
-    """P(correct) for a triangle seen directly, averaged over orientation and displacement.
+    """Compute P(correct) for a triangle seen directly, averaged over orientation and displacement.
 
     Parameters
     ----------
     observer : Observer
-        A linear one.
-    size_mrad, contrast : float
-        √(area), > 0, and Weber contrast, > 0.
+        A linear observer.
+    size_mrad : float
+        √(area) of the triangle in mrad, > 0.
+    contrast : float
+        Weber contrast, > 0.
     nodes : int
-        Gauss–Legendre displacements along each axis.
+        Number of Gauss–Legendre displacements along each axis.
 
     Raises
     ------
@@ -71,7 +73,21 @@ def proportion_correct(observer: Observer, *, size_mrad: float, contrast: float,
 
 
 def contrast_threshold(observer: Observer, *, size_mrad: float, p_correct: float = 0.75) -> Threshold:
-    """The Weber contrast at which a triangle of a size is answered right with probability `p_correct`.
+    """Find the Weber contrast at which a triangle of a given size is answered correctly with `p_correct`.
+
+    Parameters
+    ----------
+    observer : Observer
+        A linear observer.
+    size_mrad : float
+        √(area) of the triangle in mrad, > 0.
+    p_correct : float
+        Probability of a correct answer at the threshold.
+
+    Returns
+    -------
+    Threshold
+        A Weber contrast.
 
     Raises
     ------
@@ -88,7 +104,21 @@ def contrast_threshold(observer: Observer, *, size_mrad: float, p_correct: float
 
 
 def acuity(observer: Observer, *, contrast: float = 1.0, p_correct: float = 0.75) -> Threshold:
-    """The size in mrad at which a triangle of a contrast is answered right with probability `p_correct`.
+    """Find the size at which a triangle of a given contrast is answered correctly with `p_correct`.
+
+    Parameters
+    ----------
+    observer : Observer
+        A linear observer.
+    contrast : float
+        Weber contrast, > 0.
+    p_correct : float
+        Probability of a correct answer at the threshold.
+
+    Returns
+    -------
+    Threshold
+        √(area) of the triangle in mrad.
 
     Raises
     ------
@@ -106,12 +136,12 @@ def acuity(observer: Observer, *, contrast: float = 1.0, p_correct: float = 0.75
             4.0 * pitch,
         )
 
-    # Each step of this search is a readout and its displacements anew.
+    # Each step of this search computes a new readout and its displacements.
     return _refined(threshold, NODES[:-2])
 
 
 def _refined(threshold: Callable[[int], Threshold], nodes_to_try: Sequence[int] = NODES) -> Threshold:
-    """A threshold with as many displacements as it needs."""
+    """Compute a threshold with more and more displacements until it is stable."""
     result = threshold(nodes_to_try[0])
     for nodes in nodes_to_try[1:]:
         before, result = result, threshold(nodes)
@@ -126,7 +156,7 @@ def _refined(threshold: Callable[[int], Threshold], nodes_to_try: Sequence[int] 
 
 
 def _responses(observer: Observer, size_mrad: float, nodes: int) -> tuple[Readout, FloatArray, FloatArray]:
-    """Readout, score deviations at contrast 1, shape (orientation, node, 4), and the nodes' weights."""
+    """Return the readout, score deviations at contrast 1, shape (orientation, node, 4), and the nodes' weights."""
     _size_samples(observer, size_mrad)
     readout = observer.readout(Stimulus(size_mrad))
     if readout is None:
@@ -134,7 +164,7 @@ def _responses(observer: Observer, size_mrad: float, nodes: int) -> tuple[Readou
     side, pitch = readout.grid.side, readout.grid.pitch_mrad
     jitter = observer.position_jitter_samples
     places, weights = np.polynomial.legendre.leggauss(nodes if jitter > 0 else 1)
-    # The triangle covers a fraction of the grid; its apex is farthest from its middle.
+    # The triangle covers a part of the grid; its apex is farthest from its centre.
     reach = 2.0 / 3.0 * HEIGHT_PER_SIZE * size_mrad / pitch + jitter
     half_width = math.ceil(min(reach + 1.0, side // 2))
     seen = readout.cropped(half_width)
@@ -161,7 +191,7 @@ def _responses(observer: Observer, size_mrad: float, nodes: int) -> tuple[Readou
 
 
 def _size_samples(observer: Observer, size_mrad: float) -> float:
-    """Size in retina samples; SettingsError if it is no such thing, or takes minutes and gigabytes."""
+    """Convert a size to retina samples; SettingsError if it is not > 0, or so large that it takes minutes."""
     if not (math.isfinite(size_mrad) and size_mrad > 0):
         raise SettingsError(f"size_mrad: found {size_mrad!r}, expected a finite number > 0")
     pitch = observer.grid(Stimulus(1.0)).pitch_mrad
@@ -175,7 +205,7 @@ def _size_samples(observer: Observer, size_mrad: float) -> float:
 
 
 def _proportion_correct(contrast: float, readout: Readout, deviations: FloatArray, weights: FloatArray) -> float:
-    if not 0 < contrast <= CONTRAST_RANGE[1] * 1.000001:  # where the search for one ends, rounding included
+    if not 0 < contrast <= CONTRAST_RANGE[1] * 1.000001:  # the limit of the search, with room for rounding
         raise SettingsError(f"contrast: found {contrast!r}, expected a finite number > 0, at most 1e12")
     answers = readout.answer_probabilities(contrast * deviations)
     correct = np.stack([answers[k, :, k] for k in range(4)])

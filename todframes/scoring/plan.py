@@ -1,7 +1,8 @@
-"""The plan of a scoring: what of the frames and of the retina each stimulus needs, decided before it is scored.
+"""The plan of a scoring: the part of the frames and of the retina that each stimulus needs.
 
-A few of its trials are read wide and seen on a coarse retina. What its outer part and the further bands of the
-pyramid add there tells what they would add elsewhere, noise and uneven background of the real frames included.
+The plan is made before a stimulus is scored. A few of its trials are read with a wide field and seen on a coarse
+retina. The contribution of the outer field and of the further pyramid bands to their scores gives the bound for
+all trials; it includes the noise and the uneven background of the real frames.
 """
 
 from __future__ import annotations
@@ -27,31 +28,32 @@ from todframes.scoring.retina_view import Reader, Shown, read_as_it_is, retina_i
 from todframes.stimulus import Stimulus, bounding_box_offset
 
 HALF_FIELDS_IN_SIZES = (1.5, 2.0, 2.5)
+"""Half-widths of the fields that are tried, in triangle sizes."""
 
 
 SLOPE = 0.5
-"""dP / d ln level of a psychometric function at its threshold, about."""
+"""Approximate slope dP / d ln level of a psychometric function at its threshold."""
 
 
 MOST_TRIED, ONE_TRIED_OF = 4, 40
-"""Trials of each stimulus that are read wide, besides those nearest to the edges."""
+"""Largest number and share of a stimulus' trials read with a wide field, besides those nearest to the edges."""
 
 
 MOST_BAD = 100
-"""Frames that cannot be used, after which a stimulus is planned without any: nothing is left out."""
+"""Number of unusable frames after which the plan of a stimulus leaves nothing out."""
 
 
 OUTWARDS = np.array([[1.0, 1.0, 1.0, 0.0, 0.0, -1.0, -1.0, -1.0], [1.0, 0.0, -1.0, 1.0, -1.0, 1.0, 0.0, -1.0]])
-"""Directions from the middle of a frame."""
+"""Eight directions from the middle of a frame, as x and y, shape (2, 8)."""
 
 
 @dataclass(frozen=True, slots=True)
 class StimulusPlan:
-    """How trials of one stimulus are scored.
+    """The plan for the trials of one stimulus.
 
-    `half_width` is how many retina samples are looked at on each side of the middle one, None: all of the grid;
-    `full_observer` whether further pyramid bands are needed; `bounds` what leaving them out changes in P(correct)
-    at most, by stage.
+    `half_width` is the number of retina samples used on each side of the middle one; None: the whole grid.
+    `full_observer` tells whether further pyramid bands are needed. `bounds` has the bound on the change of
+    P(correct) by each stage that is left out.
     """
 
     half_width: int | None = None
@@ -61,7 +63,7 @@ class StimulusPlan:
 
 @dataclass(frozen=True, slots=True)
 class ScorePlan:
-    """How a dataset is scored: the plan of each stimulus, whether whole frames are decoded, and the steps."""
+    """The plan for a dataset: the plan of each stimulus, whether whole frames are decoded, and the steps."""
 
     observer: Observer
     stimuli: Mapping[Stimulus, StimulusPlan]
@@ -69,13 +71,13 @@ class ScorePlan:
     steps: tuple[Step, ...]
 
     def observer_of(self, stimulus: Stimulus) -> Observer:
-        """The observer that looks at a stimulus."""
+        """Return the observer for a stimulus: the given one, or its variant with an extra pyramid level."""
         if self.stimuli[stimulus].full_observer:
             return cast("TruncatedObserver", self.observer).with_extra_level()
         return self.observer
 
     def readout(self, stimulus: Stimulus) -> Readout | None:
-        """Return what it looks at and how, no wider than needed; None if the observer is not linear.
+        """Return the readout for a stimulus, no wider than needed; None if the observer is not linear.
 
         Raises
         ------
@@ -83,13 +85,13 @@ class ScorePlan:
             If the observer has no grid for this size.
         """
         observer = self.observer_of(stimulus)
-        observer.grid(stimulus)  # refuses what is too large before its readout is made
+        observer.grid(stimulus)  # refuses a stimulus that is too large before its readout is made
         readout = observer.readout(stimulus)
         half_width = self.stimuli[stimulus].half_width
         return readout if readout is None or half_width is None else readout.cropped(half_width)
 
     def bound(self, stimuli: set[Stimulus]) -> float:
-        """On the change of P(correct) by what is left out with these stimuli."""
+        """Return the bound on the change of P(correct) by all that is left out with these stimuli."""
         return max(math.fsum(self.stimuli[stimulus].bounds.values()) for stimulus in stimuli)
 
 
@@ -103,10 +105,25 @@ def plan_score(
     expected: bool = True,
     read: Reader = read_as_it_is,
 ) -> ScorePlan:
-    """What is needed for thresholds within a relative tolerance; with the name "full", everything.
+    """Plan the part of the frames and of the retina needed for thresholds within a relative tolerance.
 
-    Answers that are drawn come from the literal observer, which has the whole of its grid. Where `read` gives
-    trials in several ways, the plan is for all of them.
+    Parameters
+    ----------
+    dataset : Dataset
+    trials : sequence of Trial
+    observer : Observer
+    name : {"needed", "full"}
+        With "full" nothing is left out.
+    tolerance : float
+        Relative error allowed for the thresholds.
+    expected : bool
+        False if answers are drawn: they need the observer with its whole grid, so nothing is left out.
+    read : Reader
+        Function that reads a trial; if it returns several versions of a trial, the plan covers all of them.
+
+    Returns
+    -------
+    ScorePlan
     """
     of_stimulus: dict[Stimulus, list[Trial]] = {}
     for trial in trials:
@@ -126,7 +143,7 @@ def plan_score(
 
 @dataclass(frozen=True, slots=True)
 class _Weighed:
-    """The plan of one stimulus, what it saves, and the shares of the frame's rows and of the retina it needs."""
+    """The plan of one stimulus, the time it saves, and its shares of the frame's rows and of the retina."""
 
     plan: StimulusPlan
     saves_s: float = 0.0
@@ -135,23 +152,23 @@ class _Weighed:
 
 
 def _weigh(dataset: Dataset, trials: Sequence[Trial], observer: Observer, budget: float, read: Reader) -> _Weighed:
-    """Plan one stimulus, whose trials are in the order of their level; some are looked at."""
+    """Plan one stimulus from a few of its trials, which must be in the order of their level."""
     stimulus = trials[0].stimulus
     tried = _tried(trials, observer, dataset.display.pitch_mrad)
     first = islice(dict.fromkeys((*tried, *trials)), MOST_BAD)
     if not any(_has_place(dataset, trial, observer) for trial in first):
-        return _Weighed(StimulusPlan())  # met again, and told, when it is scored; its readout may be huge
+        return _Weighed(StimulusPlan())  # scoring reports the error; the readout may be huge
     try:
         missing = observer.omitted_bands(stimulus) if isinstance(observer, TruncatedObserver) else None
         widest = missing.grid if missing is not None else observer.grid(stimulus)
         displaced_mrad = _displaced_mrad(observer, stimulus)
         readout = observer.readout(stimulus)
     except SettingsError:
-        return _Weighed(StimulusPlan())  # met again, and told, when it is scored
+        return _Weighed(StimulusPlan())  # scoring reports the error
     started = time.perf_counter()
     shown: list[Shown] = []
     n_read = 0
-    # Frames that cannot be read are met again, too; others take their places.
+    # Scoring reports frames that cannot be read; here others replace them.
     for trial in islice(dict.fromkeys((*tried, *trials)), len(tried) + MOST_BAD):
         with suppress(FrameError):
             shown += read(dataset, trial, observer, widest, displaced_mrad / widest.pitch_mrad)
@@ -159,7 +176,7 @@ def _weigh(dataset: Dataset, trials: Sequence[Trial], observer: Observer, budget
         if n_read == len(tried):
             break
     reading_s = (time.perf_counter() - started) / len(tried)
-    # Without noise the least difference may decide.
+    # Without internal noise the smallest difference may decide.
     if not shown or readout is None or not readout.noise_covariance.any():
         return _Weighed(StimulusPlan())
     images = _images(shown, widest, displaced_mrad)
@@ -187,7 +204,7 @@ def _weigh(dataset: Dataset, trials: Sequence[Trial], observer: Observer, budget
 
 
 def _has_place(dataset: Dataset, trial: Trial, observer: Observer) -> bool:
-    """Whether a trial's triangle lies on its first frame."""
+    """Tell whether a trial's triangle lies on its first frame."""
     try:
         check_place(dataset, trial, observer.centre)
     except FrameError:
@@ -196,11 +213,11 @@ def _has_place(dataset: Dataset, trial: Trial, observer: Observer) -> bool:
 
 
 def _tried(trials: Sequence[Trial], observer: Observer, pitch_mrad: float) -> list[Trial]:
-    """Some in the middle of the levels, and where the retina's places differ those nearest to a frame's edges."""
+    """Choose trials at middle levels and, if positions differ, those nearest to the edges of the frame."""
     n_tried = min(max(len(trials) // ONE_TRIED_OF, 1), MOST_TRIED)
     first = (len(trials) - n_tried) // 2
     chosen = list(trials[first : first + n_tried])
-    # Either all places are known, or those that are not are the frame's middle.
+    # Either all positions are known, or an unknown position is the middle of the frame.
     placed = [trial for trial in trials if trial.x_px is not None] or trials
     place = np.array([(trial.x_px or 0.0, trial.y_px or 0.0) for trial in placed])
     if observer.centre == "bounding_box":
@@ -212,17 +229,17 @@ def _tried(trials: Sequence[Trial], observer: Observer, pitch_mrad: float) -> li
 
 
 def _displaced_mrad(observer: Observer, stimulus: Stimulus) -> FloatArray:
-    """The retina's displacements that are looked at, (n, 2): none, and where what happens to the edges is largest.
+    """Return the displacements of the retina to try, in mrad, (n, 2): none, and two corners of their range.
 
-    What is left out changes about linearly with a displacement, so corners of its range are enough, and of
-    opposite ones one.
+    The contribution of what is left out is about linear in the displacement, so the corners of the range are
+    enough, and one of each opposite pair.
     """
     most = observer.position_jitter_samples * observer.grid(stimulus).pitch_mrad
     return most * np.array([[0.0, 0.0], [1.0, 1.0], [1.0, -1.0]])[: 3 if most else 1]
 
 
 def _images(shown: Sequence[Shown], grid: RetinaGrid, displaced_mrad: FloatArray) -> FloatArray:
-    """Each trial on the retina at each displacement: (n, side, side)."""
+    """Compute the retina image of each trial at each displacement: (n, side, side)."""
     displacements = (displaced_mrad / grid.pitch_mrad).tolist()
     return np.array([retina_image(one, grid, (dx, dy)) for one in shown for dx, dy in displacements])
 
@@ -242,10 +259,10 @@ def _half_width(
     images: FloatArray,
     budget: float,
 ) -> tuple[int | None, float]:
-    """The narrowest of some fields whose bound fits, and the bound.
+    """Return the half-width of the narrowest field whose bound fits the budget, and the bound.
 
-    What a field leaves out is weighed with the readout's weights on a grid of this pitch, which may be coarse:
-    they vary slowly out there.
+    The half-width is in retina samples; None: the whole grid. The contribution of the outer field is computed with
+    the readout's weights on a grid of the given pitch, which may be coarse: these weights vary slowly there.
     """
     middle = weights.shape[-1] // 2
     for sizes in HALF_FIELDS_IN_SIZES:
@@ -263,12 +280,12 @@ def _half_width(
 
 
 def _score(weights: FloatArray, images: FloatArray) -> FloatArray:
-    """Four scores of each image: (n, 4)."""
+    """Compute the four scores of each image: (n, 4)."""
     return np.asarray(np.einsum("kyx,nyx->nk", weights, images, optimize=True))
 
 
 def _steps(weighed: Sequence[_Weighed]) -> tuple[Step, ...]:
-    """The plans of all stimuli in a few lines: the largest bounds, the sums of what is saved."""
+    """Summarise the plans of all stimuli: the largest bounds and the sums of the time saved."""
     n = len(weighed)
     n_narrow = sum(one.plan.half_width is not None for one in weighed)
     levels = max((one.plan.bounds.get("pyramid levels", 0.0) for one in weighed), default=0.0)

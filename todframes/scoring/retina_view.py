@@ -1,4 +1,4 @@
-"""A trial as the observer sees it: frames placed under the retina grid and resampled."""
+"""The observer's view of a trial: frames are placed under the retina grid and resampled."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from todframes.observers.retina import RetinaGrid, resample, resampled_rows
 
 
 class Placement(NamedTuple):
-    """Where a grid has its middle on a frame if it is not displaced, and the rows and columns that it touches."""
+    """The middle of an undisplaced grid on a frame, in pixels, and the rows and columns that the grid touches."""
 
     x_px: float
     y_px: float
@@ -41,7 +41,7 @@ def place_grid(
     grid: RetinaGrid,
     displacement_samples: Sequence[tuple[float, float]] | FloatArray,
 ) -> Placement:
-    """Find where a grid of the observer lies on an open frame, displaced by any of `displacement_samples`.
+    """Find the position of a retina grid on an open frame, and the pixels it touches at all of its displacements.
 
     Raises
     ------
@@ -68,7 +68,7 @@ def _touched(grid: RetinaGrid, middles: FloatArray, pitch: float, n_pixels: int)
 
 
 class View(NamedTuple):
-    """What an observer sees in a trial.
+    """The contrast on the retina that an observer sees in a trial.
 
     `contrast` has shape (side, side) of the observer's grid; `n_negative` counts display pixels with a luminance
     below zero among those that were read.
@@ -79,9 +79,9 @@ class View(NamedTuple):
 
 
 class Shown(NamedTuple):
-    """A trial's frames as read, each with where the observer's grid has its middle if it is not displaced.
+    """A trial's frames as read, each with the position of the middle of the undisplaced retina grid.
 
-    `frame_rows` is how many rows the first frame has.
+    `x_px` and `y_px` are these positions in pixels; `frame_rows` is the number of rows of the first frame.
     """
 
     patches: tuple[Patch, ...]
@@ -92,12 +92,12 @@ class Shown(NamedTuple):
 
     @property
     def n_negative(self) -> int:
-        """Display pixels with a luminance below zero among those that were read."""
+        """Number of display pixels with a luminance below zero among those that were read."""
         return sum(patch.n_negative for patch in self.patches)
 
 
 class Reader(Protocol):
-    """Reads a trial as it is shown in one way or in several; arguments and errors are those of `read_trial`."""
+    """Protocol of functions that read a trial in one or several ways; arguments are those of `read_trial`."""
 
     def __call__(
         self,
@@ -109,7 +109,7 @@ class Reader(Protocol):
         *,
         whole: bool = False,
     ) -> Sequence[Shown]:
-        """Return what is shown in each way."""
+        """Return the trial as shown in each way."""
 
 
 def read_trial(
@@ -121,12 +121,22 @@ def read_trial(
     *,
     whole: bool = False,
 ) -> Shown:
-    """Read as much of a trial's frames as a grid touches at each of its displacements, or whole frames.
+    """Read the part of a trial's frames that a retina grid touches at all of its displacements, or whole frames.
 
     Parameters
     ----------
+    dataset : Dataset
+    trial : Trial
+    observer : Observer
+    grid : RetinaGrid
     displacement_samples : sequence of (float, float), or ndarray, shape (n, 2)
-        By how much the retina grid is displaced along x and y, in retina samples.
+        Displacements of the retina grid along x and y, in retina samples.
+    whole : bool
+        Read whole frames.
+
+    Returns
+    -------
+    Shown
 
     Raises
     ------
@@ -155,14 +165,14 @@ def read_as_it_is(
     *,
     whole: bool = False,
 ) -> tuple[Shown]:
-    """`read_trial` as a `Reader`."""
+    """Read a trial without enhancement: `read_trial` as a `Reader`."""
     return (read_trial(dataset, trial, observer, grid, displacement_samples, whole=whole),)
 
 
 def retina_image(
     shown: Shown, grid: RetinaGrid, displacement_samples: tuple[float, float] = (0.0, 0.0)
 ) -> FloatArray:
-    """Mean contrast of a trial's frames on a retina grid, displaced along x and y: (side, side)."""
+    """Compute the mean contrast of a trial's frames on a retina grid, displaced along x and y: (side, side)."""
     pitch_mrad = shown.pixel_pitch_mrad
     dx, dy = (d * grid.pitch_mrad / pitch_mrad for d in displacement_samples)
     images = [
@@ -206,7 +216,11 @@ def view_trial(
     Parameters
     ----------
     displacement_samples : (float, float)
-        By how much the retina grid is displaced along x and y, in retina samples.
+        Displacement of the retina grid along x and y, in retina samples.
+
+    Returns
+    -------
+    View
 
     Raises
     ------

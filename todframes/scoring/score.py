@@ -1,4 +1,4 @@
-"""Dataset × observer → scored trials → one psychometric fit a group: a TOD curve."""
+"""The scoring of a dataset by an observer: every trial is scored, and a psychometric function fitted a group."""
 
 from __future__ import annotations
 
@@ -32,26 +32,26 @@ from todframes.scoring.trials import (
 from todframes.stimulus import Stimulus
 
 MOST_DISPLACEMENTS = 64
-"""Of each trial in each replicate."""
+"""Largest number of displacements of each trial in each replicate."""
 
 
 DEFAULT_TOLERANCE = 2e-3
-"""Of what a plan may leave out where no tolerance is asked for."""
+"""Relative tolerance of thresholds for the plan if no tolerance is given."""
 
 
 STANDARD_ERRORS_95 = 2.8412
-"""The 98.75 % point of Student's t with one degree of freedom less than there are replicates: half of what an
-interval may miss is kept for errors that were small enough by chance."""
+"""Half-width of a threshold's interval in standard errors: the 98.75 % point of Student's t with `REPLICATES` − 1
+degrees of freedom. Half of the allowed miss rate of 5 % covers errors that were below the tolerance by chance."""
 
 
 @dataclass(frozen=True, slots=True)
 class GroupFit:
     """The psychometric fit of the trials that share the values of the `group_by` columns.
 
-    `non_gaussian_bound` bounds the error in P(correct) from taking the summed internal noise as Gaussian; 0 where
-    answers were drawn with noise on every neuron. `left_out_bound` is on its change by what the plan leaves out.
-    `numerical_error` is the half-width of the threshold's 95 % interval over displacements, None where each trial
-    has one. `run_time_s` is the time that its trials and its fit took.
+    `non_gaussian_bound` bounds the error in P(correct) from taking the summed internal noise as Gaussian; 0 if
+    answers were drawn with noise on every neuron. `left_out_bound` bounds the change of P(correct) by all that the
+    plan leaves out. `numerical_error` is the half-width of the threshold's 95 % interval over displacements; None
+    if each trial has one displacement. `run_time_s` is the time for the trials and the fit, in seconds.
     """
 
     group: tuple[float | str, ...]
@@ -65,27 +65,27 @@ class GroupFit:
 
 @dataclass(frozen=True, slots=True)
 class ScoredDataset:
-    """Scores of every trial that could be read, and the fits.
+    """The scores of every trial that could be read, and the fits.
 
     Attributes
     ----------
     trials : tuple of Trial
-        In the order of the manifest, as are the rows of the arrays.
+        Trials in the order of the manifest; the rows of the arrays have the same order.
     displacement_samples : ndarray, shape (n, 2)
-        Of the retina grid along x and y, in retina samples; NaN where there were several.
+        Displacement of the retina grid along x and y, in retina samples; NaN if a trial had several.
     scores, probabilities : ndarray, shape (n, 4)
         Noise-free inner products with the templates and the probability of each answer, in the order of
-        `ORIENTATIONS`, in the mean over displacements; NaN where the observer is not linear.
+        `ORIENTATIONS`, averaged over displacements; NaN if the observer is not linear.
     answers : ndarray of int, shape (n,)
-        Answer drawn, or the most probable one; an index into `ORIENTATIONS`.
+        Answer drawn, or the most probable answer; an index into `ORIENTATIONS`.
     p_correct : ndarray, shape (n,)
-        Probability of the correct answer; 1 or 0 where an answer was drawn.
+        Probability of the correct answer; 1 or 0 if answers were drawn.
     fits : tuple of GroupFit
     skipped : tuple of Skipped
     n_negative : int
-        Display pixels with a luminance below zero, among those read.
+        Number of display pixels with a luminance below zero, among those read.
     plan : tuple of Step
-        What was left out.
+        Stages that were kept or left out.
     """
 
     trials: tuple[Trial, ...]
@@ -115,32 +115,43 @@ def score_dataset(
 ) -> ScoredDataset:
     """Show every trial to the observer and fit a psychometric function to each group.
 
-    The result depends on the seed alone: each trial has its own random stream, whatever the order or the number
-    of workers.
+    The random numbers depend on the seed alone: each trial has its own random stream, whatever the order of the
+    trials or the number of workers.
 
     Parameters
     ----------
+    dataset : Dataset
+    observer : Observer
     decisions : {"expected", "sampled"}
-        Probability of a correct answer under the internal noise, or one answer drawn a trial with noise on every
-        neuron, as the paper does.
+        "expected": the probability of a correct answer under the internal noise. "sampled": one answer drawn for
+        each trial with noise on every neuron, as in the paper.
+    seed : int
+        Seed of all random streams.
+    fit_settings : FitSettings, optional
+        Settings of the psychometric fits.
     tolerance : float, optional
-        Relative error of the thresholds that the displacement of the retina may cause: each trial is seen with as
-        many displacements as that takes. By default with one.
+        Largest relative error of the thresholds due to the displacement of the retina: each trial is seen with as
+        many displacements as this needs. Without it each trial is seen with one displacement.
     plan_name : {"needed", "full"}
-        Leave out what changes thresholds by far less than the tolerance, or nothing.
+        "needed": leave out stages that change thresholds far less than the tolerance. "full": leave out nothing.
     skip_bad_frames : bool
-        Go on without trials that cannot be read and list them, instead of raising the first error.
+        Skip trials that cannot be read and list them, instead of raising the first error.
     workers : int
-        Threads that read and score.
+        Number of threads that read and score.
     progress : callable
-        Told the number of trials done, whenever some are.
+        Called with the number of trials done since the last call.
+
+    Returns
+    -------
+    ScoredDataset
 
     Raises
     ------
     FrameError, DataError
-        The first thing wrong with a row or frame, unless bad ones are skipped.
+        If a row or frame is bad, unless bad frames are skipped.
     SettingsError
-        If decisions are "expected" and the observer is not linear, or there is a tolerance and they are not.
+        If decisions are "expected" and the observer is not linear, or a tolerance is given and decisions are not
+        "expected".
     """
     whole, skipped = usable_trials(dataset, skip_bad_frames=skip_bad_frames)
     if not skip_bad_frames:
@@ -178,12 +189,12 @@ def score_dataset(
 
 
 def usable_trials(dataset: Dataset, *, skip_bad_frames: bool) -> tuple[list[Trial], list[Skipped]]:
-    """Trials whose rows are all good, and what is left out for the others.
+    """Return the trials whose rows are all good, and the frames that are skipped.
 
     Raises
     ------
     DataError
-        If there are bad rows and they may not be skipped, or no trial is left.
+        If there are bad rows and `skip_bad_frames` is not set, or no trial is left.
     """
     if dataset.bad_rows and not skip_bad_frames:
         raise DataError(dataset.bad_rows[0].error)
@@ -203,7 +214,7 @@ def check_seen(dataset: Dataset, seen: Sequence[object], skipped: Sequence[Skipp
 
 
 def _displacements_needed(group: GroupFit, tolerance: float) -> int:
-    """How many displacements in each replicate bring the error below the tolerance, if it falls as 1/√n."""
+    """Return the number of displacements a replicate for an error below the tolerance, if it falls as 1/√n."""
     if group.numerical_error is None or group.fit.threshold is None:
         return 1
     ratio = group.numerical_error / (tolerance * group.fit.threshold)
@@ -217,16 +228,19 @@ def _displacement_step(numbers: Sequence[int]) -> Step:
 
 
 def _single(displacements: FloatArray) -> FloatArray:
-    """The one displacement, (2,); NaN if there are several."""
+    """Return the only displacement, (2,); NaN if there are several."""
     return displacements[0] if len(displacements) == 1 else np.full(2, np.nan)
 
 
 def fit_groups(
     plan: ScorePlan, seen: Sequence[SeenTrial], *, seed: int, fit_settings: FitSettings, expected: bool
 ) -> ScoredDataset:
-    """Decide on trials that were seen and fit a curve to each group.
+    """Compute the answers of trials that were seen, and fit a curve to each group.
 
-    Returns all but what was skipped; trials are in the manifest's order.
+    Returns
+    -------
+    ScoredDataset
+        Trials in the order of the manifest; `skipped` is empty.
     """
     seen = sorted(seen, key=lambda one: one.trial.number)
     trials = tuple(one.trial for one in seen)
@@ -240,7 +254,7 @@ def fit_groups(
     places: dict[tuple[float | str, ...], list[int]] = {}
     for place, trial in enumerate(trials):
         places.setdefault(trial.group, []).append(place)
-    # Numbers before texts, each in their order.
+    # Groups are sorted with numbers before texts.
     ordered = sorted(places.items(), key=lambda item: [(isinstance(v, str), v) for v in item[0]])
     fits = []
     for number, (group, members) in enumerate(ordered):

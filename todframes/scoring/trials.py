@@ -1,4 +1,4 @@
-"""A trial → the numbers that decide it: its frames through the observer, with one or many displacements."""
+"""The scores of single trials: frames are shown to the observer with one or many displacements."""
 
 from __future__ import annotations
 
@@ -32,40 +32,42 @@ Decisions = Literal["expected", "sampled"]
 
 
 TRIALS_PER_TASK = 16
+"""Number of trials that a thread takes at a time."""
 
 
 NO_ANSWER = -1
+"""Answer of a trial for which none was drawn."""
 
 
-# First element of the spawn keys of random streams, so that no trial shares one with a fit.
+# First elements of the spawn keys of random streams: they keep the streams of trials and fits apart.
 TRIAL_STREAMS, FIT_STREAMS, DISPLACEMENT_STREAMS, RATIO_STREAMS = range(4)
 
 
 REPLICATES = 8
-"""Independent sets of displacements, which tell how well the displacements are averaged over."""
+"""Number of independent sets of displacements; their spread gives the error of the average."""
 
 
 KRONECKER_STEPS = np.array([0.7548776662466927, 0.5698402909980532])
-"""Powers of the root of x³ = x + 1: a two-dimensional low-discrepancy sequence (Roberts 2018)."""
+"""Steps of a two-dimensional low-discrepancy sequence, powers of the root of x³ = x + 1 (Roberts 2018)."""
 
 
 class SeenTrial(NamedTuple):
-    """What the observer made of a trial.
+    """The observer's scores of a trial and, if drawn, its answer.
 
     Attributes
     ----------
     trial : Trial
     displacement_samples : ndarray, shape (d, 2)
-        Of the retina grid along x and y.
+        Displacements of the retina grid along x and y, in retina samples.
     scores, deviations : ndarray, shape (d, 4)
-        Noise-free inner products with the templates, and the same less their mean with all digits; NaN where the
-        observer is not linear.
+        Noise-free inner products with the templates, and their deviations from their mean, computed without
+        cancellation; NaN if the observer is not linear.
     answer : int
-        The one drawn, an index into `ORIENTATIONS`, or `NO_ANSWER`.
+        Answer drawn, an index into `ORIENTATIONS`, or `NO_ANSWER`.
     n_negative : int
-        Display pixels with a luminance below zero.
+        Number of display pixels with a luminance below zero.
     seconds : float
-        That it took.
+        Time that the trial took.
     """
 
     trial: Trial
@@ -79,9 +81,10 @@ class SeenTrial(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Scoring:
-    """How all trials of a dataset are scored; nothing in it changes, so threads share it.
+    """The settings for the scoring of all trials of a dataset; they do not change, so threads share them.
 
-    `displacements` is how many each trial has in each of the replicates; 0: one alone, from its own stream.
+    `displacements` is the number of displacements of each trial in each replicate; 0: a single one, from the
+    trial's own random stream.
     """
 
     dataset: Dataset
@@ -92,10 +95,10 @@ class Scoring:
 
 
 class Look(NamedTuple):
-    """How the observer looks at a trial, in whatever ways that is shown.
+    """The observer, retina grid and displacements for a trial, the same for all ways in which it is shown.
 
-    `displacement_samples`, (d, 2), are those of the retina grid; `rng` is the trial's own stream after that draw.
-    `readout` is None if the observer is not linear.
+    `displacement_samples`, (d, 2), are the displacements of the retina grid in retina samples; `rng` is the
+    trial's own random stream after they were drawn. `readout` is None if the observer is not linear.
     """
 
     observer: Observer
@@ -106,7 +109,7 @@ class Look(NamedTuple):
 
 
 def look_at(scoring: Scoring, trial: Trial, readout: Readout | None) -> Look:
-    """Find how the observer looks at a trial.
+    """Return the observer, retina grid and displacements for a trial.
 
     Raises
     ------
@@ -123,12 +126,19 @@ def look_at(scoring: Scoring, trial: Trial, readout: Readout | None) -> Look:
 
 
 def see(scoring: Scoring, trial: Trial, look: Look, ways: Sequence[Shown], started: float) -> list[SeenTrial]:
-    """Show a trial in each of some ways, with the same displacements and the same noise.
+    """Show a trial to the observer in each of several ways, with the same displacements and the same noise.
 
     Parameters
     ----------
+    ways : sequence of Shown
+        The trial as shown in each way.
     started : float
-        When `time.perf_counter` began to count for this trial; the time until now is shared among the ways.
+        Value of `time.perf_counter` at the start of the trial; the time since then is divided among the ways.
+
+    Returns
+    -------
+    list of SeenTrial
+        One for each way.
     """
     reading_s = (time.perf_counter() - started) / len(ways)
     displaced, state = look.displacement_samples, look.rng.bit_generator.state
@@ -184,7 +194,7 @@ def _displacements(scoring: Scoring, trial: Trial, rng: np.random.Generator, jit
 
 def _scores(readout: Readout, contrast: FloatArray) -> tuple[FloatArray, FloatArray]:
     deviations = readout.score_deviations(contrast)
-    # Without noise, or where contrast is huge, nothing but rounding may tell scores apart that are the same.
+    # Without noise or with huge contrast, equal scores may differ by rounding alone.
     rounding = 1e-13 * readout.norm * math.sqrt(inner_product(contrast, contrast))
     deviations = np.where(np.abs(deviations) < rounding, 0.0, deviations)
     return deviations + readout.common_score(contrast), deviations
@@ -199,19 +209,27 @@ def see_trials(
     workers: int,
     progress: Callable[[int], None] | None,
 ) -> tuple[list[T], list[Skipped]]:
-    """Show trials, in threads, and list the frames of those that cannot be used, if they may be skipped.
+    """Show trials to the observer in threads; return the results and the frames that were skipped.
 
     Parameters
     ----------
+    scoring : Scoring
+    trials : sequence of Trial
     show : function
-        What is done with each trial, from any thread: `score_trial`, or another that raises what that raises.
+        Function called for each trial from any thread: `score_trial`, or one that raises the same errors.
+    skip_bad_frames : bool
+        Skip trials that cannot be read and list their frames, instead of raising the first error.
+    workers : int
+        Number of threads.
+    progress : callable or None
+        Called with the number of trials and skipped frames since the last call.
 
     Raises
     ------
     FrameError
-        The first thing wrong with a frame, unless bad ones are skipped.
+        If a frame cannot be used, unless bad frames are skipped.
     """
-    # Trials of one stimulus together, so that few readouts are held at a time.
+    # Trials of one stimulus follow each other, so that few readouts are held at a time.
     order = sorted(trials, key=lambda trial: (trial.stimulus.size_mrad, trial.stimulus.polarity))
     tasks = [order[start : start + TRIALS_PER_TASK] for start in range(0, len(order), TRIALS_PER_TASK)]
     readout_of = lru_cache(maxsize=4)(scoring.plan.readout)
@@ -221,12 +239,12 @@ def see_trials(
         seen, skipped = [], []
         for trial in task:
             try:
-                if trial.stimulus not in fitting:  # a readout may be huge: not for what is larger than its frame
+                if trial.stimulus not in fitting:  # check first: a readout may be huge
                     check_place(scoring.dataset, trial, scoring.plan.observer.centre)
                     fitting.add(trial.stimulus)
                 try:
                     readout = readout_of(trial.stimulus)
-                except SettingsError as error:  # of this row's size alone
+                except SettingsError as error:  # an error about this row's size
                     raise FrameError(scoring.dataset.frame_path(trial.frames[0]), str(error)) from None
                 seen.append(show(scoring, trial, readout))
             except FrameError as error:
@@ -235,7 +253,7 @@ def see_trials(
                 skipped += skipped_frames(scoring.dataset, trial, error)
         return seen, skipped
 
-    # Threads: decoding releases the interpreter lock, and no worker process can die and take results along.
+    # Threads, not processes: decoding releases the interpreter lock, and no worker can die with its results.
     all_seen: list[T] = []
     all_skipped: list[Skipped] = []
     with closing(map_in_threads(show_task, tasks, workers)) as results:
