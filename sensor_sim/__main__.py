@@ -1,4 +1,4 @@
-"""The commands `sensor-sim` and `python -m sensor_sim`, ready for Ctrl-C before anything else is imported."""
+"""Entry point of `sensor-sim` and `python -m sensor_sim`; it handles Ctrl-C before anything else is imported."""
 
 import os
 import sys

@@ -1,4 +1,4 @@
-"""What the commands do, as calls: curves, datasets and transfer functions of a sensor."""
+"""The Python calls behind the commands: TOD curves, datasets and transfer functions of a sensor."""
 
 from __future__ import annotations
 
@@ -34,28 +34,28 @@ def curve(
     examples: bool = True,
     progress: Callable[[int], None] | None = None,
 ) -> Result:
-    """Compute the TOD curve of a sensor, with no frame drawn, as `sensor-sim curve` does.
+    """Compute the TOD curve of a sensor without drawing frames, as `sensor-sim curve` does.
 
     Parameters
     ----------
     sensor : Sensor or path
-        Or its SENSOR.toml.
+        Settings of the sensor, or the path of its SENSOR.toml.
     size_detectors : sequence of float
-        Sizes √(area) in detector pitches, each once.
+        Sizes √(area) in detector pitches, without repetitions.
     observer : str or Observer
-        Name of a registered observer, "module:Class", or an observer; a linear one.
+        Name of a registered observer, "module:Class", or an observer; it must be linear.
     p_correct : float
         Raw proportion correct at threshold.
     tolerance : float
         Relative error of the thresholds to reach.
     plan : {"needed", "full"}
-        Leave out what the sensor does not need, or nothing.
+        Leave out the computations that the sensor does not need, or leave out none.
     seed : int
-        Of the places of the triangle on the detectors.
+        Seed of the places of the triangle on the detectors.
     examples : bool
-        Also draw what a triangle at threshold looks like, for the page.
+        Also draw a triangle at threshold, for the page.
     progress : function of an int, optional
-        Is told the number of sizes done whenever one is.
+        Called with the number of sizes that were just done.
 
     Returns
     -------
@@ -65,7 +65,7 @@ def curve(
     Raises
     ------
     SettingsError
-        If a setting is not what it should be, or the observer is not linear.
+        If a setting is invalid, or the observer is not linear.
 
     Examples
     --------
@@ -145,11 +145,11 @@ def simulate(
     Parameters
     ----------
     sensor : Sensor or path
-        Or its SENSOR.toml.
+        Settings of the sensor, or the path of its SENSOR.toml.
     size_detectors : sequence of float
         Sizes √(area) in detector pitches.
     snr : sequence of float
-        Signals of a large triangle over the SD of the noise of a sample.
+        Signals of a large triangle divided by the standard deviation of the noise of a sample.
     out : path
         Folder to make.
     trials : int
@@ -157,26 +157,27 @@ def simulate(
     seed : int
         Seed of all random draws.
     frame_format : {"exr", "png"}
+        Half-float EXR in cd/m², or 16-bit PNG.
     allow_clipping : bool
         Let PNG clip more than 1 % of the pixels.
     overwrite : bool
-        Replace `out` if it is there.
+        Replace `out` if it exists.
     stages : bool
         Also write the stages of a trial with the highest SNR as pictures.
     workers : int
         Threads that draw frames.
     progress : function of an int, optional
-        Is told the number of frames done whenever some are.
+        Called with the number of frames that were just done.
 
     Returns
     -------
     Written
-        `n_frames`, and `clipped_share` of the pixels.
+        Number of frames, `n_frames`, and `clipped_share` of the pixels.
 
     Raises
     ------
     SettingsError
-        If a setting is not what it should be, or too much would be clipped.
+        If a setting is invalid, or too many pixels would be clipped.
     OutputError
         If the place cannot be written.
 
@@ -208,7 +209,7 @@ def simulate(
         if stages:
             from sensor_sim.pictures import write_stages
 
-            # Of the trials that were asked for, the one that is seen best.
+            # The picture shows the trial with the most visible triangle.
             clearest = max(planned, key=lambda trial: (trial.snr, trial.size_detectors))
             write_stages(folder / "stages", sensor, clearest, seed=seed)
     return written
@@ -220,7 +221,7 @@ def mtf(sensor: Sensor | Path | str) -> SensorMtf:
     Parameters
     ----------
     sensor : Sensor or path
-        Or its SENSOR.toml.
+        Settings of the sensor, or the path of its SENSOR.toml.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""The commands of the sensor model; the only place that takes a user's paths and prints."""
+"""The commands of the sensor model; only this module takes a user's paths and prints."""
 
 from __future__ import annotations
 

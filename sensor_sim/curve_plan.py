@@ -1,7 +1,7 @@
-"""The plan of a curve's computation: what a threshold of one size needs, decided once and obeyed by `predict`.
+"""Plan of a curve's computation: the parts of the chain that the threshold of one size needs.
 
-`plan_curve` computes the whole chain at a few places of the triangle and weighs there what leaving out each part
-would change. `sensor_sim.predict` computes the threshold with what is left.
+`plan_curve` computes the whole chain at a few places of the triangle and bounds there the change that leaving out
+each part would cause. `sensor_sim.predict` computes the threshold with the parts that are kept.
 """
 
 from __future__ import annotations
@@ -27,23 +27,23 @@ from todframes.scoring.error_budget import LEFT_OUT_SHARE, SAFETY, PlanName, Ste
 from todframes.stimulus import ORIENTATIONS, Orientation, Stimulus, bounding_box_offset
 
 FULL_PLACES = 17
-"""Places along each axis that a full plan begins with; twelve times as many trials as most thresholds need."""
+"""Number of places along each axis that a full plan begins with: twelve times the trials of most thresholds."""
 
 ORTHANT_NODES = 24
-"""Enough for 1e-14 where the four templates differ as those of the triangles do."""
+"""Number of quadrature nodes; it gives 1e-14 for templates that differ as those of the triangles do."""
 
 TRIED_AT = ((0.0, 0.0), (0.5, 0.5), (0.25, -0.375))
-"""Places, in detectors from the field's middle, where what could be left out is weighed."""
+"""Places, in detectors from the field's middle, at which the omissions are bounded."""
 
 FIELDS_IN_SIZES = (2.0, 2.5, 3.0)
 
 LARGEST_SHARE = 0.6
-"""Share of the budget that one omission may take."""
+"""Largest share of the budget that one omission may take."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CurvePlan:
-    """Choices that a threshold of a sensor for one size is computed with.
+    """Choices for the computation of a sensor's threshold at one size.
 
     Attributes
     ----------
@@ -66,7 +66,7 @@ class CurvePlan:
     fewest_places : int
         Places along each axis of a detector to begin with.
     steps : tuple of Step
-        Omissions with their bounds, and what is kept.
+        Parts that are left out, with their bounds, and parts that are kept.
     unit_s : float
         Time that folding and sampling took at each place tried, in seconds.
     """
@@ -85,11 +85,11 @@ class CurvePlan:
 
     @property
     def bound(self) -> float:
-        """Bound on the change of P(correct) by all that is left out."""
+        """Bound on the change of P(correct) from all omissions together."""
         return total_bound(self.steps)
 
     def folding(self, sensor: Sensor, readout: Readout, size_detectors: float) -> Folding:
-        """Prepare to fold the readout's weights onto the detectors."""
+        """Return a `Folding` of the readout's weights onto the detectors."""
         offsets = [centre_offset(self.observer, orientation, size_detectors) for orientation in ORIENTATIONS]
         return Folding(
             sensor,
@@ -103,7 +103,7 @@ class CurvePlan:
         )
 
     def all_four(self, weights: FloatArray) -> FloatArray:
-        """Complete folded weights to those of all four scores, (..., 4, n)."""
+        """Return the weights of all four scores, (..., 4, n), from the folded ones."""
         if not self.three_templates:
             return weights
         return np.concatenate([weights, -weights.sum(axis=-2, keepdims=True)], axis=-2)
@@ -129,11 +129,11 @@ def plan_curve(
     ----------
     sensor : Sensor
     observer : Observer
-        A linear one.
+        Linear observer.
     size_detectors : float
         √(area) of the triangle, > 0.
     name : {"needed", "full"}
-        Whether to leave out what the threshold does not need.
+        Leave out the parts that the threshold does not need, or leave out none.
     tolerance : float
         Relative error of the threshold; omissions may take half of it.
     p_correct : float
@@ -169,7 +169,7 @@ def plan_curve(
 
 
 def full_plan(sensor: Sensor, observer: Observer, size_detectors: float) -> CurvePlan:
-    """Plan to compute everything but identities that no one would compute.
+    """Return the plan that computes everything except exact identities.
 
     Raises
     ------
@@ -207,12 +207,12 @@ def centre_offset(observer: Observer, orientation: Orientation, size_detectors: 
 
 
 def noise_covariance(weights: FloatArray) -> FloatArray:
-    """Compute the covariance, (..., n, n), of sums of white noise with weights (..., n, m), its deviation 1."""
+    """Return the covariance, (..., n, n), of sums of white noise of deviation 1 with weights (..., n, m)."""
     return np.asarray(weights @ weights.swapaxes(-1, -2))
 
 
 class _CurvePlanner:
-    """Weigh at a few places, on the whole chain, what leaving out each part would change."""
+    """Planner that bounds the change from leaving out each part, on the whole chain at a few places."""
 
     def __init__(
         self, sensor: Sensor, size_detectors: float, full: CurvePlan, p_correct: float, tolerance: float
@@ -229,7 +229,7 @@ class _CurvePlanner:
         self.budget = LEFT_OUT_SHARE * tolerance * self.slope
 
     def _affordable(self, bound: float) -> bool:
-        """Return whether an omission fits into the budget, and take it from there if so."""
+        """Return whether an omission fits into the budget, and subtract it from the budget if it does."""
         if bound > LARGEST_SHARE * self.budget:
             return False
         self.budget -= bound
@@ -238,7 +238,7 @@ class _CurvePlanner:
     def _weights(
         self, plan: CurvePlan, readout: Readout, places: Sequence[tuple[float, float]] = TRIED_AT
     ) -> tuple[FloatArray, float]:
-        """Compute the weights at some places, (places, 4, field²), and the time that each took."""
+        """Return the weights at some places, (places, 4, field²), and the time for each, in seconds."""
         folding = plan.folding(self.sensor, readout, self.size)
         dx, dy = centre_offset(self.observer, Orientation.UP, self.size)
         started = time.perf_counter()
@@ -273,12 +273,12 @@ class _CurvePlanner:
         self.slope = rise / (2.0 * step) if rise > 0.0 else 0.5
 
     def bound(self, scores: FloatArray, noise: FloatArray | None = None) -> float:
-        """Bound the change of P(correct) by a change of the scores, and of their covariance by detector noise."""
+        """Return a bound on the change of P(correct) from changes of the scores and of their noise covariance."""
         change = np.zeros((1, 4, 4)) if noise is None else noise
         return SAFETY * float(decision_change(scores, self.covariance, change)[..., 0].max())
 
     def plan(self) -> CurvePlan:
-        """Decide on every part in turn."""
+        """Return the plan, with a decision on every part in turn."""
         plan, levels = self._levels(self.full)
         plan, field_step = self._field(plan)
         plan, period = self._period(plan)
@@ -289,7 +289,7 @@ class _CurvePlanner:
 
     @cached_property
     def levels_bound(self) -> float | None:
-        """Bound on the change of P(correct) by further levels; None where the observer leaves none out."""
+        """Bound on the change of P(correct) from further levels; None if the observer leaves none out."""
         stimulus = Stimulus(self.size * self.sensor.display.detector_pitch_mrad)
         omitted = self.observer.omitted_bands(stimulus) if isinstance(self.observer, TruncatedObserver) else None
         if omitted is None:
@@ -300,7 +300,7 @@ class _CurvePlanner:
         return self.bound(self._scores(added, self.samples), noise + omitted.noise_covariance)
 
     def levels_suffice(self) -> bool:
-        """Return whether the observer says that no further levels are needed."""
+        """Return whether the observer's bound shows that no further levels are needed."""
         return self.levels_bound is not None and self.levels_bound <= LARGEST_SHARE * self.budget
 
     def _levels(self, plan: CurvePlan) -> tuple[CurvePlan, Sequence[Step]]:
@@ -334,7 +334,7 @@ class _CurvePlanner:
             outside[margin:-margin, margin:-margin] = False
             weights = self.weights * outside.ravel()
             noise = plan.noise(weights) / self.snr**2
-            # As if the signal out there had one sign throughout, and met the largest weight of its detectors.
+            # The bound assumes that the signal outside has one sign and meets the largest weight of its detectors.
             largest = np.abs(self._scores(np.abs(weights), np.abs(self.samples)))
             bound = self.bound(largest, noise)
             if self._affordable(bound):
@@ -382,7 +382,7 @@ class _CurvePlanner:
         return plan, Step(stage, True, f"single would change P by up to {bound:.1g}")
 
     def _identities(self, plan: CurvePlan) -> tuple[CurvePlan, Sequence[Step]]:
-        """Leave out what changes nothing."""
+        """Leave out the parts that change nothing. Returns the plan and its steps."""
         steps = []
         if is_symmetric(self.readout):
             # Square detectors and a symmetric observer look the same to all orientations.
@@ -408,7 +408,7 @@ class _CurvePlanner:
 
 
 def is_symmetric(readout: Readout) -> bool:
-    """Return whether the four scores are one and the same, turned, to the last bit."""
+    """Return whether the templates of the four scores are turns of each other, to the last bit."""
     first, covariance = readout.deviations[0], readout.noise_covariance
     return all(
         np.array_equal(readout.deviations[k], np.rot90(first, -k))

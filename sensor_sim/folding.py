@@ -1,7 +1,7 @@
-"""Weights on the retina → weights on the detectors: retina, display, blur and hold, backwards.
+"""Folding of weights on the retina to weights on the detectors, by the adjoint of hold, blur, display and retina.
 
-All of it is separable. A place of the retina on the display is one sparse overlap matrix an axis; behind it comes
-the adjoint of sample & hold and post-sample blur. Where nothing blurs, the pixels of a detector are alike and
+The chain is separable. A place of the retina on the display is one sparse overlap matrix for each axis; the
+adjoint of sample & hold and post-sample blur follows. If nothing blurs, the pixels of a detector are alike and
 count as one.
 
 Hogervorst et al. 2001, sections 3.4 to 4.1.
@@ -34,14 +34,14 @@ class Folding:
     sensor : Sensor
     grid : RetinaGrid
     images : ndarray, shape (4, side, side)
-        Their mean decides nothing and is taken out.
+        Weights of each answer; their mean over the answers affects no decision and is subtracted.
     n : int
         Number of images that are folded.
     field : int
         Detectors along each side of the square field.
     reach_detectors : float
-        The retina's middle stays within so much of the field's middle along each axis. Retina samples that then
-        never see the field are dropped.
+        Largest distance of the retina's middle from the field's middle along each axis. Retina samples that never
+        see the field within that distance are dropped.
     dtype : float32 or float64
         Precision of the folding; weights are float64 in any case.
     merge_pixels : bool
@@ -79,7 +79,7 @@ class Folding:
     def weights_by_row(self, places_x: FloatArray, places_y: FloatArray) -> list[FloatArray]:
         """Return for each place along y the weights at all places along x: (places_x, n, field²), in float64.
 
-        Places are of the retina's middle, in detectors from the field's middle.
+        Places are those of the retina's middle, in detectors from the field's middle.
         """
         side, field, places = self.grid.side, self.field, len(places_x)
         on_columns = np.stack([self._fold(x, self._along_x_first) for x in places_x])

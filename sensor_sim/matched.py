@@ -11,10 +11,10 @@ from todframes.observers.hotelling import HotellingSettings
 
 
 def matched_settings(sensor: Sensor, **others: Any) -> HotellingSettings:
-    """Describe a sensor and its display to the observer `informative`, which makes its templates from that.
+    """Return the settings of the observer `informative` that describe a sensor and its display.
 
-    Optics are replaced by the Gaussian blur with the same transfer at the detectors' Nyquist frequency, or at half
-    the optics' cut-off if that is lower.
+    The observer makes its templates from these settings. Optics are replaced by the Gaussian blur with the same
+    transfer at the detectors' Nyquist frequency, or at half the optics' cut-off if that is lower.
 
     Parameters
     ----------

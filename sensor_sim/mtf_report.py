@@ -1,4 +1,4 @@
-"""A sensor's transfer functions as a record, a table and a picture."""
+"""Transfer functions of a sensor as a record, a table and a figure."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ TABLE_STEP = 20
 
 
 SHOWN_NYQUISTS = 3.0
-"""The picture ends at so many times the Nyquist frequency."""
+"""Highest frequency in the figure, in units of the Nyquist frequency."""
 
 
-# Before sampling solid and behind it dashed; the products are the thick ones.
+# Stages before sampling are solid, those after it dashed; the two products are thick.
 LINES = {
     "diffraction": (COLOURS[0], "-"),
     "optics_blur": (COLOURS[1], "-"),
@@ -50,11 +50,11 @@ class SensorMtf(msgspec.Struct, frozen=True, kw_only=True):
     sensor : str
         The sensor's name.
     cut_off_cyc_per_mrad, nyquist_cyc_per_mrad : float
-        Of the optics and of the detectors.
+        Cut-off of the optics and Nyquist frequency of the detectors.
     frequency_cyc_per_mrad : list of float
-        Up to where optics or display pass nothing.
+        Frequencies in cycles/mrad, up to the one at which optics or display pass nothing.
     mtf : dict of list of float
-        The transfer of each stage at these frequencies, and of what lies before and behind sampling.
+        Transfer of each stage at these frequencies, and of all stages before and after sampling.
     """
 
     schema: int = 1
@@ -71,7 +71,7 @@ class SensorMtf(msgspec.Struct, frozen=True, kw_only=True):
         return msgspec.json.format(msgspec.json.encode(self), indent=2) + b"\n"
 
     def table(self, step: int = 1) -> Table:
-        """Make the table of every so many frequencies."""
+        """Return the table of every `step`-th frequency."""
         title = (
             f"{self.sensor}: MTF along x; optics' cut-off {self.cut_off_cyc_per_mrad:.4g}, "
             f"Nyquist {self.nyquist_cyc_per_mrad:.4g} cycles/mrad"
@@ -79,7 +79,7 @@ class SensorMtf(msgspec.Struct, frozen=True, kw_only=True):
         names = ["frequency_cyc_per_mrad", *self.mtf]
         values = [self.frequency_cyc_per_mrad, *self.mtf.values()]
         records = [dict(zip(names, row, strict=True)) for row in zip(*values, strict=True)]
-        # Of the stages those go first that are 1 as a rule; the two products stay.
+        # A narrow terminal first drops the stages that are usually 1; the two products stay.
         ranks = {"electronics": 3, "optics_blur": 3, "hold": 2, "display": 2, "diffraction": 1, "detector": 1}
         columns = [
             Column(key=names[0], header="cycles/mrad", decimals=2),
@@ -93,7 +93,7 @@ class SensorMtf(msgspec.Struct, frozen=True, kw_only=True):
         Parameters
         ----------
         ax : matplotlib Axes, optional
-            Where to draw. Default: a new figure.
+            Axes to draw into. Default: a new figure.
 
         Returns
         -------
@@ -135,7 +135,7 @@ class SensorMtf(msgspec.Struct, frozen=True, kw_only=True):
         axes.legend(frameon=True, framealpha=1.0, edgecolor="none").set_in_layout(False)
 
     def files(self) -> dict[str, bytes]:
-        """Make `mtf.csv` and `mtf.png`."""
+        """Return the content of `mtf.csv` and `mtf.png`, by name."""
         with style():
             figure, axes = new_figure()
             self._draw(axes)
@@ -159,7 +159,7 @@ class SensorMtf(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def sensor_mtf(sensor: Sensor) -> SensorMtf:
-    """Compute the transfer of every stage along x, up to where optics or display pass nothing."""
+    """Compute the transfer of every stage along x, up to the frequency at which optics or display pass nothing."""
     cut_off, nyquist = sensor.optics.cut_off_cyc_per_mrad, sensor.detector.nyquist_cyc_per_mrad
     frequency = np.linspace(0.0, min(1.05 * cut_off, 10.0 * nyquist), POINTS)
     return SensorMtf(

@@ -1,4 +1,4 @@
-"""Detector noise: a part that is new in every frame and one that stays, and what they make of SNR and ΔT.
+"""Detector noise: a dynamic part, new in every frame, a fixed pattern, and their relation to SNR and ΔT.
 
 The signal of a large triangle is 1, so the standard deviation of the noise in one sample **as displayed** is
 1/SNR. That sample is the mean over the frames the eye integrates: its variance is that of the dynamic part
@@ -23,14 +23,14 @@ UNIFORM_EXCESS_KURTOSIS = -1.2
 
 
 class NoiseParts(NamedTuple):
-    """Standard deviations of what makes up one displayed sample; their squares add up to the total's."""
+    """Standard deviations of the noise parts in one displayed sample; their squares add up to the total's."""
 
     dynamic: float
     fixed_pattern: float
 
 
 def k_factor(noise: Noise) -> float:
-    """Return the dynamic noise of a single frame over the total noise of the integrated sample.
+    """Return the dynamic noise of a single frame divided by the total noise of the integrated sample.
 
     σ_tot² = σ_dyn²/n + (ratio·σ_dyn)² with n frames: k = σ_dyn/σ_tot, 1.7496 at ratio 0.4 and 6 frames.
 
@@ -40,7 +40,7 @@ def k_factor(noise: Noise) -> float:
 
 
 def noise_parts(noise: Noise, *, total_sd: float) -> NoiseParts:
-    """Split the total standard deviation (1/SNR) of a displayed sample.
+    """Return the dynamic and fixed parts of a displayed sample's total standard deviation (1/SNR).
 
     Hogervorst et al. 2001, section 8.2, below eq. 4.
     """
@@ -54,13 +54,13 @@ def noise_parts(noise: Noise, *, total_sd: float) -> NoiseParts:
 def delta_t_mk(snr: ArrayLike, *, noise: Noise) -> FloatArray:
     """Convert a signal-to-noise ratio to a temperature difference: ΔT = SNR · NETD · k.
 
-    As printed. It takes NETD·k for the noise of one displayed sample. Were NETD the noise of a single frame
-    and SNR that of the integrated sample, ΔT would be SNR · NETD / k: a factor k² less.
+    The equation is used as printed: it takes NETD·k for the noise of one displayed sample. If NETD were the noise
+    of a single frame and SNR that of the integrated sample, ΔT would be SNR · NETD / k: a factor k² less.
 
     Parameters
     ----------
     snr : array_like, any shape
-        Signal of a large triangle over the standard deviation of one displayed sample.
+        Signal of a large triangle divided by the standard deviation of one displayed sample.
 
     Returns
     -------
@@ -100,9 +100,9 @@ def draw(
 
 
 def unit_fixed_pattern(shape: tuple[int, int], *, noise: Noise, seed: int | np.random.SeedSequence) -> FloatArray:
-    """Draw the sensor's own pattern, of standard deviation 1 over all sensors.
+    """Draw the sensor's fixed pattern, of standard deviation 1 over all sensors.
 
-    Drawn once per sensor: the same seed and shape give the same pattern, whatever frames are made of it.
+    It is drawn once per sensor: the same seed and shape give the same pattern, whatever frames are made of it.
 
     Returns
     -------
@@ -115,16 +115,16 @@ def displayed_noise(pattern: FloatArray, *, total_sd: float, noise: Noise, rng: 
     """Draw the noise of one displayed image: a new dynamic part and the sensor's fixed pattern.
 
     The dynamic part is one draw of the named distribution with the standard deviation that integration
-    leaves, as in the paper, not the mean of separate draws: `distribution` is that of what is displayed.
+    leaves, as in the paper, not the mean of separate draws: `distribution` is that of the displayed sample.
 
     Parameters
     ----------
     pattern : ndarray, shape (n, n)
         Result of `unit_fixed_pattern`.
     total_sd : float
-        1/SNR, >= 0.
+        Total standard deviation, 1/SNR, >= 0.
     rng : numpy.random.Generator
-        The trial's own.
+        Random generator of the trial.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""What a sensor does, to look at: its transfer functions, and one trial stage by stage."""
+"""Pictures of a sensor's effect: one trial stage by stage, and frames at threshold."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ FINE_PIXELS_PER_DETECTOR = 8
 
 
 def trial_stages(sensor: Sensor, trial: SimulatedTrial, *, seed: int) -> dict[str, FloatArray]:
-    """One trial at each stage of Figure 1 of the paper, as signal (a large triangle is 1).
+    """Return one trial at each stage of Figure 1 of the paper, as signal (a large triangle is 1).
 
     Returns
     -------
@@ -52,7 +52,7 @@ def trial_stages(sensor: Sensor, trial: SimulatedTrial, *, seed: int) -> dict[st
     )
 
     def seen_through(width_mrad: float) -> FloatArray:
-        """The scene behind the optics, averaged over a width at every fine pixel."""
+        """Return the scene after the optics, averaged over a width at every fine pixel."""
         detector = Detector(pitch_mrad=pitch_mrad, width_mrad=min(width_mrad, pitch_mrad))
         image = sample_image(
             scene, pixel_pitch_mrad=pitch_mrad, optics=sensor.optics, detector=detector, field_detectors=n_fine
@@ -79,12 +79,12 @@ def trial_stages(sensor: Sensor, trial: SimulatedTrial, *, seed: int) -> dict[st
 def threshold_examples(
     sensor: Sensor, observer: Observer, fits: Sequence[Fit], *, seed: int
 ) -> tuple[Example, ...]:
-    """Draw a simulated frame at threshold, as displayed and as the observer sees it, of some sizes.
+    """Draw a simulated frame at threshold for some sizes, as displayed and as the observer sees it.
 
     Parameters
     ----------
     fits : sequence of Fit
-        With levels in SNR, grouped by size_detectors.
+        Fits with levels in SNR, grouped by size_detectors.
     """
     known = [fit for fit in fits if fit.threshold is not None]
     return tuple(_threshold_example(sensor, observer, fit, seed) for fit in evenly(known, MOST_EXAMPLES))
@@ -124,7 +124,7 @@ def _threshold_example(sensor: Sensor, observer: Observer, fit: Fit, seed: int) 
 
 
 BLACK, WHITE = -1.0, 2.0
-"""Of the pictures of stages, in units of a large triangle's signal."""
+"""Signals shown as black and as white in the pictures of stages, in units of a large triangle's signal."""
 
 
 STAGE_TITLES = {
@@ -139,7 +139,7 @@ STAGE_TITLES = {
 
 
 def write_stages(folder: Path, sensor: Sensor, trial: SimulatedTrial, *, seed: int) -> None:
-    """Write the stages of a trial as 8-bit PNG each, and all of them with labels as `stages.png`."""
+    """Write each stage of a trial as an 8-bit PNG, and all stages with labels as `stages.png`."""
     folder.mkdir()
     found = trial_stages(sensor, trial, seed=seed)
     for name, image in found.items():

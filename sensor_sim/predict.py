@@ -1,10 +1,10 @@
-"""Thresholds of a sensor with no frame drawn: folded observer, folded display, noise as covariance.
+"""Computation of a sensor's thresholds without drawing frames: folded observer and display, noise as covariance.
 
-From detector samples to scores everything is linear, so hold, blur, display and retina fold into the observer's
+The chain from detector samples to scores is linear, so hold, blur, display and retina fold into the observer's
 weights: one image on the detectors for each answer. A trial's signal is then an inner product with exact
-samples, and white detector noise of standard deviation 1/SNR is the covariance of four scores. What is left is
-the mean over the place of the triangle on the detectors and of the retina on the display: a lattice and a
-low-discrepancy sequence, in several independent shifts that tell the error.
+samples, and white detector noise of standard deviation 1/SNR is a covariance of the four scores. The remaining
+mean, over the place of the triangle on the detectors and of the retina on the display, uses a lattice and a
+low-discrepancy sequence; several independent shifts give the error.
 
 Hogervorst et al. 2001, sections 3 to 5 and 8.
 """
@@ -33,23 +33,23 @@ from todframes.stimulus import Orientation
 REPLICATES = 8
 
 PLACES = (5, 7, 11, 17, 25, 37)
-"""Along each axis of a detector, in each replicate: more and more, until the error is small enough. Each takes
-twice the trials of the one before, so that few chances are had to stop by a lucky estimate of the error. Numbers
-that have a divisor in common with the display's pixels per detector are left out: P repeats with these pixels too,
-and such a lattice would see them all alike."""
+"""Numbers of places along each axis of a detector, in each replicate, tried in turn until the error is small
+enough. Each takes twice the trials of the one before, so that there are few chances to stop at an error estimate
+that is too small by chance. Numbers that have a divisor in common with the display's pixels per detector are left
+out: P repeats with these pixels too, and such a lattice would sample all of them at the same places."""
 
 KRONECKER_STEPS = np.modf(1.1673039782614187 ** -np.arange(1.0, 5.0))[0].reshape(2, 2)
-"""Powers of the root of x⁵ = x + 1: a four-dimensional low-discrepancy sequence, two of them counted by rows and
-columns of the lattice (Roberts 2018)."""
+"""Steps of a four-dimensional low-discrepancy sequence, powers of the root of x⁵ = x + 1 (Roberts 2018); two
+dimensions are counted by the rows and columns of the lattice."""
 
 STANDARD_ERRORS_95 = 2.8412
-"""Half-width of the stated interval: the 98.75 % point of Student's t with one degree of freedom less than there
-are replicates. Half of what an interval may miss is kept for errors that stopped the refinement by being small by
-chance."""
+"""Half-width of the stated interval in standard errors: the 98.75 % point of Student's t with one degree of
+freedom less than there are replicates. Half of the interval's 5 % is reserved for error estimates that stopped
+the refinement because they were small by chance."""
 
 
 class Phases(NamedTuple):
-    """Trials of one orientation, as the folded observer sees them.
+    """Signals and noise of the trials of one orientation, as scores of the folded observer.
 
     Attributes
     ----------
@@ -73,11 +73,11 @@ class FoldedChain:
     ----------
     sensor : Sensor
     observer : Observer
-        A linear one.
+        Linear observer.
     size_detectors : float
         √(area) of the triangle, > 0.
     plan : CurvePlan, optional
-        Plan of what is left out; by default that of `plan_curve`.
+        Parts of the computation that are left out; by default those of `plan_curve`.
 
     Raises
     ------
@@ -100,13 +100,13 @@ class FoldedChain:
         self.drawing_s = 0.0
 
     def with_internal_noise(self, scale: float) -> FoldedChain:
-        """Return a copy with its internal noise scaled in standard deviation; all that is computed is shared."""
+        """Return a copy whose internal noise is scaled in standard deviation; computed values are shared."""
         other = copy.copy(self)
         other.noise_covariance = scale**2 * self.noise_covariance
         return other
 
     def replicates(self, places: int, seed: int) -> list[list[Phases]]:
-        """Draw `phases` for each replicate, from independent streams, and keep them for chains of other noise."""
+        """Return `phases` for each replicate, from independent streams, kept for chains of other noise."""
         if (places, seed) not in self._drawn:
             started = time.perf_counter()
             streams = np.random.SeedSequence(seed, spawn_key=(places,)).spawn(REPLICATES)
@@ -115,12 +115,12 @@ class FoldedChain:
         return self._drawn[places, seed]
 
     def phases(self, places: int, rng: np.random.Generator) -> list[Phases]:
-        """Lay out trials of each orientation on a grid of `places` × `places`, displaced as a whole at random.
+        """Return trials of each orientation on a grid of `places` × `places`, displaced as a whole at random.
 
-        The retina's middle lies on this grid, for the weights depend on nothing else: its place is the
+        The retina's middle lies on this grid, because the weights depend on nothing else: its place is the
         triangle's on the detectors plus its own displacement, and repeats with the detectors. So the grid
         covers one detector evenly, the displacements are a shifted low-discrepancy sequence with both
-        signs, and the triangle lies where both put it.
+        signs, and the triangle's place is the difference of the two.
         """
         jitter = self.observer.position_jitter_samples
         detectors_per_sample = self.readout.grid.pitch_mrad / self.sensor.display.detector_pitch_mrad
@@ -160,10 +160,10 @@ class FoldedChain:
         return Phases(np.concatenate(signal), np.concatenate(noise), orientation.quarter_turns)
 
     def non_gaussian_bound(self) -> float:
-        """Bound on the error in P(correct) from taking internal and detector noise as Gaussian, to first order.
+        """Return a first-order bound on the error in P(correct) from taking all noise as Gaussian.
 
-        The bound follows from that of `Readout.non_gaussian_bound`: the sum's excess kurtosis is at most the
-        larger one of its two parts.
+        The bound follows from that of `Readout.non_gaussian_bound`: the excess kurtosis of the sum of internal and
+        detector noise is at most the larger one of its two parts.
         """
         weights = self.plan.all_four(self.folding.weights(0.0, 0.0)[None])[0]
         squares = np.square(weights[:, None] - weights)[np.triu_indices(4, 1)]
@@ -176,7 +176,7 @@ class FoldedChain:
     def proportion_correct(self, phases: list[Phases], snr: float, contrast: float = 1.0) -> float:
         """Return the mean P(correct) over trials at a signal-to-noise ratio; infinity means no detector noise.
 
-        `contrast` is that of the triangle, in units of what the sensor's gain gives it.
+        `contrast` is that of the triangle, in units of the contrast that the sensor's gain gives it.
         """
         return float(np.mean([self._p_correct(part, snr, contrast).mean() for part in phases]))
 
@@ -190,13 +190,14 @@ class FoldedChain:
         Parameters
         ----------
         pooled : list of Phases
-            All replicates together, one after the other, of each orientation.
+            Trials of each orientation, with all replicates concatenated.
         threshold : float
+            Threshold SNR.
 
         Returns
         -------
         (half_width, slope)
-            The slope is dP/d ln SNR.
+            Half-width of the interval, and the slope dP/d ln SNR.
         """
         step = 0.01
         low, high = (
@@ -214,9 +215,9 @@ class FoldedChain:
 class PredictedThreshold:
     """A threshold computed for a sensor.
 
-    `threshold` is a signal-to-noise ratio; `numerical_error` the half-width of its 95 % interval over replicates
-    and the bound on what the plan leaves out;
-    `n_phases` the trials it is a mean over; `points` pairs of SNR and proportion correct about it.
+    `threshold` is a signal-to-noise ratio. `numerical_error` is the half-width of its 95 % interval over
+    replicates plus the bound on the plan's omissions. `n_phases` is the number of trials averaged over.
+    `points` are pairs of SNR and proportion correct around the threshold.
     """
 
     size_detectors: float
@@ -230,10 +231,12 @@ class PredictedThreshold:
 def predict_threshold(
     chain: FoldedChain, *, p_correct: float = 0.75, tolerance: float = 2e-3, seed: int = 1
 ) -> PredictedThreshold:
-    """Compute the threshold SNR, with as many places as its error needs to fall below the tolerance.
+    """Compute the threshold SNR, with more and more places until its error falls below the tolerance.
 
     Parameters
     ----------
+    chain : FoldedChain
+        Folded sensor and observer, for triangles of one size.
     p_correct : float
         Raw proportion correct at threshold.
     tolerance : float
@@ -262,8 +265,8 @@ def predict_threshold(
             return PredictedThreshold(chain.size_detectors, status, None, None, n_phases, ())
         error, slope = chain.error(pooled, threshold)
         left_out = chain.plan.bound / slope * threshold
-        # More trials do not help against what is left out: on a curve that is flat, the error stated may stay
-        # above the tolerance.
+        # More trials do not reduce the error of the omissions: on a flat curve, the stated error may stay above
+        # the tolerance.
         if error <= max(tolerance * threshold - left_out, tolerance * threshold / 2.0):
             break
     assert threshold is not None

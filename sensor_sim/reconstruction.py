@@ -1,6 +1,6 @@
 """Conversion of detector samples to display pixels: sample & hold, electronics, display spot; and the adjoint.
 
-All of it is separable, so a square field of samples X becomes B X Bᵀ with one matrix B, and weights on the
+The conversion is separable, so a square field of samples X becomes B X Bᵀ with one matrix B, and weights on the
 display, Y, become Bᵀ Y B on the detectors.
 
 Blur acts on pixel values, as a Gaussian sampled at whole pixels. Held samples and the frame are both constant
@@ -20,7 +20,7 @@ from sensor_sim.sensor import Electronics, SensorDisplay
 from todframes._typing import FloatArray
 
 MAX_PRODUCT = 2**17
-"""Multiplications in one call of BLAS."""
+"""Largest number of multiplications in one call of BLAS."""
 
 ALIAS_FREE_SIGMA_PX = 1.5
 """Smallest σ at which the variance of a sampled Gaussian is σ² to 1e-16 (Poisson summation: e^(−2π²σ²))."""
@@ -29,12 +29,12 @@ ALIAS_FREE_SIGMA_PX = 1.5
 def gaussian_kernel(sigma_px: float) -> FloatArray:
     """Return non-negative, symmetric weights of sum 1 and variance σ² at whole pixels −m … m.
 
-    Cut at 9 standard deviations, where a weight is below 1e-17 of the middle one.
+    The kernel is cut at 9 standard deviations, where a weight is below 1e-17 of the middle one.
 
     Parameters
     ----------
     sigma_px : float
-        >= 0; 0, or what is 0 next to a rounding of the weights, gives the single weight 1.
+        Standard deviation in pixels, >= 0; below 1e-8 the result is the single weight 1.
 
     Returns
     -------
@@ -65,7 +65,7 @@ def _sampled_gaussian(squares: FloatArray, exponent: float) -> FloatArray:
 
 
 def axis_matrix(n_detectors: int, *, display: SensorDisplay, electronics: Electronics) -> FloatArray:
-    """Sample & hold and post-sample blur along one axis.
+    """Return the matrix of sample & hold and post-sample blur along one axis.
 
     Outside of the field the signal is zero. Electronics and display spot are both Gaussian: their variances
     add.
@@ -82,7 +82,7 @@ def axis_matrix(n_detectors: int, *, display: SensorDisplay, electronics: Electr
     kernel = gaussian_kernel(math.hypot(electronics.blur_sigma_px, display.blur_sigma_px))
     half = np.zeros(max(n_px, kernel.size // 2 + 1))
     half[: kernel.size // 2 + 1] = kernel[kernel.size // 2 :]
-    # What a pixel gets from a detector depends on the distance alone, so all such sums are made once.
+    # A detector's contribution to a pixel depends on their distance alone, so all such sums are made once.
     around = np.concatenate([half[n_px - 1 : 0 : -1], half[:n_px]])
     of_detector = np.lib.stride_tricks.sliding_window_view(around, per_detector).sum(axis=-1)
     distance = np.subtract.outer(np.arange(n_px - 1, -1, -1), -per_detector * np.arange(n_detectors))
@@ -108,7 +108,7 @@ def display_signal(samples: FloatArray, matrix: FloatArray) -> FloatArray:
 def _product(a: FloatArray, b: FloatArray) -> FloatArray:
     """Compute a @ b by blocks of rows so small that BLAS starts no threads.
 
-    These wait for each other far longer than the product takes when other work keeps the processors busy.
+    When other work keeps the processors busy, threads wait for each other far longer than the product takes.
     """
     block = max(1, MAX_PRODUCT // (b.shape[-2] * b.shape[-1]))
     stack = np.broadcast_shapes(a.shape[:-2], b.shape[:-2])
@@ -121,7 +121,7 @@ def _product(a: FloatArray, b: FloatArray) -> FloatArray:
 def luminance_cd_m2(signal: FloatArray, *, display: SensorDisplay) -> FloatArray:
     """Convert a display signal (triangle and noise), of any shape, to luminance: background · (1 + gain · signal).
 
-    Not clipped; it may be negative where noise is strong.
+    The luminance in cd/m² is not clipped; it may be negative if noise is strong.
     """
     return display.background_luminance_cd_m2 * (1.0 + display.gain * signal)
 
@@ -132,6 +132,6 @@ def display_position_px(offset_detectors: float, *, n_detectors: int, display: S
     Parameters
     ----------
     offset_detectors : float
-        Distance from the middle of the field of `n_detectors`.
+        Distance from the middle of the field of `n_detectors`, in detectors.
     """
     return (n_detectors / 2.0 + offset_detectors) * display.pixels_per_detector - 0.5

@@ -1,11 +1,11 @@
-"""Exact detector samples of triangles.
+"""Computation of exact detector samples of triangles.
 
 A sample is the scene after the optics, averaged over the detector's active area; a uniform scene of 1 gives 1.
 A diffraction-limited transfer function ends at its cut-off, so the samples are a finite sum: closed-form
 spectrum × pre-sample MTF at the multiples of 1/period, folded onto the detector grid. Nothing is oversampled
 and nothing is cut, and a new place of the triangle is one phase factor per frequency.
 
-That sum is the scene repeated with the period. What the neighbours' far tails add is an error for a single
+That sum is the scene repeated with the period. The far tails of the neighbours are an error for a single
 triangle; `wrap_around_bound` says how large it can be, and a longer period makes it smaller.
 
 The samples of one period, times pitch², sum to the triangle's area **at every place** if the detectors are
@@ -36,16 +36,16 @@ MAX_FREQUENCIES = 2**22
 """Largest number of frequencies in one half plane, 64 MiB; beyond it the optics are sharp enough to leave out."""
 
 MAX_NEGLECTED = 0.05
-"""Bound on what leaving out the optics may change in a sample; beyond, the field is refused as too large."""
+"""Largest change of a sample that leaving out the optics may cause; beyond it the field is refused."""
 
 FREQUENCIES_AT_ONCE = 2**16
-"""Keeps the arrays of a spectrum that is being computed to some megabytes."""
+"""Number of frequencies whose spectrum is computed at once; it keeps the arrays to some megabytes."""
 
 PLACES_AT_ONCE = 16
-"""Keeps partly folded spectra in the cache, and products so small that BLAS starts no threads for them."""
+"""Number of places computed at once; partly folded spectra stay in the cache, and BLAS starts no threads."""
 
 FIELD_SIZES, FIELD_MARGIN_DETECTORS, MAX_FIELD_DETECTORS = 4.0, 4, 1024
-"""The field of a trial: so many sizes of the triangle, and so many detectors more."""
+"""Side of a trial's field in sizes of the triangle, detectors added to it, and largest side in detectors."""
 
 
 class TriangleSampler:
@@ -55,27 +55,27 @@ class TriangleSampler:
     quarter turn, so the other orientations are turned samples, bit for bit.
 
     If the sum would take more than `MAX_FREQUENCIES` terms, the optics are sharp against the detector: they
-    are left out, and the samples are the exact area of the triangle on each detector. What that changes is
-    bounded by `neglected_bound`.
+    are left out, and the samples are the exact area of the triangle on each detector. `neglected_bound` bounds
+    the change.
 
     Parameters
     ----------
     optics : Optics or None
-        None: they are left out.
+        Optics, or None to leave them out.
     detector : Detector
     size_detectors : float
         √(area) of the triangle, > 0.
     field_detectors : int
         Detectors along each side of the square field.
     period_detectors : int or None
-        The scene repeats after this many detectors; at least the field, and by default the field.
+        Number of detectors after which the scene repeats; at least the field, and by default the field.
 
     Attributes
     ----------
     sharp : bool
         Whether the optics are left out.
     neglected_bound : float
-        0, or by how much at most a sample differs because there are too many frequencies.
+        Bound on the change of a sample from leaving out the optics; 0 if they are not left out.
 
     Raises
     ------
@@ -126,7 +126,7 @@ class TriangleSampler:
     def wrap_around_bound(self) -> float:
         """Bound on the difference of a sample from that of a single triangle within half a detector of the middle.
 
-        Falls with the cube of the period. 0 if the optics are left out: nothing is repeated then.
+        It falls with the cube of the period. It is 0 if the optics are left out, because nothing is repeated then.
         """
         if self.sharp or self._optics is None:
             return 0.0
@@ -185,7 +185,7 @@ class TriangleSampler:
         Parameters
         ----------
         x_detectors, y_detectors : array_like, shape (places,) or scalar
-            Centroids, counted from the middle of the field; x to the right, y down.
+            Centroids in detectors from the middle of the field; x to the right, y down.
 
         Returns
         -------
@@ -226,7 +226,7 @@ class TriangleSampler:
     def _covered_area(self, x: FloatArray, y: FloatArray) -> FloatArray:
         """Compute the share of each active area that an upright triangle covers, exactly: (places, field, field).
 
-        Each half of the triangle is slope·t wide at the depth t below the apex. What lies beyond a column's
+        Each half of the triangle is slope·t wide at the depth t below the apex. The area beyond a column's
         edge, at u from the axis, is ∫ (slope·t − u)⁺ dt over the row, a difference of squares.
         """
         height, slope = HEIGHT_PER_SIZE * self._size, SIDE_PER_SIZE / HEIGHT_PER_SIZE / 2.0
@@ -246,7 +246,7 @@ class TriangleSampler:
 
 
 def field_detectors(sensor: Sensor, size_detectors: float) -> int:
-    """Count the detectors along each side of the field in which a triangle is shown: four sizes and a margin.
+    """Return the number of detectors along each side of a triangle's field: four sizes and a margin.
 
     The observer looks at about as much of the display.
 
@@ -268,12 +268,12 @@ def field_detectors(sensor: Sensor, size_detectors: float) -> int:
 
 
 def smallest_field(size_detectors: float) -> int:
-    """Count the detectors along a side of the smallest field for a triangle half a detector off its middle."""
+    """Return the detectors along a side of the smallest field for a triangle half a detector off its middle."""
     return math.ceil(4.0 / 3.0 * HEIGHT_PER_SIZE * size_detectors + 1.0)
 
 
 def field_sampler(sensor: Sensor, size_detectors: float) -> TriangleSampler:
-    """Make a sampler of that field; the scene repeats after two fields, where next to nothing of it is seen.
+    """Return a sampler of the size `field_detectors`; the scene repeats after two fields, almost unseen.
 
     Raises
     ------
@@ -291,14 +291,14 @@ def field_sampler(sensor: Sensor, size_detectors: float) -> TriangleSampler:
 
 
 def _outer(first: ComplexArray, second: ComplexArray) -> ComplexArray:
-    """Multiply waves (n, places) and (m, places): (n, m, places)."""
+    """Return the products of waves (n, places) and (m, places): (n, m, places)."""
     return np.asarray(first[:, None] * second)
 
 
 def _upright_place(
     x_detectors: ArrayLike, y_detectors: ArrayLike, orientation: Orientation
 ) -> tuple[FloatArray, FloatArray]:
-    """Turn places in the field back such that the triangle stands upright."""
+    """Return places in the field after the turn that makes the triangle upright."""
     x, y = np.broadcast_arrays(np.atleast_1d(np.asarray(x_detectors, float)), np.asarray(y_detectors, float))
     for _ in range(orientation.quarter_turns):
         x, y = y, -x
@@ -306,7 +306,7 @@ def _upright_place(
 
 
 def too_many_frequencies(number: float) -> str:
-    """Say that the sum over a field or image would have too many terms."""
+    """Return the message that the sum over a field or image would have too many terms."""
     limit = f"at most {MAX_FREQUENCIES:.2g}; take fewer detectors or a smaller image"
     return f"field: found {number:.2g} frequencies below the optics' cut-off, expected {limit}"
 
@@ -330,9 +330,13 @@ def sample_image(
     ----------
     image : ndarray, shape (rows, columns)
     pixel_pitch_mrad : float
-        In the scene, > 0.
+        Visual angle of a pixel in the scene, > 0.
+    optics : Optics
+    detector : Detector
+    field_detectors : int
+        Detectors along each side of the square field.
     x_detectors, y_detectors : float
-        Place of the image's middle, from the middle of the field.
+        Place of the image's middle, in detectors from the middle of the field.
 
     Returns
     -------

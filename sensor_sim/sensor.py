@@ -1,4 +1,4 @@
-"""A sensor's settings, checked once, and `SENSOR.toml`."""
+"""Settings of a sensor, checked when they are made, and the reader of `SENSOR.toml`."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from todframes.errors import SettingsError
 SCHEMA = 1
 
 LARGEST = 1e12
-"""Largest length, angle, luminance or gain; beyond it, and below 1/LARGEST, a value is a slip of the pen."""
+"""Largest length, angle, luminance or gain; beyond it, and below 1/LARGEST, a value is taken for a mistake."""
 
 MAX_PIXELS = 1000
 """Largest width of a detector or a standard deviation of the blur, in display pixels."""
@@ -98,7 +98,8 @@ class Detector:
 class Noise:
     """Detector noise of zero mean, independent from detector to detector.
 
-    Without the table: the uniform noise of the paper, new in each frame, one frame at a time.
+    If the file has no such table, the noise is the uniform one of the paper, new in each frame, with one frame
+    integrated.
 
     Attributes
     ----------
@@ -106,7 +107,7 @@ class Noise:
     netd_mk : float or None
         Noise-equivalent temperature difference, > 0. None: no temperatures are reported.
     fixed_pattern_ratio : float
-        Static over dynamic standard deviation, >= 0.
+        Static divided by dynamic standard deviation, >= 0.
     frames_integrated : int
         Frames that the observer's eye averages, >= 1.
 
@@ -127,12 +128,12 @@ class Noise:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Electronics:
-    """Gaussian blur of the electronics; without the table there is none.
+    """Gaussian blur of the electronics; if the file has no such table, there is none.
 
     Attributes
     ----------
     blur_sigma_px : float
-        In [0, 1000].
+        Standard deviation in display pixels, in [0, 1000].
 
     Raises
     ------
@@ -148,7 +149,7 @@ class Electronics:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SensorDisplay:
-    """The display of a sensor's samples, and the distance it is looked at from.
+    """The display of a sensor's samples, and its viewing distance.
 
     Attributes
     ----------
@@ -192,7 +193,7 @@ class SensorDisplay:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sensor:
-    """Everything between the scene and the eye."""
+    """All settings of the chain from the scene to the eye."""
 
     optics: Optics
     detector: Detector
@@ -203,7 +204,7 @@ class Sensor:
 
     @property
     def magnification(self) -> float:
-        """Visual angle on the display over angle in the scene."""
+        """Visual angle on the display divided by angle in the scene."""
         return self.display.detector_pitch_mrad / self.detector.pitch_mrad
 
 
@@ -219,13 +220,13 @@ _REQUIRED_TABLES = ("optics", "detector", "display")
 
 
 def load_sensor(path: Path | str) -> Sensor:
-    """Read and check `SENSOR.toml`.
+    """Return the checked settings of a `SENSOR.toml`.
 
     Raises
     ------
     SettingsError
         If it cannot be read or is not TOML, or a table or key is unknown, missing or out of its range; the
-        message names the file, table and key, what was found and what was expected.
+        message names the file, table and key, the value found and the values expected.
     """
     content = read_toml(Path(path))
     check_keys(content, ["schema", "name", *_TABLES], str(path))

@@ -1,4 +1,4 @@
-"""Trials → display frames on disk: a dataset that `todframes score` reads as it is.
+"""Simulation of trials as display frames on disk: a dataset that `todframes score` reads.
 
 Hogervorst et al. 2001, sections 3 and 5.
 """
@@ -49,7 +49,7 @@ class SimulatedTrial(NamedTuple):
 
 
 class SimulatedFrame(NamedTuple):
-    """A trial as displayed: luminance in cd/m², and where the triangle's centroid is on the display."""
+    """A trial as displayed: luminance in cd/m², and the position of the triangle's centroid on the display."""
 
     luminance_cd_m2: FloatArray
     x_px: float
@@ -83,7 +83,7 @@ def plan_trials(sizes_detectors: Sequence[float], snrs: Sequence[float], trials:
 
 
 class Simulator:
-    """Frames of one sensor for triangles of one size, any of them at any time.
+    """Source of frames of one sensor for triangles of one size, in any order.
 
     Each trial draws from its own random stream, so a frame depends on the seed and its trial alone. The fixed
     pattern is drawn once: the seed stands for the sensor.
@@ -118,7 +118,7 @@ class Simulator:
         self.pattern = unit_fixed_pattern((self.field,) * 2, noise=sensor.noise, seed=pattern_seed)
 
     def frames(self, trials: Sequence[SimulatedTrial]) -> Iterator[SimulatedFrame]:
-        """Yield the trials as displayed, one after the other."""
+        """Yield the trials as displayed, in their order."""
         display = self.sensor.display
         for (x, y), samples in zip(*self.samples(trials), strict=True):
             x_px, y_px = (display_position_px(at, n_detectors=self.field, display=display) for at in (x, y))
@@ -126,9 +126,7 @@ class Simulator:
             yield SimulatedFrame(luminance, x_px, y_px)
 
     def samples(self, trials: Sequence[SimulatedTrial], *, noise: bool = True) -> tuple[FloatArray, FloatArray]:
-        """Draw the triangles' places on the detectors, (trial, 2), and compute their samples, (trial, field,
-        field).
-        """
+        """Return the triangles' random places on the detectors, (trial, 2), and samples, (trial, field, field)."""
         rngs = [
             np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(TRIAL_STREAMS, *trial.key)))
             for trial in trials
@@ -185,12 +183,12 @@ def write_dataset(
     allow_clipping : bool
         Whether more than 1 % of the pixels of a PNG dataset may be clipped.
     workers : int
-        Threads. The bytes written do not depend on it.
+        Number of threads. The bytes written do not depend on it.
 
     Raises
     ------
     SettingsError
-        If too much would be clipped.
+        If too many pixels would be clipped.
     OutputError
         If a frame cannot be written.
     """
@@ -241,7 +239,7 @@ def write_dataset(
 
 
 def provenance(sensor: Sensor, seed: int, trial: SimulatedTrial) -> dict[str, str]:
-    """Return text attributes of a frame that tell how it was made."""
+    """Return the text attributes of a frame that record how it was made."""
     return {
         "sensor_sim:sensor": sensor.name or "unnamed",
         "sensor_sim:version": __version__,

@@ -1,7 +1,7 @@
 """Modulation transfer functions, as plain functions of frequency.
 
-Before sampling, frequencies are cycles/mrad in the scene. Behind it they may be counted per display pixel
-just as well: each width is in the reciprocal unit of its frequency.
+Before sampling, frequencies are in cycles/mrad in the scene. After it they may also be in cycles per display
+pixel: each width is in the reciprocal unit of its frequency.
 
 The optics are computed in two dimensions, from the radial frequency: a product of one-dimensional curves
 would not be circularly symmetric (Hogervorst et al. 2001, section 3).
@@ -54,8 +54,8 @@ def _u_minus_sin_u_series(u: FloatArray) -> FloatArray:
 def gaussian_mtf(frequency: ArrayLike, *, sigma: float) -> FloatArray:
     """Return the modulation transfer of a Gaussian blur of standard deviation `sigma`: exp(−2π²σ²f²).
 
-    Of optics, electronics or display spot; `sigma` is in the reciprocal unit of the (radial) frequency. Other
-    tools give a width b with the transfer exp(−πb²f²): σ = b/√(2π).
+    It describes optics, electronics or display spot; `sigma` is in the reciprocal unit of the (radial) frequency.
+    Other tools give a width b with the transfer exp(−πb²f²): σ = b/√(2π).
 
     Returns
     -------
@@ -69,8 +69,8 @@ def gaussian_mtf(frequency: ArrayLike, *, sigma: float) -> FloatArray:
 def box_mtf(frequency: ArrayLike, *, width: float) -> FloatArray:
     """Return the transfer along one axis of a mean over `width`: sin(πwf)/(πwf), signed.
 
-    That of a detector's active width, and with the pitch for `width` that of sample & hold. In two
-    dimensions it is exactly the product of the axes.
+    It describes the active width of a detector, and with the pitch for `width` sample & hold. In two dimensions
+    the transfer is exactly the product of the axes.
 
     Returns
     -------
@@ -95,14 +95,14 @@ def optics_mtf(radial_frequency_cyc_per_mrad: ArrayLike, *, optics: Optics) -> F
 
 
 def band_limit_cyc_per_mrad(optics: Optics) -> float:
-    """Return the end of the optics' transfer: the cut-off, or where the Gaussian falls below 1e-17."""
+    """Return the end of the optics' transfer: the cut-off, or the frequency with a Gaussian below 1e-17."""
     if optics.blur_sigma_mrad == 0.0:
         return optics.cut_off_cyc_per_mrad
     return min(optics.cut_off_cyc_per_mrad, 1.42 / optics.blur_sigma_mrad)
 
 
 def sharpness_bound(optics: Optics, *, width_mrad: float) -> float:
-    """Bound the change that the optics make to the mean over a square of a scene within [0, 1].
+    """Return a bound on the change that the optics make to the mean over a square of a scene within [0, 1].
 
     Moving the scene by u changes it by at most (|u_x| + |u_y|)/width, and by at most 1. The mean of that over
     the Gaussian is 2√(2/π)·σ/width. Over the Airy pattern, whose energy beyond r is J₀² + J₁² at πcr, c the
@@ -116,7 +116,7 @@ def sharpness_bound(optics: Optics, *, width_mrad: float) -> float:
 def repetition_bound(
     optics: Optics, *, area_mrad2: float, reach_mrad: float, field_mrad: float, period_mrad: float
 ) -> float:
-    """Bound the change that repeating a scene within [0, 1] makes to it behind the optics.
+    """Return a bound on the change that repeating a scene within [0, 1] makes to its image after the optics.
 
     By J₁(v)² <= 2/(πv)·(1 + 3/(8v²)) (Watson 1944, section 13.75) the Airy pattern at distance r is below
     2/(π³cr³)·(1 + 3/(8(πcr)²)), c the cut-off. A repetition, moved nearer by its reach and seven standard
@@ -125,12 +125,13 @@ def repetition_bound(
     Parameters
     ----------
     area_mrad2 : float
-        Area of what is repeated.
+        Area of the repeated part of the scene.
     reach_mrad : float
         Distance from the scene's place to its end, plus the detector's width.
     field_mrad : float
-        Places within half of this of the scene's, along x and y, are looked at.
+        Side of the square around the scene's place in which the bound holds.
     period_mrad : float
+        Distance between repetitions.
 
     Returns
     -------
@@ -176,12 +177,12 @@ def post_sample_mtf(radial_frequency_cyc_per_mrad: ArrayLike, *, sensor: Sensor)
 
 
 def stages(frequency_cyc_per_mrad: ArrayLike, *, sensor: Sensor) -> dict[str, FloatArray]:
-    """Return every stage's transfer along x, in the order the signal meets them, and the two products.
+    """Return every stage's transfer along x, in the order of the signal chain, and the two products.
 
     Parameters
     ----------
     frequency_cyc_per_mrad : array_like, any shape
-        In object space.
+        Spatial frequency in object space.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""The commands `todframes` and `python -m todframes`, ready for Ctrl-C before anything else is imported."""
+"""Entry point of `todframes` and `python -m todframes`; it handles Ctrl-C before anything else is imported."""
 
 import os
 import sys

@@ -1,4 +1,4 @@
-"""What the commands do, as calls: each makes a `Result` from data and settings, with the command's numbers."""
+"""The Python calls behind the commands: each returns a `Result` with the same numbers as its command."""
 
 from __future__ import annotations
 
@@ -57,22 +57,22 @@ def score(
     Parameters
     ----------
     dataset : path or Dataset
-        Folder with dataset.toml, manifest.csv and frames, or what `load_dataset` made of it.
+        Folder with dataset.toml, manifest.csv and frames, or the return value of `load_dataset`.
     observer : str or Observer
         Name of a registered observer, "module:Class", or an observer: `PyramidObserver(internal_noise=0.25)`.
     decisions : {"expected", "sampled"}
-        Each frame's probability of a correct answer, or one answer drawn a trial.
+        Use each frame's probability of a correct answer, or draw one answer for each trial.
     tolerance : float, optional
-        Relative error of the thresholds that displacing the retina may cause: each frame is seen with as many
-        displacements as that takes. Default: one each.
+        Largest relative error of the thresholds that displacing the retina may cause. The number of displacements
+        of each frame is chosen to meet it. Default: one displacement for each frame.
     plan : {"needed", "full"}
-        Leave out what the scene does not need, or nothing.
+        Leave out the computations that the scene does not need, or leave out none.
     seed : int
         Seed of all random draws.
     p_correct : float, optional
         Raw proportion correct at threshold, in place of that of `fit`.
     fit : FitSettings, optional
-        What is fixed and what is free in the fits.
+        Fixed and free parameters of the fits.
     locate : bool
         Find the triangle's position where the manifest has none.
     on_error : {"stop", "skip"}
@@ -80,20 +80,21 @@ def score(
     workers : int
         Threads that read and score.
     examples : bool
-        Also draw what a triangle at threshold looks like, for the page.
+        Also draw a triangle at threshold, for the page.
     progress : function of an int, optional
-        Is told the number of trials done whenever some are; with `locate`, each is done twice.
+        Called with the number of trials that were just done; with `locate`, each trial is done twice.
 
     Returns
     -------
     Result
+        Thresholds of each group, scores of each trial, warnings and settings.
 
     Raises
     ------
     DataError, FrameError
         If the dataset or a frame cannot be used.
     SettingsError
-        If a setting is not what it should be.
+        If a setting is invalid.
 
     Examples
     --------
@@ -156,23 +157,24 @@ def score_frames(
 ) -> Result:
     """Score frames that are in memory and fit their thresholds, without touching a disk.
 
-    Where an argument has a value for each frame, one value may stand for all.
+    An argument that has a value for each frame may also be one value for all frames.
 
     Parameters
     ----------
     frames : array_like, shape (n, rows, columns), or iterable of n arrays (rows, columns)
-        Code values or luminance, as the display says; (rows, columns, 3) for colour. Integers of 8 and 16 bits are
-        divided by their full scale.
+        Code values or luminance, according to `display`; (rows, columns, 3) for colour. Integers of 8 and 16 bits
+        are divided by their full scale.
     orientation : str or sequence of str
-        Where the apex points: "up", "right", "down" or "left".
+        Direction of the apex: "up", "right", "down" or "left".
     level : float or sequence of float
         Stimulus strength, > 0.
     size_mrad : float or sequence of float
         √(area) of the triangle as displayed, in mrad of visual angle.
     display : Display
-        How code values become luminance, and the visual angle of a pixel.
+        Conversion of code values to luminance, and the visual angle of a pixel.
     group : mapping, optional
-        Columns of n values each by name; frames with the same values share a curve. Default: a curve a size.
+        Columns of n values each by name; frames with the same values share a curve. Default: one curve for each
+        size.
     position : array_like, shape (2,) or (n, 2), optional
         x and y of the triangle's centroid in pixels; (0, 0) is the centre of the top left one. Default: the middle
         of the frame.
@@ -182,22 +184,23 @@ def score_frames(
         Names of trials: frames of one trial are averaged in contrast before the observer sees them. Default: each
         frame is a trial.
     level_name : str
-        What the level is, for tables and pictures.
+        Name of the level, for tables and pictures.
     **settings
-        As for `score`: observer, decisions, seed, p_correct, locate, workers and so on.
+        Settings as for `score`: observer, decisions, seed, p_correct, locate, workers and so on.
 
     Returns
     -------
     Result
+        Thresholds of each group, scores of each trial, warnings and settings.
 
     Raises
     ------
     DataError
-        If there are no frames, an argument has another number of values, or a value cannot be.
+        If there are no frames, an argument has another number of values, or a value is out of its range.
     FrameError
-        If a frame cannot be used; it is named by its number, from 0.
+        If a frame cannot be used; the message gives its number, from 0.
     SettingsError
-        If a setting is not what it should be.
+        If a setting is invalid.
 
     Examples
     --------
@@ -256,26 +259,26 @@ def compare(
     Parameters
     ----------
     dataset, observer, decisions, plan, seed, p_correct, fit, locate, on_error, workers, examples, progress
-        As in `score`.
+        Parameters as in `score`.
     enhance : iterable of str or function
-        Algorithms: "name" of a registered one or "module:function", either with ":parameter=value,…" behind; or
-        functions of an image and keyword parameters.
+        Algorithms: "name" of a registered one or "module:function", optionally followed by ":parameter=value,…";
+        or functions of an image and keyword parameters.
     white : float
-        Code value that algorithms take as white.
+        Code value of white for the algorithms.
     allow_clipping : bool
-        Clip what algorithms take beyond the display's range, instead of raising.
+        Clip values beyond the display's range in the output of an algorithm, instead of raising.
 
     Returns
     -------
     Result
-        Its `algorithms` have thresholds, ratios to the reference and verdicts; the first is the reference.
+        Result whose `algorithms` have thresholds, ratios to the reference and verdicts, the reference first.
 
     Raises
     ------
     DataError, FrameError
-        If the dataset, a frame or what an algorithm makes of it cannot be used.
+        If the dataset, a frame or the output of an algorithm cannot be used.
     SettingsError
-        If a setting or an algorithm is not what it should be.
+        If a setting or an algorithm is invalid.
 
     Examples
     --------
@@ -359,13 +362,14 @@ def fit_counts(
     p_correct : float, optional
         Raw proportion correct at threshold, in place of that of `fit`.
     fit : FitSettings, optional
-        What is fixed and what is free in the fits.
+        Fixed and free parameters of the fits.
     seed : int
         Seed of the resamples.
 
     Returns
     -------
     Result
+        One threshold and its fitted curve for each group.
 
     Raises
     ------
@@ -411,17 +415,18 @@ def naked_eye(
     Parameters
     ----------
     size_mrad : float or sequence of float
-        Sizes √(area); the threshold is a Weber contrast for each. Give either this or `contrast`.
+        Sizes √(area) in mrad; the threshold is a Weber contrast for each. Give either this or `contrast`.
     contrast : float or sequence of float
-        Weber contrasts; the threshold is a size for each, the acuity.
+        Weber contrasts; the threshold is a size in mrad for each, the acuity.
     observer : str or Observer
-        As in `score`; a linear one.
+        Observer as in `score`; it must be linear.
     p_correct : float
         Raw proportion correct at threshold.
 
     Returns
     -------
     Result
+        One threshold for each size or contrast.
 
     Raises
     ------
@@ -470,7 +475,7 @@ def _computed(group: Group, level: str, p_correct: float, found: Threshold) -> F
 
 
 def described(observer: str | Observer) -> tuple[Observer, Json]:
-    """Make an observer that is named, and tell its name and settings as JSON has them."""
+    """Return an observer, made if only its name is given, and its name and settings as JSON values."""
     if isinstance(observer, str):
         kind, name = find_observer(observer), observer
         observer = kind(kind.settings_type())
@@ -482,7 +487,7 @@ def described(observer: str | Observer) -> tuple[Observer, Json]:
 
 
 def _name(kind: type) -> str:
-    """Find the name that a class is registered under; "module:Class" if it is not."""
+    """Return the name that a class is registered under, or "module:Class" if it is not registered."""
     import sys
     from importlib.metadata import entry_points
 
@@ -504,7 +509,7 @@ def _loaded(dataset: Path | str | Dataset) -> Dataset:
 def _located(
     dataset: Path | str | Dataset, observer: Observer, locate: bool, on_error: OnError, progress: Progress | None
 ) -> tuple[Dataset, Json]:
-    """Load a dataset and find its positions if asked to; these are part of the result."""
+    """Load a dataset and find its positions if asked to. Returns the dataset and the located positions."""
     data = _loaded(dataset)
     if not locate:
         return data, {}

@@ -1,4 +1,4 @@
-"""Reading of what users write: text files, TOML tables as frozen dataclasses, fields of CSV files."""
+"""Readers of the files that users write: text, TOML tables as frozen dataclasses, fields of CSV files."""
 
 from __future__ import annotations
 
@@ -25,22 +25,22 @@ from todframes.errors import DataError, SettingsError
 T = TypeVar("T")
 
 MAX_TOML_MB, MAX_CSV_MB = 1, 256
-"""Longest files that are read, of 2**20 bytes."""
+"""Largest sizes of TOML and CSV files that are read, in units of 2**20 bytes."""
 MAX_NESTING, MAX_DOTS = 16, 500
 COLUMNS_SHOWN = 20
 LONGEST_KEY = 100
-"""Characters of an unknown key that the nearest valid one is looked up by; time goes with their square."""
+"""Number of characters of an unknown key that are compared with valid keys; the time grows with its square."""
 FIELDS_FOUND = "\0fields"
-"""Key under which a row of `read_csv` tells how many fields it has, if not as many as the header."""
+"""Key of the number of fields in a row of `read_csv` that has more or fewer fields than the header."""
 
 
 def read_file(path: Path, *, most_mb: int) -> bytes:
-    """Read a file that is neither a pipe nor a device, whose readers may wait or read for ever.
+    """Return the bytes of a file. Pipes and devices are refused: reading them may never end.
 
     Raises
     ------
     DataError
-        If it is no file, cannot be read, or is longer than `most_mb` (of 2**20 bytes).
+        If it is not a regular file, cannot be read, or is longer than `most_mb` · 2**20 bytes.
     """
     content = b""
     try:
@@ -65,12 +65,12 @@ def read_file(path: Path, *, most_mb: int) -> bytes:
 
 
 def read_text(path: Path, *, most_mb: int) -> str:
-    """Read a UTF-8 text file, with or without a byte-order mark.
+    """Return the text of a UTF-8 file, with or without a byte-order mark.
 
     Raises
     ------
     DataError
-        As `read_file` does, or if it is not UTF-8.
+        If `read_file` raises it, or the file is not UTF-8.
     """
     try:
         return read_file(path, most_mb=most_mb).decode("utf-8-sig")
@@ -79,7 +79,7 @@ def read_text(path: Path, *, most_mb: int) -> str:
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """Read a TOML file.
+    """Return the content of a TOML file.
 
     Raises
     ------
@@ -95,7 +95,7 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 
 def toml_value(text: str) -> Any:
-    """Return a value as TOML has it where the text is one, and the text itself where not.
+    """Return the TOML value that a text stands for, or the text itself if it is not TOML.
 
     Raises
     ------
@@ -112,14 +112,15 @@ def toml_value(text: str) -> Any:
 
 
 def _parsed_toml(text: str) -> dict[str, Any]:
-    """Content of TOML whose values are as TOML says: whole numbers of 64 bits, and not nested endlessly.
+    """Return the content of a TOML text; integers beyond 64 bits and too deep nesting are refused.
 
     Raises
     ------
     tomllib.TOMLDecodeError
-        If it is anything else. Others would be Python's errors, here or where a value is printed.
+        If the text is not such TOML. Without these checks Python would raise other errors, here or when a value
+        is printed.
     """
-    # The time for a key goes with the square of its parts.
+    # The time for a key grows with the square of the number of its parts.
     for number_of_line, line in enumerate(text.split("\n"), 1):
         if line.count(".") > MAX_DOTS:
             raise tomllib.TOMLDecodeError(f"line {number_of_line} has more than {MAX_DOTS} dots")
@@ -148,12 +149,12 @@ def _parsed_toml(text: str) -> dict[str, Any]:
 
 
 def check_keys(found: Iterable[str], known: Iterable[str], where: str) -> None:
-    """Refuse unknown keys.
+    """Raise SettingsError if a key is unknown.
 
     Raises
     ------
     SettingsError
-        If a key is not known; the message names the nearest that is.
+        If a key is not known; the message names the nearest known key.
     """
     known = {key.lower(): key for key in known}
     for key in found:
@@ -168,9 +169,9 @@ def _shortened(text: str) -> str:
 
 
 def check_values(settings: object) -> None:
-    """Refuse values that the annotations of a settings dataclass do not allow.
+    """Raise SettingsError if the annotations of a settings dataclass do not allow one of its values.
 
-    Checked are numbers, with their ranges where these are annotated (`msgspec.Meta`), and choices (`Literal`).
+    The check covers numbers, with their ranges if these are annotated (`msgspec.Meta`), and choices (`Literal`).
 
     Raises
     ------
@@ -191,7 +192,7 @@ def _hints(kind: Any) -> dict[str, Any]:
 
 
 def _unmet(value: Any, hint: Any) -> str | None:
-    """Return a description of the value that was expected, or None where the value is as annotated."""
+    """Return a description of the value that was expected, or None if the value is as annotated."""
     (meta,) = getattr(hint, "__metadata__", (None,))
     kind = hint if meta is None else hint.__origin__
     parts = get_args(kind) or (kind,)
@@ -210,7 +211,7 @@ def _unmet(value: Any, hint: Any) -> str | None:
 
 
 def from_table(table: Mapping[str, Any], kind: type[T], where: str) -> T:
-    """Make a frozen dataclass from a table of plain values.
+    """Return a frozen dataclass made from a table of plain values.
 
     Parameters
     ----------
@@ -242,7 +243,7 @@ def from_table(table: Mapping[str, Any], kind: type[T], where: str) -> T:
 
 
 def convert(value: object, kind: Any, where: str) -> object:
-    """Convert a plain value to a type, such as `float`, a Literal, or one with a range (`msgspec.Meta`).
+    """Return a plain value converted to a type: `float`, a Literal, a number with a range (`msgspec.Meta`), ….
 
     Raises
     ------
@@ -276,12 +277,12 @@ def convert(value: object, kind: Any, where: str) -> object:
 def read_csv(path: Path) -> Iterator[tuple[str, dict[str, str]]]:
     """Yield the rows of a CSV file with a header, each with its place: file and line.
 
-    The first item is the header: its row is empty but for its keys.
+    The first item is the header: a row with all keys and empty values.
 
     Raises
     ------
     DataError
-        If the file cannot be read or is not CSV, or a column stands there twice.
+        If the file cannot be read or is not CSV, or two columns have the same name.
     """
     reader = csv.reader(io.StringIO(read_text(path, most_mb=MAX_CSV_MB), newline=""), strict=True)
     try:
@@ -303,7 +304,7 @@ def read_csv(path: Path) -> Iterator[tuple[str, dict[str, str]]]:
 
 
 def column_names(header: Iterable[str]) -> str:
-    """The columns that were found, for a message: the first of them where there are many."""
+    """Return the names of the columns that were found, for a message; only the first ones if there are many."""
     names = list(header)
     more = f" and {len(names) - COLUMNS_SHOWN} more" if len(names) > COLUMNS_SHOWN else ""
     return (", ".join(map(_shortened, names[:COLUMNS_SHOWN])) or "none") + more
@@ -316,12 +317,12 @@ def check_fields(row: Mapping[str, str], n_columns: int, where: str) -> None:
 
 
 def number(text: str, where: str, *, positive: bool = False) -> float:
-    """Read a finite number from a field of a CSV file.
+    """Return the finite number in a field of a CSV file.
 
     Raises
     ------
     DataError
-        If it is not one, or not above zero where it must be; `where` names file, line and column.
+        If the text is not a finite number, or `positive` and not above zero; `where` names file, line and column.
     """
     text = text.strip()
     try:
@@ -334,7 +335,7 @@ def number(text: str, where: str, *, positive: bool = False) -> float:
 
 
 def number_or_text(text: str) -> float | str:
-    """Read a group's value: a number if the text is a finite one."""
+    """Return a group's value: a number if the text is a finite number, otherwise the text."""
     text = text.strip()
     try:
         value = math.nan if "_" in text else float(text)  # Python reads 1_0 as 10

@@ -1,4 +1,4 @@
-"""The errors this package raises on purpose; everything else is a defect.
+"""The errors that this package raises on purpose; any other exception is a defect.
 
 Each message is one line that names the file, row or key, what was found and what was expected.
 """
@@ -9,17 +9,17 @@ from pathlib import Path
 
 
 class TodframesError(Exception):
-    """Base of all errors that a user can cause and mend; `exit_status` is the command line's."""
+    """Base class of all errors that a user can cause and correct; `exit_status` is the status of the command."""
 
     exit_status = 1
 
 
 class DataError(TodframesError, ValueError):
-    """A file, row or pixel is not what it should be."""
+    """Error for a file, row or pixel that is invalid."""
 
 
 class FrameError(DataError):
-    """A frame cannot be used; `path` names it and `problem` says why, without the path."""
+    """Error for a frame that cannot be used; `path` names it and `problem` says why, without the path."""
 
     def __init__(self, path: Path | str, problem: str) -> None:
         super().__init__(f"{path}: {problem}")
@@ -28,12 +28,12 @@ class FrameError(DataError):
 
 
 class SettingsError(TodframesError, ValueError):
-    """A setting, option or argument is not what it should be."""
+    """Error for a setting, option or argument that is invalid."""
 
     exit_status = 2
 
 
 class OutputError(TodframesError, OSError):
-    """Results cannot be written where they were asked for."""
+    """Error for results that cannot be written to the place that was asked for."""
 
     exit_status = 2

@@ -1,4 +1,4 @@
-"""Results on disk: result folders, datasets, single files. What this package did not write stays as it is.
+"""Writing of results: result folders, datasets, single files. Files that others wrote are never changed.
 
 A run stages its files in a hidden folder inside the place that it writes to. A dataset that replaces another one,
 and a single file, are staged beside it. The staging folder is made before the work, so a place that cannot be
@@ -40,7 +40,7 @@ STAGING, LOCK, STAGED, ASIDE = ".todframes-staging", "lock", "new", "old"
 
 
 MARK = ".todframes.json"
-"""In a dataset: the files that this package wrote into it, with their SHA-256."""
+"""Name of the file in a dataset that lists the files this package wrote, with their SHA-256."""
 
 
 LAST_OF_DATASET, LAST_OF_RESULT = "dataset.toml", "result.json"
@@ -51,7 +51,7 @@ FILES_OF_COMMAND = {
     "curve": {"report.html", "psychometric.png", "tod_curve.png"},
     "compare": {"report.html", "scores.csv", "compare.csv", "compare.png"},
 }
-"""That belong to a `result.json`."""
+"""Files that each command writes beside `result.json`."""
 
 
 Inventory = dict[str, tuple[int, ...]]
@@ -81,7 +81,7 @@ class _Result(msgspec.Struct):
 
 @contextmanager
 def output_folder(name: str) -> Iterator[Path]:
-    """Yield a staging folder whose files join those in the folder named, all of them, if the block ends well.
+    """Yield a staging folder. If the block ends without an exception, all its files move into the folder named.
 
     Raises
     ------
@@ -101,13 +101,13 @@ def output_folder(name: str) -> Iterator[Path]:
 
 @contextmanager
 def new_folder(name: str, *, overwrite: bool) -> Iterator[Path]:
-    """Yield a staging folder that becomes the dataset named if the block ends well: whole or not at all.
+    """Yield a staging folder. If the block ends without an exception, it becomes the dataset named.
 
     Parameters
     ----------
     overwrite : bool
-        Whether it may replace a dataset. Only one that carries the mark of this package and holds nothing but the
-        files of that mark, unchanged, is ever replaced.
+        Whether it may replace a dataset. A dataset is only replaced if it has the mark of this package and holds
+        nothing but the files listed there, unchanged.
 
     Raises
     ------
@@ -122,7 +122,7 @@ def new_folder(name: str, *, overwrite: bool) -> Iterator[Path]:
         beside = _beside(path)
         if beside.is_dir():
             with _staging(beside, name):
-                pass  # removes what a killed run has left
+                pass  # removes the files of a killed run
         if killed:
             _remove_unfinished(path)
         if before := _inventory(path):
@@ -145,7 +145,7 @@ def new_folder(name: str, *, overwrite: bool) -> Iterator[Path]:
 
 
 def write_file(path: Path, content: bytes, *, not_over: Path | None = None) -> None:
-    """Write a file whole or not at all, over an older one of its name, whose permissions it takes.
+    """Write a whole file or nothing. An older file of that name is replaced; its permissions are kept.
 
     Raises
     ------
@@ -168,7 +168,7 @@ def write_file(path: Path, content: bytes, *, not_over: Path | None = None) -> N
 
 
 def write_files(folder: Path, files: Mapping[str, bytes]) -> None:
-    """Write files into a folder, each safely on disk before the next."""
+    """Write files into a folder; each is flushed to disk before the next is written."""
     for name, content in files.items():
         with (folder / name).open("wb") as file:
             file.write(content)
@@ -187,7 +187,7 @@ def _as_output_error(name: str) -> Iterator[None]:
 
 
 def _place(name: str) -> Path:
-    """The folder named, where links lead. OutputError if there can be none."""
+    """Return the path of the folder named, with links resolved. Raises OutputError if it cannot be a folder."""
     if not name or "\0" in name:
         raise OutputError(f"found {name!r} as the folder for results, expected a name")
     path = Path(name)
@@ -203,7 +203,7 @@ def _place(name: str) -> Path:
 
 @contextmanager
 def _made(path: Path) -> Iterator[None]:
-    """Make a folder if there is none, and remove it again if the block fails and nothing else is in it."""
+    """Make a folder if it does not exist, and remove it again if the block fails and the folder is empty."""
     made = False
     try:
         with held_back(), suppress(FileExistsError):
@@ -222,7 +222,7 @@ def _made(path: Path) -> Iterator[None]:
 
 @contextmanager
 def _staging(folder: Path, name: str) -> Iterator[bool]:
-    """Make a staging folder that is this run's alone, empty but for the lock, and remove it at the end.
+    """Make a staging folder for this run alone, empty except for the lock, and remove it at the end.
 
     Yields whether a killed run had left it.
     """
@@ -246,8 +246,8 @@ def _lock(folder: Path, name: str) -> tuple[int | None, bool]:
     Returns
     -------
     (int or None, bool)
-        The open lock file, None where the file system has no locks: there the folder is the lock. Whether a killed
-        run had left the folder.
+        The open lock file, or None if the file system has no locks: then the folder is the lock; and whether a
+        killed run had left the folder.
     """
     while True:
         try:
@@ -283,7 +283,7 @@ def _lock(folder: Path, name: str) -> tuple[int | None, bool]:
 
 
 def _is_locked_by(lock: int, folder: Path) -> bool:
-    """Whether the lock is still that of the folder, which its last owner may have removed or moved."""
+    """Return whether the lock is still the folder's; its last owner may have removed or moved the folder."""
     with suppress(FileNotFoundError):
         return os.path.samestat(os.fstat(lock), os.lstat(folder / LOCK))
     return False
@@ -304,12 +304,12 @@ def _release(folder: Path, lock: int | None) -> None:
 
 
 def _clear(folder: Path) -> None:
-    """Remove what a run has staged, or swapped out: of a dataset with a mark only what belongs to it.
+    """Remove the files that a run staged or swapped out; from a dataset with a mark only the files in the mark.
 
     Raises
     ------
     OutputError
-        If there is more in a dataset that was swapped out; only a kill in the middle of the swap leaves that.
+        If a dataset that was swapped out holds other files; only a kill in the middle of the swap leaves that.
     """
     staged = folder / STAGED
     if (staged / MARK).exists():
@@ -329,7 +329,7 @@ def _names(folder: Path) -> set[str]:
 
 
 def _beside(path: Path) -> Path:
-    """The staging folder beside a file or folder; its length does not depend on that of the name."""
+    """Return the path of the staging folder beside a file or folder; its length does not depend on the name."""
     return path.parent / f"{STAGING}-{hashlib.sha256(os.fsencode(path.name)).hexdigest()[:16]}"
 
 
@@ -337,7 +337,7 @@ def _beside(path: Path) -> Path:
 
 
 def _join(staged: Path, path: Path) -> None:
-    """Move staged files into a result folder, over older ones; if one cannot be, put the older ones back."""
+    """Move staged files into a result folder, over older ones; if one cannot be moved, put the older ones back."""
     made = _names(staged)
     for name in made:
         if (path / name).is_dir():
@@ -365,7 +365,7 @@ def _join(staged: Path, path: Path) -> None:
 
 
 def _files_of_result(path: Path) -> set[str]:
-    """Files that belong to the result in a folder: beside another result they would be taken for its own."""
+    """Return the files of the result in a folder; beside another result they would be taken for that one's."""
     with suppress(OSError, msgspec.MsgspecError):
         if (path / LAST_OF_RESULT).is_file():
             result = msgspec.json.decode((path / LAST_OF_RESULT).read_bytes(), type=_Result)
@@ -377,12 +377,12 @@ def _files_of_result(path: Path) -> set[str]:
 
 
 def _inventory(folder: Path) -> Inventory:
-    """List what is below a folder, its staging folder left out, parents before what is in them.
+    """List all files and folders below a folder except its staging folder, parents before their content.
 
     Returns
     -------
     dict of str to tuple of int
-        By relative path: size, time in ns and inode of files, FOLDER for folders, OTHER for all else, also links.
+        By relative path: (size, time in ns, inode) for files, FOLDER for folders, OTHER for the rest, also links.
     """
 
     def fail(error: OSError) -> None:
@@ -403,7 +403,7 @@ def _inventory(folder: Path) -> Inventory:
 
 
 def _foreign(folder: Path, found: Inventory) -> list[str]:
-    """Names in a folder that are not in its mark, or not as they were written; all of them if it has no mark."""
+    """List names in a folder that are not in its mark or were changed since; all names if it has no mark."""
     try:
         if len(found.get(MARK, OTHER)) < 3:
             return list(found)
@@ -432,7 +432,7 @@ def _sha256(path: Path) -> str:
 
 
 def _remove(folder: Path, found: Inventory) -> None:
-    """Remove what was found in a dataset's folder; its mark last, and only if nothing else has come there."""
+    """Remove the listed files of a dataset's folder; the mark last, and only if no other file has appeared."""
     for name in reversed(found):
         if name != MARK:
             (folder / name).rmdir() if found[name] == FOLDER else (folder / name).unlink()
@@ -447,14 +447,14 @@ def _remove_folder(folder: Path, found: Inventory) -> None:
 
 
 def _remove_unfinished(path: Path) -> None:
-    """Remove what a run that was killed while it filled a new folder has moved there."""
+    """Remove files that a killed run had moved into a new folder."""
     found = _inventory(path)
     if MARK in found and LAST_OF_DATASET not in found and not _foreign(path, found):
         _remove(path, found)
 
 
 def _check_replaceable(name: str, path: Path, found: Inventory, overwrite: bool) -> None:
-    """Raise OutputError unless a folder that is not empty is a dataset that may be, and can be, replaced."""
+    """Raise OutputError unless a folder that is not empty is a dataset that may and can be replaced."""
     if not overwrite:
         raise OutputError(
             f"{name}: is not empty; expected a new name, or --overwrite, which replaces only what todframes wrote"
@@ -495,7 +495,7 @@ def _check_exchange(name: str, path: Path, beside: Path) -> None:
 
 
 def _exchange(name: str, staged: Path, path: Path, before: Inventory) -> None:
-    """Swap a staged dataset with the one that is there, and remove that if it is still as it was before."""
+    """Swap a staged dataset with the existing one, and remove the existing one if it has not changed."""
     shutil.copymode(path, staged)
     if hasattr(os, "sync"):
         os.sync()  # or the power may fail when the older one is gone and the new one is not yet on disk
@@ -514,7 +514,7 @@ def _exchange(name: str, staged: Path, path: Path, before: Inventory) -> None:
 
 
 def _fill(name: str, staged: Path, path: Path) -> None:
-    """Move a staged dataset into a folder without one, over nothing."""
+    """Move a staged dataset into a folder that has none; no file is replaced."""
     moved: list[str] = []
     try:
         for part in sorted(_names(staged), key=lambda part: (part != MARK, part == LAST_OF_DATASET)):
@@ -541,12 +541,12 @@ def _rename_to_free_name(source: Path, target: Path) -> None:
 
 
 def _rename(source: Path, target: Path, flag: int) -> None:
-    """Rename in one step as Python's `os` cannot: over nothing, or two names swapped.
+    """Rename atomically without replacing a file, or swap two names; Python's `os` can do neither.
 
     Raises
     ------
     OSError
-        If it cannot be done here.
+        If the system or file system does not support it, or the rename fails.
     """
     try:
         library = ctypes.CDLL(None, use_errno=True)

@@ -1,4 +1,4 @@
-"""Text that comes from data, made harmless where it is shown: on a terminal and in a spreadsheet."""
+"""Escaping of text that comes from data, so that it is harmless on a terminal and in a spreadsheet."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ FORMULA_STARTS = ("=", "+", "-", "@", "\t", "\r", "\n", "＝", "＋", "－", "�
 
 
 _UNESCAPED_BY_JSON = re.compile(r"[\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069]")
-"""Control characters, and what turns the direction of the text beside it."""
+"""Pattern of control characters and of characters that change the direction of the text beside them."""
 
 
 def visible(text: str) -> str:
-    r"""Replace every character that is not printable by its escape: an ESC becomes `\x1b`.
+    r"""Return a text in which every character that is not printable is escaped: an ESC becomes `\x1b`.
 
     Such characters move the cursor of a terminal, set its title or turn the direction of the text beside them.
     Line breaks are among them, so the result is one line.
@@ -26,12 +26,12 @@ def visible(text: str) -> str:
 
 
 def visible_json(text: str) -> str:
-    """Escape characters in JSON that a terminal would obey: the same values, in other words of JSON."""
+    """Return JSON in which characters that a terminal would obey are escaped; its values are the same."""
     return _UNESCAPED_BY_JSON.sub(lambda found: f"\\u{ord(found[0]):04x}", text)
 
 
 def csv_text(rows: Iterable[Iterable[object]]) -> str:
-    """Write rows as CSV in which no text is a formula: `'` stands before one that a spreadsheet would compute."""
+    """Return rows as CSV; a text that a spreadsheet would compute as a formula gets `'` in front."""
     # The writer quotes what its line ends are made of; a carriage return that is not quoted would begin a row.
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\r\n")

@@ -1,4 +1,4 @@
-"""Signals that ask a run to end: Ctrl-C, a request to terminate, a connection that is gone.
+"""Handlers of the signals that ask a run to end: Ctrl-C, a request to terminate, a lost connection.
 
 This module is imported before all others, so it imports little itself.
 """
@@ -18,19 +18,19 @@ SIGNALS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if 
 
 
 INTERRUPTED = 130
-"""Exit status."""
+"""Exit status of an interrupted run."""
 
 
 RETRY_S, MOST_RETRIES = 0.02, 100
-"""Of an interruption during an import; if that takes longer, it is interrupted."""
+"""Interval and number of retries of an interruption in an import; after the last, the import is interrupted."""
 
 
 written: list[str] = []
-"""Places that the present run has written; `output` adds to them, `interruption_message` tells the last."""
+"""Places that the present run has written; `output` adds to them, `interruption_message` names the last."""
 
 
 def interruption_message() -> str:
-    """Tell what an interrupted run has written."""
+    """Return the message of an interrupted run: the last place it has written, or that there is none."""
     if written:
         return f"interrupted, but {written[-1]} was written before"
     return "interrupted, nothing was written"
@@ -39,8 +39,8 @@ def interruption_message() -> str:
 def end_at_once() -> None:
     """End the process with one line when a signal arrives, without cleaning up.
 
-    This is for the time before a command runs: an exception would end as a traceback, or strike in the middle of
-    an import, where a C extension prints it and goes on.
+    This is for the time before a command runs: an exception would end as a traceback, or be raised in the middle
+    of an import, and a C extension would print it and go on.
     """
 
     def end(*_: object) -> None:
@@ -76,10 +76,10 @@ def raised() -> Iterator[None]:
 
 @contextmanager
 def held_back() -> Iterator[Callable[[], None]]:
-    """Defer signals to the end of the block. Yields a function that lets one act that has arrived.
+    """Defer signals to the end of the block. Yields a function that runs the handler of a signal that has arrived.
 
-    A signal acts as its handler says: its exception leaves the block at the end, or where that function is called.
-    Without effect outside the main thread, and on signals that end the process without a handler.
+    An exception of the handler is raised at the end of the block, or in the call of that function. There is no
+    effect outside the main thread, or on signals that end the process without a handler.
     """
     arrived: list[int] = []
     handlers: dict[int, Any] = {}
@@ -118,7 +118,7 @@ def _imports(frame: FrameType | None) -> bool:
 
 
 def _handle(handler: Callable[..., None]) -> dict[int, Any]:
-    """Install a handler for all signals that are not ignored (as by nohup). Returns the handlers before."""
+    """Install a handler for all signals that are not ignored (as by nohup). Returns the previous handlers."""
     if threading.current_thread() is not threading.main_thread():
         return {}
     before = {number: signal.getsignal(number) for number in SIGNALS}

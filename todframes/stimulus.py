@@ -1,4 +1,4 @@
-"""The test pattern: equilateral triangles, their exact pixel coverage and closed-form spectrum.
+"""Equilateral triangles, the test pattern: their exact pixel coverage and closed-form spectrum.
 
 Image coordinates: x to the right, y down, pixel centres at whole numbers, so pixel 0 reaches from -0.5 to 0.5.
 """
@@ -25,7 +25,7 @@ SIDE_PER_SIZE = 2.0 / 3.0**0.25
 
 
 class Orientation(StrEnum):
-    """Direction of the apex on the display; in clockwise order, as scores and answers are everywhere."""
+    """Direction of the apex on the display; members are in clockwise order, as are all scores and answers."""
 
     UP = "up"
     RIGHT = "right"
@@ -43,7 +43,7 @@ ORIENTATIONS = tuple(Orientation)
 
 @dataclass(frozen=True, slots=True)
 class Stimulus:
-    """Triangle of a trial as the observer knows it beforehand: all but the orientation.
+    """Properties of a trial's triangle that the observer knows beforehand: all except the orientation.
 
     `size_mrad` is √(area) as displayed, `polarity` 1 for brighter and -1 for darker than the background.
     """
@@ -70,10 +70,11 @@ def vertices(
     Parameters
     ----------
     size : float
-        √(area), > 0, in the unit in which `x`, `y` and the result are.
+        √(area), > 0, in the unit of `x`, `y` and the result.
     x, y : float
         Place of the triangle's `centre`.
     centre : {"centroid", "bounding_box"}
+        Point of the triangle that lies at (x, y).
 
     Returns
     -------
@@ -120,7 +121,11 @@ def coverage(
     size_px : float
         √(area) in pixels, > 0.
     x_px, y_px : float
-        Place of the triangle's `centre` on the grid.
+        Place of the triangle's `centre` on the grid, in pixels.
+    orientation : Orientation
+        Direction of the apex.
+    centre : {"centroid", "bounding_box"}
+        Point of the triangle that lies at (x_px, y_px).
 
     Returns
     -------
@@ -155,7 +160,7 @@ def _clamped_floor(value: float, stop: int) -> int:
 def _polygon_coverage(corners: FloatArray, box: tuple[int, int]) -> FloatArray:
     """Compute the coverage of the pixels [j, j + 1] × [i, i + 1] of a box by a clockwise polygon."""
     n_rows, n_columns = box
-    # One column more than the box takes what lies right of it; the sum along a row never reads it.
+    # The extra column takes the part right of the box; the sum along a row never reads it.
     steps = np.zeros(n_rows * (n_columns + 2))
     for (x0, y0), (x1, y1) in zip(corners, np.roll(corners, -1, axis=0), strict=True):
         if y1 == y0:
@@ -174,7 +179,7 @@ def _polygon_coverage(corners: FloatArray, box: tuple[int, int]) -> FloatArray:
         place = row[inside] * (n_columns + 2) + column
         steps += np.bincount(place, fall[inside] * (1.0 - left_share), steps.size)
         steps += np.bincount(place + 1, fall[inside] * left_share, steps.size)
-    # What lies right of the falling (right-hand) edge was counted positive, of the others negative.
+    # The area right of the falling (right-hand) edge was counted positive, that of the others negative.
     covered = 0.0 - np.cumsum(steps.reshape(n_rows, n_columns + 2)[:, :n_columns], axis=1)
     return np.clip(covered, 0.0, 1.0)
 
@@ -223,7 +228,7 @@ def spectrum(
 def _second_divided_difference_of_exp(p: FloatArray, q: FloatArray, r: FloatArray) -> ComplexArray:
     """Compute exp[i p, i q, i r] for real phases, to a relative error of about 1e-15 of its bound 1/2."""
     lower, upper = np.minimum(p, q), np.maximum(p, q)
-    # In ascending order, so that the widest pair is in the denominator.
+    # Phases are sorted in ascending order, so that the widest pair is in the denominator.
     a, b, c = np.minimum(lower, r), np.maximum(lower, np.minimum(upper, r)), np.maximum(upper, r)
     wide = c - a > 1.0
     differences = np.empty(wide.shape, dtype=np.complex128)
@@ -236,7 +241,7 @@ def _second_divided_difference_of_exp(p: FloatArray, q: FloatArray, r: FloatArra
 
 
 def _by_series(a: FloatArray, b: FloatArray, c: FloatArray) -> ComplexArray:
-    """Compute exp[i a, i b, i c] where c − a ≤ 1: Taylor about the middle, sum of h_n / (n + 2)!.
+    """Compute exp[i a, i b, i c] for c − a ≤ 1: Taylor about the middle, sum of h_n / (n + 2)!.
 
     h_n are complete homogeneous polynomials. |z| ≤ 1/2, so h_n ≤ (n + 1)(n + 2)/2 · 2^-n and 16 terms leave less
     than 1e-17.

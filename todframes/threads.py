@@ -1,4 +1,4 @@
-"""Work in threads that ends cleanly: in order, few results ahead, interrupted only where that is safe."""
+"""Work in threads: results come in order, few are computed ahead, and interruptions act only when it is safe."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ T = TypeVar("T")
 R = TypeVar("R")
 
 AHEAD_PER_WORKER = 4
-"""Tasks begun before their turn; their results wait in memory."""
+"""Number of tasks that each worker may begin ahead of their turn; their results wait in memory."""
 
 POLL_S = 0.1
-"""Longest time that an interruption goes unnoticed, in seconds."""
+"""Longest time until an interruption is noticed, in seconds."""
 
 
 def map_in_threads(work: Callable[[T], R], tasks: Iterable[T], workers: int) -> Generator[R, None, None]:
-    """Yield results in the order of the tasks; those of one worker are done in this thread.
+    """Yield the results of tasks in their order; with one worker, tasks run in the calling thread.
 
-    What a task raises is raised in its turn, and tasks not yet begun are dropped, as they are by `close`. Ctrl-C
-    and a request to end wait until a result is asked for: as exceptions they could strike inside the pool while it
-    holds a lock, and what cleans up would then wait for ever.
+    The exception of a task is raised in its turn, and tasks not yet begun are dropped, as they are by `close`.
+    Ctrl-C and a request to end wait until a result is asked for: as exceptions they could be raised inside the
+    pool while it holds a lock, and the clean-up would then wait for ever.
     """
     if workers == 1:
         yield from map(work, tasks)

@@ -1,4 +1,4 @@
-"""Code that a user names on the command line as `module:name`.
+"""Import of code that a user names on the command line as `module:name`.
 
 It is the only code that a command runs from the current folder, where a dataset of unknown origin may lie.
 """
@@ -15,14 +15,14 @@ from todframes.errors import SettingsError
 
 
 def import_named(module: str, name: str, where: str) -> Any:
-    """Import a module, which runs it, and give what it holds under a name.
+    """Import a module, which runs its code, and return its attribute of the given name.
 
     The current folder is searched last, so that no file in it takes the place of an installed module.
 
     Raises
     ------
     SettingsError
-        If the module cannot be imported or holds nothing of this name; the message begins with `where`.
+        If the module cannot be imported or has no such attribute; the message begins with `where`.
     """
     try:
         if (here := os.getcwd()) not in sys.path and "" not in sys.path:  # noqa: PTH109 - a text, as the path has them
@@ -36,5 +36,5 @@ def import_named(module: str, name: str, where: str) -> Any:
 
 
 def in_words(error: BaseException) -> str:
-    """Kind and message of an exception of a user's code, in one line."""
+    """Return the type and message of an exception from a user's code, in one line."""
     return f"{type(error).__name__}: {' '.join(str(error).split())}".removesuffix(": ")

@@ -1,1 +1,1 @@
-"""The commands; the only room that takes a user's paths and prints."""
+"""The commands of `todframes`; only this package takes a user's paths and prints."""

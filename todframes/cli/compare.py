@@ -79,7 +79,7 @@ def enhancements(*, as_json: bool) -> None:
         try:
             with prints_go_to_stderr():
                 found.append(find_enhancement(name))
-        except SettingsError as error:  # of another package
+        except SettingsError as error:  # raised by an algorithm of another package
             say(f"left out: {error}")
     listed = [enhancement_record(one) for one in found]
     if not as_json:

@@ -1,4 +1,4 @@
-"""Progress, remarks, tables and errors on the terminal, and the end of a command."""
+"""Output to the terminal: progress, remarks, tables, errors; and the exit status of a command."""
 
 from __future__ import annotations
 
@@ -27,22 +27,22 @@ STDOUT, STDERR = 1, 2
 
 
 LONGEST_REMARK = 8000
-"""Characters of a line on standard error; of longer ones the two ends are shown."""
+"""Largest number of characters of a line on standard error; of longer lines the two ends are shown."""
 
 
 MOST_ALIKE = 10
-"""Problems of a kind that are told."""
+"""Largest number of problems of one kind that are printed."""
 
 
 WHOLE = 10_000
-"""Letters in a line where there is no end to it."""
+"""Width of a line, in letters, if standard output is not a terminal."""
 
 
 @contextmanager
 def staged(out: str | None) -> Iterator[Callable[[Callable[[], dict[str, bytes]]], None]]:
-    """Hold a place for results, found before the work and filled when the block ends well; none without a name.
+    """Reserve the folder `out` before the work, and fill it if the block ends without an exception.
 
-    Yields what takes a function that makes the files, by name.
+    Yields a function to call with a function that makes the files, by name. Nothing is written if `out` is None.
     """
     from todframes.output import output_folder, write_files
 
@@ -104,7 +104,7 @@ def finish(
 
 
 def print_table(table: Table, *, details: bool = False) -> None:
-    """Show a table on standard output, as narrow as a terminal is; whole where none is at the other end."""
+    """Print a table on standard output, laid out for the width of the terminal; whole if it is not a terminal."""
     from rich.console import Console
 
     if details and not any(one.is_detail for one in table.columns):
@@ -115,19 +115,19 @@ def print_table(table: Table, *, details: bool = False) -> None:
 
 
 def echo(*lines: str) -> None:
-    """Show lines on standard output, with escapes for characters that a terminal would obey."""
+    """Print lines on standard output, with escapes for characters that a terminal would obey."""
     for line in lines:
         click.echo(visible(line))
 
 
 def terminal_width() -> int:
-    """Return how many letters fit into a line; a great many where no terminal is at the other end."""
+    """Return the number of letters in a line; `WHOLE` if standard output is not a terminal."""
     is_terminal = sys.stdout.isatty() or "COLUMNS" in os.environ
     return shutil.get_terminal_size().columns if is_terminal else WHOLE
 
 
 def say(text: str) -> None:
-    """A remark, one line on standard error, with escapes for characters that a terminal would obey."""
+    """Print a remark in one line on standard error, with escapes for characters that a terminal would obey."""
     line = visible(" ".join(text.split()))
     if len(line) > LONGEST_REMARK:
         line = f"{line[: LONGEST_REMARK // 2]} […] {line[-LONGEST_REMARK // 2 :]}"
@@ -136,9 +136,9 @@ def say(text: str) -> None:
 
 @contextmanager
 def prints_go_to_stderr() -> Iterator[None]:
-    """Send what a user's code prints in the block to standard error: standard output is for the result alone.
+    """Redirect prints of a user's code in the block to standard error; standard output is for the result alone.
 
-    All threads are affected, and what native libraries print as well.
+    All threads are affected, and the prints of native libraries too.
     """
     stdout = sys.stdout
     stdout.flush()
@@ -148,20 +148,20 @@ def prints_go_to_stderr() -> Iterator[None]:
         with redirect_stdout(sys.stderr):
             yield
     finally:
-        stdout.flush()  # of code that has kept `sys.stdout` for itself
+        stdout.flush()  # for code that holds its own reference to `sys.stdout`
         os.dup2(kept, STDOUT)
         os.close(kept)
 
 
 class ProblemLines:
-    """Problems on standard error, one line each; of those alike the first few, and how many more there are."""
+    """Printer of problems on standard error, one line each: the first few of each kind, then a count."""
 
     def __init__(self) -> None:
         self.count = 0
         self._alike: dict[str, tuple[str, int]] = {}
 
     def add(self, problem: str, *, kind: str | None = None) -> None:
-        """Tell a problem. Alike are those whose `kind`, by default the problem, differs in numbers alone."""
+        """Print a problem. Those of one kind differ in the numbers in `kind` alone, by default the problem."""
         self.count += 1
         kind = re.sub(r"\b[0-9a-f]{64}\b|[0-9][0-9.]*", "#", problem if kind is None else kind)
         first, count = self._alike.get(kind, (problem, 0))
@@ -170,7 +170,7 @@ class ProblemLines:
             say(f"error: {problem}")
 
     def close(self) -> None:
-        """Tell how many were not told."""
+        """Print the number of problems of each kind that were not printed."""
         for first, count in self._alike.values():
             if count > MOST_ALIKE:
                 say(f"error: … and {count - MOST_ALIKE} more like it: {first}")
@@ -178,7 +178,7 @@ class ProblemLines:
 
 @contextmanager
 def progress(task: str, total: int, *, quiet: bool = False) -> Iterator[Callable[[int], None]]:
-    """A progress bar on standard error, on a terminal only; yields what takes the number of things done."""
+    """Show a progress bar on standard error if it is a terminal. Yields a function of the number of items done."""
     if quiet or not sys.stderr.isatty():
         yield lambda _: None
         return
@@ -192,17 +192,17 @@ def progress(task: str, total: int, *, quiet: bool = False) -> Iterator[Callable
 
 
 def keep_libraries_to_one_thread() -> None:
-    """For BLAS and OpenCV, unless they are loaded already or the environment says otherwise.
+    """Limit BLAS and OpenCV to one thread, unless they are loaded already or the environment sets a number.
 
-    Our matrices and images are so small that their threads gain nothing: they wait for each other, and fight the
-    reading threads for processors.
+    Our matrices and images are so small that their threads gain nothing: they wait for each other, and compete
+    with the reading threads for processors.
     """
     for name in ("OPENBLAS_NUM_THREADS", "OPENCV_FOR_THREADS_NUM"):
         os.environ.setdefault(name, "1")
 
 
 def run(command: click.Command, arguments: Sequence[str] | None) -> int:
-    """Run a command line; its exit status: 0 done, 1 bad data, 2 bad usage or settings.
+    """Run a command line. Returns the exit status: 0 done, 1 bad data, 2 bad usage or settings.
 
     Every failure that a user can cause is one line on standard error.
     """
@@ -226,7 +226,7 @@ def run(command: click.Command, arguments: Sequence[str] | None) -> int:
     except MemoryError:
         return _fail("out of memory", 1)
     except OSError as error:
-        # What is still in the buffer would fail again when the interpreter ends.
+        # The rest of the buffer would fail again when the interpreter ends.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return _fail(f"cannot write to standard output ({error.strerror})", 1)
 
@@ -238,11 +238,11 @@ def _fail(message: str, status: int) -> int:
 
 
 class Interruption(Exception):  # noqa: N818 - it is no error
-    """Ctrl-C or a request to end, on its way out through everything that cleans up."""
+    """Exception for Ctrl-C or a request to end, so that all clean-up runs."""
 
 
 class Commands(click.Group):
-    """A group whose commands end by `Interruption`; click itself would print an empty line at Ctrl-C."""
+    """A group whose commands raise `Interruption` at Ctrl-C; click itself would print an empty line."""
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command that the context names."""

@@ -1,6 +1,6 @@
-"""The commands; the only place that takes a user's paths and prints.
+"""The group of all commands of `todframes`, and its entry point.
 
-What a command needs is imported when it runs: `--help` answers before numpy is loaded.
+The imports of a command run with the command, so `--help` prints before numpy is loaded.
 """
 
 from __future__ import annotations

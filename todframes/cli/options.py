@@ -19,7 +19,7 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 
 def options(*decorators: Callable[[F], F]) -> Callable[[F], F]:
-    """Several options as one decorator, in the order in which `--help` shows them."""
+    """Return one decorator that adds several options, in the order in which `--help` shows them."""
 
     def decorate(function: F) -> F:
         for decorator in reversed(decorators):
@@ -78,7 +78,7 @@ observer_options = options(
 
 
 def tolerance_option(default: float | None, what: str) -> Callable[[F], F]:
-    """The option `--tolerance`, which means something else to each command."""
+    """Return the option `--tolerance`, with the default and meaning for one command."""
     return click.option(
         "--tolerance", type=float, default=default, show_default=default is not None, metavar="T", help=what
     )
@@ -123,17 +123,17 @@ scoring_options = options(
         "--workers", type=click.IntRange(1), default=1, show_default=True, help="Threads that read and score."
     ),
 )
-"""Options of the commands that score frames, under the names that the calls have."""
+"""Options of the commands that score frames, named like the parameters of the Python calls."""
 
 
 result_options = options(explain_option, verbose_option, json_option, quiet_option)
-"""How the result of such a command is shown."""
+"""Options for the output of the commands that score frames."""
 
 
 def make_observer(asked: dict[str, Any], *, fitted: bool = True) -> tuple[Observer, FitSettings]:
-    """Make the observer and the fit settings of `observer_options`, which are taken out of what was asked.
+    """Return the observer and the fit settings of `observer_options`, which are removed from `asked`.
 
-    An option of its own goes before `--set`, and that before the file. Where nothing is `fitted`, the criterion is
+    A separate option takes precedence over `--set`, and `--set` over the file. If not `fitted`, the criterion is
     the only setting of the fit.
 
     Raises
@@ -165,7 +165,7 @@ def make_observer(asked: dict[str, Any], *, fitted: bool = True) -> tuple[Observ
 
 
 def make_fit(asked: dict[str, Any]) -> FitSettings:
-    """Make the fit settings of `--p-correct` and `--set`, which are taken out of what was asked."""
+    """Return the fit settings of `--p-correct` and `--set`, which are removed from `asked`."""
     from todframes.config import from_table
     from todframes.psychometrics.fit import FitSettings
 
@@ -173,13 +173,13 @@ def make_fit(asked: dict[str, Any]) -> FitSettings:
 
 
 def _set(asked: dict[str, Any], *names: str) -> dict[str, Any]:
-    """Values by name of `--set` and of options of their own, which go before."""
+    """Return the values of `--set` and of separate options by name; separate options take precedence."""
     table = assigned(asked.pop("assignments"))
     return table | {name: value for name in names if (value := asked.pop(name)) is not None}
 
 
 def assigned(assignments: Sequence[str]) -> dict[str, Any]:
-    """Values of `--set NAME=VALUE`: read as TOML where they are, as text where not.
+    """Return the values of `--set NAME=VALUE` by name: TOML values, or texts if they are not TOML.
 
     Raises
     ------
@@ -201,12 +201,12 @@ def assigned(assignments: Sequence[str]) -> dict[str, Any]:
 
 
 def numbers(text: str, option: str) -> list[float]:
-    """Numbers with commas between them.
+    """Return the numbers in a comma-separated text.
 
     Raises
     ------
     SettingsError
-        If they are not.
+        If a part is not a number.
     """
     try:
         return [float(part) for part in text.split(",")]

@@ -1,4 +1,4 @@
-"""Commands that study the package itself; `todframes.cli` adds them to the others."""
+"""Commands that test the package itself: `stability` and `accuracy`."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from todframes.cli.options import json_option, quiet_option, seed_option
 from todframes.errors import DataError, SettingsError
 
 RECORDED = "recorded"
-"""The scene that takes a dataset."""
+"""Name of the scene that needs a dataset."""
 
 
 @click.command()

@@ -1,4 +1,4 @@
-"""One result, with its tables, figures, sentences and HTML page."""
+"""Results of commands, with their tables, figures, sentences and HTML page."""
 
 import lazy_loader
 

@@ -1,6 +1,6 @@
-"""What a result holds, as records with the very keys of its JSON, and how it is read back, every key checked.
+"""Records of a result, with the keys of its JSON, and a decoder that checks every key.
 
-Keys that are not named here are left alone, so results of later versions can be read.
+Unknown keys are ignored, so results of later versions can be read.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ CONTENT = {
     "compare": "algorithms",
     "accuracy": "scenes",
 }
-"""Commands with a report, and the key that such a result cannot do without."""
+"""Commands with a report, and the key that the result of each must have."""
 
 
 Positive = Annotated[float, Meta(gt=0)]
@@ -63,7 +63,7 @@ NO_DIFFERENCE = "no difference shown"
 
 
 PSNR_STEP_DB, SSIM_STEP = 0.1, 0.005
-"""Changes of PSNR and SSIM that count as none."""
+"""Largest changes of PSNR and SSIM that count as no change."""
 
 
 def _null() -> None:
@@ -74,17 +74,17 @@ def _empty() -> tuple[()]:
     return ()
 
 
-# JSON leaves out what equals its default, but not what equals the value of a default factory.
+# JSON leaves out a value that equals its default, but not one that equals the value of a default factory.
 NULL: Any = field(default_factory=_null)
-"""A field that may be missing where a result is read, and is written as null where it has no value."""
+"""Field that may be missing when a result is read, and is written as null if it has no value."""
 
 
 EMPTY: Any = field(default_factory=_empty)
-"""The same of a list, written even when it is empty."""
+"""Field of a list that may be missing when a result is read, and is written even if it is empty."""
 
 
 class FitPoint(Struct, frozen=True):
-    """The proportion correct at one level; `n_trials` is 0 where it was computed."""
+    """The proportion correct at one level; `n_trials` is 0 if it was computed without trials."""
 
     level: Positive
     n_trials: int
@@ -99,23 +99,24 @@ class Fit(Struct, frozen=True, kw_only=True, omit_defaults=True):
     group : dict
         Values that the trials of this curve share, by column, such as {"size_mrad": 2.0}.
     level : str
-        What `threshold`, `alpha` and the levels of `points` are values of: contrast, snr, size_mrad.
+        Quantity of `threshold`, `alpha` and the levels of `points`: contrast, snr, size_mrad.
     status : str
-        "ok", or what is wrong with the threshold: "extrapolated", "never_reached", "always_exceeded",
+        "ok", or the problem with the threshold: "extrapolated", "never_reached", "always_exceeded",
         "too_few_levels".
     threshold : float or None
         Level at the raw proportion correct `p_correct`.
     threshold_ci95 : (float or None, float or None) or None
-        95 % interval; an end is None where the data leave it open.
+        95 % interval; an end is None if the data leave it open.
     threshold_numerical_error, threshold_displacement_error : float or None
         Error of a computed threshold, and half the 95 % interval over displacements of the retina.
     points_threshold : float or None
-        Where the points themselves cross the criterion.
+        Level at which the points themselves cross the criterion.
     alpha, beta, gamma, delta : float or None
         Parameters of the Weibull curve, Hogervorst et al. 2001, eq. 3.
     points : tuple of FitPoint
+        Proportion correct at each level.
     p_correct_error_bound, p_correct_left_out_bound : float or None
-        Bounds on the error in P(correct): noise that is not Gaussian, and what the plan leaves out.
+        Bounds on the error in P(correct) from noise that is not Gaussian, and from the omissions of the plan.
     delta_t_mk : float or None
         The threshold as a temperature difference, in mK.
     """
@@ -145,14 +146,14 @@ class Fit(Struct, frozen=True, kw_only=True, omit_defaults=True):
 
     @classmethod
     def of_counts(cls, group: Group, level: str, fit: PsychometricFit) -> Fit:
-        """Make one from a psychometric fit."""
+        """Return the record of a psychometric fit."""
         values = {one.name: getattr(fit, one.name) for one in dataclasses.fields(fit) if one.name != "points"}
         points = tuple(FitPoint(one.level, one.n_trials, one.p_correct) for one in fit.points)
         return cls(group=group, level=level, points=points, **values)
 
     @classmethod
     def of_trials(cls, dataset: Dataset, fit: GroupFit) -> Fit:
-        """Make one from the fit to the scored trials of a group."""
+        """Return the record of the fit to the scored trials of a group."""
         return msgspec.structs.replace(
             cls.of_counts(group_of(dataset, fit.group), dataset.experiment.level, fit.fit),
             p_correct_error_bound=fit.non_gaussian_bound,
@@ -164,12 +165,12 @@ class Fit(Struct, frozen=True, kw_only=True, omit_defaults=True):
 
 
 def group_of(dataset: Dataset, values: Sequence[float | str]) -> Group:
-    """Name the values that a dataset's trials are grouped by."""
+    """Return the values of a group by the names of the columns that group the dataset's trials."""
     return dict(zip(dataset.experiment.group_by, values, strict=True))
 
 
 class Ratio(Struct, frozen=True, kw_only=True):
-    """An algorithm's threshold over that of the reference, in one group; without one, in all of them together."""
+    """An algorithm's threshold divided by that of the reference, in one group or, without `group`, in all."""
 
     verdict: str
     group: Group = {}
@@ -203,7 +204,7 @@ class Algorithm(Struct, frozen=True, kw_only=True):
 
 
 def algorithms(dataset: Dataset, results: Sequence[AlgorithmResult]) -> tuple[Algorithm, ...]:
-    """Make the records of compared algorithms, the reference first."""
+    """Return the records of compared algorithms, the reference first."""
     reference, names = results[0], [one.enhancement.name for one in results]
     found = []
     for one in results:
@@ -255,7 +256,7 @@ def _difference(value: float | None, reference: float | None) -> float | None:
 
 
 def _disagreeing(changes: dict[str, float | None], verdict: str) -> tuple[str, ...]:
-    """Tell which of PSNR and SSIM say something else than the observer does."""
+    """List those of PSNR and SSIM that contradict the observer's verdict."""
     found = []
     for name, key, step in (("psnr", "psnr_change_db", PSNR_STEP_DB), ("ssim", "ssim_change", SSIM_STEP)):
         change = changes[key]
@@ -266,12 +267,12 @@ def _disagreeing(changes: dict[str, float | None], verdict: str) -> tuple[str, .
 
 
 def plain_value(value: object) -> object:
-    """Return a parameter's value as JSON has it; a text where it has no such thing."""
+    """Return a parameter's value as a JSON value, or as a text if JSON has no such value."""
     return value if value is None or isinstance(value, bool | int | float | str) else repr(value)
 
 
 def enhancement_record(algorithm: Enhancement) -> Record:
-    """Describe an algorithm that can be used, as `todframes enhancements --json` does."""
+    """Return the description of a registered algorithm, as `todframes enhancements --json` prints it."""
     return {
         "name": algorithm.name,
         "what": algorithm.what,
@@ -293,7 +294,7 @@ def enhancement_record(algorithm: Enhancement) -> Record:
 
 
 class Estimator(Struct, frozen=True, kw_only=True):
-    """A way to compute a threshold, and what it took and how wrong it was at each budget."""
+    """A method to compute a threshold, with its CPU time and error at each budget."""
 
     name: str
     label: str | None = None
@@ -305,12 +306,12 @@ class Estimator(Struct, frozen=True, kw_only=True):
 
     @property
     def title(self) -> str:
-        """The name for people."""
+        """The name as shown to readers."""
         return self.label or self.name
 
 
 class SpeedRatio(Struct, frozen=True, kw_only=True):
-    """How many times less CPU the closed form of a scene takes than the first estimator, at a relative error."""
+    """The first estimator's CPU time divided by that of the closed form, at a relative error of the threshold."""
 
     threshold_error: Positive
     ratio: Positive | None = None
@@ -320,7 +321,7 @@ class SpeedRatio(Struct, frozen=True, kw_only=True):
 
 
 class SceneResult(Struct, frozen=True, kw_only=True):
-    """A scene of `accuracy`."""
+    """The result of `accuracy` for one scene."""
 
     name: str
     title: str | None = None
@@ -342,7 +343,7 @@ class SceneResult(Struct, frozen=True, kw_only=True):
 
 
 class Thumbnail(Struct, frozen=True):
-    """A PNG of an example. `scale` is the value of white, and minus that of black where zero is mid-grey."""
+    """A PNG of an example. `scale` is the value of white; if zero is mid-grey, black is minus that."""
 
     name: str
     png: bytes
@@ -350,7 +351,7 @@ class Thumbnail(Struct, frozen=True):
 
 
 class Example(Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """A trial near threshold: the frame as displayed and what the observer makes of it."""
+    """A trial near threshold: the frame as displayed and the observer's images of it."""
 
     group: Group
     algorithm: str | None = None
@@ -365,7 +366,7 @@ class Example(Struct, frozen=True, kw_only=True, omit_defaults=True):
 
 
 class ResultWarning(Struct, frozen=True, kw_only=True):
-    """A fact that makes the result less sure, under a stable `code`."""
+    """A fact that makes the result less certain, with a stable `code`."""
 
     code: str = ""
     group: Group = {}
@@ -375,7 +376,7 @@ class ResultWarning(Struct, frozen=True, kw_only=True):
 
 
 class ResultData(Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """What `result.json` holds; `todframes.report.result.Result` is the same with all that can be done with it."""
+    """The content of `result.json`; `todframes.report.result.Result` adds the methods."""
 
     schema: int
     command: str
@@ -400,7 +401,7 @@ class ResultData(Struct, frozen=True, kw_only=True, omit_defaults=True):
 
     @property
     def thresholds(self) -> tuple[Fit, ...]:
-        """All thresholds, a `Fit` each; those of a comparison have "algorithm" among the values of their group."""
+        """All thresholds as `Fit` records; in a comparison, `group` has the key "algorithm" too."""
         of_algorithms = (
             msgspec.structs.replace(fit, group={"algorithm": one.name} | fit.group)
             for one in self.algorithms
@@ -413,7 +414,7 @@ D = TypeVar("D", bound=ResultData)
 
 
 def read_bytes(path: Path) -> bytes:
-    """Read the file of a result.
+    """Return the content of a result's file.
 
     Raises
     ------
@@ -424,22 +425,22 @@ def read_bytes(path: Path) -> bytes:
 
 
 def decode(content: bytes, where: str, kind: type[D]) -> D:
-    """Decode and check a result.
+    """Return a result decoded from JSON and checked.
 
     Parameters
     ----------
     content : bytes
         One JSON object, with or without a byte-order mark.
     where : str
-        The file; every message begins with it.
+        Name of the file; every message begins with it.
     kind : type
         `ResultData` or a subclass.
 
     Raises
     ------
     DataError
-        If it is no JSON, of another schema or of a command without a report, or lacks what a report cannot do
-        without.
+        If it is not JSON, has another schema or is of a command without a report, or lacks a key that the report
+        needs.
     """
     try:
         result = msgspec.json.decode(content.removeprefix(b"\xef\xbb\xbf"), type=kind)
@@ -465,7 +466,7 @@ def decode(content: bytes, where: str, kind: type[D]) -> D:
 
 
 def _check_fits(fits: Sequence[Fit], where: str) -> None:
-    """Fits of one result stand in one table: they share level and group columns."""
+    """Raise DataError unless all fits have the same level and group columns, as one table needs."""
     for number, fit in enumerate(fits):
         for name, found, expected in (
             ("level", fit.level, fits[0].level),
@@ -478,7 +479,7 @@ def _check_fits(fits: Sequence[Fit], where: str) -> None:
 
 
 def _in_words(problem: str) -> str:
-    """A message of msgspec as this package puts it: where, found, expected."""
+    """Return a message of msgspec in this package's wording: where, found, expected."""
     what, _, place = problem.partition(" - at ")
     place = place.strip("`").removeprefix("$").removeprefix(".")
     if missing := re.fullmatch(r"Object missing required field `(\w+)`", what):

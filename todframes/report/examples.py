@@ -1,6 +1,6 @@
-"""What a triangle at threshold looks like: the frame as displayed, and what the observer makes of it.
+"""Pictures of a triangle at threshold: the frame as displayed, and the observer's images of it.
 
-The pictures go into the result itself, so that a report can be made again when the frames are gone.
+The pictures are part of the result, so that a report can be made again without the frames.
 """
 
 from __future__ import annotations
@@ -33,27 +33,29 @@ REACH_PER_SIZE = 1.5
 
 
 LEAST_REACH_PX, LEAST_REACH_SAMPLES = 8, 12
-"""From the middle to the edge; a small triangle is shown with its surroundings."""
+"""Least distance from the middle of a picture to its edge, in display pixels and in retina samples; a small
+triangle is shown with its surroundings."""
 
 
 MOST_REACH_PX = 1000
-"""Of a larger triangle only the middle is shown, lest a slip in a pitch fills the memory."""
+"""Largest distance from the middle to the edge, so that a wrong pitch cannot fill the memory; of a larger triangle
+only the middle is shown."""
 
 
 DISPLAY_SIDE_PX, RETINA_SIDE_PX = 128, 96
-"""Pictures have this many pixels along a side at most; larger ones are reduced by a whole factor."""
+"""Largest sides of pictures of the display and of the retina; larger ones are reduced by a whole factor."""
 
 
 @runtime_checkable
 class ShowsBands(Protocol):
-    """An observer that can show what it sees, as images whose middles are the retina grid's."""
+    """An observer that can return its neurons' activity, as images with the same middle as the retina grid."""
 
     def activity(self, contrast: FloatArray) -> Sequence[FloatArray]:
-        """Noise-free activity of all neurons for a retina image of shape (side, side)."""
+        """Return the noise-free activity of all neurons for a retina image of shape (side, side)."""
 
 
 class FramePart(NamedTuple):
-    """Part of a frame, and where in the frame the triangle's centroid lies."""
+    """Part of a frame, and the position of the triangle's centroid in the frame."""
 
     patch: Patch
     x_px: float
@@ -61,7 +63,7 @@ class FramePart(NamedTuple):
 
 
 def examples(dataset: Dataset, scored: ScoredDataset, observer: Observer) -> tuple[Example, ...]:
-    """Draw the trial nearest to threshold of each group that has one, of `MOST_EXAMPLES` groups at most.
+    """Draw the trial nearest to threshold of each group that has a threshold, for at most `MOST_EXAMPLES` groups.
 
     Raises
     ------
@@ -73,7 +75,7 @@ def examples(dataset: Dataset, scored: ScoredDataset, observer: Observer) -> tup
     for one in evenly(known, MOST_EXAMPLES):
         place = nearest_trial(scored, one)
         trial = scored.trials[place]
-        # Not a number where the trial was seen at several displacements.
+        # The displacement is NaN if the trial was seen at several displacements.
         dx, dy = np.nan_to_num(scored.displacement_samples[place]).tolist()
         width_mrad, drawn = pictures(
             _shown(dataset, trial, observer),
@@ -109,7 +111,7 @@ def _example(
 
 
 def nearest_trial(scored: ScoredDataset, one: GroupFit) -> int:
-    """The trial: of those at the level nearest to threshold the one with P(correct) nearest to the criterion."""
+    """Return the trial's index: level nearest to threshold, and of those P(correct) nearest to the criterion."""
     threshold, criterion = one.fit.threshold, one.fit.p_correct
     assert threshold is not None
     return min(
@@ -122,7 +124,7 @@ def nearest_trial(scored: ScoredDataset, one: GroupFit) -> int:
 
 
 def _shown(dataset: Dataset, trial: Trial, observer: Observer) -> list[FramePart]:
-    """The frames of a trial about the triangle."""
+    """Read the part of each frame of a trial that surrounds the triangle."""
     pitch_mrad = dataset.display.pitch_mrad
     reach_px = _reach_px(observer, trial.stimulus, pitch_mrad)
     found = []
@@ -136,7 +138,7 @@ def _shown(dataset: Dataset, trial: Trial, observer: Observer) -> list[FramePart
 
 
 def _reach_px(observer: Observer, stimulus: Stimulus, pixel_pitch_mrad: float) -> int:
-    """Display pixels shown on each side of the triangle's centroid."""
+    """Return the number of display pixels shown on each side of the triangle's centroid."""
     reach_mrad = max(
         REACH_PER_SIZE * stimulus.size_mrad,
         LEAST_REACH_PX * pixel_pitch_mrad,
@@ -154,26 +156,26 @@ def pictures(
     pixel_pitch_mrad: float,
     white: float | None = None,
 ) -> tuple[float, tuple[Thumbnail, ...]]:
-    """Draw what surrounds the triangle: display, retina image and bands.
+    """Draw the triangle and its surroundings: display, retina image and bands.
 
     Parameters
     ----------
     shown : sequence of FramePart
-        Contrast of the frames of one trial; the picture is their mean, and background where a frame ends.
+        Contrast of the frames of one trial; the picture is their mean, and background beyond the end of a frame.
     retina : ndarray, shape (side, side)
-        What the observer is given, in contrast.
+        Observer's input, in contrast.
     pixel_pitch_mrad : float
-        Visual angle of a display pixel.
+        Visual angle of a display pixel, in mrad.
     white : float, optional
-        Contrast shown white. Default: 1, or the largest there is. The display's black is black.
+        Contrast shown as white. Default: 1, or the largest contrast present. Black is the display's black.
 
     Returns
     -------
     width_mrad : float
-        Visual angle that all pictures span.
+        Visual angle that each picture spans, in mrad.
     pictures : tuple of Thumbnail
-        The `scale` of the display, whose grey is sRGB for the luminance, is the contrast of white; that of the
-        others the value of white where mid-grey is 0.
+        The display's grey is sRGB for the luminance, and its `scale` is the contrast of white. In the others
+        mid-grey is 0, and `scale` is the value of white.
     """
     reach_px = _reach_px(observer, stimulus, pixel_pitch_mrad)
     display = np.mean([_crop(one, reach_px) for one in shown], axis=0)
@@ -192,7 +194,7 @@ def pictures(
 
 
 def _crop(shown: FramePart, reach_px: int) -> FloatArray:
-    """Contrast within so many pixels of the triangle's centroid; 0 where there is no pixel."""
+    """Return the contrast within `reach_px` of the triangle's centroid, (2 reach + 1)²; 0 beyond the frame."""
     side = 2 * reach_px + 1
     top, left = (round(place) - reach_px for place in (shown.y_px, shown.x_px))
     cropped = np.zeros((side, side))
@@ -208,14 +210,14 @@ def _crop(shown: FramePart, reach_px: int) -> FloatArray:
 
 
 def _about_middle(image: FloatArray, reach: int, step: float) -> FloatArray:
-    """Retina samples within `reach` of the middle, from an image whose own samples are `step` of them apart."""
+    """Return retina samples within `reach` of the middle, from an image sampled every `step` of them."""
     places = np.floor(np.arange(-reach, reach + 1) / step + 0.5).astype(int)
     rows, columns = (np.clip(places + n // 2, 0, n - 1) for n in image.shape)
     return np.asarray(image[np.ix_(rows, columns)], dtype=np.float64)
 
 
 def _reduced(image: FloatArray, largest_side: int, summary: Callable[..., FloatArray]) -> FloatArray:
-    """One pixel for each block, the smallest blocks that do; what is left over at the end is cut off."""
+    """Return an image reduced to at most `largest_side`, one pixel a block; a rest at the end is cut off."""
     factor = math.ceil(image.shape[0] / largest_side)
     side = image.shape[0] // factor
     blocks = image[: side * factor, : side * factor].reshape(side, factor, side, factor)
@@ -223,7 +225,7 @@ def _reduced(image: FloatArray, largest_side: int, summary: Callable[..., FloatA
 
 
 def _peak(blocks: FloatArray, axis: int) -> FloatArray:
-    """The value farthest from 0: a mean over a band-pass image would be no more than its zero."""
+    """Return the value farthest from 0 in each block; the mean of a band-pass image would be about zero."""
     place = np.expand_dims(np.abs(blocks).argmax(axis=axis), axis)
     return np.take_along_axis(blocks, place, axis).squeeze(axis)
 
@@ -234,7 +236,7 @@ def _signed(name: str, image: FloatArray) -> Thumbnail:
 
 
 def _srgb(light: FloatArray) -> FloatArray:
-    """Code values in [0, 1] of relative luminance in [0, 1] (IEC 61966-2-1)."""
+    """Return code values in [0, 1] for relative luminance in [0, 1] (IEC 61966-2-1)."""
     return np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
 
 
@@ -249,9 +251,9 @@ MOST_GROUPS, MOST_ALGORITHMS = 2, 6
 def compare_examples(
     dataset: Dataset, results: Sequence[AlgorithmResult], observer: Observer, screen: Screen
 ) -> tuple[Example, ...]:
-    """Draw the trial nearest to the reference's threshold in two groups, after each of six algorithms.
+    """Draw the trial nearest to the reference's threshold in up to two groups, after each of up to six algorithms.
 
-    All pictures of a group have one white. Raises FrameError if a frame can no longer be used.
+    All pictures of a group have the same white. Raises FrameError if a frame can no longer be used.
     """
     shown_results = results[:MOST_ALGORITHMS]
     reader = TrialReader([one.enhancement for one in shown_results], screen)
@@ -280,7 +282,7 @@ def _drawn(
     shown: Shown,
     white: float | None = None,
 ) -> tuple[float, tuple[Thumbnail, ...]]:
-    """Draw what is shown after one algorithm."""
+    """Draw the display, retina image and bands after one algorithm."""
     return pictures(
         [FramePart(*part) for part in zip(shown.patches, shown.x_px, shown.y_px, strict=True)],
         retina_image(shown, observer.grid(stimulus), displacement_samples),

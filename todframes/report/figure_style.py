@@ -1,6 +1,6 @@
-"""The look of all figures: ink on paper, and colours that stand out from black and from white.
+"""Style of all figures: ink on paper, and colours that stand out from black and from white.
 
-So one figure does for print and for a dark screen.
+The same figure can therefore be printed and shown on a dark screen.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ INK, PAPER = "#1f2328", "#ffffff"
 
 
 COLOURS = ("#3b76c4", "#1f8f8a", "#5a9136", "#a68217", "#cb6a2c", "#c94f6d", "#8a62c2")
-"""In the order of the rainbow, for sizes have one, and of about the same lightness."""
+"""Colours of curves, in the order of the rainbow because sizes have an order, and of about the same lightness."""
 
 
 MARKERS = "os^DvPX"
@@ -50,18 +50,18 @@ STYLE: dict[str, Any] = {
 
 @contextmanager
 def style() -> Iterator[None]:
-    """The look of all figures; they are to be made and saved within."""
+    """Set the style of all figures for the block, in which they must be made and saved."""
     import matplotlib as mpl
 
     look: Any = STYLE
     with mpl.rc_context(look), warnings.catch_warnings():
-        # A browser has the letters that matplotlib's own font has not.
+        # The browser's font has letters that matplotlib's own font lacks.
         warnings.filterwarnings("ignore", "Glyph .* missing from", UserWarning)
         yield
 
 
 def new_figure() -> tuple[Figure, Axes]:
-    """A figure with one pair of axes."""
+    """Return a new figure with one pair of axes."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(5.6, 4.2), layout="constrained")
@@ -69,31 +69,31 @@ def new_figure() -> tuple[Figure, Axes]:
 
 
 def within(value: float) -> float:
-    """A value, or the nearest that a logarithmic axis can show; matplotlib's margins overflow beyond."""
+    """Return the value, or the nearest that a logarithmic axis can show without overflow in its margins."""
     return min(max(value, 1e-99), 1e99)
 
 
 def add_legend(axes: Axes) -> None:
-    """A legend within the axes, which do not shrink for its sake."""
+    """Add a legend within the axes, which keep their size."""
     axes.legend().set_in_layout(False)
 
 
 def label_text(text: str) -> str:
-    """Names are data: no mathematics between dollars, no label hidden by an underscore, no line of any length."""
+    """Return a name as a label: no mathematics between dollars, not hidden by an underscore, not too long."""
     text = "".join(character if character.isprintable() else " " for character in text)
     text = text if len(text) <= LONGEST_LABEL else text[: LONGEST_LABEL - 1] + "…"
     return " " * text.startswith("_") + text.replace("$", r"\$")
 
 
 class Look(NamedTuple):
-    """How one curve of several is drawn."""
+    """Colour and marker of one curve of several."""
 
     colour: Colour
     marker: str
 
 
 def plain_ticks(axis: Any, values: Sequence[float]) -> None:
-    """Plain numbers at 1, 2, 5 of each decade while there are few decades, and at more where there is but one."""
+    """Set tick labels without exponents: at 1, 2, 5 of each of a few decades, at more places of a single one."""
     from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
 
     span = max(values) / min(values)
@@ -106,7 +106,7 @@ def plain_ticks(axis: Any, values: Sequence[float]) -> None:
 
 
 def look_of(number: int, of: int) -> Look:
-    """One of so many: the colours above while they suffice, between them where they do not."""
+    """Return the look of curve `number` out of `of`; if `COLOURS` has too few colours, they are interpolated."""
     from matplotlib.colors import LinearSegmentedColormap, to_rgba
 
     marker = MARKERS[number % len(MARKERS)]

@@ -1,4 +1,4 @@
-"""Figures of a result: psychometric functions, the TOD curve, ratios of thresholds, error against run time."""
+"""Figures of a result: psychometric functions, TOD curve, ratios of thresholds, error against run time."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ MOST_SIZES_NAMED = 8
 class Picture(NamedTuple):
     """A figure to be drawn, for the page and as a PNG.
 
-    `note` says how to read it; `file` is the name of the PNG, "" where it is for the page alone.
+    `note` says how to read it; `file` is the name of the PNG, or "" if only the page shows it.
     """
 
     title: str
@@ -54,13 +54,13 @@ class Picture(NamedTuple):
     file: str = ""
 
     def figure(self) -> Figure:
-        """Draw it as a figure of its own, in the style of all figures."""
+        """Return the picture as a figure of its own, in the style of all figures."""
         figure, axes = new_figure()
         self.draw(axes)
         return figure
 
     def png(self) -> bytes:
-        """Draw it as a PNG with its title above and its note below."""
+        """Return the picture as a PNG with its title above and its note below."""
         with style():
             figure = self.figure()
             figure.axes[0].set_title(label_text(self.title))
@@ -68,17 +68,17 @@ class Picture(NamedTuple):
 
 
 def save_png(figure: Figure, note: str = "") -> bytes:
-    """Make the PNG of a figure with a note below it, within `style`: the same figure gives the same bytes."""
+    """Return the PNG of a figure with a note below it, inside `style`; the same figure gives the same bytes."""
     if note:
         figure.supxlabel(textwrap.fill(note, 95), fontsize="x-small", x=0.02, ha="left")
     buffer = io.BytesIO()
-    # No software version among the attributes, which would make other bytes of the same figure.
+    # The metadata has no software version, so the same figure always gives the same bytes.
     figure.savefig(buffer, format="png", dpi=160, metadata={"Software": None})
     return buffer.getvalue()
 
 
 def drawn(draw: Callable[[Axes], None], ax: Axes | None) -> Axes:
-    """Draw into given axes, or into those of a new figure of pyplot."""
+    """Draw into the given axes, or into those of a new pyplot figure. Returns the axes."""
     with style():
         if ax is None:
             from matplotlib import pyplot
@@ -134,13 +134,13 @@ def _tod_note(fits: Sequence[Fit]) -> str:
 
 
 def has_tod_curve(fits: Sequence[Fit]) -> bool:
-    """Tell whether there is a column of sizes, and a threshold at two of them at least."""
+    """Return whether there is a column of sizes, and a threshold at two sizes at least."""
     size = size_column(fits)
     return size is not None and len({fit.group[size] for fit in fits if fit.threshold is not None}) >= 2
 
 
 def draw_tod(axes: Axes, fits: Sequence[Fit]) -> None:
-    """Draw threshold against size of fits that have a TOD curve, with intervals, and ΔT where it is known."""
+    """Draw the TOD curve of fits that have one: threshold against size, with intervals, and ΔT if it is known."""
     name = size_column(fits)
     assert name is not None
     unit = unit_of(name)
@@ -198,7 +198,7 @@ def _draw_tod_curve(axes: Axes, fits: Sequence[Fit], name: str, label: str, look
 
 
 def _draw_open_ends(axes: Axes, places: Sequence[_Place]) -> None:
-    """Dots from a threshold to the edge of the figure where the data leave that end of the interval open."""
+    """Draw dots from a threshold to the edge of the figure if the data leave that end of the interval open."""
     edges = axes.get_ylim()
     for place in places:
         for end, edge in zip(place.fit.threshold_ci95 or (), edges, strict=False):
@@ -208,7 +208,7 @@ def _draw_open_ends(axes: Axes, places: Sequence[_Place]) -> None:
 
 
 def _temperature_axis(axes: Axes, places: Sequence[_Place]) -> None:
-    """ΔT is proportional to SNR: one factor for all."""
+    """Add an axis of ΔT on the right, which is proportional to SNR by one factor for all thresholds."""
     factors = [place.fit.delta_t_mk / place.threshold for place in places if place.fit.delta_t_mk]
     if len(factors) < len(places) or min(factors) <= 0.0:
         return
@@ -228,7 +228,7 @@ def _temperature_axis(axes: Axes, places: Sequence[_Place]) -> None:
 def draw_psychometric(axes: Axes, fits: Sequence[Fit]) -> None:
     """Draw proportion correct against level: points, fitted curves, criterion and guess rate.
 
-    One of the fits must have points at least; those without are left out.
+    At least one fit must have points; fits without points are left out.
     """
     fits = evenly([fit for fit in fits if fit.points], MOST_CURVES)
     levels = [within(point.level) for fit in fits for point in fit.points]
@@ -274,7 +274,7 @@ def _draw_psychometric_curve(axes: Axes, fit: Fit, look: Look) -> None:
 
 
 def draw_ratios(axes: Axes, algorithms: Sequence[Algorithm]) -> None:
-    """Draw threshold over that of the reference, by algorithm and group; filled where a difference is shown."""
+    """Draw thresholds divided by the reference's, by algorithm and group; filled if a difference is shown."""
     others = [one for one in algorithms if one.ratios][:MOST_IN_LEGEND]
     compared = [{_ratio_label(ratio): ratio for ratio in (*one.ratios, one.overall) if ratio} for one in others]
     labels = list(dict.fromkeys(label for ratios in compared for label in ratios))[:MOST_CURVES]
@@ -309,7 +309,7 @@ def _ratio_label(ratio: Ratio) -> str:
 
 
 def draw_errors(axes: Axes, scene: SceneResult) -> None:
-    """Draw error against CPU time of a scene of `accuracy`, both logarithmic: a line for each estimator."""
+    """Draw error against CPU time for a scene of `accuracy`, both logarithmic, with a line for each estimator."""
     runs = scene_runs(scene)
     for number, (name, pairs) in enumerate(runs.items()):
         look, (times, errors) = look_of(number, len(runs)), zip(*sorted(pairs), strict=True)
@@ -347,7 +347,7 @@ Runs = dict[str, list[tuple[float, float]]]
 
 
 def scene_runs(scene: SceneResult) -> Runs:
-    """Collect CPU time and relative error of the threshold at each budget of each estimator; both above 0."""
+    """Return CPU time and relative threshold error at each budget of each estimator, if both are above 0."""
     runs = {
         one.title: [
             (float(point["cpu_s"]), float(point["threshold_error"]))

@@ -1,4 +1,4 @@
-"""A result → one HTML page that needs nothing else: words, figures, pictures, tables.
+"""Conversion of a result to one self-contained HTML page with text, figures, pictures and tables.
 
 The page is made from the result alone, so the same result gives the same bytes.
 """
@@ -43,7 +43,7 @@ TITLES = {
 
 
 def page(result: ResultData) -> str:
-    """Make the page of a result."""
+    """Return the HTML page of a result."""
     content = {
         "title": TITLES[result.command],
         "about": _about(result),
@@ -80,7 +80,7 @@ def _shown(text: str) -> str:
 
 
 def _about(result: ResultData) -> str:
-    """What was looked at: the dataset, or the sensor by its name."""
+    """Return the name of the dataset or sensor that the result is about."""
     sensor = result.settings.get("sensor")
     name = sensor.get("name") if isinstance(sensor, dict) else None
     return str(result.dataset or name or "")
@@ -99,7 +99,7 @@ def _figures(result: ResultData) -> list[Json]:
 
 
 def _tables(result: ResultData) -> list[Json]:
-    """The tables under the figures; `folded` ones are opened by hand."""
+    """List the tables under the figures; the reader opens those that are `folded`."""
     found = []
     if result.algorithms:
         found += [_item(tables.ratios(result)), _item(tables.measures(result.algorithms))]
@@ -117,7 +117,7 @@ def _item(table: Table, *, folded: bool = False) -> Json:
 
 
 def _examples(examples: Sequence[Example]) -> list[Json]:
-    """Examples by group, a row of pictures for each algorithm where there are several."""
+    """List the examples by group, with a row of pictures for each algorithm."""
     groups: dict[str, Json] = {}
     for one in examples:
         label = group_phrase(one.group)
@@ -157,7 +157,7 @@ def _tile(picture: Thumbnail) -> Json:
 
 
 def _details(result: ResultData) -> list[Json]:
-    """How it was made, as tables to open by hand."""
+    """List the tables about how the result was made; the reader opens those that are `folded`."""
     records: list[tuple[str, str, Sequence[Record], bool]] = [
         ("Frames left out", "skipped.csv", result.skipped, False),
         ("Positions found", "located.csv", result.located or (), True),
@@ -174,12 +174,12 @@ def _details(result: ResultData) -> list[Json]:
 
 
 def notebook_html(result: ResultData) -> str:
-    """Make what a notebook shows of a result: sentences, its table and its first figure, with nothing to load."""
+    """Return the self-contained HTML that a notebook shows for a result: sentences, table and first figure."""
     told = "".join(f"<p>{markup(sentence)}</p>" for sentence in verdict(result))
     table = tables.ratios(result) if result.algorithms else tables.thresholds(result)
     compact = replace(table, columns=tuple(one for one in table.columns if not one.is_detail))
     drawn = pictures(result)[:1]
-    # Names inside of a drawing hold for the whole notebook: those of another result must be others.
+    # Names inside a drawing are valid in the whole notebook, so another result must have other names.
     name = f"tod-{zlib.crc32(msgspec.json.encode(result)):08x}"
     with style():
         svg = "".join(

@@ -1,4 +1,4 @@
-"""The result of a command or call: its numbers, and everything that can be made of them."""
+"""The result of a command or call: its numbers, and methods that make tables, figures and files of them."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ LIBRARIES = ("numpy", "scipy", "cv2", "OpenImageIO")
 
 
 class Result(ResultData, frozen=True, kw_only=True, dict=True):
-    """Thresholds, and how they came about.
+    """Thresholds of a command or call, with the data and settings behind them.
 
     `todframes.score`, `compare`, `fit_counts`, `naked_eye` and `sensor_sim.curve` return one, and `load_result`
     reads it back. Its fields are the keys of `result.json`.
@@ -37,13 +37,13 @@ class Result(ResultData, frozen=True, kw_only=True, dict=True):
     thresholds : tuple of Fit
         A record for each group, with `group`, `level`, `threshold`, `threshold_ci95`, `status` and the curve.
     algorithms : tuple of Algorithm
-        Of a comparison: ratios of thresholds and verdicts.
+        Ratios of thresholds and verdicts of a comparison; empty for other results.
     trials : Table or None
         Scores of each trial, as in `scores.csv`.
     settings : dict
-        Everything that was set.
+        All settings.
     skipped : tuple of dict
-        Frames that could not be used, and why.
+        Frames that could not be used, and the reasons.
 
     Examples
     --------
@@ -55,7 +55,7 @@ class Result(ResultData, frozen=True, kw_only=True, dict=True):
 
     @classmethod
     def made(cls, command: str, started: float, **fields: Any) -> Self:
-        """Make a result of a command that started at a `time.perf_counter`, with the versions of what it used."""
+        """Return a new result of a command, with the run time since `started` and the versions of libraries."""
         used = {name: sys.modules[name].__version__ for name in LIBRARIES if name in sys.modules}
         return cls(
             schema=SCHEMA,
@@ -67,14 +67,14 @@ class Result(ResultData, frozen=True, kw_only=True, dict=True):
         )
 
     def with_trials(self, make: Callable[[], Table]) -> Self:
-        """Return the result together with its trials, whose table is made when it is asked for."""
+        """Return a copy of the result with trials, whose table is made when it is asked for."""
         copy = msgspec.structs.replace(self)
         msgspec.structs.force_setattr(copy, "_make_trials", make)
         return copy
 
     @property
     def trials(self) -> Table | None:
-        """Scores of each trial as in `scores.csv`; None where there are no trials, or they were not saved."""
+        """Scores of each trial as in `scores.csv`; None if there are no trials, or they were not saved."""
         make = self.__dict__.get("_make_trials")
         return None if make is None else make()
 
@@ -89,10 +89,10 @@ class Result(ResultData, frozen=True, kw_only=True, dict=True):
         return notebook_html(self)
 
     def to_dataframe(self) -> DataFrame:
-        """Return the thresholds as a pandas DataFrame, a row each.
+        """Return the thresholds as a pandas DataFrame with a row for each.
 
-        Columns are those of the group, `threshold`, `threshold_ci95_low`, `threshold_ci95_high` and what else is
-        known of each threshold.
+        Columns are those of the group, `threshold`, `threshold_ci95_low`, `threshold_ci95_high` and the other
+        values of each `Fit`.
 
         Returns
         -------
@@ -113,7 +113,7 @@ class Result(ResultData, frozen=True, kw_only=True, dict=True):
         Parameters
         ----------
         ax : matplotlib Axes, optional
-            Where to draw. Default: a new figure.
+            Axes to draw into. Default: a new figure.
 
         Returns
         -------
@@ -137,7 +137,7 @@ class Result(ResultData, frozen=True, kw_only=True, dict=True):
         Parameters
         ----------
         ax : matplotlib Axes, optional
-            Where to draw. Default: a new figure.
+            Axes to draw into. Default: a new figure.
 
         Returns
         -------
@@ -156,15 +156,15 @@ class Result(ResultData, frozen=True, kw_only=True, dict=True):
         return drawn(lambda axes: draw_psychometric(axes, self.thresholds), ax)
 
     def to_json(self) -> bytes:
-        """Return the result as indented JSON, the content of `result.json`; what is not a number becomes null.
+        """Return the result as indented JSON, the content of `result.json`; NaN becomes null.
 
-        Characters that a terminal would obey are escaped, which changes nothing of what the JSON says.
+        Characters that a terminal would obey are escaped; the values of the JSON are the same.
         """
         text = msgspec.json.format(msgspec.json.encode(self), indent=2).decode()
         return (visible_json(text) + "\n").encode()
 
     def to_html(self) -> str:
-        """Return the result as one HTML page that needs nothing else, the content of `report.html`.
+        """Return the result as one self-contained HTML page, the content of `report.html`.
 
         Raises
         ------
@@ -176,7 +176,7 @@ class Result(ResultData, frozen=True, kw_only=True, dict=True):
         return page(self)
 
     def files(self) -> dict[str, bytes]:
-        """Make all files of the result, by name: `result.json`, `report.html`, tables and pictures."""
+        """Return the content of all files by name: `result.json`, `report.html`, tables and pictures."""
         from todframes.report.figures import pictures
         from todframes.report.tables import ratios
 
@@ -195,7 +195,7 @@ class Result(ResultData, frozen=True, kw_only=True, dict=True):
         Parameters
         ----------
         folder : path
-            Made if it is not there; its parent must be. Files of an earlier result are replaced.
+            Folder, which is made if only its parent exists. Files of an earlier result are replaced.
 
         Raises
         ------
@@ -209,12 +209,12 @@ class Result(ResultData, frozen=True, kw_only=True, dict=True):
 
 
 def load_result(path: Path | str) -> Result:
-    """Read a result that a command or `Result.save` wrote.
+    """Return a result that a command or `Result.save` wrote.
 
     Parameters
     ----------
     path : path
-        `result.json`, or the folder that it is in. Trials are read from `scores.csv` beside it when asked for.
+        `result.json`, or its folder. Trials are read from `scores.csv` beside it when they are asked for.
 
     Returns
     -------
@@ -223,7 +223,7 @@ def load_result(path: Path | str) -> Result:
     Raises
     ------
     DataError
-        If it cannot be read, or is not a result.
+        If the file cannot be read, or is not a result.
 
     Examples
     --------
@@ -243,7 +243,7 @@ def load_result(path: Path | str) -> Result:
 
 
 def read_result(content: bytes, where: str) -> Result:
-    """Decode a result from its JSON and check it; messages begin with `where`. See `load_result`."""
+    """Return a result decoded from its JSON and checked; messages begin with `where`. See `load_result`."""
     return decode(content, where, Result)
 
 

@@ -1,4 +1,4 @@
-"""What a result says, in sentences: thresholds, what has none and why, which algorithm helps."""
+"""Summary of a result in sentences: thresholds, groups without one and why, algorithms that help."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from todframes.report.wording import (
 )
 
 LONGEST_LIST = 6
-"""Curves told one by one; more are left to the table."""
+"""Largest number of curves that are described one by one; if there are more, the table shows them."""
 
 
 NO_THRESHOLD = {
@@ -32,11 +32,11 @@ COMPUTED = {
     "never_reached": "{criterion} is never reached, however strong the signal",
     "always_exceeded": "{criterion} is always exceeded, however weak the signal",
 }
-"""Where levels are not shown but computed, and none is too strong."""
+"""Reasons for a missing threshold, by status, if levels are computed without limit instead of shown."""
 
 
 def size_column(fits: Sequence[Fit]) -> str | None:
-    """Find the one group column that is a size and has positive numbers for values."""
+    """Return the only group column that is a size, if its values are positive numbers; otherwise None."""
     names = [name for name in (fits[0].group if fits else ()) if unit_of(name)]
     if len(names) != 1:
         return None
@@ -45,7 +45,7 @@ def size_column(fits: Sequence[Fit]) -> str | None:
 
 
 def by_curve(fits: Sequence[Fit]) -> dict[str, list[Fit]]:
-    """Collect fits that differ in size alone, in the order of size; "" is the key where there is one curve only.
+    """Return the fits of each curve, which differ in size alone, sorted by size; "" is the key of a single curve.
 
     Without a column of sizes each fit is a curve of its own.
     """
@@ -61,7 +61,7 @@ def by_curve(fits: Sequence[Fit]) -> dict[str, list[Fit]]:
 
 
 def verdict(result: ResultData) -> list[str]:
-    """Say what came out, the most important first, in the result's own sentences if it has any."""
+    """Return the main findings, the most important first; sentences stored in the result take precedence."""
     given = [result.verdict] if isinstance(result.verdict, str) else list(map(str, result.verdict))
     told = given or _told(result)
     if result.skipped:
@@ -86,7 +86,7 @@ def _told(result: ResultData) -> list[str]:
 
 
 def _curve(label: str, fits: Sequence[Fit], *, computed: bool) -> list[str]:
-    """Sentences about one TOD curve, or about a threshold that belongs to none."""
+    """Return sentences about one TOD curve, or about a threshold that belongs to no curve."""
     size = size_column(fits)
     criterion = f"{100 * fits[0].p_correct:g} % correct"
     head = f"At {criterion}" + (f" with {label}" if label else "")
@@ -114,7 +114,7 @@ def _curve(label: str, fits: Sequence[Fit], *, computed: bool) -> list[str]:
 
 
 def _open_questions(known: Sequence[Fit], size: str | None) -> list[str]:
-    """What the levels shown leave open: thresholds outside of them, intervals without an end."""
+    """Return sentences about thresholds outside the levels shown, and intervals with an open end."""
     told = []
     for weaker, wanted in ((True, "weaker"), (False, "stronger")):
         outside = [fit for fit in known if fit.status == "extrapolated" and _below_levels(fit) == weaker]
@@ -134,7 +134,7 @@ def _below_levels(fit: Fit) -> bool:
 
 
 def _threshold(fit: Fit) -> str:
-    """A threshold, how sure it is, and the temperature it stands for."""
+    """Return a threshold in words, with its interval or error, and its temperature difference if known."""
     text = plain(fit.threshold) + (" mrad" if fit.level == "size_mrad" else "")
     more = [] if fit.delta_t_mk is None else [f"ΔT {plain(fit.delta_t_mk)} mK"]
     if fit.threshold_ci95 is not None:
@@ -145,7 +145,7 @@ def _threshold(fit: Fit) -> str:
 
 
 def timed(scenes: Sequence[SceneResult]) -> list[str]:
-    """Say how many times less CPU the cheapest way takes than the dearest, at which error."""
+    """Return sentences that compare the CPU time of the last estimator with that of the first, at equal error."""
     told = []
     for scene in scenes:
         parts = [
@@ -161,7 +161,7 @@ def timed(scenes: Sequence[SceneResult]) -> list[str]:
 
 
 def _sizes(fits: Sequence[Fit], size: str | None) -> str:
-    """Sizes of fits, their unit once: "1.5, 2 and 3 detectors"."""
+    """Return the sizes of fits in words, with their unit once: "1.5, 2 and 3 detectors"."""
     assert size is not None
     return f"{listed(f'{fit.group[size]:.15g}' for fit in fits)} {unit_of(size)}"
 
@@ -171,11 +171,11 @@ REACHED = {
     "always_exceeded": "is always exceeded",
     "too_few_levels": "cannot be told of one level",
 }
-"""What becomes of the criterion where there is no threshold, by status."""
+"""Phrases about the criterion if there is no threshold, by status."""
 
 
 def comparison(algorithms: Sequence[Algorithm]) -> tuple[str, ...]:
-    """Say of each algorithm whether it helps: a paragraph each, without the reference, which comes first."""
+    """Return a paragraph for each algorithm except the first, the reference: whether it helps and by how much."""
     return tuple(_paragraph(one, algorithms[0]) for one in algorithms[1:])
 
 
@@ -209,7 +209,7 @@ def _paragraph(one: Algorithm, reference: Algorithm) -> str:
 
 
 def _without_ratio(one: Algorithm, reference: Algorithm) -> dict[str, list[Group]]:
-    """Say why groups have no ratio: phrases, and the groups that each is true of."""
+    """Return the reasons why groups have no ratio: phrases, and the groups for which each is true."""
     found: dict[str, list[Group]] = {}
     for ratio, fit, before in zip(one.ratios, one.fits, reference.fits, strict=True):
         if ratio.ratio is None:
@@ -225,7 +225,7 @@ def _signed(value: float | None, form: str) -> str:
 
 
 def remarks(result: ResultData) -> list[str]:
-    """Say how well the numbers of a result are known."""
+    """Return sentences about the accuracy of a result's numbers."""
     told = []
     fits = result.thresholds
     relative = [
@@ -244,7 +244,7 @@ def remarks(result: ResultData) -> list[str]:
 
 
 def cautions(result: ResultData) -> list[str]:
-    """Say what a reader of the thresholds must know."""
+    """Return the cautions that a reader of the thresholds must know."""
     told = []
     apart = [
         100 * abs(fit.points_threshold / fit.threshold - 1)

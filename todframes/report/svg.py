@@ -1,4 +1,4 @@
-"""A matplotlib figure as SVG for the inside of a page: small, in the page's own colours, always the same.
+"""Conversion of a matplotlib figure to inline SVG: small, in the page's own colours, reproducible.
 
 Ink becomes the page's text colour and paper its background, so a figure follows a dark page. Text stays text, in
 the page's font. Names used inside are made unique to the figure, for a page holds several.
@@ -30,21 +30,22 @@ _REFERENCE = re.compile(r"url\(#([^)]*)\)")
 
 
 def inline_svg(figure: Figure, *, name: str, label: str) -> str:
-    """The figure as an `svg` element for an HTML page.
+    """Return the figure as an `svg` element for an HTML page.
 
     Parameters
     ----------
     figure : matplotlib Figure
-        Made within `figure_style.style`, as must be this call.
+        Figure made inside `figure_style.style`; call this function inside it too.
     name : str
-        Unique in the page: letters, digits and hyphens. The names inside begin with it.
+        Name of letters, digits and hyphens that is unique in the page. The names inside begin with it.
     label : str
-        What the figure shows, for those who do not see it.
+        Description of the figure, for readers who do not see it.
 
     Returns
     -------
     str
-        Well-formed, without a document type, namespaces, style sheet or date: the same figure gives the same text.
+        Well-formed XML without document type, namespaces, style sheet or date; the same figure gives the same
+        text.
     """
     import matplotlib as mpl
 
@@ -61,7 +62,7 @@ def inline_svg(figure: Figure, *, name: str, label: str) -> str:
 
 
 def _tidy(element: ElementTree.Element) -> None:
-    """Without namespaces, metadata, and style sheets, which would hold for the whole page."""
+    """Remove namespaces, metadata, and style sheets, which would apply to the whole page."""
     element.tag = element.tag.rpartition("}")[2]
     element.attrib = {key.rpartition("}")[2]: value for key, value in element.attrib.items()}
     element.tail = None
@@ -75,7 +76,7 @@ def _tidy(element: ElementTree.Element) -> None:
 
 
 def _references(element: ElementTree.Element) -> list[str]:
-    """Names of other elements that an element uses, with a hash before each."""
+    """Return the names of other elements that an element uses, each with a hash in front."""
     found = [f"#{name}" for value in element.attrib.values() for name in _REFERENCE.findall(value)]
     return found + [value for key, value in element.attrib.items() if key == "href"]
 

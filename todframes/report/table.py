@@ -1,4 +1,4 @@
-"""A table as one value with five forms: terminal, CSV, Markdown, HTML and a pandas DataFrame."""
+"""Table class with five forms of output: terminal, CSV, Markdown, HTML and pandas DataFrame."""
 
 from __future__ import annotations
 
@@ -19,52 +19,52 @@ if TYPE_CHECKING:
 
 
 LONGEST_TABLE = 200
-"""Rows of the HTML form; the CSV has all of them."""
+"""Largest number of rows in the HTML form; the CSV has all rows."""
 
 
 EXACT = 15
-"""Digits of a number that is shown as it is."""
+"""Number of digits of a number that is shown unrounded."""
 
 
 LEAST_TEXT_WIDTH = 16
-"""A column of long texts in the terminal is wrapped down to so many letters, and no further."""
+"""Least width, in letters, to which a column of long texts is wrapped in the terminal."""
 
 
 HIDDEN = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069\ud800-\udfff\ufffe\uffff]")
-"""What HTML does not allow, and what would turn the direction of the text beside it."""
+"""Pattern of characters that HTML does not allow or that change the direction of the text beside them."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Column:
-    """What stands in a column and how.
+    """Key, header and number format of a table's column.
 
     Attributes
     ----------
     key : str
-        Of the records, and the column's name in CSV.
+        Key of the column's values in the records, and the column's name in CSV.
     header : str
-        What stands above it on screen; by default the key in words.
+        Heading on screen; by default the key in words.
     digits : int
         Significant digits on screen.
     decimals : int, optional
-        Digits behind the point on screen, in place of these.
+        Digits after the decimal point on screen, instead of `digits`.
     sign : str
-        What stands before each number on screen.
+        Text in front of each number on screen.
     none : str
-        What stands on screen where a record has no value.
+        Text on screen if a record has no value.
     interval : str
-        Begins the two names in CSV of a column of pairs; "" where values are not pairs.
+        Prefix of the two CSV names of a column of pairs; "" if values are not pairs.
     rank : int
-        A terminal too narrow for all columns drops those of the highest rank first, but none of rank 0.
+        Order of omission: a terminal too narrow for all columns drops the highest rank first, but never rank 0.
     in_file_only : bool
-        Whether only the CSV and the DataFrame have it.
+        Whether only the CSV and the DataFrame have the column.
     is_detail : bool
-        Whether the terminal shows it only if asked for details.
+        Whether the terminal shows the column only if asked for details.
     wraps : bool
         Whether long texts are wrapped in the terminal.
     is_name : bool
-        Whether values tell rows apart: also shown with the details, and written once in the terminal where the
-        first column of several rows has the same.
+        Whether the values identify rows: the column is also shown with the details, and as first column the
+        terminal shows a repeated value once.
     """
 
     key: str
@@ -82,7 +82,7 @@ class Column:
 
     @property
     def heading(self) -> str:
-        """What stands above it."""
+        """The heading on screen."""
         return self.header or self.key.replace("_", " ")
 
     @property
@@ -91,7 +91,7 @@ class Column:
         return (f"{self.interval}_low", f"{self.interval}_high") if self.interval else (self.key,)
 
     def text(self, value: Any) -> str:
-        """Write a value for a person."""
+        """Return a value as text for a reader."""
         match value:
             case None:
                 return self.none
@@ -113,7 +113,7 @@ class Column:
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """Records under headers; `file` is the name of its CSV file, `title` what it shows."""
+    """Columns and records with a title; `file` is the name of the CSV file."""
 
     title: str
     file: str
@@ -124,17 +124,17 @@ class Table:
     def of(
         cls, title: str, file: str, columns: Iterable[Column | str], records: Iterable[Mapping[str, Any]]
     ) -> Table:
-        """Make a table; a text stands for a column that is nothing but a key."""
+        """Return a table; a column given as text is its key, with all else by default."""
         made = (Column(key=one) if isinstance(one, str) else one for one in columns)
         return cls(title, file, tuple(made), tuple(records))
 
     def without_empty_columns(self, *but: str) -> Table:
-        """Leave out columns in which no record has a value, but for those of some keys."""
+        """Return the table without the columns in which no record has a value; columns named in `but` are kept."""
         used = {key for record in self.records for key, value in record.items() if value is not None}
         return replace(self, columns=tuple(one for one in self.columns if one.key in used or one.key in but))
 
     def is_numeric(self, column: Column) -> bool:
-        """Whether the values of a column are numbers or intervals."""
+        """Return whether the values of a column are numbers or intervals."""
         values = (record.get(column.key) for record in self.records)
         return all(
             value is None or (isinstance(value, int | float | tuple) and not isinstance(value, bool))
@@ -142,11 +142,11 @@ class Table:
         )
 
     def rows(self, columns: Sequence[Column]) -> list[list[str]]:
-        """Write the cells of some columns for a person."""
+        """Return the cells of some columns as text for a reader, row by row."""
         return [[one.text(record.get(one.key)) for one in columns] for record in self.records]
 
     def csv(self) -> str:
-        """Write all columns as CSV; numbers have all their digits, and no text is a formula."""
+        """Return all columns as CSV; numbers have all their digits, and no text is a formula."""
         header = [name for column in self.columns for name in column.names]
         rows = (
             [field_text(value) for column in self.columns for value in _ends(column, record)]
@@ -155,7 +155,7 @@ class Table:
         return csv_text([header, *rows])
 
     def markdown(self) -> str:
-        """Write the shown columns as a table of GitHub's Markdown."""
+        """Return the shown columns as a table in GitHub's Markdown."""
         shown = [one for one in self.columns if not one.in_file_only]
         rule = ["---:" if self.is_numeric(one) else "---" for one in shown]
         lines = [[one.heading for one in shown], rule, *self.rows(shown)]
@@ -163,11 +163,11 @@ class Table:
 
     @property
     def n_rows_hidden(self) -> int:
-        """Rows that the HTML form leaves out."""
+        """Number of rows that the HTML form leaves out."""
         return max(0, len(self.records) - LONGEST_TABLE)
 
     def html(self, caption_id: str = "") -> str:
-        """Write the shown columns of the first rows as an HTML `table` element, its caption with an id."""
+        """Return the shown columns of the first rows as an HTML `table` element; its caption has the given id."""
         shown = [one for one in self.columns if not one.in_file_only]
         kinds = [' class="number"' if self.is_numeric(one) else "" for one in shown]
         heads = "".join(
@@ -184,7 +184,7 @@ class Table:
         return f"{head}\n<tbody>\n{lines}\n</tbody>\n</table>"
 
     def to_dataframe(self) -> DataFrame:
-        """Return all columns as a pandas DataFrame, an interval as two.
+        """Return all columns as a pandas DataFrame; an interval becomes two columns.
 
         Raises
         ------
@@ -200,14 +200,14 @@ class Table:
         return DataFrame(rows, columns=names)
 
     def terminal(self, width: int, *, details: bool = False) -> Group:
-        """Lay the table out for a terminal: narrow, it has fewer columns, but no number is cut or broken.
+        """Lay out the table for a terminal. A narrow one shows fewer columns, but no number is cut or broken.
 
         Parameters
         ----------
         width : int
-            Letters in a line.
+            Number of letters in a line.
         details : bool
-            Show the columns that are details, behind those that tell the rows apart, instead of the others.
+            Show the columns that identify rows and those that are details, instead of the others.
 
         Returns
         -------
@@ -224,15 +224,15 @@ class Table:
             rows = [list(map(visible, row)) for row in self.rows(shown)]
             cells = zip(*rows, strict=True) if rows else [()] * len(shown)
             least, most = zip(*map(_widths, shown, cells), strict=True)
-            # Two letters of padding around each column, one between them and one at each end.
+            # Each column has two letters of padding; one letter is between columns and one at each end.
             room = width - sum(least) - 3 * len(shown) - 1
             rank = max(one.rank for one in shown)
             if room >= 0 or not rank:
                 break
             shown = [one for one in shown if one.rank < rank]
-        # Text, not str: names are data, and rich would take brackets in them for markup.
+        # Cells are Text, not str: names are data, and rich would read brackets in them as markup.
         table = RichTable(box=SIMPLE_HEAD)
-        # Short columns get what they want first, long texts what is left.
+        # Short columns get their full width first; long texts share the rest.
         widths = list(least)
         for place in sorted(range(len(shown)), key=lambda k: (shown[k].wraps, most[k])):
             more = max(min(most[place] - least[place], room), 0)
@@ -245,7 +245,7 @@ class Table:
             )
         before = None
         for first, *others in rows:
-            # A name that is that of the row above is not written again.
+            # A name that equals that of the row above is not written again.
             repeated = shown[0].is_name and first == before
             table.add_row(*map(Text, ["" if repeated else first, *others]))
             before = first
@@ -253,7 +253,7 @@ class Table:
 
 
 def _widths(column: Column, cells: Iterable[str]) -> tuple[int, int]:
-    """Letters that a column needs, with its header and long texts wrapped, and those that it would like."""
+    """Return a column's least width, with header and long texts wrapped, and its full width, in letters."""
     from rich.cells import cell_len
 
     longest = max(map(cell_len, cells), default=0)
@@ -263,7 +263,7 @@ def _widths(column: Column, cells: Iterable[str]) -> tuple[int, int]:
 
 
 def markup(text: str) -> str:
-    """Make a text safe to stand in HTML."""
+    """Return a text escaped for HTML."""
     return escape(HIDDEN.sub("\ufffd", text))
 
 
@@ -273,7 +273,7 @@ def _ends(column: Column, record: Mapping[str, Any]) -> tuple[Any, ...]:
 
 
 def field_text(value: object) -> str:
-    """Write a value as a field of CSV: all digits of a number, nothing for None and NaN."""
+    """Return a value as a CSV field: all digits of a number, nothing for None and NaN."""
     if value is None or value != value:
         return ""
     if isinstance(value, str):

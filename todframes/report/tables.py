@@ -1,4 +1,4 @@
-"""Tables of a result: the same for the terminal, for the page and as CSV."""
+"""Tables of a result, used for the terminal, the page and the CSV files."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ ALGORITHM = Column(key="algorithm", is_name=True)
 
 
 TAKEN = {"algorithm", "spec", "threshold", "level", *(one.key for one in THRESHOLD_COLUMNS + RATIO_COLUMNS)}
-"""Names that columns have here; a group column of such a name gets one of its own."""
+"""Column names in use; a group column with one of these names is renamed."""
 
 
 def _group_columns(names: Iterable[str]) -> list[Column]:
@@ -82,13 +82,13 @@ def _group_record(group: Group) -> Record:
 
 
 def _fits(result: ResultData) -> list[tuple[Record, Fit]]:
-    """Each fit behind the name of its algorithm, if it has one."""
+    """Return each fit with the name of its algorithm, if it has one."""
     of_algorithms = [({"algorithm": one.name}, fit) for one in result.algorithms for fit in one.fits]
     return [*(({}, fit) for fit in result.fits), *of_algorithms]
 
 
 def thresholds(result: ResultData, title: str = "") -> Table:
-    """Make the table of thresholds, a row each; a column only where some threshold has a value for it."""
+    """Make the table of thresholds, a row each; columns without any value are left out."""
     fits = _fits(result)
     computed = not any(fit.n_trials for _, fit in fits)
     names = ("threshold", *(one.key for one in THRESHOLD_COLUMNS))
@@ -119,7 +119,7 @@ def thresholds(result: ResultData, title: str = "") -> Table:
 
 
 def points(result: ResultData) -> Table | None:
-    """Make the table of the points of each curve, a row a level, if there are any."""
+    """Make the table of the points of each curve, a row for each level; None if there are no points."""
     fits = _fits(result)
     records = [
         more
@@ -177,7 +177,7 @@ def ratios(result: ResultData, title: str = "") -> Table:
 
 
 def measures(algorithms: Sequence[Algorithm]) -> Table:
-    """Make the table of algorithms: the usual measures of image quality beside what the observer says."""
+    """Make the table of algorithms: the usual measures of image quality beside the observer's verdict."""
     records: list[Record] = [
         {
             "algorithm": one.name,
@@ -201,7 +201,7 @@ def measures(algorithms: Sequence[Algorithm]) -> Table:
 
 
 def enhancements(found: Sequence[Record]) -> Table:
-    """Make the table of algorithms that can be used, each with a row a parameter below it."""
+    """Make the table of registered algorithms, with a row for each parameter below its algorithm."""
     records: list[Record] = []
     for one in found:
         takes = one["domain"].replace("_", " ") + "s" * (one["domain"] == "code_value")
@@ -230,7 +230,7 @@ def enhancements(found: Sequence[Record]) -> Table:
 
 
 def plan(result: ResultData) -> Table:
-    """Make the table of what was computed and what was left out, for each threshold if each has a plan."""
+    """Make the table of the steps that were computed or left out, for each threshold if each has a plan."""
     plans = [(group_phrase(fit.group), fit.plan) for fit in result.fits if fit.plan] or [("", result.plan)]
     records = [
         {"group": group or None}
@@ -251,16 +251,16 @@ def plan(result: ResultData) -> Table:
 
 
 UNUSED = ("bound", "saves_s")
-"""Of a step of a plan, what says nothing where the step is kept."""
+"""Keys of a plan's step that have no meaning if the step is kept."""
 
 
 def records_table(title: str, file: str, records: Sequence[Record]) -> Table:
-    """Make a table of records whose keys are not known beforehand: as many columns as there are keys."""
+    """Make a table of records whose keys are not known beforehand, with a column for each key."""
     return Table.of(title, file, dict.fromkeys(key for record in records for key in record), records)
 
 
 def settings(result: ResultData) -> Table:
-    """Make the table of how a result was made, nested settings with dots between the names."""
+    """Make the table of a result's settings and versions; names of nested settings are joined with dots."""
     made: Record = {
         "command": result.command,
         "dataset": result.dataset,
@@ -270,7 +270,7 @@ def settings(result: ResultData) -> Table:
         "run_time_s": result.run_time_s,
     }
     made = {name: value for name, value in made.items() if value is not None} | _flat(result.settings, "settings.")
-    # As texts, for here the table too shows all digits.
+    # Values are texts, because this table shows all digits on screen too.
     rows: list[Record] = [{"name": name, "value": field_text(value) or None} for name, value in made.items()]
     return Table.of("Settings, seed and versions", "settings.csv", ["name", "value"], rows)
 
@@ -286,7 +286,7 @@ def _flat(values: Record, prefix: str) -> Record:
 
 
 def trials(dataset: Dataset, scored: ScoredDataset) -> Table:
-    """Make the table of scored trials: what was shown, the scores, the probability of each answer, the answer."""
+    """Make the table of scored trials: stimulus, scores, probability of each answer, answer."""
     records = [*_trials(dataset, scored)]
     return Table.of("Trials", "scores.csv", records[0], records)
 
@@ -325,7 +325,7 @@ def _trials(dataset: Dataset, scored: ScoredDataset) -> Iterable[Record]:
 
 
 def scene_tables(scene: SceneResult) -> list[Table]:
-    """Make the tables of a scene of `accuracy`: estimators, what one change does, all budgets."""
+    """Make the tables of a scene of `accuracy`: estimators, effects of single changes, all budgets."""
     estimators = Table.of(
         _scene_title(scene),
         f"{scene.name}_estimators.csv",
@@ -372,13 +372,13 @@ def _scene_title(scene: SceneResult) -> str:
 
 
 def _at_names(at: Record) -> tuple[str, str]:
-    """What stands above the CPU time that an error takes, and above how many times less that is."""
+    """Return the headings of the columns of CPU time for an error and of its ratio to the first estimator's."""
     percent = f"{100 * at['threshold_error']:g} %"
     return f"CPU (s) at {percent}", f"times less at {percent}"
 
 
 def _estimator_record(one: Estimator, first: Estimator) -> Record:
-    """Tell what the largest budget gave, how the error falls, and what some errors take."""
+    """Return an estimator's row: its largest budget, the slope of its error, CPU times for some errors."""
     last = one.points[-1] if one.points else {}
     slope = None if one.slope is None else f"{one.slope:.2f}"
     if slope is not None and one.slope_standard_error is not None:
@@ -396,5 +396,5 @@ def _estimator_record(one: Estimator, first: Estimator) -> Record:
 
 
 def rounded(value: float) -> str:
-    """Write a ratio with two digits, thousands apart."""
+    """Return a ratio as text with two significant digits and thousands separators."""
     return f"{float(f'{value:.2g}'):,.0f}" if value >= 10.0 else f"{value:.2g}"

@@ -1,4 +1,4 @@
-"""Numbers, groups and lists in words."""
+"""Conversion of numbers, groups and lists to words."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def evenly(items: Sequence[T], most: int) -> list[T]:
-    """Choose at most so many of the items, the first and the last among them and the others evenly between."""
+    """Return at most `most` of the items, evenly spaced, with the first and the last."""
     if len(items) <= most:
         return list(items)
     return [items[round(place * (len(items) - 1) / (most - 1))] for place in range(most)]
 
 
 def plain(value: float | None, digits: int = 3) -> str:
-    """Write a number for a person: so many significant digits, an exponent only where needed; a dash for None."""
+    """Return a number for a reader: `digits` significant digits, an exponent only if needed; a dash for None."""
     if value is None or value == 0.0:
         return "–" if value is None else "0"
     text = f"{value:#.{digits}g}"
@@ -32,29 +32,29 @@ def plain(value: float | None, digits: int = 3) -> str:
 
 
 def value_text(value: float | str) -> str:
-    """Write a group's value with all its digits."""
+    """Return a group's value as text with all its digits."""
     return f"{value:.15g}" if isinstance(value, float) else str(value)
 
 
 def unit_of(name: str) -> str:
-    """Return the unit that a column of sizes has in its name, "mrad" of size_mrad; "" for any other column."""
+    """Return the unit in the name of a column of sizes, "mrad" for size_mrad; "" for any other column."""
     return name.removeprefix("size_") if name.startswith("size_") else ""
 
 
 def phrase(name: str, value: float | str) -> str:
-    """Put a column and its value in words: "0.6 mrad" of a size, "camera left" of anything else."""
+    """Return a column and its value in words: "0.6 mrad" for a size, "camera left" for anything else."""
     if unit_of(name) and isinstance(value, float):
         return f"{value_text(value)} {unit_of(name)}"
     return value_text(value) if name == "algorithm" else f"{name} {value_text(value)}"
 
 
 def group_phrase(group: Mapping[str, float | str]) -> str:
-    """Put a group in words; "all trials" if it has no columns."""
+    """Return a group in words; "all trials" if it has no columns."""
     return ", ".join(phrase(name, value) for name, value in group.items()) or "all trials"
 
 
 def group_phrases(groups: Sequence[Mapping[str, float | str]]) -> str:
-    """Put groups in words, those of one column of sizes with their unit once: "1.5 and 2.5 mrad"."""
+    """Return groups in words; sizes from one column have their unit once: "1.5 and 2.5 mrad"."""
     names = list(groups[0])
     if len(names) == 1 and all(isinstance(group[names[0]], float) for group in groups):
         values = listed(value_text(group[names[0]]) for group in groups)
@@ -63,17 +63,17 @@ def group_phrases(groups: Sequence[Mapping[str, float | str]]) -> str:
 
 
 def level_name(level: str) -> str:
-    """Name a stimulus strength in a sentence."""
+    """Return the name of a stimulus strength for a sentence."""
     return {"snr": "SNR", "size_mrad": "size"}.get(level, level)
 
 
 def level_heading(level: str) -> str:
-    """Name a stimulus strength and its unit, above a column or at an axis."""
+    """Return the name of a stimulus strength with its unit, for a column or an axis."""
     return "size (mrad)" if level == "size_mrad" else level_name(level)
 
 
 def interval_phrase(bounds: tuple[float | None, float | None], digits: int = 3) -> str:
-    """Put an interval in words; an open end is said to be open."""
+    """Return an interval in words; an open end is named as open."""
     low, high = bounds
     if low is None and high is None:
         return "open"
@@ -84,11 +84,11 @@ def interval_phrase(bounds: tuple[float | None, float | None], digits: int = 3) 
 
 
 def listed(parts: Iterable[str]) -> str:
-    """Join some things with commas, and with "and" before the last."""
+    """Return the parts joined with commas, and with "and" before the last."""
     *most, last = parts
     return f"{', '.join(most)} and {last}" if most else last
 
 
 def count(number: int, what: str) -> str:
-    """Write a number of things: "1 frame", "2 frames"."""
+    """Return a number with its noun: "1 frame", "2 frames"."""
     return f"{number} {what}{'' if number == 1 else 's'}"
