@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, is_dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, TypeVar
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -31,9 +31,6 @@ OnError = Literal["stop", "skip"]
 
 
 Progress = Callable[[int], None]
-
-
-T = TypeVar("T")
 
 
 def score(

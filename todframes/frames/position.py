@@ -28,7 +28,7 @@ def to_centroid(
     trial: Trial, x_px: float, y_px: float, centre: Centre, pixel_pitch_mrad: float
 ) -> tuple[float, float]:
     """Return the centroid (x, y) in pixels of a trial's triangle whose `centre` lies at (x_px, y_px)."""
-    dx, dy = _from_centroid(trial, centre, pixel_pitch_mrad)
+    dx, dy = from_centroid(trial, centre, pixel_pitch_mrad)
     return x_px - dx, y_px - dy
 
 
@@ -58,7 +58,8 @@ def check_place(dataset: Dataset, trial: Trial, centre: Centre) -> None:
         check_on_frame(file.path, trial, file.header, x, y, dataset.display.pitch_mrad)
 
 
-def _from_centroid(trial: Trial, centre: Centre, pixel_pitch_mrad: float) -> tuple[float, float]:
+def from_centroid(trial: Trial, centre: Centre, pixel_pitch_mrad: float) -> tuple[float, float]:
+    """Return the way, (dx, dy) in pixels, from the centroid of a trial's triangle to its `centre`."""
     if centre == "centroid":
         return 0.0, 0.0
     dx, dy = bounding_box_offset(trial.orientation)

@@ -33,7 +33,7 @@ _ANSWERS = np.arange(4)[:, None]
 OTHERS = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
 
 PAIRS = ((0, 1), (0, 2), (1, 2))
-"""Among three others; pair i, j has index i + j − 1, and the one left out is 2 minus that."""
+"""Pairs of three other scores: pair i, j has index i + j − 1, and the score that is not in it is 2 minus that."""
 
 _FIRST = OTHERS[:, [pair[0] for pair in PAIRS]]
 _SECOND = OTHERS[:, [pair[1] for pair in PAIRS]]

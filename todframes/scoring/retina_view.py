@@ -16,9 +16,9 @@ from todframes.frames.contrast import (
 from todframes.frames.dataset import Dataset, Trial
 from todframes.frames.files import FrameSource
 from todframes.frames.position import (
-    _from_centroid,
     centroid_position,
     check_on_frame,
+    from_centroid,
 )
 from todframes.observers.interface import Observer
 from todframes.observers.retina import RetinaGrid, resample, resampled_rows
@@ -52,7 +52,7 @@ def place_grid(
     x, y = centroid_position(trial, header, observer.centre, pitch)
     check_on_frame(file.path, trial, header, x, y, pitch)
     offsets = np.array(displacement_samples) * grid.pitch_mrad / pitch
-    to_centre_x, to_centre_y = _from_centroid(trial, observer.centre, pitch)
+    to_centre_x, to_centre_y = from_centroid(trial, observer.centre, pitch)
     x, y = x + to_centre_x, y + to_centre_y
     rows, columns = (
         _touched(grid, at + offsets[:, axis], pitch, n_pixels)
