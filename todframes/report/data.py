@@ -398,7 +398,7 @@ class DatasetRecord(Struct, frozen=True, kw_only=True):
         return cls(
             path=str(dataset.path),
             display=_display(dataset.display),
-            experiment=dataclasses.asdict(dataset.experiment),
+            experiment={"level": dataset.experiment.level, "group_by": list(dataset.experiment.group_by)},
             manifest_sha256=dataset.manifest_sha256,
             n_frames=dataset.n_frames,
         )
