@@ -31,6 +31,9 @@ BLUR_PX = 0.8
 NOISE = 0.02
 """Standard deviation of the camera's noise, as a share of the background."""
 
+EDGE = 2.0 / 3.0**0.25
+"""Edge of a triangle of size 1."""
+
 ORIENTATIONS = ("up", "right", "down", "left")
 MIDDLE_PX = (SIDE_PX - 1) / 2
 SIXTEEN_BITS = 65535
@@ -62,16 +65,21 @@ def series() -> list[Shot]:
 
 
 def triangle(shot: Shot) -> Image:
-    """Return the share of each pixel that the triangle covers, shape (SIDE_PX, SIDE_PX).
+    """Return the share of each pixel that the triangle covers, shape (SIDE_PX, SIDE_PX)."""
+    return _covered(shot.orientation, shot.size_px, shot.x_px, shot.y_px)
 
-    A triangle that points up has a chord on every horizontal line: exact along the line, and the mean of 64 lines
-    in each row of pixels. The other triangles are that one, turned with its picture.
+
+@cache
+def _covered(orientation: str, size_px: float, x: float, y: float) -> Image:
+    """Rasterise a triangle that points up and turn its picture.
+
+    That triangle has a chord on every horizontal line: exact along the line, and the mean of 64 lines in each row
+    of pixels.
     """
-    turns = {"up": 0, "left": 1, "down": 2, "right": 3}[shot.orientation]
-    x, y = shot.x_px, shot.y_px
+    turns = {"up": 0, "left": 1, "down": 2, "right": 3}[orientation]
     for _ in range(turns):
         x, y = SIDE_PX - 1 - y, x
-    edge = 2.0 * shot.size_px / 3.0**0.25
+    edge = EDGE * size_px
     height = edge * math.sqrt(0.75)
     lines = (np.arange(SIDE_PX * 64) + 0.5) / 64 - 0.5
     below_apex = lines - (y - 2.0 * height / 3.0)
@@ -366,6 +374,23 @@ def titled(codes: NDArray, shot: Shot) -> NDArray:
     return np.where(letters > 127, SIXTEEN_BITS, codes).astype(np.uint16)
 
 
+def aimed(codes: NDArray, _shot: Shot) -> NDArray:
+    """A cross-hair in the middle of the frame, as of a thermal sight: white lines with a gap."""
+    x, y = offsets()
+    near, far = np.minimum(abs(x), abs(y)), np.maximum(abs(x), abs(y))
+    return np.where((near < 1.0) & (far > 3.0) & (far < 24.0), SIXTEEN_BITS, codes).astype(np.uint16)
+
+
+def tinted(codes: NDArray, _shot: Shot) -> NDArray:
+    """A colour frame of a lamp that has too little blue and green (stored as blue, green, red)."""
+    return np.rint(codes[..., None] * np.array([0.6, 0.8, 1.0])).astype(codes.dtype)
+
+
+def negated(codes: Image) -> Image:
+    """Black is hot, not white."""
+    return 1.0 - codes
+
+
 def of_jpeg(quality: int) -> Callable[[NDArray, Shot], NDArray]:
     """A frame that was a JPEG once."""
     return lambda codes, _shot: cv2.imdecode(
@@ -466,8 +491,6 @@ def control(name: str, sentence: str, *, is_right: bool = False, **steps: object
 OFF_MIDDLE = {"x_px": f"{MIDDLE_PX + 9.0:g}", "y_px": f"{MIDDLE_PX - 5.0:g}"}
 SWAPPED = {"x_px": OFF_MIDDLE["y_px"], "y_px": OFF_MIDDLE["x_px"]}
 DEGREE, ARC_MINUTE = math.pi / 180.0 * 1000.0, math.pi / 10800.0 * 1000.0  # mrad
-EDGE = 2.0 / 3.0**0.25
-"""Edge of a triangle of size 1."""
 
 CONTROLS = (
     control("flat", "A flat background, everything as the dataset says.", is_right=True),
@@ -481,6 +504,7 @@ CONTROLS = (
 )
 
 UNEVEN = "background_uneven background_mismatch"
+STUCK = "saturated crushed stuck_pixels"
 BACKGROUND_CASES = (
     case("vignetting_30", "Corners darker by 30 %.", UNEVEN, light=vignetted(0.3)),
     case("vignetting_50", "Corners darker by 50 %.", UNEVEN, light=vignetted(0.5)),
@@ -492,16 +516,18 @@ BACKGROUND_CASES = (
     case("flicker", "Bands of a lamp's flicker roll over the frames.", UNEVEN, light=flickering),
     case("glare", "A lamp is reflected beside the triangle.", UNEVEN, light=glaring),
     case("on_screen_text", "The camera's own text on the frame.", UNEVEN + " saturated", stored=titled),
+    case("cross_hair", "A thermal sight's cross-hair on the triangle.", STUCK, stored=aimed),
     case("background_doubled", "Background number × 2.", "background_mismatch", display=background(2.0)),
     case("background_halved", "Background number / 2.", "background_mismatch", display=background(0.5)),
 )
 
 LIGHT = "background_mismatch contrast_mismatch"
-STUCK = "saturated crushed stuck_pixels"
 CODE_CASES = (
     case("gamma_as_linear", "sRGB frames declared linear.", LIGHT, encoded=srgb),
     case("srgb_as_bt1886", "sRGB frames declared bt1886.", LIGHT, encoded=srgb, display={"eotf": "bt1886"}),
     case("linear_as_srgb", "Linear frames declared sRGB.", LIGHT, display={"eotf": "srgb"}),
+    case("negative", "Black is hot, not white.", LIGHT + " polarity_mismatch", encoded=negated),
+    case("colour_cast", "Colour frames with too little blue and green.", "background_mismatch", stored=tinted),
     case(
         "limited_range",
         "Video levels, 16 to 235, declared full range.",
