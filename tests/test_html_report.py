@@ -437,7 +437,12 @@ def test_many_curves(results) -> None:
 def with_texts(result: Any, texts: Iterator[str]) -> Any:
     """A result with texts in every place where a user's text can stand, the next one in each."""
     changed = json.loads(json.dumps(result))
-    changed |= {"dataset": next(texts), "version": next(texts), "versions": {next(texts): next(texts)}}
+    changed["dataset"] = {
+        "path": next(texts),
+        "display": {next(texts): next(texts)},
+        "manifest_sha256": next(texts),
+    }
+    changed |= {"version": next(texts), "versions": {next(texts): next(texts)}}
     changed |= {"settings": {next(texts): {next(texts): next(texts)}}}
     changed["skipped"] = [{"frame": text, "error": text, next(texts): "x"} for text in NASTY]
     changed["plan"] = [{"stage": next(texts), "kept": True, "why": next(texts)}]

@@ -239,7 +239,7 @@ class DecodedFrame:
             background = given * self._brightening(picture)
         check_contrast(found.largest, background)
         to_contrast = partial(_contrast, self.screen.display, background)
-        patch = Patch(part, y.first, x.first, found.n_negative, to_contrast)
+        patch = Patch(part, y.first, x.first, found.n_negative, to_contrast, background)
         return CroppedImage(patch.held(), x.centre_px, y.centre_px, self.screen.display.pitch_mrad / m)
 
     @cached_property

@@ -27,7 +27,8 @@ class Patch(NamedTuple):
 
     `row` and `column` are the position of its first pixel in the frame. A large rectangle is held as stored, with
     one to four bytes a value instead of eight; `to_contrast` then converts a band of whole rows into contrast.
-    `n_negative` counts the pixels read with a luminance below zero.
+    `n_negative` counts the pixels read with a luminance below zero. `background_luminance_cd_m2` is the luminance
+    that contrast refers to; None if the patch was made from contrast.
     """
 
     values: NDArray[Any]
@@ -35,6 +36,7 @@ class Patch(NamedTuple):
     column: int
     n_negative: int
     to_contrast: Callable[[NDArray[Any]], FloatArray] | None = None
+    background_luminance_cd_m2: float | None = None
 
     def bands(self) -> Iterator[Patch]:
         """Yield the patch in bands of rows, each as contrast."""
@@ -148,8 +150,8 @@ def read_contrast(
     except DataError as error:
         raise FrameError(file.path, str(error)) from None
     if is_small:
-        return Patch(weber_contrast(kept, background), top, left, found.n_negative)
-    return Patch(kept, top, left, found.n_negative, partial(_contrast, display, background))
+        return Patch(weber_contrast(kept, background), top, left, found.n_negative, None, background)
+    return Patch(kept, top, left, found.n_negative, partial(_contrast, display, background), background)
 
 
 class LuminanceFound:

@@ -22,7 +22,7 @@ from todframes.config import (
 )
 from todframes.errors import DataError, SettingsError
 from todframes.frames.display import Display, LuminanceTable
-from todframes.frames.files import FrameFile, FrameSource
+from todframes.frames.files import FrameFile, FrameSource, frame_sha256
 from todframes.stimulus import ORIENTATIONS, Orientation, Stimulus
 
 SCHEMA = 1
@@ -112,6 +112,7 @@ class Dataset:
 
     `bad_rows` are not among `trials`. A trial that lost a frame to a bad row is among `trials`, but its name is
     also in `spoilt`: it would be averaged over fewer frames than the others and must not be scored.
+    `manifest_sha256` is the checksum of `manifest.csv`; None for frames in memory.
     """
 
     path: Path
@@ -120,6 +121,12 @@ class Dataset:
     trials: tuple[Trial, ...]
     bad_rows: tuple[Skipped, ...]
     spoilt: frozenset[str]
+    manifest_sha256: str | None
+
+    @property
+    def n_frames(self) -> int:
+        """Number of frames in the manifest, those in bad rows included."""
+        return sum(len(trial.frames) for trial in self.trials) + len(self.bad_rows)
 
     def frame_path(self, frame: FrameReference) -> Path:
         """Return the path of the frame on disk."""
@@ -167,7 +174,15 @@ def load_dataset(path: Path | str) -> Dataset:
     trials = manifest.trials()
     if not trials and not manifest.bad_rows:
         raise DataError(f"{manifest.path}: no frames; expected a row a frame below the header")
-    return Dataset(path, display, experiment, trials, tuple(manifest.bad_rows), frozenset(manifest.spoilt))
+    return Dataset(
+        path=path,
+        display=display,
+        experiment=experiment,
+        trials=trials,
+        bad_rows=tuple(manifest.bad_rows),
+        spoilt=frozenset(manifest.spoilt),
+        manifest_sha256=frame_sha256(manifest.path),
+    )
 
 
 def _inside(folder: str, name: str, where: str, real_folders: dict[str, str] | None = None) -> str:
