@@ -147,22 +147,27 @@ class Recording:
         codes = self.encoded((luminance + noise) / WHITE)
         return self.stored(integers(codes, self.full_scale), shot)
 
-    def write(self, folder: Path) -> None:
-        """Write the frames and the manifest; `declare` writes `dataset.toml`."""
-        (folder / "frames").mkdir(parents=True)
-        rows = []
-        for shot in series():
-            name = f"frames/{shot.number:03d}.png"
-            assert cv2.imwrite(str(folder / name), self.frame(shot), [cv2.IMWRITE_PNG_COMPRESSION, 1])
-            rows.append(
+    def manifest(self) -> list[Row]:
+        """Return the rows of the manifest, of which the shots are the lines."""
+        return self.rows(
+            [
                 {
-                    "frame": name,
+                    "frame": f"frames/{shot.number:03d}.png",
                     "orientation": shot.orientation,
                     "size_mrad": f"{SIZE_MRAD:g}",
                     "contrast": f"{shot.contrast:g}",
                 }
-            )
-        rows = self.rows(rows)
+                for shot in series()
+            ]
+        )
+
+    def write(self, folder: Path) -> None:
+        """Write the frames and the manifest; `declare` writes `dataset.toml`."""
+        (folder / "frames").mkdir(parents=True)
+        for shot in series():
+            path = folder / f"frames/{shot.number:03d}.png"
+            assert cv2.imwrite(str(path), self.frame(shot), [cv2.IMWRITE_PNG_COMPRESSION, 1])
+        rows = self.manifest()
         with (folder / "manifest.csv").open("w", encoding="utf-8", newline="") as file:
             writer = csv.DictWriter(file, list(rows[0]))
             writer.writeheader()
