@@ -258,6 +258,13 @@ def glaring(light: Image, _shot: Shot) -> Image:
     return light + 0.5 * BACKGROUND * np.exp(-((x - 24) ** 2 + (y + 10) ** 2) / (2 * 6.0**2))
 
 
+def detected(light: Image, _shot: Shot) -> Image:
+    """The mean over detectors of 2 × 2 pixels, each shown as a square."""
+    count = SIDE_PX // 2
+    means = light.reshape(count, 2, count, 2).mean(axis=(1, 3))
+    return np.repeat(np.repeat(means, 2, axis=0), 2, axis=1)
+
+
 def shaken(shot: Shot) -> Shot:
     """A camera held in the hand: 3 pixels either way."""
     x, y = shot.chance.normal(0.0, 3.0, 2)
@@ -287,6 +294,16 @@ def late(shot: Shot) -> Shot:
 def absent(shot: Shot) -> Shot:
     """Every fourth frame shows no triangle."""
     return replace(shot, contrast=0.0) if shot.number % 4 == 3 else shot
+
+
+def smaller(shot: Shot) -> Shot:
+    """A triangle of 8 pixels."""
+    return replace(shot, size_px=0.5 * shot.size_px)
+
+
+def larger(shot: Shot) -> Shot:
+    """A triangle of 32 pixels."""
+    return replace(shot, size_px=2.0 * shot.size_px)
 
 
 def two_sizes(shot: Shot) -> Shot:
@@ -499,9 +516,12 @@ DEGREE, ARC_MINUTE = math.pi / 180.0 * 1000.0, math.pi / 10800.0 * 1000.0  # mra
 
 CONTROLS = (
     control("flat", "A flat background, everything as the dataset says.", is_right=True),
-    control("noisy", "Five times the noise.", noise=5 * NOISE),
+    control("noisy", "Ten times the noise.", noise=10 * NOISE),
     control("defocused", "The lens is out of focus: the threshold rises, as it should.", blur_px=1.6),
     control("eight_bits", "sRGB in 8 bits, as declared.", encoded=srgb, full_scale=255, display={"eotf": "srgb"}),
+    control("small", "Triangles of 8 pixels.", shown=smaller, rows=times("size_mrad", 0.5)),
+    control("large", "Triangles of a third of the frame's side.", shown=larger, rows=times("size_mrad", 2.0)),
+    control("large_detectors", "A camera whose detectors are 2 pixels wide.", light=detected),
     control("dark_stated", "Dark triangles, with their polarity.", shown=darker, rows=with_columns(polarity="-1")),
     control(
         "off_centre_stated", "Off the middle, as stated.", shown=moved(9.0, -5.0), rows=with_columns(**OFF_MIDDLE)
