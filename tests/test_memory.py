@@ -122,6 +122,7 @@ def test_contrast_by_bands_is_that_of_the_whole(make_dataset, background) -> Non
     assert np.allclose(part.values, contrast[400:700, 1000:1200], rtol=0.0, atol=1e-15)
 
 
+@pytest.mark.slow
 def test_large_frames_are_located_by_blocks(large_frames) -> None:
     (large_frames / "dataset.toml").write_text(settings("50.0"))
     _, (found,) = locate_triangles(load_dataset(large_frames))
