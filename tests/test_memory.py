@@ -185,6 +185,19 @@ def test_problems_alike_are_folded(make_dataset, todframes) -> None:
     assert "31 problems" in errors[-1]
 
 
+def test_problems_alike_but_for_names_and_words_are_folded(make_dataset, todframes) -> None:
+    made = make_dataset(repeats=6)
+    for number, row in enumerate(made.rows):
+        changed = {"orientation": row["orientation"].title()} if number % 2 else {"frame": f"a\\{number}.exr"}
+        row |= changed
+    made.save()
+    status, _, errors = todframes("validate", made.path)
+    assert status == 1
+    assert len([line for line in errors if "backslashes" in line]) == 11
+    assert len([line for line in errors if "orientation" in line]) == 11
+    assert "48 problems" in errors[-1]
+
+
 def test_naked_eye_of_a_large_triangle_is_refused(todframes) -> None:
     """Of 1307 retina samples: it took gigabytes and did not end."""
     status, out, errors = todframes("naked-eye", "--size-mrad", "200")
