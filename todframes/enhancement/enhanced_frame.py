@@ -23,6 +23,7 @@ from todframes.frames.contrast import (
     check_contrast,
     check_sha256,
     displayed_contrast,
+    luminance_at_triangle,
     row_bands,
 )
 from todframes.frames.dataset import Dataset, FrameReference, Trial
@@ -251,7 +252,7 @@ class DecodedFrame:
             background = given * self._brightening(picture)
         check_contrast(found.largest, background)
         to_contrast = partial(_contrast, self.screen.display, background)
-        patch = Patch(part, y.first, x.first, found.n_negative, to_contrast)
+        patch = Patch(part, y.first, x.first, found.n_negative, to_contrast, luminance_at_triangle(background))
         return CroppedImage(patch.held(), x.centre_px, y.centre_px, self.screen.display.pitch_mrad / m)
 
     def _surround(self, picture: EnhancedImage, triangle: TrianglePlace) -> Surface:

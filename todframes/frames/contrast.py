@@ -29,7 +29,8 @@ class Patch(NamedTuple):
     `row` and `column` are the position of its first pixel in the frame. A large rectangle is held as stored, with
     one to four bytes a value instead of eight; `to_contrast` then converts a band of whole rows into contrast; its
     arguments are the values and the row and column of the first. `n_negative` counts the pixels read with a
-    luminance below zero.
+    luminance below zero. `background_luminance_cd_m2` is the luminance that contrast refers to, at the triangle;
+    None if the patch was made from contrast.
     """
 
     values: NDArray[Any]
@@ -37,6 +38,7 @@ class Patch(NamedTuple):
     column: int
     n_negative: int
     to_contrast: Callable[[NDArray[Any], int, int], FloatArray] | None = None
+    background_luminance_cd_m2: float | None = None
 
     def bands(self) -> Iterator[Patch]:
         """Yield the patch in bands of rows, each as contrast."""
@@ -166,8 +168,10 @@ def read_contrast(
     except DataError as error:
         raise FrameError(file.path, str(error)) from None
     if is_small:
-        return Patch(displayed_contrast(kept, background, top, left), top, left, found.n_negative)
-    return Patch(kept, top, left, found.n_negative, partial(_contrast, display, background))
+        contrast = displayed_contrast(kept, background, top, left)
+        return Patch(contrast, top, left, found.n_negative, None, luminance_at_triangle(background))
+    to_contrast = partial(_contrast, display, background)
+    return Patch(kept, top, left, found.n_negative, to_contrast, luminance_at_triangle(background))
 
 
 class LuminanceFound:
@@ -223,9 +227,14 @@ def displayed_contrast(luminance: FloatArray, background: Background, row: int, 
     return weber_contrast(luminance, background)
 
 
+def luminance_at_triangle(background: Background) -> float:
+    """Return the background's luminance in cd/m²; of a surface, that at the triangle's centroid."""
+    return background.middle_cd_m2 if isinstance(background, Surface) else background
+
+
 def check_contrast(largest_luminance_cd_m2: float, background: Background) -> None:
     """Raise DataError if Weber contrast overflows, or the background is not a positive number."""
-    middle = background.middle_cd_m2 if isinstance(background, Surface) else background
+    middle = luminance_at_triangle(background)
     weber_contrast(np.zeros(0), middle)  # raises if the background is not > 0
     if largest_luminance_cd_m2 > sys.float_info.max * min(middle, 1.0):
         raise DataError("the contrast is beyond all numbers; expected luminances nearer to the background's")

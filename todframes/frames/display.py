@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from todframes._typing import FloatArray
+from todframes.config import spelling_hint
 from todframes.errors import DataError, SettingsError
 
 Eotf = Literal["linear", "srgb", "bt1886", "gamma", "lut"]
@@ -112,7 +113,8 @@ class Display:
 
     def __post_init__(self) -> None:
         if self.eotf not in get_args(Eotf):
-            raise SettingsError(f"eotf: found {self.eotf!r}, expected one of {', '.join(get_args(Eotf))}")
+            hint = spelling_hint(str(self.eotf), get_args(Eotf))
+            raise SettingsError(f"eotf: found {self.eotf!r}, expected one of {', '.join(get_args(Eotf))}{hint}")
         for name in (
             "white_luminance_cd_m2",
             "pixel_pitch_mrad",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple, Protocol
 
@@ -99,6 +100,12 @@ class Shown(NamedTuple):
     def n_negative(self) -> int:
         """Number of display pixels with a luminance below zero among those that were read."""
         return sum(patch.n_negative for patch in self.patches)
+
+    @property
+    def background_luminance_cd_m2(self) -> float:
+        """Mean over the frames of the luminance that contrast refers to; NaN if a patch was made from contrast."""
+        each = [patch.background_luminance_cd_m2 for patch in self.patches]
+        return sum(math.nan if one is None else one for one in each) / len(each)
 
 
 class Reader(Protocol):
