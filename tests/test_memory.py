@@ -74,8 +74,8 @@ def todframes(capsys: pytest.CaptureFixture[str]):
 @linux
 @pytest.mark.parametrize(
     ("command", "background"),
-    [("score", "50.0"), ("score", "'border'"), ("score", "'frame_mean'"), ("validate", "50.0"),
-     ("validate", "'border'"), ("score --locate", "50.0")],
+    [("score", "50.0"), ("score", "'border'"), ("score", "'frame_mean'"), ("score", "'surround'"),
+     ("validate", "50.0"), ("validate", "'border'"), ("score --locate", "50.0")],
 )  # fmt: skip
 def test_a_large_frame_takes_little_more_than_its_pixels(large_frames, command, background) -> None:
     """Three times the decoded frame and 200 MB, the libraries among them."""
