@@ -19,6 +19,7 @@ from todframes.frames.display import Display
 from todframes.observers.interface import ENTRY_POINT_GROUP, Observer, find_observer
 from todframes.psychometrics.fit import FitSettings
 from todframes.psychometrics.fit import fit_counts as fit_counts_of_one
+from todframes.report.advice import above_contrast_1
 from todframes.report.data import DatasetRecord, Fit, Group, ResultWarning, algorithms, group_of
 from todframes.report.result import Result
 from todframes.scoring.error_budget import PlanName, plan_object
@@ -406,6 +407,7 @@ def naked_eye(
     contrast: float | Sequence[float] | None = None,
     observer: str | Observer = "pyramid",
     p_correct: float = 0.75,
+    progress: Progress | None = None,
 ) -> Result:
     """Compute thresholds of the observer without any display in between, as `todframes naked-eye` does.
 
@@ -419,11 +421,13 @@ def naked_eye(
         Observer as in `score`; it must be linear.
     p_correct : float
         Raw proportion correct at threshold.
+    progress : function of an int, optional
+        Called with the number of thresholds that were just found.
 
     Returns
     -------
     Result
-        One threshold for each size or contrast.
+        One threshold for each size or contrast, and a warning for each contrast above 1.
 
     Raises
     ------
@@ -445,18 +449,22 @@ def naked_eye(
     judge, settings = described(observer)
     FitSettings(p_correct=p_correct)  # checks it
     values = np.atleast_1d(np.asarray(size_mrad if contrast is None else contrast, dtype=np.float64)).tolist()
-    if contrast is not None:
-        found = [({"contrast": one}, acuity(judge, contrast=one, p_correct=p_correct)) for one in values]
-    else:
-        found = [
-            ({"size_mrad": one}, contrast_threshold(judge, size_mrad=one, p_correct=p_correct)) for one in values
-        ]
-    level = "contrast" if contrast is None else "size_mrad"
+    level, given = ("contrast", "size_mrad") if contrast is None else ("size_mrad", "contrast")
+    fits = []
+    for value in values:
+        if contrast is None:
+            found = contrast_threshold(judge, size_mrad=value, p_correct=p_correct)
+        else:
+            found = acuity(judge, contrast=value, p_correct=p_correct)
+        fits.append(_computed({given: value}, level, p_correct, found))
+        if progress is not None:
+            progress(1)
     return Result.made(
         "naked-eye",
         started,
         settings=settings | {"p_correct": p_correct},
-        fits=tuple(_computed(group, level, p_correct, one) for group, one in found),
+        fits=tuple(fits),
+        warnings=above_contrast_1(fits),
     )
 
 
