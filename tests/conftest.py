@@ -257,16 +257,17 @@ def results_of_commands() -> dict[str, dict[str, Any]]:
     scene["speed_ratios"] = [ratio | {"extrapolated": True, "at_least": False}]
     scene["variants"] = [{"label": "float32", "cpu_ratio": 0.5, "threshold_change": 1e-7}]
     plan = [{"stage": "optics", "kept": False, "why": "no blur", "bound": 1e-7, "saves_s": 0.2}]
+    dataset = {"path": "my_camera", "display": {"eotf": "srgb", "pixel_pitch_mrad": 0.42}, "n_frames": 280}
     skipped = [{"frame": "frames/9.exr", "error": "frames/9.exr: the file is empty"}]
     return {
         "score": common
-        | {"command": "score", "dataset": "my_camera", "fits": fits, "examples": [example]}
+        | {"command": "score", "dataset": dataset, "fits": fits, "examples": [example]}
         | {"plan": plan, "skipped": skipped},
         "curve": common | {"command": "curve", "fits": [never, *computed]},
         "naked-eye": common | {"command": "naked-eye", "fits": [fit | {"points": []} for fit in computed]},
         "fit": common | {"command": "fit", "fits": [fits[0] | {"group": {"eye": "left"}, "level": "level"}]},
         "compare": common
-        | {"command": "compare", "dataset": "my_camera", "algorithms": algorithms}
+        | {"command": "compare", "dataset": dataset, "algorithms": algorithms}
         | {"examples": [example | {"algorithm": name} for name in ("none", "clahe")]},
         "accuracy": common | {"command": "accuracy", "scenes": [scene]},
     }

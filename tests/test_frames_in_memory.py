@@ -28,7 +28,7 @@ def scored(frames, **changes):
     return tod.score_frames(frames, **(shown | changes))
 
 
-@pytest.mark.parametrize("name", ["naked_eye", "grabbed_8bit"])
+@pytest.mark.parametrize("name", ["naked_eye", pytest.param("grabbed_8bit", marks=pytest.mark.slow)])
 def test_arrays_give_the_numbers_of_their_files(name):
     """The same pixels, the same manifest rows and so the same random streams: the same numbers to the last bit."""
     data = tod.load_dataset(SAMPLES / name)
@@ -81,7 +81,8 @@ def test_frames_of_a_trial_are_averaged():
 
 def test_any_iterable_and_a_page_with_examples():
     result = scored((frame(one) for one in tod.ORIENTATIONS), orientation=list(tod.ORIENTATIONS), examples=True)
-    assert result.dataset == "in memory"
+    assert result.dataset_path == "in memory"
+    assert (result.dataset.n_frames, result.dataset.manifest_sha256) == (4, None)
     assert "<html" in result.to_html()
 
 

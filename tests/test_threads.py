@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
+from todframes import signals
 from todframes.threads import AHEAD_PER_WORKER, map_in_threads
 
 
@@ -39,6 +40,17 @@ def test_results_are_in_order(workers: int, n: int) -> None:
         return task**2
 
     assert list(map_in_threads(work, range(n), workers)) == [task**2 for task in range(n)]
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_an_interruption_that_a_library_drops_ends_the_work(workers: int) -> None:
+    def dropped_and_worked() -> None:
+        with contextlib.suppress(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+        next(map_in_threads(abs, range(10_000), workers))
+
+    with pytest.raises(KeyboardInterrupt, match=r"^$"), signals.raised():
+        dropped_and_worked()
 
 
 @pytest.mark.parametrize("workers", [1, 2])

@@ -19,7 +19,7 @@ from todframes.frames.display import Display
 from todframes.observers.interface import ENTRY_POINT_GROUP, Observer, find_observer
 from todframes.psychometrics.fit import FitSettings
 from todframes.psychometrics.fit import fit_counts as fit_counts_of_one
-from todframes.report.data import Fit, Group, ResultWarning, algorithms, group_of
+from todframes.report.data import DatasetRecord, Fit, Group, ResultWarning, algorithms, group_of
 from todframes.report.result import Result
 from todframes.scoring.error_budget import PlanName, plan_object
 from todframes.scoring.trials import Decisions
@@ -133,7 +133,7 @@ def score(
         seed=seed,
         fits=tuple(Fit.of_trials(data, one) for one in scored.fits),
         plan=tuple(plan_object(scored.plan, 1.0)),
-        dataset=str(data.path),
+        dataset=DatasetRecord.of(data),
         skipped=tuple(one._asdict() for one in scored.skipped),
         warnings=(*found_wrong, *_warnings(data, scored.trials)),
         negative_luminance_pixels=scored.n_negative,
@@ -333,7 +333,7 @@ def compare(
         data_range_cd_m2=peak - black,
         verdict=comparison(compared),
         plan=tuple(plan_object(reference.plan, 1.0)),
-        dataset=str(data.path),
+        dataset=DatasetRecord.of(data),
         skipped=tuple(one._asdict() for one in reference.skipped),
         warnings=(*found_wrong, *_warnings(data, reference.trials)),
         negative_luminance_pixels=reference.n_negative,

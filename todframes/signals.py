@@ -21,12 +21,16 @@ INTERRUPTED = 130
 """Exit status of an interrupted run."""
 
 
-RETRY_S, MOST_RETRIES = 0.02, 100
-"""Interval and number of retries of an interruption in an import; after the last, the import is interrupted."""
+RETRY_S, MOST_RETRIES = 0.02, 1000
+"""Interval and number of retries of an interruption in an import; after the last, the process ends at once."""
 
 
 written: list[str] = []
 """Places that the present run has written; `output` adds to them, `interruption_message` names the last."""
+
+
+_raised: list[int] = []
+"""Signals of the present run that were raised as KeyboardInterrupt."""
 
 
 def interruption_message() -> str:
@@ -43,35 +47,41 @@ def end_at_once() -> None:
     of an import, and a C extension would print it and go on.
     """
 
-    def end(*_: object) -> None:
-        os.write(2, f"error: {interruption_message()}\n".encode(errors="replace"))
-        os._exit(INTERRUPTED)
-
-    _handle(end)
+    _handle(_end)
 
 
 @contextmanager
 def raised() -> Iterator[None]:
     """Raise KeyboardInterrupt in the main thread when a signal arrives, after an import that is under way.
 
-    Within an import the exception may be lost: in a callback of the import system, or in a C extension.
+    Within an import the exception may be lost: in a callback of the import system, or in a C extension. Elsewhere
+    that is rare, and `raise_again` helps.
     """
     retries = MOST_RETRIES
 
     def interrupt(number: int, frame: FrameType | None) -> None:
         nonlocal retries
-        if retries and _imports(frame):
-            retries -= 1
-            threading.Timer(RETRY_S, _send, [number, threading.get_ident()]).start()
-        else:
+        if not _imports(frame):
+            _raised.append(number)
             raise KeyboardInterrupt
+        if not retries:
+            _end()
+        retries -= 1
+        threading.Timer(RETRY_S, _send, [number, threading.get_ident()]).start()
 
     before = _handle(interrupt)
     try:
         yield
     finally:
+        _raised.clear()
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+def raise_again() -> None:
+    """Raise KeyboardInterrupt if the one of a signal has ended nothing: a library has caught and dropped it."""
+    if _raised:
+        raise KeyboardInterrupt
 
 
 @contextmanager
@@ -100,6 +110,11 @@ def held_back() -> Iterator[Callable[[], None]]:
         for number, handler in handlers.items():
             signal.signal(number, handler)
         act()
+
+
+def _end(*_: object) -> None:
+    os.write(2, f"error: {interruption_message()}\n".encode(errors="replace"))
+    os._exit(INTERRUPTED)
 
 
 def _send(number: int, thread: int) -> None:

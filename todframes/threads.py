@@ -7,7 +7,7 @@ from collections.abc import Callable, Generator, Iterable
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from typing import TypeVar
 
-from todframes.signals import held_back
+from todframes.signals import held_back, raise_again
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -27,13 +27,16 @@ def map_in_threads(work: Callable[[T], R], tasks: Iterable[T], workers: int) -> 
     pool while it holds a lock, and the clean-up would then wait for ever.
     """
     if workers == 1:
-        yield from map(work, tasks)
+        for task in tasks:
+            raise_again()
+            yield work(task)
         return
     ahead: deque[Future[R]] = deque()
     with held_back() as interrupt_if_asked, ThreadPoolExecutor(workers) as pool:
 
         def next_result() -> R:
             future = ahead.popleft()
+            raise_again()
             interrupt_if_asked()
             while not wait([future], timeout=POLL_S).done:
                 interrupt_if_asked()

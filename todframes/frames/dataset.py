@@ -11,18 +11,19 @@ from typing import NamedTuple
 import numpy as np
 
 from todframes.config import (
+    check_columns,
     check_fields,
     check_keys,
-    column_names,
     from_table,
     number,
     number_or_text,
     read_csv,
     read_toml,
+    spelling_hint,
 )
 from todframes.errors import DataError, SettingsError
 from todframes.frames.display import Display, LuminanceTable
-from todframes.frames.files import FrameFile, FrameSource
+from todframes.frames.files import FrameFile, FrameSource, frame_sha256
 from todframes.stimulus import ORIENTATIONS, Orientation, Stimulus
 
 SCHEMA = 1
@@ -112,6 +113,7 @@ class Dataset:
 
     `bad_rows` are not among `trials`. A trial that lost a frame to a bad row is among `trials`, but its name is
     also in `spoilt`: it would be averaged over fewer frames than the others and must not be scored.
+    `manifest_sha256` is the checksum of `manifest.csv`; None for frames in memory.
     """
 
     path: Path
@@ -120,6 +122,12 @@ class Dataset:
     trials: tuple[Trial, ...]
     bad_rows: tuple[Skipped, ...]
     spoilt: frozenset[str]
+    manifest_sha256: str | None
+
+    @property
+    def n_frames(self) -> int:
+        """Number of frames in the manifest, those in bad rows included."""
+        return sum(len(trial.frames) for trial in self.trials) + len(self.bad_rows)
 
     def frame_path(self, frame: FrameReference) -> Path:
         """Return the path of the frame on disk."""
@@ -167,7 +175,15 @@ def load_dataset(path: Path | str) -> Dataset:
     trials = manifest.trials()
     if not trials and not manifest.bad_rows:
         raise DataError(f"{manifest.path}: no frames; expected a row a frame below the header")
-    return Dataset(path, display, experiment, trials, tuple(manifest.bad_rows), frozenset(manifest.spoilt))
+    return Dataset(
+        path=path,
+        display=display,
+        experiment=experiment,
+        trials=trials,
+        bad_rows=tuple(manifest.bad_rows),
+        spoilt=frozenset(manifest.spoilt),
+        manifest_sha256=frame_sha256(manifest.path),
+    )
 
 
 def _inside(folder: str, name: str, where: str, real_folders: dict[str, str] | None = None) -> str:
@@ -192,7 +208,9 @@ def _inside(folder: str, name: str, where: str, real_folders: dict[str, str] | N
     if last in ("", os.curdir, os.pardir) or os.path.islink(full):  # noqa: PTH114
         full = os.path.realpath(full)
     if not f"{full}{os.sep}".startswith(folder.rstrip(os.sep) + os.sep):
-        raise DataError(f"{where} {name} lies outside of the dataset: it is {full}, expected a file in {folder}")
+        raise DataError(
+            f"{where} {name} lies outside of the dataset: it is {full}, expected a file in {folder}; copy it there"
+        )
     return full
 
 
@@ -231,9 +249,7 @@ def _read_lut(folder: Path, name: str, named: str) -> LuminanceTable:
         _inside(os.path.realpath(folder), name, named)
         rows = read_csv(path)
         _, header = next(rows)
-        for name in columns:
-            if name not in header:
-                raise SettingsError(f"{path}: column {name!r} is missing; found {column_names(header)}")
+        check_columns(header, columns, path)
         values = []
         for where, row in rows:
             check_fields(row, len(header), where)
@@ -282,9 +298,7 @@ class _Manifest:
         needed = ["frame", "orientation", "size_mrad", self.experiment.level, *self.experiment.group_by]
         if self.needs_background:
             needed.append(BACKGROUND_COLUMN)
-        for name in needed:
-            if name not in found:
-                raise DataError(f"{self.path}: column {name!r} is missing; found {column_names(found)}")
+        check_columns(found, needed, self.path)
         if ("x_px" in found) != ("y_px" in found):
             raise DataError(f"{self.path}: found one of the columns x_px and y_px, expected both or none")
 
@@ -292,7 +306,8 @@ class _Manifest:
         frame = self._frame_path(row["frame"].strip(), where)
         orientation = row["orientation"].strip()
         if orientation not in ORIENTATIONS:
-            raise DataError(f"{where}: orientation: found {orientation!r}, expected up, right, down or left")
+            hint = spelling_hint(orientation, ORIENTATIONS)
+            raise DataError(f"{where}: orientation: found {orientation!r}, expected up, right, down or left{hint}")
         polarity = (row.get("polarity") or "1").strip()
         if polarity not in ("1", "+1", "-1"):
             raise DataError(f"{where}: polarity: found {polarity!r}, expected 1 or -1")
@@ -324,6 +339,9 @@ class _Manifest:
         )
 
     def _frame_path(self, frame: str, where: str) -> str:
+        if os.sep == "/" and "\\" in frame and not os.path.lexists(os.path.join(self.folder, frame)):  # noqa: PTH118
+            written = frame.replace("\\", "/")
+            raise DataError(f"{where}: frame: found {frame} with backslashes, expected slashes: {written}")
         first = self.seen.setdefault(_inside(self.folder, frame, f"{where}: frame", self.real_folders), where)
         if first != where:
             raise DataError(f"{where}: frame {frame} is there already, in {first.rpartition(', ')[2]}")

@@ -164,7 +164,16 @@ def memory_dataset(
             made = first._replace(frames=first.frames + made.frames)
         trials[names[k]] = made
     experiment = Experiment(level=level_name, group_by=tuple(groups))
-    return MemoryDataset(Path("in memory"), display, experiment, tuple(trials.values()), (), frozenset(), arrays)
+    return MemoryDataset(
+        path=Path("in memory"),
+        display=display,
+        experiment=experiment,
+        trials=tuple(trials.values()),
+        bad_rows=(),
+        spoilt=frozenset(),
+        manifest_sha256=None,
+        arrays=arrays,
+    )
 
 
 def _column(name: str, values: Any, n: int) -> list[Any]:

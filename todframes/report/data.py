@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from todframes.enhancement.algorithm import Enhancement
     from todframes.enhancement.compare import AlgorithmResult, Compared
     from todframes.frames.dataset import Dataset
+    from todframes.frames.display import Display
     from todframes.psychometrics.fit import PsychometricFit
     from todframes.scoring.score import GroupFit
 
@@ -119,6 +120,8 @@ class Fit(Struct, frozen=True, kw_only=True, omit_defaults=True):
         Bounds on the error in P(correct) from noise that is not Gaussian, and from the omissions of the plan.
     delta_t_mk : float or None
         The threshold as a temperature difference, in mK.
+    background_luminance_cd_m2 : float or None
+        Luminance that contrast refers to, averaged over the trials; None if there are no frames.
     """
 
     group: Group
@@ -137,6 +140,7 @@ class Fit(Struct, frozen=True, kw_only=True, omit_defaults=True):
     points: tuple[FitPoint, ...] = EMPTY
     points_threshold: Positive | None = NULL
     delta_t_mk: float | None = NULL
+    background_luminance_cd_m2: float | None = None
     n_displacements: int | None = None
     n_phases: int | None = None
     p_correct_error_bound: float | None = NULL
@@ -160,6 +164,7 @@ class Fit(Struct, frozen=True, kw_only=True, omit_defaults=True):
             p_correct_left_out_bound=fit.left_out_bound,
             threshold_displacement_error=fit.numerical_error,
             n_displacements=fit.n_displacements,
+            background_luminance_cd_m2=fit.background_luminance_cd_m2,
             run_time_s=round(fit.run_time_s, 4),
         )
 
@@ -365,6 +370,52 @@ class Example(Struct, frozen=True, kw_only=True, omit_defaults=True):
     pictures: tuple[Thumbnail, ...]
 
 
+class DatasetRecord(Struct, frozen=True, kw_only=True):
+    """The dataset of a result, with all that luminance, visual angle and curves were computed from.
+
+    Attributes
+    ----------
+    path : str
+        Folder of the dataset as given; "in memory" if there is none.
+    display, experiment : dict
+        Settings of `dataset.toml`, defaults included. `pixel_pitch_mrad` is the pitch that was used, whether given
+        or from `pixel_pitch_mm` and `viewing_distance_mm`; `lut` has the columns of the table.
+    manifest_sha256 : str or None
+        Checksum of `manifest.csv`; None for frames in memory.
+    n_frames : int or None
+        Number of frames in the manifest, those left out included.
+    """
+
+    path: str
+    display: Record = {}
+    experiment: Record = {}
+    manifest_sha256: str | None = None
+    n_frames: int | None = None
+
+    @classmethod
+    def of(cls, dataset: Dataset) -> DatasetRecord:
+        """Return the record of a dataset."""
+        return cls(
+            path=str(dataset.path),
+            display=_display(dataset.display),
+            experiment={"level": dataset.experiment.level, "group_by": list(dataset.experiment.group_by)},
+            manifest_sha256=dataset.manifest_sha256,
+            n_frames=dataset.n_frames,
+        )
+
+
+def _display(display: Display) -> Record:
+    values = {field.name: getattr(display, field.name) for field in dataclasses.fields(display)}
+    if display.lut is not None:  # its luminances are absolute
+        del values["white_luminance_cd_m2"], values["black_luminance_cd_m2"]
+        values["lut"] = {
+            "code_value": display.lut.code_value.tolist(),
+            "luminance_cd_m2": display.lut.luminance_cd_m2.tolist(),
+        }
+    values["pixel_pitch_mrad"] = display.pitch_mrad
+    return {name: value for name, value in values.items() if value is not None}
+
+
 class ResultWarning(Struct, frozen=True, kw_only=True):
     """A fact that makes the result less certain, with a stable `code`."""
 
@@ -391,13 +442,18 @@ class ResultData(Struct, frozen=True, kw_only=True, omit_defaults=True):
     data_range_cd_m2: float | None = None
     verdict: tuple[Any, ...] | str = ()
     plan: tuple[Record, ...] = ()
-    dataset: str | None = None
+    dataset: DatasetRecord | str | None = None
     skipped: tuple[Record, ...] = EMPTY
     warnings: tuple[ResultWarning, ...] = EMPTY
     negative_luminance_pixels: int | None = None
     located: tuple[Record, ...] | None = None
     examples: tuple[Example, ...] | None = None
     run_time_s: float | None = NULL
+
+    @property
+    def dataset_path(self) -> str | None:
+        """The dataset's folder; results of earlier versions have nothing else about it."""
+        return self.dataset.path if isinstance(self.dataset, DatasetRecord) else self.dataset
 
     @property
     def thresholds(self) -> tuple[Fit, ...]:

@@ -17,7 +17,7 @@ import msgspec
 
 from todframes._typing import Json
 from todframes.report import tables
-from todframes.report.data import Example, Record, ResultData, Thumbnail
+from todframes.report.data import DatasetRecord, Example, Record, ResultData, Thumbnail
 from todframes.report.figure_style import style
 from todframes.report.figures import pictures
 from todframes.report.summary import cautions, remarks, verdict
@@ -83,7 +83,7 @@ def _about(result: ResultData) -> str:
     """Return the name of the dataset or sensor that the result is about."""
     sensor = result.settings.get("sensor")
     name = sensor.get("name") if isinstance(sensor, dict) else None
-    return str(result.dataset or name or "")
+    return str(result.dataset_path or name or "")
 
 
 def _figures(result: ResultData) -> list[Json]:
@@ -170,6 +170,8 @@ def _details(result: ResultData) -> list[Json]:
     found += (
         [_item(tables.plan(result), folded=True)] if result.plan or any(fit.plan for fit in result.fits) else []
     )
+    if isinstance(result.dataset, DatasetRecord):
+        found.append(_item(tables.dataset(result.dataset), folded=True))
     return [*found, _item(tables.settings(result), folded=True)]
 
 

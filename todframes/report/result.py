@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from todframes.report.table import Table
 
 
-LIBRARIES = ("numpy", "scipy", "cv2", "OpenImageIO")
+LIBRARIES = ("numpy", "scipy", "OpenImageIO", "cv2", "skimage")
 
 
 class Result(ResultData, frozen=True, kw_only=True, dict=True):
@@ -61,7 +61,7 @@ class Result(ResultData, frozen=True, kw_only=True, dict=True):
             schema=SCHEMA,
             command=command,
             version=__version__,
-            versions={"python": platform.python_version(), **used},
+            versions={"python": platform.python_version(), "todframes": __version__, **used},
             run_time_s=round(time.perf_counter() - started, 4),
             **fields,
         )

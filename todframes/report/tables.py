@@ -7,7 +7,17 @@ from typing import Any
 
 from todframes.enhancement.compare import AlgorithmResult
 from todframes.frames.dataset import Dataset
-from todframes.report.data import Algorithm, Estimator, Fit, Group, Record, ResultData, SceneResult, group_of
+from todframes.report.data import (
+    Algorithm,
+    DatasetRecord,
+    Estimator,
+    Fit,
+    Group,
+    Record,
+    ResultData,
+    SceneResult,
+    group_of,
+)
 from todframes.report.table import EXACT, Column, Table, field_text
 from todframes.report.wording import group_phrase, level_heading, plain, unit_of
 from todframes.scoring.score import ScoredDataset
@@ -28,6 +38,7 @@ THRESHOLD_COLUMNS = (
     Column(key="delta", header="δ", digits=3, is_detail=True),
     Column(key="p_correct_error_bound", in_file_only=True),
     Column(key="p_correct_left_out_bound", in_file_only=True),
+    Column(key="background_luminance_cd_m2", header="background (cd/m²)", is_detail=True, rank=2),
     Column(key="run_time_s", header="time (s)", digits=2, is_detail=True, rank=1),
 )
 
@@ -250,6 +261,10 @@ def plan(result: ResultData) -> Table:
     return Table.of("Plan", "plan.csv", columns, records).without_empty_columns("stage")
 
 
+LONGEST_LIST = 16
+"""Largest number of values of a setting that are shown."""
+
+
 UNUSED = ("bound", "saves_s")
 """Keys of a plan's step that have no meaning if the step is kept."""
 
@@ -263,7 +278,7 @@ def settings(result: ResultData) -> Table:
     """Make the table of a result's settings and versions; names of nested settings are joined with dots."""
     made: Record = {
         "command": result.command,
-        "dataset": result.dataset,
+        "dataset": result.dataset_path,
         "seed": result.seed,
         "version": result.version,
         **_flat(result.versions, "versions."),
@@ -271,8 +286,30 @@ def settings(result: ResultData) -> Table:
     }
     made = {name: value for name, value in made.items() if value is not None} | _flat(result.settings, "settings.")
     # Values are texts, because this table shows all digits on screen too.
-    rows: list[Record] = [{"name": name, "value": field_text(value) or None} for name, value in made.items()]
-    return Table.of("Settings, seed and versions", "settings.csv", ["name", "value"], rows)
+    return _names_and_values("Settings, seed and versions", "settings.csv", made)
+
+
+def dataset(record: DatasetRecord) -> Table:
+    """Make the table of a dataset's display, experiment and manifest; of long lists it has the two ends."""
+    made = _flat(
+        {
+            "path": record.path,
+            "manifest_sha256": record.manifest_sha256,
+            "n_frames": record.n_frames,
+            "display": record.display,
+            "experiment": record.experiment,
+        },
+        "",
+    )
+    for name, value in made.items():
+        if isinstance(value, list) and len(value) > LONGEST_LIST:
+            made[name] = f"{len(value)} values from {field_text(value[0])} to {field_text(value[-1])}"
+    return _names_and_values("Dataset and display", "dataset.csv", made)
+
+
+def _names_and_values(title: str, file: str, values: Record) -> Table:
+    rows: list[Record] = [{"name": name, "value": field_text(value) or None} for name, value in values.items()]
+    return Table.of(title, file, ["name", "value"], rows)
 
 
 def _flat(values: Record, prefix: str) -> Record:

@@ -51,7 +51,8 @@ class GroupFit:
     `non_gaussian_bound` bounds the error in P(correct) from taking the summed internal noise as Gaussian; 0 if
     answers were drawn with noise on every neuron. `left_out_bound` bounds the change of P(correct) by all that the
     plan leaves out. `numerical_error` is the half-width of the threshold's 95 % interval over displacements; None
-    if each trial has one displacement. `run_time_s` is the time for the trials and the fit, in seconds.
+    if each trial has one displacement. `background_luminance_cd_m2` is the mean over trials of the luminance that
+    contrast refers to. `run_time_s` is the time for the trials and the fit, in seconds.
     """
 
     group: tuple[float | str, ...]
@@ -60,6 +61,7 @@ class GroupFit:
     left_out_bound: float
     numerical_error: float | None
     n_displacements: int
+    background_luminance_cd_m2: float
     run_time_s: float
 
 
@@ -271,6 +273,7 @@ def fit_groups(
                 left_out_bound=plan.bound({one.trial.stimulus for one in of_group}),
                 numerical_error=_numerical_error(level, p_of_group, fit, fit_settings),
                 n_displacements=max(len(p) for p in p_of_group),
+                background_luminance_cd_m2=sum(one.background_luminance_cd_m2 for one in of_group) / len(of_group),
                 run_time_s=sum(one.seconds for one in of_group) + time.perf_counter() - started,
             )
         )

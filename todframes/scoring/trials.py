@@ -66,6 +66,8 @@ class SeenTrial(NamedTuple):
         Answer drawn, an index into `ORIENTATIONS`, or `NO_ANSWER`.
     n_negative : int
         Number of display pixels with a luminance below zero.
+    background_luminance_cd_m2 : float
+        Luminance that contrast refers to, averaged over the trial's frames.
     seconds : float
         Time that the trial took.
     """
@@ -76,6 +78,7 @@ class SeenTrial(NamedTuple):
     deviations: FloatArray
     answer: int
     n_negative: int
+    background_luminance_cd_m2: float
     seconds: float
 
 
@@ -155,7 +158,8 @@ def see(scoring: Scoring, trial: Trial, look: Look, ways: Sequence[Shown], start
             look.rng.bit_generator.state = state
             answer = look.observer.respond(image, trial.stimulus, look.rng).quarter_turns
         seconds = reading_s + time.perf_counter() - started
-        seen.append(SeenTrial(trial, displaced, scores, deviations, answer, shown.n_negative, seconds))
+        background = shown.background_luminance_cd_m2
+        seen.append(SeenTrial(trial, displaced, scores, deviations, answer, shown.n_negative, background, seconds))
     return seen
 
 

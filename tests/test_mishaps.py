@@ -1,0 +1,55 @@
+"""The recordings with mishaps are what they say, and none of them gets a confident wrong number."""
+
+from __future__ import annotations
+
+import ast
+import math
+from pathlib import Path
+
+import mishaps
+import numpy as np
+import pytest
+
+GENERATOR = Path(mishaps.__file__)
+
+
+@pytest.mark.parametrize("orientation", mishaps.ORIENTATIONS)
+def test_triangle_has_its_area_its_place_and_its_apex(orientation: str) -> None:
+    """Moments of an equilateral triangle."""
+    shot = mishaps.Shot(number=0, orientation=orientation, contrast=1.0, x_px=40.3, y_px=50.8)
+    covered = mishaps.triangle(shot)
+    y, x = np.indices(covered.shape)
+    area = covered.sum()
+    # Chords are exact; of the 64 lines in a pixel, the one at the base may be half a line off.
+    assert area == pytest.approx(shot.size_px**2, abs=mishaps.EDGE * shot.size_px / 128)
+    assert [(covered * x).sum() / area, (covered * y).sum() / area] == pytest.approx([40.3, 50.8], abs=0.01)
+    # The apex is two thirds of the height from the centroid, the base one third.
+    height = math.sqrt(math.sqrt(3.0)) * shot.size_px
+    reach = {
+        "up": 50.8 - y[covered > 0].min(),
+        "down": y[covered > 0].max() - 50.8,
+        "left": 40.3 - x[covered > 0].min(),
+        "right": x[covered > 0].max() - 40.3,
+    }
+    assert max(reach, key=reach.__getitem__) == orientation
+    assert reach[orientation] == pytest.approx(2.0 * height / 3.0, abs=1.0)
+
+
+def test_generator_shares_nothing_with_the_packages() -> None:
+    names = {
+        name.partition(".")[0]
+        for node in ast.walk(ast.parse(GENERATOR.read_text(encoding="utf-8")))
+        for name in (
+            [alias.name for alias in node.names]
+            if isinstance(node, ast.Import)
+            else [node.module]
+            if isinstance(node, ast.ImportFrom)
+            else []
+        )
+    }
+    assert "numpy" in names
+    assert names.isdisjoint({"todframes", "sensor_sim"})
+
+
+def test_there_are_enough_cases_each_with_its_own_name() -> None:
+    assert len({case.name for case in mishaps.CASES}) == len(mishaps.CASES) >= 30 + len(mishaps.CONTROLS)
