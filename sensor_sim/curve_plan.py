@@ -67,6 +67,8 @@ class CurvePlan:
         Places along each axis of a detector to begin with.
     steps : tuple of Step
         Parts that are left out, with their bounds, and parts that are kept.
+    repetition_bound : float
+        Bound on the change of P(correct) because the scene repeats, with the longest period that is considered.
     unit_s : float
         Time that folding and sampling took at each place tried, in seconds.
     """
@@ -81,12 +83,13 @@ class CurvePlan:
     external_noise: bool = True
     fewest_places: int = 1
     steps: tuple[Step, ...] = ()
+    repetition_bound: float = 0.0
     unit_s: float = math.inf
 
     @property
     def bound(self) -> float:
-        """Bound on the change of P(correct) from all omissions together."""
-        return total_bound(self.steps)
+        """Bound on the change of P(correct) from all omissions and from the repetition of the scene together."""
+        return total_bound(self.steps) + self.repetition_bound
 
     def folding(self, sensor: Sensor, readout: Readout, size_detectors: float) -> Folding:
         """Return a `Folding` of the readout's weights onto the detectors."""
@@ -151,11 +154,13 @@ def plan_curve(
         If the observer is not linear, or the size or field is out of range.
     """
     if name == "full":
-        return full_plan(
+        full = full_plan(
             sensor,
             observer.with_extra_level() if isinstance(observer, TruncatedObserver) else observer,
             size_detectors,
         )
+        planner = _CurvePlanner(sensor, size_detectors, full, p_correct, tolerance)
+        return replace(full, repetition_bound=planner.repetition_bound(full))
     full = replace(
         full_plan(sensor, observer, size_detectors), external_noise=external_noise, fewest_places=1, steps=()
     )
@@ -352,23 +357,36 @@ class _CurvePlanner:
         return square.reshape(*images.shape[:-1], -1)
 
     def _period(self, plan: CurvePlan) -> tuple[CurvePlan, Sequence[Step]]:
-        stage, period, shorter = "period", plan.sampler.period, 2 * plan.field
-        if plan.sampler.sharp:
+        stage, period = "period", plan.sampler.period
+        if plan.sampler.sharp:  # nothing is repeated
             return plan, ()
-        if shorter < period:
-            sampler = TriangleSampler(
-                optics=self.sensor.optics,
-                detector=self.sensor.detector,
-                size_detectors=self.size,
-                field_detectors=plan.field,
-                period_detectors=shorter,
-            )
-            samples, spent = self._samples(sampler)
-            bound = self.bound(self._scores(self.weights, samples - self.samples))
-            if self._affordable(bound):
-                why = f"the scene repeats after {shorter} detectors, not {period}"
-                return replace(plan, sampler=sampler), [Step(stage, False, why, bound, self.sample_s - spent)]
-        return plan, [Step(stage, True, f"the scene repeats after {period} detectors")]
+        sampler, change, saved_s = self._shorter_period(plan)
+        plan = replace(plan, repetition_bound=_beyond(change, sampler.period, period))
+        if sampler.period >= 2 * plan.field and self._affordable(change):
+            why = f"the scene repeats after {sampler.period} detectors, not {period}"
+            return replace(plan, sampler=sampler), [Step(stage, False, why, change, saved_s)]
+        why = f"the scene repeats after {period} detectors, which changes P by up to {plan.repetition_bound:.1g}"
+        return plan, [Step(stage, True, why)]
+
+    def repetition_bound(self, plan: CurvePlan) -> float:
+        """Return a bound on the change of P(correct) because the scene repeats after the plan's period."""
+        if plan.sampler.sharp:
+            return 0.0
+        sampler, change, _ = self._shorter_period(plan)
+        return _beyond(change, sampler.period, plan.sampler.period)
+
+    def _shorter_period(self, plan: CurvePlan) -> tuple[TriangleSampler, float, float]:
+        """Return a sampler of a shorter period, a bound on its change of P(correct), and the time it saves."""
+        period = plan.sampler.period
+        sampler = TriangleSampler(
+            optics=self.sensor.optics,
+            detector=self.sensor.detector,
+            size_detectors=self.size,
+            field_detectors=plan.field,
+            period_detectors=2 * plan.field if 2 * plan.field < period else period // 2,
+        )
+        samples, spent = self._samples(sampler)
+        return sampler, self.bound(self._scores(self.weights, samples - self.samples)), self.sample_s - spent
 
     def _precision(self, plan: CurvePlan) -> tuple[CurvePlan, Step]:
         stage, single = "double precision", replace(plan, dtype=np.float32)
@@ -405,6 +423,16 @@ class _CurvePlanner:
         noise = "the threshold is a signal-to-noise ratio" if plan.external_noise else "there is none"
         steps.append(Step("noise covariance", plan.external_noise, noise))
         return plan, steps
+
+
+def _beyond(change: float, shorter: int, period: int) -> float:
+    """Return a bound on the change between a period and an endless one, from that between a shorter and this one.
+
+    The tails of the repetitions fall with the cube of the period (`transfer.repetition_bound`), and what they do
+    to the scores at least as fast.
+    """
+    share = (shorter / period) ** 3
+    return change * share / (1.0 - share)
 
 
 def is_symmetric(readout: Readout) -> bool:

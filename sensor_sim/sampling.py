@@ -6,7 +6,8 @@ spectrum × pre-sample MTF at the multiples of 1/period, folded onto the detecto
 and nothing is cut, and a new place of the triangle is one phase factor per frequency.
 
 That sum is the scene repeated with the period. The far tails of the neighbours are an error for a single
-triangle; `wrap_around_bound` says how large it can be, and a longer period makes it smaller.
+triangle; `wrap_around_bound` says how large it can be in a sample, and a longer period makes it smaller.
+`sensor_sim.curve_plan` measures what it does to P(correct), which is part of the error of a threshold.
 
 The samples of one period, times pitch², sum to the triangle's area **at every place** if the detectors are
 contiguous (their MTF is 0 at multiples of the sampling frequency) or the cut-off lies below the sampling

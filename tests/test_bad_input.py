@@ -217,7 +217,25 @@ FRAMES = {
     "pipe": Spoilt(replaced_by_pipe, ("device", "expected")),
     "empty": Spoilt(lambda path: path.write_bytes(b""), ("empty", "EXR or PNG")),
     "text named png": Spoilt(lambda path: path.write_text("contrast,level\n"), ("starts with", "PNG"), ".png"),
-    "jpeg": Spoilt(lambda path: path.write_bytes(b"\xff\xd8\xff\xe0" + bytes(99)), ("starts with", "EXR or PNG")),
+    "jpeg": Spoilt(
+        lambda path: path.write_bytes(b"\xff\xd8\xff\xe0" + bytes(99)),
+        ("is a JPEG file, expected EXR or PNG: its compression has changed the pixels",),
+    ),
+    "tiff": Spoilt(
+        lambda path: path.write_bytes(b"II*\0" + bytes(99)),
+        ("is a TIFF file, expected EXR or PNG: convert it without loss",),
+    ),
+    "tiff of the other byte order": Spoilt(
+        lambda path: path.write_bytes(b"MM\0*" + bytes(99)), ("is a TIFF file, expected EXR or PNG",)
+    ),
+    "video": Spoilt(
+        lambda path: path.write_bytes(b"\0\0\0\x20ftypisom" + bytes(99)),
+        ("is a video file, .*each of its frames",),
+    ),
+    "git lfs": Spoilt(
+        lambda path: path.write_bytes(b"version https://git-lfs.github.com/spec/v1\n"),
+        ("is a Git LFS pointer file, .*git lfs pull",),
+    ),
     "exr magic only": Spoilt(lambda path: path.write_bytes(b"\x76\x2f\x31\x01"), ("cannot be opened",)),
     "exr truncated": Spoilt(truncate, (r"cannot be (opened|decoded)",)),
     "exr header flipped": Spoilt(flip_exr_header, ("cannot be (opened|decoded)",)),
@@ -455,13 +473,17 @@ def test_validate_good_dataset(make_dataset, todframes):
 ROWS = {
     "orientation unknown": ({"orientation": "north"}, ("orientation", "'north'", "up, right, down or left")),
     "orientation empty": ({"orientation": ""}, ("orientation", "''", "up, right, down or left")),
+    "orientation in capitals": ({"orientation": "Up"}, ("found 'Up', expected up, .*; write up$",)),
     "size zero": ({"size_mrad": "0"}, ("size_mrad", "'0'", "> 0")),
     "size negative": ({"size_mrad": "-1"}, ("size_mrad", "'-1'", "> 0")),
     "size text": ({"size_mrad": "two"}, ("size_mrad", "'two'", "number")),
     "size empty": ({"size_mrad": ""}, ("size_mrad", "''", "number")),
     "size nan": ({"size_mrad": "nan"}, ("size_mrad", "'nan'", "finite")),
     "size infinite": ({"size_mrad": "inf"}, ("size_mrad", "'inf'", "finite")),
-    "size with decimal comma": ({"size_mrad": "2,0"}, ("size_mrad", "'2,0'", "number")),
+    "size with decimal comma": (
+        {"size_mrad": "2,0"},
+        ("size_mrad", "'2,0', expected a finite number > 0, with a point, not a comma"),
+    ),
     "size with underscore": ({"size_mrad": "1_0"}, ("size_mrad", "'1_0'", "number")),
     "level zero": ({"contrast": "0"}, ("contrast", "'0'", "> 0")),
     "level negative": ({"contrast": "-0.1"}, ("contrast", "'-0.1'", "> 0")),
@@ -474,6 +496,10 @@ ROWS = {
     "path upwards": ({"frame": "../secret.exr"}, (r"\.\./secret\.exr", "outside")),
     "path upwards and back": ({"frame": "frames/../../secret.exr"}, (r"secret\.exr", "outside")),
     "path absolute": ({"frame": "/secret.exr"}, ("/secret.exr", "outside")),
+    "path with backslashes": (
+        {"frame": r"frames\a.exr"},
+        (r"found frames\\a\.exr with backslashes, expected slashes: frames/a\.exr$",),
+    ),
     "path empty": ({"frame": ""}, ("frame", "''", "path")),
     "path with nul": ({"frame": "frames/a\0.exr"}, ("frame", r"\\x00", "path")),
 }
@@ -611,7 +637,9 @@ MANIFESTS = {
     "no header": (b"frames/a.exr,up,2.0,0.5\n", ("column 'frame' is missing", "found frames/a.exr, up")),
     "level column missing": (b"frame,orientation,size_mrad\na.exr,up,2\n", ("column 'contrast' is missing",)),
     "orientation column missing": (b"frame,size_mrad,contrast\na.exr,2,1\n", ("column 'orientation' is missing",)),
-    "semicolons": (HEADER.replace(",", ";").encode() + b"\na.exr;up;2;1\n", ("column 'frame' is missing",)),
+    "semicolons": (HEADER.replace(",", ";").encode() + b"\na.exr;up;2;1\n", ("semicolons .*expected commas",)),
+    "tabs": (HEADER.replace(",", "\t").encode() + b"\na.exr\tup\t2\t1\n", ("found tabs .*expected commas",)),
+    "capitals": (HEADER.title().encode() + b"\na.exr,up,2,1\n", ("missing; .*write frame, not Frame$",)),
     "x without y": (f"{HEADER},x_px\na.exr,up,2,1,3\n".encode(), ("x_px and y_px", "both or none")),
     "column twice": (f"{HEADER},orientation\na.exr,up,2,1,left\n".encode(), ("'orientation'", "twice|again")),
     "latin-1": (f"{HEADER}\nfrämes/a.exr,up,2,1\n".encode("latin-1"), ("not UTF-8", r"byte 39")),
@@ -833,6 +861,9 @@ DISPLAYS = {
         {"background_luminance_cd_m2": "edge"},
         ("background_luminance_cd_m2", "'edge'", "border", "frame_mean", "column"),
     ),
+    "background rule in capitals": ({"background_luminance_cd_m2": "Frame-Mean"}, (r"; write frame_mean\)$",)),
+    "background in quotes": ({"background_luminance_cd_m2": "50"}, ("write 50 without quotation marks",)),
+    "eotf in capitals": ({"eotf": "sRGB"}, ("eotf: found 'sRGB' .*; write srgb",)),
     "background true": ({"background_luminance_cd_m2": True}, ("background_luminance_cd_m2", "True|true")),
     "gamma missing": ({"eotf": "gamma"}, ("gamma", "missing")),
     "gamma not used": ({"gamma": 2.2}, ("gamma", "not used", "linear")),

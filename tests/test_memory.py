@@ -74,8 +74,8 @@ def todframes(capsys: pytest.CaptureFixture[str]):
 @linux
 @pytest.mark.parametrize(
     ("command", "background"),
-    [("score", "50.0"), ("score", "'border'"), ("score", "'frame_mean'"), ("validate", "50.0"),
-     ("validate", "'border'"), ("score --locate", "50.0")],
+    [("score", "50.0"), ("score", "'border'"), ("score", "'frame_mean'"), ("score", "'surround'"),
+     ("validate", "50.0"), ("validate", "'border'"), ("score --locate", "50.0")],
 )  # fmt: skip
 def test_a_large_frame_takes_little_more_than_its_pixels(large_frames, command, background) -> None:
     """Three times the decoded frame and 200 MB, the libraries among them."""
@@ -122,6 +122,7 @@ def test_contrast_by_bands_is_that_of_the_whole(make_dataset, background) -> Non
     assert np.allclose(part.values, contrast[400:700, 1000:1200], rtol=0.0, atol=1e-15)
 
 
+@pytest.mark.slow
 def test_large_frames_are_located_by_blocks(large_frames) -> None:
     (large_frames / "dataset.toml").write_text(settings("50.0"))
     _, (found,) = locate_triangles(load_dataset(large_frames))
@@ -182,6 +183,19 @@ def test_problems_alike_are_folded(make_dataset, todframes) -> None:
     assert any(str(made.frame(35)) in line for line in errors)
     assert any("… and 20 more like it" in line for line in errors)
     assert "31 problems" in errors[-1]
+
+
+def test_problems_alike_but_for_names_and_words_are_folded(make_dataset, todframes) -> None:
+    made = make_dataset(repeats=6)
+    for number, row in enumerate(made.rows):
+        changed = {"orientation": row["orientation"].title()} if number % 2 else {"frame": f"a\\{number}.exr"}
+        row |= changed
+    made.save()
+    status, _, errors = todframes("validate", made.path)
+    assert status == 1
+    assert len([line for line in errors if "backslashes" in line]) == 11
+    assert len([line for line in errors if "orientation" in line]) == 11
+    assert "48 problems" in errors[-1]
 
 
 def test_naked_eye_of_a_large_triangle_is_refused(todframes) -> None:

@@ -18,6 +18,7 @@ import sensor_sim.transfer
 from sensor_sim.cli import cli as sensor_cli
 from sensor_sim.curve_plan import full_plan, plan_curve
 from sensor_sim.predict import FoldedChain, predict_threshold
+from sensor_sim.sampling import TriangleSampler
 from sensor_sim.sensor import Optics, load_sensor
 from todframes.cli.main import cli
 from todframes.frames.dataset import load_dataset
@@ -140,6 +141,25 @@ def test_at_the_same_places_the_plan_changes_next_to_nothing():
     )
     assert 0.0 < abs(p - expected) <= planned.plan.bound
     assert planned.plan.bound < 1e-3 * LEFT_OUT_SHARE
+
+
+def test_the_repetition_of_the_scene_is_part_of_the_stated_error():
+    """A period of four times the longest that is considered stands for a scene that never repeats."""
+    observer = PyramidObserver()
+    # Everything else is left out alike; the rounding of single precision would hide the change.
+    plan = replace(plan_curve(STAR_LIKE, observer, 4.0), dtype=np.float64)
+    endless = TriangleSampler(
+        optics=STAR_LIKE.optics,
+        detector=STAR_LIKE.detector,
+        size_detectors=4.0,
+        field_detectors=plan.field,
+        period_detectors=168,
+    )
+    chains = [FoldedChain(STAR_LIKE, observer, 4.0, one) for one in (plan, replace(plan, sampler=endless))]
+    p, expected = (chain.proportion_correct(chain.phases(2, np.random.default_rng(3)), 2.0) for chain in chains)
+    of_period = sum(step.bound for step in plan.steps if step.stage == "period") + plan.repetition_bound
+    assert 0.0 < abs(p - expected) < of_period <= plan.bound
+    assert plan.repetition_bound > 0.0
 
 
 def test_a_tighter_tolerance_leaves_out_less():

@@ -10,7 +10,7 @@ import re
 import stat
 import tomllib
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import MISSING, fields, is_dataclass
 from functools import cache
 from numbers import Integral, Real
@@ -271,7 +271,27 @@ def convert(value: object, kind: Any, where: str) -> object:
             problem = (
                 f"expected one of {choices}" if kind is literals[0] else f"expected a number or one of {choices}"
             )
+            problem += spelling_hint(value, get_args(literals[0]))
+        if isinstance(value, str) and float in (kind, *get_args(kind)) and _is_number(value):
+            problem += f"; write {value} without quotation marks"
         raise SettingsError(f"{where}: found {value!r} ({problem[0].lower()}{problem[1:]})") from None
+
+
+def _is_number(text: str) -> bool:
+    try:
+        return math.isfinite(float(text))
+    except ValueError:
+        return False
+
+
+def spelling_hint(text: str, choices: Iterable[str]) -> str:
+    """Return "; write srgb" for a text such as sRGB, whose letters and digits are those of a choice; else ""."""
+
+    def letters(word: str) -> str:
+        return re.sub("[^a-z0-9]", "", word.lower())
+
+    meant = [choice for choice in choices if letters(choice) == letters(text)]
+    return f"; write {meant[0]}" if meant else ""
 
 
 def read_csv(path: Path) -> Iterator[tuple[str, dict[str, str]]]:
@@ -287,6 +307,12 @@ def read_csv(path: Path) -> Iterator[tuple[str, dict[str, str]]]:
     reader = csv.reader(io.StringIO(read_text(path, most_mb=MAX_CSV_MB), newline=""), strict=True)
     try:
         header = [name.strip() for name in next(reader, [])]
+        if len(header) == 1 and (other := re.search("[;\t]", header[0])):
+            mark = "semicolons" if other[0] == ";" else "tabs"
+            raise DataError(
+                f"{path}: found {mark} between the columns ({_shortened(header[0])}), expected commas, and points "
+                "in numbers; save it again as CSV with commas"
+            )
         for name, count in Counter(header).items():
             if count > 1:
                 raise DataError(f"{path}: found column {name!r} {count} times, expected once")
@@ -303,9 +329,18 @@ def read_csv(path: Path) -> Iterator[tuple[str, dict[str, str]]]:
         raise DataError(f"{path}, line {reader.line_num}: not valid CSV ({error})") from None
 
 
-def column_names(header: Iterable[str]) -> str:
-    """Return the names of the columns that were found, for a message; only the first ones if there are many."""
-    names = list(header)
+def check_columns(header: Iterable[str], needed: Iterable[str], path: Path) -> None:
+    """Raise DataError if a CSV file lacks a column; the message says if it has one with other letters."""
+    found = list(header)
+    for name in needed:
+        if name not in found:
+            alike = [other for other in found if other.lower() == name.lower()]
+            hint = f"; write {name}, not {alike[0]}" if alike else ""
+            raise DataError(f"{path}: column {name!r} is missing; found {_column_names(found)}{hint}")
+
+
+def _column_names(names: Sequence[str]) -> str:
+    """Return the names of columns for a message; only the first ones if there are many."""
     more = f" and {len(names) - COLUMNS_SHOWN} more" if len(names) > COLUMNS_SHOWN else ""
     return (", ".join(map(_shortened, names[:COLUMNS_SHOWN])) or "none") + more
 
@@ -330,7 +365,8 @@ def number(text: str, where: str, *, positive: bool = False) -> float:
     except ValueError:
         value = math.nan
     if not math.isfinite(value) or (positive and value <= 0):
-        raise DataError(f"{where}: found {text!r}, expected a finite number{' > 0' if positive else ''}")
+        hint = ", with a point, not a comma" if re.fullmatch(r"[+-]?[0-9]*,[0-9]+", text) else ""
+        raise DataError(f"{where}: found {text!r}, expected a finite number{' > 0' if positive else ''}{hint}")
     return value
 
 

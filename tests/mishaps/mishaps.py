@@ -31,6 +31,9 @@ BLUR_PX = 0.8
 NOISE = 0.02
 """Standard deviation of the camera's noise, as a share of the background."""
 
+EDGE = 2.0 / 3.0**0.25
+"""Edge of a triangle of size 1."""
+
 ORIENTATIONS = ("up", "right", "down", "left")
 MIDDLE_PX = (SIDE_PX - 1) / 2
 SIXTEEN_BITS = 65535
@@ -62,16 +65,21 @@ def series() -> list[Shot]:
 
 
 def triangle(shot: Shot) -> Image:
-    """Return the share of each pixel that the triangle covers, shape (SIDE_PX, SIDE_PX).
+    """Return the share of each pixel that the triangle covers, shape (SIDE_PX, SIDE_PX)."""
+    return _covered(shot.orientation, shot.size_px, shot.x_px, shot.y_px)
 
-    A triangle that points up has a chord on every horizontal line: exact along the line, and the mean of 64 lines
-    in each row of pixels. The other triangles are that one, turned with its picture.
+
+@cache
+def _covered(orientation: str, size_px: float, x: float, y: float) -> Image:
+    """Rasterise a triangle that points up and turn its picture.
+
+    That triangle has a chord on every horizontal line: exact along the line, and the mean of 64 lines in each row
+    of pixels.
     """
-    turns = {"up": 0, "left": 1, "down": 2, "right": 3}[shot.orientation]
-    x, y = shot.x_px, shot.y_px
+    turns = {"up": 0, "left": 1, "down": 2, "right": 3}[orientation]
     for _ in range(turns):
         x, y = SIDE_PX - 1 - y, x
-    edge = 2.0 * shot.size_px / 3.0**0.25
+    edge = EDGE * size_px
     height = edge * math.sqrt(0.75)
     lines = (np.arange(SIDE_PX * 64) + 0.5) / 64 - 0.5
     below_apex = lines - (y - 2.0 * height / 3.0)
@@ -139,22 +147,27 @@ class Recording:
         codes = self.encoded((luminance + noise) / WHITE)
         return self.stored(integers(codes, self.full_scale), shot)
 
-    def write(self, folder: Path) -> None:
-        """Write the frames and the manifest; `declare` writes `dataset.toml`."""
-        (folder / "frames").mkdir(parents=True)
-        rows = []
-        for shot in series():
-            name = f"frames/{shot.number:03d}.png"
-            assert cv2.imwrite(str(folder / name), self.frame(shot), [cv2.IMWRITE_PNG_COMPRESSION, 1])
-            rows.append(
+    def manifest(self) -> list[Row]:
+        """Return the rows of the manifest, of which the shots are the lines."""
+        return self.rows(
+            [
                 {
-                    "frame": name,
+                    "frame": f"frames/{shot.number:03d}.png",
                     "orientation": shot.orientation,
                     "size_mrad": f"{SIZE_MRAD:g}",
                     "contrast": f"{shot.contrast:g}",
                 }
-            )
-        rows = self.rows(rows)
+                for shot in series()
+            ]
+        )
+
+    def write(self, folder: Path) -> None:
+        """Write the frames and the manifest; `declare` writes `dataset.toml`."""
+        (folder / "frames").mkdir(parents=True)
+        for shot in series():
+            path = folder / f"frames/{shot.number:03d}.png"
+            assert cv2.imwrite(str(path), self.frame(shot), [cv2.IMWRITE_PNG_COMPRESSION, 1])
+        rows = self.manifest()
         with (folder / "manifest.csv").open("w", encoding="utf-8", newline="") as file:
             writer = csv.DictWriter(file, list(rows[0]))
             writer.writeheader()
@@ -245,6 +258,13 @@ def glaring(light: Image, _shot: Shot) -> Image:
     return light + 0.5 * BACKGROUND * np.exp(-((x - 24) ** 2 + (y + 10) ** 2) / (2 * 6.0**2))
 
 
+def detected(light: Image, _shot: Shot) -> Image:
+    """The mean over detectors of 2 × 2 pixels, each shown as a square."""
+    count = SIDE_PX // 2
+    means = light.reshape(count, 2, count, 2).mean(axis=(1, 3))
+    return np.repeat(np.repeat(means, 2, axis=0), 2, axis=1)
+
+
 def shaken(shot: Shot) -> Shot:
     """A camera held in the hand: 3 pixels either way."""
     x, y = shot.chance.normal(0.0, 3.0, 2)
@@ -274,6 +294,16 @@ def late(shot: Shot) -> Shot:
 def absent(shot: Shot) -> Shot:
     """Every fourth frame shows no triangle."""
     return replace(shot, contrast=0.0) if shot.number % 4 == 3 else shot
+
+
+def smaller(shot: Shot) -> Shot:
+    """A triangle of 8 pixels."""
+    return replace(shot, size_px=0.5 * shot.size_px)
+
+
+def larger(shot: Shot) -> Shot:
+    """A triangle of 32 pixels."""
+    return replace(shot, size_px=2.0 * shot.size_px)
 
 
 def two_sizes(shot: Shot) -> Shot:
@@ -364,6 +394,23 @@ def titled(codes: NDArray, shot: Shot) -> NDArray:
     for text, at in (("REC", (2, 12)), (f"{shot.number:05d}", (2, 94))):
         cv2.putText(letters, text, at, cv2.FONT_HERSHEY_PLAIN, 0.8, 255)
     return np.where(letters > 127, SIXTEEN_BITS, codes).astype(np.uint16)
+
+
+def aimed(codes: NDArray, _shot: Shot) -> NDArray:
+    """A cross-hair in the middle of the frame, as of a thermal sight: white lines with a gap."""
+    x, y = offsets()
+    near, far = np.minimum(abs(x), abs(y)), np.maximum(abs(x), abs(y))
+    return np.where((near < 1.0) & (far > 3.0) & (far < 24.0), SIXTEEN_BITS, codes).astype(np.uint16)
+
+
+def tinted(codes: NDArray, _shot: Shot) -> NDArray:
+    """A colour frame of a lamp that has too little blue and green (stored as blue, green, red)."""
+    return np.rint(codes[..., None] * np.array([0.6, 0.8, 1.0])).astype(codes.dtype)
+
+
+def negated(codes: Image) -> Image:
+    """Black is hot, not white."""
+    return 1.0 - codes
 
 
 def of_jpeg(quality: int) -> Callable[[NDArray, Shot], NDArray]:
@@ -466,14 +513,15 @@ def control(name: str, sentence: str, *, is_right: bool = False, **steps: object
 OFF_MIDDLE = {"x_px": f"{MIDDLE_PX + 9.0:g}", "y_px": f"{MIDDLE_PX - 5.0:g}"}
 SWAPPED = {"x_px": OFF_MIDDLE["y_px"], "y_px": OFF_MIDDLE["x_px"]}
 DEGREE, ARC_MINUTE = math.pi / 180.0 * 1000.0, math.pi / 10800.0 * 1000.0  # mrad
-EDGE = 2.0 / 3.0**0.25
-"""Edge of a triangle of size 1."""
 
 CONTROLS = (
     control("flat", "A flat background, everything as the dataset says.", is_right=True),
-    control("noisy", "Five times the noise.", noise=5 * NOISE),
+    control("noisy", "Ten times the noise.", noise=10 * NOISE),
     control("defocused", "The lens is out of focus: the threshold rises, as it should.", blur_px=1.6),
     control("eight_bits", "sRGB in 8 bits, as declared.", encoded=srgb, full_scale=255, display={"eotf": "srgb"}),
+    control("small", "Triangles of 8 pixels.", shown=smaller, rows=times("size_mrad", 0.5)),
+    control("large", "Triangles of a third of the frame's side.", shown=larger, rows=times("size_mrad", 2.0)),
+    control("large_detectors", "A camera whose detectors are 2 pixels wide.", light=detected),
     control("dark_stated", "Dark triangles, with their polarity.", shown=darker, rows=with_columns(polarity="-1")),
     control(
         "off_centre_stated", "Off the middle, as stated.", shown=moved(9.0, -5.0), rows=with_columns(**OFF_MIDDLE)
@@ -481,6 +529,7 @@ CONTROLS = (
 )
 
 UNEVEN = "background_uneven background_mismatch"
+STUCK = "saturated crushed stuck_pixels"
 BACKGROUND_CASES = (
     case("vignetting_30", "Corners darker by 30 %.", UNEVEN, light=vignetted(0.3)),
     case("vignetting_50", "Corners darker by 50 %.", UNEVEN, light=vignetted(0.5)),
@@ -492,16 +541,18 @@ BACKGROUND_CASES = (
     case("flicker", "Bands of a lamp's flicker roll over the frames.", UNEVEN, light=flickering),
     case("glare", "A lamp is reflected beside the triangle.", UNEVEN, light=glaring),
     case("on_screen_text", "The camera's own text on the frame.", UNEVEN + " saturated", stored=titled),
+    case("cross_hair", "A thermal sight's cross-hair on the triangle.", STUCK, stored=aimed),
     case("background_doubled", "Background number × 2.", "background_mismatch", display=background(2.0)),
     case("background_halved", "Background number / 2.", "background_mismatch", display=background(0.5)),
 )
 
 LIGHT = "background_mismatch contrast_mismatch"
-STUCK = "saturated crushed stuck_pixels"
 CODE_CASES = (
     case("gamma_as_linear", "sRGB frames declared linear.", LIGHT, encoded=srgb),
     case("srgb_as_bt1886", "sRGB frames declared bt1886.", LIGHT, encoded=srgb, display={"eotf": "bt1886"}),
     case("linear_as_srgb", "Linear frames declared sRGB.", LIGHT, display={"eotf": "srgb"}),
+    case("negative", "Black is hot, not white.", LIGHT + " polarity_mismatch", encoded=negated),
+    case("colour_cast", "Colour frames with too little blue and green.", "background_mismatch", stored=tinted),
     case(
         "limited_range",
         "Video levels, 16 to 235, declared full range.",

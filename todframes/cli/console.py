@@ -156,14 +156,17 @@ def prints_go_to_stderr() -> Iterator[None]:
 class ProblemLines:
     """Printer of problems on standard error, one line each: the first few of each kind, then a count."""
 
+    VARIABLE = re.compile(r"found '[^']*'|write \S+|\S*[/\\]\S*|\b[0-9a-f]{64}\b|[0-9][0-9.]*")
+    """Pattern of the parts that differ among problems of one kind: values, paths, checksums and numbers."""
+
     def __init__(self) -> None:
         self.count = 0
         self._alike: dict[str, tuple[str, int]] = {}
 
     def add(self, problem: str, *, kind: str | None = None) -> None:
-        """Print a problem. Those of one kind differ in the numbers in `kind` alone, by default the problem."""
+        """Print a problem. Those of one kind differ only in `VARIABLE` parts of `kind`, by default the problem."""
         self.count += 1
-        kind = re.sub(r"\b[0-9a-f]{64}\b|[0-9][0-9.]*", "#", problem if kind is None else kind)
+        kind = self.VARIABLE.sub("#", problem if kind is None else kind)
         first, count = self._alike.get(kind, (problem, 0))
         self._alike[kind] = first, count + 1
         if count < MOST_ALIKE:

@@ -71,7 +71,7 @@ def validate(*, dataset: Path, add_sha256: bool) -> None:
     sha256_of: dict[str, str] = {}
     problems = ProblemLines()
     for row in data.bad_rows:
-        problems.add(row.error)
+        problems.add(row.error, kind=row.error.replace(row.frame or "\0", "#"))
     with progress("checking", len(data.trials)) as advance:
         for trial in data.trials:
             for error in frame_problems(data, trial):

@@ -11,14 +11,15 @@ from typing import NamedTuple
 import numpy as np
 
 from todframes.config import (
+    check_columns,
     check_fields,
     check_keys,
-    column_names,
     from_table,
     number,
     number_or_text,
     read_csv,
     read_toml,
+    spelling_hint,
 )
 from todframes.errors import DataError, SettingsError
 from todframes.frames.display import Display, LuminanceTable
@@ -207,7 +208,9 @@ def _inside(folder: str, name: str, where: str, real_folders: dict[str, str] | N
     if last in ("", os.curdir, os.pardir) or os.path.islink(full):  # noqa: PTH114
         full = os.path.realpath(full)
     if not f"{full}{os.sep}".startswith(folder.rstrip(os.sep) + os.sep):
-        raise DataError(f"{where} {name} lies outside of the dataset: it is {full}, expected a file in {folder}")
+        raise DataError(
+            f"{where} {name} lies outside of the dataset: it is {full}, expected a file in {folder}; copy it there"
+        )
     return full
 
 
@@ -246,9 +249,7 @@ def _read_lut(folder: Path, name: str, named: str) -> LuminanceTable:
         _inside(os.path.realpath(folder), name, named)
         rows = read_csv(path)
         _, header = next(rows)
-        for name in columns:
-            if name not in header:
-                raise SettingsError(f"{path}: column {name!r} is missing; found {column_names(header)}")
+        check_columns(header, columns, path)
         values = []
         for where, row in rows:
             check_fields(row, len(header), where)
@@ -297,9 +298,7 @@ class _Manifest:
         needed = ["frame", "orientation", "size_mrad", self.experiment.level, *self.experiment.group_by]
         if self.needs_background:
             needed.append(BACKGROUND_COLUMN)
-        for name in needed:
-            if name not in found:
-                raise DataError(f"{self.path}: column {name!r} is missing; found {column_names(found)}")
+        check_columns(found, needed, self.path)
         if ("x_px" in found) != ("y_px" in found):
             raise DataError(f"{self.path}: found one of the columns x_px and y_px, expected both or none")
 
@@ -307,7 +306,8 @@ class _Manifest:
         frame = self._frame_path(row["frame"].strip(), where)
         orientation = row["orientation"].strip()
         if orientation not in ORIENTATIONS:
-            raise DataError(f"{where}: orientation: found {orientation!r}, expected up, right, down or left")
+            hint = spelling_hint(orientation, ORIENTATIONS)
+            raise DataError(f"{where}: orientation: found {orientation!r}, expected up, right, down or left{hint}")
         polarity = (row.get("polarity") or "1").strip()
         if polarity not in ("1", "+1", "-1"):
             raise DataError(f"{where}: polarity: found {polarity!r}, expected 1 or -1")
@@ -339,6 +339,9 @@ class _Manifest:
         )
 
     def _frame_path(self, frame: str, where: str) -> str:
+        if os.sep == "/" and "\\" in frame and not os.path.lexists(os.path.join(self.folder, frame)):  # noqa: PTH118
+            written = frame.replace("\\", "/")
+            raise DataError(f"{where}: frame: found {frame} with backslashes, expected slashes: {written}")
         first = self.seen.setdefault(_inside(self.folder, frame, f"{where}: frame", self.real_folders), where)
         if first != where:
             raise DataError(f"{where}: frame {frame} is there already, in {first.rpartition(', ')[2]}")

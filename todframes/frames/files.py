@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import re
 import stat
 import zlib
 from collections.abc import Iterator, Mapping
@@ -73,6 +74,33 @@ FULL_SCALE: dict[PixelType, int] = {"uint8": 255, "uint16": 65535}
 
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 """First bytes of every PNG file."""
+
+
+OTHER_FORMATS = {
+    rb"\xff\xd8\xff": "JPEG",
+    rb"II[*+]\0|MM\0[*+]": "TIFF",
+    rb"BM": "BMP",
+    rb"GIF8": "GIF",
+    rb"RIFF....WEBP": "WebP",
+    rb"RIFF....AVI |....ftyp|\x1a\x45\xdf\xa3": "video",
+    rb"\0\0\0\x0cjP  |\xff\x4f\xff\x51": "JPEG 2000",
+    rb"#\?RADIANCE": "Radiance HDR",
+    rb"SDPX|XPDS": "DPX",
+    rb"SIMPLE  =": "FITS",
+    rb"version https://": "Git LFS pointer",
+}
+"""Patterns of the first bytes of files that are taken for frames, and their names."""
+
+
+CONVERT = "convert it without loss, integers to PNG, floating-point values to EXR"
+
+
+OTHER_ADVICE = {
+    "JPEG": "its compression has changed the pixels; record frames without loss",
+    "video": "write each of its frames to a file of its own",
+    "Git LFS pointer": "the frame itself is not here; fetch it with git lfs pull",
+}
+"""Advice for formats that cannot just be converted."""
 
 
 _LAYOUT_ATTRIBUTES = ("oiio:", "openexr:", "compression")
@@ -402,7 +430,11 @@ def _recognise(path: Path) -> str:
         if start == PNG_SIGNATURE:
             _check_png(path, file, size)
             return "png"
-    found = f"a file that starts with {start!r}" if start else "an empty file"
+        start += file.read(8)
+    for signature, name in OTHER_FORMATS.items():
+        if re.match(signature, start, re.DOTALL):
+            raise FrameError(path, f"is a {name} file, expected EXR or PNG: {OTHER_ADVICE.get(name, CONVERT)}")
+    found = f"a file that starts with {start[:8]!r}" if start else "an empty file"
     raise FrameError(path, f"found {found}, expected EXR or PNG")
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from todframes.config import check_fields, column_names, number, number_or_text, read_csv
+from todframes.config import check_columns, check_fields, number, number_or_text, read_csv
 from todframes.errors import DataError
 
 COLUMNS = ("level", "n_correct", "n_trials")
@@ -32,9 +32,7 @@ def read_counts(path: Path) -> list[tuple[dict[str, float | str], NDArray[np.flo
     """
     rows = read_csv(path)
     _, header = next(rows)
-    for name in COLUMNS:
-        if name not in header:
-            raise DataError(f"{path}: column {name!r} is missing; found {column_names(header)}")
+    check_columns(header, COLUMNS, path)
     names = [name for name in header if name not in COLUMNS]
     groups: dict[tuple[float | str, ...], list[list[float]]] = {}
     for where, row in rows:
