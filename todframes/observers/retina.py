@@ -16,6 +16,10 @@ if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
 
+MOST_DENSE = 2**13
+"""Largest number of values of an overlap matrix that is not kept sparse."""
+
+
 @dataclass(frozen=True, slots=True)
 class RetinaGrid:
     """A square grid of retina samples with one in its middle, the place the observer looks at.
@@ -121,6 +125,17 @@ def overlap_matrix(
     return csr_array((length, pixel, row_start), shape=(grid.side, n_pixels))
 
 
+def _dense_overlap(
+    grid: RetinaGrid, *, centre_px: float, pixel_pitch_mrad: float, first_pixel: int, n_pixels: int
+) -> FloatArray:
+    """Compute `overlap_matrix` as an array: if values are few, it takes half the time and no import of scipy."""
+    pixel_edges = _pixel_edges(grid, centre_px, pixel_pitch_mrad, first_pixel, n_pixels)
+    sample_edges = np.arange(grid.side + 1.0)[:, None]
+    overlap = np.minimum(sample_edges[1:], pixel_edges[1:])
+    overlap -= np.maximum(sample_edges[:-1], pixel_edges[:-1])
+    return np.asarray(np.maximum(overlap, 0.0, out=overlap))
+
+
 def _pixel_edges(
     grid: RetinaGrid, centre_px: float, pixel_pitch_mrad: float, first_pixel: int, n_pixels: int
 ) -> FloatArray:
@@ -202,14 +217,16 @@ def resampled_rows(
         column_edges = _pixel_edges(grid, x_px, pixel_pitch_mrad, first_column, n_columns)
         across = _averaged(contrast.T, column_edges, 0, grid.side)
         return top, _averaged(across.T, edges, top, bottom)
-    rows = overlap_matrix(
-        grid, centre_px=y_px, pixel_pitch_mrad=pixel_pitch_mrad, first_pixel=first_row, n_pixels=n_rows
-    )
-    columns = overlap_matrix(
+    is_dense = grid.side * max(n_rows, n_columns) <= MOST_DENSE
+    overlap = _dense_overlap if is_dense else overlap_matrix
+    rows = overlap(grid, centre_px=y_px, pixel_pitch_mrad=pixel_pitch_mrad, first_pixel=first_row, n_pixels=n_rows)
+    columns = overlap(
         grid, centre_px=x_px, pixel_pitch_mrad=pixel_pitch_mrad, first_pixel=first_column, n_pixels=n_columns
     )
     if bottom - top < grid.side:
         rows = rows[top:bottom]
+    if is_dense:
+        return top, np.asarray(rows @ contrast @ columns.T)
     # Either order is exact; the larger array is the one not to make, or to copy.
     if n_rows > grid.side:
         return top, np.asarray((columns @ (rows @ contrast).T).T)
