@@ -203,7 +203,7 @@ def _group_name(dataset: Dataset, group: Group) -> str:
 
 def _in_pixels(block_px: int, place: tuple[float, float]) -> tuple[float, float]:
     """Return a position in pixels from one in blocks, which counts from the middle of the first block."""
-    x_px, y_px = (block_px * at + (block_px - 1) / 2.0 for at in place)
+    x_px, y_px = (float(block_px * at + (block_px - 1) / 2.0) for at in place)
     return x_px, y_px
 
 
