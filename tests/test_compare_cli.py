@@ -163,6 +163,7 @@ def test_output_folder(todframes, dataset: Path, here: Path) -> None:
     assert not (folder / "compare.csv").exists()
 
 
+@pytest.mark.slow
 def test_the_same_picture_from_the_same_result(todframes, dataset: Path, here: Path) -> None:
     pictures = []
     for folder in ("one", "two"):
@@ -224,7 +225,8 @@ def test_two_of_one_name_have_their_parameters_as_names(todframes, dataset: Path
     ]
 
 
-@pytest.mark.parametrize("start", ["script", pytest.param("-m", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("start", ["script", "-m"])
 def test_own_module_from_the_present_folder(dataset: Path, here: Path, start: str, tmp_path: Path) -> None:
     """As by `python -m`, and as by a console script, which has its own folder first on the path."""
     (tmp_path / "bin").mkdir()
@@ -268,7 +270,7 @@ def test_nothing_else_runs_from_the_present_folder(
     assert json.loads(done.stdout)["algorithms"][1]["name"] == spec
 
 
-@pytest.mark.parametrize("options", [["--json"], []])
+@pytest.mark.parametrize("options", [["--json"], pytest.param([], marks=pytest.mark.slow)])
 def test_standard_output_is_for_the_result_alone(dataset: Path, here: Path, options: list[str]) -> None:
     """Whatever a user's module prints, in whatever way, goes to standard error."""
     (here / "talks.py").write_text(

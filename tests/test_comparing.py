@@ -101,7 +101,7 @@ def same_scores(one, other) -> bool:
 # The reference is what `score` gives, and an algorithm that does nothing gives the same
 
 
-@pytest.mark.parametrize("background", [50.0, "border", "frame_mean"])
+@pytest.mark.parametrize("background", [50.0, "surround", "border", "frame_mean"])
 @pytest.mark.parametrize(
     "more", [{"plan_name": "full"}, {"plan_name": "needed"}, {"decisions": "sampled", "seed": 3}]
 )
@@ -248,7 +248,7 @@ def test_removing_noise_helps_and_adding_it_hurts(make_dataset) -> None:
 # The background
 
 
-@pytest.mark.parametrize("background", [50.0, "border", "frame_mean", "column"])
+@pytest.mark.parametrize("background", [50.0, "surround", "border", "frame_mean", "column"])
 def test_what_brightens_everything_alike_changes_nothing(make_dataset, background) -> None:
     """Contrast refers to the background that the algorithm makes: a given one is scaled as the border is."""
     made = make_dataset(suffix=".png", contrasts=(0.1, 0.4), display={"background_luminance_cd_m2": background})

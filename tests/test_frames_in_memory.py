@@ -28,7 +28,7 @@ def scored(frames, **changes):
     return tod.score_frames(frames, **(shown | changes))
 
 
-@pytest.mark.parametrize("name", ["naked_eye", "grabbed_8bit"])
+@pytest.mark.parametrize("name", ["naked_eye", pytest.param("grabbed_8bit", marks=pytest.mark.slow)])
 def test_arrays_give_the_numbers_of_their_files(name):
     """The same pixels, the same manifest rows and so the same random streams: the same numbers to the last bit."""
     data = tod.load_dataset(SAMPLES / name)

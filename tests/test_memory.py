@@ -74,8 +74,8 @@ def todframes(capsys: pytest.CaptureFixture[str]):
 @linux
 @pytest.mark.parametrize(
     ("command", "background"),
-    [("score", "50.0"), ("score", "'border'"), ("score", "'frame_mean'"), ("validate", "50.0"),
-     ("validate", "'border'"), ("score --locate", "50.0")],
+    [("score", "50.0"), ("score", "'border'"), ("score", "'frame_mean'"), ("score", "'surround'"),
+     ("validate", "50.0"), ("validate", "'border'"), ("score --locate", "50.0")],
 )  # fmt: skip
 def test_a_large_frame_takes_little_more_than_its_pixels(large_frames, command, background) -> None:
     """Three times the decoded frame and 200 MB, the libraries among them."""
@@ -122,6 +122,7 @@ def test_contrast_by_bands_is_that_of_the_whole(make_dataset, background) -> Non
     assert np.allclose(part.values, contrast[400:700, 1000:1200], rtol=0.0, atol=1e-15)
 
 
+@pytest.mark.slow
 def test_large_frames_are_located_by_blocks(large_frames) -> None:
     (large_frames / "dataset.toml").write_text(settings("50.0"))
     _, (found,) = locate_triangles(load_dataset(large_frames))

@@ -82,7 +82,7 @@ CASES = [
     (0.3, 0.0, 1.0, 240, Orientation.UP),
     (1.2, 0.15, 0.5, 160, Orientation.RIGHT),
     (2.0, 0.0, 1.0, 128, Orientation.DOWN),
-    (60.0, 0.3, 0.8, 48, Orientation.LEFT),
+    pytest.param(60.0, 0.3, 0.8, 48, Orientation.LEFT, marks=pytest.mark.slow),
 ]
 
 

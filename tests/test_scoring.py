@@ -88,7 +88,7 @@ def test_polarity(make_dataset) -> None:
     assert np.allclose(dark.scores, bright.scores, rtol=1e-3, atol=1e-3)
 
 
-@pytest.mark.parametrize("rule", ["border", "frame_mean", "column"])
+@pytest.mark.parametrize("rule", ["surround", "border", "frame_mean", "column"])
 def test_background_rules(make_dataset, rule: str) -> None:
     """The same contrast comes from frames of any brightness."""
     made = make_dataset(side_px=80, contrasts=(0.2,))

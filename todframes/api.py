@@ -26,6 +26,7 @@ from todframes.scoring.error_budget import PlanName, plan_object
 from todframes.scoring.trials import Decisions
 
 if TYPE_CHECKING:
+    from todframes.frames.locate import Locate
     from todframes.scoring.naked_eye import Threshold
 
 OnError = Literal["stop", "skip"]
@@ -44,7 +45,7 @@ def score(
     seed: int = 1,
     p_correct: float | None = None,
     fit: FitSettings | None = None,
-    locate: bool = False,
+    locate: Locate | bool = False,
     on_error: OnError = "stop",
     workers: int = 1,
     examples: bool = True,
@@ -71,8 +72,9 @@ def score(
         Raw proportion correct at threshold, in place of that of `fit`.
     fit : FitSettings, optional
         Fixed and free parameters of the fits.
-    locate : bool
-        Find the triangle's position where the manifest has none.
+    locate : {"group", "each"} or bool
+        Find the triangle's position where the manifest has none: one for each group (also True), or one for each
+        trial, for hand-held or drifting recordings.
     on_error : {"stop", "skip"}
         At a frame or row that cannot be used: raise, or go on and list it in `Result.skipped`.
     workers : int
@@ -80,7 +82,8 @@ def score(
     examples : bool
         Also draw a triangle at threshold, for the page.
     progress : function of an int, optional
-        Called with the number of trials that were just done; with `locate`, each trial is done twice.
+        Called with the number of trials that were just done; each trial is done once more with `locate`,
+        and twice more with "each".
 
     Returns
     -------
@@ -107,7 +110,7 @@ def score(
 
     judge, settings = described(observer)
     fit = _fit_settings(fit, p_correct)
-    data, more = _located(dataset, judge, locate, on_error, progress)
+    data, more, found_wrong = _located(dataset, judge, locate, on_error, progress)
     scored = score_dataset(
         data,
         judge,
@@ -134,7 +137,7 @@ def score(
         plan=tuple(plan_object(scored.plan, 1.0)),
         dataset=DatasetRecord.of(data),
         skipped=tuple(one._asdict() for one in scored.skipped),
-        warnings=_warnings(data, scored.trials) + levels_to_add(fits),
+        warnings=(*found_wrong, *_warnings(data, scored.trials), *levels_to_add(fits)),
         negative_luminance_pixels=scored.n_negative,
         **more,
     ).with_trials(lambda: tables.trials(data, scored))
@@ -245,7 +248,7 @@ def compare(
     seed: int = 1,
     p_correct: float | None = None,
     fit: FitSettings | None = None,
-    locate: bool = False,
+    locate: Locate | bool = False,
     on_error: OnError = "stop",
     workers: int = 1,
     examples: bool = True,
@@ -301,7 +304,7 @@ def compare(
     found = [find_enhancement(one) for one in enhance]
     data = _loaded(dataset)
     screen = Screen(data.display, white, allow_clipping)
-    data, more = _located(data, judge, locate, on_error, progress)
+    data, more, found_wrong = _located(data, judge, locate, on_error, progress)
     results = compare_dataset(
         data,
         judge,
@@ -334,7 +337,7 @@ def compare(
         plan=tuple(plan_object(reference.plan, 1.0)),
         dataset=DatasetRecord.of(data),
         skipped=tuple(one._asdict() for one in reference.skipped),
-        warnings=_warnings(data, reference.trials) + levels_to_add(thresholds_of(compared)),
+        warnings=(*found_wrong, *_warnings(data, reference.trials), *levels_to_add(thresholds_of(compared))),
         negative_luminance_pixels=reference.n_negative,
         **more,
     ).with_trials(lambda: tables.compared_trials(data, results))
@@ -515,18 +518,35 @@ def _loaded(dataset: Path | str | Dataset) -> Dataset:
 
 
 def _located(
-    dataset: Path | str | Dataset, observer: Observer, locate: bool, on_error: OnError, progress: Progress | None
-) -> tuple[Dataset, Json]:
-    """Load a dataset and find its positions if asked to. Returns the dataset and the located positions."""
+    dataset: Path | str | Dataset,
+    observer: Observer,
+    locate: Locate | bool,
+    on_error: OnError,
+    progress: Progress | None,
+) -> tuple[Dataset, Json, tuple[ResultWarning, ...]]:
+    """Load a dataset and find its positions if asked to. Returns it, the positions and the warnings about them."""
     data = _loaded(dataset)
     if not locate:
-        return data, {}
-    from todframes.frames.locate import locate_triangles
+        return data, {}, ()
+    from todframes.frames.locate import locate_triangles, location_warnings
 
     data, locations = locate_triangles(
-        data, centre=observer.centre, skip_bad_frames=_is_skip(on_error), progress=progress
+        data,
+        locate="group" if locate is True else locate,
+        centre=observer.centre,
+        skip_bad_frames=_is_skip(on_error),
+        progress=progress,
     )
-    return data, {"located": tuple({**one._asdict(), "group": group_of(data, one.group)} for one in locations)}
+    located = tuple(
+        {
+            **one._asdict(),
+            "group": group_of(data, one.group),
+            "arrangement": list(one.arrangement.mismatches),
+        }
+        for one in locations
+    )
+    found = tuple(ResultWarning(**one._asdict()) for one in location_warnings(data, locations))
+    return data, {"located": located}, found
 
 
 def _warnings(data: Dataset, trials: Sequence[Trial]) -> tuple[ResultWarning, ...]:

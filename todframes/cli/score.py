@@ -9,6 +9,8 @@ import click
 
 from todframes.cli.console import finish, progress, staged
 from todframes.cli.options import (
+    PASSES,
+    ScoringCommand,
     dataset_argument,
     json_option,
     make_fit,
@@ -27,7 +29,7 @@ from todframes.cli.options import (
 from todframes.errors import SettingsError
 
 
-@click.command()
+@click.command(cls=ScoringCommand)
 @dataset_argument
 @click.option("-o", "--out", metavar="OUT", help="Folder for result.json, report.html, scores.csv and plots.")
 @observer_options
@@ -50,7 +52,7 @@ def score(*, dataset: Path, out: str | None, quiet: bool, **asked: Any) -> None:
 
     data = load_dataset(dataset)
     with staged(out) as write:
-        with progress("scoring", len(data.trials) * (1 + asked["locate"]), quiet=quiet) as advance:
+        with progress("scoring", len(data.trials) * PASSES[asked["locate"]], quiet=quiet) as advance:
             result = api.score(
                 data, observer=observer, fit=fit, examples=out is not None, progress=advance, **asked
             )

@@ -16,10 +16,20 @@ from todframes._typing import FloatArray
 from todframes.enhancement.algorithm import ROUNDING, Enhancement, Image
 from todframes.enhancement.image_quality import squared_error_and_ssim
 from todframes.errors import DataError, FrameError, SettingsError
-from todframes.frames.contrast import LuminanceFound, Patch, check_contrast, check_sha256, row_bands
+from todframes.frames.contrast import (
+    Background,
+    LuminanceFound,
+    Patch,
+    check_contrast,
+    check_sha256,
+    displayed_contrast,
+    luminance_at_triangle,
+    row_bands,
+)
 from todframes.frames.dataset import Dataset, FrameReference, Trial
-from todframes.frames.display import Display, weber_contrast
+from todframes.frames.display import Display
 from todframes.frames.files import FULL_SCALE, FrameSource, read_frame
+from todframes.frames.surround import Surface, SurroundSums, TrianglePlace, surround_window
 from todframes.observers.interface import Observer
 from todframes.observers.retina import RetinaGrid
 from todframes.scoring.retina_view import Placement, Shown, place_grid
@@ -229,7 +239,10 @@ class DecodedFrame:
             found.add(luminance)
             if rule == "frame_mean":
                 found.average(luminance)
-        if rule == "border":
+        background: Background
+        if rule == "surround":
+            background = self._surround(picture, place.triangle)
+        elif rule == "border":
             background = picture.border_luminance()
         elif rule == "frame_mean":
             background = found.sum / found.n_averaged
@@ -239,8 +252,24 @@ class DecodedFrame:
             background = given * self._brightening(picture)
         check_contrast(found.largest, background)
         to_contrast = partial(_contrast, self.screen.display, background)
-        patch = Patch(part, y.first, x.first, found.n_negative, to_contrast, background)
+        patch = Patch(part, y.first, x.first, found.n_negative, to_contrast, luminance_at_triangle(background))
         return CroppedImage(patch.held(), x.centre_px, y.centre_px, self.screen.display.pitch_mrad / m)
+
+    def _surround(self, picture: EnhancedImage, triangle: TrianglePlace) -> Surface:
+        """Fit the luminance around the triangle in a picture."""
+        m = picture.magnification
+        y = _Axis.of(picture.values.shape[0], None, triangle.y_px, self.first_row, m)
+        x = _Axis.of(picture.values.shape[1], None, triangle.x_px, self.first_column, m)
+        there = TrianglePlace(x.centre_px, y.centre_px, m * triangle.size_px)
+        rows, columns = ((axis.first, axis.first + axis.used.stop) for axis in (y, x))
+        window = surround_window(there, rows=rows, columns=columns)
+        sums = SurroundSums(there, window)
+        row = window.rows[0]
+        part = picture.values[row - y.first : window.rows[1] - y.first]
+        for values in row_bands(part[:, window.columns[0] - x.first : window.columns[1] - x.first]):
+            sums.add(picture.luminance_of(values), row, window.columns[0])
+            row += len(values)
+        return sums.surface()
 
     @cached_property
     def _border_luminance(self) -> float:
@@ -261,9 +290,11 @@ def _luminance(display: Display, values: NDArray[np.floating]) -> FloatArray:
     return values.astype(np.float64) if values.ndim == 2 else display.luminance(values)
 
 
-def _contrast(display: Display, background_luminance_cd_m2: float, values: NDArray[np.floating]) -> FloatArray:
-    """Compute the Weber contrast of code values or luminance, as in `_luminance`."""
-    return weber_contrast(_luminance(display, values), background_luminance_cd_m2)
+def _contrast(
+    display: Display, background: Background, values: NDArray[np.floating], row: int, column: int
+) -> FloatArray:
+    """Compute the Weber contrast of code values or luminance, as in `_luminance`, the first at (row, column)."""
+    return displayed_contrast(_luminance(display, values), background, row, column)
 
 
 class _Axis(NamedTuple):

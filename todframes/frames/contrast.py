@@ -16,7 +16,8 @@ from todframes.errors import DataError, FrameError
 from todframes.frames.dataset import Dataset, FrameReference, Skipped, Trial
 from todframes.frames.display import BackgroundRule, Display, border_values, weber_contrast
 from todframes.frames.files import BAND_VALUES, FrameFile, FrameSource, code_values, frame_sha256
-from todframes.frames.position import centroid_position, check_on_frame
+from todframes.frames.position import centroid_position, check_on_frame, size_in_px
+from todframes.frames.surround import Surface, SurroundSums, TrianglePlace, surround_window
 
 MOST_HELD_PX = 2**20
 """Largest number of pixels of a patch that is held as contrast, which takes eight bytes a pixel."""
@@ -26,16 +27,17 @@ class Patch(NamedTuple):
     """A rectangle of a frame, held as contrast or as the stored values that contrast is computed from.
 
     `row` and `column` are the position of its first pixel in the frame. A large rectangle is held as stored, with
-    one to four bytes a value instead of eight; `to_contrast` then converts a band of whole rows into contrast.
-    `n_negative` counts the pixels read with a luminance below zero. `background_luminance_cd_m2` is the luminance
-    that contrast refers to; None if the patch was made from contrast.
+    one to four bytes a value instead of eight; `to_contrast` then converts a band of whole rows into contrast; its
+    arguments are the values and the row and column of the first. `n_negative` counts the pixels read with a
+    luminance below zero. `background_luminance_cd_m2` is the luminance that contrast refers to, at the triangle;
+    None if the patch was made from contrast.
     """
 
     values: NDArray[Any]
     row: int
     column: int
     n_negative: int
-    to_contrast: Callable[[NDArray[Any]], FloatArray] | None = None
+    to_contrast: Callable[[NDArray[Any], int, int], FloatArray] | None = None
     background_luminance_cd_m2: float | None = None
 
     def bands(self) -> Iterator[Patch]:
@@ -45,7 +47,7 @@ class Patch(NamedTuple):
             return
         begin = self.row
         for values in row_bands(self.values):
-            yield Patch(self.to_contrast(values), begin, self.column, 0)
+            yield Patch(self.to_contrast(values, begin, self.column), begin, self.column, 0)
             begin += len(values)
 
     def held(self) -> Patch:
@@ -53,7 +55,8 @@ class Patch(NamedTuple):
         if self.to_contrast is None:
             return self
         if math.prod(self.values.shape[:2]) <= MOST_HELD_PX:
-            return self._replace(values=self.to_contrast(self.values), to_contrast=None)
+            contrast = self.to_contrast(self.values, self.row, self.column)
+            return self._replace(values=contrast, to_contrast=None)
         return self._replace(values=np.ascontiguousarray(self.values))
 
 
@@ -92,12 +95,14 @@ def read_contrast(
     rows: tuple[int, int] | None = None,
     columns: tuple[int, int] | None = None,
     *,
+    triangle: TrianglePlace | None = None,
     every_pixel: bool = False,
 ) -> Patch:
     """Read a rectangle of an open frame as contrast.
 
     Only the rows of the rectangle are decoded, unless the background is a mean over the frame or `every_pixel` is
-    set. Pixels are decoded once, in bands of rows; only the pixels of the rectangle stay in memory.
+    set. Pixels are decoded once, in bands of rows; only the pixels of the rectangle stay in memory. With the rule
+    "surround" the rows about the triangle are decoded, and pixels beyond the background about it are left out.
 
     Parameters
     ----------
@@ -108,6 +113,8 @@ def read_contrast(
         The frame's row of the manifest, for its background luminance.
     rows, columns : (int, int), optional
         Half-open ranges in frame coordinates, clipped to the pixels that the file has. Default: all.
+    triangle : TrianglePlace, optional
+        The triangle, for the rule "surround"; without it that rule takes the mean over the frame.
     every_pixel : bool
         Decode and check every pixel of the frame, not only those of the rectangle.
 
@@ -121,9 +128,18 @@ def read_contrast(
         If the pixels cannot be read, their contrast overflows, or the background is not a positive number.
     """
     rule = display.background_luminance_cd_m2
+    (first_row, stop_row), all_columns = file.clip(None, None)
+    surround = None
+    if rule == "surround":
+        if triangle is None:
+            rule = "frame_mean"
+        else:
+            window = surround_window(triangle, rows=(first_row, stop_row), columns=all_columns)
+            surround = SurroundSums(triangle, window)
+            rows, columns = _shared(rows, window.rows), _shared(columns, window.columns)
     whole = every_pixel or rule in ("border", "frame_mean")
     (top, bottom), (left, right) = file.clip(rows, columns)
-    (first_row, stop_row), _ = file.clip(None, None)
+    decoded = (rows, columns) if surround is None else surround.window
     is_small = (bottom - top) * (right - left) <= MOST_HELD_PX
     kept: NDArray[Any] = (
         np.empty((bottom - top, right - left))
@@ -132,7 +148,7 @@ def read_contrast(
     )
     found = LuminanceFound()
     try:
-        for band in file.bands() if whole else file.bands(rows=rows, columns=columns):
+        for band in file.bands() if whole else file.bands(rows=decoded[0], columns=decoded[1]):
             luminance = display.luminance(band.values)
             begin, end = band.first_row, band.first_row + len(luminance)
             found.add(luminance)
@@ -140,18 +156,22 @@ def read_contrast(
                 found.average(border_values(luminance, top=begin == first_row, bottom=end == stop_row))
             elif rule == "frame_mean":
                 found.average(luminance)
+            elif surround is not None:
+                surround.add(luminance, begin, band.first_column)
             if begin < bottom and end > top:
                 part = (luminance if is_small else band.stored)[max(top - begin, 0) : bottom - begin]
                 kept[max(begin - top, 0) : end - top] = part[:, left - band.first_column :][:, : right - left]
-        background = _background(rule, found, frame)
+        background = surround.surface() if surround is not None else _background(rule, found, frame)
         check_contrast(found.largest, background)
     except FrameError:
         raise
     except DataError as error:
         raise FrameError(file.path, str(error)) from None
     if is_small:
-        return Patch(weber_contrast(kept, background), top, left, found.n_negative, None, background)
-    return Patch(kept, top, left, found.n_negative, partial(_contrast, display, background), background)
+        contrast = displayed_contrast(kept, background, top, left)
+        return Patch(contrast, top, left, found.n_negative, None, luminance_at_triangle(background))
+    to_contrast = partial(_contrast, display, background)
+    return Patch(kept, top, left, found.n_negative, to_contrast, luminance_at_triangle(background))
 
 
 class LuminanceFound:
@@ -183,15 +203,40 @@ def _background(rule: float | BackgroundRule, found: LuminanceFound, frame: Fram
     return found.sum / found.n_averaged if isinstance(rule, str) else rule
 
 
-def _contrast(display: Display, background_luminance_cd_m2: float, stored: NDArray[Any]) -> FloatArray:
-    """Compute the contrast of pixels as stored."""
-    return weber_contrast(display.luminance(code_values(stored)), background_luminance_cd_m2)
+Background = float | Surface
+"""A background: its luminance in cd/m², or a surface fitted around the triangle."""
 
 
-def check_contrast(largest_luminance_cd_m2: float, background_luminance_cd_m2: float) -> None:
+def _shared(wanted: tuple[int, int] | None, window: tuple[int, int]) -> tuple[int, int]:
+    """Return the part of a half-open range, None for all, that lies in another."""
+    if wanted is None:
+        return window
+    begin = max(wanted[0], window[0])
+    return begin, max(min(wanted[1], window[1]), begin)
+
+
+def _contrast(display: Display, background: Background, stored: NDArray[Any], row: int, column: int) -> FloatArray:
+    """Compute the contrast of pixels as stored, the first of them at (row, column)."""
+    return displayed_contrast(display.luminance(code_values(stored)), background, row, column)
+
+
+def displayed_contrast(luminance: FloatArray, background: Background, row: int, column: int) -> FloatArray:
+    """Compute the Weber contrast of a rectangle of luminance, its first pixel at (row, column)."""
+    if isinstance(background, Surface):
+        return background.contrast(luminance, row, column)
+    return weber_contrast(luminance, background)
+
+
+def luminance_at_triangle(background: Background) -> float:
+    """Return the background's luminance in cd/m²; of a surface, that at the triangle's centroid."""
+    return background.middle_cd_m2 if isinstance(background, Surface) else background
+
+
+def check_contrast(largest_luminance_cd_m2: float, background: Background) -> None:
     """Raise DataError if Weber contrast overflows, or the background is not a positive number."""
-    weber_contrast(np.zeros(0), background_luminance_cd_m2)  # raises if the background is not > 0
-    if largest_luminance_cd_m2 > sys.float_info.max * min(background_luminance_cd_m2, 1.0):
+    middle = luminance_at_triangle(background)
+    weber_contrast(np.zeros(0), middle)  # raises if the background is not > 0
+    if largest_luminance_cd_m2 > sys.float_info.max * min(middle, 1.0):
         raise DataError("the contrast is beyond all numbers; expected luminances nearer to the background's")
 
 
@@ -205,7 +250,8 @@ def frame_problems(dataset: Dataset, trial: Trial) -> Iterator[FrameError]:
                 pitch_mrad = dataset.display.pitch_mrad
                 x, y = centroid_position(trial, file.header, "centroid", pitch_mrad)
                 check_on_frame(path, trial, file.header, x, y, pitch_mrad)
-                read_contrast(file, dataset.display, frame, (0, 0), every_pixel=True)
+                triangle = TrianglePlace(x, y, size_in_px(trial, pitch_mrad))
+                read_contrast(file, dataset.display, frame, (0, 0), triangle=triangle, every_pixel=True)
             if (reference := dataset.reference_path(frame)) is not None:
                 with FrameFile(reference) as other:
                     for _ in other.bands():

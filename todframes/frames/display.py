@@ -16,7 +16,7 @@ from todframes.errors import DataError, SettingsError
 Eotf = Literal["linear", "srgb", "bt1886", "gamma", "lut"]
 
 
-BackgroundRule = Literal["border", "frame_mean", "column"]
+BackgroundRule = Literal["surround", "border", "frame_mean", "column"]
 
 
 REC_709_LUMINANCE_WEIGHTS = np.array([0.2126, 0.7152, 0.0722])
@@ -87,9 +87,9 @@ class Display:
         Luminance of code values 1 and 0; not used with "lut", whose luminances are absolute.
     pixel_pitch_mrad : float or None
         Visual angle of one pixel; or `pixel_pitch_mm` and `viewing_distance_mm`.
-    background_luminance_cd_m2 : float or {"border", "frame_mean", "column"}
-        Luminance that contrast refers to: a number; the mean over the outermost ring of pixels or over the
-        whole frame; or the manifest's column of this name.
+    background_luminance_cd_m2 : float or {"surround", "border", "frame_mean", "column"}
+        Luminance that contrast refers to: a smooth surface fitted around the triangle (recommended); a number; the
+        mean over the outermost ring of pixels or over the whole frame; or the manifest's column of this name.
     gamma : float or None
         Exponent for "gamma".
     lut : LuminanceTable or None

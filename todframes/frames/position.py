@@ -67,11 +67,16 @@ def from_centroid(trial: Trial, centre: Centre, pixel_pitch_mrad: float) -> tupl
     return dx * size_px, dy * size_px
 
 
+def size_in_px(trial: Trial, pixel_pitch_mrad: float) -> float:
+    """Return the size of a trial's triangle in pixels; at most 1e300, so that its corners are finite."""
+    return min(trial.stimulus.size_mrad / pixel_pitch_mrad, 1e300)
+
+
 def check_on_frame(
     path: Path, trial: Trial, header: FrameHeader, x: float, y: float, pixel_pitch_mrad: float
 ) -> None:
     """Raise FrameError if any part of the triangle lies outside the pixels that the file has."""
-    size_px = min(trial.stimulus.size_mrad / pixel_pitch_mrad, 1e300)  # so that the corners stay finite
+    size_px = size_in_px(trial, pixel_pitch_mrad)
     left, top, right, bottom = _reach(size_px, trial.orientation)
     left, top, right, bottom = x + left, y + top, x + right, y + bottom
     first_x, first_y = header.first_column - 0.5, header.first_row - 0.5

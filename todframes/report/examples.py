@@ -18,7 +18,8 @@ from todframes.enhancement.compare import AlgorithmResult
 from todframes.enhancement.enhanced_frame import Screen, TrialReader
 from todframes.frames.contrast import Patch, check_sha256, read_contrast
 from todframes.frames.dataset import Dataset, Trial
-from todframes.frames.position import centroid_position
+from todframes.frames.position import centroid_position, size_in_px
+from todframes.frames.surround import TrianglePlace
 from todframes.observers.interface import Observer
 from todframes.report.data import Example, Thumbnail, group_of
 from todframes.report.wording import evenly
@@ -133,7 +134,9 @@ def _shown(dataset: Dataset, trial: Trial, observer: Observer) -> list[FramePart
         with dataset.open(frame) as file:
             x, y = centroid_position(trial, file.header, observer.centre, pitch_mrad)
             rows, columns = ((round(place) - reach_px, round(place) + reach_px + 1) for place in (y, x))
-            found.append(FramePart(read_contrast(file, dataset.display, frame, rows, columns), x, y))
+            triangle = TrianglePlace(x, y, size_in_px(trial, pitch_mrad))
+            patch = read_contrast(file, dataset.display, frame, rows, columns, triangle=triangle)
+            found.append(FramePart(patch, x, y))
     return found
 
 

@@ -20,18 +20,22 @@ from todframes.frames.position import (
     centroid_position,
     check_on_frame,
     from_centroid,
+    size_in_px,
 )
+from todframes.frames.surround import TrianglePlace
 from todframes.observers.interface import Observer
 from todframes.observers.retina import RetinaGrid, resample, resampled_rows
 
 
 class Placement(NamedTuple):
-    """The middle of an undisplaced grid on a frame, in pixels, and the rows and columns that the grid touches."""
+    """The middle of an undisplaced grid on a frame, in pixels, the rows and columns that the grid touches, and the
+    triangle."""
 
     x_px: float
     y_px: float
     rows: tuple[int, int]
     columns: tuple[int, int]
+    triangle: TrianglePlace
 
 
 def place_grid(
@@ -52,6 +56,7 @@ def place_grid(
     pitch, header = dataset.display.pitch_mrad, file.header
     x, y = centroid_position(trial, header, observer.centre, pitch)
     check_on_frame(file.path, trial, header, x, y, pitch)
+    triangle = TrianglePlace(x, y, size_in_px(trial, pitch))
     offsets = np.array(displacement_samples) * grid.pitch_mrad / pitch
     to_centre_x, to_centre_y = from_centroid(trial, observer.centre, pitch)
     x, y = x + to_centre_x, y + to_centre_y
@@ -59,7 +64,7 @@ def place_grid(
         _touched(grid, at + offsets[:, axis], pitch, n_pixels)
         for axis, at, n_pixels in ((1, y, header.height), (0, x, header.width))
     )
-    return Placement(x, y, rows, columns)
+    return Placement(x, y, rows, columns, triangle)
 
 
 def _touched(grid: RetinaGrid, middles: FloatArray, pitch: float, n_pixels: int) -> tuple[int, int]:
@@ -156,7 +161,7 @@ def read_trial(
         with dataset.open(frame) as file:
             place = place_grid(dataset, trial, file, observer, grid, displacement_samples)
             part = (None, None) if whole else (place.rows, place.columns)
-            patches.append(read_contrast(file, dataset.display, frame, *part))
+            patches.append(read_contrast(file, dataset.display, frame, *part, triangle=place.triangle))
             places.append(place)
             n_rows.append(file.header.height)
     xs, ys = tuple(place.x_px for place in places), tuple(place.y_px for place in places)

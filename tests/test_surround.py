@@ -1,0 +1,133 @@
+"""The background measured around the triangle: uneven frames have the threshold of even ones."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+import todframes as tod
+from todframes.frames.surround import SurroundSums, TrianglePlace, surround_window
+
+SIDE, SIZE_PX, PITCH_MRAD = 96, 10.0, 0.25
+THRESHOLD = 0.077
+"""About that of the naked eye for 2.5 mrad."""
+
+
+def frames(spoil=lambda luminance: luminance, *, noise=0.0, blur_px=0.0):
+    """Triangles of five contrasts in four orientations, near the middle."""
+    from scipy.ndimage import gaussian_filter
+
+    rng = np.random.default_rng(0)
+    found, orientation, level, position = [], [], [], []
+    for contrast in THRESHOLD * np.array([0.6, 0.8, 1.0, 1.4, 2.0]):
+        for turn in tod.ORIENTATIONS:
+            x, y = (SIDE - 1) / 2 + rng.uniform(-0.5, 0.5, 2)
+            triangle = tod.coverage((SIDE, SIDE), size_px=SIZE_PX, x_px=x, y_px=y, orientation=turn)
+            shown = 1.0 + contrast * (gaussian_filter(triangle, blur_px) if blur_px else triangle)
+            found.append(spoil(50.0 * (shown + noise * rng.normal(size=shown.shape))).astype(np.float32))
+            orientation.append(turn)
+            level.append(contrast)
+            position.append((x, y))
+    return found, {"orientation": orientation, "level": level, "position": position}
+
+
+def threshold(made, background, **changes):
+    images, shown = made
+    display = tod.Display(
+        eotf="linear",
+        white_luminance_cd_m2=1.0,
+        pixel_pitch_mrad=PITCH_MRAD,
+        background_luminance_cd_m2=background,
+    )
+    found = tod.score_frames(
+        images,
+        **(shown | {"size_mrad": SIZE_PX * PITCH_MRAD, "display": display, "examples": False} | changes),
+        fit=tod.FitSettings(resamples=0),
+    )
+    return found.thresholds[0].threshold
+
+
+def vignetting(share):
+    y, x = np.mgrid[:SIDE, :SIDE] * 2.0 / (SIDE - 1) - 1.0
+    return lambda luminance: luminance * (1.0 - share * (x * x + y * y) / 2.0)
+
+
+def bordered(luminance):
+    spoilt = np.full_like(luminance, 1.0)
+    spoilt[12:-12, 12:-12] = luminance[12:-12, 12:-12]
+    return spoilt
+
+
+def two_levels(luminance):
+    return luminance * np.where(np.arange(SIDE) < 66, 1.0, 0.7)
+
+
+def letterboxed(luminance):
+    return luminance * np.where(np.abs(np.arange(SIDE) - 50) < 30, 1.0, 0.0)[:, None]
+
+
+def spotted(luminance):
+    spoilt = luminance.copy()
+    spoilt[28:32, 40:60] = 200.0
+    return spoilt
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.5 * THRESHOLD])
+@pytest.mark.parametrize(
+    "spoil",
+    [vignetting(0.3), vignetting(0.5), vignetting(0.7), bordered, two_levels, letterboxed],
+    ids=["30 %", "50 %", "70 %", "border", "two levels", "letterbox"],
+)
+def test_uneven_frames_have_the_threshold_of_even_ones(spoil, noise) -> None:
+    even = threshold(frames(noise=noise), 50.0)
+    assert threshold(frames(spoil, noise=noise), "surround") == pytest.approx(even, rel=0.03)
+    assert threshold(frames(spoil, noise=noise), "border") != pytest.approx(even, rel=0.03)
+
+
+@pytest.mark.parametrize(("noise", "blur_px", "rel"), [(0.0, 0.0, 1e-6), (0.0, 1.5, 3e-3), (THRESHOLD, 1.0, 3e-3)])
+def test_even_frames_have_the_threshold_of_the_number(noise, blur_px, rel) -> None:
+    """Without noise the surface is the number. A blur puts light of the triangle into the surround."""
+    made = frames(noise=noise, blur_px=blur_px)
+    assert threshold(made, "surround") == pytest.approx(threshold(made, 50.0), rel=rel)
+
+
+def test_a_bright_spot_near_the_triangle_does_not_change_the_background() -> None:
+    triangle = TrianglePlace(47.5, 47.5, SIZE_PX)
+    window = surround_window(triangle, rows=(0, SIDE), columns=(0, SIDE))
+    surfaces = []
+    for spoil in (np.copy, spotted):
+        sums = SurroundSums(triangle, window)
+        sums.add(spoil(vignetting(0.5)(np.full((SIDE, SIDE), 50.0))), 0, 0)
+        surfaces.append(sums.surface().luminance((20, 76), (20, 76)))
+    assert np.allclose(surfaces[0], vignetting(0.5)(np.full((SIDE, SIDE), 50.0))[20:76, 20:76], rtol=2e-3)
+    assert np.allclose(surfaces[1], surfaces[0], rtol=1e-2)
+
+
+@pytest.mark.parametrize("cuts", [(0, 96), (0, 31, 32, 60, 96)])
+def test_bands_of_rows_add_up(cuts) -> None:
+    """Block sums by bands of any height are those of the whole: sums of 2 x 2 pixels."""
+    image = np.random.default_rng(0).uniform(1.0, 2.0, (SIDE, SIDE))
+    triangle = TrianglePlace(40.2, 50.9, SIZE_PX)
+    window = surround_window(triangle, rows=(0, SIDE), columns=(0, SIDE))
+    sums = SurroundSums(triangle, window)
+    for begin, end in pairwise(cuts):
+        sums.add(image[begin:end, 5:], begin, 5)
+    assert sums.block_px == 2
+    part = image[slice(*window.rows), slice(*window.columns)]
+    part = np.pad(part, [(0, length % 2) for length in part.shape])
+    blocks = part.reshape(part.shape[0] // 2, 2, -1, 2).sum(axis=(1, 3))
+    assert np.allclose(sums.sums, blocks, rtol=1e-14)
+
+
+def test_a_frame_without_surround_is_refused() -> None:
+    made = frames()
+    with pytest.raises(tod.FrameError, match=r"no pixels around the triangle to take the background from"):
+        threshold(([image[39:57, 39:57] for image in made[0]], made[1]), "surround", position=(8.5, 8.5))
+
+
+def test_a_black_surround_is_refused() -> None:
+    images, shown = frames()
+    with pytest.raises(tod.FrameError, match=r"background luminance around the triangle is 0 cd/m², expected > 0"):
+        threshold(([0.0 * image for image in images], shown), "surround")
