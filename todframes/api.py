@@ -106,6 +106,7 @@ def score(
     """
     started = time.perf_counter()
     from todframes.report import tables
+    from todframes.scoring.missing_threshold import explain_missing
     from todframes.scoring.score import score_dataset
 
     judge, settings = described(observer)
@@ -127,7 +128,13 @@ def score(
         from todframes.report import examples as drawing
 
         more["examples"] = drawing.examples(data, scored, judge)
-    fits = tuple(Fit.of_trials(data, one) for one in scored.fits)
+    explained = {one.group: one for one in explain_missing(data, scored, judge, decisions=decisions, seed=seed)}
+    hints = tuple(
+        ResultWarning(**hint._asdict(), group=group_of(data, one.group))
+        for one in explained.values()
+        for hint in one.hints
+    )
+    fits = tuple(Fit.of_trials(data, one, explained.get(one.group)) for one in scored.fits)
     return Result.made(
         "score",
         started,
@@ -137,7 +144,7 @@ def score(
         plan=tuple(plan_object(scored.plan, 1.0)),
         dataset=DatasetRecord.of(data),
         skipped=tuple(one._asdict() for one in scored.skipped),
-        warnings=(*found_wrong, *_warnings(data, scored.trials), *levels_to_add(fits)),
+        warnings=_each_once(*hints, *found_wrong, *_warnings(data, scored.trials), *levels_to_add(fits)),
         negative_luminance_pixels=scored.n_negative,
         **more,
     ).with_trials(lambda: tables.trials(data, scored))
@@ -551,6 +558,14 @@ def _located(
 
 def _warnings(data: Dataset, trials: Sequence[Trial]) -> tuple[ResultWarning, ...]:
     return tuple(ResultWarning(**one._asdict()) for one in dataset_warnings(data, trials))
+
+
+def _each_once(*warnings: ResultWarning) -> tuple[ResultWarning, ...]:
+    """Return the warnings without those whose code and group an earlier one has."""
+    found: dict[tuple[str, tuple[tuple[str, float | str], ...]], ResultWarning] = {}
+    for one in warnings:
+        found.setdefault((one.code, tuple(one.group.items())), one)
+    return tuple(found.values())
 
 
 def _is_skip(on_error: OnError) -> bool:
