@@ -240,7 +240,7 @@ def test_enhancement_of_the_samples_is_as_shown(capsys) -> None:
     assert (program, run(cli, arguments)) == ("todframes", 0)
     stated = re.search(r"^```text\n(.*?)^```$", ENHANCEMENT, re.MULTILINE | re.DOTALL)[1]
     rows = re.compile(
-        r"(all|[\d.]+) +(?:\w+ +)?([\d.]+|–)(?: +([\d.]+))? .* (better|worse|no difference shown|reference) *$",
+        r"(all|[\d.]+) +(?:\w+ +)?([\d.]+|–)(?: +([\d.]+))? .* (better|worse|no difference shown|reference)\b",
         re.M,
     )
     shown, found = (
