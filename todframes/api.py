@@ -19,12 +19,14 @@ from todframes.frames.display import Display
 from todframes.observers.interface import ENTRY_POINT_GROUP, Observer, find_observer
 from todframes.psychometrics.fit import FitSettings
 from todframes.psychometrics.fit import fit_counts as fit_counts_of_one
-from todframes.report.data import DatasetRecord, Fit, Group, ResultWarning, algorithms, group_of
+from todframes.report.advice import above_contrast_1, levels_to_add
+from todframes.report.data import DatasetRecord, Fit, Group, ResultWarning, algorithms, group_of, thresholds_of
 from todframes.report.result import Result
 from todframes.scoring.error_budget import PlanName, plan_object
 from todframes.scoring.trials import Decisions
 
 if TYPE_CHECKING:
+    from todframes.frames.locate import Locate
     from todframes.scoring.naked_eye import Threshold
 
 OnError = Literal["stop", "skip"]
@@ -43,7 +45,7 @@ def score(
     seed: int = 1,
     p_correct: float | None = None,
     fit: FitSettings | None = None,
-    locate: bool = False,
+    locate: Locate | bool = False,
     on_error: OnError = "stop",
     workers: int = 1,
     examples: bool = True,
@@ -70,8 +72,9 @@ def score(
         Raw proportion correct at threshold, in place of that of `fit`.
     fit : FitSettings, optional
         Fixed and free parameters of the fits.
-    locate : bool
-        Find the triangle's position where the manifest has none.
+    locate : {"group", "each"} or bool
+        Find the triangle's position where the manifest has none: one for each group (also True), or one for each
+        trial, for hand-held or drifting recordings.
     on_error : {"stop", "skip"}
         At a frame or row that cannot be used: raise, or go on and list it in `Result.skipped`.
     workers : int
@@ -79,7 +82,8 @@ def score(
     examples : bool
         Also draw a triangle at threshold, for the page.
     progress : function of an int, optional
-        Called with the number of trials that were just done; with `locate`, each trial is done twice.
+        Called with the number of trials that were just done; each trial is done once more with `locate`,
+        and twice more with "each".
 
     Returns
     -------
@@ -102,11 +106,12 @@ def score(
     """
     started = time.perf_counter()
     from todframes.report import tables
+    from todframes.scoring.missing_threshold import explain_missing
     from todframes.scoring.score import score_dataset
 
     judge, settings = described(observer)
     fit = _fit_settings(fit, p_correct)
-    data, more = _located(dataset, judge, locate, on_error, progress)
+    data, more, found_wrong = _located(dataset, judge, locate, on_error, progress)
     scored = score_dataset(
         data,
         judge,
@@ -123,16 +128,23 @@ def score(
         from todframes.report import examples as drawing
 
         more["examples"] = drawing.examples(data, scored, judge)
+    explained = {one.group: one for one in explain_missing(data, scored, judge, decisions=decisions, seed=seed)}
+    hints = tuple(
+        ResultWarning(**hint._asdict(), group=group_of(data, one.group))
+        for one in explained.values()
+        for hint in one.hints
+    )
+    fits = tuple(Fit.of_trials(data, one, explained.get(one.group)) for one in scored.fits)
     return Result.made(
         "score",
         started,
         settings=settings | asdict(fit) | {"decisions": decisions, "tolerance": tolerance, "plan": plan},
         seed=seed,
-        fits=tuple(Fit.of_trials(data, one) for one in scored.fits),
+        fits=fits,
         plan=tuple(plan_object(scored.plan, 1.0)),
         dataset=DatasetRecord.of(data),
         skipped=tuple(one._asdict() for one in scored.skipped),
-        warnings=_warnings(data, scored.trials),
+        warnings=_each_once(*hints, *found_wrong, *_warnings(data, scored.trials), *levels_to_add(fits)),
         negative_luminance_pixels=scored.n_negative,
         **more,
     ).with_trials(lambda: tables.trials(data, scored))
@@ -243,7 +255,7 @@ def compare(
     seed: int = 1,
     p_correct: float | None = None,
     fit: FitSettings | None = None,
-    locate: bool = False,
+    locate: Locate | bool = False,
     on_error: OnError = "stop",
     workers: int = 1,
     examples: bool = True,
@@ -299,7 +311,7 @@ def compare(
     found = [find_enhancement(one) for one in enhance]
     data = _loaded(dataset)
     screen = Screen(data.display, white, allow_clipping)
-    data, more = _located(data, judge, locate, on_error, progress)
+    data, more, found_wrong = _located(data, judge, locate, on_error, progress)
     results = compare_dataset(
         data,
         judge,
@@ -332,7 +344,7 @@ def compare(
         plan=tuple(plan_object(reference.plan, 1.0)),
         dataset=DatasetRecord.of(data),
         skipped=tuple(one._asdict() for one in reference.skipped),
-        warnings=_warnings(data, reference.trials),
+        warnings=(*found_wrong, *_warnings(data, reference.trials), *levels_to_add(thresholds_of(compared))),
         negative_luminance_pixels=reference.n_negative,
         **more,
     ).with_trials(lambda: tables.compared_trials(data, results))
@@ -397,7 +409,9 @@ def fit_counts(
         counts = columns if len(rows) < 2 else [column[of_group] for column in columns]
         one = fit_counts_of_one(*counts, settings=fit, rng=rng)
         fits.append(Fit.of_counts(dict(zip(names, key, strict=True)), "level", one))
-    return Result.made("fit", started, settings=asdict(fit), seed=seed, fits=tuple(fits))
+    return Result.made(
+        "fit", started, settings=asdict(fit), seed=seed, fits=tuple(fits), warnings=levels_to_add(fits)
+    )
 
 
 def naked_eye(
@@ -406,6 +420,7 @@ def naked_eye(
     contrast: float | Sequence[float] | None = None,
     observer: str | Observer = "pyramid",
     p_correct: float = 0.75,
+    progress: Progress | None = None,
 ) -> Result:
     """Compute thresholds of the observer without any display in between, as `todframes naked-eye` does.
 
@@ -419,11 +434,13 @@ def naked_eye(
         Observer as in `score`; it must be linear.
     p_correct : float
         Raw proportion correct at threshold.
+    progress : function of an int, optional
+        Called with the number of thresholds that were just found.
 
     Returns
     -------
     Result
-        One threshold for each size or contrast.
+        One threshold for each size or contrast, and a warning for each contrast above 1.
 
     Raises
     ------
@@ -445,18 +462,22 @@ def naked_eye(
     judge, settings = described(observer)
     FitSettings(p_correct=p_correct)  # checks it
     values = np.atleast_1d(np.asarray(size_mrad if contrast is None else contrast, dtype=np.float64)).tolist()
-    if contrast is not None:
-        found = [({"contrast": one}, acuity(judge, contrast=one, p_correct=p_correct)) for one in values]
-    else:
-        found = [
-            ({"size_mrad": one}, contrast_threshold(judge, size_mrad=one, p_correct=p_correct)) for one in values
-        ]
-    level = "contrast" if contrast is None else "size_mrad"
+    level, given = ("contrast", "size_mrad") if contrast is None else ("size_mrad", "contrast")
+    fits = []
+    for value in values:
+        if contrast is None:
+            found = contrast_threshold(judge, size_mrad=value, p_correct=p_correct)
+        else:
+            found = acuity(judge, contrast=value, p_correct=p_correct)
+        fits.append(_computed({given: value}, level, p_correct, found))
+        if progress is not None:
+            progress(1)
     return Result.made(
         "naked-eye",
         started,
         settings=settings | {"p_correct": p_correct},
-        fits=tuple(_computed(group, level, p_correct, one) for group, one in found),
+        fits=tuple(fits),
+        warnings=above_contrast_1(fits),
     )
 
 
@@ -504,22 +525,47 @@ def _loaded(dataset: Path | str | Dataset) -> Dataset:
 
 
 def _located(
-    dataset: Path | str | Dataset, observer: Observer, locate: bool, on_error: OnError, progress: Progress | None
-) -> tuple[Dataset, Json]:
-    """Load a dataset and find its positions if asked to. Returns the dataset and the located positions."""
+    dataset: Path | str | Dataset,
+    observer: Observer,
+    locate: Locate | bool,
+    on_error: OnError,
+    progress: Progress | None,
+) -> tuple[Dataset, Json, tuple[ResultWarning, ...]]:
+    """Load a dataset and find its positions if asked to. Returns it, the positions and the warnings about them."""
     data = _loaded(dataset)
     if not locate:
-        return data, {}
-    from todframes.frames.locate import locate_triangles
+        return data, {}, ()
+    from todframes.frames.locate import locate_triangles, location_warnings
 
     data, locations = locate_triangles(
-        data, centre=observer.centre, skip_bad_frames=_is_skip(on_error), progress=progress
+        data,
+        locate="group" if locate is True else locate,
+        centre=observer.centre,
+        skip_bad_frames=_is_skip(on_error),
+        progress=progress,
     )
-    return data, {"located": tuple({**one._asdict(), "group": group_of(data, one.group)} for one in locations)}
+    located = tuple(
+        {
+            **one._asdict(),
+            "group": group_of(data, one.group),
+            "arrangement": list(one.arrangement.mismatches),
+        }
+        for one in locations
+    )
+    found = tuple(ResultWarning(**one._asdict()) for one in location_warnings(data, locations))
+    return data, {"located": located}, found
 
 
 def _warnings(data: Dataset, trials: Sequence[Trial]) -> tuple[ResultWarning, ...]:
     return tuple(ResultWarning(**one._asdict()) for one in dataset_warnings(data, trials))
+
+
+def _each_once(*warnings: ResultWarning) -> tuple[ResultWarning, ...]:
+    """Return the warnings without those whose code and group an earlier one has."""
+    found: dict[tuple[str, tuple[tuple[str, float | str], ...]], ResultWarning] = {}
+    for one in warnings:
+        found.setdefault((one.code, tuple(one.group.items())), one)
+    return tuple(found.values())
 
 
 def _is_skip(on_error: OnError) -> bool:
