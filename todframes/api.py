@@ -19,8 +19,8 @@ from todframes.frames.display import Display
 from todframes.observers.interface import ENTRY_POINT_GROUP, Observer, find_observer
 from todframes.psychometrics.fit import FitSettings
 from todframes.psychometrics.fit import fit_counts as fit_counts_of_one
-from todframes.report.advice import above_contrast_1
-from todframes.report.data import DatasetRecord, Fit, Group, ResultWarning, algorithms, group_of
+from todframes.report.advice import above_contrast_1, levels_to_add
+from todframes.report.data import DatasetRecord, Fit, Group, ResultWarning, algorithms, group_of, thresholds_of
 from todframes.report.result import Result
 from todframes.scoring.error_budget import PlanName, plan_object
 from todframes.scoring.trials import Decisions
@@ -134,16 +134,17 @@ def score(
         for one in explained.values()
         for hint in one.hints
     )
+    fits = tuple(Fit.of_trials(data, one, explained.get(one.group)) for one in scored.fits)
     return Result.made(
         "score",
         started,
         settings=settings | asdict(fit) | {"decisions": decisions, "tolerance": tolerance, "plan": plan},
         seed=seed,
-        fits=tuple(Fit.of_trials(data, one, explained.get(one.group)) for one in scored.fits),
+        fits=fits,
         plan=tuple(plan_object(scored.plan, 1.0)),
         dataset=DatasetRecord.of(data),
         skipped=tuple(one._asdict() for one in scored.skipped),
-        warnings=_each_once(*hints, *found_wrong, *_warnings(data, scored.trials)),
+        warnings=_each_once(*hints, *found_wrong, *_warnings(data, scored.trials), *levels_to_add(fits)),
         negative_luminance_pixels=scored.n_negative,
         **more,
     ).with_trials(lambda: tables.trials(data, scored))
@@ -343,7 +344,7 @@ def compare(
         plan=tuple(plan_object(reference.plan, 1.0)),
         dataset=DatasetRecord.of(data),
         skipped=tuple(one._asdict() for one in reference.skipped),
-        warnings=(*found_wrong, *_warnings(data, reference.trials)),
+        warnings=(*found_wrong, *_warnings(data, reference.trials), *levels_to_add(thresholds_of(compared))),
         negative_luminance_pixels=reference.n_negative,
         **more,
     ).with_trials(lambda: tables.compared_trials(data, results))
@@ -408,7 +409,9 @@ def fit_counts(
         counts = columns if len(rows) < 2 else [column[of_group] for column in columns]
         one = fit_counts_of_one(*counts, settings=fit, rng=rng)
         fits.append(Fit.of_counts(dict(zip(names, key, strict=True)), "level", one))
-    return Result.made("fit", started, settings=asdict(fit), seed=seed, fits=tuple(fits))
+    return Result.made(
+        "fit", started, settings=asdict(fit), seed=seed, fits=tuple(fits), warnings=levels_to_add(fits)
+    )
 
 
 def naked_eye(

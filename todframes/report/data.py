@@ -217,6 +217,15 @@ class Algorithm(Struct, frozen=True, kw_only=True):
     cpu_s: float | None = None
 
 
+def thresholds_of(algorithms: Sequence[Algorithm]) -> tuple[Fit, ...]:
+    """Return the fits of all algorithms, each with the algorithm's name in its group."""
+    return tuple(
+        msgspec.structs.replace(fit, group={"algorithm": one.name} | fit.group)
+        for one in algorithms
+        for fit in one.fits
+    )
+
+
 def algorithms(dataset: Dataset, results: Sequence[AlgorithmResult]) -> tuple[Algorithm, ...]:
     """Return the records of compared algorithms, the reference first."""
     reference, names = results[0], [one.enhancement.name for one in results]
@@ -468,12 +477,7 @@ class ResultData(Struct, frozen=True, kw_only=True, omit_defaults=True):
     @property
     def thresholds(self) -> tuple[Fit, ...]:
         """All thresholds as `Fit` records; in a comparison, `group` has the key "algorithm" too."""
-        of_algorithms = (
-            msgspec.structs.replace(fit, group={"algorithm": one.name} | fit.group)
-            for one in self.algorithms
-            for fit in one.fits
-        )
-        return (*self.fits, *of_algorithms)
+        return (*self.fits, *thresholds_of(self.algorithms))
 
 
 D = TypeVar("D", bound=ResultData)
