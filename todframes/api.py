@@ -16,6 +16,8 @@ from todframes.errors import DataError, SettingsError
 from todframes.frames.checksums import dataset_warnings
 from todframes.frames.dataset import Dataset, Trial, load_dataset
 from todframes.frames.display import Display
+from todframes.frames.findings import frame_warnings
+from todframes.frames.inspection import inspect, records
 from todframes.observers.interface import ENTRY_POINT_GROUP, Observer, find_observer
 from todframes.psychometrics.fit import FitSettings
 from todframes.psychometrics.fit import fit_counts as fit_counts_of_one
@@ -23,6 +25,7 @@ from todframes.report.data import DatasetRecord, Fit, Group, ResultWarning, algo
 from todframes.report.result import Result
 from todframes.scoring.error_budget import PlanName, plan_object
 from todframes.scoring.trials import Decisions
+from todframes.stimulus import Centre
 
 if TYPE_CHECKING:
     from todframes.scoring.naked_eye import Threshold
@@ -130,9 +133,8 @@ def score(
         seed=seed,
         fits=tuple(Fit.of_trials(data, one) for one in scored.fits),
         plan=tuple(plan_object(scored.plan, 1.0)),
-        dataset=DatasetRecord.of(data),
         skipped=tuple(one._asdict() for one in scored.skipped),
-        warnings=_warnings(data, scored.trials),
+        **inspected(data, scored.trials, judge.centre),
         negative_luminance_pixels=scored.n_negative,
         **more,
     ).with_trials(lambda: tables.trials(data, scored))
@@ -330,9 +332,8 @@ def compare(
         data_range_cd_m2=peak - black,
         verdict=comparison(compared),
         plan=tuple(plan_object(reference.plan, 1.0)),
-        dataset=DatasetRecord.of(data),
         skipped=tuple(one._asdict() for one in reference.skipped),
-        warnings=_warnings(data, reference.trials),
+        **inspected(data, reference.trials, judge.centre),
         negative_luminance_pixels=reference.n_negative,
         **more,
     ).with_trials(lambda: tables.compared_trials(data, results))
@@ -518,8 +519,14 @@ def _located(
     return data, {"located": tuple({**one._asdict(), "group": group_of(data, one.group)} for one in locations)}
 
 
-def _warnings(data: Dataset, trials: Sequence[Trial]) -> tuple[ResultWarning, ...]:
-    return tuple(ResultWarning(**one._asdict()) for one in dataset_warnings(data, trials))
+def inspected(data: Dataset, trials: Sequence[Trial], centre: Centre = "centroid") -> Json:
+    """Measure what the frames show against what the dataset says; return a result's `dataset` and `warnings`."""
+    inspections = inspect(data, trials, centre=centre)
+    warnings = [*dataset_warnings(data, trials), *frame_warnings(data, inspections)]
+    return {
+        "dataset": DatasetRecord.of(data, records(data, inspections)),
+        "warnings": tuple(ResultWarning(**one._asdict()) for one in warnings),
+    }
 
 
 def _is_skip(on_error: OnError) -> bool:
