@@ -184,6 +184,24 @@ def test_naked_eye(todframes) -> None:
     assert f"{one['threshold']:.4g}" in out
 
 
+def test_naked_eye_writes_what_it_prints(todframes, tmp_path: Path) -> None:
+    status, out, err = todframes("naked-eye", "--size-mrad", "1,2", "-o", tmp_path / "out", "--json")
+    assert (status, err) == (0, "")
+    names = {"report.html", "result.json", "tod_curve.png"}
+    assert {path.name for path in (tmp_path / "out").iterdir()} == names
+    assert (tmp_path / "out" / "result.json").read_text(encoding="utf-8") == out
+
+
+def test_contrasts_above_1_have_a_warning(todframes) -> None:
+    """The acuity for contrast 1 is 0.4 mrad, so a smaller triangle needs more."""
+    status, out, err = todframes("naked-eye", "--size-mrad", "0.38,1", "--json")
+    result = json.loads(out)
+    (warning,) = result["warnings"]
+    assert (status, warning["code"], warning["group"]) == (0, "above_contrast_1", {"size_mrad": 0.38})
+    assert warning["found"] == result["fits"][0]["threshold"] > warning["expected"] == 1.0
+    assert err.startswith("warning: 0.38 mrad: ")
+
+
 def test_fit(todframes, tmp_path: Path) -> None:
     """Counts that lie on a curve: α = 2, β = 1.5, no lapses; 75 % at α · log₂(3)^(1/β)."""
     path = tmp_path / "counts.csv"

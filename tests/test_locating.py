@@ -2,14 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from click.testing import CliRunner
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
 
-from todframes.errors import DataError
-from todframes.frames.dataset import load_dataset
+import todframes as tod
+from todframes.cli.main import cli
+from todframes.errors import DataError, SettingsError
+from todframes.frames.dataset import Dataset, load_dataset
 from todframes.frames.files import write_frame
-from todframes.frames.locate import locate_triangles
-from todframes.stimulus import Orientation, coverage
+from todframes.frames.locate import locate_triangles, location_warnings
+from todframes.frames.memory import memory_dataset
+from todframes.stimulus import ORIENTATIONS, Orientation, coverage
+
+SIZE_PX = 8.0
 
 
 def redraw(made, x_px: float, y_px: float, *, side_px: int, noise_sd: float, clutter: float = 0.0) -> None:
@@ -114,3 +125,163 @@ def test_frames_of_one_pixel_are_refused(make_dataset, size_mrad: float, wanted:
     made.save()
     with pytest.raises(DataError, match=wanted):
         locate_triangles(load_dataset(made.path))
+
+
+def recording(
+    rng: np.random.Generator,
+    middle: tuple[float, float],
+    *,
+    levels: Sequence[float] = (0.1, 0.2),
+    repeats: int = 2,
+    side_px: int = 48,
+    noise_sd: float = 0.1,
+    blur_px: float = 0.8,
+    shake_px: float = 0.0,
+    shown: Sequence[int] = (0, 1, 2, 3),
+    sign: int = 1,
+) -> tuple[Dataset, NDArray[np.float64]]:
+    """A camera's recording in memory: triangles and noise, blurred together, and the position in each frame."""
+    frames, stated, contrasts, places = [], [], [], []
+    for level in levels:
+        for turn, orientation in enumerate(ORIENTATIONS):
+            for _ in range(repeats):
+                x, y = middle + shake_px * rng.normal(size=2)
+                triangle = coverage(
+                    (side_px, side_px), size_px=SIZE_PX, x_px=x, y_px=y, orientation=ORIENTATIONS[shown[turn]]
+                )
+                scene = sign * level * triangle + noise_sd * rng.normal(size=triangle.shape)
+                frames.append(50.0 * (1.0 + gaussian_filter(scene, blur_px)))
+                stated.append(orientation)
+                contrasts.append(level)
+                places.append((x, y))
+    display = tod.Display(
+        eotf="linear", white_luminance_cd_m2=1.0, pixel_pitch_mrad=0.25, background_luminance_cd_m2=50.0
+    )
+    data = memory_dataset(
+        frames, orientation=stated, level=contrasts, size_mrad=0.25 * SIZE_PX, display=display, polarity=1
+    )
+    return data, np.array(places)
+
+
+def placed_at(data: Dataset, places: NDArray[np.float64]) -> Dataset:
+    """The same with the position of each trial."""
+    pairs = zip(data.trials, places.tolist(), strict=True)
+    return replace(data, trials=tuple(trial._replace(x_px=x, y_px=y) for trial, (x, y) in pairs))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("noise_sd", [0.02, 0.1])
+def test_interval_is_honest_on_blurred_frames(noise_sd: float) -> None:
+    """The blur makes the noise correlated between pixels: an error for white noise is three times too small."""
+    rng = np.random.default_rng(2)
+    within = []
+    for _ in range(240):
+        middle = 23.5 + rng.uniform(-3.0, 3.0, 2)
+        _, (found,) = locate_triangles(recording(rng, middle, noise_sd=noise_sd)[0])
+        misses = np.array([found.x_px, found.y_px]) - middle
+        within += (np.abs(misses) < 1.96 * found.standard_error_px).tolist()
+    # The share of 480 coordinates has a standard deviation of √(0.05 · 0.95 / 480) = 1 %.
+    assert 0.93 <= np.mean(within) <= 0.98
+
+
+@pytest.mark.parametrize(
+    ("shown", "sign", "codes"),
+    [
+        ((0, 1, 2, 3), 1, ()),
+        ((0, 1, 2, 3), -1, ("polarity_mismatch",)),
+        ((0, 3, 2, 1), 1, ("mirrored",)),
+        ((2, 1, 0, 3), 1, ("mirrored",)),
+        ((1, 2, 3, 0), 1, ("turned",)),
+        ((2, 3, 0, 1), 1, ("turned",)),
+        ((0, 3, 2, 1), -1, ("polarity_mismatch", "mirrored")),
+    ],
+)
+def test_triangles_that_are_not_as_stated_are_found(
+    shown: Sequence[int], sign: int, codes: tuple[str, ...]
+) -> None:
+    data, _ = recording(np.random.default_rng(3), (26.3, 19.8), noise_sd=0.05, shown=shown, sign=sign)
+    placed, (found,) = locate_triangles(data)
+    # Four standard errors along two axes: missed once in 8,000.
+    assert np.hypot(found.x_px - 26.3, found.y_px - 19.8) < 4.0 * np.sqrt(2.0) * found.standard_error_px < 0.5
+    warnings = location_warnings(placed, [found])
+    assert tuple(one.code for one in warnings) == codes
+    assert all("size_mrad 2.0: the triangles that were located are" in one.message for one in warnings)
+
+
+def test_each_trial_of_a_shaken_recording_is_found() -> None:
+    rng = np.random.default_rng(4)
+    data, places = recording(rng, (31.3, 30.4), side_px=64, levels=(0.15, 0.3), noise_sd=0.03, shake_px=3.0)
+    placed, (found,) = locate_triangles(data, locate="each")
+    assert (found.n_located, found.n_trials) == (16, 16)
+    # A standard deviation of 32 numbers: its error is 3 / √64 = 0.4; four of these.
+    assert found.scatter_px == pytest.approx(3.0, abs=1.6)
+    errors = np.array([(trial.x_px, trial.y_px) for trial in placed.trials]) - places
+    # The blurred noise has the energy of white noise of 0.03 at low frequencies, and the triangle of contrast 0.15
+    # an edge of 18 px: some 0.03 / (0.15 √9) = 0.07 px along each axis; five of these.
+    assert np.abs(errors).max() < 0.35
+
+
+def test_faint_trials_have_the_position_of_the_group() -> None:
+    rng = np.random.default_rng(5)
+    levels = (0.001, 0.3)
+    data, _ = recording(rng, (23.5, 23.5), levels=levels, noise_sd=0.03, shake_px=2.0)
+    placed, (found,) = locate_triangles(data, locate="each")
+    assert (found.n_located, found.n_trials) == (8, 16)
+    faint = {(trial.x_px, trial.y_px) for trial in placed.trials if trial.level == 0.001}
+    assert faint == {(found.x_px, found.y_px)}
+    assert found.standard_error_px == pytest.approx(2.0 / np.sqrt(8.0), rel=0.5)
+    result = tod.score(data, locate="each", examples=False)
+    assert result.located is not None
+    assert result.located[0]["n_located"] == 8
+
+
+def test_a_drift_of_many_sizes_is_followed() -> None:
+    rng = np.random.default_rng(6)
+    data, places = recording(rng, (63.5, 63.5), levels=(0.2, 0.3), side_px=128, noise_sd=0.03, shake_px=16.0)
+    placed, (found,) = locate_triangles(data, locate="each")
+    assert found.n_located == 16
+    errors = np.array([(trial.x_px, trial.y_px) for trial in placed.trials]) - places
+    assert np.abs(errors).max() < 0.35  # as above
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("shake_px", [0.0, 3.0])
+def test_thresholds_are_those_of_known_positions(shake_px: float) -> None:
+    """Positions that were chosen to favour the stated orientation would lower thresholds."""
+    rng, ratios = np.random.default_rng(7), []
+    settings = {"examples": False, "fit": tod.FitSettings(resamples=0)}
+    for _ in range(4):
+        data, places = recording(
+            rng,
+            (31.3, 32.2),
+            levels=(0.06, 0.09, 0.13, 0.2, 0.3),
+            repeats=5,
+            side_px=64,
+            noise_sd=0.03,
+            shake_px=shake_px,
+        )
+        located, known = (
+            tod.score(one, **settings).thresholds[0].threshold
+            for one in (locate_triangles(data, locate="each")[0], placed_at(data, places))
+        )
+        ratios.append(located / known)
+    assert np.mean(ratios) == pytest.approx(1.0, abs=0.03)
+
+
+def test_locate_is_group_or_each(make_dataset) -> None:
+    data = load_dataset(make_dataset().path)
+    with pytest.raises(SettingsError, match="locate: found 'all', expected group or each"):
+        locate_triangles(data, locate="all")  # type: ignore[arg-type]
+    of_group = locate_triangles(data)[1]
+    for asked in (True, "group"):
+        result = tod.score(data, locate=asked, examples=False)
+        assert result.located is not None
+        assert result.located[0]["x_px"] == of_group[0].x_px
+
+
+@pytest.mark.parametrize("before", [True, False])
+def test_option_may_stand_without_a_value(make_dataset, before: bool) -> None:
+    path = str(make_dataset().path)
+    done = CliRunner().invoke(cli, ["score", *(["--locate", path] if before else [path, "--locate"])])
+    assert done.exit_code == 0
+    assert "located: 2 mrad" in done.stderr

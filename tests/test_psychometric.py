@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -19,6 +20,7 @@ from todframes.errors import DataError, SettingsError
 from todframes.observers.decision import answer_probability
 from todframes.observers.pyramid import PyramidObserver
 from todframes.psychometrics.fit import FitSettings, PsychometricFit, fit_counts, fit_trials
+from todframes.psychometrics.threshold_search import find_crossing
 from todframes.psychometrics.weibull import weibull, weibull_level
 from todframes.scoring.naked_eye import contrast_threshold
 from todframes.stimulus import Orientation, Stimulus, coverage
@@ -434,3 +436,32 @@ def test_interval_of_expected_decisions_is_honest_for_the_real_observer(
         low, high = fit_trials(level, trials.ravel(), settings=settings, rng=rng).threshold_ci95
         held += low <= truth <= high
     assert held >= 0.92 * 300
+
+
+@pytest.mark.parametrize(("saturates", "most_calls"), [(True, 12), (False, 40)])
+def test_search_along_a_curve_that_saturates(saturates, most_calls):
+    """P = 0.25 + h·x/(1 + x) has x = 0.5/(h − 0.5) at 0.75; with h < 0.5 it stays below."""
+    levels = []
+
+    def proportion(level, height):
+        levels.append(level)
+        return 0.25 + height * level / (1.0 + level)
+
+    search = {"bounds": (1e-12, 1e12), "start": 1.0, "factor": 4.0, "saturates": saturates}
+    found = find_crossing(partial(proportion, height=0.45), 0.75, **search)
+    assert found == ("never_reached", None)
+    # From 1 by 4 up to 1e12 are 20 levels; P is within 1e-3 of its end, 0.45/(1 + x), from x = 449 on.
+    assert len(levels) <= most_calls
+    status, level = find_crossing(partial(proportion, height=0.5005), 0.75, **search)
+    assert (status, level) == ("ok", pytest.approx(0.5 / 0.0005, rel=1e-6))
+
+
+def test_search_goes_on_past_a_level_that_happens_to_be_as_high_as_the_end():
+    """P is 0.7 at 1 and beyond 1e4, with a hill above 0.75 between them."""
+
+    def proportion(level):
+        return 0.7 + 0.1 * max(0.0, 1.0 - abs(math.log10(level) - 2.0) / 1.9)
+
+    search = {"bounds": (1e-12, 1e12), "start": 1.0, "factor": 4.0, "saturates": True}
+    # Half of the hill's height, 0.95 decades before its top.
+    assert find_crossing(proportion, 0.75, **search) == ("ok", pytest.approx(10**1.05, rel=1e-6))

@@ -45,6 +45,25 @@ def test_uniform_display_is_uniform_on_the_retina(log_ratio: float, centre: floa
     assert matrix.data.min() > 0.0
 
 
+@settings(max_examples=60, deadline=None)
+@given(
+    ratio=st.one_of(st.just(1.0), st.floats(1.0, 30.0)),
+    x=st.floats(-15.0, 20.0),
+    y=st.one_of(st.just(2.0), st.floats(-15.0, 20.0)),
+    side=st.sampled_from([1, 3, 17, 65]),
+)
+def test_coarse_pixels_are_seen_as_their_overlaps_say(ratio: float, x: float, y: float, side: int) -> None:
+    """Samples that lie on one or two pixels, against the matrices of all overlaps, on and off the frame."""
+    image, grid, pitch_mrad = np.random.default_rng(7).normal(size=(5, 8)), RetinaGrid(side, 0.153), 0.153 * ratio
+    rows, columns = (
+        overlap_matrix(grid, centre_px=at, pixel_pitch_mrad=pitch_mrad, first_pixel=0, n_pixels=n)
+        for at, n in ((y, 5), (x, 8))
+    )
+    seen = resample(image, grid, x_px=x, y_px=y, pixel_pitch_mrad=pitch_mrad)
+    # An edge may be rounded by 1e-16 of its distance, up to 65 samples, and two pixels differ by up to 6.
+    assert np.allclose(seen, rows @ (columns @ image.T).T, rtol=0.0, atol=1e-12)
+
+
 def test_equal_pitch_on_the_pixels_is_the_identity() -> None:
     image = np.random.default_rng(3).normal(size=(7, 7))
     seen = resample(image, RetinaGrid(7, 0.5), x_px=3.0, y_px=3.0, pixel_pitch_mrad=0.5)

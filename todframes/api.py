@@ -21,6 +21,7 @@ from todframes.frames.inspection import inspect, records
 from todframes.observers.interface import ENTRY_POINT_GROUP, Observer, find_observer
 from todframes.psychometrics.fit import FitSettings
 from todframes.psychometrics.fit import fit_counts as fit_counts_of_one
+from todframes.report.advice import above_contrast_1
 from todframes.report.data import DatasetRecord, Fit, Group, ResultWarning, algorithms, group_of
 from todframes.report.result import Result
 from todframes.scoring.error_budget import PlanName, plan_object
@@ -28,6 +29,7 @@ from todframes.scoring.trials import Decisions
 from todframes.stimulus import Centre
 
 if TYPE_CHECKING:
+    from todframes.frames.locate import Locate
     from todframes.scoring.naked_eye import Threshold
 
 OnError = Literal["stop", "skip"]
@@ -46,7 +48,7 @@ def score(
     seed: int = 1,
     p_correct: float | None = None,
     fit: FitSettings | None = None,
-    locate: bool = False,
+    locate: Locate | bool = False,
     on_error: OnError = "stop",
     workers: int = 1,
     examples: bool = True,
@@ -73,8 +75,9 @@ def score(
         Raw proportion correct at threshold, in place of that of `fit`.
     fit : FitSettings, optional
         Fixed and free parameters of the fits.
-    locate : bool
-        Find the triangle's position where the manifest has none.
+    locate : {"group", "each"} or bool
+        Find the triangle's position where the manifest has none: one for each group (also True), or one for each
+        trial, for hand-held or drifting recordings.
     on_error : {"stop", "skip"}
         At a frame or row that cannot be used: raise, or go on and list it in `Result.skipped`.
     workers : int
@@ -82,7 +85,8 @@ def score(
     examples : bool
         Also draw a triangle at threshold, for the page.
     progress : function of an int, optional
-        Called with the number of trials that were just done; with `locate`, each trial is done twice.
+        Called with the number of trials that were just done; each trial is done once more with `locate`,
+        and twice more with "each".
 
     Returns
     -------
@@ -109,7 +113,7 @@ def score(
 
     judge, settings = described(observer)
     fit = _fit_settings(fit, p_correct)
-    data, more = _located(dataset, judge, locate, on_error, progress)
+    data, more, found_wrong = _located(dataset, judge, locate, on_error, progress)
     scored = score_dataset(
         data,
         judge,
@@ -134,7 +138,7 @@ def score(
         fits=tuple(Fit.of_trials(data, one) for one in scored.fits),
         plan=tuple(plan_object(scored.plan, 1.0)),
         skipped=tuple(one._asdict() for one in scored.skipped),
-        **inspected(data, scored.trials, judge.centre),
+        **inspected(data, scored.trials, judge.centre, found_wrong),
         negative_luminance_pixels=scored.n_negative,
         **more,
     ).with_trials(lambda: tables.trials(data, scored))
@@ -245,7 +249,7 @@ def compare(
     seed: int = 1,
     p_correct: float | None = None,
     fit: FitSettings | None = None,
-    locate: bool = False,
+    locate: Locate | bool = False,
     on_error: OnError = "stop",
     workers: int = 1,
     examples: bool = True,
@@ -301,7 +305,7 @@ def compare(
     found = [find_enhancement(one) for one in enhance]
     data = _loaded(dataset)
     screen = Screen(data.display, white, allow_clipping)
-    data, more = _located(data, judge, locate, on_error, progress)
+    data, more, found_wrong = _located(data, judge, locate, on_error, progress)
     results = compare_dataset(
         data,
         judge,
@@ -333,7 +337,7 @@ def compare(
         verdict=comparison(compared),
         plan=tuple(plan_object(reference.plan, 1.0)),
         skipped=tuple(one._asdict() for one in reference.skipped),
-        **inspected(data, reference.trials, judge.centre),
+        **inspected(data, reference.trials, judge.centre, found_wrong),
         negative_luminance_pixels=reference.n_negative,
         **more,
     ).with_trials(lambda: tables.compared_trials(data, results))
@@ -407,6 +411,7 @@ def naked_eye(
     contrast: float | Sequence[float] | None = None,
     observer: str | Observer = "pyramid",
     p_correct: float = 0.75,
+    progress: Progress | None = None,
 ) -> Result:
     """Compute thresholds of the observer without any display in between, as `todframes naked-eye` does.
 
@@ -420,11 +425,13 @@ def naked_eye(
         Observer as in `score`; it must be linear.
     p_correct : float
         Raw proportion correct at threshold.
+    progress : function of an int, optional
+        Called with the number of thresholds that were just found.
 
     Returns
     -------
     Result
-        One threshold for each size or contrast.
+        One threshold for each size or contrast, and a warning for each contrast above 1.
 
     Raises
     ------
@@ -446,18 +453,22 @@ def naked_eye(
     judge, settings = described(observer)
     FitSettings(p_correct=p_correct)  # checks it
     values = np.atleast_1d(np.asarray(size_mrad if contrast is None else contrast, dtype=np.float64)).tolist()
-    if contrast is not None:
-        found = [({"contrast": one}, acuity(judge, contrast=one, p_correct=p_correct)) for one in values]
-    else:
-        found = [
-            ({"size_mrad": one}, contrast_threshold(judge, size_mrad=one, p_correct=p_correct)) for one in values
-        ]
-    level = "contrast" if contrast is None else "size_mrad"
+    level, given = ("contrast", "size_mrad") if contrast is None else ("size_mrad", "contrast")
+    fits = []
+    for value in values:
+        if contrast is None:
+            found = contrast_threshold(judge, size_mrad=value, p_correct=p_correct)
+        else:
+            found = acuity(judge, contrast=value, p_correct=p_correct)
+        fits.append(_computed({given: value}, level, p_correct, found))
+        if progress is not None:
+            progress(1)
     return Result.made(
         "naked-eye",
         started,
         settings=settings | {"p_correct": p_correct},
-        fits=tuple(_computed(group, level, p_correct, one) for group, one in found),
+        fits=tuple(fits),
+        warnings=above_contrast_1(fits),
     )
 
 
@@ -505,28 +516,55 @@ def _loaded(dataset: Path | str | Dataset) -> Dataset:
 
 
 def _located(
-    dataset: Path | str | Dataset, observer: Observer, locate: bool, on_error: OnError, progress: Progress | None
-) -> tuple[Dataset, Json]:
-    """Load a dataset and find its positions if asked to. Returns the dataset and the located positions."""
+    dataset: Path | str | Dataset,
+    observer: Observer,
+    locate: Locate | bool,
+    on_error: OnError,
+    progress: Progress | None,
+) -> tuple[Dataset, Json, tuple[ResultWarning, ...]]:
+    """Load a dataset and find its positions if asked to. Returns it, the positions and the warnings about them."""
     data = _loaded(dataset)
     if not locate:
-        return data, {}
-    from todframes.frames.locate import locate_triangles
+        return data, {}, ()
+    from todframes.frames.locate import locate_triangles, location_warnings
 
     data, locations = locate_triangles(
-        data, centre=observer.centre, skip_bad_frames=_is_skip(on_error), progress=progress
+        data,
+        locate="group" if locate is True else locate,
+        centre=observer.centre,
+        skip_bad_frames=_is_skip(on_error),
+        progress=progress,
     )
-    return data, {"located": tuple({**one._asdict(), "group": group_of(data, one.group)} for one in locations)}
+    located = tuple(
+        {
+            **one._asdict(),
+            "group": group_of(data, one.group),
+            "arrangement": list(one.arrangement.mismatches),
+        }
+        for one in locations
+    )
+    found = tuple(ResultWarning(**one._asdict()) for one in location_warnings(data, locations))
+    return data, {"located": located}, found
 
 
-def inspected(data: Dataset, trials: Sequence[Trial], centre: Centre = "centroid") -> Json:
-    """Measure what the frames show against what the dataset says; return a result's `dataset` and `warnings`."""
+def inspected(
+    data: Dataset,
+    trials: Sequence[Trial],
+    centre: Centre = "centroid",
+    already: Sequence[ResultWarning] = (),
+) -> Json:
+    """Measure what the frames show against what the dataset says; return a result's `dataset` and `warnings`.
+
+    Warnings that there are already come first, and are not repeated.
+    """
     inspections = inspect(data, trials, centre=centre)
-    warnings = [*dataset_warnings(data, trials), *frame_warnings(data, inspections)]
-    return {
-        "dataset": DatasetRecord.of(data, records(data, inspections)),
-        "warnings": tuple(ResultWarning(**one._asdict()) for one in warnings),
-    }
+    told = [(one.code, one.group) for one in already]
+    found = [
+        ResultWarning(**one._asdict())
+        for one in (*dataset_warnings(data, trials), *frame_warnings(data, inspections))
+        if (one.code, one.group) not in told
+    ]
+    return {"dataset": DatasetRecord.of(data, records(data, inspections)), "warnings": (*already, *found)}
 
 
 def _is_skip(on_error: OnError) -> bool:

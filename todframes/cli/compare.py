@@ -10,6 +10,8 @@ import click
 
 from todframes.cli.console import finish, print_table, prints_go_to_stderr, progress, say, staged
 from todframes.cli.options import (
+    PASSES,
+    ScoringCommand,
     dataset_argument,
     json_option,
     make_observer,
@@ -20,7 +22,7 @@ from todframes.cli.options import (
 from todframes.errors import SettingsError
 
 
-@click.command()
+@click.command(cls=ScoringCommand)
 @dataset_argument
 @click.option(
     "--enhance",
@@ -54,7 +56,7 @@ def compare(*, dataset: Path, specs: Sequence[str], out: str | None, quiet: bool
 
     data = load_dataset(dataset)
     with staged(out) as write, prints_go_to_stderr():
-        with progress("comparing", len(data.trials) * (1 + asked["locate"]), quiet=quiet) as advance:
+        with progress("comparing", len(data.trials) * PASSES[asked["locate"]], quiet=quiet) as advance:
             result = api.compare(
                 data, specs, observer=observer, fit=fit, examples=out is not None, progress=advance, **asked
             )

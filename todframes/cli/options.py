@@ -15,6 +15,14 @@ if TYPE_CHECKING:
     from todframes.psychometrics.fit import FitSettings
 
 
+LOCATE = ("group", "each")
+"""Values of `--locate`; without a value it has the first."""
+
+
+PASSES = {None: 1, "group": 2, "each": 3}
+"""Number of times that each trial is read, by the value of `--locate`."""
+
+
 F = TypeVar("F", bound=Callable[..., Any])
 
 
@@ -111,7 +119,12 @@ scoring_options = options(
     ),
     plan_option,
     seed_option,
-    click.option("--locate", is_flag=True, help="Find the triangle's position where the manifest has none."),
+    click.option(
+        "--locate",
+        type=click.Choice(LOCATE),
+        help="Find the triangle's position where the manifest has none: one for each group (also if alone), or "
+        "one for each trial, for recordings by hand.",
+    ),
     click.option(
         "--on-error",
         type=click.Choice(["stop", "skip"]),
@@ -124,6 +137,19 @@ scoring_options = options(
     ),
 )
 """Options of the commands that score frames, named like the parameters of the Python calls."""
+
+
+class ScoringCommand(click.Command):
+    """A command whose option `--locate` may stand without a value, also before the dataset."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Parse arguments after `--locate` was given its default value where it has none."""
+        options = args[: args.index("--")] if "--" in args else args
+        bare = {
+            k for k, one in enumerate(options) if one == "--locate" and not set(args[k + 1 : k + 2]) & {*LOCATE}
+        }
+        given = [f"--locate={LOCATE[0]}" if k in bare else one for k, one in enumerate(args)]
+        return super().parse_args(ctx, given)
 
 
 result_options = options(explain_option, verbose_option, json_option, quiet_option)

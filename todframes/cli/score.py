@@ -9,6 +9,8 @@ import click
 
 from todframes.cli.console import finish, progress, staged
 from todframes.cli.options import (
+    PASSES,
+    ScoringCommand,
     dataset_argument,
     json_option,
     make_fit,
@@ -16,6 +18,7 @@ from todframes.cli.options import (
     numbers,
     observer_options,
     p_correct_option,
+    quiet_option,
     result_options,
     scoring_options,
     seed_option,
@@ -26,7 +29,7 @@ from todframes.cli.options import (
 from todframes.errors import SettingsError
 
 
-@click.command()
+@click.command(cls=ScoringCommand)
 @dataset_argument
 @click.option("-o", "--out", metavar="OUT", help="Folder for result.json, report.html, scores.csv and plots.")
 @observer_options
@@ -49,7 +52,7 @@ def score(*, dataset: Path, out: str | None, quiet: bool, **asked: Any) -> None:
 
     data = load_dataset(dataset)
     with staged(out) as write:
-        with progress("scoring", len(data.trials) * (1 + asked["locate"]), quiet=quiet) as advance:
+        with progress("scoring", len(data.trials) * PASSES[asked["locate"]], quiet=quiet) as advance:
             result = api.score(
                 data, observer=observer, fit=fit, examples=out is not None, progress=advance, **asked
             )
@@ -60,21 +63,29 @@ def score(*, dataset: Path, out: str | None, quiet: bool, **asked: Any) -> None:
 @click.command("naked-eye")
 @click.option("--contrast", type=float, help="Weber contrast; the threshold is then a size: the acuity.")
 @click.option("--size-mrad", metavar="S[,S…]", help="Sizes; the threshold is then a contrast for each.")
+@click.option("-o", "--out", metavar="OUT", help="Folder for result.json, report.html and tod_curve.png.")
 @observer_options
 @verbose_option
 @json_option
+@quiet_option
 def naked_eye(
-    *, contrast: float | None, size_mrad: str | None, as_json: bool, verbose: bool, **asked: Any
+    *, contrast: float | None, size_mrad: str | None, out: str | None, quiet: bool, **asked: Any
 ) -> None:
     """Compute thresholds of the observer without any display in between."""
     if (contrast is None) == (size_mrad is None):
         raise SettingsError("naked-eye: expected one of --contrast and --size-mrad")
+    shown = {name: asked.pop(name) for name in ("as_json", "verbose")}
     observer, fit = make_observer(asked, fitted=False)
     from todframes import api
 
     sizes = None if size_mrad is None else numbers(size_mrad, "--size-mrad")
-    result = api.naked_eye(contrast=contrast, size_mrad=sizes, observer=observer, p_correct=fit.p_correct)
-    finish(result, "Naked eye", as_json=as_json, verbose=verbose)
+    with staged(out) as write:
+        with progress("computing", 1 if sizes is None else len(sizes), quiet=quiet) as advance:
+            result = api.naked_eye(
+                contrast=contrast, size_mrad=sizes, observer=observer, p_correct=fit.p_correct, progress=advance
+            )
+        write(result.files)
+    finish(result, "Naked eye", out=out, quiet=quiet, **shown)
 
 
 @click.command()

@@ -17,8 +17,8 @@ MATTERS = 0.03
 
 
 OFFSET_MRAD, SCATTER_MRAD = 0.08, 0.1
-"""Offset and scatter of the triangle's place that matter: half a sample of the naked eye's retina raises thresholds
-by 2 to 5 % for sizes up to 4 mrad, and more for larger ones."""
+"""Offset and scatter of the triangle's place that matter: half a sample of the naked eye's retina raises
+thresholds by 2 to 5 % for sizes up to 4 mrad, and more for larger ones."""
 
 
 LEAST_OFFSET_PX = 0.05
@@ -54,8 +54,8 @@ MOST_CLIPPED = 0.002
 
 
 UNEVEN_PER_LEVEL, TIMES_TEXTURE = 0.15, 4.0
-"""Contrast of the background's own structure at the triangle that matters, relative to the median level, and to the
-same structure elsewhere in the picture: a camera's fixed pattern is everywhere."""
+"""Contrast of the background's own structure at the triangle that matters, relative to the median level, and to
+the same structure elsewhere in the picture: a camera's fixed pattern is everywhere."""
 
 
 COARSE_PER_LEVEL, DITHERED = 0.5, 0.6
@@ -110,8 +110,8 @@ def _geometry(dataset: Dataset, one: Inspection) -> Iterator[Told]:
             "mixed_frame_sizes",
             float(len(one.frame_sizes_px)),
             1.0,
-            f"the frames of one group have {sizes} pixels: their triangles differ in size or place; give each size "
-            "of frames a dataset, or a group, of its own",
+            f"the frames of one group have {sizes} pixels: their triangles differ in size or place; give each "
+            "size of frames a dataset, or a group, of its own",
         )
 
 
@@ -125,8 +125,8 @@ def _codes(dataset: Dataset, one: Inspection) -> Iterator[Told]:
                 code,
                 share,
                 0.0,
-                f"{100.0 * share:.2g} % of the pixels at the triangle have {end}: its contrast is cut off there, or "
-                "pixels are stuck; change exposure or gain and record again, or take the stuck pixels out",
+                f"{100.0 * share:.2g} % of the pixels at the triangle have {end}: its contrast is cut off there, "
+                "or pixels are stuck; change exposure or gain and record again, or take the stuck pixels out",
             )
     if one.code_step_contrast is None or not is_contrast(dataset):
         return
@@ -136,8 +136,8 @@ def _codes(dataset: Dataset, one: Inspection) -> Iterator[Told]:
             "coarse_codes",
             step,
             COARSE_PER_LEVEL * one.level,
-            f"one step of the code values is a contrast of {step:.2g}, and the median level is {one.level:.2g}: the "
-            "triangle's contrast is rounded; store more bits",
+            f"one step of the code values is a contrast of {step:.2g}, and the median level is {one.level:.2g}: "
+            "the triangle's contrast is rounded; store more bits",
         )
 
 
@@ -152,17 +152,15 @@ def _background(dataset: Dataset, one: Inspection) -> Iterator[Told]:
         bits = _container_bits(one)
         is_shallow = bits is not None and one.ring_ratio < 0.5
         if is_shallow:
-            advice = (
-                f"the files have 16 bits and no code above {one.peak_code}: are these values of {bits} bits? "
-                + advice
-            )
+            codes = f"the files have 16 bits and no code above {one.peak_code}: are these values of {bits} bits?"
+            advice = f"{codes} {advice}"
         yield (
             "bit_depth" if is_shallow else "background_mismatch",
             one.ring_ratio,
             1.0,
             f"the luminance around the triangle is {one.ring_luminance_cd_m2:.3g} cd/m², "
-            f"{one.ring_ratio:.3g} times the background ({one.background_luminance_cd_m2:.3g} cd/m²): every contrast "
-            f"is wrong by about this factor; {advice}",
+            f"{one.ring_ratio:.3g} times the background ({one.background_luminance_cd_m2:.3g} cd/m²): every "
+            f"contrast is wrong by about this factor; {advice}",
         )
     if (
         one.uneven > max(UNEVEN_PER_LEVEL * one.level * abs(one.contrast_slope or 1.0), CERTAIN * one.uneven_error)
@@ -173,9 +171,9 @@ def _background(dataset: Dataset, one: Inspection) -> Iterator[Told]:
             "background_uneven",
             one.uneven,
             0.0,
-            f"the background has a structure of its own under the triangle, with a contrast of {one.uneven:.2g} where "
-            f"the median level is {one.level:.2g}: it favours one orientation; move the triangle away from edges, "
-            "text and stuck pixels, or take them out of the frames",
+            f"the background has a structure of its own under the triangle, with a contrast of {one.uneven:.2g} "
+            f"where the median level is {one.level:.2g}: it favours one orientation; move the triangle away from "
+            "edges, text and stuck pixels, or take them out of the frames",
         )
 
 
@@ -190,6 +188,8 @@ def _contrast(dataset: Dataset, one: Inspection) -> Iterator[Told]:
     slope, error = one.contrast_slope, one.contrast_slope_error
     if slope is None or error is None:
         return
+    if one.size_ratio is not None and not _is_other_size(one):
+        slope *= one.size_ratio**2  # the light of the triangle: a blur hides whether it is larger or stronger
     if slope < -CERTAIN * error and one.shown_as is not None:
         shown, stated = ("darker", "brighter")[:: one.stimulus.polarity]
         yield (
@@ -207,16 +207,16 @@ def _contrast(dataset: Dataset, one: Inspection) -> Iterator[Told]:
             "contrast_mismatch",
             slope,
             1.0,
-            f"the displayed contrast is {slope:.3g} ± {error:.1g} times the level in the manifest: the threshold is "
-            "in units of that level; check eotf, gamma and the unit of the level",
+            f"the displayed contrast is {slope:.3g} ± {error:.1g} times the level in the manifest: the threshold "
+            "is in units of that level; check eotf, gamma and the unit of the level",
         )
     elif one.wrong_level >= 2 and one.wrong_level > MATTERS * one.n_level:
         yield (
             "contrast_mismatch",
             float(one.wrong_level),
             0.0,
-            f"in {one.wrong_level} of {one.n_level} frames the triangle's contrast does not follow its level: check "
-            "that frames and rows of the manifest belong together, and that gain and exposure are fixed",
+            f"in {one.wrong_level} of {one.n_level} frames the triangle's contrast does not follow its level: "
+            "check that frames and rows of the manifest belong together, and that gain and exposure are fixed",
         )
 
 
@@ -243,8 +243,8 @@ def _orientation(_: Dataset, one: Inspection) -> Iterator[Told]:
             CODES.get(one.shown_as, "turned"),
             1.0,
             0.0,
-            f"{ADVICE[one.shown_as]} in the frames, against the orientations in the manifest: the answers are wrong; "
-            "turn or mirror the frames, or correct the orientations",
+            f"{ADVICE[one.shown_as]} in the frames, against the orientations in the manifest: the answers are "
+            "wrong; turn or mirror the frames, or correct the orientations",
         )
     turned = abs(one.turned_rad)
     if turned > max(LEAST_TURN_RAD, TURN_MRAD / one.stimulus.size_mrad, CERTAIN * one.turned_error_rad):
@@ -252,8 +252,8 @@ def _orientation(_: Dataset, one: Inspection) -> Iterator[Told]:
             "turned",
             math.degrees(one.turned_rad),
             0.0,
-            f"the triangles are turned by {math.degrees(one.turned_rad):.2g}° to the right: the camera is tilted, or "
-            "some frames show another orientation than stated; straighten the camera, check the manifest",
+            f"the triangles are turned by {math.degrees(one.turned_rad):.2g}° to the right: the camera is tilted, "
+            "or some frames show another orientation than stated; straighten the camera, check the manifest",
         )
     if one.wrong_orientation >= 2 and one.wrong_orientation > MATTERS * one.n_orientation:
         yield (
@@ -276,32 +276,41 @@ def _place(dataset: Dataset, one: Inspection) -> Iterator[Told]:
             "position_offset",
             offset,
             0.0,
-            f"the triangles lie {offset:.3g} pixels ({dx:+.2f} in x, {dy:+.2f} in y) from where the dataset says: the "
-            "observer looks beside them; correct x_px and y_px, or take them out and use --locate",
+            f"the triangles lie {offset:.3g} pixels ({dx:+.2f} in x, {dy:+.2f} in y) from where the dataset says: "
+            "the observer looks beside them; correct x_px and y_px, or take them out and use --locate",
         )
-    if one.scatter_px and one.blur_px is not None:
-        if one.scatter_px > max(SCATTER_MRAD / pitch, LEAST_OFFSET_PX, SCATTER_PER_BLUR * one.blur_px):
-            yield (
-                "position_scatter",
-                one.scatter_px,
-                0.0,
-                f"the triangles' places scatter by {one.scatter_px:.2g} pixels from frame to frame: the camera moved; "
-                "fix it, give each frame its x_px and y_px, or use --locate each",
-            )
+    by_sampling = SCATTER_PER_BLUR * (one.blur_px or 0.0)
+    if one.scatter_px and one.scatter_px > max(SCATTER_MRAD / pitch, LEAST_OFFSET_PX, by_sampling):
+        yield (
+            "position_scatter",
+            one.scatter_px,
+            0.0,
+            f"the triangles' places scatter by {one.scatter_px:.2g} pixels from frame to frame: the camera moved; "
+            "fix it, give each frame its x_px and y_px, or use --locate each",
+        )
+
+
+def _is_other_size(one: Inspection) -> bool:
+    """Tell whether the triangles are larger or smaller than stated, beyond what their blur may hide."""
+    if one.size_ratio is None or one.size_ratio_error is None or one.blur_px is None:
+        return False
+    hidden = LEAST_SIZE_ERROR + (one.blur_px / one.size_px) ** 2
+    least = max(hidden, SIZE_MRAD / one.stimulus.size_mrad, CERTAIN * one.size_ratio_error)
+    return abs(one.size_ratio - 1.0) > least
 
 
 def _size(_: Dataset, one: Inspection) -> Iterator[Told]:
-    ratio, error = one.size_ratio, one.size_ratio_error
-    if ratio is None or error is None:
+    ratio = one.size_ratio
+    if ratio is None:
         return
-    if abs(ratio - 1.0) > max(LEAST_SIZE_ERROR, SIZE_MRAD / one.stimulus.size_mrad, CERTAIN * error):
+    if _is_other_size(one):
         yield (
             "size_mismatch",
             ratio,
             1.0,
-            f"the triangles are {ratio:.3g} times as large as size_mrad says ({ratio * one.size_px:.3g} instead of "
-            f"{one.size_px:.3g} pixels): the observer looks for another size; check that size_mrad is the root of "
-            "the area in mrad, and the pixel pitch",
+            f"the triangles are {ratio:.3g} times as large as size_mrad says ({ratio * one.size_px:.3g} instead "
+            f"of {one.size_px:.3g} pixels): the observer looks for another size; check that size_mrad is the root "
+            "of the area in mrad, and the pixel pitch",
         )
     elif one.size_scatter is not None and one.size_scatter > SIZE_SCATTER:
         yield (

@@ -18,6 +18,7 @@ from todframes.frames.display import border_values
 from todframes.frames.files import FULL_SCALE
 from todframes.frames.position import centroid_position, size_in_px
 from todframes.frames.surround import (
+    HOLE_IN_SIZES,
     Range,
     Surface,
     SurroundSums,
@@ -67,8 +68,8 @@ class FrameSample(NamedTuple):
     Attributes
     ----------
     trial : Trial
-    luminance : ndarray, shape (n, n)
-        Mean luminance in cd/m² of square blocks about the stated centroid; NaN beyond the frame.
+    known : ndarray of bool, shape (n, n)
+        Blocks of which the frame has at least half of the pixels.
     seen, even : ndarray, shape (n, n)
         Contrast of the blocks against the background that the dataset declares, and against the surface fitted
         around the triangle; 0 beyond the frame.
@@ -86,6 +87,7 @@ class FrameSample(NamedTuple):
     """
 
     trial: Trial
+    known: NDArray[np.bool_]
     seen: FloatArray
     even: FloatArray
     offset: tuple[float, float]
@@ -235,9 +237,13 @@ def inspect(dataset: Dataset, trials: Sequence[Trial], *, centre: Centre = "cent
     return found
 
 
+CONTRAST_LEVELS = ("contrast", "weber_contrast")
+"""Names of levels that are the displayed contrast of the triangle."""
+
+
 def is_contrast(dataset: Dataset) -> bool:
     """Tell whether the level of a dataset is the triangle's contrast, by its name."""
-    return "contrast" in dataset.experiment.level.lower()
+    return dataset.experiment.level.strip().lower() in CONTRAST_LEVELS
 
 
 def _spread(trials: Sequence[Trial], most: int) -> list[Trial]:
@@ -291,7 +297,7 @@ def measure_frame(dataset: Dataset, trial: Trial, centre: Centre) -> FrameSample
                 found.average(luminance)
             surround.add(luminance, begin, band.first_column)
             blocks.add(luminance, begin, band.first_column, window)
-            if file.header.pixel_type in FULL_SCALE:
+            if header.pixel_type in FULL_SCALE:
                 codes.add(band.stored, begin, band.first_column)
         surface: Surface | None
         try:
@@ -324,13 +330,22 @@ def measure_frame(dataset: Dataset, trial: Trial, centre: Centre) -> FrameSample
         if rule == "surround":
             seen = even
     return FrameSample(
-        trial, seen, even, blocks.offset, blocks.block_px, (header.height, header.width), background, ring, noise,
-        codes.found(dataset, ring) if file.header.pixel_type in FULL_SCALE else None,
-    )  # fmt: skip
+        trial=trial,
+        known=known,
+        seen=seen,
+        even=even,
+        offset=blocks.offset,
+        block_px=blocks.block_px,
+        frame_px=(header.height, header.width),
+        background_cd_m2=background,
+        ring_cd_m2=ring,
+        noise=noise,
+        codes=codes.found(dataset, ring) if header.pixel_type in FULL_SCALE else None,
+    )
 
 
 class _Blocks:
-    """The means of square blocks about a triangle, collected band by band; as many for every trial of a stimulus."""
+    """The means of square blocks about a triangle, by bands; their number depends on its size alone."""
 
     def __init__(self, triangle: TrianglePlace, block_px: int, n_blocks: int) -> None:
         self.block_px, self.n = block_px, n_blocks
@@ -375,8 +390,8 @@ class _Blocks:
 
     def places(self) -> tuple[FloatArray, FloatArray]:
         """Return the rows and columns of the middles of the blocks."""
-        y, x = (first + (np.arange(self.n) + 0.5) * self.block_px - 0.5 for first in self.first)
-        return y, x
+        middles = np.asarray((np.arange(self.n) + 0.5) * self.block_px - 0.5)
+        return self.first[0] + middles, self.first[1] + middles
 
 
 class _CodeCounts:
@@ -397,7 +412,7 @@ class _CodeCounts:
         self.counts += np.bincount(stored.ravel(), minlength=full_scale + 1)
         (top, bottom), (left, right) = self.square
         part = stored[max(top - row, 0) : max(bottom - row, 0), max(left - column, 0) : max(right - column, 0)]
-        self.inner += [part.size, np.count_nonzero(part == full_scale), np.count_nonzero(part == 0)]
+        self.inner += np.array([part.size, np.count_nonzero(part == full_scale), np.count_nonzero(part == 0)])
 
     def found(self, dataset: Dataset, ring_cd_m2: float) -> Codes:
         used = np.flatnonzero(self.counts)
@@ -497,8 +512,10 @@ def _of_triangle(
     turns = np.array([sample.trial.orientation.quarter_turns for sample in samples])
     even = polarity * np.array([sample.even for sample in samples])
     offsets = np.array([sample.offset for sample in samples])
-    background, triangles = _separated(even, level, turns)
-    weights = np.array([np.square(level[turns == k]).sum() for k in range(4)])
+    known = np.logical_and.reduce([sample.known for sample in samples])
+    relative = level / _noise_of_frames(even, level, known, size)
+    background, triangles = _separated(even, level, relative, turns)
+    weights = np.array([np.square(relative[turns == k]).sum() for k in range(4)])
     start, sign = _found_place(triangles, weights, size)
     values = np.array([sign, *start, 1.0, 0.0])
     shown_as, margin = _found_turn(triangles, weights, values)
@@ -510,20 +527,21 @@ def _of_triangle(
     per_level = (even - background) / level[:, None, None]
     residual = per_level - model.images[shown]
     each = np.einsum("tpi,ti->tp", steps[shown], residual.reshape(len(level), -1))
-    frame_noise = residual * level[:, None, None]
-    at_level = _noise(frame_noise, steps[shown], size) / level[:, None]
-    share = np.square(level) / np.square(level).sum()
+    noise = residual * relative[:, None, None]
+    beside = [moved for moved, there in _beside(noise, known, size) if there]
+    at_level = _noise(each * relative[:, None], steps[shown], beside) / relative[:, None]
+    share = np.square(relative) / np.square(relative).sum()
     # The spread over trials, or the noise if few trials happen to agree.
     error = np.sqrt((np.square(share)[:, None] * np.maximum(np.square(each), np.square(at_level))).sum(axis=0))
     amplitude = abs(values[_AMPLITUDE])
     signal = float(amplitude / error[_AMPLITUDE]) if error[_AMPLITUDE] > 0.0 else math.inf
     seen = polarity * np.array([sample.seen for sample in samples])
-    static, _ = _separated(seen, level, turns)
+    static, _ = _separated(seen, level, relative, turns)
     found: dict[str, Any] = {
         "contrast_slope": float(values[_AMPLITUDE]),
         "contrast_slope_error": float(error[_AMPLITUDE]),
         "signal": signal,
-        **_unevenness(static, frame_noise, model, values),
+        **_unevenness(static, residual * level[:, None, None], model, values),
     }
     if signal < LEAST_SIGNAL:
         return found
@@ -532,8 +550,8 @@ def _of_triangle(
     clear_place = at_level[:, [_X, _Y]].max(axis=1) < CLEAR * size
     clear_level = at_level[:, _AMPLITUDE] < CLEAR * amplitude
     off_level = clear_level & (np.abs(each[:, _AMPLITUDE]) > OFF_LEVEL * amplitude)
-    wrong, judged, noise = _orientations(per_level, level, model, shown, size)
-    turn_error = 2.0 * noise * math.sqrt(np.square(level).sum())
+    wrong, judged, likeness_noise = _orientations(per_level, relative, model, shown, beside)
+    turn_error = 2.0 * likeness_noise * math.sqrt(np.square(relative).sum())
     return found | {
         "offset_px": tuple((block_px * (values[[_X, _Y]] - middle)).tolist()),
         "offset_error_px": tuple((block_px * error[[_X, _Y]]).tolist()),
@@ -561,16 +579,40 @@ LEAST_TURN_ERRORS = 5.0
 """Least advantage of another orientation than stated, in standard errors."""
 
 
+ON_FRAME = 0.9
+"""Least share of the pixels of a place beside the triangle that lie on the frames."""
+
+
 LEAST_SIGNAL = 8.0
 """Least contrast of the triangle, in standard errors, for its place, size and orientation to be measured."""
 
 
-def _separated(images: FloatArray, level: FloatArray, turns: NDArray[np.intp]) -> tuple[FloatArray, FloatArray]:
-    """Separate what all frames share from what grows with the level in each orientation: (n, n) and (4, n, n)."""
+def _noise_of_frames(images: FloatArray, level: FloatArray, known: NDArray[np.bool_], size: float) -> FloatArray:
+    """Estimate the standard deviation of the contrast of each frame's blocks around the triangle.
+
+    It is at least a twentieth of the level, so that frames without noise count alike.
+    """
+    n = images.shape[1]
+    v, u = np.mgrid[:n, :n] - (n - 1) / 2.0
+    around = known & (np.hypot(u, v) > HOLE_IN_SIZES * size)
+    if not around.any():
+        return np.ones(len(images))
+    apart = np.abs(images[:, around] - np.median(images[:, around], axis=1)[:, None])
+    return np.maximum(1.4826 * np.median(apart, axis=1), level / 20.0)
+
+
+def _separated(
+    images: FloatArray, level: FloatArray, relative: FloatArray, turns: NDArray[np.intp]
+) -> tuple[FloatArray, FloatArray]:
+    """Separate what all frames share from what grows with the level in each orientation: (n, n) and (4, n, n).
+
+    `relative` is the level in units of the frame's noise.
+    """
     columns = [np.where(turns == k, level, 0.0) for k in range(4)]
     separable = level.max() > 1.2 * level.min()
     design = np.stack([*columns, np.ones(len(level))] if separable else columns, axis=1)
-    found = np.linalg.pinv(design) @ images.reshape(len(level), -1)
+    certain = (relative / level)[:, None]
+    found = np.linalg.pinv(design * certain) @ (certain * images.reshape(len(level), -1))
     parts = found.reshape(-1, *images.shape[1:])
     return (parts[4] if separable else np.zeros(images.shape[1:])), parts[:4]
 
@@ -646,25 +688,31 @@ def _fitted_shape(
     return values, _model(n, values)
 
 
-def _beside(residual: FloatArray, size: float) -> Iterator[FloatArray]:
-    """Yield what is left of the frames, (trial, n, n), moved so that places beside the triangle are in the middle."""
-    away = round(1.8 * size)
+def _beside(residual: FloatArray, known: NDArray[np.bool_], size: float) -> Iterator[tuple[FloatArray, np.bool_]]:
+    """Yield what is left of the frames, moved so that a place beside the triangle is in the middle.
+
+    The second value tells whether that place lies on the frames.
+    """
+    n = len(known)
+    v, u = np.mgrid[:n, :n] - (n - 1) / 2.0
+    near, away = np.hypot(u, v) < size, round(1.8 * size)
     for shift in ((away, 0), (-away, 0), (0, away), (0, -away)):
-        yield np.roll(residual, shift, axis=(1, 2))
+        yield np.roll(residual, shift, axis=(1, 2)), np.roll(known, shift, axis=(0, 1))[near].mean() > ON_FRAME
 
 
-def _noise(residual: FloatArray, steps: FloatArray, size: float) -> FloatArray:
-    """Estimate the noise of a trial's parameters, times its level, from four places beside the triangle."""
-    medians = [
-        np.median(np.abs(np.einsum("tpi,ti->tp", steps, moved.reshape(len(moved), -1))), axis=0)
-        for moved in _beside(residual, size)
-    ]
-    # Places beyond the frame have no noise: the larger half counts.
-    return np.asarray(1.4826 * np.sort(medians, axis=0)[2:].mean(axis=0))
+def _noise(each: FloatArray, steps: FloatArray, beside: Sequence[FloatArray]) -> FloatArray:
+    """Estimate the noise of a trial's parameters in units of its own, from places beside the triangle.
+
+    If the frames have none, it is the spread of the parameters over the trials.
+    """
+    if not beside:
+        return np.asarray(1.4826 * np.median(np.abs(each), axis=0))
+    found = [np.einsum("tpi,ti->tp", steps, moved.reshape(len(moved), -1)) for moved in beside]
+    return np.asarray(1.4826 * np.median(np.abs(np.concatenate(found)), axis=0))
 
 
 def _scatter(apart: FloatArray, noise: FloatArray) -> float | None:
-    """Return the standard deviation over trials beyond the noise; 0 if it may be noise, None if too few show it."""
+    """Return the standard deviation over trials beyond the noise: 0 if it may be noise, None if few show it."""
     n = len(apart)
     if n < 4:
         return None
@@ -674,20 +722,22 @@ def _scatter(apart: FloatArray, noise: FloatArray) -> float | None:
 
 
 def _orientations(
-    per_level: FloatArray, level: FloatArray, model: _Model, shown: NDArray[np.intp], size: float
+    per_level: FloatArray,
+    relative: FloatArray,
+    model: _Model,
+    shown: NDArray[np.intp],
+    beside: Sequence[FloatArray],
 ) -> tuple[int, int, float]:
     """Count the trials that clearly show another orientation than stated, and those that clearly show one.
 
-    Also returns the noise of a trial's likeness to an orientation.
+    Also returns the noise of a trial's likeness to an orientation; infinite if nothing is beside the triangle.
     """
-    differ = (model.images - model.images.mean(axis=0)).reshape(4, -1)
-    images = (per_level * level[:, None, None]).reshape(len(level), -1)
-    beside = np.concatenate([
-        moved.reshape(len(level), -1) @ differ.T
-        for moved in _beside((per_level - model.images[shown]) * level[:, None, None], size)
-    ])  # fmt: skip
-    noise = 1.4826 * float(np.median(np.abs(beside)))
-    scores = images @ differ.T
+    if not beside:
+        return 0, 0, math.inf
+    differ = (model.images - model.images.mean(axis=0)).reshape(4, -1).T
+    likeness = np.concatenate([moved.reshape(len(moved), -1) @ differ for moved in beside])
+    noise = 1.4826 * float(np.median(np.abs(likeness)))
+    scores = (per_level * relative[:, None, None]).reshape(len(relative), -1) @ differ
     ranked = np.sort(scores, axis=1)
     clear = (ranked[:, 3] - ranked[:, 2]) > 8.0 * noise
     wrong = clear & (scores.argmax(axis=1) != shown)

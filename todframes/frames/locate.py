@@ -1,76 +1,102 @@
-"""Search for the triangle's position if the manifest has none: one position for all frames of a group."""
+"""Search for triangles whose position the manifest does not give: one position for a group, or one a trial."""
 
 from __future__ import annotations
 
 import math
-from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
 from todframes._typing import FloatArray
-from todframes.errors import DataError, FrameError
-from todframes.frames.contrast import Patch, check_sha256, read_contrast, skipped_frames
-from todframes.frames.dataset import Dataset, FrameReference, Skipped, Trial
-from todframes.frames.position import to_centroid
-from todframes.stimulus import ORIENTATIONS, Centre, Orientation, Stimulus, coverage
+from todframes.errors import DataError, FrameError, SettingsError
+from todframes.frames.arrangement import ARRANGEMENTS, Arrangement
+from todframes.frames.contrast import skipped_frames
+from todframes.frames.dataset import Dataset, DatasetWarning, Skipped, Trial
+from todframes.frames.matching import SEARCHED, Matcher, MeanFrames, Place, TrialMatcher
+from todframes.frames.position import from_centroid, to_centroid
+from todframes.stimulus import Centre
 
 Group = tuple[float | str, ...]
 
 
+Locate = Literal["group", "each"]
+
+
 LEAST_PEAK = 6.0
-"""Least height of the correlation peak above its surroundings, in their standard deviations."""
+"""Least height of a correlation peak above its surroundings, in their standard deviations."""
 
 
-MOST_LOCATED_PX = 2**21
-"""Largest number of pixels of a frame that is searched pixel by pixel; a larger one is averaged over blocks."""
+LEAST_PEAK_NEARBY = 4.0
+"""The same for a trial whose triangle is near that of other trials."""
 
 
-BLOCKS = 2**19
-"""Number of square blocks of pixels that a large frame is divided into."""
+LEAST_SURE_TRIALS = 4
+"""Least number of trials with a high peak from which the scatter of positions is estimated."""
 
 
-MOST_BLOCKS = 2**24
-"""Largest number of blocks of a frame; more would fill the memory."""
+MOST_STRONGEST = 24
+"""Number of the strongest trials that are searched over whole frames, if they have no position in common."""
 
 
-LEAST_BLOCKS = 16
-"""Least number of blocks along a triangle's size, unless blocks are pixels: larger blocks blur its edges."""
+NEARBY = 4.0
+"""Largest distance of a trial's position from that of the group along each axis, in standard deviations."""
+
+
+LEAST_SCATTER_PX = 1.0
+"""Least standard deviation of the positions that are searched, so that chance cannot shut the search out."""
 
 
 class Location(NamedTuple):
-    """The position found for a group's triangles, in pixels, and its standard error along either axis."""
+    """The position found for a group's triangles, in pixels, and its standard error along either axis.
+
+    `arrangement` tells whether the triangles are as the manifest says. `n_located` of `n_trials` trials have a
+    position of their own, whose standard deviation along either axis is `scatter_px`; all three are None if the
+    group has one position.
+    """
 
     group: Group
     x_px: float
     y_px: float
     standard_error_px: float
+    arrangement: Arrangement = ARRANGEMENTS[0]
+    n_trials: int | None = None
+    n_located: int | None = None
+    scatter_px: float | None = None
 
 
 def locate_triangles(
     dataset: Dataset,
     *,
+    locate: Locate = "group",
     centre: Centre = "centroid",
     skip_bad_frames: bool = False,
     progress: Callable[[int], None] | None = None,
 ) -> tuple[Dataset, tuple[Location, ...]]:
-    """Find the triangle position common to the frames of each group, for trials without a position.
+    """Find the triangle positions of trials without a position.
 
-    Frames are averaged by orientation. The mean of these averages contains everything that the orientations share
-    (bezel, overlay, shading, fixed pattern) and is subtracted. The remainder is correlated with the differences of
-    the triangles, first on whole pixels, then between them with exact coverage.
+    The position of a group comes from its mean frames by orientation. Their mean contains everything that the
+    orientations share (bezel, overlay, shading, fixed pattern) and is subtracted. The remainder is correlated with
+    the differences of the triangles, first on whole pixels, then between them with exact coverage and a fitted
+    blur. Triangles that are mirrored, turned or of the opposite polarity are found too.
+
+    The position of a single trial comes from its correlation with the mean triangle of all orientations, near the
+    group's position. So it does not depend on the orientation, and cannot make a right answer more probable. It
+    is drawn towards the group's position by as much as its error exceeds the scatter of all trials. A trial whose
+    triangle is too faint has the group's position.
 
     Parameters
     ----------
     dataset : Dataset
+    locate : {"group", "each"}
+        Find one position for all trials of a group, or one for each trial.
     centre : {"centroid", "bounding_box"}
         The point that the triangles of all orientations have in common.
     skip_bad_frames : bool
         Skip trials that cannot be read and groups in which no triangle stands out, and list them in `bad_rows`.
     progress : callable
-        Called with the number of trials done since the last call.
+        Called with the number of trials done since the last call: once for each trial, twice with "each".
 
     Returns
     -------
@@ -85,27 +111,38 @@ def locate_triangles(
         If no triangle stands out, or the frames of a group differ in size.
     FrameError
         If a frame cannot be read, unless bad frames are skipped.
+    SettingsError
+        If `locate` is neither of the two.
     """
+    if locate not in get_args(Locate):
+        raise SettingsError(f"locate: found {locate!r}, expected {' or '.join(get_args(Locate))}")
+    advance = progress or (lambda _: None)
     groups: dict[Group, list[Trial]] = {}
     for trial in dataset.trials:
         if trial.x_px is None:
             groups.setdefault(trial.group, []).append(trial)
-    locations: dict[Group, Location] = {}
+    locations: list[Location] = []
+    positions: dict[int, tuple[float, float]] = {}
     skipped: dict[int, list[Skipped]] = {}
     for group, trials in groups.items():
-        sums = _Sums(dataset)
+        frames = MeanFrames(dataset)
+        usable = []
         for trial in trials:
             try:
-                sums.add(trial)
+                frames.add(trial)
+                usable.append(trial)
             except FrameError as error:
                 if not skip_bad_frames:
                     raise
                 skipped[trial.number] = skipped_frames(dataset, trial, error)
-            if progress is not None:
-                progress(1)
+            advance(1)
         try:
-            if sums.totals:
-                locations[group] = _locate(dataset, group, sums, centre)
+            if usable:
+                found, of_trials = (_each if locate == "each" else _common)(
+                    dataset, group, frames, usable, centre, advance
+                )
+                locations.append(found)
+                positions |= of_trials
         except DataError as error:
             if not skip_bad_frames:
                 raise
@@ -114,202 +151,226 @@ def locate_triangles(
             }
     placed = []
     for trial in dataset.trials:
-        if trial.x_px is None and trial.group in locations:
-            found = locations[trial.group]
-            x, y = to_centroid(trial, found.x_px, found.y_px, centre, dataset.display.pitch_mrad)
+        if trial.number in positions:
+            x, y = to_centroid(trial, *positions[trial.number], centre, dataset.display.pitch_mrad)
             placed.append(trial._replace(x_px=x, y_px=y))
-        else:
+        elif trial.number not in skipped:
             placed.append(trial)
-    placed = [trial for trial in placed if trial.number not in skipped]
     bad_rows = (*dataset.bad_rows, *(one for frames in skipped.values() for one in frames))
-    return replace(dataset, trials=tuple(placed), bad_rows=bad_rows), tuple(locations.values())
+    return replace(dataset, trials=tuple(placed), bad_rows=bad_rows), tuple(locations)
 
 
-Means = dict[Stimulus, dict[Orientation, FloatArray]]
+Located = tuple[Location, dict[int, tuple[float, float]]]
+"""A group's location, and the position of each of its trials in pixels, by number."""
 
 
-class _Sums:
-    """Sums of the contrast of a group's frames by stimulus and orientation; all frames must have one size."""
-
-    def __init__(self, dataset: Dataset) -> None:
-        self.dataset = dataset
-        self.shape: tuple[int, ...] | None = None
-        self.block_px = 1
-        self.totals: dict[tuple[Stimulus, Orientation], FloatArray] = {}
-        self.counts: Counter[tuple[Stimulus, Orientation]] = Counter()
-
-    def add(self, trial: Trial) -> None:
-        """Add all frames of a trial; if one cannot be read, add none."""
-        contrasts = [self._contrast(frame, trial.stimulus) for frame in trial.frames]
-        key = (trial.stimulus, trial.orientation)
-        total = self.totals.setdefault(key, np.zeros(contrasts[0].shape))
-        for contrast in contrasts:
-            total += contrast
-        self.counts[key] += len(contrasts)
-
-    def means(self) -> Means:
-        """Return the mean contrast of each stimulus and orientation."""
-        means: Means = {}
-        for (stimulus, orientation), total in self.totals.items():
-            means.setdefault(stimulus, {})[orientation] = total / self.counts[stimulus, orientation]
-        return means
-
-    def _contrast(self, frame: FrameReference, stimulus: Stimulus) -> FloatArray:
-        path = self.dataset.frame_path(frame)
-        check_sha256(self.dataset, frame)
-        with self.dataset.open(frame) as file:
-            patch = read_contrast(file, self.dataset.display, frame)
-            header = file.header
-        shape = patch.values.shape[:2]
-        if (patch.row, patch.column, *shape) != (0, 0, header.height, header.width):
-            raise FrameError(path, "has no pixels in part of the frame; its triangle cannot be located")
-        if self.shape is None:
-            self.shape = shape
-            size_px = stimulus.size_mrad / self.dataset.display.pitch_mrad
-            self.block_px = _block_px(shape, size_px)
-            if shape[0] * shape[1] / self.block_px**2 > MOST_BLOCKS:
-                raise FrameError(
-                    path,
-                    f"{_size(shape)} pixels are too many to find a triangle of {size_px:.3g} pixels among them, "
-                    f"expected at most {MOST_BLOCKS / 1e6:.1f} million; give x_px and y_px in the manifest",
-                )
-        if self.shape != shape:
-            found, expected = _size(shape), _size(self.shape)
-            raise FrameError(path, f"found {found} pixels, expected {expected} as in the group's other frames")
-        return _block_means(patch, self.block_px)
+def _common(
+    dataset: Dataset,
+    group: Group,
+    frames: MeanFrames,
+    trials: Sequence[Trial],
+    centre: Centre,
+    _: Callable[[int], None],
+) -> Located:
+    """Find the position that a group's trials have in common."""
+    found = _group_place(dataset, group, frames, centre)[0]
+    return found, {trial.number: (found.x_px, found.y_px) for trial in trials}
 
 
-def _block_px(shape: tuple[int, ...], size_px: float) -> int:
-    """Return the side of the blocks that a frame is searched in, in pixels: 1 unless the frame is large."""
-    n_px = shape[0] * shape[1]
-    wanted = 1 if n_px <= MOST_LOCATED_PX else math.ceil(math.sqrt(n_px / BLOCKS))
-    return max(min(wanted, int(min(size_px, 1e9) / LEAST_BLOCKS)), 1)
-
-
-def _block_means(patch: Patch, block_px: int) -> FloatArray:
-    """Average the contrast of a whole frame over square blocks; incomplete blocks are dropped."""
-    if block_px == 1 and patch.to_contrast is None:
-        return patch.values
-    n_rows, n_columns = (length // block_px for length in patch.values.shape[:2])
-    means = np.zeros((n_rows, n_columns))
-    for band in patch.bands():
-        within = band.values[: max(n_rows * block_px - band.row, 0), : n_columns * block_px]
-        if len(within) == 0:
-            continue
-        by_columns = within.reshape(len(within), n_columns, block_px).sum(axis=2)
-        block_rows = (band.row + np.arange(len(within))) // block_px
-        starts = np.flatnonzero(np.diff(block_rows, prepend=-1))
-        means[block_rows[0] : block_rows[-1] + 1] += np.add.reduceat(by_columns, starts, axis=0)
-    return means / block_px**2
-
-
-def _size(shape: tuple[int, ...]) -> str:
-    """Return the text "columns × rows"."""
-    return f"{shape[1]} × {shape[0]}"
-
-
-class _Matcher:
-    """Correlation of the orientation differences in the frames with those of triangles at any position."""
-
-    def __init__(self, means: Means, pixel_pitch_mrad: float, centre: Centre) -> None:
-        self.centre = centre
-        self.means = {stimulus: _less_common(images) for stimulus, images in means.items()}
-        self.pitch = pixel_pitch_mrad
-        self.shape = next(iter(next(iter(means.values())).values())).shape
-        self.largest_px = max(stimulus.size_mrad for stimulus in means) / pixel_pitch_mrad
-
-    def templates(self, stimulus: Stimulus, x: float, y: float, shape: tuple[int, int]) -> FloatArray:
-        """Compute the triangle differences of unit energy, shape (orientation, rows, columns)."""
-        size_px = stimulus.size_mrad / self.pitch
-        triangles = {
-            orientation: stimulus.polarity
-            * coverage(shape, size_px=size_px, x_px=x, y_px=y, orientation=orientation, centre=self.centre)
-            for orientation in self.means[stimulus]
-        }
-        stack = np.array(list(_less_common(triangles).values()))
-        norm = float(np.sqrt(np.square(stack).sum()))
-        return np.asarray(stack / norm) if norm > 0.0 else stack  # within one pixel all orientations are alike
-
-    def on_whole_pixels(self) -> FloatArray:
-        """Compute the correlation for a centroid on each pixel, of a frame's shape; it wraps at the edges."""
-        total = np.zeros(self.shape)
-        for stimulus, images in self.means.items():
-            templates = self.templates(stimulus, self.shape[1] // 2, self.shape[0] // 2, self.shape)
-            for image, template in zip(images.values(), templates, strict=True):
-                spectrum = np.fft.rfft2(image) * np.conj(np.fft.rfft2(template))
-                total += np.fft.fftshift(np.fft.irfft2(spectrum, self.shape))
-        return total
-
-    def at(self, x: float, y: float) -> float:
-        """Compute the correlation for a centroid at (x, y), with exact coverage."""
-        return sum(float(np.einsum("oij,oij->", images, templates)) for images, templates in self._around(x, y))
-
-    def standard_error_px(self, x: float, y: float) -> float:
-        """Compute the standard error of x or y in pixels; the best triangle's residual counts as white noise."""
-        step = 0.25
-        unexplained, steepness, n_pixels = 0.0, 0.0, 0
-        for (images, best), (_, left), (_, right) in zip(
-            self._around(x, y), self._around(x - step, y, x, y), self._around(x + step, y, x, y), strict=True
-        ):
-            amplitude = float(np.einsum("oij,oij->", images, best))
-            unexplained += float(np.square(images - amplitude * best).sum())
-            n_pixels += images.size - images[0].size
-            steepness += float(np.square(amplitude * (right - left) / (2.0 * step)).sum())
-        return float(np.sqrt(unexplained / max(n_pixels, 1) / steepness)) if steepness > 0 else np.inf
-
-    def _around(
-        self, x: float, y: float, window_x: float | None = None, window_y: float | None = None
-    ) -> Iterable[tuple[FloatArray, FloatArray]]:
-        """Yield the images and templates in a window around a position, for each stimulus."""
-        reach = int(np.ceil(self.largest_px)) + 2
-        middle_x = round(x if window_x is None else window_x)
-        middle_y = round(y if window_y is None else window_y)
-        rows = slice(max(middle_y - reach, 0), middle_y + reach + 1)
-        columns = slice(max(middle_x - reach, 0), middle_x + reach + 1)
-        for stimulus, images in self.means.items():
-            part = np.array([image[rows, columns] for image in images.values()])
-            yield part, self.templates(stimulus, x - columns.start, y - rows.start, part.shape[1:])
-
-
-def _less_common(images: dict[Orientation, FloatArray]) -> dict[Orientation, FloatArray]:
-    """Subtract from each image the mean of all; a single orientation only loses its mean level."""
-    common = np.mean(list(images.values()), axis=0) if len(images) > 1 else next(iter(images.values())).mean()
-    return {orientation: images[orientation] - common for orientation in ORIENTATIONS if orientation in images}
-
-
-def _locate(dataset: Dataset, group: Group, sums: _Sums, centre: Centre) -> Location:
-    from scipy.optimize import minimize
-
-    block_px = sums.block_px
-    matcher = _Matcher(sums.means(), block_px * dataset.display.pitch_mrad, centre)
-    correlation = matcher.on_whole_pixels()
-    rows, columns = matcher.shape
-    # The centroid is at least a third of the height, 0.439 sizes, away from each edge of the triangle.
-    edge = int(np.ceil(0.4386 * matcher.largest_px - 0.5))
-    if 2 * edge >= min(rows, columns):
-        frames = f"frames of {columns * block_px} × {rows * block_px} pixels"
-        raise DataError(f"{dataset.path}: {frames} are smaller than the triangle")
-    inside = correlation[edge : rows - edge, edge : columns - edge]
-    row, column = np.unravel_index(inside.argmax(), inside.shape)
-    spread = 1.4826 * float(np.median(np.abs(inside - np.median(inside))))
-    name = ", ".join(f"{key} {value}" for key, value in zip(dataset.experiment.group_by, group, strict=True))
-    if inside.max() <= 0.0 or inside.max() - np.median(inside) < LEAST_PEAK * spread:
+def _group_place(dataset: Dataset, group: Group, frames: MeanFrames, centre: Centre) -> tuple[Location, float]:
+    """Find the position that a group's trials have in common, and the blur in blocks of pixels."""
+    block_px = frames.block_px
+    matcher = Matcher(frames.means(), block_px * dataset.display.pitch_mrad, centre)
+    found = matcher.search()
+    if found.height == -math.inf:
+        size = f"frames of {matcher.shape[1] * block_px} × {matcher.shape[0] * block_px} pixels"
+        raise DataError(f"{dataset.path}: {size} are smaller than the triangle")
+    if found.peak <= 0.0 or found.height < LEAST_PEAK * found.spread:
         raise DataError(
-            f"{dataset.path}: no triangle stands out in the frames of {name or 'the dataset'}; "
+            f"{dataset.path}: no triangle stands out in the frames of {_group_name(dataset, group)}; "
             "expected x_px and y_px in the manifest"
         )
-    start = np.array([column + edge, row + edge], dtype=np.float64)
-    found = minimize(
-        lambda place: -matcher.at(place[0], place[1]),
-        start,
-        method="Nelder-Mead",
-        options={
-            "initial_simplex": start + np.array([[0, 0], [0.5, 0], [0, 0.5]]),
-            "xatol": 1e-4,
-            "fatol": np.inf,
-        },
+    fitted = matcher.refined(found.x, found.y, found.arrangement)
+    x_px, y_px = _in_pixels(block_px, (fitted.x, fitted.y))
+    standard_error_px = block_px * math.sqrt(float(fitted.covariance.diagonal().max()))
+    return Location(group, x_px, y_px, standard_error_px, fitted.arrangement), fitted.blur
+
+
+def _group_name(dataset: Dataset, group: Group) -> str:
+    names = zip(dataset.experiment.group_by, group, strict=True)
+    return ", ".join(f"{key} {value}" for key, value in names) or "the dataset"
+
+
+def _in_pixels(block_px: int, place: tuple[float, float]) -> tuple[float, float]:
+    """Return a position in pixels from one in blocks, which counts from the middle of the first block."""
+    x_px, y_px = (float(block_px * at + (block_px - 1) / 2.0) for at in place)
+    return x_px, y_px
+
+
+def _each(
+    dataset: Dataset,
+    group: Group,
+    frames: MeanFrames,
+    trials: Sequence[Trial],
+    centre: Centre,
+    advance: Callable[[int], None],
+) -> Located:
+    """Find a position for each trial of a group; trials whose triangle is too faint have the group's."""
+    pitch_mrad = frames.block_px * dataset.display.pitch_mrad
+    guess = _place_of_strongest(dataset, group, frames, trials)
+    try:
+        of_group, blur = _group_place(dataset, group, frames, centre)
+    except DataError:
+        if guess is None:
+            raise
+        of_group, blur = guess[0], 0.0
+    reach = 0.0
+    if guess is not None and guess[1] > SEARCHED * trials[0].stimulus.size_mrad / pitch_mrad:
+        of_group, reach = guess  # the scatter is too large for a position in common
+    block_px = frames.block_px
+    middle = [(at - (block_px - 1) / 2.0) / block_px for at in (of_group.x_px, of_group.y_px)]
+    matcher = TrialMatcher(pitch_mrad, blur, of_group.arrangement.sign)
+    peaks = []
+    for trial in trials:
+        of_trial = matcher.peaks(frames.of_trial(trial), trial.stimulus, middle[0], middle[1], reach)
+        dx, dy = from_centroid(trial, centre, pitch_mrad)
+        peaks.append([one._replace(x=one.x + dx, y=one.y + dy) for one in of_trial])
+        advance(1)
+    mean, scatter, chosen = _scatter(peaks, np.array(middle))
+    positions = {}
+    for trial, place in zip(trials, chosen, strict=True):
+        at = mean
+        if place is not None:
+            share = scatter**2 / (scatter**2 + place.variance)
+            at = mean + share * (np.array([place.x, place.y]) - mean)
+        positions[trial.number] = _in_pixels(block_px, (float(at[0]), float(at[1])))
+    n_located = sum(place is not None for place in chosen)
+    x_px, y_px = _in_pixels(block_px, (float(mean[0]), float(mean[1])))
+    error_px = (
+        block_px
+        * math.sqrt(np.mean([scatter**2 + place.variance for place in chosen if place is not None]) / n_located)
+        if n_located
+        else of_group.standard_error_px
     )
-    x, y = (float(value) for value in found.x)
-    # Conversion from blocks to pixels; block coordinates count from the middle of the first block.
-    x_px, y_px = (block_px * place + (block_px - 1) / 2.0 for place in (x, y))
-    return Location(group, x_px, y_px, block_px * matcher.standard_error_px(x, y))
+    found = of_group._replace(
+        x_px=x_px,
+        y_px=y_px,
+        standard_error_px=error_px,
+        n_trials=len(trials),
+        n_located=n_located,
+        scatter_px=block_px * scatter,
+    )
+    return found, positions
+
+
+def _place_of_strongest(
+    dataset: Dataset, group: Group, frames: MeanFrames, trials: Sequence[Trial]
+) -> tuple[Location, float] | None:
+    """Find the middle of the positions in the strongest trials, anywhere on the frames.
+
+    Returns
+    -------
+    Location
+        Location whose arrangement tells the sign only.
+    reach : float
+        Distance from it within which all positions are expected, in blocks of pixels.
+
+    None if a triangle stands out in less than half of the strongest trials.
+    """
+    strongest = sorted(trials, key=lambda trial: -trial.level)[:MOST_STRONGEST]
+    block_px = frames.block_px
+    common = sum(frames.totals.values()) / frames.counts.total()
+    tops: dict[Arrangement, list[Place]] = {}
+    for trial in strongest:
+        image = frames.of_trial(trial) - common
+        for arrangement in ARRANGEMENTS[:2]:
+            matcher = TrialMatcher(block_px * dataset.display.pitch_mrad, 0.0, arrangement.sign)
+            middle = [(n - 1) / 2.0 for n in image.shape]
+            peaks = matcher.peaks(image, trial.stimulus, middle[1], middle[0], max(image.shape))
+            tops.setdefault(arrangement, []).extend(peaks[:1])
+    arrangement = max(tops, key=lambda one: float(np.median([top.height for top in tops[one]] or [0.0])))
+    sure = np.array([(top.x, top.y) for top in tops[arrangement] if top.height >= LEAST_PEAK])
+    if len(sure) < max(LEAST_SURE_TRIALS, len(strongest) / 2.0):
+        return None
+    middle = np.median(sure, axis=0)
+    scatter = 1.4826 * float(np.median(np.abs(sure - middle)))
+    x_px, y_px = _in_pixels(block_px, (float(middle[0]), float(middle[1])))
+    error_px = block_px * 1.2533 * scatter / math.sqrt(len(sure))  # the median's, of Gaussian positions
+    return Location(group, x_px, y_px, error_px, arrangement), NEARBY * scatter
+
+
+def _scatter(peaks: Sequence[Sequence[Place]], middle: FloatArray) -> tuple[FloatArray, float, list[Place | None]]:
+    """Estimate the mean and the scatter of the positions, and choose the peak of each trial.
+
+    Parameters
+    ----------
+    peaks : sequence
+        Peaks of each trial, the highest first.
+    middle : ndarray, shape (2,)
+        The group's position.
+
+    Returns
+    -------
+    mean : ndarray, shape (2,)
+        Mean position; `middle` if too few trials have a high peak.
+    scatter : float
+        Standard deviation of the positions along each axis, without the errors of measurement.
+    chosen : list of Place or None
+        The peak of each trial; None if its triangle is too faint.
+    """
+    sure = [of_trial[0] for of_trial in peaks if of_trial and of_trial[0].height >= LEAST_PEAK]
+    if len(sure) < LEAST_SURE_TRIALS:
+        return middle, 0.0, [None] * len(peaks)
+    places = np.array([(one.x, one.y) for one in sure])
+    mean = np.median(places, axis=0)
+    scatter = 1.4826 * float(np.median(np.abs(places - mean)))
+    chosen: list[Place | None] = []
+    for _ in range(3):
+        reach = max(scatter, LEAST_SCATTER_PX)
+        chosen = [_chosen(of_trial, mean, reach) for of_trial in peaks]
+        found = [one for one in chosen if one is not None]
+        if len(found) < LEAST_SURE_TRIALS:
+            return middle, 0.0, [None] * len(peaks)
+        places = np.array([(one.x, one.y) for one in found])
+        variance = np.array([one.variance for one in found])
+        weight = 1.0 / (variance + scatter**2 + 1e-12)
+        mean = weight @ places / weight.sum()
+        # The errors' share of the squared distances is subtracted: method of moments.
+        excess = np.square(places - mean).mean(axis=1) * len(found) / (len(found) - 1.0) - variance
+        scatter = math.sqrt(max(float(weight @ excess / weight.sum()), 0.0))
+    return mean, scatter, chosen
+
+
+def _chosen(peaks: Sequence[Place], mean: FloatArray, scatter: float) -> Place | None:
+    """Return the most probable of a trial's peaks for a mean and a scatter of positions; None if all are low."""
+    possible = [
+        one
+        for one in peaks
+        if one.height >= LEAST_PEAK_NEARBY
+        and max(abs(one.x - mean[0]), abs(one.y - mean[1])) <= NEARBY * math.sqrt(scatter**2 + one.variance)
+    ]
+
+    def log_probability(one: Place) -> float:
+        distance = (one.x - mean[0]) ** 2 + (one.y - mean[1]) ** 2
+        return float(one.height**2 - distance / (scatter**2 + one.variance)) / 2.0
+
+    return max(possible, key=log_probability, default=None)
+
+
+def location_warnings(dataset: Dataset, locations: Sequence[Location]) -> list[DatasetWarning]:
+    """Return warnings about triangles that were found but are not as the manifest says."""
+    found = []
+    for one in locations:
+        group = dict(zip(dataset.experiment.group_by, one.group, strict=True))
+        for code in one.arrangement.mismatches:
+            what, remedy = (
+                ("of the opposite polarity to that in the manifest", "correct the column polarity")
+                if code == "polarity_mismatch"
+                else (
+                    f"{one.arrangement.phrase} against the manifest",
+                    "mirror or turn the frames back, or correct the column orientation",
+                )
+            )
+            message = f"{_group_name(dataset, one.group)}: the triangles that were located are {what}; {remedy}"
+            found.append(DatasetWarning(code, group, message, found=1.0, expected=0.0))
+    return found

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from statistics import NormalDist
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtr, ndtri, xlogy
 
 from todframes._typing import FloatArray
-from todframes.psychometrics.weibull import WeibullModel
+from todframes.normal import normal_cdf
+from todframes.psychometrics.weibull import WeibullModel, binomial_loglik
 
 _CHI2_95 = 3.841458820694124
 CURVE_TRIALS = 5
@@ -112,21 +113,20 @@ def threshold_interval(
         return min(float(low), estimate), max(float(high), estimate)
     draws = model.ln_threshold(model.fit_many(repeated))
     below = np.mean(draws < estimate - 1e-9) + np.mean(np.abs(draws - estimate) <= 1e-9) / 2
-    bias = ndtri(np.clip(below, 0.5 / resamples, 1 - 0.5 / resamples))
+    bias = NormalDist().inv_cdf(float(np.clip(below, 0.5 / resamples, 1 - 0.5 / resamples)))
     relative = weight / max(np.abs(weight).max(), 1e-300)
     variance = (observed.n_trials * relative**2 * second).sum()
     skew = (observed.n_trials * relative**3 * third).sum()
     acceleration = np.clip(skew / max(6 * variance**1.5, 1e-300), -0.1, 0.1)
     tails = bias + _Z_95 * np.array([-1.0, 1.0])
-    ranks = ndtr(bias + tails / np.maximum(1 - acceleration * tails, 0.1)) * (resamples + 1)
+    ranks = normal_cdf(bias + tails / np.maximum(1 - acceleration * tails, 0.1)) * (resamples + 1)
     draws.sort()
     low = min(draws[max(math.floor(ranks[0]) - 1, 0)], estimate)
     high = max(draws[min(math.ceil(ranks[1]) - 1, resamples - 1)], estimate)
     after = int(np.searchsorted(model.z, estimate))
     if 0 < after < len(model.z):
         step = np.where(np.arange(len(model.z)) < after, model.guess_rate, 1 - theta[2])
-        answers = observed.p_correct
-        step_loglik = (model.n_trials * (xlogy(answers, step) + xlogy(1 - answers, 1 - step))).sum()
+        step_loglik = (model.n_trials * binomial_loglik(observed.p_correct, step)).sum()
         if 2 * (loglik - step_loglik) <= _CHI2_95 * observed.dispersion(right):
             low, high = min(low, model.z[after - 1]), max(high, model.z[after])
     return float(low), float(high)

@@ -15,13 +15,12 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import xlogy
 
 from todframes._typing import FloatArray
 from todframes.config import check_values
 from todframes.errors import DataError, SettingsError
 from todframes.psychometrics.bootstrap import Observed, crossing_of_points, threshold_interval
-from todframes.psychometrics.weibull import BETA_RANGE, WeibullModel
+from todframes.psychometrics.weibull import BETA_RANGE, WeibullModel, binomial_loglik
 
 Status = Literal["ok", "extrapolated", "never_reached", "always_exceeded", "too_few_levels"]
 EXTRAPOLATION_FACTOR = 2.0
@@ -248,7 +247,7 @@ def _fit(observed: Observed, settings: FitSettings, rng: np.random.Generator) ->
     theta, loglik = model.fit_one(observed.p_correct)
     mean = np.average(observed.p_correct, weights=observed.n_trials)
     flat = np.clip(mean, settings.guess_rate, 1 - (settings.lapse_rate or 0.0))
-    flat_loglik = xlogy(mean, flat) + xlogy(1 - mean, 1 - flat)
+    flat_loglik = float(binomial_loglik(mean, flat))
     if loglik / nothing.n_trials <= flat_loglik + 1e-9:
         return replace(nothing, status="always_exceeded" if mean >= settings.p_correct else "never_reached")
     ln_threshold = float(model.ln_threshold(theta[None])[0])

@@ -9,6 +9,8 @@ from typing import Literal
 
 Crossing = tuple[Literal["ok", "never_reached", "always_exceeded"], float | None]
 LEVEL_RANGE = (1e-6, 1e9)
+SATURATED = 1e-3
+"""Largest distance of P from its value at the upper bound at which a curve counts as having reached it."""
 
 
 def crossing(
@@ -51,6 +53,7 @@ def find_crossing(
     bounds: tuple[float, float],
     start: float,
     factor: float,
+    saturates: bool = False,
 ) -> Crossing:
     """Find where a rising curve passes `p_correct`, on a logarithmic scale outwards from `start`.
 
@@ -62,6 +65,9 @@ def find_crossing(
         Levels beyond which the search ends.
     factor : float
         > 1; from one level tried to the next.
+    saturates : bool
+        Whether P is known to stay, from some level on, where it is at the upper bound. If that is below the
+        criterion, the search ends after two levels with P within `SATURATED` of it, instead of at the bound.
 
     Returns
     -------
@@ -76,7 +82,14 @@ def find_crossing(
         high, low = low, low - math.log(factor)
         if low < math.log(bounds[0]):
             return "always_exceeded", None
+
+    def is_saturated() -> bool:
+        end = excess(math.log(bounds[1]))
+        return low < high and end <= 0 and max(abs(excess(low) - end), abs(excess(high) - end)) <= SATURATED
+
     while excess(high) <= 0:
+        if saturates and is_saturated():
+            return "never_reached", None
         low, high = high, high + math.log(factor)
         if high > math.log(bounds[1]):
             return "never_reached", None

@@ -45,6 +45,14 @@ def weibull_level(
         return np.asarray(alpha * np.log2(span / left) ** (1 / beta))
 
 
+def binomial_loglik(share: ArrayLike, p: ArrayLike) -> FloatArray:
+    """Compute the log-likelihood of p per trial if this share of the answers is right; 0 · ln 0 counts as 0."""
+    share, p = np.asarray(share, np.float64), np.asarray(p, np.float64)
+    with np.errstate(divide="ignore"):
+        right, wrong = np.log(np.where(share > 0, p, 1.0)), np.log(np.where(share < 1, 1.0 - p, 1.0))
+    return np.asarray(share * right + (1.0 - share) * wrong)
+
+
 @dataclass(frozen=True, slots=True)
 class WeibullModel:
     """Levels, trials and parameter limits that a psychometric function is fitted with.

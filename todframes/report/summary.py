@@ -246,6 +246,14 @@ def remarks(result: ResultData) -> list[str]:
 def cautions(result: ResultData) -> list[str]:
     """Return the cautions that a reader of the thresholds must know."""
     told = []
+    of_each = [one for one in result.located or () if one.get("n_located") is not None]
+    if of_each:
+        n_located, n_trials = (sum(one[key] for one in of_each) for key in ("n_located", "n_trials"))
+        text = f"{n_located} of {n_trials} trials were located one by one"
+        faint = [one for one in of_each if one["n_located"] < one["n_trials"]]
+        where = f" (at {group_phrases([one['group'] for one in faint])})" if faint and faint[0]["group"] else ""
+        rest = f"; the others{where} are too faint and have the position of their group" if faint else ""
+        told.append(f"{text}{rest}.")
     apart = [
         100 * abs(fit.points_threshold / fit.threshold - 1)
         for fit in result.thresholds

@@ -97,7 +97,13 @@ def contrast_threshold(observer: Observer, *, size_mrad: float, p_correct: float
 
     def threshold(nodes: int) -> Threshold:
         response = _responses(observer, size_mrad, nodes)
-        return _crossing(lambda contrast: _proportion_correct(contrast, *response), p_correct, CONTRAST_RANGE, 1.0)
+        return _crossing(
+            lambda contrast: _proportion_correct(contrast, *response),
+            p_correct,
+            CONTRAST_RANGE,
+            1.0,
+            saturates=True,  # at P without internal noise
+        )
 
     size_samples = _size_samples(observer, size_mrad)
     return _refined(threshold, NODES if size_samples < FEW_NODES_FROM_SAMPLES else FEW_NODES + NODES)
@@ -213,6 +219,12 @@ def _proportion_correct(contrast: float, readout: Readout, deviations: FloatArra
 
 
 def _crossing(
-    proportion: Callable[[float], float], p_correct: float, bounds: tuple[float, float], start: float
+    proportion: Callable[[float], float],
+    p_correct: float,
+    bounds: tuple[float, float],
+    start: float,
+    *,
+    saturates: bool = False,
 ) -> Threshold:
-    return Threshold(*find_crossing(proportion, p_correct, bounds=bounds, start=start, factor=4.0), None)
+    found = find_crossing(proportion, p_correct, bounds=bounds, start=start, factor=4.0, saturates=saturates)
+    return Threshold(*found, None)

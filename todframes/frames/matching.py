@@ -1,0 +1,600 @@
+"""Correlation of frames with triangles: the position, blur and arrangement that explain a group's frames best."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from todframes._typing import ComplexArray, FloatArray
+from todframes.errors import FrameError
+from todframes.frames.arrangement import ARRANGEMENTS, Arrangement
+from todframes.frames.contrast import Patch, check_sha256, read_contrast
+from todframes.frames.dataset import Dataset, FrameReference, Trial
+from todframes.stimulus import ORIENTATIONS, Centre, Orientation, Stimulus, coverage
+
+MOST_LOCATED_PX = 2**21
+"""Largest number of pixels of a frame that is searched pixel by pixel; a larger one is averaged over blocks."""
+
+
+BLOCKS = 2**19
+"""Number of square blocks of pixels that a large frame is divided into."""
+
+
+MOST_BLOCKS = 2**24
+"""Largest number of blocks of a frame; more would fill the memory."""
+
+
+LEAST_BLOCKS = 16
+"""Least number of blocks along a triangle's size, unless blocks are pixels: larger blocks blur its edges."""
+
+
+LARGEST_BLUR = 0.5
+"""Largest standard deviation of the blur that is fitted, in sizes of the triangle."""
+
+
+HALF_PX, STEP_PX = 0.5, 0.1
+"""Distances of the positions whose correlations are compared, and step of the change of that difference."""
+
+
+ROUNDS, MOST_STEPS = 3, 6
+"""Number of times that the blur is fitted, and largest number of steps to the position for each."""
+
+
+LARGEST_STEP_PX = 1.0
+"""Largest step of the refined position along each axis."""
+
+
+CLEARLY = 1.1
+"""Least ratio of the correlation in another arrangement to that in the stated one."""
+
+
+LEAST_GAIN = 12.0
+"""Least gain in log likelihood of another arrangement than the stated one; chance: once in 10,000 groups."""
+
+
+SEARCHED, LEAST_SEARCHED_PX = 2.5, 8
+"""Largest distance of a trial's position from its group's: so many sizes, and pixels more."""
+
+
+DISC = 1.2
+"""Radius of the disc that is subtracted from the mean triangle, in sizes; triangles reach 0.88."""
+
+
+MOST_TRIAL_BLUR = 0.15
+"""Largest blur of the triangle of a single trial, in sizes; a larger blur of the mean frames is scatter."""
+
+
+MOST_PEAKS = 12
+"""Largest number of peaks of a trial that are kept."""
+
+
+Means = dict[Stimulus, dict[Orientation, FloatArray]]
+
+
+class MeanFrames:
+    """Mean contrast of a group's frames by stimulus and orientation; all frames must have one size."""
+
+    def __init__(self, dataset: Dataset) -> None:
+        self.dataset = dataset
+        self.shape: tuple[int, ...] | None = None
+        self.block_px = 1
+        self.totals: dict[tuple[Stimulus, Orientation], FloatArray] = {}
+        self.counts: Counter[tuple[Stimulus, Orientation]] = Counter()
+
+    def add(self, trial: Trial) -> None:
+        """Add all frames of a trial; if one cannot be read, add none."""
+        contrasts = [self._contrast(frame, trial.stimulus) for frame in trial.frames]
+        key = (trial.stimulus, trial.orientation)
+        total = self.totals.setdefault(key, np.zeros(contrasts[0].shape))
+        for contrast in contrasts:
+            total += contrast
+        self.counts[key] += len(contrasts)
+
+    def of_trial(self, trial: Trial) -> FloatArray:
+        """Return the mean contrast of a trial's frames, in blocks."""
+        contrasts = [self._contrast(frame, trial.stimulus) for frame in trial.frames]
+        return contrasts[0] if len(contrasts) == 1 else np.asarray(sum(contrasts) / len(contrasts))
+
+    def means(self) -> Means:
+        """Return the mean contrast of each stimulus and orientation."""
+        means: Means = {}
+        for (stimulus, orientation), total in self.totals.items():
+            means.setdefault(stimulus, {})[orientation] = total / self.counts[stimulus, orientation]
+        return means
+
+    def _contrast(self, frame: FrameReference, stimulus: Stimulus) -> FloatArray:
+        path = self.dataset.frame_path(frame)
+        check_sha256(self.dataset, frame)
+        with self.dataset.open(frame) as file:
+            patch = read_contrast(file, self.dataset.display, frame)
+            header = file.header
+        shape = patch.values.shape[:2]
+        if (patch.row, patch.column, *shape) != (0, 0, header.height, header.width):
+            raise FrameError(path, "has no pixels in part of the frame; its triangle cannot be located")
+        if self.shape is None:
+            self.shape = shape
+            size_px = stimulus.size_mrad / self.dataset.display.pitch_mrad
+            self.block_px = _block_px(shape, size_px)
+            if shape[0] * shape[1] / self.block_px**2 > MOST_BLOCKS:
+                raise FrameError(
+                    path,
+                    f"{_size(shape)} pixels are too many to find a triangle of {size_px:.3g} pixels among them, "
+                    f"expected at most {MOST_BLOCKS / 1e6:.1f} million; give x_px and y_px in the manifest",
+                )
+        if self.shape != shape:
+            found, expected = _size(shape), _size(self.shape)
+            raise FrameError(path, f"found {found} pixels, expected {expected} as in the group's other frames")
+        return block_means(patch, self.block_px)
+
+
+def _block_px(shape: tuple[int, ...], size_px: float) -> int:
+    """Return the side of the blocks that a frame is searched in, in pixels: 1 unless the frame is large."""
+    n_px = shape[0] * shape[1]
+    wanted = 1 if n_px <= MOST_LOCATED_PX else math.ceil(math.sqrt(n_px / BLOCKS))
+    return max(min(wanted, int(min(size_px, 1e9) / LEAST_BLOCKS)), 1)
+
+
+def block_means(patch: Patch, block_px: int) -> FloatArray:
+    """Average the contrast of a whole frame over square blocks; incomplete blocks are dropped."""
+    if block_px == 1 and patch.to_contrast is None:
+        return patch.values
+    n_rows, n_columns = (length // block_px for length in patch.values.shape[:2])
+    means = np.zeros((n_rows, n_columns))
+    for band in patch.bands():
+        within = band.values[: max(n_rows * block_px - band.row, 0), : n_columns * block_px]
+        if len(within) == 0:
+            continue
+        by_columns = within.reshape(len(within), n_columns, block_px).sum(axis=2)
+        block_rows = (band.row + np.arange(len(within))) // block_px
+        starts = np.flatnonzero(np.diff(block_rows, prepend=-1))
+        means[block_rows[0] : block_rows[-1] + 1] += np.add.reduceat(by_columns, starts, axis=0)
+    return means / block_px**2
+
+
+def _size(shape: tuple[int, ...]) -> str:
+    """Return the text "columns × rows"."""
+    return f"{shape[1]} × {shape[0]}"
+
+
+class Found(NamedTuple):
+    """The highest correlation on whole pixels: where, in which arrangement, and how high.
+
+    `height` is that of the peak above the median of the correlation as stated, `spread` the standard deviation of
+    that correlation over the frame.
+    """
+
+    arrangement: Arrangement
+    x: int
+    y: int
+    peak: float
+    height: float
+    spread: float
+
+
+class Fitted(NamedTuple):
+    """The position, arrangement and blur of the triangles that explain frames best, in blocks of pixels.
+
+    `peak` is the correlation there, of unit-energy triangles; `covariance`, (2, 2), is that of x and y.
+    """
+
+    x: float
+    y: float
+    blur: float
+    arrangement: Arrangement
+    peak: float
+    covariance: FloatArray
+
+
+class Matcher:
+    """Correlation of the orientation differences in mean frames with those of triangles at any position.
+
+    The mean over orientations is subtracted from frames and triangles alike. It contains everything that the
+    orientations share: bezel, overlay, shading, fixed pattern.
+    """
+
+    def __init__(self, means: Means, pixel_pitch_mrad: float, centre: Centre) -> None:
+        self.centre = centre
+        self.means = {stimulus: _less_common(images) for stimulus, images in means.items()}
+        self.pitch = pixel_pitch_mrad
+        self.shape = next(iter(next(iter(means.values())).values())).shape
+        self.largest_px = max(stimulus.size_mrad for stimulus in means) / pixel_pitch_mrad
+
+    def templates(
+        self,
+        stimulus: Stimulus,
+        x: float,
+        y: float,
+        shape: tuple[int, int],
+        *,
+        arrangement: Arrangement = ARRANGEMENTS[0],
+        blur: float = 0.0,
+    ) -> FloatArray:
+        """Compute the triangle differences of unit energy, shape (orientation, rows, columns)."""
+        triangles = {
+            orientation: arrangement.sign
+            * stimulus.polarity
+            * blurred_coverage(
+                shape,
+                size_px=stimulus.size_mrad / self.pitch,
+                x_px=x,
+                y_px=y,
+                orientation=arrangement.of(orientation),
+                centre=self.centre,
+                blur=blur,
+            )
+            for orientation in self.means[stimulus]
+        }
+        stack = np.array(list(_less_common(triangles).values()))
+        norm = float(np.sqrt(np.square(stack).sum()))
+        return np.asarray(stack / norm) if norm > 0.0 else stack  # within one pixel all orientations are alike
+
+    def search(self) -> Found:
+        """Find the highest correlation over all whole pixels and arrangements.
+
+        Another arrangement than the stated one is taken only if it explains the frames clearly better.
+
+        Returns
+        -------
+        Found
+            `height` is -inf if the frames are smaller than the triangles.
+        """
+        # The centroid is at least a third of the height, 0.439 sizes, away from each edge of the triangle.
+        edge = max(int(np.ceil(0.4386 * self.largest_px - 0.5)), 0)
+        rows, columns = self.shape
+        spectra = [self._spectra(stimulus) for stimulus in self.means]
+        best = Found(ARRANGEMENTS[0], 0, 0, -np.inf, -np.inf, 0.0)
+        if 2 * edge >= min(rows, columns):
+            return best
+        for arrangement in ARRANGEMENTS:
+            if arrangement.sign == 1:
+                whole = np.fft.fftshift(np.fft.irfft2(sum(one.cross(arrangement) for one in spectra), self.shape))
+                correlation = whole[edge : rows - edge, edge : columns - edge]
+            else:
+                correlation = -correlation
+            row, column = np.unravel_index(correlation.argmax(), correlation.shape)
+            peak = float(correlation[row, column])
+            found = best._replace(arrangement=arrangement, x=int(column) + edge, y=int(row) + edge, peak=peak)
+            if arrangement == ARRANGEMENTS[0]:
+                median = float(np.median(correlation))
+                spread = 1.4826 * float(np.median(np.abs(correlation - median)))
+                best = found._replace(height=peak - median, spread=spread)
+            elif peak > CLEARLY * best.peak and peak**2 - max(best.peak, 0.0) ** 2 > 2.0 * LEAST_GAIN * spread**2:
+                best = found._replace(height=peak - median)
+        return best
+
+    def _spectra(self, stimulus: Stimulus) -> _Spectra:
+        """Return the spectra of a stimulus's images and of its triangles in the middle of the frame."""
+        rows, columns = self.shape
+        images = self.means[stimulus]
+        triangles = np.array(
+            [
+                stimulus.polarity
+                * coverage(
+                    self.shape,
+                    size_px=stimulus.size_mrad / self.pitch,
+                    x_px=columns // 2,
+                    y_px=rows // 2,
+                    orientation=orientation,
+                    centre=self.centre,
+                )
+                for orientation in ORIENTATIONS
+            ]
+        ).reshape(4, -1)
+        products = triangles @ triangles.T
+        if len(images) == 1:  # a single orientation only loses its mean level
+            products = products - np.outer(triangles.sum(axis=1), triangles.sum(axis=1)) / triangles.shape[1]
+        return _Spectra(
+            {orientation: np.fft.rfft2(image) for orientation, image in images.items()},
+            [np.conj(np.fft.rfft2(one.reshape(self.shape))) for one in triangles],
+            products,
+        )
+
+    def refined(self, x: float, y: float, arrangement: Arrangement) -> Fitted:
+        """Fit the position between pixels and the blur, from a position on whole pixels.
+
+        At the fitted position, the remainder after subtraction of the triangles does not correlate with a shift of
+        the triangles. The covariance follows from the spread of that correlation over the frame, so it holds for
+        noise that is correlated between pixels, too.
+        """
+        from scipy.optimize import minimize_scalar
+
+        blur = 0.0
+        for _ in range(ROUNDS):
+            cut = self._cut(x, y, arrangement)
+            sharp = cut.correlation(x, y, 0.0)
+            found = minimize_scalar(
+                lambda blur, cut=cut, x=x, y=y: -cut.correlation(x, y, blur),
+                bounds=(0.0, LARGEST_BLUR * self.largest_px),
+                method="bounded",
+                options={"xatol": 0.02},
+            )
+            blur = float(found.x) if -found.fun > sharp else 0.0
+            jacobian = cut.fitted(x, y, blur).slope_change(x, y, blur)
+            for _ in range(MOST_STEPS):
+                step = _step(cut.slope(x, y, blur), jacobian)
+                x, y = x + step[0], y + step[1]
+                if np.abs(step).max() < 1e-3:
+                    break
+        covariance = self._covariance(x, y, arrangement, blur)
+        return Fitted(x, y, blur, arrangement, self._cut(x, y, arrangement).correlation(x, y, blur), covariance)
+
+    def _cut(self, x: float, y: float, arrangement: Arrangement) -> _Cut:
+        """Cut the part out of the images that triangles near a position touch, with their blur."""
+        reach = int(np.ceil((1.0 + 2.0 * LARGEST_BLUR) * self.largest_px)) + 4
+        rows, columns = (slice(max(round(at) - reach, 0), round(at) + reach + 1) for at in (y, x))
+        parts = {
+            stimulus: np.array([image[rows, columns] for image in images.values()])
+            for stimulus, images in self.means.items()
+        }
+        return _Cut(self, parts, rows.start, columns.start, arrangement)
+
+    def _covariance(self, x: float, y: float, arrangement: Arrangement, blur: float) -> FloatArray:
+        """Compute the covariance of the position, (2, 2), from the noise of the slopes and their change."""
+        cut = self._cut(x, y, arrangement)
+        spectra = np.zeros((2, self.shape[0], self.shape[1] // 2 + 1), dtype=np.complex128)
+        fitted = cut.fitted(x, y, blur)
+        for stimulus, images in self.means.items():
+            part = fitted.parts[stimulus]
+            residual = np.array([*images.values()])
+            residual[:, cut.row : cut.row + part.shape[1], cut.column : cut.column + part.shape[2]] -= part
+            for axis, slope in enumerate(cut.slope_templates(stimulus, x, y, blur)):
+                for image, one in zip(residual, slope, strict=True):
+                    spectra[axis] += np.fft.rfft2(image) * np.conj(np.fft.rfft2(one, self.shape))
+        slopes = np.fft.irfft2(spectra, self.shape)
+        noise = np.einsum("aij,bij->ab", slopes, slopes) / slopes[0].size
+        jacobian = fitted.slope_change(x, y, blur)
+        if not np.linalg.det(jacobian) > 0.0:
+            return np.full((2, 2), np.inf)
+        inverse = np.linalg.inv(jacobian)
+        return np.asarray(inverse @ noise @ inverse.T)
+
+
+@dataclass(frozen=True, slots=True)
+class _Cut:
+    """The part of each stimulus's images, (orientation, rows, columns), that triangles near a position touch."""
+
+    matcher: Matcher
+    parts: dict[Stimulus, FloatArray]
+    row: int
+    column: int
+    arrangement: Arrangement
+
+    def templates(self, stimulus: Stimulus, places: Sequence[tuple[float, float]], blur: float) -> FloatArray:
+        """Compute unit-energy templates at places in the frame, (place, orientation, rows, columns)."""
+        shape = self.parts[stimulus].shape[1:]
+        return np.array(
+            [
+                self.matcher.templates(
+                    stimulus, x - self.column, y - self.row, shape, arrangement=self.arrangement, blur=blur
+                )
+                for x, y in places
+            ]
+        )
+
+    def correlation(self, x: float, y: float, blur: float) -> float:
+        """Compute the correlation for a centroid at (x, y), with exact coverage."""
+        return sum(
+            float(np.vdot(part, self.templates(stimulus, [(x, y)], blur))) for stimulus, part in self.parts.items()
+        )
+
+    def fitted(self, x: float, y: float, blur: float) -> _Cut:
+        """Return the triangles with their centroid at (x, y) that explain the images best."""
+        parts = {}
+        for stimulus, part in self.parts.items():
+            (best,) = self.templates(stimulus, [(x, y)], blur)
+            parts[stimulus] = float(np.vdot(part, best)) * best
+        return replace(self, parts=parts)
+
+    def slope_templates(self, stimulus: Stimulus, x: float, y: float, blur: float) -> FloatArray:
+        """Compute templates of the slope along x and y, (axis, orientation, rows, columns)."""
+        right, left, below, above = self.templates(
+            stimulus, [(x + HALF_PX, y), (x - HALF_PX, y), (x, y + HALF_PX), (x, y - HALF_PX)], blur
+        )
+        return np.array([right - left, below - above])
+
+    def slope(self, x: float, y: float, blur: float) -> FloatArray:
+        """Compute the slope of the correlation, (2,), after subtraction of the triangle at (x, y)."""
+        total = np.zeros(2)
+        fitted = self.fitted(x, y, blur)
+        for stimulus, part in self.parts.items():
+            remainder = part - fitted.parts[stimulus]
+            total += np.einsum("oij,aoij->a", remainder, self.slope_templates(stimulus, x, y, blur))
+        return total
+
+    def slope_change(self, x: float, y: float, blur: float) -> FloatArray:
+        """Compute minus the change of the slope with x and y, (slope, axis)."""
+        along_x = self.slope(x - STEP_PX, y, blur) - self.slope(x + STEP_PX, y, blur)
+        along_y = self.slope(x, y - STEP_PX, blur) - self.slope(x, y + STEP_PX, blur)
+        return np.array([along_x, along_y]).T / (2.0 * STEP_PX)
+
+
+class _Spectra(NamedTuple):
+    """Spectra of images by orientation, conjugate spectra of triangles and their inner products, (4, 4)."""
+
+    images: dict[Orientation, ComplexArray]
+    triangles: list[ComplexArray]
+    products: FloatArray
+
+    def cross(self, arrangement: Arrangement) -> ComplexArray:
+        """Return the spectrum of the correlation with unit-energy triangle differences in an arrangement."""
+        shown = [arrangement.of(orientation).quarter_turns for orientation in self.images]
+        products = self.products[np.ix_(shown, shown)]
+        energy = float(np.trace(products) - (products.sum() / len(shown) if len(shown) > 1 else 0.0))
+        # The images add up to zero, so the mean of the triangles needs no subtraction.
+        total = sum(image * self.triangles[k] for image, k in zip(self.images.values(), shown, strict=True))
+        # Within one pixel all orientations are alike: only rounding is left of their differences.
+        return np.asarray(total / math.sqrt(energy) if energy > 1e-9 * np.trace(products) else 0.0 * total)
+
+
+def blurred_coverage(
+    shape: tuple[int, int],
+    *,
+    size_px: float,
+    x_px: float,
+    y_px: float,
+    orientation: Orientation,
+    centre: Centre,
+    blur: float,
+) -> FloatArray:
+    """Compute the coverage of pixels by a triangle after a Gaussian blur with a standard deviation in pixels."""
+    sharp = coverage(shape, size_px=size_px, x_px=x_px, y_px=y_px, orientation=orientation, centre=centre)
+    if blur < 0.05:
+        return sharp
+    from scipy.ndimage import gaussian_filter
+
+    return np.asarray(gaussian_filter(sharp, blur, mode="constant", truncate=3.0))
+
+
+def _step(slope: FloatArray, slope_change: FloatArray) -> FloatArray:
+    """Return the step to where the slope is zero, at most `LARGEST_STEP_PX` along each axis."""
+    if not np.linalg.eigvalsh(slope_change + slope_change.T)[0] > 0.0:
+        return np.zeros(2)
+    return np.clip(np.linalg.solve(slope_change, slope), -LARGEST_STEP_PX, LARGEST_STEP_PX)
+
+
+def _less_common(images: dict[Orientation, FloatArray]) -> dict[Orientation, FloatArray]:
+    """Subtract from each image the mean of all; a single orientation only loses its mean level."""
+    common = np.mean(list(images.values()), axis=0) if len(images) > 1 else next(iter(images.values())).mean()
+    return {orientation: images[orientation] - common for orientation in ORIENTATIONS if orientation in images}
+
+
+class Place(NamedTuple):
+    """A peak of a trial's correlation: position in blocks of pixels, variance along each axis, height.
+
+    `height` is in standard deviations of the correlation's noise.
+    """
+
+    x: float
+    y: float
+    variance: float
+    height: float
+
+
+class TrialMatcher:
+    """Correlation of single frames with the mean triangle of all orientations.
+
+    The peak lies at the centroid of a triangle of any orientation. The weights add up to zero, so shading does not
+    shift the peak.
+
+    Parameters
+    ----------
+    pixel_pitch_mrad : float
+        Visual angle of a pixel, or of a block of pixels.
+    blur : float
+        Standard deviation of the triangles' blur, in pixels.
+    sign : int
+        -1 if triangles are darker where the manifest says brighter, and the other way round.
+    """
+
+    def __init__(self, pixel_pitch_mrad: float, blur: float, sign: int) -> None:
+        self.pitch = pixel_pitch_mrad
+        self.blur = blur
+        self.sign = sign
+        self._weights: dict[Stimulus, FloatArray] = {}
+
+    def peaks(self, image: FloatArray, stimulus: Stimulus, x: float, y: float, reach: float = 0.0) -> list[Place]:
+        """Return the peaks of a trial's correlation near a position, the highest first.
+
+        Parameters
+        ----------
+        image : ndarray, shape (rows, columns)
+            Contrast of the whole frame.
+        stimulus : Stimulus
+        x, y : float
+            The group's position, in pixels.
+        reach : float
+            Least distance from it that is searched, in pixels.
+        """
+        from scipy.ndimage import maximum_filter
+        from scipy.signal import fftconvolve
+
+        weights = self._of(stimulus)
+        half = len(weights) // 2
+        least = SEARCHED * stimulus.size_mrad / self.pitch + LEAST_SEARCHED_PX
+        margin = math.ceil(max(reach, least)) + half
+        rows, columns = (
+            slice(max(round(at) - margin, 0), min(round(at) + margin + 1, n))
+            for at, n in zip((y, x), image.shape, strict=True)
+        )
+        part = image[rows, columns]
+        if min(part.shape) <= 2 * half + 2:
+            return []
+        correlation = fftconvolve(part, weights[::-1, ::-1], mode="valid")
+        inner = correlation[1:-1, 1:-1]
+        tops = (inner == maximum_filter(correlation, 3)[1:-1, 1:-1]) & (inner > 0.0)
+        found = sorted(np.argwhere(tops).tolist(), key=lambda at: -inner[at[0], at[1]])[:MOST_PEAKS]
+        if not found:
+            return []
+        places = [_top(correlation, at[0] + 1, at[1] + 1) for at in found]
+        noise = self._residual(part, stimulus, places[0][0] + half, places[0][1] + half)
+        rest = fftconvolve(noise, weights[::-1, ::-1], mode="valid")
+        spread = math.sqrt(float(np.square(rest).mean()))
+        slopes = [
+            float(np.square(rest[2:] - rest[:-2]).mean()),
+            float(np.square(rest[:, 2:] - rest[:, :-2]).mean()),
+        ]
+        slope_variance = max(slopes) / 4.0
+        return [
+            Place(
+                x + columns.start + half,
+                y + rows.start + half,
+                slope_variance / curvature**2,
+                height / spread if spread > 0.0 else math.inf,
+            )
+            for x, y, height, curvature in places
+            if curvature > 0.0
+        ]
+
+    def _of(self, stimulus: Stimulus) -> FloatArray:
+        """Return the weights of a stimulus: the mean triangle less a disc, so that they add up to zero."""
+        if stimulus not in self._weights:
+            size_px = stimulus.size_mrad / self.pitch
+            half = math.ceil(DISC * size_px) + 1
+            mean = np.mean(self._triangles(stimulus, (2 * half + 1, 2 * half + 1), half, half), axis=0)
+            squares = np.square(np.arange(-half, half + 1.0))
+            disc = (squares[:, None] + squares <= half**2).astype(np.float64)
+            weights = stimulus.polarity * self.sign * (mean - mean.sum() / disc.sum() * disc)
+            self._weights[stimulus] = weights / math.sqrt(float(np.square(weights).sum()))
+        return self._weights[stimulus]
+
+    def _triangles(self, stimulus: Stimulus, shape: tuple[int, int], x: float, y: float) -> FloatArray:
+        """Return the blurred coverage by triangles of all orientations at a position, (4, rows, columns)."""
+        size_px = stimulus.size_mrad / self.pitch
+        return np.array(
+            [
+                blurred_coverage(
+                    shape,
+                    size_px=size_px,
+                    x_px=x,
+                    y_px=y,
+                    orientation=orientation,
+                    centre="centroid",
+                    blur=min(self.blur, MOST_TRIAL_BLUR * size_px),
+                )
+                for orientation in ORIENTATIONS
+            ]
+        )
+
+    def _residual(self, part: FloatArray, stimulus: Stimulus, x: float, y: float) -> FloatArray:
+        """Subtract the triangles of all orientations, a mean and a slope from an image by least squares."""
+        rows, columns = np.indices(part.shape)
+        triangles = self._triangles(stimulus, (part.shape[0], part.shape[1]), x, y)
+        basis = np.array([np.ones(part.shape), rows - rows.mean(), columns - columns.mean(), *triangles])
+        basis = basis.reshape(len(basis), -1)
+        fit, *_ = np.linalg.lstsq(basis @ basis.T, basis @ part.ravel(), rcond=None)
+        return np.asarray(part - (fit @ basis).reshape(part.shape))
+
+
+def _top(image: FloatArray, row: int, column: int) -> tuple[float, float, float, float]:
+    """Return x, y, height and the least curvature of a peak, from parabolas through its highest pixel."""
+    at = image[row, column]
+    (left, right), (above, below) = image[row, [column - 1, column + 1]], image[[row - 1, row + 1], column]
+    curvature_x, curvature_y = 2.0 * at - left - right, 2.0 * at - above - below
+    x = column + (right - left) / 2.0 / curvature_x if curvature_x > 0.0 else float(column)
+    y = row + (below - above) / 2.0 / curvature_y if curvature_y > 0.0 else float(row)
+    return float(x), float(y), float(at), float(min(curvature_x, curvature_y))
