@@ -16,6 +16,10 @@ MATTERS = 0.03
 """Relative error of a threshold that matters."""
 
 
+SKEW = 0.25
+"""Relative deviation of a background's luminance that skewed noise may cause, in standard deviations of a pixel."""
+
+
 OFFSET_MRAD, SCATTER_MRAD = 0.08, 0.1
 """Offset and scatter of the triangle's place that matter: half a sample of the naked eye's retina raises
 thresholds by 2 to 5 % for sizes up to 4 mrad, and more for larger ones."""
@@ -23,6 +27,10 @@ thresholds by 2 to 5 % for sizes up to 4 mrad, and more for larger ones."""
 
 LEAST_OFFSET_PX = 0.05
 """Least offset that is told, in pixels; a smaller one is within the errors of the fit."""
+
+
+OFFSET_PER_BLUR = 0.3
+"""Offset of a blurred triangle that does not matter, in standard deviations of its blur."""
 
 
 SIZE_MRAD, LEAST_SIZE_ERROR = 0.08, 0.02
@@ -49,7 +57,7 @@ LEAST_SIZE_PX = 2.0
 """Size of a triangle in pixels below which its orientation is not displayed."""
 
 
-MOST_CLIPPED = 0.002
+MOST_CLIPPED = 0.01
 """Share of the triangle's pixels at an end of the code values that is told."""
 
 
@@ -142,8 +150,9 @@ def _codes(dataset: Dataset, one: Inspection) -> Iterator[Told]:
 
 
 def _background(dataset: Dataset, one: Inspection) -> Iterator[Told]:
-    rule, error = dataset.display.background_luminance_cd_m2, one.ring_scatter / math.sqrt(one.n_trials)
-    if abs(one.ring_ratio - 1.0) > max(MATTERS, CERTAIN * error):
+    rule = dataset.display.background_luminance_cd_m2
+    by_noise = SKEW * one.noise_contrast
+    if abs(one.ring_ratio - 1.0) > max(MATTERS, by_noise, CERTAIN * one.ring_ratio_error):
         advice = (
             'set background_luminance_cd_m2 = "surround", and check eotf and white_luminance_cd_m2'
             if not isinstance(rule, str) or rule == "column"
@@ -270,7 +279,8 @@ def _place(dataset: Dataset, one: Inspection) -> Iterator[Told]:
         return
     pitch, error = dataset.display.pitch_mrad, math.hypot(*one.offset_error_px)
     offset = math.hypot(*one.offset_px)
-    if offset > max(OFFSET_MRAD / pitch, LEAST_OFFSET_PX, CERTAIN * error):
+    hidden = OFFSET_PER_BLUR * (one.blur_px or 0.0)
+    if offset > max(OFFSET_MRAD / pitch, LEAST_OFFSET_PX, hidden, CERTAIN * error):
         dx, dy = one.offset_px
         yield (
             "position_offset",

@@ -131,8 +131,8 @@ class Inspection:
         Rows and columns of the frames that occur.
     background_luminance_cd_m2, ring_luminance_cd_m2 : float
         Mean luminance that contrast refers to, and mean luminance around the triangle.
-    ring_ratio, ring_scatter : float
-        Mean and standard deviation over trials of the second divided by the first.
+    ring_ratio, ring_ratio_error, ring_scatter : float
+        Mean of the second divided by the first, its error, and its standard deviation over trials.
     contrast_slope, contrast_slope_error : float or None
         Displayed contrast of the triangle per unit of the level, blur removed, positive if of the stated polarity.
     offset_px, offset_error_px : (float, float) or None
@@ -175,6 +175,7 @@ class Inspection:
     background_luminance_cd_m2: float
     ring_luminance_cd_m2: float
     ring_ratio: float
+    ring_ratio_error: float
     ring_scatter: float
     level: float
     noise_contrast: float
@@ -484,12 +485,31 @@ def _measured(dataset: Dataset, group: Group, stimulus: Stimulus, samples: Seque
         background_luminance_cd_m2=float(np.mean([sample.background_cd_m2 for sample in samples])),
         ring_luminance_cd_m2=float(np.mean([sample.ring_cd_m2 for sample in samples])),
         ring_ratio=float(ratio.mean()),
+        ring_ratio_error=math.hypot(
+            ratio.std() / math.sqrt(len(ratio)), _static_error(samples, size_px / block_px)
+        ),
         ring_scatter=float(ratio.std(ddof=1)) if len(ratio) > 1 else 0.0,
         level=float(np.median(level)),
         noise_contrast=float(np.median([sample.noise for sample in samples])),
         **_of_codes(codes),
         **_of_triangle(samples, strength, size_px / block_px, stimulus.polarity, block_px),
     )
+
+
+def _static_error(samples: Sequence[FrameSample], size: float) -> float:
+    """Estimate the relative error of the luminance around the triangle from a pattern that all frames share.
+
+    It is that of the mean of eight sectors around the triangle.
+    """
+    mean = np.mean([sample.even for sample in samples], axis=0)
+    known = np.logical_and.reduce([sample.known for sample in samples])
+    v, u = np.mgrid[: len(mean), : len(mean)] - (len(mean) - 1) / 2.0
+    sector = ((np.arctan2(v, u) / np.pi + 1.0) * 4.0).astype(int) % 8
+    around = known & (np.hypot(u, v) > HOLE_IN_SIZES * size)
+    sectors = [mean[around & (sector == k)].mean() for k in range(8) if (around & (sector == k)).any()]
+    if len(sectors) < 2:
+        return 0.0
+    return 1.4826 * float(np.median(np.abs(sectors - np.median(sectors)))) / math.sqrt(len(sectors))
 
 
 def _of_codes(codes: Sequence[Codes]) -> dict[str, Any]:
@@ -529,10 +549,16 @@ def _of_triangle(
     each = np.einsum("tpi,ti->tp", steps[shown], residual.reshape(len(level), -1))
     noise = residual * relative[:, None, None]
     beside = [moved for moved, there in _beside(noise, known, size) if there]
-    at_level = _noise(each * relative[:, None], steps[shown], beside) / relative[:, None]
     share = np.square(relative) / np.square(relative).sum()
-    # The spread over trials, or the noise if few trials happen to agree.
-    error = np.sqrt((np.square(share)[:, None] * np.maximum(np.square(each), np.square(at_level))).sum(axis=0))
+    of_noise = [np.einsum("tpi,ti->tp", steps[shown], moved.reshape(len(moved), -1)) for moved in beside]
+    # If the frames have no place beside the triangle, the noise is the spread over the trials.
+    spread = np.abs(np.concatenate(of_noise or [each * relative[:, None]]))
+    at_level = 1.4826 * np.median(spread, axis=0) / relative[:, None]
+    # The spread over trials, or the noise if few trials happen to agree; and that of what all trials share.
+    variance = (np.square(share)[:, None] * np.maximum(np.square(each), np.square(at_level))).sum(axis=0)
+    if of_noise:
+        variance += np.square([(share / relative) @ one for one in of_noise]).mean(axis=0)
+    error = np.sqrt(variance)
     amplitude = abs(values[_AMPLITUDE])
     signal = float(amplitude / error[_AMPLITUDE]) if error[_AMPLITUDE] > 0.0 else math.inf
     seen = polarity * np.array([sample.seen for sample in samples])
@@ -541,7 +567,7 @@ def _of_triangle(
         "contrast_slope": float(values[_AMPLITUDE]),
         "contrast_slope_error": float(error[_AMPLITUDE]),
         "signal": signal,
-        **_unevenness(static, residual * level[:, None, None], model, values),
+        **_unevenness(static, residual * level[:, None, None], known, size, model, values),
     }
     if signal < LEAST_SIGNAL:
         return found
@@ -696,19 +722,9 @@ def _beside(residual: FloatArray, known: NDArray[np.bool_], size: float) -> Iter
     n = len(known)
     v, u = np.mgrid[:n, :n] - (n - 1) / 2.0
     near, away = np.hypot(u, v) < size, round(1.8 * size)
-    for shift in ((away, 0), (-away, 0), (0, away), (0, -away)):
+    ways = (-away, 0, away)
+    for shift in ((down, right) for down in ways for right in ways if down or right):
         yield np.roll(residual, shift, axis=(1, 2)), np.roll(known, shift, axis=(0, 1))[near].mean() > ON_FRAME
-
-
-def _noise(each: FloatArray, steps: FloatArray, beside: Sequence[FloatArray]) -> FloatArray:
-    """Estimate the noise of a trial's parameters in units of its own, from places beside the triangle.
-
-    If the frames have none, it is the spread of the parameters over the trials.
-    """
-    if not beside:
-        return np.asarray(1.4826 * np.median(np.abs(each), axis=0))
-    found = [np.einsum("tpi,ti->tp", steps, moved.reshape(len(moved), -1)) for moved in beside]
-    return np.asarray(1.4826 * np.median(np.abs(np.concatenate(found)), axis=0))
 
 
 def _scatter(apart: FloatArray, noise: FloatArray) -> float | None:
@@ -744,23 +760,39 @@ def _orientations(
     return int(wrong.sum()), int(clear.sum()), noise
 
 
-def _unevenness(static: FloatArray, noise: FloatArray, model: _Model, values: FloatArray) -> dict[str, Any]:
+def _unevenness(
+    static: FloatArray,
+    noise: FloatArray,
+    known: NDArray[np.bool_],
+    size: float,
+    model: _Model,
+    values: FloatArray,
+) -> dict[str, Any]:
     """Measure how like the orientations of a triangle the background's own structure is, in contrast.
 
-    The structure elsewhere in the picture, such as a fixed pattern, is measured in the same way.
+    The structure elsewhere on the frames, such as a fixed pattern, is measured in the same way. Nothing is
+    returned if the frames show too little else.
     """
+    from scipy.ndimage import binary_erosion
+
     differ = (model.images - model.images.mean(axis=0)) / values[_AMPLITUDE]
     energy = float(np.square(differ).sum()) / 4.0
     if not energy > 0.0:
         return {}
     spectrum = np.fft.rfft2(static)
     maps = np.array([np.fft.irfft2(spectrum * np.conj(np.fft.rfft2(one)), static.shape) for one in differ])
-    spread = np.ptp(maps, axis=0) / energy
+    spread = np.fft.fftshift(np.ptp(maps, axis=0)) / energy
+    n = len(known)
+    v, u = np.mgrid[:n, :n] - n // 2
+    reach = math.ceil(0.6 * size)
+    elsewhere = binary_erosion(known, iterations=reach) & (np.hypot(u, v) > size)
+    if elsewhere.sum() < np.square(2.0 * size):
+        return {}
     each = noise.reshape(len(noise), -1) @ differ.reshape(4, -1).T / energy
     return {
-        "uneven": float(spread[0, 0]),
+        "uneven": float(spread[n // 2, n // 2]),
         "uneven_error": float(each.std(axis=0).max()) / math.sqrt(len(noise)),
-        "uneven_texture": float(np.median(spread)),
+        "uneven_texture": float(np.median(spread[elsewhere])),
     }
 
 
