@@ -98,13 +98,13 @@ def grabbed_8bit(folder: Path) -> None:
         pixel_pitch_mrad=pitch_mrad,
         background_luminance_cd_m2="border",
     )
-    steps = np.array([1, 2, 3, 4, 6, 8, 12])
+    steps = np.array([1, 2, 3, 4, 6, 8, 12, 18])
     codes = np.concatenate([[grey], grey + steps])
     luminance = display.luminance(codes.reshape(-1, 1, 1) / 255.0).ravel()
     contrasts = luminance[1:] / luminance[0] - 1.0
     rows = []
     rng = np.random.default_rng(8)
-    for size_mrad, first in ((1.5, 1), (2.5, 0), (4.0, 0), (7.0, 0)):
+    for size_mrad, first in ((1.5, 2), (2.5, 0), (4.0, 0), (7.0, 0)):
         for step, contrast in list(zip(steps, contrasts, strict=True))[first : first + 6]:
             for orientation in ORIENTATIONS:
                 for repetition in range(REPETITIONS):

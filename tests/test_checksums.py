@@ -40,7 +40,7 @@ def sha256(path: Path) -> str:
 
 def test_exr_without_a_checksum_is_warned_of(make_dataset, todframes, tmp_path) -> None:
     """In the JSON, in one line on standard error and at the top of the report; not with --quiet."""
-    made = make_dataset("my frames", contrasts=(0.05, 0.1, 0.2))
+    made = make_dataset("my frames", contrasts=(0.05, 0.1, 0.2, 0.4))
     made.rows[0]["sha256"] = sha256(made.frame(0))
     made.save()
     for command in (["score"], ["compare", "--enhance", "gaussian", "--white", "100"]):
@@ -48,11 +48,11 @@ def test_exr_without_a_checksum_is_warned_of(make_dataset, todframes, tmp_path) 
         assert status == 0, err
         (found,) = json.loads(out)["warnings"]
         message = found.pop("message")
-        assert found == {"code": "unverified_frames", "group": {}, "found": 11, "expected": 0}
+        assert found == {"code": "unverified_frames", "group": {}, "found": 15, "expected": 0}
         assert err == f"warning: {message}\n"
-        assert "11 of 12 frames" in message
+        assert "15 of 16 frames" in message
         report = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
-        assert "11 of 12 frames" in report.partition('class="verdict"')[0]
+        assert "15 of 16 frames" in report.partition('class="verdict"')[0]
         assert todframes(command[0], made.path, *command[1:], "--quiet")[2] == ""
     # The command that the message names has it gone.
     program, *arguments = shlex.split(message.split("`")[1])

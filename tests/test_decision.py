@@ -15,6 +15,7 @@ from scipy.integrate import quad
 from scipy.special import ndtr
 
 from todframes.errors import SettingsError
+from todframes.observers import decision
 from todframes.observers.decision import answer_probabilities, answer_probability
 
 EXACT = 1e-9
@@ -500,3 +501,18 @@ def test_one_answer_is_that_of_all_four() -> None:
             assert found.shape == expected.shape[:-1]
             # Both are exact to 1e-9; the largest of the four is 1 less the others there.
             assert np.allclose(found, expected[..., answer], rtol=0.0, atol=1e-9)
+
+
+def test_fewer_nodes_are_as_good_far_from_singular(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Random covariances on both sides of the limit, with all nodes and with as many as are taken."""
+    rng = np.random.default_rng(11)
+    spread = np.exp(rng.uniform(0.0, 1.5, (100, 1, 1)) * rng.normal(size=(100, 4, 1)))
+    factor = spread * rng.normal(size=(100, 4, 5))
+    score = rng.normal(size=(100, 4)) * np.geomspace(0.3, 3.0, 100)[:, None]
+    covariances = factor @ factor.swapaxes(1, 2)
+    found = np.array([answer_probabilities(s, c) for s, c in zip(score, covariances, strict=True)])
+    monkeypatch.setattr(decision, "_FEWER_NODES", decision._NODES)
+    exact = np.array([answer_probabilities(s, c) for s, c in zip(score, covariances, strict=True)])
+    assert 25 < np.count_nonzero((found != exact).any(axis=1)) < 100, "both numbers of nodes were taken"
+    # Sums of 3 × 48 to 3 × 128 terms that are rounded by 1e-16 each.
+    assert np.abs(found - exact).max() < 3e-14

@@ -21,8 +21,8 @@ from todframes.frames.inspection import inspect, records
 from todframes.observers.interface import ENTRY_POINT_GROUP, Observer, find_observer
 from todframes.psychometrics.fit import FitSettings
 from todframes.psychometrics.fit import fit_counts as fit_counts_of_one
-from todframes.report.advice import above_contrast_1
-from todframes.report.data import DatasetRecord, Fit, Group, ResultWarning, algorithms, group_of
+from todframes.report.advice import above_contrast_1, levels_to_add
+from todframes.report.data import DatasetRecord, Fit, Group, ResultWarning, algorithms, group_of, thresholds_of
 from todframes.report.result import Result
 from todframes.scoring.error_budget import PlanName, plan_object
 from todframes.scoring.trials import Decisions
@@ -109,6 +109,7 @@ def score(
     """
     started = time.perf_counter()
     from todframes.report import tables
+    from todframes.scoring.missing_threshold import explain_missing
     from todframes.scoring.score import score_dataset
 
     judge, settings = described(observer)
@@ -130,15 +131,24 @@ def score(
         from todframes.report import examples as drawing
 
         more["examples"] = drawing.examples(data, scored, judge)
+    explained = {one.group: one for one in explain_missing(data, scored, judge, decisions=decisions, seed=seed)}
+    hints = tuple(
+        ResultWarning(**hint._asdict(), group=group_of(data, one.group))
+        for one in explained.values()
+        for hint in one.hints
+    )
+    fits = tuple(Fit.of_trials(data, one, explained.get(one.group)) for one in scored.fits)
+    record, shown_wrong = inspected(data, scored.trials, judge.centre)
     return Result.made(
         "score",
         started,
         settings=settings | asdict(fit) | {"decisions": decisions, "tolerance": tolerance, "plan": plan},
         seed=seed,
-        fits=tuple(Fit.of_trials(data, one) for one in scored.fits),
+        fits=fits,
         plan=tuple(plan_object(scored.plan, 1.0)),
         skipped=tuple(one._asdict() for one in scored.skipped),
-        **inspected(data, scored.trials, judge.centre, found_wrong),
+        dataset=record,
+        warnings=_each_once(*hints, *found_wrong, *shown_wrong, *levels_to_add(fits)),
         negative_luminance_pixels=scored.n_negative,
         **more,
     ).with_trials(lambda: tables.trials(data, scored))
@@ -325,6 +335,7 @@ def compare(
 
         more["examples"] = compare_examples(data, results, judge, screen)
     black, peak = screen.luminance_range
+    record, shown_wrong = inspected(data, reference.trials, judge.centre)
     return Result.made(
         "compare",
         started,
@@ -337,7 +348,8 @@ def compare(
         verdict=comparison(compared),
         plan=tuple(plan_object(reference.plan, 1.0)),
         skipped=tuple(one._asdict() for one in reference.skipped),
-        **inspected(data, reference.trials, judge.centre, found_wrong),
+        dataset=record,
+        warnings=_each_once(*found_wrong, *shown_wrong, *levels_to_add(thresholds_of(compared))),
         negative_luminance_pixels=reference.n_negative,
         **more,
     ).with_trials(lambda: tables.compared_trials(data, results))
@@ -402,7 +414,9 @@ def fit_counts(
         counts = columns if len(rows) < 2 else [column[of_group] for column in columns]
         one = fit_counts_of_one(*counts, settings=fit, rng=rng)
         fits.append(Fit.of_counts(dict(zip(names, key, strict=True)), "level", one))
-    return Result.made("fit", started, settings=asdict(fit), seed=seed, fits=tuple(fits))
+    return Result.made(
+        "fit", started, settings=asdict(fit), seed=seed, fits=tuple(fits), warnings=levels_to_add(fits)
+    )
 
 
 def naked_eye(
@@ -548,23 +562,21 @@ def _located(
 
 
 def inspected(
-    data: Dataset,
-    trials: Sequence[Trial],
-    centre: Centre = "centroid",
-    already: Sequence[ResultWarning] = (),
-) -> Json:
-    """Measure what the frames show against what the dataset says; return a result's `dataset` and `warnings`.
-
-    Warnings that there are already come first, and are not repeated.
-    """
+    data: Dataset, trials: Sequence[Trial], centre: Centre = "centroid"
+) -> tuple[DatasetRecord, tuple[ResultWarning, ...]]:
+    """Return a dataset's record with what its frames show, and the warnings about them."""
     inspections = inspect(data, trials, centre=centre)
-    told = [(one.code, one.group) for one in already]
-    found = [
-        ResultWarning(**one._asdict())
-        for one in (*dataset_warnings(data, trials), *frame_warnings(data, inspections))
-        if (one.code, one.group) not in told
-    ]
-    return {"dataset": DatasetRecord.of(data, records(data, inspections)), "warnings": (*already, *found)}
+    warnings = (*dataset_warnings(data, trials), *frame_warnings(data, inspections))
+    record = DatasetRecord.of(data, records(data, inspections))
+    return record, tuple(ResultWarning(**one._asdict()) for one in warnings)
+
+
+def _each_once(*warnings: ResultWarning) -> tuple[ResultWarning, ...]:
+    """Return the warnings without those whose code and group an earlier one has."""
+    found: dict[tuple[str, tuple[tuple[str, float | str], ...]], ResultWarning] = {}
+    for one in warnings:
+        found.setdefault((one.code, tuple(one.group.items())), one)
+    return tuple(found.values())
 
 
 def _is_skip(on_error: OnError) -> bool:

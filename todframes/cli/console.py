@@ -35,6 +35,10 @@ MOST_ALIKE = 10
 """Largest number of problems of one kind that are printed."""
 
 
+MOST_ANSWERS = 12
+"""Largest number of rows of the table of answers that is printed unless details are asked for."""
+
+
 WHOLE = 10_000
 """Width of a line, in letters, if standard output is not a terminal."""
 
@@ -105,6 +109,9 @@ def finish(
             print_table(tables.measures(result.algorithms))
     else:
         print_table(tables.thresholds(result, title))
+        answers = tables.answers(result)
+        if answers is not None and (verbose or len(answers.records) <= MOST_ANSWERS):
+            print_table(answers)
     if verbose:
         print_table(tables.thresholds(result, "Details"), details=True)
     for sentence in [*result.verdict, *cautions(result), *(remarks(result) if verbose else [])]:

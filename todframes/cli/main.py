@@ -106,7 +106,8 @@ def validate(*, dataset: Path, add_sha256: bool, strict: bool, as_json: bool) ->
     if add_sha256 and not problems.count:
         write_sha256(data, sha256_of)
         data = load_dataset(dataset)
-    result = Result.made("validate", start, skipped=tuple(found), **inspected(data, data.trials))
+    record, warnings = inspected(data, data.trials)
+    result = Result.made("validate", start, dataset=record, skipped=tuple(found), warnings=warnings)
     for warning in result.warnings:
         say(f"warning: {warning_phrase(warning.group, warning.message)}")
     if as_json:

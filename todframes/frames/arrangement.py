@@ -48,6 +48,12 @@ class Arrangement(NamedTuple):
             *(["turned"] if self.quarter_turns and not (self.is_mirrored and self.quarter_turns == 2) else []),
         )
 
+    @property
+    def twin(self) -> Arrangement:
+        """The arrangement that is hard to tell from this one: half a turn, and the opposite polarity."""
+        up, right, down, left = ((k + 2) % 4 for k in self.shown)
+        return Arrangement((up, right, down, left), -self.sign)
+
     def of(self, orientation: Orientation) -> Orientation:
         """Return the orientation on the frames of a triangle with this orientation in the manifest."""
         return ORIENTATIONS[self.shown[orientation.quarter_turns]]

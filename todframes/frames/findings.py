@@ -17,7 +17,8 @@ MATTERS = 0.03
 
 
 SKEW = 0.25
-"""Relative deviation of a background's luminance that skewed noise may cause, in standard deviations of a pixel."""
+"""Relative deviation of a background's luminance that skewed noise may cause, in standard deviations of a pixel's
+contrast."""
 
 
 OFFSET_MRAD, SCATTER_MRAD = 0.08, 0.1

@@ -33,7 +33,7 @@ from todframes.stimulus import ORIENTATIONS, Centre, Orientation, Stimulus, cove
 Group = tuple[float | str, ...]
 
 
-MOST_SAMPLED, LEAST_SAMPLED = 48, 8
+MOST_SAMPLED, LEAST_SAMPLED = 32, 8
 """Most and fewest trials of a stimulus in a group that are measured."""
 
 
@@ -543,14 +543,14 @@ def _of_triangle(
     values, model = _fitted_shape(triangles, weights, values, shift)
     # One step of the fit for each trial, from the picture that all share.
     shown = shift[turns]
-    steps = np.array([np.linalg.pinv(slopes.reshape(len(slopes), -1).T) for slopes in model.slopes])
+    n = len(known)
+    steps = np.array([np.linalg.pinv(slopes.reshape(-1, n * n).T).reshape(-1, n, n) for slopes in model.slopes])
     per_level = (even - background) / level[:, None, None]
     residual = per_level - model.images[shown]
-    each = np.einsum("tpi,ti->tp", steps[shown], residual.reshape(len(level), -1))
+    each = _applied(steps, residual, shown)
     noise = residual * relative[:, None, None]
-    beside = [moved for moved, there in _beside(noise, known, size) if there]
     share = np.square(relative) / np.square(relative).sum()
-    of_noise = [np.einsum("tpi,ti->tp", steps[shown], moved.reshape(len(moved), -1)) for moved in beside]
+    of_noise = [_applied(moved, noise, shown) for moved in _beside(steps, known, size)]
     # If the frames have no place beside the triangle, the noise is the spread over the trials.
     spread = np.abs(np.concatenate(of_noise or [each * relative[:, None]]))
     at_level = 1.4826 * np.median(spread, axis=0) / relative[:, None]
@@ -576,7 +576,9 @@ def _of_triangle(
     clear_place = at_level[:, [_X, _Y]].max(axis=1) < CLEAR * size
     clear_level = at_level[:, _AMPLITUDE] < CLEAR * amplitude
     off_level = clear_level & (np.abs(each[:, _AMPLITUDE]) > OFF_LEVEL * amplitude)
-    wrong, judged, likeness_noise = _orientations(per_level, relative, model, shown, beside)
+    wrong, judged, likeness_noise = _orientations(
+        per_level * relative[:, None, None], noise, model, shown, known, size
+    )
     turn_error = 2.0 * likeness_noise * math.sqrt(np.square(relative).sum())
     return found | {
         "offset_px": tuple((block_px * (values[[_X, _Y]] - middle)).tolist()),
@@ -714,17 +716,23 @@ def _fitted_shape(
     return values, _model(n, values)
 
 
-def _beside(residual: FloatArray, known: NDArray[np.bool_], size: float) -> Iterator[tuple[FloatArray, np.bool_]]:
-    """Yield what is left of the frames, moved so that a place beside the triangle is in the middle.
+def _applied(filters: FloatArray, images: FloatArray, which: NDArray[np.intp]) -> FloatArray:
+    """Multiply each image, (n, n), by the filters (p, n, n) of its orientation, and sum: (trial, p)."""
+    found = np.empty((len(images), filters.shape[1]))
+    for k, one in enumerate(filters):
+        found[which == k] = images[which == k].reshape(-1, one[0].size) @ one.reshape(len(one), -1).T
+    return found
 
-    The second value tells whether that place lies on the frames.
-    """
+
+def _beside(filters: FloatArray, known: NDArray[np.bool_], size: float) -> Iterator[FloatArray]:
+    """Yield filters, (…, n, n), that measure a place beside the triangle instead, for each place on the frames."""
     n = len(known)
     v, u = np.mgrid[:n, :n] - (n - 1) / 2.0
-    near, away = np.hypot(u, v) < size, round(1.8 * size)
-    ways = (-away, 0, away)
-    for shift in ((down, right) for down in ways for right in ways if down or right):
-        yield np.roll(residual, shift, axis=(1, 2)), np.roll(known, shift, axis=(0, 1))[near].mean() > ON_FRAME
+    away, ways = round(1.8 * size), (-1, 0, 1)
+    for down, right in ((down, right) for down in ways for right in ways if down or right):
+        near = np.hypot(v - down * away, u - right * away) < size
+        if known[near].mean() > ON_FRAME:
+            yield np.roll(filters, (down * away, right * away), axis=(-2, -1))
 
 
 def _scatter(apart: FloatArray, noise: FloatArray) -> float | None:
@@ -738,26 +746,29 @@ def _scatter(apart: FloatArray, noise: FloatArray) -> float | None:
 
 
 def _orientations(
-    per_level: FloatArray,
-    relative: FloatArray,
+    images: FloatArray,
+    noise: FloatArray,
     model: _Model,
     shown: NDArray[np.intp],
-    beside: Sequence[FloatArray],
+    known: NDArray[np.bool_],
+    size: float,
 ) -> tuple[int, int, float]:
     """Count the trials that clearly show another orientation than stated, and those that clearly show one.
 
-    Also returns the noise of a trial's likeness to an orientation; infinite if nothing is beside the triangle.
+    `images` and `noise` are the frames without their background, and without the triangle too. Also returns the
+    noise of a trial's likeness to an orientation; it is infinite if nothing is beside the triangle.
     """
+    differ = model.images - model.images.mean(axis=0)
+    flat = noise.reshape(len(noise), -1)
+    beside = [flat @ moved.reshape(4, -1).T for moved in _beside(differ, known, size)]
     if not beside:
         return 0, 0, math.inf
-    differ = (model.images - model.images.mean(axis=0)).reshape(4, -1).T
-    likeness = np.concatenate([moved.reshape(len(moved), -1) @ differ for moved in beside])
-    noise = 1.4826 * float(np.median(np.abs(likeness)))
-    scores = (per_level * relative[:, None, None]).reshape(len(relative), -1) @ differ
+    error = 1.4826 * float(np.median(np.abs(beside)))
+    scores = images.reshape(len(images), -1) @ differ.reshape(4, -1).T
     ranked = np.sort(scores, axis=1)
-    clear = (ranked[:, 3] - ranked[:, 2]) > 8.0 * noise
+    clear = (ranked[:, 3] - ranked[:, 2]) > 8.0 * error
     wrong = clear & (scores.argmax(axis=1) != shown)
-    return int(wrong.sum()), int(clear.sum()), noise
+    return int(wrong.sum()), int(clear.sum()), error
 
 
 def _unevenness(

@@ -190,7 +190,7 @@ def _group_place(dataset: Dataset, group: Group, frames: MeanFrames, centre: Cen
             f"{dataset.path}: no triangle stands out in the frames of {_group_name(dataset, group)}; "
             "expected x_px and y_px in the manifest"
         )
-    fitted = matcher.refined(found.x, found.y, found.arrangement)
+    fitted = matcher.refined_of_twins(found)
     x_px, y_px = _in_pixels(block_px, (fitted.x, fitted.y))
     standard_error_px = block_px * math.sqrt(float(fitted.covariance.diagonal().max()))
     return Location(group, x_px, y_px, standard_error_px, fitted.arrangement), fitted.blur

@@ -45,6 +45,10 @@ ROUNDS, MOST_STEPS = 3, 6
 """Number of times that the blur is fitted, and largest number of steps to the position for each."""
 
 
+SMALL_PX = 12.0
+"""Size below which half pixels are searched, too."""
+
+
 LARGEST_STEP_PX = 1.0
 """Largest step of the refined position along each axis."""
 
@@ -294,6 +298,17 @@ class Matcher:
             products,
         )
 
+    def refined_of_twins(self, found: Found) -> Fitted:
+        """Fit the position and blur of the arrangement that was found, or of its twin, if that explains as much.
+
+        Whole pixels cannot tell an arrangement from its twin if triangles are small.
+        """
+        if found.arrangement == ARRANGEMENTS[0]:
+            return self.refined(found.x, found.y, found.arrangement)
+        likely = sorted((found.arrangement, found.arrangement.twin), key=ARRANGEMENTS.index)
+        first, second = (self.refined(found.x, found.y, one) for one in likely)
+        return second if second.peak > CLEARLY * first.peak else first
+
     def refined(self, x: float, y: float, arrangement: Arrangement) -> Fitted:
         """Fit the position between pixels and the blur, from a position on whole pixels.
 
@@ -303,6 +318,11 @@ class Matcher:
         """
         from scipy.optimize import minimize_scalar
 
+        if self.largest_px < SMALL_PX:  # the slope on the nearest whole pixel may lead away from the peak
+            cut = self._cut(x, y, arrangement)
+            offsets = (-1.0, -0.5, 0.0, 0.5, 1.0)
+            near = [(x + dx, y + dy) for dx in offsets for dy in offsets]
+            x, y = max(near, key=lambda at: cut.correlation(at[0], at[1], 0.5))
         blur = 0.0
         for _ in range(ROUNDS):
             cut = self._cut(x, y, arrangement)
@@ -321,7 +341,9 @@ class Matcher:
                 if np.abs(step).max() < 1e-3:
                     break
         covariance = self._covariance(x, y, arrangement, blur)
-        return Fitted(x, y, blur, arrangement, self._cut(x, y, arrangement).correlation(x, y, blur), covariance)
+        return Fitted(
+            float(x), float(y), blur, arrangement, self._cut(x, y, arrangement).correlation(x, y, blur), covariance
+        )
 
     def _cut(self, x: float, y: float, arrangement: Arrangement) -> _Cut:
         """Cut the part out of the images that triangles near a position touch, with their blur."""

@@ -2,10 +2,34 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 from todframes.report.data import Fit, ResultWarning
-from todframes.report.wording import group_phrase, plain
+from todframes.report.wording import group_phrase, listed, plain
+
+FEWEST_LEVELS = 3
+"""Smallest number of levels that show how fast a curve rises and whether it fits."""
+
+
+WIDEST_GAP = 4.0
+"""Largest ratio of the two levels about a threshold; farther apart they do not show how the curve rises."""
+
+
+STEPS = (0.7, 1.0, 1.4)
+"""Levels to add, in units of the estimated threshold: between 50 and 95 % correct for curves as steep as usual."""
+
+
+USUAL_SLOPE = 2.0
+"""Weibull slope that a threshold outside the levels is estimated with: that of a linear observer is near it."""
+
+
+ALIKE = 1.15
+"""Largest ratio of a level to add and one shown that counts as the same level."""
+
+
+TOLD_APART = 0.5
+"""Proportion correct from which stronger levels will help; below it something else may be wrong."""
 
 
 def above_contrast_1(fits: Sequence[Fit]) -> tuple[ResultWarning, ...]:
@@ -25,3 +49,74 @@ def above_contrast_1(fits: Sequence[Fit]) -> tuple[ResultWarning, ...]:
         for fit in fits
         if fit.level == "contrast" and fit.threshold is not None and fit.threshold > 1.0
     )
+
+
+def levels_to_add(fits: Sequence[Fit]) -> tuple[ResultWarning, ...]:
+    """Return a warning for each threshold that the levels shown leave open, with levels that would settle it.
+
+    Nothing is said about curves that stay near chance at all levels: stronger ones are not known to help there.
+    """
+    found = []
+    for fit in fits:
+        reason = _open_reason(fit)
+        levels = _levels_near_threshold(fit) if reason else []
+        if reason:
+            advice = (
+                f"add levels near {listed(f'{level:g}' for level in levels)}" if levels else "show more trials"
+            )
+            message = f"{group_phrase(fit.group)}: {reason}; {advice}"
+            shown = [point.level for point in fit.points]
+            found.append(
+                ResultWarning(code="levels_to_add", group=fit.group, message=message, found=shown, expected=levels)
+            )
+    return tuple(found)
+
+
+def _open_reason(fit: Fit) -> str:
+    """Return what the levels of a fit leave open; "" if nothing."""
+    levels = [point.level for point in fit.points]
+    if not levels:
+        return ""
+    criterion = f"{100.0 * fit.p_correct:g} % correct"
+    if fit.status == "always_exceeded":
+        return f"all levels are above the threshold of {criterion}, the weakest is {levels[0]:.3g}"
+    if fit.status == "never_reached":
+        best = max(fit.points, key=lambda point: point.p_correct)
+        reached = f"at most {100.0 * best.p_correct:.0f} % correct is reached, at {best.level:.3g}"
+        return f"all levels are below the threshold of {criterion}: {reached}" * (best.p_correct >= TOLD_APART)
+    if fit.status == "extrapolated" and fit.threshold is not None:
+        side = "below" if fit.threshold < levels[0] else "above"
+        return f"the threshold lies {side} all levels shown, {levels[0]:.3g} to {levels[-1]:.3g}"
+    if len(levels) < FEWEST_LEVELS:
+        return f"found {len(levels)} level{'s' * (len(levels) > 1)}, too few to see how the curve rises"
+    if fit.threshold is None:
+        return ""
+    below = max((level for level in levels if level <= fit.threshold), default=levels[0])
+    above = min((level for level in levels if level >= fit.threshold), default=levels[-1])
+    if above > WIDEST_GAP * below:
+        return f"no level lies between {below:.3g} and {above:.3g}, where the threshold is"
+    if fit.threshold_ci95 is not None and None in fit.threshold_ci95:
+        return "the data leave an end of the 95 % interval open"
+    return ""
+
+
+def _levels_near_threshold(fit: Fit) -> list[float]:
+    """Return levels about the threshold, or about an estimate of it, that are not among those shown."""
+    shown = [point.level for point in fit.points]
+    wanted = [float(f"{step * _estimate(fit):.2g}") for step in STEPS]
+    return [one for one in wanted if not any(one / ALIKE <= level <= one * ALIKE for level in shown)]
+
+
+def _estimate(fit: Fit) -> float:
+    """Return the threshold; without one, where a curve of the usual slope through the nearest point has it."""
+    if fit.threshold is not None:
+        return fit.threshold
+    nearest = min(fit.points, key=lambda point: abs(point.p_correct - fit.p_correct))
+    guess_rate = 0.25 if fit.gamma is None else fit.gamma
+
+    def distance(p_correct: float) -> float:
+        """Return level / α of a curve without lapses."""
+        share = (1.0 - min(max(p_correct, guess_rate + 0.05), 0.98)) / (1.0 - guess_rate)
+        return float((-math.log2(share)) ** (1.0 / USUAL_SLOPE))
+
+    return nearest.level * distance(fit.p_correct) / distance(nearest.p_correct)

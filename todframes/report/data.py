@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from todframes.frames.dataset import Dataset
     from todframes.frames.display import Display
     from todframes.psychometrics.fit import PsychometricFit
+    from todframes.scoring.missing_threshold import Explanation
     from todframes.scoring.score import GroupFit
 
 SCHEMA = 1
@@ -120,6 +121,9 @@ class Fit(Struct, frozen=True, kw_only=True, omit_defaults=True):
         Bounds on the error in P(correct) from noise that is not Gaussian, and from the omissions of the plan.
     delta_t_mk : float or None
         The threshold as a temperature difference, in mK.
+    answers : tuple of tuple of float, or None
+        If there is no threshold: numbers of answers, expected or drawn, in the trials at `answers_from_level` and
+        above. A row for each orientation shown, a column for each answered: up, right, down, left.
     background_luminance_cd_m2 : float or None
         Luminance that contrast refers to, averaged over the trials; None if there are no frames.
     """
@@ -147,6 +151,8 @@ class Fit(Struct, frozen=True, kw_only=True, omit_defaults=True):
     p_correct_left_out_bound: float | None = NULL
     plan: tuple[Record, ...] = ()
     run_time_s: float | None = NULL
+    answers: tuple[tuple[float, ...], ...] | None = None
+    answers_from_level: Positive | None = None
 
     @classmethod
     def of_counts(cls, group: Group, level: str, fit: PsychometricFit) -> Fit:
@@ -156,8 +162,9 @@ class Fit(Struct, frozen=True, kw_only=True, omit_defaults=True):
         return cls(group=group, level=level, points=points, **values)
 
     @classmethod
-    def of_trials(cls, dataset: Dataset, fit: GroupFit) -> Fit:
-        """Return the record of the fit to the scored trials of a group."""
+    def of_trials(cls, dataset: Dataset, fit: GroupFit, explanation: Explanation | None = None) -> Fit:
+        """Return the record of the fit to the scored trials of a group, and of why there is no threshold."""
+        answers = None if explanation is None else tuple(map(tuple, explanation.answers.round(4).tolist()))
         return msgspec.structs.replace(
             cls.of_counts(group_of(dataset, fit.group), dataset.experiment.level, fit.fit),
             p_correct_error_bound=fit.non_gaussian_bound,
@@ -166,6 +173,8 @@ class Fit(Struct, frozen=True, kw_only=True, omit_defaults=True):
             n_displacements=fit.n_displacements,
             background_luminance_cd_m2=fit.background_luminance_cd_m2,
             run_time_s=round(fit.run_time_s, 4),
+            answers=answers,
+            answers_from_level=None if explanation is None else explanation.from_level,
         )
 
 
@@ -206,6 +215,15 @@ class Algorithm(Struct, frozen=True, kw_only=True):
     disagrees: tuple[str, ...] = ()
     n_clipped: int | None = None
     cpu_s: float | None = None
+
+
+def thresholds_of(algorithms: Sequence[Algorithm]) -> tuple[Fit, ...]:
+    """Return the fits of all algorithms, each with the algorithm's name in its group."""
+    return tuple(
+        msgspec.structs.replace(fit, group={"algorithm": one.name} | fit.group)
+        for one in algorithms
+        for fit in one.fits
+    )
 
 
 def algorithms(dataset: Dataset, results: Sequence[AlgorithmResult]) -> tuple[Algorithm, ...]:
@@ -348,15 +366,16 @@ class SceneResult(Struct, frozen=True, kw_only=True):
 
 
 class Thumbnail(Struct, frozen=True):
-    """A PNG of an example. `scale` is the value of white; if zero is mid-grey, black is minus that."""
+    """A PNG of an example. `scale` is the value of white; black is `black`, or minus white if zero is mid-grey."""
 
     name: str
     png: bytes
     scale: float | None = None
+    black: float | None = None
 
 
 class Example(Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """A trial near threshold: the frame as displayed and the observer's images of it."""
+    """A trial near threshold, the frame as displayed and the observer's images of it; or a strong trial, whole."""
 
     group: Group
     algorithm: str | None = None
@@ -463,12 +482,7 @@ class ResultData(Struct, frozen=True, kw_only=True, omit_defaults=True):
     @property
     def thresholds(self) -> tuple[Fit, ...]:
         """All thresholds as `Fit` records; in a comparison, `group` has the key "algorithm" too."""
-        of_algorithms = (
-            msgspec.structs.replace(fit, group={"algorithm": one.name} | fit.group)
-            for one in self.algorithms
-            for fit in one.fits
-        )
-        return (*self.fits, *of_algorithms)
+        return (*self.fits, *thresholds_of(self.algorithms))
 
 
 D = TypeVar("D", bound=ResultData)

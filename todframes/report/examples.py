@@ -8,16 +8,18 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from todframes._typing import FloatArray
 from todframes.enhancement.compare import AlgorithmResult
 from todframes.enhancement.enhanced_frame import Screen, TrialReader
 from todframes.frames.contrast import Patch, check_sha256, read_contrast
 from todframes.frames.dataset import Dataset, Trial
+from todframes.frames.matching import block_means
 from todframes.frames.position import centroid_position, size_in_px
 from todframes.frames.surround import TrianglePlace
 from todframes.observers.interface import Observer
@@ -25,7 +27,7 @@ from todframes.report.data import Example, Thumbnail, group_of
 from todframes.report.wording import evenly
 from todframes.scoring.retina_view import Shown, retina_image, view_trial
 from todframes.scoring.score import GroupFit, ScoredDataset
-from todframes.stimulus import Stimulus
+from todframes.stimulus import Stimulus, vertices
 
 MOST_EXAMPLES, MOST_BANDS = 4, 8
 
@@ -41,6 +43,18 @@ triangle is shown with its surroundings."""
 MOST_REACH_PX = 1000
 """Largest distance from the middle to the edge, so that a wrong pitch cannot fill the memory; of a larger triangle
 only the middle is shown."""
+
+
+MOST_WITHOUT = 60
+"""Largest number of groups without a threshold whose strongest trial is drawn."""
+
+
+WHOLE_SIDE_PX = 384
+"""Largest side of the picture of a whole frame; a small frame is enlarged by a whole factor."""
+
+
+OUTLINE_BGR = (0, 128, 255)
+"""Colour of the expected triangle's outline: orange."""
 
 
 DISPLAY_SIDE_PX, RETINA_SIDE_PX = 128, 96
@@ -64,7 +78,7 @@ class FramePart(NamedTuple):
 
 
 def examples(dataset: Dataset, scored: ScoredDataset, observer: Observer) -> tuple[Example, ...]:
-    """Draw the trial nearest to threshold of each group that has a threshold, for at most `MOST_EXAMPLES` groups.
+    """Draw the trial nearest to threshold of up to `MOST_EXAMPLES` groups, and the strongest where there is none.
 
     Raises
     ------
@@ -86,7 +100,48 @@ def examples(dataset: Dataset, scored: ScoredDataset, observer: Observer) -> tup
             pixel_pitch_mrad=dataset.display.pitch_mrad,
         )
         found.append(_example(dataset, trial, float(scored.p_correct[place]), width_mrad, drawn))
+    for one in evenly([one for one in scored.fits if one.fit.threshold is None], MOST_WITHOUT):
+        places = (place for place, trial in enumerate(scored.trials) if trial.group == one.group)
+        place = max(places, key=lambda place: scored.trials[place].level)
+        trial = scored.trials[place]
+        width_mrad, drawn = _whole(dataset, trial, observer)
+        found.append(_example(dataset, trial, float(scored.p_correct[place]), width_mrad, drawn))
     return tuple(found)
+
+
+def _whole(dataset: Dataset, trial: Trial, observer: Observer) -> tuple[float, tuple[Thumbnail]]:
+    """Draw the whole frame of a trial with the outline of the expected triangle. Returns its width in mrad, too.
+
+    Grey is proportional to luminance between black and white, which leave out 0.2 % of the pixels each.
+    """
+    pitch_mrad = dataset.display.pitch_mrad
+    total: FloatArray | float = 0.0
+    for frame in trial.frames:
+        with dataset.open(frame) as file:
+            header = file.header
+            x, y = centroid_position(trial, header, observer.centre, pitch_mrad)
+            patch = read_contrast(file, dataset.display, frame)
+        side = max(patch.values.shape[:2])
+        block_px = math.ceil(side / WHOLE_SIDE_PX)
+        total = total + block_means(patch, block_px) / len(trial.frames)
+    contrast = np.asarray(total)
+    black, white = np.percentile(contrast, [0.2, 99.8]).tolist()
+    white = max(white, black + 1e-3)
+    grey = np.rint(255.0 * _srgb(np.clip((contrast - black) / (white - black), 0.0, 1.0))).astype(np.uint8)
+    enlarged = max(WHOLE_SIDE_PX // side, 1)
+    grey = grey.repeat(enlarged, axis=0).repeat(enlarged, axis=1)
+    image = np.ascontiguousarray(grey[..., None].repeat(3, axis=2))
+    corners = vertices(
+        size=trial.stimulus.size_mrad / pitch_mrad,
+        orientation=trial.orientation,
+        x=x - patch.column,
+        y=y - patch.row,
+    )
+    # OpenCV takes positions in 1/16 pixels; (0, 0) is the middle of the first pixel.
+    drawn = ((corners + 0.5) * enlarged / block_px - 0.5) * 16.0
+    points = np.clip(np.rint(drawn), -(2**20), 2**20).astype(np.int32)
+    cv2.polylines(image, [points], isClosed=True, color=OUTLINE_BGR, lineType=cv2.LINE_AA, shift=4)
+    return header.width * pitch_mrad, (Thumbnail("whole", _png(image), white, black),)
 
 
 def _example(
@@ -243,7 +298,7 @@ def _srgb(light: FloatArray) -> FloatArray:
     return np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
 
 
-def _png(grey: FloatArray) -> bytes:
+def _png(grey: NDArray[Any]) -> bytes:
     _, coded = cv2.imencode(".png", np.rint(grey).astype(np.uint8), [cv2.IMWRITE_PNG_COMPRESSION, 9])
     return bytes(coded.tobytes())
 

@@ -51,7 +51,8 @@ def page(result: ResultData) -> str:
         "verdict": verdict(result),
         "figures": _figures(result),
         "tables_shown": _tables(result),
-        "examples": _examples(result.examples or ()),
+        "examples": _examples([one for one in result.examples or () if not _is_whole(one)]),
+        "without": _examples([one for one in result.examples or () if _is_whole(one)]),
         "remarks": [f"Run time {plain(result.run_time_s)} s."] * (result.run_time_s is not None)
         + remarks(result)
         + cautions(result),
@@ -105,6 +106,8 @@ def _tables(result: ResultData) -> list[Json]:
         found += [_item(tables.ratios(result)), _item(tables.measures(result.algorithms))]
     if result.thresholds:
         found.append(_item(tables.thresholds(result), folded=bool(result.algorithms)))
+    answers = tables.answers(result)
+    found += [_item(answers)] if answers is not None else []
     points = tables.points(result)
     found += [_item(points, folded=True)] if points is not None else []
     for scene in result.scenes:
@@ -127,6 +130,11 @@ def _examples(examples: Sequence[Example]) -> list[Json]:
     return list(groups.values())
 
 
+def _is_whole(one: Example) -> bool:
+    """Return whether an example is a whole frame, of a group without a threshold."""
+    return any(picture.name == "whole" for picture in one.pictures)
+
+
 def _about_example(one: Example) -> str:
     parts = [
         f"apex {one.orientation}" if one.orientation else "",
@@ -143,16 +151,18 @@ def _tile(picture: Thumbnail) -> Json:
     scale = ""
     if picture.scale is not None and picture.name == "display":
         scale = f"white: {plain(1.0 + picture.scale)} × background"
+    elif picture.scale is not None and picture.black is not None:
+        scale = f"black: {plain(1.0 + picture.black)}, white: {plain(1.0 + picture.scale)} × background"
     elif picture.scale is not None:
         scale = f"white: {plain(picture.scale, 2)}"
-    names = {"display": "as displayed", "retina": "on the retina"}
+    names = {"display": "as displayed", "retina": "on the retina", "whole": "whole frame"}
     return {
         "source": "data:image/png;base64," + base64.b64encode(picture.png).decode(),
         "width": int.from_bytes(picture.png[16:20]),
         "height": int.from_bytes(picture.png[20:24]),
         "name": names.get(picture.name, picture.name),
         "scale": scale,
-        "large": picture.name == "display",
+        "large": picture.name in ("display", "whole"),
     }
 
 

@@ -152,6 +152,32 @@ def points(result: ResultData) -> Table | None:
     return Table.of("Points of the psychometric functions", "points.csv", columns, records)
 
 
+def answers(result: ResultData) -> Table | None:
+    """Make the table of answers in the strongest trials of groups without a threshold; None if there are none."""
+    records: list[Record] = []
+    for fit in result.fits:
+        for shown, row in zip(ORIENTATIONS, fit.answers or (), strict=False):
+            if n_trials := sum(row):
+                percent = {
+                    f"answered_{one.value}": 100.0 * n / n_trials for one, n in zip(ORIENTATIONS, row, strict=True)
+                }
+                records.append(
+                    _group_record(fit.group)
+                    | {"from_level": fit.answers_from_level, "shown": shown.value, **percent}
+                    | {"n_answers": round(n_trials)}
+                )
+    if not records:
+        return None
+    columns = [
+        *_group_columns(result.fits[0].group),
+        Column(key="from_level", header=f"from {level_heading(result.fits[0].level)}", digits=EXACT),
+        Column(key="shown"),
+        *(Column(key=f"answered_{one.value}", header=f"{one.value} (%)", decimals=0) for one in ORIENTATIONS),
+        Column(key="n_answers", header="trials", rank=1),
+    ]
+    return Table.of("Answers without a threshold, by orientation shown", "answers.csv", columns, records)
+
+
 def ratios(result: ResultData, title: str = "") -> Table:
     """Make the table of a comparison: a row for each algorithm and group, and one for all groups together.
 

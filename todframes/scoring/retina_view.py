@@ -57,20 +57,20 @@ def place_grid(
     x, y = centroid_position(trial, header, observer.centre, pitch)
     check_on_frame(file.path, trial, header, x, y, pitch)
     triangle = TrianglePlace(x, y, size_in_px(trial, pitch))
-    offsets = np.array(displacement_samples) * grid.pitch_mrad / pitch
     to_centre_x, to_centre_y = from_centroid(trial, observer.centre, pitch)
     x, y = x + to_centre_x, y + to_centre_y
-    rows, columns = (
-        _touched(grid, at + offsets[:, axis], pitch, n_pixels)
-        for axis, at, n_pixels in ((1, y, header.height), (0, x, header.width))
-    )
+    offsets = np.asarray(displacement_samples) * grid.pitch_mrad / pitch
+    (left, top), (right, bottom) = offsets.min(axis=0).tolist(), offsets.max(axis=0).tolist()
+    rows = _touched(grid, y + top, y + bottom, pitch, header.height)
+    columns = _touched(grid, x + left, x + right, pitch, header.width)
     return Placement(x, y, rows, columns, triangle)
 
 
-def _touched(grid: RetinaGrid, middles: FloatArray, pitch: float, n_pixels: int) -> tuple[int, int]:
-    ranges = [grid.pixel_range(centre_px=at, pixel_pitch_mrad=pitch, n_pixels=n_pixels)
-              for at in (float(middles.min()), float(middles.max()))]  # fmt: skip
-    return ranges[0][0], ranges[1][1]
+def _touched(grid: RetinaGrid, lowest: float, highest: float, pitch: float, n_pixels: int) -> tuple[int, int]:
+    """Return the pixels, half-open, that the grid touches when its middle lies from `lowest` to `highest`."""
+    first, _ = grid.pixel_range(centre_px=lowest, pixel_pitch_mrad=pitch, n_pixels=n_pixels)
+    _, stop = grid.pixel_range(centre_px=highest, pixel_pitch_mrad=pitch, n_pixels=n_pixels)
+    return first, stop
 
 
 class View(NamedTuple):

@@ -1,0 +1,184 @@
+"""Explanations of missing thresholds: answers, hints at what would make them right, pictures of whole frames."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from scipy.ndimage import gaussian_filter
+
+import todframes as tod
+from todframes.cli.main import cli
+from todframes.frames.dataset import Dataset
+from todframes.frames.memory import memory_dataset
+from todframes.stimulus import ORIENTATIONS, coverage, vertices
+
+PITCH_MRAD, SIZE_PX, SIDE_PX = 0.25, 8.0, 64
+MIDDLE = (SIDE_PX - 1) / 2
+QUICK: dict[str, Any] = {"examples": False, "fit": tod.FitSettings(resamples=0)}
+
+
+def recording(
+    *,
+    shown: Sequence[int] = (0, 1, 2, 3),
+    sign: int = 1,
+    place: tuple[float, float] = (MIDDLE, MIDDLE),
+    size_px: float = SIZE_PX,
+    levels: Sequence[float] = (0.1, 0.2, 0.3),
+    noise_sd: float = 0.02,
+    blur_px: float = 0.5,
+) -> Dataset:
+    """Frames of triangles that the dataset says are upright, bright, in the middle and of `SIZE_PX`."""
+    rng = np.random.default_rng(1)
+    frames, stated, contrasts = [], [], []
+    for level in levels:
+        for turn in (0, 1, 2, 3) * 3:
+            triangle = coverage(
+                (SIDE_PX, SIDE_PX),
+                size_px=size_px,
+                x_px=place[0],
+                y_px=place[1],
+                orientation=ORIENTATIONS[shown[turn]],
+            )
+            scene = sign * level * gaussian_filter(triangle, blur_px)
+            frames.append(50.0 * (1.0 + scene + noise_sd * rng.normal(size=scene.shape)))
+            stated.append(ORIENTATIONS[turn])
+            contrasts.append(level)
+    display = tod.Display(
+        eotf="linear", white_luminance_cd_m2=1.0, pixel_pitch_mrad=PITCH_MRAD, background_luminance_cd_m2=50.0
+    )
+    return memory_dataset(
+        frames, orientation=stated, level=contrasts, size_mrad=PITCH_MRAD * SIZE_PX, display=display
+    )
+
+
+@pytest.mark.parametrize(
+    ("mishap", "codes", "wanted"),
+    [
+        ({"shown": (0, 3, 2, 1)}, ["mirrored"], "if left and right were swapped. Is the camera mirrored?"),
+        ({"shown": (2, 1, 0, 3)}, ["mirrored"], "if up and down were swapped"),
+        ({"shown": (2, 3, 0, 1)}, ["turned"], "turned by 180°. Is the camera upside down?"),
+        ({"shown": (1, 2, 3, 0)}, ["turned"], "turned clockwise by 90°"),
+        ({"shown": (3, 0, 1, 2)}, ["turned"], "turned counter-clockwise by 90°"),
+        (
+            {"sign": -1},
+            ["polarity_mismatch"],
+            "if polarity were -1. Are the triangles darker than the background?",
+        ),
+        (
+            {"sign": -1, "shown": (0, 3, 2, 1)},
+            ["polarity_mismatch", "mirrored"],
+            "if polarity were -1 and if left",
+        ),
+    ],
+)
+def test_hint_names_what_the_answers_show(mishap: dict[str, Any], codes: list[str], wanted: str) -> None:
+    result = tod.score(recording(**mishap), **QUICK)
+    assert result.fits[0].status == "never_reached"
+    assert [one.code for one in result.warnings] == codes
+    for warning in result.warnings:
+        assert wanted in warning.message
+        assert warning.group == {"size_mrad": 2.0}
+
+
+@pytest.mark.parametrize(
+    ("mishap", "code", "wanted"),
+    [
+        ({"place": (44.0, 20.0)}, "position_offset", r"centroid were at x_px 4[34]\.?\d*, y_px (19|20)"),
+        (
+            {"size_px": SIZE_PX / 3.4377, "levels": (0.3, 0.6, 1.2)},
+            "size_mismatch",
+            r"0\.291 times the size .* Is size_mrad in arcmin\?",
+        ),
+    ],
+)
+def test_hint_names_what_another_look_shows(mishap: dict[str, Any], code: str, wanted: str) -> None:
+    result = tod.score(recording(**mishap), **QUICK)
+    assert result.fits[0].status == "never_reached"
+    (warning,) = result.warnings
+    assert warning.code == code
+    assert re.search(wanted, warning.message)
+
+
+@pytest.mark.parametrize(
+    "honest", [{"levels": (0.001, 0.002, 0.004)}, {"blur_px": 8.0}, {"size_px": SIZE_PX}], ids=str
+)
+def test_no_hint_without_a_mistake(honest: dict[str, Any]) -> None:
+    result = tod.score(recording(**honest), **QUICK)
+    assert result.warnings == ()
+    (fit,) = result.fits
+    assert (fit.answers is None) == (fit.threshold is not None)
+
+
+def test_few_trials_give_no_hint() -> None:
+    """Four right answers of four are chance once in 256, and some thirty changes are tried."""
+    data = recording(shown=(0, 3, 2, 1), levels=(0.3, 0.301))
+    few = replace(data, trials=data.trials[:2] + data.trials[14:16])
+    assert {trial.orientation for trial in few.trials} == set(ORIENTATIONS)
+    assert tod.score(few, **QUICK).warnings == ()
+
+
+def test_drawn_answers_give_hints_too() -> None:
+    result = tod.score(recording(shown=(0, 3, 2, 1)), decisions="sampled", **QUICK)
+    assert [one.code for one in result.warnings] == ["mirrored"]
+    (fit,) = result.fits
+    assert fit.answers is not None
+    # Three trials of each orientation; numbers are rounded to four digits.
+    assert np.sum(fit.answers, axis=1) == pytest.approx([3.0] * 4, abs=4e-4)
+
+
+def test_answers_are_of_the_strongest_trials(tmp_path) -> None:
+    result = tod.score(recording(shown=(0, 3, 2, 1), noise_sd=0.001), **QUICK)
+    (fit,) = result.fits
+    assert fit.answers is not None
+    table = np.array(fit.answers)
+    assert fit.answers_from_level == 0.3
+    # Three trials of each orientation; numbers are rounded to four digits.
+    assert table.sum(axis=1) == pytest.approx([3.0] * 4, abs=4e-4)
+    # Mirrored: for "right" the frames show "left".
+    assert table.argmax(axis=1).tolist() == [0, 3, 2, 1]
+    result.save(tmp_path / "out")
+    assert tod.load_result(tmp_path / "out").fits[0].answers == fit.answers
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert "Answers without a threshold" in page
+    assert "Is the camera mirrored?" in page
+
+
+def test_terminal_shows_answers(make_dataset) -> None:
+    made = make_dataset(contrasts=(0.001, 0.002))
+    done = CliRunner().invoke(cli, ["score", str(made.path)])
+    assert done.exit_code == 0
+    rows = done.stdout.split("Answers without a threshold")[1].splitlines()
+    # Contrasts so low that each answer is a guess: 25 %, and within 1 % in a table without decimals.
+    (up,) = [row.split() for row in rows if " up " in row and "(%)" not in row]
+    assert all(abs(int(word) - 25) <= 1 for word in up[-5:-1])
+
+
+@pytest.mark.parametrize(("levels", "status"), [((0.1, 0.2, 0.3), "never_reached"), ((0.3,), "too_few_levels")])
+def test_page_shows_the_strongest_trial_whole(levels: Sequence[float], status: str) -> None:
+    place = (44.0, 20.0)
+    result = tod.score(recording(place=place, levels=levels), fit=tod.FitSettings(resamples=0))
+    assert result.fits[0].status == status
+    assert result.examples is not None
+    (example,) = result.examples
+    assert example.strength == 0.3
+    (picture,) = example.pictures
+    image = cv2.imdecode(np.frombuffer(picture.png, np.uint8), cv2.IMREAD_COLOR).astype(int)
+    enlarged = len(image) // SIDE_PX
+    assert image.shape == (enlarged * SIDE_PX, enlarged * SIDE_PX, 3)
+    # Orange is the outline of the expected triangle, in the middle; the triangle is elsewhere, and white.
+    orange = np.argwhere(image[..., 2] - image[..., 0] > 60)
+    corners = vertices(size=SIZE_PX, orientation=ORIENTATIONS[0], x=MIDDLE, y=MIDDLE)
+    for found, expected in ((orange.min(axis=0), corners.min(axis=0)), (orange.max(axis=0), corners.max(axis=0))):
+        # Within the width of the line, one pixel of the frame.
+        assert found[::-1] / enlarged == pytest.approx(expected + 0.5, abs=1.0)
+    assert image[int(20.5 * enlarged), int(44.5 * enlarged)].min() > 200
+    page = result.to_html()
+    assert "Without a threshold" in page
+    assert "At threshold" not in page

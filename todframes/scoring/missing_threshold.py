@@ -1,0 +1,314 @@
+"""Explanation of a missing threshold: the answers in the strongest trials, and what would make them right."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from todframes._typing import FloatArray
+from todframes.errors import TodframesError
+from todframes.frames.arrangement import ARRANGEMENTS, Arrangement
+from todframes.frames.dataset import Dataset, Trial
+from todframes.frames.locate import locate_triangles
+from todframes.frames.position import centroid_position
+from todframes.observers.interface import Observer
+from todframes.psychometrics.fit import FitSettings, PsychometricFit
+from todframes.scoring.score import GroupFit, ScoredDataset, score_dataset
+from todframes.scoring.trials import Decisions
+
+LEAST_TRIALS, MOST_TRIALS = 8, 32
+"""Least number of strong trials, as far as a group has them, and the largest number that are looked at again."""
+
+
+STRONG_SHARE = 1.0 / 3.0
+"""Share of the levels, the highest ones, whose trials are strong."""
+
+
+LEAST_RIGHT, LEAST_GAIN = 0.75, 0.2
+"""Least share of right answers after a change, and least gain, for a hint."""
+
+
+LEAST_OFFSET = 0.25
+"""Least distance from the stated position, in sizes, for a hint at the position."""
+
+
+LEAST_EVIDENCE = math.log(1e4)
+"""Least log likelihood ratio against guessing, for a hint; some thirty changes are tried."""
+
+
+MOST_GRID_SIDE = 2049
+"""Largest side of the retina grid, in samples, with which another size is tried."""
+
+
+SIZE_UNITS = (
+    (1000.0 * math.pi / 180.0, "Is size_mrad in degrees?"),
+    (1000.0 * math.pi / 180.0 / 60.0, "Is size_mrad in arcmin?"),
+    (180.0 / math.pi / 1000.0, "Is the pixel pitch in degrees?"),
+    (60.0 * 180.0 / math.pi / 1000.0, "Is the pixel pitch in arcmin?"),
+)
+"""Factors of the size if a unit was mistaken for mrad, and the question to ask."""
+
+
+QUESTIONS = {
+    (0, 3, 2, 1): "left and right were swapped: Is the camera mirrored?",
+    (2, 1, 0, 3): "up and down were swapped: Are the frames upside down?",
+    (2, 3, 0, 1): "all orientations were turned by 180°: Is the camera upside down?",
+    (1, 2, 3, 0): "all orientations were turned clockwise by 90°: Is the camera turned?",
+    (3, 0, 1, 2): "all orientations were turned counter-clockwise by 90°: Is the camera turned?",
+    (1, 0, 3, 2): "up and right, and down and left, were swapped: Is the camera turned and mirrored?",
+    (3, 2, 1, 0): "up and left, and down and right, were swapped: Is the camera turned and mirrored?",
+}
+"""Conditions and questions by the orientations on the frames, for those in the manifest in clockwise order."""
+
+
+class Hint(NamedTuple):
+    """A change that would make the answers right, with a stable `code`."""
+
+    code: str
+    message: str
+    found: Any
+    expected: Any
+
+
+@dataclass(frozen=True, slots=True)
+class Explanation:
+    """Answers in the strongest trials of a group without a threshold, and changes to make them right.
+
+    `answers`, (4, 4), are numbers of answers, expected or drawn, in trials of `from_level` and above. Rows are the
+    orientations shown, columns those answered.
+    """
+
+    group: tuple[float | str, ...]
+    answers: FloatArray
+    from_level: float
+    hints: tuple[Hint, ...]
+
+
+def explain_missing(
+    dataset: Dataset,
+    scored: ScoredDataset,
+    observer: Observer,
+    *,
+    decisions: Decisions = "expected",
+    seed: int = 1,
+) -> tuple[Explanation, ...]:
+    """Explain each threshold that is missing.
+
+    For groups whose criterion is not reached at the levels shown, changes are tried on the strongest trials:
+    mirrored, turned or inverted triangles from the answers and scores; other positions and other units of the size
+    by scoring these trials again. A hint is given only for a change after which most answers are right.
+
+    Parameters
+    ----------
+    dataset : Dataset
+        Dataset that was scored.
+    scored : ScoredDataset
+    observer : Observer
+    decisions : {"expected", "sampled"}
+    seed : int
+        Seed of all random streams, as for `scored`.
+
+    Returns
+    -------
+    tuple of Explanation
+        One for each group without a threshold, in the order of `scored.fits`, and for groups whose threshold is
+        extrapolated to stronger levels, if there is a hint.
+    """
+    found = []
+    for one in scored.fits:
+        is_missing = one.fit.threshold is None
+        if not (is_missing or _is_beyond(one.fit)):
+            continue
+        strong = _strongest(scored, one)
+        answers = _answers(scored)[strong]
+        shown = np.array([scored.trials[k].orientation.quarter_turns for k in strong])
+        table = np.zeros((4, 4))
+        np.add.at(table, shown, answers)
+        hints: tuple[Hint, ...] = ()
+        if one.fit.status == "never_reached" or not is_missing:
+            strong = _some(strong, MOST_TRIALS)
+            search = _Search(
+                dataset,
+                observer,
+                decisions,
+                seed,
+                tuple(scored.trials[k] for k in strong),
+                _answers(scored)[strong],
+                is_inverted=bool(np.median(scored.scores[strong].mean(axis=1)) < 0.0),
+            )
+            hints = search.hints()
+        if is_missing or hints:
+            found.append(Explanation(one.group, table, min(scored.trials[k].level for k in strong), hints))
+    return tuple(found)
+
+
+def _is_beyond(fit: PsychometricFit) -> bool:
+    """Tell whether a threshold is extrapolated to levels stronger than all that were shown."""
+    return fit.threshold is not None and fit.threshold > max(point.level for point in fit.points)
+
+
+def _strongest(scored: ScoredDataset, one: GroupFit) -> NDArray[np.intp]:
+    """Return the indices of the trials of a group's highest levels, in the order of the trials."""
+    members = [k for k, trial in enumerate(scored.trials) if trial.group == one.group]
+    levels = sorted({scored.trials[k].level for k in members}, reverse=True)
+    chosen: list[int] = []
+    for number, level in enumerate(levels):
+        if number >= STRONG_SHARE * len(levels) and len(chosen) >= LEAST_TRIALS:
+            break
+        chosen += [k for k in members if scored.trials[k].level == level]
+    return np.array(sorted(chosen), dtype=np.intp)
+
+
+def _some(places: NDArray[np.intp], most: int) -> NDArray[np.intp]:
+    """Return at most so many of the places, at an odd step, so that all orientations are among them."""
+    step = math.ceil(len(places) / most)
+    return places[:: step + (step + 1) % 2 if step > 1 else 1]
+
+
+def _answers(scored: ScoredDataset) -> FloatArray:
+    """Return the probability of each answer; 1 for the answer drawn if there are no probabilities."""
+    drawn = np.eye(4)[scored.answers]
+    return np.where(np.isfinite(scored.probabilities), scored.probabilities, drawn)
+
+
+@dataclass(frozen=True, slots=True)
+class _Change:
+    """A change of the trials that was tried, with the answers after it: clauses of a hint, and its codes."""
+
+    answers: FloatArray
+    clauses: tuple[str, ...] = ()
+    codes: tuple[tuple[str, Any, Any], ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class _Search:
+    """Search for what would make the answers in the strongest trials of a group right."""
+
+    dataset: Dataset
+    observer: Observer
+    decisions: Decisions
+    seed: int
+    trials: tuple[Trial, ...]
+    answers: FloatArray
+    is_inverted: bool
+
+    def hints(self) -> tuple[Hint, ...]:
+        """Return the hints of the first change that works; an empty tuple if none does."""
+        for change in self._changes():
+            for arrangement in (one for one in ARRANGEMENTS if one.sign == 1):
+                share = self._right(change.answers, arrangement)
+                if self._works(share) and (change.codes or arrangement.mismatches):
+                    return self._hints(change, arrangement, share)
+        return ()
+
+    def _changes(self) -> Iterator[_Change]:
+        """Yield changes, those that need no frame first."""
+        if self.is_inverted:
+            yield from self._scored_again(self.trials, -1)
+        else:
+            yield _Change(self.answers)
+        yield from self._elsewhere(1.0)
+        for factor, question in SIZE_UNITS:
+            yield from self._elsewhere(factor, question)
+
+    def _elsewhere(self, factor: float, question: str = "") -> Iterator[_Change]:
+        """Yield the answers at the position where triangles of another size are found, if they are."""
+        trials = tuple(
+            trial._replace(
+                x_px=None,
+                y_px=None,
+                stimulus=replace(trial.stimulus, size_mrad=factor * trial.stimulus.size_mrad),
+            )
+            for trial in self.trials
+        )
+        if factor != 1.0 and self.observer.grid(trials[0].stimulus).side > MOST_GRID_SIDE:
+            return
+        try:
+            placed, (location,) = locate_triangles(self._of(trials), centre=self.observer.centre)
+            stated = self._stated_position()
+        except TodframesError:
+            return
+        here = (round(placed.trials[0].x_px or 0.0, 2), round(placed.trials[0].y_px or 0.0, 2))
+        apart_px = math.dist(here, stated)
+        clauses: list[str] = []
+        codes: list[tuple[str, Any, Any]] = []
+        if factor != 1.0:
+            size_mrad = self.trials[0].stimulus.size_mrad
+            clauses.append(f"triangles had {factor:.3g} times the size in the manifest: {question}")
+            codes.append(("size_mismatch", factor * size_mrad, size_mrad))
+        size_px = trials[0].stimulus.size_mrad / self.dataset.display.pitch_mrad
+        if apart_px > max(3.0 * location.standard_error_px + 0.5, LEAST_OFFSET * size_px):
+            clauses.append(
+                f"the triangle's centroid were at x_px {here[0]:g}, y_px {here[1]:g} instead of {stated[0]:g}, "
+                f"{stated[1]:g}: Give it in the manifest, or let --locate find it."
+            )
+            codes.append(("position_offset", here, stated))
+        if codes:
+            for change in self._scored_again(placed.trials, location.arrangement.sign):
+                yield replace(change, clauses=(*clauses, *change.clauses), codes=(*codes, *change.codes))
+
+    def _scored_again(self, trials: Sequence[Trial], sign: int) -> Iterator[_Change]:
+        """Yield the answers to trials whose polarity is multiplied by a sign, unless they cannot be scored."""
+        polarity = self.trials[0].stimulus.polarity
+        if sign == -1:
+            trials = [t._replace(stimulus=replace(t.stimulus, polarity=-t.stimulus.polarity)) for t in trials]
+        try:
+            scored = score_dataset(
+                self._of(trials),
+                self.observer,
+                decisions=self.decisions,
+                seed=self.seed,
+                fit_settings=FitSettings(resamples=0),
+            )
+        except TodframesError:
+            return
+        if sign == 1:
+            yield _Change(_answers(scored))
+            return
+        contrast = "brighter" if polarity == -1 else "darker"
+        clause = f"polarity were {-polarity}: Are the triangles {contrast} than the background?"
+        yield _Change(_answers(scored), (clause,), (("polarity_mismatch", -polarity, polarity),))
+
+    def _of(self, trials: Sequence[Trial]) -> Dataset:
+        return replace(self.dataset, trials=tuple(trials), bad_rows=(), spoilt=frozenset())
+
+    def _stated_position(self) -> tuple[float, float]:
+        """Return the centroid's position in the first trial as it was scored, in pixels."""
+        trial = self.trials[0]
+        with self.dataset.open(trial.frames[0]) as file:
+            return centroid_position(trial, file.header, self.observer.centre, self.dataset.display.pitch_mrad)
+
+    def _right(self, answers: FloatArray, arrangement: Arrangement) -> float:
+        """Return the share of right answers if the frames show triangles in an arrangement."""
+        shown = [arrangement.of(trial.orientation).quarter_turns for trial in self.trials]
+        return float(answers[np.arange(len(answers)), shown].mean())
+
+    def _works(self, share: float) -> bool:
+        """Tell whether a share of right answers is high, much higher than now, and no chance result."""
+        now = self._right(self.answers, ARRANGEMENTS[0])
+        if share < max(LEAST_RIGHT, now + LEAST_GAIN):
+            return False
+        wrong = 1.0 - share
+        against_guessing = share * math.log(share / 0.25) + (
+            wrong * math.log(wrong / 0.75) if wrong > 0.0 else 0.0
+        )
+        return len(self.trials) * against_guessing >= LEAST_EVIDENCE
+
+    def _hints(self, change: _Change, arrangement: Arrangement, share: float) -> tuple[Hint, ...]:
+        clauses, codes = list(change.clauses), list(change.codes)
+        if arrangement.mismatches:
+            clauses.append(QUESTIONS[arrangement.shown])
+            codes += [(code, arrangement.phrase, "as stated") for code in arrangement.mismatches]
+        now = self._right(self.answers, ARRANGEMENTS[0])
+        level = min(trial.level for trial in self.trials)
+        conditions, remedies = zip(*(clause.split(": ") for clause in clauses), strict=True)
+        message = (
+            f"{100.0 * share:.0f} % of the answers from {self.dataset.experiment.level} {level:g} on, instead of "
+            f"{100.0 * now:.0f} %, would be right if {' and if '.join(conditions)}. {' '.join(remedies)}"
+        )
+        return tuple(Hint(code, message, found, expected) for code, found, expected in codes)
