@@ -417,6 +417,9 @@ class DatasetRecord(Struct, frozen=True, kw_only=True):
         Checksum of `manifest.csv`; None for frames in memory.
     n_frames : int or None
         Number of frames in the manifest, those left out included.
+    measured : tuple of dict
+        What the frames of each group and stimulus show, measured on some of them: attributes of
+        `todframes.frames.inspection.Inspection`.
     """
 
     path: str
@@ -424,9 +427,10 @@ class DatasetRecord(Struct, frozen=True, kw_only=True):
     experiment: Record = {}
     manifest_sha256: str | None = None
     n_frames: int | None = None
+    measured: tuple[Record, ...] = ()
 
     @classmethod
-    def of(cls, dataset: Dataset) -> DatasetRecord:
+    def of(cls, dataset: Dataset, measured: Sequence[Record] = ()) -> DatasetRecord:
         """Return the record of a dataset."""
         return cls(
             path=str(dataset.path),
@@ -434,6 +438,7 @@ class DatasetRecord(Struct, frozen=True, kw_only=True):
             experiment={"level": dataset.experiment.level, "group_by": list(dataset.experiment.group_by)},
             manifest_sha256=dataset.manifest_sha256,
             n_frames=dataset.n_frames,
+            measured=tuple(measured),
         )
 
 
