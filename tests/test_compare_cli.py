@@ -85,7 +85,11 @@ def test_json(todframes, dataset: Path) -> None:
     result = json.loads(out)
     # Not all thresholds lie among the levels; algorithms are named with them.
     assert {warning["code"] for warning in result["warnings"]} == {"levels_to_add"}
-    assert (status, err.splitlines()) == (0, [f"warning: {one['message']}" for one in result["warnings"]])
+    lines = [
+        f"warning: {one['group']['algorithm']}, {one['group']['size_mrad']:g} mrad: {one['message']}"
+        for one in result["warnings"]
+    ]
+    assert (status, err.splitlines()) == (0, lines)
     assert {"schema", "command", "version", "settings", "seed", "algorithms", "verdict", "skipped"} <= set(result)
     assert (result["schema"], result["command"], result["seed"], result["skipped"]) == (1, "compare", 1, [])
     assert (result["settings"]["internal_noise"], result["settings"]["white"]) == (0.25, 1.0)
