@@ -22,11 +22,13 @@ from todframes.psychometrics.fit import fit_counts as fit_counts_of_one
 from todframes.report.advice import above_contrast_1, levels_to_add
 from todframes.report.data import DatasetRecord, Fit, Group, ResultWarning, algorithms, group_of, thresholds_of
 from todframes.report.result import Result
+from todframes.report.wording import group_phrase
 from todframes.scoring.error_budget import PlanName, plan_object
 from todframes.scoring.trials import Decisions
 
 if TYPE_CHECKING:
     from todframes.frames.locate import Locate
+    from todframes.scoring.missing_threshold import Hint
     from todframes.scoring.naked_eye import Threshold
 
 OnError = Literal["stop", "skip"]
@@ -129,12 +131,10 @@ def score(
 
         more["examples"] = drawing.examples(data, scored, judge)
     explained = {one.group: one for one in explain_missing(data, scored, judge, decisions=decisions, seed=seed)}
-    hints = tuple(
-        ResultWarning(**hint._asdict(), group=group_of(data, one.group))
-        for one in explained.values()
-        for hint in one.hints
-    )
     fits = tuple(Fit.of_trials(data, one, explained.get(one.group)) for one in scored.fits)
+    hints = [_hint(group_of(data, one.group), hint) for one in explained.values() for hint in one.hints]
+    hinted = [hint.group for hint in hints]  # with a mistake mended, other levels may be near the threshold
+    levels = levels_to_add([one for one in fits if one.group not in hinted])
     return Result.made(
         "score",
         started,
@@ -144,7 +144,7 @@ def score(
         plan=tuple(plan_object(scored.plan, 1.0)),
         dataset=DatasetRecord.of(data),
         skipped=tuple(one._asdict() for one in scored.skipped),
-        warnings=_each_once(*hints, *found_wrong, *_warnings(data, scored.trials), *levels_to_add(fits)),
+        warnings=_each_once(*hints, *found_wrong, *_warnings(data, scored.trials), *levels),
         negative_luminance_pixels=scored.n_negative,
         **more,
     ).with_trials(lambda: tables.trials(data, scored))
@@ -558,6 +558,11 @@ def _located(
 
 def _warnings(data: Dataset, trials: Sequence[Trial]) -> tuple[ResultWarning, ...]:
     return tuple(ResultWarning(**one._asdict()) for one in dataset_warnings(data, trials))
+
+
+def _hint(group: Group, hint: Hint) -> ResultWarning:
+    message = f"{group_phrase(group)}: {hint.message}"
+    return ResultWarning(code=hint.code, group=group, message=message, found=hint.found, expected=hint.expected)
 
 
 def _each_once(*warnings: ResultWarning) -> tuple[ResultWarning, ...]:
