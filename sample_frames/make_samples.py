@@ -58,7 +58,7 @@ pixel_pitch_mrad = 0.2
 background_luminance_cd_m2 = "border"
 
 [experiment]
-level = "contrast"
+level = "sent_contrast"
 group_by = ["size_mrad"]
 """
 
@@ -151,7 +151,7 @@ def enhancement(folder: Path) -> None:
                     name = f"frames/s{size_mrad}_d{step}_{orientation}_{repetition}.png"
                     rows.append([name, orientation.value, size_mrad, step / grey, reference])
                     _write(folder / name, np.rint(received) / 255.0, "uint8")
-    _write_manifest(folder, ENHANCEMENT_TOML, ["reference_frame"], rows)
+    _write_manifest(folder, ENHANCEMENT_TOML, ["reference_frame"], rows, level="sent_contrast")
 
 
 def staring_camera(folder: Path) -> None:
@@ -171,11 +171,13 @@ def _write(path: Path, values: np.ndarray, pixel_type: str) -> None:
     write_frame(path, values, pixel_type=pixel_type, attributes=origin)
 
 
-def _write_manifest(folder: Path, settings: str, columns: list[str], rows: list[list]) -> None:
+def _write_manifest(
+    folder: Path, settings: str, columns: list[str], rows: list[list], level: str = "contrast"
+) -> None:
     (folder / "dataset.toml").write_text(settings, encoding="utf-8")
     with (folder / "manifest.csv").open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(["frame", "orientation", "size_mrad", "contrast", *columns, "sha256"])
+        writer.writerow(["frame", "orientation", "size_mrad", level, *columns, "sha256"])
         writer.writerows([*row, frame_sha256(folder / row[0])] for row in rows)
 
 

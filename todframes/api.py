@@ -16,6 +16,8 @@ from todframes.errors import DataError, SettingsError
 from todframes.frames.checksums import dataset_warnings
 from todframes.frames.dataset import Dataset, Trial, load_dataset
 from todframes.frames.display import Display
+from todframes.frames.findings import frame_warnings
+from todframes.frames.inspection import inspect, records
 from todframes.observers.interface import ENTRY_POINT_GROUP, Observer, find_observer
 from todframes.psychometrics.fit import FitSettings
 from todframes.psychometrics.fit import fit_counts as fit_counts_of_one
@@ -25,6 +27,7 @@ from todframes.report.result import Result
 from todframes.report.wording import group_phrase
 from todframes.scoring.error_budget import PlanName, plan_object
 from todframes.scoring.trials import Decisions
+from todframes.stimulus import Centre
 
 if TYPE_CHECKING:
     from todframes.frames.locate import Locate
@@ -135,6 +138,7 @@ def score(
     hints = [_hint(group_of(data, one.group), hint) for one in explained.values() for hint in one.hints]
     hinted = [hint.group for hint in hints]  # with a mistake mended, other levels may be near the threshold
     levels = levels_to_add([one for one in fits if one.group not in hinted])
+    record, shown_wrong = inspected(data, scored.trials, judge.centre)
     return Result.made(
         "score",
         started,
@@ -142,9 +146,9 @@ def score(
         seed=seed,
         fits=fits,
         plan=tuple(plan_object(scored.plan, 1.0)),
-        dataset=DatasetRecord.of(data),
         skipped=tuple(one._asdict() for one in scored.skipped),
-        warnings=_each_once(*hints, *found_wrong, *_warnings(data, scored.trials), *levels),
+        dataset=record,
+        warnings=_each_once(*hints, *found_wrong, *shown_wrong, *levels),
         negative_luminance_pixels=scored.n_negative,
         **more,
     ).with_trials(lambda: tables.trials(data, scored))
@@ -331,6 +335,7 @@ def compare(
 
         more["examples"] = compare_examples(data, results, judge, screen)
     black, peak = screen.luminance_range
+    record, shown_wrong = inspected(data, reference.trials, judge.centre)
     return Result.made(
         "compare",
         started,
@@ -342,9 +347,9 @@ def compare(
         data_range_cd_m2=peak - black,
         verdict=comparison(compared),
         plan=tuple(plan_object(reference.plan, 1.0)),
-        dataset=DatasetRecord.of(data),
         skipped=tuple(one._asdict() for one in reference.skipped),
-        warnings=(*found_wrong, *_warnings(data, reference.trials), *levels_to_add(thresholds_of(compared))),
+        dataset=record,
+        warnings=_each_once(*found_wrong, *shown_wrong, *levels_to_add(thresholds_of(compared))),
         negative_luminance_pixels=reference.n_negative,
         **more,
     ).with_trials(lambda: tables.compared_trials(data, results))
@@ -556,8 +561,14 @@ def _located(
     return data, {"located": located}, found
 
 
-def _warnings(data: Dataset, trials: Sequence[Trial]) -> tuple[ResultWarning, ...]:
-    return tuple(ResultWarning(**one._asdict()) for one in dataset_warnings(data, trials))
+def inspected(
+    data: Dataset, trials: Sequence[Trial], centre: Centre = "centroid"
+) -> tuple[DatasetRecord, tuple[ResultWarning, ...]]:
+    """Return a dataset's record with what its frames show, and the warnings about them."""
+    inspections = inspect(data, trials, centre=centre)
+    warnings = (*dataset_warnings(data, trials), *frame_warnings(data, inspections))
+    record = DatasetRecord.of(data, records(data, inspections))
+    return record, tuple(ResultWarning(**one._asdict()) for one in warnings)
 
 
 def _hint(group: Group, hint: Hint) -> ResultWarning:

@@ -18,6 +18,7 @@ from todframes.cli.options import (
     observer_options,
     result_options,
     scoring_options,
+    strict_option,
 )
 from todframes.errors import SettingsError
 
@@ -43,13 +44,14 @@ from todframes.errors import SettingsError
 @observer_options
 @scoring_options
 @result_options
+@strict_option
 def compare(*, dataset: Path, specs: Sequence[str], out: str | None, quiet: bool, **asked: Any) -> None:
     """Tell whether enhancement algorithms lower the thresholds of DATASET, by how much and how surely.
 
     Each is compared with the frames as they are, on the same frames and with the same random draws.
     `todframes enhancements` lists the algorithms that come along. Without -o nothing is written.
     """
-    shown = {name: asked.pop(name) for name in ("as_json", "verbose", "explain")}
+    shown = {name: asked.pop(name) for name in ("as_json", "verbose", "explain", "strict")}
     observer, fit = make_observer(asked)
     from todframes import api
     from todframes.frames.dataset import load_dataset

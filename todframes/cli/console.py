@@ -15,10 +15,11 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from todframes import signals
-from todframes.errors import TodframesError
+from todframes.errors import DataError, TodframesError
 from todframes.safe_text import visible
 
 if TYPE_CHECKING:
+    from todframes.report.data import ResultWarning
     from todframes.report.result import Result
     from todframes.report.table import Table
 
@@ -66,11 +67,20 @@ def finish(
     explain: bool = False,
     out: str | None = None,
     quiet: bool = False,
+    strict: bool = False,
 ) -> None:
-    """Show a result as one JSON object or as tables and sentences, and remarks on standard error."""
+    """Show a result as one JSON object or as tables and sentences, and remarks on standard error.
+
+    Raises
+    ------
+    DataError
+        If `strict` and there are warnings; everything is shown before.
+    """
     from todframes.report import tables
     from todframes.report.summary import cautions, remarks
-    from todframes.report.wording import group_phrase
+    from todframes.report.wording import group_phrase, warning_phrase
+
+    warnings = [warning_phrase(one.group, one.message) for one in result.warnings]
 
     if not quiet:
         for place in result.located or ():
@@ -85,10 +95,11 @@ def finish(
                 say(f"note: {algorithm.spec}: {algorithm.n_clipped} values were clipped")
         if result.negative_luminance_pixels and not result.algorithms:
             say(f"note: {result.negative_luminance_pixels} of the display pixels read have a luminance below zero")
-        for warning in result.warnings:
-            say(f"warning: {warning.message}")
+        for warning in warnings if as_json else ():
+            say(f"warning: {warning}")
     if as_json:
         click.echo(result.to_json(), nl=False)
+        check_strict(result.warnings, strict)
         return
     if explain:
         print_table(tables.plan(result))
@@ -105,9 +116,21 @@ def finish(
         print_table(tables.thresholds(result, "Details"), details=True)
     for sentence in [*result.verdict, *cautions(result), *(remarks(result) if verbose else [])]:
         echo(*textwrap.wrap(visible(sentence), terminal_width()))
+    for warning in warnings:
+        echo(*textwrap.wrap(visible(f"warning: {warning}"), terminal_width()))
     echo(f"{result.run_time_s:.2f} s")
     if out is not None:
         echo(f"written: {out}")
+    check_strict(result.warnings, strict)
+
+
+def check_strict(warnings: Sequence[ResultWarning], strict: bool) -> None:
+    """Raise DataError if there are warnings and they count as errors."""
+    if strict and warnings:
+        codes = ", ".join(dict.fromkeys(one.code for one in warnings))
+        raise DataError(
+            f"--strict: found {len(warnings)} warnings ({codes}), expected none; all output is written"
+        )
 
 
 def print_table(table: Table, *, details: bool = False) -> None:

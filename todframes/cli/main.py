@@ -6,6 +6,7 @@ The imports of a command run with the command, so `--help` prints before numpy i
 from __future__ import annotations
 
 import sys
+import time
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -13,8 +14,17 @@ import click
 
 from todframes import __version__
 from todframes.cli.compare import compare, enhancements
-from todframes.cli.console import Commands, ProblemLines, echo, keep_libraries_to_one_thread, progress, run, say
-from todframes.cli.options import dataset_argument
+from todframes.cli.console import (
+    Commands,
+    ProblemLines,
+    check_strict,
+    echo,
+    keep_libraries_to_one_thread,
+    progress,
+    run,
+    say,
+)
+from todframes.cli.options import dataset_argument, json_option, strict_option
 from todframes.cli.score import fit, naked_eye, score
 from todframes.cli.studies import accuracy, stability
 from todframes.errors import DataError
@@ -58,40 +68,61 @@ def cli() -> None:
     is_flag=True,
     help="If all is good, write the checksum of each frame that has none into manifest.csv.",
 )
-def validate(*, dataset: Path, add_sha256: bool) -> None:
-    """Check every file and row of DATASET without scoring; each problem is one line."""
-    from todframes.frames.checksums import check_writable, dataset_warnings, write_sha256
+@strict_option
+@json_option
+def validate(*, dataset: Path, add_sha256: bool, strict: bool, as_json: bool) -> None:
+    """Check every file and row of DATASET, and what its frames show, without scoring.
+
+    Each problem and each warning is one line.
+    """
+    start = time.perf_counter()
+    from todframes.api import inspected
+    from todframes.frames.checksums import check_writable, write_sha256
     from todframes.frames.contrast import frame_problems
     from todframes.frames.dataset import load_dataset
     from todframes.frames.files import frame_sha256
+    from todframes.report.result import Result
+    from todframes.report.wording import warning_phrase
 
     data = load_dataset(dataset)
     if add_sha256:
         check_writable(data)
     sha256_of: dict[str, str] = {}
     problems = ProblemLines()
+    found: list[dict[str, str]] = []
     for row in data.bad_rows:
+        found.append(row._asdict())
         problems.add(row.error, kind=row.error.replace(row.frame or "\0", "#"))
     with progress("checking", len(data.trials)) as advance:
         for trial in data.trials:
             for error in frame_problems(data, trial):
                 problems.add(str(error), kind=error.problem)
+                found.append({"frame": str(error.path), "error": str(error)})
             if add_sha256 and not problems.count:
                 missing = [frame for frame in trial.frames if frame.sha256 is None]
                 sha256_of |= {frame.path: frame_sha256(data.frame_path(frame)) for frame in missing}
             advance(1)
     problems.close()
+    if add_sha256 and not problems.count:
+        write_sha256(data, sha256_of)
+        data = load_dataset(dataset)
+    record, warnings = inspected(data, data.trials)
+    result = Result.made("validate", start, dataset=record, skipped=tuple(found), warnings=warnings)
+    for warning in result.warnings:
+        say(f"warning: {warning_phrase(warning.group, warning.message)}")
+    if as_json:
+        click.echo(result.to_json(), nl=False)
     if problems.count:
         raise DataError(f"{dataset}: {problems.count} {'problems' if problems.count > 1 else 'problem'} found")
-    n_frames = sum(len(trial.frames) for trial in data.trials)
-    echo(f"{dataset}: {n_frames} frames in {len(data.trials)} trials, all good")
-    if add_sha256:
-        write_sha256(data, sha256_of)
-        agree = n_frames - len(sha256_of)
-        echo(f"{dataset / 'manifest.csv'}: sha256 of {len(sha256_of)} frames added; {agree} had one, and agree")
-    else:
-        for warning in dataset_warnings(data, data.trials):
-            say(f"warning: {warning.message}")
+    if not as_json:
+        n_frames = sum(len(trial.frames) for trial in data.trials)
+        echo(f"{dataset}: {n_frames} frames in {len(data.trials)} trials, all good")
+        if add_sha256:
+            agree = n_frames - len(sha256_of)
+            echo(
+                f"{dataset / 'manifest.csv'}: sha256 of {len(sha256_of)} frames added; {agree} had one, and agree"
+            )
+    check_strict(result.warnings, strict)
 
 
 for command in (score, compare, naked_eye, fit, report_command, enhancements, accuracy, stability):

@@ -152,6 +152,11 @@ class ScoringCommand(click.Command):
         return super().parse_args(ctx, given)
 
 
+strict_option = click.option(
+    "--strict", is_flag=True, help="End with status 1 if there is a warning; the output is whole all the same."
+)
+
+
 result_options = options(explain_option, verbose_option, json_option, quiet_option)
 """Options for the output of the commands that score frames."""
 

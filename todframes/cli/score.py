@@ -23,6 +23,7 @@ from todframes.cli.options import (
     scoring_options,
     seed_option,
     set_option,
+    strict_option,
     tolerance_option,
     verbose_option,
 )
@@ -40,12 +41,13 @@ from todframes.errors import SettingsError
 )
 @scoring_options
 @result_options
+@strict_option
 def score(*, dataset: Path, out: str | None, quiet: bool, **asked: Any) -> None:
     """Score the display frames of DATASET and fit its thresholds.
 
     DATASET is a folder with dataset.toml, manifest.csv and frames. Without -o nothing is written.
     """
-    shown = {name: asked.pop(name) for name in ("as_json", "verbose", "explain")}
+    shown = {name: asked.pop(name) for name in ("as_json", "verbose", "explain", "strict")}
     observer, fit = make_observer(asked)
     from todframes import api
     from todframes.frames.dataset import load_dataset

@@ -118,11 +118,23 @@ class Surface(NamedTuple):
         """Compute the background's luminance in cd/m² in half-open ranges of rows and columns: (rows, columns)."""
         if not self.coefficients.any(where=_NOT_CONSTANT):
             return np.full((rows[1] - rows[0], columns[1] - columns[0]), self.middle_cd_m2)
+        return self.luminance_at(*(np.arange(*span, dtype=np.float64) for span in (rows, columns)))
+
+    def luminance_at(self, y_px: FloatArray, x_px: FloatArray) -> FloatArray:
+        """Compute the background's luminance in cd/m² at all pairs of two sets of places: (y, x)."""
         v, u = (
-            ((np.arange(*span) - at) / self.scale_px)[:, None] ** np.arange(5)
-            for span, at in zip((rows, columns), self.middle, strict=True)
+            ((places - at) / self.scale_px)[:, None] ** np.arange(5)
+            for places, at in zip((y_px, x_px), self.middle, strict=True)
         )
         return np.asarray(v @ self.coefficients @ u.T)
+
+    def has(self, y_px: FloatArray, x_px: FloatArray) -> NDArray[np.bool_]:
+        """Tell which pairs of two sets of places belong to the background: (y, x)."""
+        inside = (
+            (places > first - 0.5) & (places < stop - 0.5)
+            for places, (first, stop) in zip((y_px, x_px), self.extent, strict=True)
+        )
+        return np.asarray(np.logical_and.outer(*inside))
 
     @property
     def middle_cd_m2(self) -> float:
@@ -144,6 +156,21 @@ class Surface(NamedTuple):
         return contrast
 
 
+def block_sums(values: FloatArray, row: int, column: int, block_px: int) -> tuple[FloatArray, tuple[int, int]]:
+    """Sum a rectangle over square blocks; return the sums and the row and column of the first block.
+
+    The first value is at (row, column) of a grid of blocks that begins at (0, 0).
+    """
+    first = row // block_px, column // block_px
+    if block_px == 1:
+        return values, first
+    sums = values
+    for axis, begin in ((1, column), (0, row)):
+        blocks = (begin + np.arange(values.shape[axis])) // block_px
+        sums = np.add.reduceat(sums, np.flatnonzero(np.diff(blocks, prepend=-1)), axis=axis)
+    return sums, first
+
+
 class SurroundSums:
     """Sums of the luminance over square blocks of a window, collected band by band."""
 
@@ -157,14 +184,9 @@ class SurroundSums:
         """Add a rectangle of luminance with all columns of the window, its first pixel at (row, column)."""
         (top, bottom), (left, right) = self.window
         part = luminance[max(top - row, 0) : max(bottom - row, 0), left - column : right - column]
-        if not part.size:
-            return
-        n_columns = self.sums.shape[1]
-        starts = np.arange(n_columns) * self.block_px
-        by_columns = np.add.reduceat(part, starts, axis=1) if self.block_px > 1 else part
-        block_rows = (max(row, top) - top + np.arange(len(part))) // self.block_px
-        starts = np.flatnonzero(np.diff(block_rows, prepend=-1))
-        self.sums[block_rows[0] : block_rows[-1] + 1] += np.add.reduceat(by_columns, starts, axis=0)
+        if part.size:
+            sums, (first, _) = block_sums(part, max(row, top) - top, 0, self.block_px)
+            self.sums[first : first + len(sums)] += sums
 
     def surface(self) -> Surface:
         """Fit the background.

@@ -1,0 +1,338 @@
+"""Warnings about frames that do not show what their dataset says, from measurements of them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+
+from todframes.frames.dataset import Dataset, DatasetWarning
+from todframes.frames.inspection import Inspection, is_contrast
+
+CERTAIN = 5.0
+"""Least deviation that is told, in standard errors."""
+
+
+MATTERS = 0.03
+"""Relative error of a threshold that matters."""
+
+
+SKEW = 0.25
+"""Relative deviation of a background's luminance that skewed noise may cause, in standard deviations of a pixel's
+contrast."""
+
+
+OFFSET_MRAD, SCATTER_MRAD = 0.08, 0.1
+"""Offset and scatter of the triangle's place that matter: half a sample of the naked eye's retina raises
+thresholds by 2 to 5 % for sizes up to 4 mrad, and more for larger ones."""
+
+
+LEAST_OFFSET_PX = 0.05
+"""Least offset that is told, in pixels; a smaller one is within the errors of the fit."""
+
+
+OFFSET_PER_BLUR = 0.3
+"""Offset of a blurred triangle that does not matter, in standard deviations of its blur."""
+
+
+SIZE_MRAD, LEAST_SIZE_ERROR = 0.08, 0.02
+"""Error of a size that matters, and the least relative one that is told."""
+
+
+SIZE_SCATTER = 0.2
+"""Relative scatter of a size over trials beyond which a group has triangles of several sizes."""
+
+
+TURN_MRAD, LEAST_TURN_RAD = 0.035, 0.0175
+"""Displacement of a triangle's corners by a rotation that matters, and the least rotation that is told."""
+
+
+SCATTER_PER_BLUR = 0.4
+"""Scatter of the place that sampling may cause, in standard deviations of the triangle's blur."""
+
+
+CONTRAST_ERROR = 0.05
+"""Relative deviation of the displayed contrast from the level that is told."""
+
+
+LEAST_SIZE_PX = 2.0
+"""Size of a triangle in pixels below which its orientation is not displayed."""
+
+
+MOST_CLIPPED = 0.01
+"""Share of the triangle's pixels at an end of the code values that is told."""
+
+
+UNEVEN_PER_LEVEL, TIMES_TEXTURE = 0.15, 4.0
+"""Contrast of the background's own structure at the triangle that matters, relative to the median level, and to
+the same structure elsewhere in the picture: a camera's fixed pattern is everywhere."""
+
+
+COARSE_PER_LEVEL, DITHERED = 0.5, 0.6
+"""Contrast of one code step that matters, relative to the median level, and the noise in steps that smooths it."""
+
+
+BIT_DEPTHS = (10, 12, 14)
+"""Bits of values that cameras store in files of 16 bits."""
+
+
+Told = tuple[str, float, float, str]
+"""A code, what was found, what was expected, and the message."""
+
+
+def frame_warnings(dataset: Dataset, inspections: Sequence[Inspection]) -> list[DatasetWarning]:
+    """Return the warnings about frames that do not show what the dataset says.
+
+    A deviation is told if it is larger than its error by far and changes a threshold by more than some per cent.
+
+    Parameters
+    ----------
+    dataset : Dataset
+    inspections : sequence of Inspection
+
+    Returns
+    -------
+    list of DatasetWarning
+        In the order of the groups; at most one of each code and group.
+    """
+    found: dict[tuple[str, tuple[float | str, ...]], DatasetWarning] = {}
+    for one in inspections:
+        group = dict(zip(dataset.experiment.group_by, one.group, strict=True))
+        for judge in JUDGES:
+            for code, value, expected, message in judge(dataset, one):
+                found.setdefault((code, one.group), DatasetWarning(code, group, message, value, expected))
+    return list(found.values())
+
+
+def _geometry(dataset: Dataset, one: Inspection) -> Iterator[Told]:
+    if one.size_px < LEAST_SIZE_PX:
+        yield (
+            "size_unit",
+            one.size_px,
+            LEAST_SIZE_PX,
+            f"a triangle of {one.stimulus.size_mrad:g} mrad is {one.size_px:.2g} pixels of "
+            f"{dataset.display.pitch_mrad:g} mrad: the display cannot show where it points; check that size_mrad "
+            "and the pixel pitch are in mrad",
+        )
+    if len(one.frame_sizes_px) > 1:
+        sizes = ", ".join(f"{columns} × {rows}" for rows, columns in one.frame_sizes_px)
+        yield (
+            "mixed_frame_sizes",
+            float(len(one.frame_sizes_px)),
+            1.0,
+            f"the frames of one group have {sizes} pixels: their triangles differ in size or place; give each "
+            "size of frames a dataset, or a group, of its own",
+        )
+
+
+def _codes(dataset: Dataset, one: Inspection) -> Iterator[Told]:
+    for code, share, end in (
+        ("saturated", one.saturated_share, "the largest code value"),
+        ("crushed", one.crushed_share, "code value 0"),
+    ):
+        if share is not None and share > MOST_CLIPPED:
+            yield (
+                code,
+                share,
+                0.0,
+                f"{100.0 * share:.2g} % of the pixels at the triangle have {end}: its contrast is cut off there, "
+                "or pixels are stuck; change exposure or gain and record again, or take the stuck pixels out",
+            )
+    if one.code_step_contrast is None or not is_contrast(dataset):
+        return
+    step = one.code_step_contrast
+    if step > COARSE_PER_LEVEL * one.level and one.noise_contrast < DITHERED * step:
+        yield (
+            "coarse_codes",
+            step,
+            COARSE_PER_LEVEL * one.level,
+            f"one step of the code values is a contrast of {step:.2g}, and the median level is {one.level:.2g}: "
+            "the triangle's contrast is rounded; store more bits",
+        )
+
+
+def _background(dataset: Dataset, one: Inspection) -> Iterator[Told]:
+    rule = dataset.display.background_luminance_cd_m2
+    by_noise = SKEW * one.noise_contrast
+    if abs(one.ring_ratio - 1.0) > max(MATTERS, by_noise, CERTAIN * one.ring_ratio_error):
+        advice = (
+            'set background_luminance_cd_m2 = "surround", and check eotf and white_luminance_cd_m2'
+            if not isinstance(rule, str) or rule == "column"
+            else 'the frames are not even; set background_luminance_cd_m2 = "surround"'
+        )
+        bits = _container_bits(one)
+        is_shallow = bits is not None and one.ring_ratio < 0.5
+        if is_shallow:
+            codes = f"the files have 16 bits and no code above {one.peak_code}: are these values of {bits} bits?"
+            advice = f"{codes} {advice}"
+        yield (
+            "bit_depth" if is_shallow else "background_mismatch",
+            one.ring_ratio,
+            1.0,
+            f"the luminance around the triangle is {one.ring_luminance_cd_m2:.3g} cd/m², "
+            f"{one.ring_ratio:.3g} times the background ({one.background_luminance_cd_m2:.3g} cd/m²): every "
+            f"contrast is wrong by about this factor; {advice}",
+        )
+    if (
+        one.uneven > max(UNEVEN_PER_LEVEL * one.level * abs(one.contrast_slope or 1.0), CERTAIN * one.uneven_error)
+        and one.uneven > TIMES_TEXTURE * one.uneven_texture
+        and is_contrast(dataset)
+    ):
+        yield (
+            "background_uneven",
+            one.uneven,
+            0.0,
+            f"the background has a structure of its own under the triangle, with a contrast of {one.uneven:.2g} "
+            f"where the median level is {one.level:.2g}: it favours one orientation; move the triangle away from "
+            "edges, text and stuck pixels, or take them out of the frames",
+        )
+
+
+def _container_bits(one: Inspection) -> int | None:
+    """Return the bits of values that would fill the codes found, if the files have 16; None if no usual number."""
+    if one.full_scale != 65535 or one.peak_code is None:
+        return None
+    return next((bits for bits in BIT_DEPTHS if one.peak_code < 2**bits), None)
+
+
+def _contrast(dataset: Dataset, one: Inspection) -> Iterator[Told]:
+    slope, error = one.contrast_slope, one.contrast_slope_error
+    if slope is None or error is None:
+        return
+    if one.size_ratio is not None and not _is_other_size(one):
+        slope *= one.size_ratio**2  # the light of the triangle: a blur hides whether it is larger or stronger
+    if slope < -CERTAIN * error and one.shown_as is not None:
+        shown, stated = ("darker", "brighter")[:: one.stimulus.polarity]
+        yield (
+            "polarity_mismatch",
+            -float(one.stimulus.polarity),
+            float(one.stimulus.polarity),
+            f"the triangles are {shown} than their background, and the manifest says {stated}: the answers are "
+            f"wrong; set the column polarity to {-one.stimulus.polarity}, or turn black and white round",
+        )
+        slope = -slope
+    if not is_contrast(dataset):
+        return
+    if abs(slope - 1.0) > max(CONTRAST_ERROR, CERTAIN * error):
+        yield (
+            "contrast_mismatch",
+            slope,
+            1.0,
+            f"the displayed contrast is {slope:.3g} ± {error:.1g} times the level in the manifest: the threshold "
+            "is in units of that level; check eotf, gamma and the unit of the level",
+        )
+    elif one.wrong_level >= 2 and one.wrong_level > MATTERS * one.n_level:
+        yield (
+            "contrast_mismatch",
+            float(one.wrong_level),
+            0.0,
+            f"in {one.wrong_level} of {one.n_level} frames the triangle's contrast does not follow its level: "
+            "check that frames and rows of the manifest belong together, and that gain and exposure are fixed",
+        )
+
+
+ADVICE = {
+    "mirrored": "left and right are swapped",
+    "flipped": "top and bottom are swapped",
+    "half_turn": "the picture is upside down",
+    "quarter_turn_right": "the picture is turned by a quarter to the right",
+    "quarter_turn_left": "the picture is turned by a quarter to the left",
+    "transposed": "rows and columns are swapped",
+    "anti_transposed": "rows and columns are swapped, and the picture is upside down",
+}
+
+
+CODES = {"mirrored": "mirrored", "flipped": "flipped", "transposed": "mirrored", "anti_transposed": "mirrored"}
+"""Codes of warnings about what was done to a picture; all else is "turned"."""
+
+
+def _orientation(_: Dataset, one: Inspection) -> Iterator[Told]:
+    if one.shown_as is None or one.turned_rad is None or one.turned_error_rad is None:
+        return
+    if one.shown_as != "as stated":
+        yield (
+            CODES.get(one.shown_as, "turned"),
+            1.0,
+            0.0,
+            f"{ADVICE[one.shown_as]} in the frames, against the orientations in the manifest: the answers are "
+            "wrong; turn or mirror the frames, or correct the orientations",
+        )
+    turned = abs(one.turned_rad)
+    if turned > max(LEAST_TURN_RAD, TURN_MRAD / one.stimulus.size_mrad, CERTAIN * one.turned_error_rad):
+        yield (
+            "turned",
+            math.degrees(one.turned_rad),
+            0.0,
+            f"the triangles are turned by {math.degrees(one.turned_rad):.2g}° to the right: the camera is tilted, "
+            "or some frames show another orientation than stated; straighten the camera, check the manifest",
+        )
+    if one.wrong_orientation >= 2 and one.wrong_orientation > MATTERS * one.n_orientation:
+        yield (
+            "orientation_mismatch",
+            float(one.wrong_orientation),
+            0.0,
+            f"{one.wrong_orientation} of {one.n_orientation} frames that show it clearly have another orientation "
+            "than the manifest says: check that frames and rows belong together",
+        )
+
+
+def _place(dataset: Dataset, one: Inspection) -> Iterator[Told]:
+    if one.offset_px is None or one.offset_error_px is None:
+        return
+    pitch, error = dataset.display.pitch_mrad, math.hypot(*one.offset_error_px)
+    offset = math.hypot(*one.offset_px)
+    hidden = OFFSET_PER_BLUR * (one.blur_px or 0.0)
+    if offset > max(OFFSET_MRAD / pitch, LEAST_OFFSET_PX, hidden, CERTAIN * error):
+        dx, dy = one.offset_px
+        yield (
+            "position_offset",
+            offset,
+            0.0,
+            f"the triangles lie {offset:.3g} pixels ({dx:+.2f} in x, {dy:+.2f} in y) from where the dataset says: "
+            "the observer looks beside them; correct x_px and y_px, or take them out and use --locate",
+        )
+    by_sampling = SCATTER_PER_BLUR * (one.blur_px or 0.0)
+    if one.scatter_px and one.scatter_px > max(SCATTER_MRAD / pitch, LEAST_OFFSET_PX, by_sampling):
+        yield (
+            "position_scatter",
+            one.scatter_px,
+            0.0,
+            f"the triangles' places scatter by {one.scatter_px:.2g} pixels from frame to frame: the camera moved; "
+            "fix it, give each frame its x_px and y_px, or use --locate each",
+        )
+
+
+def _is_other_size(one: Inspection) -> bool:
+    """Tell whether the triangles are larger or smaller than stated, beyond what their blur may hide."""
+    if one.size_ratio is None or one.size_ratio_error is None or one.blur_px is None:
+        return False
+    hidden = LEAST_SIZE_ERROR + (one.blur_px / one.size_px) ** 2
+    least = max(hidden, SIZE_MRAD / one.stimulus.size_mrad, CERTAIN * one.size_ratio_error)
+    return abs(one.size_ratio - 1.0) > least
+
+
+def _size(_: Dataset, one: Inspection) -> Iterator[Told]:
+    ratio = one.size_ratio
+    if ratio is None:
+        return
+    if _is_other_size(one):
+        yield (
+            "size_mismatch",
+            ratio,
+            1.0,
+            f"the triangles are {ratio:.3g} times as large as size_mrad says ({ratio * one.size_px:.3g} instead "
+            f"of {one.size_px:.3g} pixels): the observer looks for another size; check that size_mrad is the root "
+            "of the area in mrad, and the pixel pitch",
+        )
+    elif one.size_scatter is not None and one.size_scatter > SIZE_SCATTER:
+        yield (
+            "size_mismatch",
+            one.size_scatter,
+            0.0,
+            f"the sizes of the triangles differ by {100.0 * one.size_scatter:.2g} % from frame to frame, and the "
+            "manifest gives one: check that frames and rows belong together",
+        )
+
+
+JUDGES: tuple[Callable[[Dataset, Inspection], Iterator[Told]], ...] = (
+    _geometry, _codes, _background, _contrast, _orientation, _place, _size
+)  # fmt: skip
