@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -425,3 +426,27 @@ def test_located_frames_are_compared_where_the_triangle_is(todframes, make_datas
     assert [fit["threshold"] for fit in compared["algorithms"][0]["fits"]] == [
         fit["threshold"] for fit in scored["fits"]
     ]
+
+
+def test_table_has_status_gain_and_limits_of_p(todframes, make_dataset, tmp_path: Path) -> None:
+    made = make_dataset(suffix=".png", contrasts=(0.05, 0.08, 0.12, 0.2))
+    status, out, _ = todframes(
+        "compare", made.path, "--enhance", "unsharp", "--allow-clipping", "-o", tmp_path / "out"
+    )
+    assert status == 0
+    heading = next(line for line in out.splitlines() if "algorithm" in line)
+    assert re.split(r"  +", heading.strip())[2:] == [
+        *("status", "threshold contrast", "ratio", "95 % interval", "p (Holm)", "gain", "beyond gain"),
+        *("95 % interval beyond", "verdict"),
+    ]
+    row = next(line for line in out.splitlines() if line.strip().startswith("unsharp"))
+    assert re.search(r" ok .* < 0\.0\d+ ", row)
+    assert "its contrast gain of" in out
+    assert "beyond gain" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    with (tmp_path / "out" / "compare.csv").open(encoding="utf-8", newline="") as file:
+        found = list(csv.DictReader(file))[-1]
+    result = json.loads((tmp_path / "out" / "result.json").read_text(encoding="utf-8"))
+    ratio = result["algorithms"][1]["ratios"][0]
+    assert float(found["beyond_gain"]) == ratio["beyond_gain"]
+    assert ratio["contrast_gain"] > 1.0
+    assert ratio["p_value_is_least"] is True

@@ -580,3 +580,64 @@ def test_coverage_is_what_the_helper_draws(make_dataset) -> None:
     made = make_dataset(suffix=".png", contrasts=(0.4,))
     triangle = coverage((48, 48), size_px=8.0, x_px=23.5, y_px=23.5, orientation=ORIENTATIONS[0])
     assert np.allclose(read_frame(made.frame(0)).values[..., 0], 0.5 * (1 + 0.4 * triangle), rtol=0.0, atol=1e-5)
+
+
+# Amplification or more
+
+
+@pytest.mark.parametrize("by", [0.5, 2.0])
+def test_a_plain_gain_does_nothing_beyond_its_gain(make_dataset, by) -> None:
+    made = make_dataset(suffix=".png", sizes_mrad=(1.5, 2.5), contrasts=(0.05, 0.08, 0.12, 0.2))
+    _, found = compare(made.path, f"own_enhancements:gain:by={by}")
+    for one in (*found.compared, found.overall):
+        # Code values are 32-bit, and 16-bit PNG rounds contrast to 3e-5 of 0.2.
+        assert one.beyond_gain.contrast_gain == pytest.approx(by, rel=1e-3)
+        assert one.beyond_gain.ratio.ratio == pytest.approx(1.0, rel=1e-3)
+        # Without noise in the frames the threshold follows the gain. The levels lie elsewhere on the observer's
+        # curve, which a fitted one follows within some per cent.
+        assert one.ratio.ratio == pytest.approx(1.0 / by, rel=0.06)
+
+
+def test_a_gain_does_not_help_against_the_noise_of_the_frames(make_dataset) -> None:
+    """Noise is amplified too: the plain gain has the same noise, so nothing is beyond it."""
+    made = make_dataset(suffix=".png", contrasts=(0.1, 0.2, 0.3, 0.45), repeats=4)
+    rng = np.random.default_rng(4)
+    for row in range(len(made.rows)):
+        values = read_frame(made.frame(row)).values[..., 0]
+        write_frame(made.frame(row), np.clip(values + rng.normal(0.0, 0.1, values.shape), 0.0, 1.0))
+    _, found = compare(made.path, "own_enhancements:gain:by=1.8", allow_clipping=True)
+    (one,) = found.compared
+    assert 1.0 > one.ratio.ratio > 1.4 / 1.8
+    # Clipping of the tails of the noise changes the triangle's contrast a little.
+    assert one.beyond_gain.contrast_gain == pytest.approx(1.8, rel=0.1)
+    low, high = one.beyond_gain.ratio.ratio_ci95
+    assert low < 1.1
+    assert high > 0.9
+
+
+def test_a_triangle_darker_than_its_background_has_a_gain_too(make_dataset) -> None:
+    made = make_dataset(suffix=".png", contrasts=(0.05, 0.1, 0.2))
+    for row in range(len(made.rows)):
+        made.rows[row]["polarity"] = "-1"
+        write_frame(made.frame(row), 1.0 - read_frame(made.frame(row)).values[..., 0])
+    made.save()
+    _, found = compare(made.path, "own_enhancements:gain:by=2")
+    assert found.compared[0].beyond_gain.contrast_gain == pytest.approx(2.0, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("spec", "more"), [("own_enhancements:nothing", {}), ("own_enhancements:gain", {"decisions": "sampled"})]
+)
+def test_no_gain_to_compare_with(make_dataset, spec, more) -> None:
+    """A triangle that is gone has no contrast; drawn answers have no scores to multiply."""
+    made = make_dataset(suffix=".png", sizes_mrad=(1.5, 2.5), contrasts=(0.05, 0.1, 0.2))
+    _, found = compare(made.path, spec, **more)
+    assert [one.beyond_gain for one in (*found.compared, found.overall)] == [None] * 3
+
+
+def test_smallest_p_values_are_told(make_dataset) -> None:
+    made = make_dataset(suffix=".png", contrasts=(0.05, 0.08, 0.12, 0.2), repeats=2)
+    _, better, same = compare(made.path, "own_enhancements:gain", "own_enhancements:again")
+    assert [one.compared[0].is_p_value_least for one in (better, same)] == [True, False]
+    # 200 resamples, 2/201, and two comparisons.
+    assert better.compared[0].p_value_holm == pytest.approx(4 / 201)

@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
 import todframes as tod
@@ -33,17 +34,19 @@ def recording(
     levels: Sequence[float] = (0.1, 0.2, 0.3),
     noise_sd: float = 0.02,
     blur_px: float = 0.5,
+    steps: NDArray[np.float64] | None = None,
 ) -> Dataset:
     """Frames of triangles that the dataset says are upright, bright, in the middle and of `SIZE_PX`."""
     rng = np.random.default_rng(1)
     frames, stated, contrasts = [], [], []
     for level in levels:
         for turn in (0, 1, 2, 3) * 3:
+            x, y = place if steps is None else np.add(place, steps[len(frames)])
             triangle = coverage(
                 (SIDE_PX, SIDE_PX),
                 size_px=size_px,
-                x_px=place[0],
-                y_px=place[1],
+                x_px=x,
+                y_px=y,
                 orientation=ORIENTATIONS[shown[turn]],
             )
             scene = sign * level * gaussian_filter(triangle, blur_px)
@@ -104,6 +107,33 @@ def test_hint_names_what_another_look_shows(mishap: dict[str, Any], code: str, w
     (warning,) = result.warnings
     assert warning.code == code
     assert re.search(wanted, warning.message)
+
+
+def test_hint_at_a_camera_held_by_hand() -> None:
+    """Triangles jump by a third of their size, so that few are where their mean is."""
+    steps = np.random.default_rng(2).choice([-3.0, 0.0, 3.0], (36, 2))
+    result = tod.score(recording(steps=steps, levels=(0.3, 0.4, 0.5)), **QUICK)
+    (warning,) = result.warnings
+    assert warning.code == "position_scatter"
+    # The square of a step is 6 on average, with a standard deviation of √18. The 12 strongest trials are looked
+    # at, with 24 steps: 6 ± 0.87. Four of these.
+    assert 6.0 - 3.5 < warning.found**2 < 6.0 + 3.5
+
+
+def test_hint_at_rows_out_of_step() -> None:
+    data = recording()
+    turns = np.random.default_rng(3).permutation(len(data.trials))
+    trials = [data.trials[k]._replace(number=number) for number, k in enumerate(turns)]
+    late = tuple(
+        trial._replace(orientation=before.orientation)
+        for trial, before in zip(trials, [trials[-1], *trials], strict=False)
+    )
+    (warning,) = tod.score(replace(data, trials=late), **QUICK).warnings
+    assert warning.code == "orientation_mismatch"
+    assert (
+        "if each trial had the orientation of the one after it. Are frames and rows out of step?"
+        in warning.message
+    )
 
 
 @pytest.mark.parametrize(

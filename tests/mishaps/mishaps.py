@@ -297,8 +297,8 @@ def absent(shot: Shot) -> Shot:
 
 
 def smaller(shot: Shot) -> Shot:
-    """A triangle of 8 pixels."""
-    return replace(shot, size_px=0.5 * shot.size_px)
+    """A triangle of 10 pixels."""
+    return replace(shot, size_px=0.625 * shot.size_px)
 
 
 def larger(shot: Shot) -> Shot:
@@ -519,7 +519,7 @@ CONTROLS = (
     control("noisy", "Ten times the noise.", noise=10 * NOISE),
     control("defocused", "The lens is out of focus: the threshold rises, as it should.", blur_px=1.6),
     control("eight_bits", "sRGB in 8 bits, as declared.", encoded=srgb, full_scale=255, display={"eotf": "srgb"}),
-    control("small", "Triangles of 8 pixels.", shown=smaller, rows=times("size_mrad", 0.5)),
+    control("small", "Triangles of 10 pixels.", shown=smaller, rows=times("size_mrad", 0.625)),
     control("large", "Triangles of a third of the frame's side.", shown=larger, rows=times("size_mrad", 2.0)),
     control("large_detectors", "A camera whose detectors are 2 pixels wide.", light=detected),
     control("dark_stated", "Dark triangles, with their polarity.", shown=darker, rows=with_columns(polarity="-1")),

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Literal, NamedTuple
@@ -16,6 +16,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from todframes.enhancement.algorithm import REFERENCE, Enhancement, find_enhancement
+from todframes.enhancement.contrast_gain import amplified, contrast_gains, strongest_levels, triangle_contrasts
 from todframes.enhancement.enhanced_frame import Measured, Screen, TrialReader
 from todframes.enhancement.image_quality import psnr_db
 from todframes.errors import SettingsError
@@ -40,16 +41,27 @@ RESAMPLES_PER_COMPARISON = 80
 """Resamples for each ratio: the smallest p-value, 2 / resamples, is half of 5 % even after Holm's correction."""
 
 
+class BeyondGain(NamedTuple):
+    """An algorithm's contrast gain, and its threshold over that of a plain gain of the same amount."""
+
+    contrast_gain: float
+    ratio: ThresholdRatio
+
+
 class Compared(NamedTuple):
     """The threshold ratio of an algorithm to the reference and its verdict, in a group, or in all if it is None.
 
     `p_value_holm` is corrected for the number of ratios in the whole comparison; the verdict is based on it.
+    `is_p_value_least` tells whether the resamples allow no smaller one. `beyond_gain` is None if answers were
+    drawn, or if the triangle's contrast is not positive before or after the algorithm.
     """
 
     group: tuple[float | str, ...] | None
     ratio: ThresholdRatio
     p_value_holm: float
     verdict: Verdict
+    is_p_value_least: bool
+    beyond_gain: BeyondGain | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,10 +140,11 @@ def compare_dataset(
     reader, expected = TrialReader(algorithms, screen), decisions == "expected"
     # The plan considers frames after the algorithms too: what it leaves out is left out for all algorithms.
     plan = plan_score(dataset, whole, observer, name=plan_name, expected=expected, read=reader)
+    strongest = strongest_levels(whole)
     seen, unread = see_trials(
         Scoring(dataset, plan, decisions, seed),
         whole,
-        partial(_show, reader),
+        partial(_show, reader, strongest),
         skip_bad_frames=skip_bad_frames,
         workers=workers,
         progress=progress,
@@ -142,7 +155,14 @@ def compare_dataset(
     scored = [
         replace(fit([trial.seen[k] for trial in seen]), skipped=tuple(skipped)) for k in range(len(algorithms))
     ]
-    compared = _compared(scored, seed, fit_settings)
+    gains = contrast_gains(
+        [one.seen[0].trial for one in seen], np.array([one.contrasts for one in seen]), strongest
+    )
+    plain = [
+        _amplified(fit, [trial.seen[0] for trial in seen], of_algorithm, fit_settings) if expected else None
+        for of_algorithm in gains[1:]
+    ]
+    compared = _compared(scored, plain, gains, seed, fit_settings)
     black, white = screen.luminance_range
     results = []
     for k, (algorithm, own) in enumerate(zip(algorithms, compared, strict=True)):
@@ -165,13 +185,23 @@ def compare_dataset(
 
 
 class _SeenTrial(NamedTuple):
-    """The observer's scores of a trial after each algorithm, and the measurements of each of its frames."""
+    """The observer's scores of a trial after each algorithm, and the measurements of each of its frames.
+
+    `contrasts` are the displayed contrasts of the triangle; NaN if the trial is not of its group's highest level.
+    """
 
     seen: list[SeenTrial]
     measured: list[tuple[Measured, ...]]
+    contrasts: list[float]
 
 
-def _show(reader: TrialReader, scoring: Scoring, trial: Trial, readout: Readout | None) -> _SeenTrial:
+def _show(
+    reader: TrialReader,
+    strongest: Mapping[tuple[float | str, ...], float],
+    scoring: Scoring,
+    trial: Trial,
+    readout: Readout | None,
+) -> _SeenTrial:
     """Show a trial to the observer after each algorithm."""
     started = time.perf_counter()
     look = look_at(scoring, trial, readout)
@@ -184,31 +214,65 @@ def _show(reader: TrialReader, scoring: Scoring, trial: Trial, readout: Readout 
         whole=scoring.plan.whole_frames,
     )
     seen = see(scoring, trial, look, [one.shown for one in found], started)
-    return _SeenTrial(seen, [one.measured for one in found])
+    contrasts = [math.nan] * len(found)
+    if trial.level == strongest[trial.group]:
+        centre = look.observer.centre
+        contrasts = triangle_contrasts([one.shown for one in found], trial, grid=look.grid, centre=centre)
+    return _SeenTrial(seen, [one.measured for one in found], contrasts)
 
 
-def _compared(scored: Sequence[ScoredDataset], seed: int, fit_settings: FitSettings) -> list[list[Compared]]:
-    """Compare each algorithm with the reference: once a group, and once over all groups if there are several."""
+def _amplified(
+    fit: Callable[..., ScoredDataset],
+    seen: Sequence[SeenTrial],
+    gains: Mapping[tuple[float | str, ...], float],
+    fit_settings: FitSettings,
+) -> ScoredDataset:
+    """Fit the trials after a plain gain of contrast; groups whose gain is not known stay as they are."""
+    louder = [amplified(one, gains.get(one.trial.group, 1.0)) for one in seen]
+    return fit(louder, fit_settings=replace(fit_settings, resamples=0))
+
+
+def _compared(
+    scored: Sequence[ScoredDataset],
+    plain: Sequence[ScoredDataset | None],
+    gains: Sequence[Mapping[tuple[float | str, ...], float]],
+    seed: int,
+    fit_settings: FitSettings,
+) -> list[list[Compared]]:
+    """Compare each algorithm with the reference: once a group, and once over all groups if there are several.
+
+    `plain` are the reference's trials after a plain gain of contrast, as large as that of each other algorithm.
+    """
     trials, groups = scored[0].trials, [fit.group for fit in scored[0].fits]
     several = len(groups) > 1
     n_comparisons = (len(scored) - 1) * (len(groups) + several)
     resamples = max(fit_settings.resamples, min(RESAMPLES_PER_COMPARISON * n_comparisons, MAX_RESAMPLES))
     settings = replace(fit_settings, resamples=resamples)
     level = np.array([trial.level for trial in trials])
-    p_correct = np.array([one.p_correct for one in scored])
-    draws: list[list[RatioDraws]] = []
-    for number, group in enumerate(groups):
-        these = np.array([trial.group == group for trial in trials])
+    of_group = [np.array([trial.group == group for trial in trials]) for group in groups]
+
+    def draw(number: int, series: Sequence[ScoredDataset]) -> list[RatioDraws]:
+        these = of_group[number]
         rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(RATIO_STREAMS, number)))
-        fits = [one.fits[number].fit for one in scored]
-        draws.append(ratio_draws(level[these], p_correct[:, these], fits, settings=settings, rng=rng))
+        fits = [one.fits[number].fit for one in series]
+        p_correct = np.array([one.p_correct[these] for one in series])
+        return ratio_draws(level[these], p_correct, fits, settings=settings, rng=rng)
+
+    draws = [draw(number, scored) for number in range(len(groups))]
     ratios = [
-        [threshold_ratio([of_group]) for of_group in own] + ([threshold_ratio(own)] if several else [])
+        [threshold_ratio([one]) for one in own] + ([threshold_ratio(own)] if several else [])
         for own in zip(*draws, strict=True)
     ]
+    beyond = [
+        _beyond([draw(number, [amplifier, own])[0] for number in range(len(groups))], of_algorithm, groups)
+        if amplifier is not None
+        else [None] * (len(groups) + several)
+        for own, amplifier, of_algorithm in zip(scored[1:], plain, gains[1:], strict=True)
+    ]
+    least = 2 / (resamples + 1)
     corrected = iter(holm([ratio.p_value for own in ratios for ratio in own]).tolist())
     compared: list[list[Compared]] = [[]]
-    for own in ratios:
+    for own, own_beyond in zip(ratios, beyond, strict=True):
         p_values = [next(corrected) for _ in own]
         verdicts = [_verdict(ratio, p) for ratio, p in zip(own, p_values, strict=True)]
         if several and {"better", "worse"} <= set(verdicts):
@@ -216,8 +280,29 @@ def _compared(scored: Sequence[ScoredDataset], seed: int, fit_settings: FitSetti
         elif several and verdicts[-1] == "no difference shown":
             verdicts[-1] = next((found for found in verdicts if found != "no difference shown"), verdicts[-1])
         names = [*groups, None] if several else groups
-        compared.append([Compared(*one) for one in zip(names, own, p_values, verdicts, strict=True)])
+        at_least = [ratio.p_value <= least for ratio in own]
+        compared.append(
+            [Compared(*one) for one in zip(names, own, p_values, verdicts, at_least, own_beyond, strict=True)]
+        )
     return compared
+
+
+def _beyond(
+    draws: Sequence[RatioDraws],
+    gains: Mapping[tuple[float | str, ...], float],
+    groups: Sequence[tuple[float | str, ...]],
+) -> list[BeyondGain | None]:
+    """Return the comparison with a plain gain in each group, and in all together if there are several."""
+    found = [
+        BeyondGain(gains[group], threshold_ratio([one])) if group in gains else None
+        for group, one in zip(groups, draws, strict=True)
+    ]
+    if len(groups) < 2:
+        return found
+    if None in found:
+        return [*found, None]
+    mean = math.exp(math.fsum(math.log(gains[group]) for group in groups) / len(groups))
+    return [*found, BeyondGain(mean, threshold_ratio(draws))]
 
 
 def _verdict(ratio: ThresholdRatio, p_value: float) -> Verdict:

@@ -184,7 +184,12 @@ def group_of(dataset: Dataset, values: Sequence[float | str]) -> Group:
 
 
 class Ratio(Struct, frozen=True, kw_only=True):
-    """An algorithm's threshold divided by that of the reference, in one group or, without `group`, in all."""
+    """An algorithm's threshold divided by that of the reference, in one group or, without `group`, in all.
+
+    `p_value_is_least` tells whether the p-value is the smallest that the resamples allow, so that the true one may
+    be smaller. `contrast_gain` is the algorithm's gain of the triangle's displayed contrast, and `beyond_gain` its
+    threshold divided by that of a plain gain of the same amount: below 1, it does more than to amplify.
+    """
 
     verdict: str
     group: Group = {}
@@ -192,6 +197,10 @@ class Ratio(Struct, frozen=True, kw_only=True):
     ratio_ci95: Interval | None = None
     p_value: float | None = None
     p_value_holm: float | None = None
+    p_value_is_least: bool = False
+    contrast_gain: Positive | None = None
+    beyond_gain: Positive | None = None
+    beyond_gain_ci95: Interval | None = None
 
 
 class Algorithm(Struct, frozen=True, kw_only=True):
@@ -264,6 +273,7 @@ def algorithms(dataset: Dataset, results: Sequence[AlgorithmResult]) -> tuple[Al
 
 
 def _ratio(dataset: Dataset, compared: Compared) -> Ratio:
+    beyond = compared.beyond_gain
     return Ratio(
         verdict=compared.verdict,
         group={} if compared.group is None else group_of(dataset, compared.group),
@@ -271,6 +281,10 @@ def _ratio(dataset: Dataset, compared: Compared) -> Ratio:
         ratio_ci95=compared.ratio.ratio_ci95,
         p_value=compared.ratio.p_value,
         p_value_holm=compared.p_value_holm,
+        p_value_is_least=compared.is_p_value_least,
+        contrast_gain=None if beyond is None else beyond.contrast_gain,
+        beyond_gain=None if beyond is None else beyond.ratio.ratio,
+        beyond_gain_ci95=None if beyond is None else beyond.ratio.ratio_ci95,
     )
 
 

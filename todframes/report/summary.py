@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from todframes.report.data import NO_DIFFERENCE, Algorithm, Fit, Group, ResultData, SceneResult
+from todframes.report.data import NO_DIFFERENCE, Algorithm, Fit, Group, Ratio, ResultData, SceneResult
 from todframes.report.wording import (
     count,
     group_phrase,
@@ -195,7 +195,7 @@ def _paragraph(one: Algorithm, reference: Algorithm) -> str:
             if verdict in verdicts
         ]
         text += f"; {'; '.join(told)}"
-    sentences = [text]
+    sentences = [text, *_beyond_gain(whole)]
     for reason, groups in _without_ratio(one, reference).items():
         where = f"At {group_phrases(groups)} " if groups[0] else ""
         sentences.append(f"{where}{reason}" if where else reason[0].upper() + reason[1:])
@@ -206,6 +206,22 @@ def _paragraph(one: Algorithm, reference: Algorithm) -> str:
         }
         sentences.append(f"The usual measures disagree: {' and '.join(changes[name] for name in one.disagrees)}")
     return ". ".join(sentences) + "."
+
+
+def _beyond_gain(ratio: Ratio) -> list[str]:
+    """Return a sentence on an algorithm that helps: whether it does more than a plain gain of the same amount."""
+    if ratio.verdict not in ("better", "mixed") or ratio.beyond_gain is None or ratio.beyond_gain_ci95 is None:
+        return []
+    low, high = ratio.beyond_gain_ci95
+    if high is not None and high < 1.0:
+        amount = "more than"
+    else:
+        amount = "less than" if low is not None and low > 1.0 else "no more than"
+    return [
+        f"It does {amount} its contrast gain of {plain(ratio.contrast_gain)}: the threshold is "
+        f"{plain(ratio.beyond_gain)} times that of a plain gain of as much (95 % interval "
+        f"{interval_phrase(ratio.beyond_gain_ci95)})"
+    ]
 
 
 def _without_ratio(one: Algorithm, reference: Algorithm) -> dict[str, list[Group]]:

@@ -62,6 +62,8 @@ class Column:
         Whether the terminal shows the column only if asked for details.
     wraps : bool
         Whether long texts are wrapped in the terminal.
+    bound_if : str
+        Key of a flag in the records: if it is set, the number on screen is an upper bound, with "<".
     is_name : bool
         Whether the values identify rows: the column is also shown with the details, and as first column the
         terminal shows a repeated value once.
@@ -78,6 +80,7 @@ class Column:
     in_file_only: bool = False
     is_detail: bool = False
     wraps: bool = False
+    bound_if: str = ""
     is_name: bool = False
 
     @property
@@ -143,7 +146,10 @@ class Table:
 
     def rows(self, columns: Sequence[Column]) -> list[list[str]]:
         """Return the cells of some columns as text for a reader, row by row."""
-        return [[one.text(record.get(one.key)) for one in columns] for record in self.records]
+        return [
+            ["< " * bool(record.get(one.bound_if)) + one.text(record.get(one.key)) for one in columns]
+            for record in self.records
+        ]
 
     def csv(self) -> str:
         """Return all columns as CSV; numbers have all their digits, and no text is a formula."""

@@ -47,9 +47,19 @@ RATIO_COLUMNS = (
     Column(key="ratio", none="1", digits=3),
     Column(key="ratio_ci95", header="95 % interval", interval="ratio", none="", digits=3),
     Column(key="p_value", in_file_only=True),
-    Column(key="p_value_holm", header="p (Holm)", digits=2, none="", rank=2),
+    Column(key="p_value_holm", header="p (Holm)", digits=2, none="", rank=5, bound_if="p_value_is_least"),
+    Column(key="p_value_is_least", in_file_only=True),
+    Column(key="contrast_gain", header="gain", digits=3, none="", rank=4),
+    Column(key="beyond_gain", header="beyond gain", digits=3, none="", rank=2),
+    Column(
+        key="beyond_gain_ci95", header="95 % interval beyond", interval="beyond_gain", none="", digits=3, rank=6
+    ),
     Column(key="verdict", none="reference", wraps=True),
 )
+
+
+BEYOND_GAIN = ("contrast_gain", "beyond_gain", "beyond_gain_ci95")
+"""Columns that a comparison of drawn answers does not have."""
 
 
 MEASURE_COLUMNS = (
@@ -204,13 +214,14 @@ def ratios(result: ResultData, title: str = "") -> Table:
         ALGORITHM,
         Column(key="spec", in_file_only=True),
         *_group_columns(names),
-        Column(key="status", none="", in_file_only=not odd, rank=1),
+        Column(key="status", none="", rank=1 if odd else 3),
         Column(key="threshold", header=f"threshold {level_heading(first.level) if first else ''}"),
         Column(key="threshold_ci95", interval="threshold", in_file_only=True),
         *RATIO_COLUMNS,
         *(Column(key=key, in_file_only=True) for key in ("psnr_db", "ssim", "n_clipped", "cpu_s")),
     ]
-    return Table.of(title or "Threshold over that of the reference", "compare.csv", columns, records)
+    table = Table.of(title or "Threshold over that of the reference", "compare.csv", columns, records)
+    return table.without_empty_columns(*(one.key for one in columns if one.key not in BEYOND_GAIN))
 
 
 def measures(algorithms: Sequence[Algorithm]) -> Table:

@@ -33,8 +33,8 @@ LEAST_RIGHT, LEAST_GAIN = 0.75, 0.2
 """Least share of right answers after a change, and least gain, for a hint."""
 
 
-LEAST_OFFSET = 0.25
-"""Least distance from the stated position, in sizes, for a hint at the position."""
+LEAST_OFFSET = 0.1
+"""Least distance from the stated position, and least scatter of positions, in sizes, for a hint at positions."""
 
 
 LEAST_EVIDENCE = math.log(1e4)
@@ -52,6 +52,10 @@ SIZE_UNITS = (
     (60.0 * 180.0 / math.pi / 1000.0, "Is the pixel pitch in arcmin?"),
 )
 """Factors of the size if a unit was mistaken for mrad, and the question to ask."""
+
+
+TURNED = tuple(one for one in ARRANGEMENTS if one.sign == 1)
+"""Arrangements of triangles of the stated polarity, the stated arrangement first."""
 
 
 QUESTIONS = {
@@ -139,6 +143,8 @@ def explain_missing(
                 seed,
                 tuple(scored.trials[k] for k in strong),
                 _answers(scored)[strong],
+                before=_orientations(scored, strong - 1),
+                after=_orientations(scored, strong + 1),
                 is_inverted=bool(np.median(scored.scores[strong].mean(axis=1)) < 0.0),
             )
             hints = search.hints()
@@ -170,6 +176,11 @@ def _some(places: NDArray[np.intp], most: int) -> NDArray[np.intp]:
     return places[:: step + (step + 1) % 2 if step > 1 else 1]
 
 
+def _orientations(scored: ScoredDataset, places: NDArray[np.intp]) -> tuple[int, ...]:
+    """Return the orientations of some trials, indices into `ORIENTATIONS`; the last trial is before the first."""
+    return tuple(scored.trials[k % len(scored.trials)].orientation.quarter_turns for k in places)
+
+
 def _answers(scored: ScoredDataset) -> FloatArray:
     """Return the probability of each answer; 1 for the answer drawn if there are no probabilities."""
     drawn = np.eye(4)[scored.answers]
@@ -178,16 +189,24 @@ def _answers(scored: ScoredDataset) -> FloatArray:
 
 @dataclass(frozen=True, slots=True)
 class _Change:
-    """A change of the trials that was tried, with the answers after it: clauses of a hint, and its codes."""
+    """A change of the trials that was tried, with the answers after it: clauses of a hint, and its codes.
+
+    `shown` is the orientation of each trial, an index into `ORIENTATIONS`, if it is not that in its row.
+    """
 
     answers: FloatArray
     clauses: tuple[str, ...] = ()
     codes: tuple[tuple[str, Any, Any], ...] = ()
+    shown: tuple[int, ...] | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class _Search:
-    """Search for what would make the answers in the strongest trials of a group right."""
+    """Search for what would make the answers in the strongest trials of a group right.
+
+    `before` and `after` are the orientations of the neighbouring trials. `is_inverted` tells whether the scores of
+    most triangles are those of the other polarity.
+    """
 
     dataset: Dataset
     observer: Observer
@@ -195,13 +214,15 @@ class _Search:
     seed: int
     trials: tuple[Trial, ...]
     answers: FloatArray
+    before: tuple[int, ...]
+    after: tuple[int, ...]
     is_inverted: bool
 
     def hints(self) -> tuple[Hint, ...]:
         """Return the hints of the first change that works; an empty tuple if none does."""
         for change in self._changes():
-            for arrangement in (one for one in ARRANGEMENTS if one.sign == 1):
-                share = self._right(change.answers, arrangement)
+            for arrangement in TURNED if change.shown is None else TURNED[:1]:
+                share = self._right(change, arrangement)
                 if self._works(share) and (change.codes or arrangement.mismatches):
                     return self._hints(change, arrangement, share)
         return ()
@@ -212,7 +233,11 @@ class _Search:
             yield from self._scored_again(self.trials, -1)
         else:
             yield _Change(self.answers)
+            for which, shown in (("before", self.before), ("after", self.after)):
+                clause = f"each trial had the orientation of the one {which} it: Are frames and rows out of step?"
+                yield _Change(self.answers, (clause,), (("orientation_mismatch", which, "its own"),), shown)
         yield from self._elsewhere(1.0)
+        yield from self._each()
         for factor, question in SIZE_UNITS:
             yield from self._elsewhere(factor, question)
 
@@ -252,6 +277,24 @@ class _Search:
             for change in self._scored_again(placed.trials, location.arrangement.sign):
                 yield replace(change, clauses=(*clauses, *change.clauses), codes=(*codes, *change.codes))
 
+    def _each(self) -> Iterator[_Change]:
+        """Yield the answers at the position of each trial, if most are found and they scatter."""
+        trials = self._of([trial._replace(x_px=None, y_px=None) for trial in self.trials])
+        try:
+            placed, (location,) = locate_triangles(trials, locate="each", centre=self.observer.centre)
+        except TodframesError:
+            return
+        assert location.n_located is not None and location.scatter_px is not None
+        size_px = self.trials[0].stimulus.size_mrad / self.dataset.display.pitch_mrad
+        if 2 * location.n_located >= len(self.trials) and location.scatter_px > LEAST_OFFSET * size_px:
+            clause = (
+                f"each trial had a position of its own, which scatter by {location.scatter_px:.2g} pixels: Was "
+                "the camera held by hand? Leave out x_px and y_px, and let --locate each find them."
+            )
+            code = ("position_scatter", location.scatter_px, 0.0)
+            for change in self._scored_again(placed.trials, location.arrangement.sign):
+                yield replace(change, clauses=(clause, *change.clauses), codes=(code, *change.codes))
+
     def _scored_again(self, trials: Sequence[Trial], sign: int) -> Iterator[_Change]:
         """Yield the answers to trials whose polarity is multiplied by a sign, unless they cannot be scored."""
         polarity = self.trials[0].stimulus.polarity
@@ -283,14 +326,14 @@ class _Search:
         with self.dataset.open(trial.frames[0]) as file:
             return centroid_position(trial, file.header, self.observer.centre, self.dataset.display.pitch_mrad)
 
-    def _right(self, answers: FloatArray, arrangement: Arrangement) -> float:
-        """Return the share of right answers if the frames show triangles in an arrangement."""
-        shown = [arrangement.of(trial.orientation).quarter_turns for trial in self.trials]
-        return float(answers[np.arange(len(answers)), shown].mean())
+    def _right(self, change: _Change, arrangement: Arrangement = ARRANGEMENTS[0]) -> float:
+        """Return the share of right answers after a change, if the frames show triangles in an arrangement."""
+        shown = change.shown or [arrangement.of(trial.orientation).quarter_turns for trial in self.trials]
+        return float(change.answers[np.arange(len(change.answers)), shown].mean())
 
     def _works(self, share: float) -> bool:
         """Tell whether a share of right answers is high, much higher than now, and no chance result."""
-        now = self._right(self.answers, ARRANGEMENTS[0])
+        now = self._right(_Change(self.answers))
         if share < max(LEAST_RIGHT, now + LEAST_GAIN):
             return False
         wrong = 1.0 - share
@@ -304,7 +347,7 @@ class _Search:
         if arrangement.mismatches:
             clauses.append(QUESTIONS[arrangement.shown])
             codes += [(code, arrangement.phrase, "as stated") for code in arrangement.mismatches]
-        now = self._right(self.answers, ARRANGEMENTS[0])
+        now = self._right(_Change(self.answers))
         level = min(trial.level for trial in self.trials)
         conditions, remedies = zip(*(clause.split(": ") for clause in clauses), strict=True)
         message = (

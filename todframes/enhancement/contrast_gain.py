@@ -1,0 +1,99 @@
+"""Contrast gain of an enhancement: how much more contrast the triangle has on the display after it.
+
+A person can turn up a display. An algorithm that only amplifies is no better than that, however much it lowers the
+threshold. So each algorithm is also compared with a plain gain of the same amount, which nothing clips.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+from todframes._typing import FloatArray
+from todframes.frames.dataset import Trial
+from todframes.observers.retina import RetinaGrid
+from todframes.scoring.retina_view import Shown, retina_image
+from todframes.scoring.trials import SeenTrial
+from todframes.stimulus import Centre, coverage
+
+RING_SIZES = (1.3, 2.0)
+"""Inner and outer end of the ring that the triangle's contrast is measured against, in sizes of the triangle."""
+
+
+LEAST_GAIN = 1e-6
+"""Smallest gain that counts as one: below it the contrast after the algorithm is rounding."""
+
+
+GroupValues = tuple[float | str, ...]
+
+
+def strongest_levels(trials: Sequence[Trial]) -> dict[GroupValues, float]:
+    """Return the highest level of each group: the trials that show a contrast gain best."""
+    strongest: dict[GroupValues, float] = {}
+    for trial in trials:
+        strongest[trial.group] = max(trial.level, strongest.get(trial.group, 0.0))
+    return strongest
+
+
+def triangle_contrasts(shown: Sequence[Shown], trial: Trial, *, grid: RetinaGrid, centre: Centre) -> list[float]:
+    """Measure the contrast of the triangle as displayed: its mean minus that of a ring around it.
+
+    Parameters
+    ----------
+    shown : sequence of Shown
+        The trial's frames as displayed after each algorithm.
+    trial : Trial
+        Size, orientation and polarity of the triangle; contrast counts as positive in its direction.
+    grid : RetinaGrid
+        Grid that the frames are averaged on, whose middle is the triangle's centre.
+    centre : {"centroid", "bounding_box"}
+        Point of the triangle that lies in the middle of the grid.
+    """
+    inside, hole, whole = (
+        coverage(
+            (grid.side, grid.side),
+            size_px=factor * trial.stimulus.size_mrad / grid.pitch_mrad,
+            x_px=grid.side // 2,
+            y_px=grid.side // 2,
+            orientation=trial.orientation,
+            centre=centre,
+        )
+        for factor in (1.0, *RING_SIZES)
+    )
+    ring = whole - hole
+    weights = trial.stimulus.polarity * (inside / inside.sum() - ring / ring.sum())
+    return [float((weights * retina_image(one, grid)).sum()) for one in shown]
+
+
+def contrast_gains(
+    trials: Sequence[Trial], contrasts: FloatArray, strongest: Mapping[GroupValues, float]
+) -> list[dict[GroupValues, float]]:
+    """Return the contrast gain of each algorithm in each group, against the first algorithm.
+
+    Parameters
+    ----------
+    trials : sequence of Trial
+    contrasts : ndarray, shape (trial, algorithm)
+        Displayed contrast of the triangle, as by `triangle_contrasts`; only trials of the highest levels count.
+    strongest : mapping
+        The highest level of each group.
+
+    Returns
+    -------
+    list of dict
+        Gains by group for each algorithm; without the groups where the contrast is not positive before or
+        after.
+    """
+    gains: list[dict[GroupValues, float]] = [{} for _ in range(contrasts.shape[1])]
+    for group, level in strongest.items():
+        these = [trial.group == group and trial.level == level for trial in trials]
+        before, *_ = total = contrasts[these].sum(axis=0)
+        for own, after in zip(gains, total, strict=True):
+            if before > 0.0 and after > LEAST_GAIN * before and math.isfinite(after / before):
+                own[group] = float(after / before)
+    return gains
+
+
+def amplified(seen: SeenTrial, gain: float) -> SeenTrial:
+    """Return the scores of a trial as a plain gain of contrast would make them; scores are linear in contrast."""
+    return seen._replace(scores=gain * seen.scores, deviations=gain * seen.deviations)
