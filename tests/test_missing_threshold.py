@@ -115,8 +115,8 @@ def test_hint_at_a_camera_held_by_hand() -> None:
     result = tod.score(recording(steps=steps, levels=(0.3, 0.4, 0.5)), **QUICK)
     (warning,) = result.warnings
     assert warning.code == "position_scatter"
-    # The square of a step is 6 on average, with a standard deviation of √18. The 12 strongest trials are looked at,
-    # with 24 steps: 6 ± 0.87. Four of these.
+    # The square of a step is 6 on average, with a standard deviation of √18. The 12 strongest trials are looked
+    # at, with 24 steps: 6 ± 0.87. Four of these.
     assert 6.0 - 3.5 < warning.found**2 < 6.0 + 3.5
 
 
