@@ -38,6 +38,7 @@ PICTURES: dict[str, tuple[str, tuple[int, ...]]] = {
     "crushed": ("crushed_blacks", (40,)),
     "coarse_codes": ("posterised", (24,)),
     "mirrored": ("mirror", (42,)),
+    "flipped": ("flip", (40,)),
     "turned": ("tilt", (40,)),
     "orientation_mismatch": ("orientation_shifted", (42,)),
     "position_offset": ("off_centre_many", (40,)),
