@@ -41,11 +41,11 @@ class Arrangement(NamedTuple):
 
     @property
     def mismatches(self) -> tuple[str, ...]:
-        """Codes of what is not as stated."""
+        """Codes of mismatches: "polarity_mismatch", and "mirrored", "flipped" (up and down) or "turned"."""
+        seen = ("flipped" if self.quarter_turns == 2 else "mirrored") if self.is_mirrored else "turned"
         return (
             *(["polarity_mismatch"] if self.sign == -1 else []),
-            *(["mirrored"] if self.is_mirrored else []),
-            *(["turned"] if self.quarter_turns and not (self.is_mirrored and self.quarter_turns == 2) else []),
+            *([seen] if self.is_mirrored or self.quarter_turns else []),
         )
 
     @property
