@@ -96,13 +96,12 @@ def read_contrast(
     columns: tuple[int, int] | None = None,
     *,
     triangle: TrianglePlace | None = None,
-    every_pixel: bool = False,
 ) -> Patch:
     """Read a rectangle of an open frame as contrast.
 
-    Only the rows of the rectangle are decoded, unless the background is a mean over the frame or `every_pixel` is
-    set. Pixels are decoded once, in bands of rows; only the pixels of the rectangle stay in memory. With the rule
-    "surround" the rows about the triangle are decoded, and pixels beyond the background about it are left out.
+    Only the rows of the rectangle are decoded, unless the background is a mean over the frame. Pixels are decoded
+    once, in bands of rows; only the pixels of the rectangle stay in memory. With the rule "surround" the rows
+    about the triangle are decoded, and pixels beyond the background about it are left out.
 
     Parameters
     ----------
@@ -115,8 +114,6 @@ def read_contrast(
         Half-open ranges in frame coordinates, clipped to the pixels that the file has. Default: all.
     triangle : TrianglePlace, optional
         The triangle, for the rule "surround"; without it that rule takes the mean over the frame.
-    every_pixel : bool
-        Decode and check every pixel of the frame, not only those of the rectangle.
 
     Returns
     -------
@@ -137,7 +134,7 @@ def read_contrast(
             window = surround_window(triangle, rows=(first_row, stop_row), columns=all_columns)
             surround = SurroundSums(triangle, window)
             rows, columns = _shared(rows, window.rows), _shared(columns, window.columns)
-    whole = every_pixel or rule in ("border", "frame_mean")
+    whole = rule in ("border", "frame_mean")
     (top, bottom), (left, right) = file.clip(rows, columns)
     decoded = (rows, columns) if surround is None else surround.window
     is_small = (bottom - top) * (right - left) <= MOST_HELD_PX
@@ -172,6 +169,46 @@ def read_contrast(
         return Patch(contrast, top, left, found.n_negative, None, luminance_at_triangle(background))
     to_contrast = partial(_contrast, display, background)
     return Patch(kept, top, left, found.n_negative, to_contrast, luminance_at_triangle(background))
+
+
+def check_pixels(file: FrameSource, display: Display, frame: FrameReference, triangle: TrianglePlace) -> None:
+    """Decode and check every pixel of an open frame, as `read_contrast` checks those that it reads.
+
+    Luminance is computed only of the pixels that the background is taken from and of the extreme code values,
+    which takes a fraction of the time of decoding.
+
+    Raises
+    ------
+    FrameError
+        If the pixels cannot be read, their contrast overflows, or the background is not a positive number.
+    """
+    rule = display.background_luminance_cd_m2
+    (first_row, stop_row), all_columns = file.clip(None, None)
+    window = surround_window(triangle, rows=(first_row, stop_row), columns=all_columns)
+    surround, found = SurroundSums(triangle, window), LuminanceFound()
+    try:
+        for band in file.bands():
+            begin, end = band.first_row, band.first_row + len(band.stored)
+            values = band.stored.astype(np.float32) if band.stored.dtype.kind == "f" else band.stored
+            ends = np.stack([values.min(axis=(0, 1)), values.max(axis=(0, 1))])[:, None].astype(values.dtype)
+            found.add(display.luminance(code_values(ends)))
+            if rule == "border":
+                ring = border_values(values, top=begin == first_row, bottom=end == stop_row)
+                found.average(display.luminance(code_values(ring[None])))
+            elif rule == "frame_mean":
+                found.average(display.luminance(code_values(values)))
+            elif rule == "surround":
+                rows = _shared((begin, end), window.rows)
+                left, right = (at - band.first_column for at in window.columns)
+                part = values[rows[0] - begin : rows[1] - begin, left:right]
+                surround.add(display.luminance(code_values(part)), rows[0], window.columns[0])
+        check_contrast(
+            found.largest, surround.surface() if rule == "surround" else _background(rule, found, frame)
+        )
+    except FrameError:
+        raise
+    except DataError as error:
+        raise FrameError(file.path, str(error)) from None
 
 
 class LuminanceFound:
@@ -251,7 +288,7 @@ def frame_problems(dataset: Dataset, trial: Trial) -> Iterator[FrameError]:
                 x, y = centroid_position(trial, file.header, "centroid", pitch_mrad)
                 check_on_frame(path, trial, file.header, x, y, pitch_mrad)
                 triangle = TrianglePlace(x, y, size_in_px(trial, pitch_mrad))
-                read_contrast(file, dataset.display, frame, (0, 0), triangle=triangle, every_pixel=True)
+                check_pixels(file, dataset.display, frame, triangle)
             if (reference := dataset.reference_path(frame)) is not None:
                 with FrameFile(reference) as other:
                     for _ in other.bands():

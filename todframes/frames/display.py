@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -233,25 +233,25 @@ def bt1886_luminance(
     return np.asarray((black_root + (white_root - black_root) * code_value) ** 2.4)
 
 
-def border_values(luminance: FloatArray, *, top: bool = True, bottom: bool = True) -> FloatArray:
+def border_values(pixels: NDArray[Any], *, top: bool = True, bottom: bool = True) -> NDArray[Any]:
     """Return the pixels of a band of rows that lie on the border of the frame.
 
     Parameters
     ----------
-    luminance : ndarray, shape (rows, columns)
+    pixels : ndarray, shape (rows, columns) or (rows, columns, channels)
         A band of whole rows.
     top, bottom : bool
         Whether the band's first row is the frame's first, and its last row the frame's last.
 
     Returns
     -------
-    ndarray, shape (n,)
+    ndarray, shape (n,) or (n, channels)
     """
-    on_border = np.zeros(luminance.shape, np.bool_)
+    on_border = np.zeros(pixels.shape[:2], np.bool_)
     on_border[:, [0, -1]] = True
     on_border[0] |= top
     on_border[-1] |= bottom
-    return luminance[on_border]
+    return pixels[on_border]
 
 
 def weber_contrast(luminance: FloatArray, background_luminance_cd_m2: float) -> FloatArray:

@@ -152,7 +152,7 @@ class Inspection:
     wrong_level, n_level : int
         Number of trials whose contrast clearly does not follow their level, and number that show it clearly.
     signal : float
-        The triangle's contrast in standard errors.
+        The triangle's contrast in standard errors by the noise alone.
     uneven, uneven_error : float
         Contrast of a triangle to whose orientations the background's own structure is like, and its error.
     uneven_texture : float
@@ -554,20 +554,24 @@ def _of_triangle(
     # If the frames have no place beside the triangle, the noise is the spread over the trials.
     spread = np.abs(np.concatenate(of_noise or [each * relative[:, None]]))
     at_level = 1.4826 * np.median(spread, axis=0) / relative[:, None]
-    # The spread over trials, or the noise if few trials happen to agree; and that of what all trials share.
-    variance = (np.square(share)[:, None] * np.maximum(np.square(each), np.square(at_level))).sum(axis=0)
-    if of_noise:
-        variance += np.square([(share / relative) @ one for one in of_noise]).mean(axis=0)
-    error = np.sqrt(variance)
+    # The noise, the spread over trials if that is larger, and the noise that all trials share.
+    noise_variance, variance = (
+        (np.square(share)[:, None] * np.square(one)).sum(axis=0)
+        for one in (at_level, np.maximum(np.abs(each), at_level))
+    )
+    shared = np.square([(share / relative) @ one for one in of_noise]).mean(axis=0) if of_noise else np.zeros(6)
+    error = np.sqrt(variance + shared)
     amplitude = abs(values[_AMPLITUDE])
-    signal = float(amplitude / error[_AMPLITUDE]) if error[_AMPLITUDE] > 0.0 else math.inf
+    noise_error = math.sqrt(noise_variance[_AMPLITUDE] + shared[_AMPLITUDE])
+    signal = float(amplitude / noise_error) if noise_error > 0.0 else math.inf
     seen = polarity * np.array([sample.seen for sample in samples])
-    static, _ = _separated(seen, level, relative, turns)
+    # A triangle that is cut off by the edge of some frames has a place, but no sure size and contrast.
+    is_whole = bool(known[_within(n, WHOLE_IN_SIZES * size)].all())
     found: dict[str, Any] = {
         "contrast_slope": float(values[_AMPLITUDE]),
-        "contrast_slope_error": float(error[_AMPLITUDE]),
+        "contrast_slope_error": float(error[_AMPLITUDE]) if is_whole else None,
         "signal": signal,
-        **_unevenness(static, residual * level[:, None, None], known, size, model, values),
+        **_unevenness(seen, level, relative, turns, known, size),
     }
     if signal < LEAST_SIGNAL:
         return found
@@ -585,7 +589,7 @@ def _of_triangle(
         "offset_error_px": tuple((block_px * error[[_X, _Y]]).tolist()),
         "scatter_px": _scatter(block_px * apart[clear_place], block_px * at_level[clear_place][:, [_X, _Y]]),
         "size_ratio": float(values[_SIZE] / size),
-        "size_ratio_error": float(error[_SIZE] / size),
+        "size_ratio_error": float(error[_SIZE] / size) if is_whole else None,
         "size_scatter": _scatter(each[clear_place][:, [_SIZE]] / size, at_level[clear_place][:, [_SIZE]] / size),
         "turned_rad": float(values[_TURN]),
         "turned_error_rad": float(error[_TURN]),
@@ -607,6 +611,10 @@ LEAST_TURN_ERRORS = 5.0
 """Least advantage of another orientation than stated, in standard errors."""
 
 
+WHOLE_IN_SIZES = 1.2
+"""Distance from the centroid within which all frames must have pixels for size and contrast to be judged."""
+
+
 ON_FRAME = 0.9
 """Least share of the pixels of a place beside the triangle that lie on the frames."""
 
@@ -620,9 +628,7 @@ def _noise_of_frames(images: FloatArray, level: FloatArray, known: NDArray[np.bo
 
     It is at least a twentieth of the level, so that frames without noise count alike.
     """
-    n = images.shape[1]
-    v, u = np.mgrid[:n, :n] - (n - 1) / 2.0
-    around = known & (np.hypot(u, v) > HOLE_IN_SIZES * size)
+    around = known & ~_within(len(known), HOLE_IN_SIZES * size)
     if not around.any():
         return np.ones(len(images))
     apart = np.abs(images[:, around] - np.median(images[:, around], axis=1)[:, None])
@@ -772,12 +778,12 @@ def _orientations(
 
 
 def _unevenness(
-    static: FloatArray,
-    noise: FloatArray,
+    seen: FloatArray,
+    level: FloatArray,
+    relative: FloatArray,
+    turns: NDArray[np.intp],
     known: NDArray[np.bool_],
     size: float,
-    model: _Model,
-    values: FloatArray,
 ) -> dict[str, Any]:
     """Measure how like the orientations of a triangle the background's own structure is, in contrast.
 
@@ -786,25 +792,32 @@ def _unevenness(
     """
     from scipy.ndimage import binary_erosion
 
-    differ = (model.images - model.images.mean(axis=0)) / values[_AMPLITUDE]
+    n = len(known)
+    elsewhere = binary_erosion(known, iterations=math.ceil(0.6 * size)) & ~_within(n, size)
+    if elsewhere.sum() < np.square(2.0 * size):
+        return {}
+    static, triangles = _separated(seen, level, relative, turns)
+    noise = seen - static - level[:, None, None] * triangles[turns]
+    images = _model(n, np.array([1.0, 0.0, 0.0, size, np.square(LEAST_BLUR), 0.0])).images
+    differ = images - images.mean(axis=0)
     energy = float(np.square(differ).sum()) / 4.0
-    if not energy > 0.0:
+    if not energy > 0.0:  # within one pixel all orientations are alike
         return {}
     spectrum = np.fft.rfft2(static)
     maps = np.array([np.fft.irfft2(spectrum * np.conj(np.fft.rfft2(one)), static.shape) for one in differ])
     spread = np.fft.fftshift(np.ptp(maps, axis=0)) / energy
-    n = len(known)
-    v, u = np.mgrid[:n, :n] - n // 2
-    reach = math.ceil(0.6 * size)
-    elsewhere = binary_erosion(known, iterations=reach) & (np.hypot(u, v) > size)
-    if elsewhere.sum() < np.square(2.0 * size):
-        return {}
     each = noise.reshape(len(noise), -1) @ differ.reshape(4, -1).T / energy
     return {
         "uneven": float(spread[n // 2, n // 2]),
         "uneven_error": float(each.std(axis=0).max()) / math.sqrt(len(noise)),
         "uneven_texture": float(np.median(spread[elsewhere])),
     }
+
+
+def _within(n: int, radius: float) -> NDArray[np.bool_]:
+    """Return the blocks of n × n that lie within a distance from the middle."""
+    v, u = np.mgrid[:n, :n] - (n - 1) / 2.0
+    return np.asarray(np.hypot(u, v) <= radius)
 
 
 def records(dataset: Dataset, inspections: Sequence[Inspection]) -> list[dict[str, Any]]:

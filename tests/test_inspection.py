@@ -1,0 +1,308 @@
+"""Frames are measured against what their dataset says: what is found, and which warnings follow."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.ndimage import gaussian_filter
+
+import todframes as tod
+from todframes.cli.console import run
+from todframes.cli.main import cli
+from todframes.frames.findings import frame_warnings
+from todframes.frames.inspection import inspect
+from todframes.frames.memory import memory_dataset
+
+SAMPLES = Path(__file__).parent.parent / "sample_frames"
+SIDE, SIZE_PX, PITCH_MRAD = 72, 9.0, 0.25
+MIDDLE = (SIDE - 1) / 2
+DISPLAY = tod.Display(
+    eotf="linear", white_luminance_cd_m2=1.0, pixel_pitch_mrad=PITCH_MRAD, background_luminance_cd_m2=50.0
+)
+
+
+def recorded(
+    *,
+    x=0.0,
+    y=0.0,
+    size=1.0,
+    slope=1.0,
+    noise=0.01,
+    blur_px=0.7,
+    scatter=0.0,
+    shown=lambda turn: turn,
+    spoil=lambda luminance, _number: luminance,
+    display=DISPLAY,
+    level_name="contrast",
+    **stated,
+):
+    """A dataset of 24 frames whose triangles are not as stated: in place, size, contrast or orientation."""
+    rng = np.random.default_rng(0)
+    frames, orientation, level = [], [], []
+    for contrast in (0.05, 0.1, 0.2):
+        for turn in tod.ORIENTATIONS * 2:
+            dx, dy = rng.normal(0.0, 1.0, 2) * scatter
+            triangle = tod.coverage(
+                (SIDE, SIDE),
+                size_px=size * SIZE_PX,
+                x_px=MIDDLE + x + dx,
+                y_px=MIDDLE + y + dy,
+                orientation=tod.ORIENTATIONS[shown(turn.quarter_turns)],
+            )
+            seen = 1.0 + slope * contrast * gaussian_filter(triangle, blur_px)
+            frames.append(spoil(50.0 * (seen + noise * rng.normal(size=seen.shape)), len(frames)))
+            orientation.append(turn)
+            level.append(contrast)
+    stated = {"size_mrad": SIZE_PX * PITCH_MRAD, "orientation": orientation, "level": level} | stated
+    return memory_dataset(frames, display=display, level_name=level_name, **stated)
+
+
+def codes(dataset):
+    return {one.code for one in frame_warnings(dataset, inspect(dataset, dataset.trials))}
+
+
+def measured(**changes):
+    dataset = recorded(**changes)
+    (found,) = inspect(dataset, dataset.trials)
+    return found
+
+
+def test_what_the_triangles_show_is_measured() -> None:
+    """Place, size and contrast at once, within five of the stated errors, which are small."""
+    found = measured(x=1.3, y=-0.7, size=1.2, slope=0.8)
+    assert found.size_ratio == pytest.approx(1.2, abs=5.0 * found.size_ratio_error)
+    assert found.contrast_slope == pytest.approx(0.8, abs=5.0 * found.contrast_slope_error)
+    assert found.offset_px == pytest.approx((1.3, -0.7), abs=5.0 * max(found.offset_error_px))
+    assert max(found.size_ratio_error, found.contrast_slope_error, *found.offset_error_px) < 0.05
+    assert (found.shown_as, found.wrong_orientation, found.wrong_level) == ("as stated", 0, 0)
+    # A Gaussian blur and that of a pixel's width, whose variance is 1/12.
+    assert found.blur_px == pytest.approx(np.sqrt(0.7**2), abs=0.1)
+
+
+def test_errors_grow_with_the_noise() -> None:
+    """Ten times the noise, ten times the error, as of any linear estimate."""
+    quiet, loud = measured(noise=0.01), measured(noise=0.1)
+    ratio = loud.contrast_slope_error / quiet.contrast_slope_error
+    assert 4.0 < ratio < 20.0  # each error is known to 1/√48 and holds the levels' weights too
+
+
+def test_the_background_is_measured() -> None:
+    found = measured(display=replace(DISPLAY, background_luminance_cd_m2=40.0))
+    assert found.ring_luminance_cd_m2 == pytest.approx(50.0, rel=1e-3)
+    assert found.background_luminance_cd_m2 == 40.0
+    assert found.ring_ratio == pytest.approx(1.25, rel=1e-3)
+
+
+SRGB = tod.Display(
+    eotf="srgb", white_luminance_cd_m2=200.0, pixel_pitch_mrad=PITCH_MRAD, background_luminance_cd_m2="surround"
+)
+
+
+def as_codes(luminance, _number):
+    light = luminance / 200.0
+    return np.rint(255.0 * (1.055 * light ** (1 / 2.4) - 0.055)).astype(np.uint8)
+
+
+CLEAN = {
+    "even": {},
+    "without noise": {"noise": 0.0},
+    "loud": {"noise": 0.3},
+    "blurred": {"blur_px": 3.0},
+    "dark": {"slope": -1.0, "polarity": -1},
+    "placed": {"x": 6.0, "y": -4.0, "position": (MIDDLE + 6.0, MIDDLE - 4.0)},
+    "sRGB": {"spoil": as_codes, "display": SRGB},
+    "surround": {"display": replace(DISPLAY, background_luminance_cd_m2="surround")},
+    "border": {"display": replace(DISPLAY, background_luminance_cd_m2="border")},
+    "no contrast": {"slope": 3.0, "level_name": "temperature"},
+}
+
+
+@pytest.mark.parametrize("changes", CLEAN.values(), ids=CLEAN.keys())
+def test_good_frames_have_no_warning(changes) -> None:
+    assert codes(recorded(**changes)) == set()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["naked_eye", "grabbed_8bit", "staring_camera", "enhancement"])
+def test_samples_have_no_warning(name) -> None:
+    assert codes(tod.load_dataset(SAMPLES / name)) == set()
+
+
+def vignetted(luminance, _number):
+    v, u = np.mgrid[:SIDE, :SIDE] / MIDDLE - 1.0
+    return luminance * (1.0 - 0.25 * (u * u + v * v))
+
+
+def halved(luminance, _number):
+    return luminance * np.where(np.arange(SIDE) < SIDE // 2, 1.0, 0.8)
+
+
+def clipped(luminance, _number):
+    return np.minimum(np.rint(luminance / 55.0 * 255.0), 255.0).astype(np.uint8)
+
+
+def hollow(luminance, _number):
+    return np.rint(np.maximum(luminance - 50.0, 0.0) * 600.0).astype(np.uint16)
+
+
+def rough(luminance, _number):
+    return (16 * np.rint(luminance / 200.0 * 255.0 / 16.0)).astype(np.uint8)
+
+
+def shallow(luminance, _number):
+    return np.rint(luminance / 200.0 * 4095.0).astype(np.uint16)
+
+
+def of_two_sizes(luminance, number):
+    return np.pad(luminance, 4 * (number % 2), constant_values=50.0)
+
+
+def sometimes_empty(luminance, number):
+    return np.full_like(luminance, 50.0) + (luminance - 50.0) * (number % 4 != 1)
+
+
+def tilted(luminance, _number):
+    from scipy.ndimage import rotate
+
+    return rotate(luminance, 8.0, reshape=False, mode="nearest", order=1)
+
+
+SPOILT = {
+    "background_mismatch": {"display": replace(DISPLAY, background_luminance_cd_m2=45.0)},
+    "background_mismatch with vignetting": {
+        "spoil": vignetted,
+        "display": replace(DISPLAY, background_luminance_cd_m2="border"),
+    },
+    "background_uneven": {"spoil": halved},
+    "contrast_mismatch": {"slope": 0.85},
+    "contrast_mismatch in some frames": {"spoil": sometimes_empty},
+    "polarity_mismatch": {"slope": -1.0},
+    "mirrored": {"shown": lambda k: (0, 3, 2, 1)[k]},
+    "flipped": {"shown": lambda k: (2, 1, 0, 3)[k]},
+    "turned": {"shown": lambda k: (k + 1) % 4},
+    "turned by eight degrees": {"spoil": tilted},
+    "position_offset": {"x": 1.0, "y": 0.5},
+    "position_scatter": {"scatter": 1.0},
+    "size_mismatch": {"size": 1.3},
+    "size_unit": {"size_mrad": 0.1},
+    "mixed_frame_sizes": {"spoil": of_two_sizes},
+    "saturated": {"spoil": clipped, "display": replace(DISPLAY, white_luminance_cd_m2=55.0)},
+    "crushed": {"spoil": hollow, "noise": 0.002},
+    "coarse_codes": {"spoil": rough, "display": replace(DISPLAY, white_luminance_cd_m2=200.0)},
+    "bit_depth": {"spoil": shallow, "display": replace(DISPLAY, white_luminance_cd_m2=200.0)},
+}
+
+
+@pytest.mark.parametrize(("name", "changes"), SPOILT.items(), ids=SPOILT.keys())
+def test_each_mishap_has_its_warning(name, changes) -> None:
+    assert name.split()[0] in codes(recorded(**changes))
+
+
+def test_another_orientation_in_some_frames_is_told() -> None:
+    dataset = recorded(noise=0.002)
+    wrong = [
+        trial._replace(orientation=tod.ORIENTATIONS[(trial.orientation.quarter_turns + k % 2) % 4])
+        for k, trial in enumerate(dataset.trials[::3])
+    ]
+    trials = [wrong[k // 3] if k % 3 == 0 else trial for k, trial in enumerate(dataset.trials)]
+    (found,) = inspect(dataset, trials)
+    assert found.wrong_orientation == 4
+    assert "orientation_mismatch" in {one.code for one in frame_warnings(dataset, [found])}
+
+
+def test_a_warning_says_what_was_found_and_expected() -> None:
+    dataset = recorded(display=replace(DISPLAY, background_luminance_cd_m2=40.0))
+    (warning,) = frame_warnings(dataset, inspect(dataset, dataset.trials))
+    assert (warning.code, warning.group, warning.expected) == ("background_mismatch", {"size_mrad": 2.25}, 1.0)
+    assert warning.found == pytest.approx(1.25, rel=1e-3)
+    assert 'background_luminance_cd_m2 = "surround"' in warning.message
+
+
+# The commands
+
+
+@pytest.fixture
+def todframes(capsys):
+    def command_line(*arguments):
+        capsys.readouterr()
+        status = run(cli, [str(one) for one in arguments])
+        out, err = capsys.readouterr()
+        return status, out, err
+
+    return command_line
+
+
+@pytest.fixture
+def mistaken(make_dataset):
+    """A dataset whose background is stated as 40 instead of 50 cd/m²."""
+    return make_dataset(suffix=".png", contrasts=(0.1, 0.3), display={"background_luminance_cd_m2": 40.0})
+
+
+def test_strict_ends_with_status_1_after_the_output(mistaken, todframes) -> None:
+    status, out, err = todframes("score", mistaken.path, "--strict")
+    assert status == 1
+    assert "warning: 2 mrad: the luminance around the triangle is 50 cd/m²" in out
+    assert err.splitlines()[-1].startswith("error: --strict: found ")
+    assert "background_mismatch" in err
+    status, out, _ = todframes("score", mistaken.path, "--strict", "--json")
+    assert status == 1
+    result = json.loads(out)
+    assert "background_mismatch" in {one["code"] for one in result["warnings"]}
+    (group,) = result["dataset"]["measured"]
+    assert group["group"] == {"size_mrad": 2.0}
+    assert group["ring_luminance_cd_m2"] == pytest.approx(50.0, rel=1e-3)
+
+
+def test_what_an_algorithm_does_is_not_judged(make_dataset, todframes) -> None:
+    made = make_dataset(suffix=".png", contrasts=(0.1, 0.3), display={"background_luminance_cd_m2": "surround"})
+    _, out, _ = todframes("compare", made.path, "--enhance", "gamma:gamma=2", "--json", "--quiet")
+    assert not {one["code"] for one in json.loads(out)["warnings"]} & {"contrast_mismatch", "background_mismatch"}
+
+
+def test_validate_prints_one_json_object(mistaken, todframes) -> None:
+    status, out, err = todframes("validate", mistaken.path, "--json")
+    found = json.loads(out)
+    assert (status, found["command"], found["skipped"]) == (0, "validate", [])
+    assert [one["code"] for one in found["warnings"]] == ["background_mismatch"]
+    assert found["dataset"]["measured"][0]["ring_ratio"] == pytest.approx(1.25, rel=1e-3)
+    assert err.startswith("warning: 2 mrad: ")
+    assert todframes("validate", mistaken.path, "--strict")[0] == 1
+    mistaken.frame(0).write_bytes(b"")
+    status, out, err = todframes("validate", mistaken.path, "--json")
+    assert (status, len(json.loads(out)["skipped"])) == (1, 1)
+    assert err.splitlines()[-1].endswith("1 problem found")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(6))
+def test_simulated_cameras_have_no_warning(tmp_path, seed) -> None:
+    """Cameras at random: detectors of one to six pixels, noise, fixed pattern, blur."""
+    import sensor_sim as ss
+
+    rng = np.random.default_rng(seed)
+    sensor = ss.load_sensor(SAMPLES / "staring_camera.toml")
+    sensor = replace(
+        sensor,
+        optics=replace(sensor.optics, aperture_mm=float(rng.uniform(60.0, 300.0))),
+        display=replace(
+            sensor.display,
+            pixels_per_detector=int(rng.integers(1, 7)),
+            blur_sigma_px=float(rng.uniform(0.0, 3.0)),
+            gain=float(rng.uniform(0.2, 1.0)),
+        ),
+        noise=replace(sensor.noise, fixed_pattern_ratio=float(rng.uniform(0.0, 1.5))),
+    )
+    sizes = [float(size) for size in np.round(rng.uniform(2.0, 12.0, 2), 1)]
+    ss.simulate(
+        sensor,
+        size_detectors=sizes,
+        snr=[0.5, 1.0, 2.0, 4.0, 8.0],
+        trials=12,
+        seed=seed,
+        out=tmp_path / "made",
+    )
+    assert codes(tod.load_dataset(tmp_path / "made")) == set()
