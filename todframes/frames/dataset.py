@@ -86,8 +86,8 @@ class DatasetWarning(NamedTuple):
     code: str
     group: dict[str, float | str]
     message: str
-    found: float
-    expected: float
+    found: float | tuple[float, float]
+    expected: float | tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

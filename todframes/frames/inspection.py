@@ -73,6 +73,8 @@ class FrameSample(NamedTuple):
     seen, even : ndarray, shape (n, n)
         Contrast of the blocks against the background that the dataset declares, and against the surface fitted
         around the triangle; 0 beyond the frame.
+    stated_px : (float, float)
+        Stated centroid (x, y) on the frame, in pixels.
     offset : (float, float)
         Stated centroid (x, y) from the middle of the blocks, in blocks.
     block_px : int
@@ -90,6 +92,7 @@ class FrameSample(NamedTuple):
     known: NDArray[np.bool_]
     seen: FloatArray
     even: FloatArray
+    stated_px: tuple[float, float]
     offset: tuple[float, float]
     block_px: int
     frame_px: tuple[int, int]
@@ -125,6 +128,8 @@ class Inspection:
     stimulus : Stimulus
     size_px : float
         The stated size in pixels.
+    stated_px : (float, float)
+        The stated place of the centroid along x and y, the mean over the trials measured.
     n_trials : int
         Number of trials measured.
     frame_sizes_px : tuple of (int, int)
@@ -170,6 +175,7 @@ class Inspection:
     group: Group
     stimulus: Stimulus
     size_px: float
+    stated_px: tuple[float, float]
     n_trials: int
     frame_sizes_px: tuple[tuple[int, int], ...]
     background_luminance_cd_m2: float
@@ -335,6 +341,7 @@ def measure_frame(dataset: Dataset, trial: Trial, centre: Centre) -> FrameSample
         known=known,
         seen=seen,
         even=even,
+        stated_px=(x, y),
         offset=blocks.offset,
         block_px=blocks.block_px,
         frame_px=(header.height, header.width),
@@ -480,6 +487,10 @@ def _measured(dataset: Dataset, group: Group, stimulus: Stimulus, samples: Seque
         group=group,
         stimulus=stimulus,
         size_px=size_px,
+        stated_px=(
+            float(np.mean([sample.stated_px[0] for sample in samples])),
+            float(np.mean([sample.stated_px[1] for sample in samples])),
+        ),
         n_trials=len(samples),
         frame_sizes_px=tuple(sorted({sample.frame_px for sample in samples})),
         background_luminance_cd_m2=float(np.mean([sample.background_cd_m2 for sample in samples])),
