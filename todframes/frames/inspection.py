@@ -545,7 +545,7 @@ def _of_triangle(
     offsets = np.array([sample.offset for sample in samples])
     known = np.logical_and.reduce([sample.known for sample in samples])
     relative = level / _noise_of_frames(even, level, known, size)
-    background, triangles = _separated(even, level, relative, turns)
+    background, triangles, _ = _separated(even, level, relative, turns)
     weights = np.array([np.square(relative[turns == k]).sum() for k in range(4)])
     start, sign = _found_place(triangles, weights, size)
     values = np.array([sign, *start, 1.0, 0.0])
@@ -646,20 +646,31 @@ def _noise_of_frames(images: FloatArray, level: FloatArray, known: NDArray[np.bo
     return np.maximum(1.4826 * np.median(apart, axis=1), level / 20.0)
 
 
-def _separated(
-    images: FloatArray, level: FloatArray, relative: FloatArray, turns: NDArray[np.intp]
-) -> tuple[FloatArray, FloatArray]:
-    """Separate what all frames share from what grows with the level in each orientation: (n, n) and (4, n, n).
+class _Separated(NamedTuple):
+    """What all frames share, (n, n), and what grows with the level in each orientation, (4, n, n).
+
+    `share` is the weight of each frame in the former, (trial,).
+    """
+
+    background: FloatArray
+    triangles: FloatArray
+    share: FloatArray
+
+
+def _separated(images: FloatArray, level: FloatArray, relative: FloatArray, turns: NDArray[np.intp]) -> _Separated:
+    """Separate what all frames share from what grows with the level in each orientation.
 
     `relative` is the level in units of the frame's noise.
     """
     columns = [np.where(turns == k, level, 0.0) for k in range(4)]
     separable = level.max() > 1.2 * level.min()
     design = np.stack([*columns, np.ones(len(level))] if separable else columns, axis=1)
-    certain = (relative / level)[:, None]
-    found = np.linalg.pinv(design * certain) @ (certain * images.reshape(len(level), -1))
-    parts = found.reshape(-1, *images.shape[1:])
-    return (parts[4] if separable else np.zeros(images.shape[1:])), parts[:4]
+    certain = relative / level
+    shares = np.linalg.pinv(design * certain[:, None]) * certain
+    parts = (shares @ images.reshape(len(level), -1)).reshape(-1, *images.shape[1:])
+    if not separable:
+        return _Separated(np.zeros(images.shape[1:]), parts, np.zeros(len(level)))
+    return _Separated(parts[4], parts[:4], shares[4])
 
 
 def _found_place(
@@ -807,7 +818,7 @@ def _unevenness(
     elsewhere = binary_erosion(known, iterations=math.ceil(0.6 * size)) & ~_within(n, size)
     if elsewhere.sum() < np.square(2.0 * size):
         return {}
-    static, triangles = _separated(seen, level, relative, turns)
+    static, triangles, share = _separated(seen, level, relative, turns)
     noise = seen - static - level[:, None, None] * triangles[turns]
     images = _model(n, np.array([1.0, 0.0, 0.0, size, np.square(LEAST_BLUR), 0.0])).images
     differ = images - images.mean(axis=0)
@@ -820,7 +831,7 @@ def _unevenness(
     each = noise.reshape(len(noise), -1) @ differ.reshape(4, -1).T / energy
     return {
         "uneven": float(spread[n // 2, n // 2]),
-        "uneven_error": float(each.std(axis=0).max()) / math.sqrt(len(noise)),
+        "uneven_error": math.sqrt((np.square(share) @ np.square(each)).max()),
         "uneven_texture": float(np.median(spread[elsewhere])),
     }
 
