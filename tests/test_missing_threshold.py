@@ -72,7 +72,7 @@ def hints(result: tod.Result) -> list[ResultWarning]:
     ("mishap", "codes", "wanted"),
     [
         ({"shown": (0, 3, 2, 1)}, ["mirrored"], "if left and right were swapped. Is the camera mirrored?"),
-        ({"shown": (2, 1, 0, 3)}, ["mirrored"], "if up and down were swapped"),
+        ({"shown": (2, 1, 0, 3)}, ["flipped"], "if up and down were swapped"),
         ({"shown": (2, 3, 0, 1)}, ["turned"], "turned by 180°. Is the camera upside down?"),
         ({"shown": (1, 2, 3, 0)}, ["turned"], "turned clockwise by 90°"),
         ({"shown": (3, 0, 1, 2)}, ["turned"], "turned counter-clockwise by 90°"),
@@ -93,7 +93,6 @@ def test_hint_names_what_the_answers_show(mishap: dict[str, Any], codes: list[st
     assert result.fits[0].status == "never_reached"
     assert [one.code for one in hints(result)] == codes
     for warning in hints(result):
-        assert warning.message.startswith("2 mrad: ")
         assert wanted in warning.message
         assert warning.group == {"size_mrad": 2.0}
 

@@ -24,14 +24,12 @@ from todframes.psychometrics.fit import fit_counts as fit_counts_of_one
 from todframes.report.advice import above_contrast_1, levels_to_add
 from todframes.report.data import DatasetRecord, Fit, Group, ResultWarning, algorithms, group_of, thresholds_of
 from todframes.report.result import Result
-from todframes.report.wording import group_phrase
 from todframes.scoring.error_budget import PlanName, plan_object
 from todframes.scoring.trials import Decisions
 from todframes.stimulus import Centre
 
 if TYPE_CHECKING:
     from todframes.frames.locate import Locate
-    from todframes.scoring.missing_threshold import Hint
     from todframes.scoring.naked_eye import Threshold
 
 OnError = Literal["stop", "skip"]
@@ -135,7 +133,11 @@ def score(
         more["examples"] = drawing.examples(data, scored, judge)
     explained = {one.group: one for one in explain_missing(data, scored, judge, decisions=decisions, seed=seed)}
     fits = tuple(Fit.of_trials(data, one, explained.get(one.group)) for one in scored.fits)
-    hints = [_hint(group_of(data, one.group), hint) for one in explained.values() for hint in one.hints]
+    hints = [
+        ResultWarning(**hint._asdict(), group=group_of(data, one.group))
+        for one in explained.values()
+        for hint in one.hints
+    ]
     hinted = [hint.group for hint in hints]  # with a mistake mended, other levels may be near the threshold
     levels = levels_to_add([one for one in fits if one.group not in hinted])
     record, shown_wrong = inspected(data, scored.trials, judge.centre)
@@ -569,11 +571,6 @@ def inspected(
     warnings = (*dataset_warnings(data, trials), *frame_warnings(data, inspections))
     record = DatasetRecord.of(data, records(data, inspections))
     return record, tuple(ResultWarning(**one._asdict()) for one in warnings)
-
-
-def _hint(group: Group, hint: Hint) -> ResultWarning:
-    message = f"{group_phrase(group)}: {hint.message}"
-    return ResultWarning(code=hint.code, group=group, message=message, found=hint.found, expected=hint.expected)
 
 
 def _each_once(*warnings: ResultWarning) -> tuple[ResultWarning, ...]:

@@ -5,13 +5,18 @@ from __future__ import annotations
 import csv
 import shutil
 import tempfile
+import time
 from pathlib import Path
 
 import numpy as np
 from timing import Row, best_s, paired_ratio, process
 
+from todframes.frames.dataset import load_dataset
 from todframes.frames.files import write_frame
+from todframes.frames.inspection import inspect
 from todframes.observers.laplacian_pyramid import LaplacianPyramid
+from todframes.observers.pyramid import PyramidObserver
+from todframes.scoring.score import score_dataset
 from todframes.stimulus import ORIENTATIONS, coverage
 
 SIDE, PITCH_MRAD, SIZE_MRAD = 512, 0.7, 10.0
@@ -24,6 +29,26 @@ for path in sorted(pathlib.Path(sys.argv[1]).glob("frames/*")):
     assert image.read_image() is not None
     image.close()
 """
+
+
+VALIDATE = "import sys; from todframes.cli.main import main; main(['validate', sys.argv[1]])"
+DECODE_PNG = """
+import sys, pathlib, numpy
+from PIL import Image
+for path in sorted(pathlib.Path(sys.argv[1]).glob("frames/*")):
+    assert numpy.asarray(Image.open(path)).size
+"""
+
+
+def measuring_share(folder: Path) -> float:
+    """Processor time of measuring what the frames show, as a share of that of scoring them."""
+    dataset, observer = load_dataset(folder), PyramidObserver()
+    inspect(dataset, dataset.trials[:8])
+    started = time.process_time()
+    score_dataset(dataset, observer)
+    scored = time.process_time()
+    inspect(dataset, dataset.trials)
+    return (time.process_time() - scored) / (scored - started)
 
 
 def make_dataset(folder: Path, n_frames: int, suffix: str) -> None:
@@ -69,6 +94,16 @@ def rows() -> list[Row]:
             ratio = paired_ratio(["-c", SCORE, dataset], ["-c", DECODE, dataset], 5)
             found.append(
                 Row(f"score 1000 {suffix.upper()} frames ÷ decode them whole, whole processes", ratio, asked)
+            )
+            found.append(
+                Row(
+                    f"measuring {suffix.upper()} frames ÷ scoring them", measuring_share(folder / suffix), "<= 0.1"
+                )
+            )
+            decode = DECODE_PNG if suffix == "png" else DECODE
+            ratio = paired_ratio(["-c", VALIDATE, dataset], ["-c", decode, dataset], 3)
+            found.append(
+                Row(f"validate 1000 {suffix.upper()} frames ÷ decode them, whole processes", ratio, "<= 1")
             )
         make_dataset(folder / "many", 10_000, "exr")
         few, many = (process("-c", SCORE, str(folder / part)).peak_mb for part in ("exr", "many"))

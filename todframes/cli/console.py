@@ -78,9 +78,7 @@ def finish(
     """
     from todframes.report import tables
     from todframes.report.summary import cautions, remarks
-    from todframes.report.wording import group_phrase, warning_phrase
-
-    warnings = [warning_phrase(one.group, one.message) for one in result.warnings]
+    from todframes.report.wording import group_phrase
 
     if not quiet:
         for place in result.located or ():
@@ -95,8 +93,8 @@ def finish(
                 say(f"note: {algorithm.spec}: {algorithm.n_clipped} values were clipped")
         if result.negative_luminance_pixels and not result.algorithms:
             say(f"note: {result.negative_luminance_pixels} of the display pixels read have a luminance below zero")
-        for warning in warnings if as_json else ():
-            say(f"warning: {warning}")
+        for warning in result.warnings if as_json else ():
+            say(f"warning: {warning.message}")
     if as_json:
         click.echo(result.to_json(), nl=False)
         check_strict(result.warnings, strict)
@@ -116,8 +114,8 @@ def finish(
         print_table(tables.thresholds(result, "Details"), details=True)
     for sentence in [*result.verdict, *cautions(result), *(remarks(result) if verbose else [])]:
         echo(*textwrap.wrap(visible(sentence), terminal_width()))
-    for warning in warnings:
-        echo(*textwrap.wrap(visible(f"warning: {warning}"), terminal_width()))
+    for warning in result.warnings:
+        echo(*textwrap.wrap(visible(f"warning: {warning.message}"), terminal_width()))
     echo(f"{result.run_time_s:.2f} s")
     if out is not None:
         echo(f"written: {out}")

@@ -82,7 +82,6 @@ def validate(*, dataset: Path, add_sha256: bool, strict: bool, as_json: bool) ->
     from todframes.frames.dataset import load_dataset
     from todframes.frames.files import frame_sha256
     from todframes.report.result import Result
-    from todframes.report.wording import warning_phrase
 
     data = load_dataset(dataset)
     if add_sha256:
@@ -114,7 +113,7 @@ def validate(*, dataset: Path, add_sha256: bool, strict: bool, as_json: bool) ->
     record, warnings = inspected(data, good)
     result = Result.made("validate", start, dataset=record, skipped=tuple(found), warnings=warnings)
     for warning in result.warnings:
-        say(f"warning: {warning_phrase(warning.group, warning.message)}")
+        say(f"warning: {warning.message}")
     if as_json:
         click.echo(result.to_json(), nl=False)
     if problems.count:

@@ -42,11 +42,12 @@ class Arrangement(NamedTuple):
 
     @property
     def mismatches(self) -> tuple[WarningCode, ...]:
-        """Codes of what is not as stated."""
+        """Codes of what is not as stated; "flipped" is mirrored up and down."""
         applies: dict[WarningCode, bool] = {
             "polarity_mismatch": self.sign == -1,
-            "mirrored": self.is_mirrored,
-            "turned": self.quarter_turns > 0 and not (self.is_mirrored and self.quarter_turns == 2),
+            "mirrored": self.is_mirrored and self.quarter_turns != 2,
+            "flipped": self.is_mirrored and self.quarter_turns == 2,
+            "turned": self.quarter_turns > 0 and not self.is_mirrored,
         }
         return tuple(code for code, does_apply in applies.items() if does_apply)
 

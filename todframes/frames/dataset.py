@@ -111,8 +111,8 @@ class DatasetWarning(NamedTuple):
     code: WarningCode
     group: dict[str, float | str]
     message: str
-    found: float
-    expected: float
+    found: float | tuple[float, float]
+    expected: float | tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

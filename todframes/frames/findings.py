@@ -80,7 +80,10 @@ BIT_DEPTHS = (10, 12, 14)
 """Bits of values that cameras store in files of 16 bits."""
 
 
-Told = tuple[WarningCode, float, float, str]
+Value = float | tuple[float, float]
+
+
+Told = tuple[WarningCode, Value, Value, str]
 """A code, what was found, what was expected, and the message."""
 
 
@@ -102,9 +105,13 @@ def frame_warnings(dataset: Dataset, inspections: Sequence[Inspection]) -> list[
     found: dict[tuple[str, tuple[float | str, ...]], DatasetWarning] = {}
     for one in inspections:
         group = dict(zip(dataset.experiment.group_by, one.group, strict=True))
+        about = ", ".join(
+            f"{name} {value:g}" if isinstance(value, float) else f"{name} {value}" for name, value in group.items()
+        )
         for judge in JUDGES:
             for code, value, expected, message in judge(dataset, one):
-                found.setdefault((code, one.group), DatasetWarning(code, group, message, value, expected))
+                text = f"{about}: {message}" if about else message
+                found.setdefault((code, one.group), DatasetWarning(code, group, text, value, expected))
     return list(found.values())
 
 
@@ -297,8 +304,8 @@ def _place(dataset: Dataset, one: Inspection) -> Iterator[Told]:
         dx, dy = one.offset_px
         yield (
             "position_offset",
-            offset,
-            0.0,
+            (one.stated_px[0] + dx, one.stated_px[1] + dy),
+            one.stated_px,
             f"the triangles lie {offset:.3g} pixels ({dx:+.2f} in x, {dy:+.2f} in y) from where the dataset says: "
             "the observer looks beside them; correct x_px and y_px, or take them out and use --locate",
         )
@@ -329,15 +336,15 @@ def _size(_: Dataset, one: Inspection) -> Iterator[Told]:
     if _is_other_size(one):
         yield (
             "size_mismatch",
-            ratio,
-            1.0,
+            ratio * one.stimulus.size_mrad,
+            one.stimulus.size_mrad,
             f"the triangles are {ratio:.3g} times as large as size_mrad says ({ratio * one.size_px:.3g} instead "
             f"of {one.size_px:.3g} pixels): the observer looks for another size; check that size_mrad is the root "
             "of the area in mrad, and the pixel pitch",
         )
     elif one.size_scatter is not None and one.size_scatter > SIZE_SCATTER:
         yield (
-            "size_mismatch",
+            "mixed_sizes",
             one.size_scatter,
             0.0,
             f"the sizes of the triangles differ by {100.0 * one.size_scatter:.2g} % from frame to frame, and the "

@@ -73,6 +73,8 @@ class FrameSample(NamedTuple):
     seen, even : ndarray, shape (n, n)
         Contrast of the blocks against the background that the dataset declares, and against the surface fitted
         around the triangle; 0 beyond the frame.
+    stated_px : (float, float)
+        Stated centroid (x, y) on the frame, in pixels.
     offset : (float, float)
         Stated centroid (x, y) from the middle of the blocks, in blocks.
     block_px : int
@@ -90,6 +92,7 @@ class FrameSample(NamedTuple):
     known: NDArray[np.bool_]
     seen: FloatArray
     even: FloatArray
+    stated_px: tuple[float, float]
     offset: tuple[float, float]
     block_px: int
     frame_px: tuple[int, int]
@@ -125,6 +128,8 @@ class Inspection:
     stimulus : Stimulus
     size_px : float
         The stated size in pixels.
+    stated_px : (float, float)
+        The stated place of the centroid along x and y, the mean over the trials measured.
     n_trials : int
         Number of trials measured.
     frame_sizes_px : tuple of (int, int)
@@ -170,6 +175,7 @@ class Inspection:
     group: Group
     stimulus: Stimulus
     size_px: float
+    stated_px: tuple[float, float]
     n_trials: int
     frame_sizes_px: tuple[tuple[int, int], ...]
     background_luminance_cd_m2: float
@@ -335,6 +341,7 @@ def measure_frame(dataset: Dataset, trial: Trial, centre: Centre) -> FrameSample
         known=known,
         seen=seen,
         even=even,
+        stated_px=(x, y),
         offset=blocks.offset,
         block_px=blocks.block_px,
         frame_px=(header.height, header.width),
@@ -480,6 +487,10 @@ def _measured(dataset: Dataset, group: Group, stimulus: Stimulus, samples: Seque
         group=group,
         stimulus=stimulus,
         size_px=size_px,
+        stated_px=(
+            float(np.mean([sample.stated_px[0] for sample in samples])),
+            float(np.mean([sample.stated_px[1] for sample in samples])),
+        ),
         n_trials=len(samples),
         frame_sizes_px=tuple(sorted({sample.frame_px for sample in samples})),
         background_luminance_cd_m2=float(np.mean([sample.background_cd_m2 for sample in samples])),
@@ -534,7 +545,7 @@ def _of_triangle(
     offsets = np.array([sample.offset for sample in samples])
     known = np.logical_and.reduce([sample.known for sample in samples])
     relative = level / _noise_of_frames(even, level, known, size)
-    background, triangles = _separated(even, level, relative, turns)
+    background, triangles, _ = _separated(even, level, relative, turns)
     weights = np.array([np.square(relative[turns == k]).sum() for k in range(4)])
     start, sign = _found_place(triangles, weights, size)
     values = np.array([sign, *start, 1.0, 0.0])
@@ -635,20 +646,31 @@ def _noise_of_frames(images: FloatArray, level: FloatArray, known: NDArray[np.bo
     return np.maximum(1.4826 * np.median(apart, axis=1), level / 20.0)
 
 
-def _separated(
-    images: FloatArray, level: FloatArray, relative: FloatArray, turns: NDArray[np.intp]
-) -> tuple[FloatArray, FloatArray]:
-    """Separate what all frames share from what grows with the level in each orientation: (n, n) and (4, n, n).
+class _Separated(NamedTuple):
+    """What all frames share, (n, n), and what grows with the level in each orientation, (4, n, n).
+
+    `share` is the weight of each frame in the former, (trial,).
+    """
+
+    background: FloatArray
+    triangles: FloatArray
+    share: FloatArray
+
+
+def _separated(images: FloatArray, level: FloatArray, relative: FloatArray, turns: NDArray[np.intp]) -> _Separated:
+    """Separate what all frames share from what grows with the level in each orientation.
 
     `relative` is the level in units of the frame's noise.
     """
     columns = [np.where(turns == k, level, 0.0) for k in range(4)]
     separable = level.max() > 1.2 * level.min()
     design = np.stack([*columns, np.ones(len(level))] if separable else columns, axis=1)
-    certain = (relative / level)[:, None]
-    found = np.linalg.pinv(design * certain) @ (certain * images.reshape(len(level), -1))
-    parts = found.reshape(-1, *images.shape[1:])
-    return (parts[4] if separable else np.zeros(images.shape[1:])), parts[:4]
+    certain = relative / level
+    shares = np.linalg.pinv(design * certain[:, None]) * certain
+    parts = (shares @ images.reshape(len(level), -1)).reshape(-1, *images.shape[1:])
+    if not separable:
+        return _Separated(np.zeros(images.shape[1:]), parts, np.zeros(len(level)))
+    return _Separated(parts[4], parts[:4], shares[4])
 
 
 def _found_place(
@@ -796,7 +818,7 @@ def _unevenness(
     elsewhere = binary_erosion(known, iterations=math.ceil(0.6 * size)) & ~_within(n, size)
     if elsewhere.sum() < np.square(2.0 * size):
         return {}
-    static, triangles = _separated(seen, level, relative, turns)
+    static, triangles, share = _separated(seen, level, relative, turns)
     noise = seen - static - level[:, None, None] * triangles[turns]
     images = _model(n, np.array([1.0, 0.0, 0.0, size, np.square(LEAST_BLUR), 0.0])).images
     differ = images - images.mean(axis=0)
@@ -809,7 +831,7 @@ def _unevenness(
     each = noise.reshape(len(noise), -1) @ differ.reshape(4, -1).T / energy
     return {
         "uneven": float(spread[n // 2, n // 2]),
-        "uneven_error": float(each.std(axis=0).max()) / math.sqrt(len(noise)),
+        "uneven_error": math.sqrt((np.square(share) @ np.square(each)).max()),
         "uneven_texture": float(np.median(spread[elsewhere])),
     }
 

@@ -361,6 +361,6 @@ def location_warnings(dataset: Dataset, locations: Sequence[Location]) -> list[D
                     "mirror or turn the frames back, or correct the column orientation",
                 )
             )
-            message = f"{_group_name(dataset, one.group)}: the triangles that were located are {what}; {remedy}"
+            message = f"the triangles that were located are {what}; {remedy}"
             found.append(DatasetWarning(code, group, message, found=1.0, expected=0.0))
     return found

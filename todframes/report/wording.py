@@ -53,11 +53,6 @@ def group_phrase(group: Mapping[str, float | str]) -> str:
     return ", ".join(phrase(name, value) for name, value in group.items()) or "all trials"
 
 
-def warning_phrase(group: Mapping[str, float | str], message: str) -> str:
-    """Return the message of a warning after the group that it is about, if it is about one."""
-    return f"{group_phrase(group)}: {message}" if group else message
-
-
 def group_phrases(groups: Sequence[Mapping[str, float | str]]) -> str:
     """Return groups in words; sizes from one column have their unit once: "1.5 and 2.5 mrad"."""
     names = list(groups[0])
