@@ -88,6 +88,7 @@ WarningCode = Literal[
     "levels_to_add",
     "mirrored",
     "mixed_frame_sizes",
+    "mixed_sizes",
     "orientation_mismatch",
     "polarity_mismatch",
     "position_offset",
