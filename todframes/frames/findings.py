@@ -16,6 +16,11 @@ MATTERS = 0.03
 """Relative error of a threshold that matters."""
 
 
+MOST_BY_PATTERN = 3.0
+"""Largest relative deviation of a background's luminance that noise and a fixed pattern may cause, in standard
+deviations of a pixel's contrast; a larger one is a step or a slope of the background."""
+
+
 SKEW = 0.25
 """Relative deviation of a background's luminance that skewed noise may cause, in standard deviations of a pixel's
 contrast."""
@@ -161,7 +166,8 @@ def _codes(dataset: Dataset, one: Inspection) -> Iterator[Told]:
 def _background(dataset: Dataset, one: Inspection) -> Iterator[Told]:
     rule = dataset.display.background_luminance_cd_m2
     by_noise = SKEW * one.noise_contrast
-    if abs(one.ring_ratio - 1.0) > max(MATTERS, by_noise, CERTAIN * one.ring_ratio_error):
+    by_pattern = min(CERTAIN * one.ring_ratio_error, MOST_BY_PATTERN * one.noise_contrast)
+    if abs(one.ring_ratio - 1.0) > max(MATTERS, by_noise, by_pattern):
         advice = (
             'set background_luminance_cd_m2 = "surround", and check eotf and white_luminance_cd_m2'
             if not isinstance(rule, str) or rule == "column"
