@@ -29,20 +29,22 @@ import verdicts
 HERE = Path(__file__).parent
 PAGE = "frames_go_wrong.md"
 PICTURES: dict[str, tuple[str, tuple[int, ...]]] = {
-    "background_uneven": ("vignetting_70", (40,)),
-    "background_mismatch": ("background_doubled", (40,)),
+    "background_mismatch": ("dark_border", (40,)),
+    "background_uneven": ("two_levels_through", (40,)),
+    "bit_depth": ("twelve_bits", (40,)),
     "contrast_mismatch": ("twice_as_strong", (40,)),
     "polarity_mismatch": ("dark_triangles", (40,)),
-    "mirrored": ("mirror", (42,)),
-    "turned": ("quarter_turn", (40,)),
-    "position_offset": ("off_centre_many", (40,)),
-    "position_scatter": ("hand_held", (40, 41)),
-    "size_mismatch": ("pitch_doubled", (40,)),
     "saturated": ("overexposed", (40,)),
     "crushed": ("crushed_blacks", (40,)),
-    "coarse_codes": ("posterised", (40,)),
-    "limited_range": ("limited_range", (40,)),
-    "bit_depth": ("twelve_bits", (40,)),
+    "coarse_codes": ("posterised", (24,)),
+    "mirrored": ("mirror", (42,)),
+    "flipped": ("flip", (40,)),
+    "turned": ("tilt", (40,)),
+    "orientation_mismatch": ("orientation_shifted", (42,)),
+    "position_offset": ("off_centre_many", (40,)),
+    "position_scatter": ("hand_held", (40, 41, 45)),
+    "size_mismatch": ("pitch_doubled", (40,)),
+    "size_unit": ("degrees", (40,)),
     "mixed_frame_sizes": ("mixed_resolutions", (40, 41)),
 }
 """The case and the shots that show what each warning means."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import json
 import re
 import runpy
@@ -10,15 +11,19 @@ import subprocess
 import sys
 import tomllib
 from pathlib import Path
+from typing import get_args
 
+import mishaps
 import numpy as np
 import pytest
+import verdicts
 
 from sensor_sim.cli import cli as sensor_sim
 from todframes import __version__
 from todframes.cli.console import run
 from todframes.cli.main import cli
 from todframes.enhancement.algorithm import Declaration, find_enhancement
+from todframes.frames.dataset import WarningCode
 from todframes.observers.pyramid import PyramidObserver
 from todframes.scoring.naked_eye import contrast_threshold
 
@@ -162,6 +167,51 @@ def test_code_of_a_page(name: str, capsys) -> None:
         assert capsys.readouterr().out == "never_reached\n"
 
 
+@pytest.mark.slow
+@pytest.mark.usefixtures("folder")
+def test_frames_go_wrong_and_right_again(capsys) -> None:
+    """The copy with a wrong background has the warnings shown, and with "surround" none."""
+    text = page("frames_go_wrong.md")
+    run_code(*blocks(text, "python"))
+    assert capsys.readouterr().out == blocks(text, "text")[0] + "()\n"
+    run_commands(blocks(text, "sh")[0])
+
+
+def test_each_warning_has_a_section_and_its_picture() -> None:
+    text = page("frames_go_wrong.md")
+    sections = dict(re.findall(r"^#### `(\w+)`\n\n(.*)$", text, re.MULTILINE))
+    assert sorted(sections) == sorted(get_args(WarningCode))
+    pictures = {code: re.search(r"\((.*)\.png\)$", line) for code, line in sections.items()}
+    assert {code for code, found in pictures.items() if not found} == {
+        "above_contrast_1",
+        "levels_to_add",
+        "unverified_frames",
+    }
+    assert all(found[1] == f"frames_go_wrong/{code}" for code, found in pictures.items() if found)
+    files = sorted(DOCS.glob("frames_go_wrong/*.png"))
+    assert [file.stem for file in files] == sorted(code for code, found in pictures.items() if found)
+    assert sum(file.stat().st_size for file in files) < 600_000
+
+
+def test_no_warning_has_a_code_of_its_own() -> None:
+    """Type checkers see the codes of warnings about datasets; those of results are any text to them."""
+    codes = {
+        keyword.value.value
+        for file in (ROOT / "todframes").rglob("*.py")
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "ResultWarning"
+        for keyword in node.keywords
+        if keyword.arg == "code" and isinstance(keyword.value, ast.Constant)
+    }
+    assert {"levels_to_add"} <= codes <= set(get_args(WarningCode))
+
+
+def test_table_of_mishaps_has_all_and_none_is_missed() -> None:
+    table = page("frames_go_wrong.md").partition("<!-- =table -->")[2].partition("<!-- / -->")[0]
+    assert re.findall(r"^\| `(\w+)` \|", table, re.MULTILINE) == [case.name for case in mishaps.CASES]
+    assert not [end for end in verdicts.BAD_ENDS if end in table]
+
+
 def test_own_observer_by_its_module(folder: Path, capsys) -> None:
     text = page("own_observer.md")
     (folder / "retina_samples.py").write_text(blocks(text, "python")[0], encoding="utf-8")
@@ -240,7 +290,7 @@ def test_enhancement_of_the_samples_is_as_shown(capsys) -> None:
     assert (program, run(cli, arguments)) == ("todframes", 0)
     stated = re.search(r"^```text\n(.*?)^```$", ENHANCEMENT, re.MULTILINE | re.DOTALL)[1]
     rows = re.compile(
-        r"(all|[\d.]+) +(?:\w+ +)?([\d.]+|–)(?: +([\d.]+))? .* (better|worse|no difference shown|reference) *$",
+        r"(all|[\d.]+) +(?:\w+ +)?([\d.]+|–)(?: +([\d.]+))? .* (better|worse|no difference shown|reference)\b",
         re.M,
     )
     shown, found = (

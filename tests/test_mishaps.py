@@ -9,7 +9,9 @@ from pathlib import Path
 import mishaps
 import numpy as np
 import pytest
+import verdicts
 
+CASE = {case.name: case for case in mishaps.CASES}
 GENERATOR = Path(mishaps.__file__)
 
 
@@ -53,3 +55,21 @@ def test_generator_shares_nothing_with_the_packages() -> None:
 
 def test_there_are_enough_cases_each_with_its_own_name() -> None:
     assert len({case.name for case in mishaps.CASES}) == len(mishaps.CASES) >= 30 + len(mishaps.CONTROLS)
+
+
+@pytest.mark.parametrize("name", ["vignetting_50", "dark_border", "two_levels_beside", "flicker"])
+def test_light_around_the_triangle_leaves_the_threshold(name: str, tmp_path: Path) -> None:
+    """With the background taken from around the triangle, and 3 % as for every case."""
+    CASE[name].recording.write(tmp_path / name)
+    CASE[name].recording.declare(tmp_path / name, "surround")
+    found = verdicts.score(tmp_path / name)
+    assert found.threshold == pytest.approx(verdicts.right_threshold(), rel=verdicts.TOLERANCE)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", CASE)
+def test_no_recording_gets_a_confident_wrong_number(name: str, tmp_path: Path) -> None:
+    """Nor a warning or an error without need, whatever background it is declared with."""
+    found = verdicts.outcomes(CASE[name], tmp_path / name)
+    ends = {rule: verdicts.verdict(CASE[name], outcome) for rule, outcome in found.items()}
+    assert not set(ends.values()).intersection(verdicts.BAD_ENDS), (ends, found)

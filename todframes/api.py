@@ -132,12 +132,14 @@ def score(
 
         more["examples"] = drawing.examples(data, scored, judge)
     explained = {one.group: one for one in explain_missing(data, scored, judge, decisions=decisions, seed=seed)}
-    hints = tuple(
+    fits = tuple(Fit.of_trials(data, one, explained.get(one.group)) for one in scored.fits)
+    hints = [
         ResultWarning(**hint._asdict(), group=group_of(data, one.group))
         for one in explained.values()
         for hint in one.hints
-    )
-    fits = tuple(Fit.of_trials(data, one, explained.get(one.group)) for one in scored.fits)
+    ]
+    hinted = [hint.group for hint in hints]  # with a mistake mended, other levels may be near the threshold
+    levels = levels_to_add([one for one in fits if one.group not in hinted])
     record, shown_wrong = inspected(data, scored.trials, judge.centre)
     return Result.made(
         "score",
@@ -148,7 +150,7 @@ def score(
         plan=tuple(plan_object(scored.plan, 1.0)),
         skipped=tuple(one._asdict() for one in scored.skipped),
         dataset=record,
-        warnings=_each_once(*hints, *found_wrong, *shown_wrong, *levels_to_add(fits)),
+        warnings=_each_once(*hints, *found_wrong, *shown_wrong, *levels),
         negative_luminance_pixels=scored.n_negative,
         **more,
     ).with_trials(lambda: tables.trials(data, scored))

@@ -576,7 +576,12 @@ CODE_CASES = (
     case("automatic_gain", "Each frame is stretched to full contrast.", LIGHT, encoded=of_automatic_gain),
     case("automatic_exposure", "The exposure hunts by 20 %.", LIGHT, light=of_automatic_exposure),
     case("dead_pixels_outside", "Sixty stuck pixels off the triangle.", STUCK, stored=stuck(60, (20.0, 48.0))),
-    case("hot_pixels_inside", "Eight stuck pixels on the triangle.", STUCK, stored=stuck(8, (0.0, 8.0))),
+    case(
+        "hot_pixels_inside",
+        "Eight stuck pixels on the triangle.",
+        STUCK + " background_uneven",
+        stored=stuck(8, (0.0, 8.0)),
+    ),
 )
 
 PLACED = "position_offset misplaced"

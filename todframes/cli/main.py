@@ -89,14 +89,18 @@ def validate(*, dataset: Path, add_sha256: bool, strict: bool, as_json: bool) ->
     sha256_of: dict[str, str] = {}
     problems = ProblemLines()
     found: list[dict[str, str]] = []
+    good = []
     for row in data.bad_rows:
         found.append(row._asdict())
         problems.add(row.error, kind=row.error.replace(row.frame or "\0", "#"))
     with progress("checking", len(data.trials)) as advance:
         for trial in data.trials:
-            for error in frame_problems(data, trial):
+            wrong = list(frame_problems(data, trial))
+            for error in wrong:
                 problems.add(str(error), kind=error.problem)
                 found.append({"frame": str(error.path), "error": str(error)})
+            if not wrong:
+                good.append(trial)
             if add_sha256 and not problems.count:
                 missing = [frame for frame in trial.frames if frame.sha256 is None]
                 sha256_of |= {frame.path: frame_sha256(data.frame_path(frame)) for frame in missing}
@@ -105,7 +109,8 @@ def validate(*, dataset: Path, add_sha256: bool, strict: bool, as_json: bool) ->
     if add_sha256 and not problems.count:
         write_sha256(data, sha256_of)
         data = load_dataset(dataset)
-    record, warnings = inspected(data, data.trials)
+        good = list(data.trials)
+    record, warnings = inspected(data, good)
     result = Result.made("validate", start, dataset=record, skipped=tuple(found), warnings=warnings)
     for warning in result.warnings:
         say(f"warning: {warning.message}")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from todframes.frames.dataset import WarningCode
 from todframes.stimulus import ORIENTATIONS, Orientation
 
 TURNS = {1: "turned a quarter turn to the right", 2: "turned upside down", 3: "turned a quarter turn to the left"}
@@ -40,13 +41,15 @@ class Arrangement(NamedTuple):
         return mirrored.get(self.quarter_turns, f"mirrored left and right and {turn}")
 
     @property
-    def mismatches(self) -> tuple[str, ...]:
-        """Codes of what is not as stated."""
-        return (
-            *(["polarity_mismatch"] if self.sign == -1 else []),
-            *(["mirrored"] if self.is_mirrored else []),
-            *(["turned"] if self.quarter_turns and not (self.is_mirrored and self.quarter_turns == 2) else []),
-        )
+    def mismatches(self) -> tuple[WarningCode, ...]:
+        """Codes of what is not as stated; "flipped" is mirrored up and down."""
+        applies: dict[WarningCode, bool] = {
+            "polarity_mismatch": self.sign == -1,
+            "mirrored": self.is_mirrored and self.quarter_turns != 2,
+            "flipped": self.is_mirrored and self.quarter_turns == 2,
+            "turned": self.quarter_turns > 0 and not self.is_mirrored,
+        }
+        return tuple(code for code, does_apply in applies.items() if does_apply)
 
     @property
     def twin(self) -> Arrangement:

@@ -6,7 +6,7 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -76,6 +76,31 @@ class Skipped(NamedTuple):
     error: str
 
 
+WarningCode = Literal[
+    "above_contrast_1",
+    "background_mismatch",
+    "background_uneven",
+    "bit_depth",
+    "coarse_codes",
+    "contrast_mismatch",
+    "crushed",
+    "flipped",
+    "levels_to_add",
+    "mirrored",
+    "mixed_frame_sizes",
+    "orientation_mismatch",
+    "polarity_mismatch",
+    "position_offset",
+    "position_scatter",
+    "saturated",
+    "size_mismatch",
+    "size_unit",
+    "turned",
+    "unverified_frames",
+]
+"""Codes of all warnings; each is explained in docs/frames_go_wrong.md."""
+
+
 class DatasetWarning(NamedTuple):
     """A warning that results from a dataset are less certain, as written under `warnings` in `result.json`.
 
@@ -83,7 +108,7 @@ class DatasetWarning(NamedTuple):
     column; it is empty if the warning concerns the whole dataset.
     """
 
-    code: str
+    code: WarningCode
     group: dict[str, float | str]
     message: str
     found: float | tuple[float, float]

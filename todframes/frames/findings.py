@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 
-from todframes.frames.dataset import Dataset, DatasetWarning
+from todframes.frames.dataset import Dataset, DatasetWarning, WarningCode
 from todframes.frames.inspection import Inspection, is_contrast
 
 CERTAIN = 5.0
@@ -78,7 +78,7 @@ BIT_DEPTHS = (10, 12, 14)
 Value = float | tuple[float, float]
 
 
-Told = tuple[str, Value, Value, str]
+Told = tuple[WarningCode, Value, Value, str]
 """A code, what was found, what was expected, and the message."""
 
 
@@ -132,10 +132,11 @@ def _geometry(dataset: Dataset, one: Inspection) -> Iterator[Told]:
 
 
 def _codes(dataset: Dataset, one: Inspection) -> Iterator[Told]:
-    for code, share, end in (
+    ends: tuple[tuple[WarningCode, float | None, str], ...] = (
         ("saturated", one.saturated_share, "the largest code value"),
         ("crushed", one.crushed_share, "code value 0"),
-    ):
+    )
+    for code, share, end in ends:
         if share is not None and share > MOST_CLIPPED:
             yield (
                 code,
@@ -248,7 +249,12 @@ ADVICE = {
 }
 
 
-CODES = {"mirrored": "mirrored", "flipped": "flipped", "transposed": "mirrored", "anti_transposed": "mirrored"}
+CODES: dict[str, WarningCode] = {
+    "mirrored": "mirrored",
+    "flipped": "flipped",
+    "transposed": "mirrored",
+    "anti_transposed": "mirrored",
+}
 """Codes of warnings about what was done to a picture; all else is "turned"."""
 
 

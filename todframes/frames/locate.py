@@ -244,22 +244,12 @@ def _each(
             share = scatter**2 / (scatter**2 + place.variance)
             at = mean + share * (np.array([place.x, place.y]) - mean)
         positions[trial.number] = _in_pixels(block_px, (float(at[0]), float(at[1])))
-    n_located = sum(place is not None for place in chosen)
-    x_px, y_px = _in_pixels(block_px, (float(mean[0]), float(mean[1])))
-    error_px = (
-        block_px
-        * math.sqrt(np.mean([scatter**2 + place.variance for place in chosen if place is not None]) / n_located)
-        if n_located
-        else of_group.standard_error_px
-    )
-    found = of_group._replace(
-        x_px=x_px,
-        y_px=y_px,
-        standard_error_px=error_px,
-        n_trials=len(trials),
-        n_located=n_located,
-        scatter_px=block_px * scatter,
-    )
+    variances = [scatter**2 + place.variance for place in chosen if place is not None]
+    if variances:
+        x_px, y_px = _in_pixels(block_px, (float(mean[0]), float(mean[1])))
+        error_px = block_px * math.sqrt(float(np.mean(variances)) / len(variances))
+        of_group = of_group._replace(x_px=x_px, y_px=y_px, standard_error_px=error_px)
+    found = of_group._replace(n_trials=len(trials), n_located=len(variances), scatter_px=block_px * scatter)
     return found, positions
 
 
@@ -371,6 +361,6 @@ def location_warnings(dataset: Dataset, locations: Sequence[Location]) -> list[D
                     "mirror or turn the frames back, or correct the column orientation",
                 )
             )
-            message = f"{_group_name(dataset, one.group)}: the triangles that were located are {what}; {remedy}"
+            message = f"the triangles that were located are {what}; {remedy}"
             found.append(DatasetWarning(code, group, message, found=1.0, expected=0.0))
     return found

@@ -73,6 +73,10 @@ MOST_TRIAL_BLUR = 0.15
 """Largest blur of the triangle of a single trial, in sizes; a larger blur of the mean frames is scatter."""
 
 
+NOISE_REACH = 4
+"""Distance from a trial's highest peak within which noise is measured, in half widths of the weights."""
+
+
 MOST_PEAKS = 12
 """Largest number of peaks of a trial that are kept."""
 
@@ -553,7 +557,14 @@ class TrialMatcher:
         if not found:
             return []
         places = [_top(correlation, at[0] + 1, at[1] + 1) for at in found]
-        noise = self._residual(part, stimulus, places[0][0] + half, places[0][1] + half)
+        top_x, top_y = places[0][0] + half, places[0][1] + half
+        local_rows, local_columns = (
+            slice(max(round(at) - NOISE_REACH * half, 0), round(at) + NOISE_REACH * half + 1)
+            for at in (top_y, top_x)
+        )
+        noise = self._residual(
+            part[local_rows, local_columns], stimulus, top_x - local_columns.start, top_y - local_rows.start
+        )
         rest = fftconvolve(noise, weights[::-1, ::-1], mode="valid")
         spread = math.sqrt(float(np.square(rest).mean()))
         slopes = [

@@ -167,7 +167,8 @@ class HotellingObserver(PyramidObserver):
             return tuple(band > 0.0 for band in informations)
         descending = np.sort(np.concatenate([band.ravel() for band in informations]))[::-1]
         total = np.cumsum(descending)
-        least = descending[np.searchsorted(total, share * total[-1])]
+        # Mirror images are equal but for rounding.
+        least = (1.0 - 1e-12) * descending[np.searchsorted(total, share * total[-1])]
         return tuple((band >= least) & (band > 0.0) for band in informations)
 
     def _ideal(self, difference: Bands, used: Sequence[NDArray[np.bool_]], grid: RetinaGrid) -> Bands:

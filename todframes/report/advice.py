@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 
 from todframes.report.data import Fit, ResultWarning
-from todframes.report.wording import group_phrase, listed, plain
+from todframes.report.wording import listed, plain
 
 FEWEST_LEVELS = 3
 """Smallest number of levels that show how fast a curve rises and whether it fits."""
@@ -39,7 +39,7 @@ def above_contrast_1(fits: Sequence[Fit]) -> tuple[ResultWarning, ...]:
             code="above_contrast_1",
             group=fit.group,
             message=(
-                f"{group_phrase(fit.group)}: the threshold contrast of {plain(fit.threshold)} is above 1, which "
+                f"the threshold contrast of {plain(fit.threshold)} is above 1, which "
                 "bright triangles may have, but dark ones never. The size is below the acuity, where P(correct) "
                 "rises and falls with the way in which triangles meet the retina's samples: take larger sizes"
             ),
@@ -64,7 +64,7 @@ def levels_to_add(fits: Sequence[Fit]) -> tuple[ResultWarning, ...]:
             advice = (
                 f"add levels near {listed(f'{level:g}' for level in levels)}" if levels else "show more trials"
             )
-            message = f"{group_phrase(fit.group)}: {reason}; {advice}"
+            message = f"{reason}; {advice}"
             shown = [point.level for point in fit.points]
             found.append(
                 ResultWarning(code="levels_to_add", group=fit.group, message=message, found=shown, expected=levels)

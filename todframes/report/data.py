@@ -438,7 +438,7 @@ class DatasetRecord(Struct, frozen=True, kw_only=True):
             experiment={"level": dataset.experiment.level, "group_by": list(dataset.experiment.group_by)},
             manifest_sha256=dataset.manifest_sha256,
             n_frames=dataset.n_frames,
-            measured=tuple(measured),
+            measured=tuple(msgspec.json.decode(msgspec.json.encode(measured))),  # as they will be read again
         )
 
 

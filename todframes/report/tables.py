@@ -46,15 +46,13 @@ THRESHOLD_COLUMNS = (
 RATIO_COLUMNS = (
     Column(key="ratio", none="1", digits=3),
     Column(key="ratio_ci95", header="95 % interval", interval="ratio", none="", digits=3),
-    Column(key="p_value", in_file_only=True),
-    Column(key="p_value_holm", header="p (Holm)", digits=2, none="", rank=5, bound_if="p_value_is_least"),
-    Column(key="p_value_is_least", in_file_only=True),
-    Column(key="contrast_gain", header="gain", digits=3, none="", rank=4),
-    Column(key="beyond_gain", header="beyond gain", digits=3, none="", rank=2),
-    Column(
-        key="beyond_gain_ci95", header="95 % interval beyond", interval="beyond_gain", none="", digits=3, rank=6
-    ),
     Column(key="verdict", none="reference", wraps=True),
+    Column(key="beyond_gain", header="beyond gain", digits=3, none="", rank=2),
+    Column(key="beyond_gain_ci95", interval="beyond_gain", in_file_only=True),
+    Column(key="p_value", in_file_only=True),
+    Column(key="p_value_holm", header="p (Holm)", digits=2, none="", rank=4, bound_if="p_value_is_least"),
+    Column(key="p_value_is_least", in_file_only=True),
+    Column(key="contrast_gain", header="gain", digits=3, none="", rank=5),
 )
 
 

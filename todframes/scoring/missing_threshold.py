@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from todframes._typing import FloatArray
 from todframes.errors import TodframesError
 from todframes.frames.arrangement import ARRANGEMENTS, Arrangement
-from todframes.frames.dataset import Dataset, Trial
+from todframes.frames.dataset import Dataset, Trial, WarningCode
 from todframes.frames.locate import locate_triangles
 from todframes.frames.position import centroid_position
 from todframes.observers.interface import Observer
@@ -73,7 +73,7 @@ QUESTIONS = {
 class Hint(NamedTuple):
     """A change that would make the answers right, with a stable `code`."""
 
-    code: str
+    code: WarningCode
     message: str
     found: Any
     expected: Any
@@ -196,7 +196,7 @@ class _Change:
 
     answers: FloatArray
     clauses: tuple[str, ...] = ()
-    codes: tuple[tuple[str, Any, Any], ...] = ()
+    codes: tuple[tuple[WarningCode, Any, Any], ...] = ()
     shown: tuple[int, ...] | None = None
 
 
@@ -261,7 +261,7 @@ class _Search:
         here = (round(placed.trials[0].x_px or 0.0, 2), round(placed.trials[0].y_px or 0.0, 2))
         apart_px = math.dist(here, stated)
         clauses: list[str] = []
-        codes: list[tuple[str, Any, Any]] = []
+        codes: list[tuple[WarningCode, Any, Any]] = []
         if factor != 1.0:
             size_mrad = self.trials[0].stimulus.size_mrad
             clauses.append(f"triangles had {factor:.3g} times the size in the manifest: {question}")
@@ -291,7 +291,7 @@ class _Search:
                 f"each trial had a position of its own, which scatter by {location.scatter_px:.2g} pixels: Was "
                 "the camera held by hand? Leave out x_px and y_px, and let --locate each find them."
             )
-            code = ("position_scatter", location.scatter_px, 0.0)
+            code: tuple[WarningCode, Any, Any] = ("position_scatter", location.scatter_px, 0.0)
             for change in self._scored_again(placed.trials, location.arrangement.sign):
                 yield replace(change, clauses=(clause, *change.clauses), codes=(code, *change.codes))
 
