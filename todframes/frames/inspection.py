@@ -33,7 +33,7 @@ from todframes.stimulus import ORIENTATIONS, Centre, Orientation, Stimulus, cove
 Group = tuple[float | str, ...]
 
 
-MOST_SAMPLED, LEAST_SAMPLED = 32, 8
+MOST_SAMPLED, LEAST_SAMPLED = 24, 8
 """Most and fewest trials of a stimulus in a group that are measured."""
 
 
@@ -45,7 +45,7 @@ BLOCKS_PER_SIZE = 8
 """Number of square blocks along a triangle's size that its picture is reduced to; fewer if these are pixels."""
 
 
-SIZES_TRIED = np.geomspace(0.25, 5.0, 14)
+SIZES_TRIED = np.geomspace(0.25, 5.0, 11)
 """Sizes of triangles that are tried, as multiples of the stated one."""
 
 
@@ -471,6 +471,10 @@ def _model(n: int, values: FloatArray) -> _Model:
     return _Model(np.array(images), np.array(slopes))
 
 
+FOUND = 2e-4
+"""Last step of the fit, in sizes and radians; the errors that matter are a hundred times as large."""
+
+
 LEAST_BLUR = 0.3
 """Least standard deviation of the blur in blocks; the derivatives of a sharper picture are not known."""
 
@@ -737,10 +741,13 @@ def _fitted_shape(
         size = values[_SIZE]
         reach = np.array([np.inf, 0.3 * size, 0.3 * size, 0.25 * size, max(0.5 * values[_BLUR], 0.5), 0.3])
         values += np.clip(step, -reach, reach)
+        is_found = bool((np.abs(step[[_X, _Y, _SIZE, _TURN]]) < FOUND * np.array([size, size, size, 1.0])).all())
         values[_SIZE] = min(max(values[_SIZE], 0.5), n)
         values[_BLUR] = min(max(values[_BLUR], LEAST_BLUR**2), (n / 4.0) ** 2)
         values[[_X, _Y]] = np.clip(values[[_X, _Y]], -n / 2.0, n / 2.0)
         values[_TURN] = min(max(values[_TURN], -0.5), 0.5)
+        if is_found:
+            break
     return values, _model(n, values)
 
 
