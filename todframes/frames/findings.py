@@ -21,7 +21,7 @@ MOST_BY_PATTERN = 3.0
 deviations of a pixel's contrast; a larger one is a step or a slope of the background."""
 
 
-SKEW = 0.25
+SKEW = 0.5
 """Relative deviation of a background's luminance that skewed noise may cause, in standard deviations of a pixel's
 contrast."""
 
@@ -63,8 +63,13 @@ LEAST_SIZE_PX = 2.0
 """Size of a triangle in pixels below which its orientation is not displayed."""
 
 
-MOST_CLIPPED = 0.01
-"""Share of the triangle's pixels at an end of the code values that is told."""
+MOST_CLIPPED, MOST_CLIPPED_NOISE, LOUD = 0.002, 0.01, 0.1
+"""Share of the triangle's pixels at an end of the code values that is told: of quiet frames, and of loud ones,
+whose noise reaches that end. Loud is a noise of that contrast."""
+
+
+SKEWED = 0.1
+"""Relative deviation of a background's luminance that noise cut off at code 0 may cause."""
 
 
 UNEVEN_PER_LEVEL, TIMES_TEXTURE = 0.15, 4.0
@@ -142,7 +147,7 @@ def _codes(dataset: Dataset, one: Inspection) -> Iterator[Told]:
         ("crushed", one.crushed_share, "code value 0"),
     )
     for code, share, end in ends:
-        if share is not None and share > MOST_CLIPPED:
+        if share is not None and share > (MOST_CLIPPED if one.noise_contrast < LOUD else MOST_CLIPPED_NOISE):
             yield (
                 code,
                 share,
@@ -165,7 +170,8 @@ def _codes(dataset: Dataset, one: Inspection) -> Iterator[Told]:
 
 def _background(dataset: Dataset, one: Inspection) -> Iterator[Told]:
     rule = dataset.display.background_luminance_cd_m2
-    by_noise = SKEW * one.noise_contrast
+    is_cut = one.noise_contrast > LOUD and (one.crushed_share or 0.0) > 0.0
+    by_noise = SKEWED if is_cut else SKEW * one.noise_contrast
     by_pattern = min(CERTAIN * one.ring_ratio_error, MOST_BY_PATTERN * one.noise_contrast)
     if abs(one.ring_ratio - 1.0) > max(MATTERS, by_noise, by_pattern):
         advice = (
