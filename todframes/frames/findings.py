@@ -213,7 +213,8 @@ def _contrast(dataset: Dataset, one: Inspection) -> Iterator[Told]:
     if slope is None or error is None:
         return
     if one.size_ratio is not None and not _is_other_size(one):
-        slope *= one.size_ratio**2  # the light of the triangle: a blur hides whether it is larger or stronger
+        # Noise and blur hide whether a triangle is larger or stronger; its light is known better.
+        slope = min(slope, slope * one.size_ratio**2, key=lambda value: abs(abs(value) - 1.0))
     if slope < -CERTAIN * error and one.shown_as is not None:
         shown, stated = ("darker", "brighter")[:: one.stimulus.polarity]
         yield (
