@@ -47,6 +47,10 @@ SIZE_SCATTER = 0.2
 """Relative scatter of a size over trials beyond which a group has triangles of several sizes."""
 
 
+SIZE_PER_BLUR = 1.5
+"""Relative scatter of a size that sampling may cause, in standard deviations of the blur per size."""
+
+
 TURN_MRAD, LEAST_TURN_RAD = 0.035, 0.0175
 """Displacement of a triangle's corners by a rotation that matters, and the least rotation that is told."""
 
@@ -69,7 +73,7 @@ whose noise reaches that end. Loud is a noise of that contrast."""
 
 
 SKEWED = 0.1
-"""Relative deviation of a background's luminance that noise cut off at code 0 may cause."""
+"""Relative deviation of the background's luminance in loud frames, from noise cut off or a fixed pattern."""
 
 
 UNEVEN_PER_LEVEL, TIMES_TEXTURE = 0.15, 4.0
@@ -170,8 +174,7 @@ def _codes(dataset: Dataset, one: Inspection) -> Iterator[Told]:
 
 def _background(dataset: Dataset, one: Inspection) -> Iterator[Told]:
     rule = dataset.display.background_luminance_cd_m2
-    is_cut = one.noise_contrast > LOUD and (one.crushed_share or 0.0) > 0.0
-    by_noise = SKEWED if is_cut else SKEW * one.noise_contrast
+    by_noise = SKEWED if one.noise_contrast > LOUD else SKEW * one.noise_contrast
     by_pattern = min(CERTAIN * one.ring_ratio_error, MOST_BY_PATTERN * one.noise_contrast)
     if abs(one.ring_ratio - 1.0) > max(MATTERS, by_noise, by_pattern):
         advice = (
@@ -349,7 +352,9 @@ def _size(_: Dataset, one: Inspection) -> Iterator[Told]:
             f"of {one.size_px:.3g} pixels): the observer looks for another size; check that size_mrad is the root "
             "of the area in mrad, and the pixel pitch",
         )
-    elif one.size_scatter is not None and one.size_scatter > SIZE_SCATTER:
+    elif one.size_scatter and one.size_scatter > max(
+        SIZE_SCATTER, SIZE_PER_BLUR * (one.blur_px or 0) / one.size_px
+    ):
         yield (
             "mixed_sizes",
             one.size_scatter,
