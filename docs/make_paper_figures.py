@@ -27,7 +27,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, NullFormatter
 from scipy.optimize import brentq
 
-from sensor_sim.noise import delta_t_mk, excess_kurtosis, k_factor, noise_parts
+from sensor_sim.noise import delta_t_as_printed_mk, delta_t_mk, excess_kurtosis, k_factor, noise_parts
 from sensor_sim.pictures import trial_stages
 from sensor_sim.predict import FoldedChain, PredictedThreshold, predict_threshold
 from sensor_sim.sensor import Sensor, load_sensor
@@ -37,7 +37,8 @@ from todframes.observers.decision import answer_probability
 from todframes.observers.laplacian_pyramid import LaplacianPyramid
 from todframes.observers.pyramid import PyramidObserver, PyramidSettings
 from todframes.observers.retina import resample
-from todframes.psychometrics.fit import FitSettings, PsychometricFit, fit_trials
+from todframes.psychometrics.fit import CurveName, FitSettings, PsychometricFit, fit_trials
+from todframes.psychometrics.observer_curve import observer_curve
 from todframes.psychometrics.weibull import weibull
 from todframes.scoring.naked_eye import Threshold, acuity, contrast_threshold, proportion_correct
 from todframes.stimulus import ORIENTATIONS, Orientation, Stimulus, coverage
@@ -236,13 +237,13 @@ def camera_numbers() -> Values:
         snr_rows.append([f"{size:g}", *snrs, f"{ratios[-1]:.3f}"])
         per_snr = float(delta_t_mk(1.0, noise=sensor.noise))
         delta_ts = [number(per_snr * one.threshold, per_snr * one.numerical_error) for one in found]
-        other = [f"{per_snr * one.threshold / k_factor(sensor.noise) ** 2:.1f}" for one in found]
+        other = [f"{float(delta_t_as_printed_mk(one.threshold, noise=sensor.noise)):.1f}" for one in found]
         delta_t_rows.append([f"{size:g}", f"{1.0 / size:.3f}", *delta_ts, *other])
     acuities = [camera_acuity(sensor, settings) for settings in both]
     perfect = camera_acuity(sensor, with_noise(0.0))
     change = acuities[0].size_detectors / acuities[1].size_detectors
     snr_rows.append(["acuity (detectors)", *(number(*one) for one in acuities), f"{change:.3f}"])
-    head = ["size (detectors)", "1/size", "noise 0.5", "noise 0.25", "0.5, divided by k", "0.25, divided by k"]
+    head = ["size (detectors)", "1/size", "noise 0.5", "noise 0.25", "0.5, as printed", "0.25, as printed"]
     return {
         "camera": table(["size (detectors)", "SNR, noise 0.5", "SNR, noise 0.25", "ratio"], snr_rows),
         "delta_t": table(head, delta_t_rows),
@@ -319,17 +320,22 @@ def levels_between(
     return near * np.exp(np.linspace(low, high, 9))
 
 
-def weibull_fit(
-    proportion: Callable[[float], float], levels: np.ndarray, lapse_rate_max: float = 0.05
+def curve_fit(
+    proportion: Callable[[float], float],
+    levels: np.ndarray,
+    curve: CurveName = "weibull",
+    lapse_rate_max: float = 0.05,
 ) -> PsychometricFit:
-    """Eq. 3 through proportions that have no error."""
+    """Eq. 3, or the observer's curve, through proportions that have no error."""
     points = [proportion(level) for level in levels]
     settings = FitSettings(resamples=0, lapse_rate_max=lapse_rate_max)
-    return fit_trials(levels, points, settings=settings, rng=np.random.default_rng(0))
+    return fit_trials(levels, points, curve=curve, settings=settings, rng=np.random.default_rng(0))
 
 
 def fitted_curve(fit: PsychometricFit, level: np.ndarray) -> np.ndarray:
-    """The Weibull curve of a fit."""
+    """The curve of a fit."""
+    if fit.observer_curve is not None:
+        return observer_curve(level, **fit.observer_curve._asdict())
     return weibull(level, alpha=fit.alpha, beta=fit.beta, guess_rate=fit.gamma, lapse_rate=fit.delta)
 
 
@@ -349,15 +355,20 @@ def weibull_numbers() -> Values:
         ).threshold
 
     small, large = camera(CAMERA_SIZES[0]), camera(CAMERA_SIZES[-1])
+    eye = naked_eye_proportion, contrast(DEFAULT, 1.0).threshold
+    of_large, of_small = (f"camera, {size:g} detectors" for size in (CAMERA_SIZES[-1], CAMERA_SIZES[0]))
     cases = (
-        ("naked eye, 1 mrad", naked_eye_proportion, contrast(DEFAULT, 1.0).threshold, 0.05),
-        (f"camera, {CAMERA_SIZES[-1]:g} detectors", *large, 0.05),
-        (f"camera, {CAMERA_SIZES[0]:g} detectors", *small, 0.05),
-        ("the same, δ up to 0.2", *small, 0.2),
+        ("naked eye, 1 mrad: eq. 3", *eye, "weibull", 0.05),
+        ("the observer's curve", *eye, "observer", 0.05),
+        (f"{of_large}: eq. 3", *large, "weibull", 0.05),
+        ("the observer's curve", *large, "observer", 0.05),
+        (f"{of_small}: eq. 3", *small, "weibull", 0.05),
+        ("eq. 3, δ up to 0.2", *small, "weibull", 0.2),
+        ("the observer's curve", *small, "observer", 0.05),
     )
     ranges = ((0.3, 0.99), (0.5, 0.98), (0.5, 0.9), (0.65, 0.85))
     rows, off_75 = [], {}
-    for name, proportion, near, lapse_rate_max in cases:
+    for number, (name, proportion, near, curve, lapse_rate_max) in enumerate(cases):
         exact = brentq(lambda x, p=proportion: p(x) - 0.75, near / 2.0, near * 2.0, rtol=1e-6)
         row = [name]
         for bounds in ranges:
@@ -365,17 +376,17 @@ def weibull_numbers() -> Values:
             if levels is None:
                 row.append("not reached")
                 continue
-            fit = weibull_fit(proportion, levels, lapse_rate_max)
+            fit = curve_fit(proportion, levels, curve, lapse_rate_max)
             off = max(abs(fitted_curve(fit, x) - proportion(x)) for x in levels)
-            off_75[name, bounds] = f"{100 * abs(fit.threshold / exact - 1):.1f} %"
-            row.append(f"{100 * (fit.threshold / exact - 1):+.1f} % ({100 * off:.1f})")
+            off_75[number, bounds] = f"{100 * abs(fit.threshold / exact - 1):.1f} %"
+            row.append(f"{100 * (fit.threshold / exact - 1):+.2f} % ({100 * off:.2f})")
         rows.append(row)
     head = ["", *(f"{100 * low:g}–{100 * high:g} % correct" for low, high in ranges)]
     return {
         "weibull": table(head, rows),
-        "weibull_wide": off_75[cases[0][0], ranges[0]],
-        "weibull_usual": off_75[cases[0][0], ranges[1]],
-        "weibull_ceiling": off_75[cases[2][0], ranges[2]],
+        "weibull_wide": off_75[0, ranges[0]],
+        "weibull_usual": off_75[0, ranges[1]],
+        "weibull_ceiling": off_75[4, ranges[2]],
     }
 
 
@@ -644,7 +655,7 @@ def figure_4() -> Figure:
     levels = levels_between(naked_eye_proportion, (0.3, 0.99), near)
     assert levels is not None
     points = np.array([naked_eye_proportion(level) for level in levels])
-    fit = weibull_fit(naked_eye_proportion, levels)
+    fit = curve_fit(naked_eye_proportion, levels)
     fine = np.geomspace(0.5 * levels[0], 1.5 * levels[-1], 200)
     figure = Figure(figsize=(6.0, 5.4), layout="constrained")
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1))
@@ -725,11 +736,11 @@ def figure_7() -> Figure:
         inverse = 1.0 / np.array(CAMERA_SIZES)
         snr = np.array([threshold_snr(sensor, settings, size).threshold for size in CAMERA_SIZES])
         delta_t = delta_t_mk(snr, noise=sensor.noise)
-        label = f"internal noise {noise:g}, SNR · NETD · k"
+        label = f"internal noise {noise:g}, SNR · NETD / k"
         axes.plot(inverse, delta_t, marker, ls="-", color=colour, lw=1.2, label=label)
-        divided = delta_t / k_factor(sensor.noise) ** 2
+        printed = delta_t_as_printed_mk(snr, noise=sensor.noise)
         axes.plot(
-            inverse, divided, ls="--", color=colour, lw=1.0, label=f"internal noise {noise:g}, SNR · NETD / k"
+            inverse, printed, ls="--", color=colour, lw=1.0, label=f"internal noise {noise:g}, SNR · NETD · k"
         )
         smallest = camera_acuity(sensor, settings).size_detectors
         place = (1.0 / smallest, ACUITY_DELTA_T_MK)

@@ -76,7 +76,7 @@ def curve(
     """
     started = time.perf_counter()
     from sensor_sim.curve_plan import plan_curve
-    from sensor_sim.noise import delta_t_mk
+    from sensor_sim.noise import delta_t_as_printed_mk, delta_t_mk
     from sensor_sim.predict import FoldedChain, predict_threshold
 
     judge, settings = described(observer)
@@ -94,9 +94,11 @@ def curve(
         found = predict_threshold(chain, p_correct=p_correct, tolerance=tolerance, seed=seed)
         snr = found.threshold
         phases = Step("phases", True, f"{found.n_phases} trials, as the tolerance takes")
-        warm = None
+        warm = warm_as_printed = None
         if snr is not None and sensor.noise.netd_mk is not None:
-            warm = float(delta_t_mk(snr, noise=sensor.noise))
+            warm, warm_as_printed = (
+                float(convert(snr, noise=sensor.noise)) for convert in (delta_t_mk, delta_t_as_printed_mk)
+            )
         fits.append(
             Fit(
                 group={"size_detectors": size},
@@ -111,6 +113,7 @@ def curve(
                 p_correct_left_out_bound=steps.bound,
                 plan=tuple(plan_object((*steps.steps, phases), chain.drawing_s / steps.unit_s)),
                 delta_t_mk=warm,
+                delta_t_as_printed_mk=warm_as_printed,
                 run_time_s=round(time.perf_counter() - started_size, 4),
             )
         )

@@ -52,10 +52,10 @@ def noise_parts(noise: Noise, *, total_sd: float) -> NoiseParts:
 
 
 def delta_t_mk(snr: ArrayLike, *, noise: Noise) -> FloatArray:
-    """Convert a signal-to-noise ratio to a temperature difference: ΔT = SNR · NETD · k.
+    """Convert a signal-to-noise ratio to a temperature difference: ΔT = SNR · NETD / k.
 
-    The equation is used as printed: it takes NETD·k for the noise of one displayed sample. If NETD were the noise
-    of a single frame and SNR that of the integrated sample, ΔT would be SNR · NETD / k: a factor k² less.
+    NETD is the noise of a single frame, so NETD / k is that of the displayed sample, which the SNR refers to: more
+    frames integrated and less fixed pattern lower ΔT at the same SNR.
 
     Parameters
     ----------
@@ -71,11 +71,26 @@ def delta_t_mk(snr: ArrayLike, *, noise: Noise) -> FloatArray:
     SettingsError
         If the sensor has no NETD.
 
+    Hogervorst et al. 2001, section 8.2, the text below eq. 4.
+    """
+    return np.asarray(snr, dtype=np.float64) * (_netd_mk(noise) / k_factor(noise))
+
+
+def delta_t_as_printed_mk(snr: ArrayLike, *, noise: Noise) -> FloatArray:
+    """Convert a signal-to-noise ratio to a temperature difference by eq. 4 as printed: ΔT = SNR · NETD · k.
+
+    It is k² times `delta_t_mk`, and rises with more frames integrated. Parameters, return value and errors are
+    those of `delta_t_mk`.
+
     Hogervorst et al. 2001, eq. 4.
     """
+    return np.asarray(snr, dtype=np.float64) * (_netd_mk(noise) * k_factor(noise))
+
+
+def _netd_mk(noise: Noise) -> float:
     if noise.netd_mk is None:
         raise SettingsError("netd_mk: is missing, expected a number of mK to convert SNR to a temperature")
-    return np.asarray(snr, dtype=np.float64) * (noise.netd_mk * k_factor(noise))
+    return noise.netd_mk
 
 
 def excess_kurtosis(noise: Noise) -> float:

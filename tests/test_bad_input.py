@@ -1008,6 +1008,7 @@ USAGES = {
     "dataset not given": ("score", ("DATASET",)),
     "two datasets": ("score x y", ("y",)),
     "decisions": ("score x --decisions guessed", ("--decisions", "guessed", "expected", "sampled")),
+    "curve": ("score x --curve probit", ("--curve", "probit", "observer", "weibull")),
     "on-error": ("score x --on-error ignore", ("--on-error", "ignore", "stop", "skip")),
     "seed negative": ("score x --seed -1", ("--seed", "-1")),
     "seed text": ("score x --seed one", ("--seed", "one")),

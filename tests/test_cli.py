@@ -55,6 +55,25 @@ def test_score_as_json(todframes, make_dataset) -> None:
     assert result["fits"][0]["threshold"] > result["fits"][1]["threshold"]
 
 
+def test_curve_of_the_thresholds(todframes, make_dataset) -> None:
+    path = make_dataset(sizes_mrad=(1.0,), contrasts=(0.05, 0.1, 0.2)).path
+    (own,), (weibull,) = (
+        json.loads(todframes("score", path, "--json", *more)[1])["fits"] for more in ((), ("--curve", "weibull"))
+    )
+    assert (own["curve"], weibull["curve"]) == ("observer", "weibull")
+    assert own["weibull_threshold"] == weibull["weibull_threshold"] == weibull["threshold"]
+    assert set(own["observer_curve"]) == {"alpha", "beta", "max_d_prime"}
+    assert weibull["observer_curve"] is None
+    for name in ("alpha", "beta", "gamma", "delta"):
+        assert own[name] == weibull[name]
+    table = todframes("score", path, "--quiet")[1]
+    assert f"{own['threshold']:#.4g}" in table
+    assert "Weibull" not in table
+    told = todframes("score", path, "--quiet", "--verbose")[1]
+    assert f"{own['weibull_threshold']:#.4g}" in told
+    assert "Weibull" in told
+
+
 def test_score_writes_what_it_prints(todframes, make_dataset, tmp_path: Path) -> None:
     path = make_dataset(sizes_mrad=(1.0, 2.0), contrasts=(0.05, 0.1, 0.2)).path
     out_folder = tmp_path / "result"

@@ -176,8 +176,8 @@ def test_nothing_to_plot_is_said() -> None:
 def test_a_notebook_shows_table_and_curve(scored) -> None:
     shown = scored._repr_html_()
     assert shown.count("<table>") == shown.count("<svg") == 1
-    assert "0.3030" in shown and "http" not in shown
-    assert repr(scored).startswith("<Result of score: At 75 % correct the threshold contrast is 0.303")
+    assert "0.3045" in shown and "http" not in shown
+    assert repr(scored).startswith("<Result of score: At 75 % correct the threshold contrast is 0.305")
 
 
 def test_own_observer_from_a_module(tmp_path: Path, monkeypatch, commanded) -> None:

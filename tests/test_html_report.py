@@ -18,12 +18,18 @@ from typing import Any
 from urllib.parse import unquote
 from xml.etree import ElementTree
 
+import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from todframes.cli.console import run
 from todframes.cli.main import cli
 from todframes.errors import DataError
+from todframes.psychometrics.fit import FitSettings, fit_trials
+from todframes.psychometrics.observer_curve import observer_curve
+from todframes.report.data import Fit
 from todframes.report.figure_style import COLOURS
+from todframes.report.figures import draw_psychometric
 from todframes.report.result import read_result
 from todframes.report.summary import verdict
 
@@ -247,7 +253,7 @@ def test_remarks_on_error(pages) -> None:
     text = words(tree(pages["score"]))
     assert "Run time 1.25 s." in text
     assert "P(correct) is right within 0.0003" in text
-    assert "up to 5.0 % away from the fitted curve" in text
+    assert "up to 5.0 % away from the fitted Weibull curve" in text
     assert "Numerical error of the thresholds: 0.24 % at most." in words(tree(pages["curve"]))
 
 
@@ -386,6 +392,21 @@ def test_psychometric_figure_shows_the_points(results, pages) -> None:
     expected = [point["p_correct"] for point in fit["points"]]
     # Heights are rounded to 0.01 of about 250 units.
     assert [(y - found[0]) / scale for y in found] == pytest.approx([p - expected[0] for p in expected], abs=1e-3)
+
+
+@pytest.mark.parametrize("curve", ["observer", "weibull"])
+def test_drawn_curve_is_that_of_the_threshold(curve) -> None:
+    level = np.geomspace(0.5, 2.0, 7)
+    p_correct = observer_curve(level, alpha=0.6, beta=1.0, max_d_prime=3.0)
+    fit = fit_trials(
+        level, p_correct, curve=curve, settings=FitSettings(resamples=0), rng=np.random.default_rng(0)
+    )
+    figure = Figure()
+    axes = figure.subplots()
+    draw_psychometric(axes, [Fit.of_counts({}, "contrast", fit)])
+    drawn = max(axes.get_lines(), key=lambda line: len(line.get_xdata()))
+    # A line through 100 points of a curve that is nearly straight between them.
+    assert np.interp(fit.threshold, *drawn.get_data()) == pytest.approx(0.75, abs=1e-4)
 
 
 def test_figures_follow_the_page(pages) -> None:

@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sensor_sim.noise import (
+    delta_t_as_printed_mk,
     delta_t_mk,
     displayed_noise,
     draw,
@@ -65,13 +66,28 @@ def test_integration_leaves_the_fixed_pattern():
 
 
 def test_temperature_of_the_paper_s_sensor():
-    # 16 mK · 1.7496 an SNR of 1, by hand.
-    np.testing.assert_allclose(delta_t_mk([1.0, 2.5], noise=PAPER), [27.994, 69.985], atol=1e-3)
+    # 16 mK / 1.7496 and 16 mK · 1.7496 an SNR of 1, by hand.
+    np.testing.assert_allclose(delta_t_mk([1.0, 2.5], noise=PAPER), [9.145, 22.862], atol=1e-3)
+    np.testing.assert_allclose(delta_t_as_printed_mk([1.0, 2.5], noise=PAPER), [27.994, 69.985], atol=1e-3)
+
+
+def test_more_frames_and_less_fixed_pattern_lower_the_temperature():
+    """At the same SNR of the displayed sample, less noise in it takes less signal."""
+    for worse, better in (
+        (Noise(netd_mk=20.0, frames_integrated=1), Noise(netd_mk=20.0, frames_integrated=4)),
+        (Noise(netd_mk=20.0, fixed_pattern_ratio=0.5), Noise(netd_mk=20.0, fixed_pattern_ratio=0.1)),
+    ):
+        assert delta_t_mk(1.0, noise=better) < delta_t_mk(1.0, noise=worse)
+    still = Noise(netd_mk=20.0, frames_integrated=4, fixed_pattern_ratio=0.0)
+    # The mean of four frames has half the noise of one.
+    assert delta_t_mk(3.0, noise=still) == pytest.approx(3.0 * 20.0 / 2.0, rel=1e-12)
 
 
 def test_temperature_needs_a_netd():
     with pytest.raises(SettingsError, match=r"^netd_mk: is missing, expected a number of mK"):
         delta_t_mk(1.0, noise=Noise())
+    with pytest.raises(SettingsError, match=r"^netd_mk: is missing, expected a number of mK"):
+        delta_t_as_printed_mk(1.0, noise=Noise())
 
 
 # Draws

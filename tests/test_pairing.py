@@ -128,10 +128,11 @@ def answers_of_two_alike(*, common: float, own: float, sampled: bool) -> tuple[n
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("experiments", "common", "own", "sampled"), [(300, 1.0, 0.5, False), (100, 0.0, 0.5, True)]
+    ("experiments", "common", "own", "sampled", "curve"),
+    [(300, 1.0, 0.5, False, "observer"), (300, 1.0, 0.5, False, "weibull"), (100, 0.0, 0.5, True, "weibull")],
 )
 def test_algorithms_that_are_alike_are_hardly_ever_called_different(
-    experiments: int, common: float, own: float, sampled: bool
+    experiments: int, common: float, own: float, sampled: bool, curve: str
 ) -> None:
     """At most 5 % of simulated experiments of 12 trials a level; more of them in benchmarks/bench_pairing.py."""
     levels, answers = answers_of_two_alike(common=common, own=own, sampled=sampled)
@@ -139,7 +140,7 @@ def test_algorithms_that_are_alike_are_hardly_ever_called_different(
     for _ in range(experiments):
         chosen = rng.integers(answers.shape[1], size=(7, 12))
         p_correct = answers[np.arange(7)[:, None], chosen].reshape(-1, 2).T
-        fits = [fit_trials(level, p, settings=FitSettings(resamples=0), rng=rng) for p in p_correct]
+        fits = [fit_trials(level, p, curve=curve, settings=FitSettings(resamples=0), rng=rng) for p in p_correct]
         draws = ratio_draws(level, p_correct, fits, settings=FitSettings(resamples=119), rng=rng)
         different += threshold_ratio(draws).p_value < 0.05
     assert different <= 0.05 * experiments

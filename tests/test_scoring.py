@@ -13,7 +13,7 @@ from todframes.observers.interface import Readout
 from todframes.observers.pyramid import PyramidObserver, PyramidSettings
 from todframes.psychometrics.fit import FitSettings
 from todframes.scoring.naked_eye import contrast_threshold
-from todframes.scoring.score import score_dataset
+from todframes.scoring.score import score_dataset, settings_of_level
 from todframes.stimulus import ORIENTATIONS, Orientation, Stimulus, coverage
 
 FAST = FitSettings(resamples=0)
@@ -228,6 +228,24 @@ def test_bounding_box_observer_looks_at_the_middle_of_the_box(make_dataset) -> N
     assert by_box.p_correct.min() > score(path).p_correct.max()
 
 
+def test_the_curve_is_the_observer_s_for_its_probabilities_only(make_dataset) -> None:
+    path = make_dataset(contrasts=(0.03, 0.06, 0.12, 0.25), repeats=3).path
+    names = {("expected", None): "observer", ("expected", "weibull"): "weibull", ("sampled", None): "weibull"}
+    fits = {}
+    for (decisions, asked), name in names.items():
+        (group,) = score(path, PyramidObserver(), decisions=decisions, curve=asked).fits
+        assert group.fit.curve == name
+        fits[decisions, asked] = group.fit
+    own, weibull = fits["expected", None], fits["expected", "weibull"]
+    assert own.weibull_threshold == weibull.threshold
+    assert own.threshold != weibull.threshold
+    assert (own.alpha, own.beta, own.delta) == (weibull.alpha, weibull.beta, weibull.delta)
+    with pytest.raises(SettingsError, match=r"curve: found 'observer' with sampled decisions, expected 'weibull'"):
+        score(path, PyramidObserver(), decisions="sampled", curve="observer")
+    with pytest.raises(SettingsError, match="this observer is not linear"):
+        score(path, Guesser(PyramidSettings()), curve="observer")
+
+
 def test_levels_of_size_give_the_acuity(make_dataset) -> None:
     made = make_dataset(
         sizes_mrad=(0.9, 1.2, 1.7, 2.4),
@@ -239,6 +257,7 @@ def test_levels_of_size_give_the_acuity(make_dataset) -> None:
     assert fit.group == ()
     assert fit.fit.status == "ok"
     assert 1.2 < fit.fit.threshold < 2.4
+    assert fit.fit.observer_curve.beta > 1.3  # larger triangles are clearer by more than their size
     assert [point.level for point in fit.fit.points] == [0.9, 1.2, 1.7, 2.4]
 
 
@@ -283,3 +302,10 @@ def test_a_constant_frame_tells_nothing_even_without_noise(make_dataset) -> None
     silent = PyramidObserver(PyramidSettings(internal_noise=0.0))
     assert np.allclose(score(made.path, silent).probabilities, 0.25, atol=1e-9)
     assert np.allclose(score(made.path).probabilities, 0.25, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("level", "expected"), [("contrast", 0.2), ("sent_contrast", 0.2), ("SNR", 0.2), ("size_mrad", None)]
+)
+def test_a_slope_is_expected_of_levels_that_are_the_signal(level: str, expected: float | None) -> None:
+    assert settings_of_level(None, level).slope_spread == expected

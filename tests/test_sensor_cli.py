@@ -176,19 +176,25 @@ def test_curve_as_json(sensor_sim, sensor_file):
         }
         assert (fit["level"], fit["p_correct"], fit["n_trials"]) == ("snr", 0.75, 0)
     small, middle, large = result["fits"]
-    assert (small["status"], small["threshold"], small["delta_t_mk"]) == ("never_reached", None, None)
+    assert (small["status"], small["threshold"]) == ("never_reached", None)
+    assert (small["delta_t_mk"], small["delta_t_as_printed_mk"]) == (None, None)
     assert (middle["status"], large["status"]) == ("ok", "ok")
     assert middle["threshold"] > large["threshold"]
     assert 0 < middle["threshold_numerical_error"] <= 0.01 * middle["threshold"]
 
 
-def test_temperature_is_snr_times_netd_times_k(sensor_sim, sensor_file):
+def test_temperature_is_snr_times_the_noise_of_a_displayed_sample(sensor_sim, sensor_file):
     result = json.loads(sensor_sim(*curve(sensor_file, "--json"))[1])
     (fit,) = result["fits"]
     # Of six frames and a ratio of 0.4 the paper has k = 1.7496.
     k = 1.0 / math.sqrt(1 / 6 + 0.16)
     assert k == pytest.approx(1.7496, abs=5e-5)
-    assert fit["delta_t_mk"] == pytest.approx(fit["threshold"] * 25.0 * k, rel=1e-12)
+    assert fit["delta_t_mk"] == pytest.approx(fit["threshold"] * 25.0 / k, rel=1e-12)
+    assert fit["delta_t_as_printed_mk"] == pytest.approx(fit["threshold"] * 25.0 * k, rel=1e-12)
+    assert "eq. 4" not in sensor_sim(*curve(sensor_file))[1]
+    told = sensor_sim(*curve(sensor_file, "--verbose"))[1]
+    assert f"{fit['delta_t_as_printed_mk']:#.4g}" in told
+    assert "eq. 4 of the paper as printed multiplies by k instead" in told
 
 
 def test_curve_shows_a_table(sensor_sim, sensor_file):

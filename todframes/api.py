@@ -19,7 +19,7 @@ from todframes.frames.display import Display
 from todframes.frames.findings import frame_warnings
 from todframes.frames.inspection import inspect, records
 from todframes.observers.interface import ENTRY_POINT_GROUP, Observer, find_observer
-from todframes.psychometrics.fit import FitSettings
+from todframes.psychometrics.fit import CurveName, FitSettings
 from todframes.psychometrics.fit import fit_counts as fit_counts_of_one
 from todframes.report.advice import above_contrast_1, levels_to_add
 from todframes.report.data import DatasetRecord, Fit, Group, ResultWarning, algorithms, group_of, thresholds_of
@@ -43,6 +43,7 @@ def score(
     *,
     observer: str | Observer = "pyramid",
     decisions: Decisions = "expected",
+    curve: CurveName | None = None,
     tolerance: float | None = None,
     plan: PlanName = "needed",
     seed: int = 1,
@@ -64,6 +65,9 @@ def score(
         Name of a registered observer, "module:Class", or an observer: `PyramidObserver(internal_noise=0.25)`.
     decisions : {"expected", "sampled"}
         Use each frame's probability of a correct answer, or draw one answer for each trial.
+    curve : {"observer", "weibull"}, optional
+        Psychometric function of the thresholds: the observer's own, which needs expected decisions, or Weibull's,
+        as for people's answers. Default: the observer's for expected decisions, Weibull's for sampled ones.
     tolerance : float, optional
         Largest relative error of the thresholds that displacing the retina may cause. The number of displacements
         of each frame is chosen to meet it. Default: one displacement for each frame.
@@ -119,6 +123,7 @@ def score(
         data,
         judge,
         decisions=decisions,
+        curve=curve,
         seed=seed,
         fit_settings=fit,
         tolerance=tolerance,
@@ -257,6 +262,7 @@ def compare(
     white: float = 1.0,
     allow_clipping: bool = False,
     decisions: Decisions = "expected",
+    curve: CurveName | None = None,
     plan: PlanName = "needed",
     seed: int = 1,
     p_correct: float | None = None,
@@ -273,7 +279,7 @@ def compare(
 
     Parameters
     ----------
-    dataset, observer, decisions, plan, seed, p_correct, fit, locate, on_error, workers, examples, progress
+    dataset, observer, decisions, curve, plan, seed, p_correct, fit, locate, on_error, workers, examples, progress
         Parameters as in `score`.
     enhance : iterable of str or function
         Algorithms: "name" of a registered one or "module:function", optionally followed by ":parameter=value,…";
@@ -323,6 +329,7 @@ def compare(
         judge,
         found,
         decisions=decisions,
+        curve=curve,
         seed=seed,
         fit_settings=fit,
         screen=screen,

@@ -15,7 +15,7 @@ from timing import Row
 from todframes.enhancement.compare import SIGNIFICANCE
 from todframes.observers.decision import answer_probability
 from todframes.observers.pyramid import PyramidObserver
-from todframes.psychometrics.fit import FitSettings, fit_trials
+from todframes.psychometrics.fit import CurveName, FitSettings, fit_trials
 from todframes.psychometrics.paired_bootstrap import ThresholdRatio, ratio_draws, threshold_ratio
 from todframes.scoring.naked_eye import contrast_threshold
 from todframes.stimulus import Orientation, Stimulus, coverage
@@ -88,7 +88,8 @@ class Scene:
                 answers.append(answer_probability(scores, self.covariance, 0, nodes=24))
             else:
                 answers.append(((scores + internal).argmax(axis=1) == 0).astype(np.float64))
-        fits = [fit_trials(level, p, settings=FitSettings(resamples=0), rng=rng) for p in answers]
+        curve: CurveName = "observer" if case.decisions == "expected" else "weibull"
+        fits = [fit_trials(level, p, curve=curve, settings=FitSettings(resamples=0), rng=rng) for p in answers]
         settings = FitSettings(resamples=resamples)
         return threshold_ratio(ratio_draws(level, np.array(answers), fits, settings=settings, rng=rng))
 

@@ -117,6 +117,12 @@ scoring_options = options(
         show_default=True,
         help="Each frame's probability of a correct answer, or one answer drawn a trial.",
     ),
+    click.option(
+        "--curve",
+        type=click.Choice(["observer", "weibull"]),
+        help="Psychometric function of the thresholds: the observer's own, or Weibull's, as for people.  "
+        "[default: observer for expected decisions, weibull for sampled ones]",
+    ),
     plan_option,
     seed_option,
     click.option(

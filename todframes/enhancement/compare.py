@@ -23,11 +23,18 @@ from todframes.errors import SettingsError
 from todframes.frames.dataset import Dataset, Trial
 from todframes.frames.position import check_places
 from todframes.observers.interface import Observer, Readout
-from todframes.psychometrics.fit import MAX_RESAMPLES, FitSettings
+from todframes.psychometrics.fit import MAX_RESAMPLES, CurveName, FitSettings
 from todframes.psychometrics.paired_bootstrap import RatioDraws, ThresholdRatio, holm, ratio_draws, threshold_ratio
 from todframes.scoring.error_budget import PlanName
 from todframes.scoring.plan import plan_score
-from todframes.scoring.score import ScoredDataset, check_seen, fit_groups, usable_trials
+from todframes.scoring.score import (
+    ScoredDataset,
+    check_seen,
+    fit_groups,
+    fitted_curve,
+    settings_of_level,
+    usable_trials,
+)
 from todframes.scoring.trials import RATIO_STREAMS, Decisions, Scoring, SeenTrial, look_at, see, see_trials
 
 Verdict = Literal["better", "worse", "no difference shown", "mixed"]
@@ -90,6 +97,7 @@ def compare_dataset(
     enhancements: Sequence[Enhancement],
     *,
     decisions: Decisions = "expected",
+    curve: CurveName | None = None,
     seed: int = 1,
     fit_settings: FitSettings | None = None,
     screen: Screen | None = None,
@@ -123,10 +131,11 @@ def compare_dataset(
         If a row or frame is bad, or an algorithm fails on a frame. If bad frames are skipped, the trial is skipped
         for all algorithms instead.
     SettingsError
-        If an algorithm is given twice, there are no resamples, or decisions are "expected" and the observer is not
-        linear.
+        If an algorithm is given twice, there are no resamples, decisions are "expected" and the observer is not
+        linear, or the observer's curve is asked for and decisions are not "expected".
     """
-    fit_settings = fit_settings or FitSettings()
+    fit_settings = settings_of_level(fit_settings, dataset.experiment.level)
+    curve = fitted_curve(curve, decisions)
     if not fit_settings.resamples:
         raise SettingsError("resamples: found 0, expected 40 or more: a comparison rests on them")
     algorithms = [find_enhancement(REFERENCE), *(one for one in enhancements if not one.is_reference)]
@@ -151,7 +160,7 @@ def compare_dataset(
     )
     skipped += unread
     check_seen(dataset, seen, skipped)
-    fit = partial(fit_groups, plan, seed=seed, fit_settings=fit_settings, expected=expected)
+    fit = partial(fit_groups, plan, seed=seed, fit_settings=fit_settings, curve=curve, expected=expected)
     scored = [
         replace(fit([trial.seen[k] for trial in seen]), skipped=tuple(skipped)) for k in range(len(algorithms))
     ]

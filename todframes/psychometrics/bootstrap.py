@@ -11,11 +11,15 @@ from numpy.typing import NDArray
 
 from todframes._typing import FloatArray
 from todframes.normal import normal_cdf
-from todframes.psychometrics.weibull import WeibullModel, binomial_loglik
+from todframes.psychometrics.likelihood import CurveModel, binomial_loglik
 
 _CHI2_95 = 3.841458820694124
 CURVE_TRIALS = 5
 PLUS_TRIALS = 4
+ANSWER_TOLERANCE, PROBABILITY_TOLERANCE = 1e-4, 1e-8
+"""Tolerances in log-likelihood of fits to repeated experiments: their square root is 1 % of a standard error, that
+of answers of 0 and 1, or of probabilities that vary a hundred times less."""
+
 _Z_95 = 1.959963984540054
 _BATCH_ELEMENTS = 1 << 17
 
@@ -89,7 +93,7 @@ def batches(size: int, n_elements: int) -> list[int]:
 
 
 def threshold_interval(
-    model: WeibullModel,
+    model: CurveModel,
     theta: FloatArray,
     loglik: float,
     observed: Observed,
@@ -99,19 +103,24 @@ def threshold_interval(
     """Bound ln x_c by BCa (Efron 1987), acceleration as for several samples (Davison & Hinkley 1997, 5.3).
 
     Where a step anywhere between two levels is as likely as the curve (likelihood ratio), the interval spans them.
-    Where the points show their own curve, the interval is that of where they cross the criterion, and reaches to
-    the fitted threshold: a Weibull curve is a convention that other observers do not follow exactly.
+    Where the points show their own curve, and the fitted one is a convention, the interval is that of where they
+    cross the criterion, and reaches to the fitted threshold.
     """
     right, weight = model.influence(theta)
     second, third = observed.moments(right)
     estimate = float(model.ln_threshold(theta[None])[0])
     repeated = observed.resample(right, model.guess_rate, resamples, rng)
-    if observed.shows_its_own_curve:
+    if observed.shows_its_own_curve and model.is_convention:
         crossings = np.sort(crossing_of_points(model, theta, repeated))
         low = crossings[max(math.floor(0.025 * (resamples + 1)) - 1, 0)]
         high = crossings[min(math.ceil(0.975 * (resamples + 1)) - 1, resamples - 1)]
         return min(float(low), estimate), max(float(high), estimate)
-    draws = model.ln_threshold(model.fit_many(repeated))
+    if observed.shows_its_own_curve:
+        starts = np.tile(theta, (resamples, 1))  # all repeated experiments are near this one
+        curves, _ = model.climb(starts, repeated, tolerance=PROBABILITY_TOLERANCE, steps=25)
+    else:
+        curves = model.fit_many(repeated, tolerance=ANSWER_TOLERANCE)
+    draws = model.ln_threshold(curves)
     below = np.mean(draws < estimate - 1e-9) + np.mean(np.abs(draws - estimate) <= 1e-9) / 2
     bias = NormalDist().inv_cdf(float(np.clip(below, 0.5 / resamples, 1 - 0.5 / resamples)))
     relative = weight / max(np.abs(weight).max(), 1e-300)
@@ -125,14 +134,14 @@ def threshold_interval(
     high = max(draws[min(math.ceil(ranks[1]) - 1, resamples - 1)], estimate)
     after = int(np.searchsorted(model.z, estimate))
     if 0 < after < len(model.z):
-        step = np.where(np.arange(len(model.z)) < after, model.guess_rate, 1 - theta[2])
+        step = np.where(np.arange(len(model.z)) < after, model.guess_rate, model.ceiling(theta))
         step_loglik = (model.n_trials * binomial_loglik(observed.p_correct, step)).sum()
         if 2 * (loglik - step_loglik) <= _CHI2_95 * observed.dispersion(right):
             low, high = min(low, model.z[after - 1]), max(high, model.z[after])
     return float(low), float(high)
 
 
-def crossing_of_points(model: WeibullModel, theta: FloatArray, proportions: FloatArray) -> FloatArray:
+def crossing_of_points(model: CurveModel, theta: FloatArray, proportions: FloatArray) -> FloatArray:
     """Find where the points themselves cross the criterion, upwards and nearest to the fitted threshold.
 
     Monotone cubic interpolation (Fritsch & Butland 1984) of ln(−ln(1 − F)), F = (p − γ)/(1 − γ), against ln level:

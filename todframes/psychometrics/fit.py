@@ -1,17 +1,19 @@
-"""The Weibull psychometric function: its maximum-likelihood fit, its threshold and the interval of that.
+"""Psychometric fits: the maximum-likelihood curve, its threshold and the interval of that.
 
-Hogervorst et al. 2001, eq. 3: p(x) = (1 − δ) − (1 − δ − γ)·2^−(x/α)^β. The threshold is the level at a raw
-proportion correct, x_c = α·log2((1 − δ − γ)/(1 − δ − c))^(1/β); α itself is not the 75 % point.
+Two curves can be fitted. `observer` is that of a linear observer's own probabilities (`observer_curve`); `weibull`
+is the convention for people's answers, Hogervorst et al. 2001, eq. 3: p(x) = (1 − δ) − (1 − δ − γ)·2^−(x/α)^β.
 
-The fit maximises Σ p_i ln p(x_i) + (1 − p_i) ln(1 − p(x_i)) over α, β in 1e-2 … 1e3 and δ. In ln x the curve is a
-complementary log-log model, ln(ln 2) + β·(ln x − ln α), with a guess and a lapse rate.
+The threshold is the level at a raw proportion correct, for Weibull's curve x_c = α·log2((1 − δ − γ)/(1 − δ −
+c))^(1/β); α itself is not the 75 % point.
+
+The fit maximises Σ p_i ln p(x_i) + (1 − p_i) ln(1 − p(x_i)) over three parameters; β lies in 1e-2 … 1e3.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,8 +22,11 @@ from todframes._typing import FloatArray
 from todframes.config import check_values
 from todframes.errors import DataError, SettingsError
 from todframes.psychometrics.bootstrap import Observed, crossing_of_points, threshold_interval
-from todframes.psychometrics.weibull import BETA_RANGE, WeibullModel, binomial_loglik
+from todframes.psychometrics.likelihood import SLOPE_RANGE, CurveModel, binomial_loglik
+from todframes.psychometrics.observer_curve import GUESS_RATE, SMALLEST_CEILING, ObserverModel
+from todframes.psychometrics.weibull import WeibullModel
 
+CurveName = Literal["observer", "weibull"]
 Status = Literal["ok", "extrapolated", "never_reached", "always_exceeded", "too_few_levels"]
 EXTRAPOLATION_FACTOR = 2.0
 MIN_RESAMPLES, MAX_RESAMPLES = 40, 100_000
@@ -31,8 +36,11 @@ MIN_RESAMPLES, MAX_RESAMPLES = 40, 100_000
 class FitSettings:
     """Parameters of the psychometric function that are fixed, ranges of those that are free, and the criterion.
 
-    `lapse_rate` None leaves δ free in [0, lapse_rate_max]. `resamples` 0 gives no interval; fewer than 40 would
-    not reach into the 2.5 % tails.
+    Guess and lapse rates are those of Weibull's curve; `lapse_rate` None leaves δ free in [0, lapse_rate_max].
+    `slope_spread` is the standard deviation of ln β of the observer's curve about 0 that a fit expects, for levels
+    that the signal is proportional to: few noisy trials hardly tell a steep curve with a low ceiling from a
+    shallow one with a high ceiling. None: nothing is expected. `resamples` 0 gives no interval; fewer than 40
+    would not reach into the 2.5 % tails.
 
     Raises
     ------
@@ -43,6 +51,7 @@ class FitSettings:
     guess_rate: float = 0.25
     lapse_rate: float | None = None
     lapse_rate_max: float = 0.05
+    slope_spread: float | None = 0.2
     p_correct: float = 0.75
     resamples: int = 2000
 
@@ -56,6 +65,8 @@ class FitSettings:
         top = 1 - (self.lapse_rate or 0.0)
         between = f"strictly between guess_rate = {self.guess_rate:g} and 1 - lapse_rate = {top:g}"
         _require("p_correct", self.p_correct, self.guess_rate < self.p_correct < top, between)
+        if self.slope_spread is not None:
+            _require("slope_spread", self.slope_spread, self.slope_spread >= 1e-3, "a number, 0.001 or more")
         enough = self.resamples == 0 or MIN_RESAMPLES <= self.resamples <= MAX_RESAMPLES
         _require("resamples", self.resamples, enough, f"0 (no interval) or {MIN_RESAMPLES} to {MAX_RESAMPLES}")
 
@@ -74,27 +85,46 @@ class LevelCount:
     p_correct: float
 
 
+class ObserverCurve(NamedTuple):
+    """Parameters of the observer's curve, as for `observer_curve`; `max_d_prime` is None where d′ has no limit."""
+
+    alpha: float
+    beta: float
+    max_d_prime: float | None
+
+
 @dataclass(frozen=True, slots=True)
 class PsychometricFit:
     """A fitted curve and its threshold, the level where the curve passes `p_correct`.
 
+    curve
+        Curve of the threshold, its interval and its status.
+
     status
         `ok`: the threshold lies within the levels shown.
         `extrapolated`: it lies outside, by a factor of 2 at most, and at the nearest level the curve is no farther
-        from the criterion than half the way to its floor γ or ceiling 1 − δ.
+        from the criterion than half the way to its floor or ceiling.
         `never_reached`, `always_exceeded`: the threshold lies farther up or down than that, or the curve is no
         more likely than a flat line at the mean proportion, which is below or not below the criterion.
         `too_few_levels`: fewer than two distinct levels.
         Only `ok` and `extrapolated` have a threshold and an interval. With a flat line or too few levels there is
-        no curve either: `alpha`, `beta` and `delta` are None.
+        no curve either: `alpha`, `beta`, `delta` and `observer_curve` are None.
     threshold_ci95
         A bound is None where the data do not determine it: it is infinite or more than a factor of 2 outside the
         levels. None altogether without a threshold or with `resamples=0`.
+    alpha, beta, gamma, delta
+        Parameters of Weibull's curve, whichever curve the threshold is from.
     points_threshold
         Level where the points themselves cross the criterion, with no fitted curve; for probabilities, with three
-        levels and three trials a level or more. The interval covers this crossing too, with its own error: a
-        Weibull curve is a convention that other observers do not follow exactly.
+        levels and three trials a level or more. The interval of Weibull's curve covers this crossing too, with its
+        own error: that curve is a convention, which observers do not follow exactly.
+    weibull_threshold
+        Threshold of Weibull's curve, None where it has none.
+    observer_curve
+        Parameters of the observer's curve, None for `curve="weibull"`.
     """
+
+    curve: CurveName
 
     status: Status
     threshold: float | None
@@ -107,10 +137,17 @@ class PsychometricFit:
     n_trials: int
     points: tuple[LevelCount, ...]
     points_threshold: float | None = None
+    weibull_threshold: float | None = None
+    observer_curve: ObserverCurve | None = None
 
 
 def fit_trials(
-    level: ArrayLike, p_correct: ArrayLike, *, settings: FitSettings = FitSettings(), rng: np.random.Generator
+    level: ArrayLike,
+    p_correct: ArrayLike,
+    *,
+    curve: CurveName = "weibull",
+    settings: FitSettings = FitSettings(),
+    rng: np.random.Generator,
 ) -> PsychometricFit:
     """Fit a curve to single trials.
 
@@ -121,6 +158,9 @@ def fit_trials(
     p_correct : array_like, (trial,)
         0 or 1 where an answer was drawn, or the probability in [0, 1] that the answer is correct. If all are
         0 or 1, the fit and its interval are those of `fit_counts`.
+    curve : {"weibull", "observer"}
+        "observer": the curve of a linear observer with four answers, for its own probabilities. It has the guess
+        rate 0.25 and no lapses, whatever the settings of Weibull's curve.
     settings : FitSettings
     rng : numpy.random.Generator
         Generator of the resamples; the fit itself is deterministic.
@@ -150,7 +190,7 @@ def fit_trials(
     trials = np.split(p[order], first[1:])
     means = np.array([answers.mean() for answers in trials])
     fractions = bool(np.any((p > 0) & (p < 1)))
-    return _fit(Observed(distinct, n_trials, means, trials if fractions else None), settings, rng)
+    return _fit(Observed(distinct, n_trials, means, trials if fractions else None), curve, settings, rng)
 
 
 def fit_counts(
@@ -196,7 +236,7 @@ def fit_counts(
     distinct, row = np.unique(x, return_inverse=True)
     total = np.bincount(row, n, len(distinct))
     p_correct = np.bincount(row, right, len(distinct)) / total
-    return _fit(Observed(distinct, total.astype(np.int64), p_correct, None), settings, rng)
+    return _fit(Observed(distinct, total.astype(np.int64), p_correct, None), "weibull", settings, rng)
 
 
 def _check_levels(level: FloatArray, name: str, values: FloatArray) -> None:
@@ -212,24 +252,71 @@ def _check(values: FloatArray, valid: NDArray[np.bool_], name: str, expected: st
         raise DataError(f"{name}, element {row}: found {values[row]:g}, expected {expected}")
 
 
-def curve_model(
-    level: FloatArray, n_trials: NDArray[np.intp], settings: FitSettings
-) -> tuple[WeibullModel, float]:
-    """Build the Weibull model for distinct, ascending levels. Returns (model, centre); z = ln(level) − centre."""
-    ln_level = np.log(level)
+class Prepared(NamedTuple):
+    """Model of a curve, whose z is ln(level) − `centre`, and a curve near the most likely one if that is known."""
+
+    model: CurveModel
+    centre: float
+    near: FloatArray | None = None
+
+
+def curve_model(observed: Observed, curve: CurveName, settings: FitSettings) -> Prepared:
+    """Build the model of a curve for some answers."""
+    ln_level = np.log(observed.level)
     centre = float(ln_level[0] + ln_level[-1]) / 2
-    fixed = settings.lapse_rate
-    lapse_rates = (0.0, settings.lapse_rate_max) if fixed is None else (fixed, fixed)
-    lower, upper = np.array([(-600.0, 600.0), np.log(BETA_RANGE), lapse_rates]).T
-    trials = n_trials.astype(np.float64)
-    return WeibullModel(ln_level - centre, trials, settings.guess_rate, settings.p_correct, lower, upper), centre
+    z, trials = ln_level - centre, observed.n_trials.astype(np.float64)
+    places, slopes = (-600.0, 600.0), np.log(SLOPE_RANGE)
+    if curve == "weibull":
+        fixed = settings.lapse_rate
+        lapse_rates = (0.0, settings.lapse_rate_max) if fixed is None else (fixed, fixed)
+        lower, upper = np.array([places, slopes, lapse_rates]).T
+        return Prepared(WeibullModel(z, trials, settings.guess_rate, settings.p_correct, lower, upper), centre)
+    # Two levels tell a place and a slope, no more.
+    limits = (0.0, SMALLEST_CEILING**-2.0 if len(z) > 2 else 0.0)
+    lower, upper = np.array([places, slopes, limits]).T
+    model = ObserverModel(z, trials, GUESS_RATE, settings.p_correct, lower, upper)
+    if settings.slope_spread is None:
+        return Prepared(model, centre)
+    theta, _ = model.fit_one(observed.p_correct, steps=20)
+    right, _, _ = model.curves(theta[None], z)
+    # The likelihood takes probabilities for answers of 0 and 1, and holds too little information by this factor.
+    prior = observed.dispersion(right[0]) / settings.slope_spread**2
+    return Prepared(replace(model, slope_prior=prior), centre, theta)
 
 
-def _fit(observed: Observed, settings: FitSettings, rng: np.random.Generator) -> PsychometricFit:
+class _Fitted(NamedTuple):
+    """The most likely curve of a model, whose z is ln(level) − `centre`.
+
+    `theta` is None where a flat line is as likely.
+    """
+
+    model: CurveModel
+    centre: float
+    status: Status
+    theta: FloatArray | None = None
+    loglik: float = math.nan
+    ln_threshold: float = math.nan
+
+    @property
+    def threshold(self) -> float | None:
+        """Threshold, None unless the status says that there is one."""
+        known = self.status in ("ok", "extrapolated")
+        return math.exp(self.centre + self.ln_threshold) if known else None
+
+    @property
+    def parameters(self) -> tuple[float, float, float]:
+        """Level of the first parameter, slope, and third parameter."""
+        assert self.theta is not None
+        location, ln_slope, third = self.theta.tolist()
+        return math.exp(min(max(self.centre + location, -700.0), 700.0)), math.exp(ln_slope), third
+
+
+def _fit(observed: Observed, curve: CurveName, settings: FitSettings, rng: np.random.Generator) -> PsychometricFit:
     points = tuple(
         map(LevelCount, observed.level.tolist(), observed.n_trials.tolist(), observed.p_correct.tolist())
     )
     nothing = PsychometricFit(
+        curve=curve,
         status="too_few_levels",
         threshold=None,
         threshold_ci95=None,
@@ -243,50 +330,53 @@ def _fit(observed: Observed, settings: FitSettings, rng: np.random.Generator) ->
     )
     if len(points) < 2:
         return nothing
-    model, centre = curve_model(observed.level, observed.n_trials, settings)
-    theta, loglik = model.fit_one(observed.p_correct)
-    mean = np.average(observed.p_correct, weights=observed.n_trials)
-    flat = np.clip(mean, settings.guess_rate, 1 - (settings.lapse_rate or 0.0))
-    flat_loglik = float(binomial_loglik(mean, flat))
-    if loglik / nothing.n_trials <= flat_loglik + 1e-9:
-        return replace(nothing, status="always_exceeded" if mean >= settings.p_correct else "never_reached")
-    ln_threshold = float(model.ln_threshold(theta[None])[0])
-    location, ln_slope, lapse_rate = theta.tolist()
-    curve = replace(
-        nothing,
-        status=_status(model, theta, ln_threshold),
-        alpha=math.exp(min(max(centre + location, -700.0), 700.0)),
-        beta=math.exp(ln_slope),
-        delta=lapse_rate,
-    )
-    if curve.status not in ("ok", "extrapolated"):
-        return curve
+    weibull = _most_likely(observed, "weibull", settings)
+    best = weibull if curve == "weibull" else _most_likely(observed, curve, settings)
+    found = replace(nothing, status=best.status, threshold=best.threshold, weibull_threshold=weibull.threshold)
+    if weibull.theta is not None:
+        alpha, beta, lapse_rate = weibull.parameters
+        found = replace(found, alpha=alpha, beta=beta, delta=lapse_rate)
+    if best.theta is None:
+        return found
+    if curve == "observer":
+        alpha, beta, limit = best.parameters
+        found = replace(found, observer_curve=ObserverCurve(alpha, beta, limit**-0.5 if limit else None))
+    if found.threshold is None:
+        return found
     interval, points_threshold = None, None
     if observed.shows_its_own_curve:
-        crossing = float(crossing_of_points(model, theta, observed.p_correct[None])[0])
-        points_threshold = math.exp(centre + crossing) if math.isfinite(crossing) else None
+        crossing = float(crossing_of_points(best.model, best.theta, observed.p_correct[None])[0])
+        points_threshold = math.exp(best.centre + crossing) if math.isfinite(crossing) else None
     if settings.resamples:
-        reach = math.log(EXTRAPOLATION_FACTOR)
-        low, high = threshold_interval(model, theta, loglik, observed, settings.resamples, rng)
+        reach, z = math.log(EXTRAPOLATION_FACTOR), best.model.z
+        low, high = threshold_interval(best.model, best.theta, best.loglik, observed, settings.resamples, rng)
         interval = (
-            math.exp(centre + low) if low >= model.z[0] - reach else None,
-            math.exp(centre + high) if high <= model.z[-1] + reach else None,
+            math.exp(best.centre + low) if low >= z[0] - reach else None,
+            math.exp(best.centre + high) if high <= z[-1] + reach else None,
         )
-    return replace(
-        curve,
-        threshold=math.exp(centre + ln_threshold),
-        threshold_ci95=interval,
-        points_threshold=points_threshold,
-    )
+    return replace(found, threshold_ci95=interval, points_threshold=points_threshold)
 
 
-def _status(model: WeibullModel, theta: FloatArray, ln_threshold: float) -> Status:
+def _most_likely(observed: Observed, curve: CurveName, settings: FitSettings) -> _Fitted:
+    model, centre, near = curve_model(observed, curve, settings)
+    theta, loglik = model.fit_one(observed.p_correct, near=near)
+    mean = np.average(observed.p_correct, weights=observed.n_trials)
+    flat = np.clip(mean, model.guess_rate, 1 - ((settings.lapse_rate or 0.0) if curve == "weibull" else 0.0))
+    flat_loglik = float(binomial_loglik(mean, flat))
+    without_prior = loglik - float(model.ln_prior(theta))
+    if without_prior / observed.n_trials.sum() <= flat_loglik + 1e-9:
+        return _Fitted(model, centre, "always_exceeded" if mean >= settings.p_correct else "never_reached")
+    ln_threshold = float(model.ln_threshold(theta[None])[0])
+    return _Fitted(model, centre, _status(model, theta, ln_threshold), theta, loglik, ln_threshold)
+
+
+def _status(model: CurveModel, theta: FloatArray, ln_threshold: float) -> Status:
     if model.z[0] <= ln_threshold <= model.z[-1]:
         return "ok"
     above = ln_threshold > model.z[-1]
     end = model.z[-1] if above else model.z[0]
     nearest = float(model.curves(theta[None], np.array([end]))[0][0, 0])
-    limit = model.guess_rate if above else 1 - theta[2]
+    limit = model.guess_rate if above else model.ceiling(theta)
     near = abs(ln_threshold - end) <= math.log(EXTRAPOLATION_FACTOR)
     if near and abs(nearest - model.p_correct) <= abs(limit - model.p_correct) / 2:
         return "extrapolated"

@@ -14,9 +14,19 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from todframes._typing import FloatArray
-from todframes.psychometrics.bootstrap import CURVE_TRIALS, PLUS_TRIALS, batches, resampled_means
+from todframes.psychometrics.bootstrap import (
+    ANSWER_TOLERANCE,
+    CURVE_TRIALS,
+    PLUS_TRIALS,
+    PROBABILITY_TOLERANCE,
+    Observed,
+    batches,
+    resampled_means,
+)
 from todframes.psychometrics.fit import EXTRAPOLATION_FACTOR, FitSettings, PsychometricFit, curve_model
-from todframes.psychometrics.weibull import WeibullModel, weibull
+from todframes.psychometrics.likelihood import CurveModel
+from todframes.psychometrics.observer_curve import observer_curve
+from todframes.psychometrics.weibull import weibull
 
 SAME = 0.01
 """ln of a ratio that counts as 1: thresholds 1 % apart are alike to a person, and fitted curves are no surer."""
@@ -26,8 +36,8 @@ class RatioDraws(NamedTuple):
     """A threshold divided by the reference's, and the same in repeated experiments.
 
     `ratio` is that of the fitted thresholds, `points_ratio` that of the points' own crossings; None where one of
-    the two does not exist. `ln_ratios` has shape (resample,): −∞ or ∞ where only one experiment has a threshold
-    within reach, 0 where neither has.
+    the two thresholds does not exist, and `points_ratio` where the curve is no convention. `ln_ratios` has shape
+    (resample,): −∞ or ∞ where only one experiment has a threshold within reach, 0 where neither has.
     """
 
     ratio: float | None
@@ -60,7 +70,7 @@ def ratio_draws(
     """Compare the thresholds of several series of answers to the same trials with that of the first series.
 
     In each repeated experiment the trials of a level are drawn with replacement, the same ones for all series, and
-    Weibull curves are fitted to all.
+    curves are fitted to all.
 
     Parameters
     ----------
@@ -68,7 +78,7 @@ def ratio_draws(
     p_correct : ndarray, shape (series, trial)
         0 or 1 where an answer was drawn, or the probability in [0, 1] that the answer is correct.
     fits : sequence of PsychometricFit
-        Fit of each series to these trials.
+        Fit of each series to these trials, all with the same curve.
 
     Returns
     -------
@@ -79,15 +89,22 @@ def ratio_draws(
     if len(distinct) < 2:
         return [RatioDraws(None, None, np.zeros(settings.resamples)) for _ in fits[1:]]
     by_level = np.split(p_correct[:, np.argsort(place, kind="stable")], np.cumsum(n_trials)[:-1], axis=1)
-    model, _ = curve_model(distinct, n_trials, settings)
     curves = np.array([_fitted(fit, distinct) for fit in fits])
-    if np.any((p_correct > 0) & (p_correct < 1)):
+    are_probabilities = bool(np.any((p_correct > 0) & (p_correct < 1)))
+    if are_probabilities:
         drawn = _redrawn_probabilities(by_level, curves, settings.resamples, rng)
-        widening = _students_widening(len(level), settings.resamples, rng)
+        widening, tolerance = _students_widening(len(level), settings.resamples, rng), PROBABILITY_TOLERANCE
     else:
         drawn = _redrawn_answers(by_level, curves, settings, rng)
-        widening = np.ones(settings.resamples)
-    ln_thresholds = [_within_reach(model, model.ln_threshold(model.fit_many(answers))) for answers in drawn]
+        widening, tolerance = np.ones(settings.resamples), ANSWER_TOLERANCE
+    ln_thresholds = []
+    for series, (fit, answers) in enumerate(zip(fits, drawn, strict=True)):
+        trials = [of_level[series] for of_level in by_level]
+        means = np.array([of_level.mean() for of_level in trials])
+        observed = Observed(distinct, n_trials, means, trials if are_probabilities else None)
+        model = curve_model(observed, fit.curve, settings).model
+        refits = model.fit_many(answers, tolerance=tolerance)
+        ln_thresholds.append(_within_reach(model, model.ln_threshold(refits)))
     found = []
     for fit, ln_threshold in zip(fits[1:], ln_thresholds[1:], strict=True):
         ratio = _quotient(fit.threshold, fits[0].threshold)
@@ -95,16 +112,17 @@ def ratio_draws(
             ln_ratios = np.nan_to_num(ln_threshold - ln_thresholds[0], nan=0.0, posinf=np.inf, neginf=-np.inf)
         if ratio is not None:
             ln_ratios = math.log(ratio) + (ln_ratios - math.log(ratio)) * widening
-        found.append(RatioDraws(ratio, _quotient(fit.points_threshold, fits[0].points_threshold), ln_ratios))
+        of_points = _quotient(fit.points_threshold, fits[0].points_threshold) if fit.curve == "weibull" else None
+        found.append(RatioDraws(ratio, of_points, ln_ratios))
     return found
 
 
 def threshold_ratio(groups: Sequence[RatioDraws]) -> ThresholdRatio:
     """Pool the ratio of one group of trials, or of several by geometric mean, with interval and p-value.
 
-    The interval is that of the draws, extended to the ratio and, where the points show it, to the ratio of their
-    own crossings: a Weibull curve is a convention that observers do not follow exactly. If one of these is on the
-    other side of 1 than the draws are, no difference is shown.
+    The interval is that of the draws, extended to the ratio and, where a Weibull curve was fitted to
+    probabilities, to the ratio of their own crossings: that curve is a convention that observers do not follow
+    exactly. If one of these is on the other side of 1 than the draws are, no difference is shown.
     """
     ratio = _geometric_mean([group.ratio for group in groups])
     points_ratio = _geometric_mean([group.points_ratio for group in groups])
@@ -206,14 +224,16 @@ def _agreement(by_level: Sequence[FloatArray], curves: FloatArray) -> FloatArray
 
 def _fitted(fit: PsychometricFit, level: FloatArray) -> FloatArray:
     """Evaluate the fitted curve at some levels; the mean proportion where none was fitted."""
-    if fit.alpha is None or fit.beta is None or fit.delta is None:
+    if fit.observer_curve is not None:
+        curve = observer_curve(level, **fit.observer_curve._asdict())
+    elif fit.curve == "observer" or fit.alpha is None or fit.beta is None or fit.delta is None:
         curve = np.full(len(level), sum(point.p_correct * point.n_trials for point in fit.points) / fit.n_trials)
     else:
         curve = weibull(level, alpha=fit.alpha, beta=fit.beta, guess_rate=fit.gamma, lapse_rate=fit.delta)
     return np.asarray(np.clip(curve, 1e-6, 1 - 1e-6))
 
 
-def _within_reach(model: WeibullModel, ln_threshold: FloatArray) -> FloatArray:
+def _within_reach(model: CurveModel, ln_threshold: FloatArray) -> FloatArray:
     """Replace thresholds that lie farther outside the levels than a fit tells by infinity."""
     reach = math.log(EXTRAPOLATION_FACTOR)
     known = np.where(ln_threshold > model.z[-1] + reach, np.inf, ln_threshold)

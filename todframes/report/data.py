@@ -93,6 +93,14 @@ class FitPoint(Struct, frozen=True):
     p_correct: Proportion
 
 
+class CurveParameters(Struct, frozen=True):
+    """Parameters of the observer's curve; `max_d_prime` is None where d′ has no limit."""
+
+    alpha: Positive
+    beta: Positive
+    max_d_prime: Positive | None = NULL
+
+
 class Fit(Struct, frozen=True, kw_only=True, omit_defaults=True):
     """A threshold and the curve it was read from, one object of `fits`.
 
@@ -111,16 +119,24 @@ class Fit(Struct, frozen=True, kw_only=True, omit_defaults=True):
         95 % interval; an end is None if the data leave it open.
     threshold_numerical_error, threshold_displacement_error : float or None
         Error of a computed threshold, and half the 95 % interval over displacements of the retina.
+    curve : str or None
+        Psychometric function of the threshold, "observer" or "weibull"; None for a threshold that was computed.
     points_threshold : float or None
         Level at which the points themselves cross the criterion.
+    weibull_threshold : float or None
+        Threshold of the Weibull curve, which `threshold` is too if `curve` is "weibull".
     alpha, beta, gamma, delta : float or None
         Parameters of the Weibull curve, Hogervorst et al. 2001, eq. 3.
+    observer_curve : CurveParameters or None
+        Parameters of the observer's curve.
     points : tuple of FitPoint
         Proportion correct at each level.
     p_correct_error_bound, p_correct_left_out_bound : float or None
         Bounds on the error in P(correct) from noise that is not Gaussian, and from the omissions of the plan.
     delta_t_mk : float or None
-        The threshold as a temperature difference, in mK.
+        Threshold as a temperature difference in mK, SNR · NETD / k: the noise of a displayed sample is NETD / k.
+    delta_t_as_printed_mk : float or None
+        Temperature difference by eq. 4 of Hogervorst et al. 2001 as printed, SNR · NETD · k, in mK.
     answers : tuple of tuple of float, or None
         If there is no threshold: numbers of answers, expected or drawn, in the trials at `answers_from_level` and
         above. A row for each orientation shown, a column for each answered: up, right, down, left.
@@ -136,6 +152,9 @@ class Fit(Struct, frozen=True, kw_only=True, omit_defaults=True):
     threshold_numerical_error: float | None = NULL
     threshold_displacement_error: float | None = NULL
     p_correct: Proportion
+    curve: str | None = NULL
+    weibull_threshold: Positive | None = NULL
+    observer_curve: CurveParameters | None = NULL
     alpha: Positive | None = NULL
     beta: Positive | None = NULL
     gamma: Proportion | None = NULL
@@ -144,6 +163,7 @@ class Fit(Struct, frozen=True, kw_only=True, omit_defaults=True):
     points: tuple[FitPoint, ...] = EMPTY
     points_threshold: Positive | None = NULL
     delta_t_mk: float | None = NULL
+    delta_t_as_printed_mk: float | None = NULL
     background_luminance_cd_m2: float | None = None
     n_displacements: int | None = None
     n_phases: int | None = None
@@ -159,6 +179,8 @@ class Fit(Struct, frozen=True, kw_only=True, omit_defaults=True):
         """Return the record of a psychometric fit."""
         values = {one.name: getattr(fit, one.name) for one in dataclasses.fields(fit) if one.name != "points"}
         points = tuple(FitPoint(one.level, one.n_trials, one.p_correct) for one in fit.points)
+        if fit.observer_curve is not None:
+            values["observer_curve"] = CurveParameters(*fit.observer_curve)
         return cls(group=group, level=level, points=points, **values)
 
     @classmethod

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from todframes._typing import Json
+from todframes._typing import FloatArray, Json
+from todframes.psychometrics.observer_curve import observer_curve
 from todframes.psychometrics.weibull import weibull
 from todframes.report.data import Algorithm, Fit, Ratio, ResultData, SceneResult
 from todframes.report.figure_style import (
@@ -249,6 +250,18 @@ def draw_psychometric(axes: Axes, fits: Sequence[Fit]) -> None:
         add_legend(axes)
 
 
+def fitted_curve(fit: Fit) -> Callable[[FloatArray], FloatArray] | None:
+    """Return the curve that the threshold was read from, a function of the level; None if none was fitted."""
+    own = fit.observer_curve
+    if own is not None:
+        return partial(observer_curve, alpha=own.alpha, beta=own.beta, max_d_prime=own.max_d_prime)
+    if fit.curve == "observer" or fit.alpha is None or fit.beta is None:
+        return None
+    return partial(
+        weibull, alpha=fit.alpha, beta=fit.beta, guess_rate=fit.gamma or 0.0, lapse_rate=fit.delta or 0.0
+    )
+
+
 def _draw_psychometric_curve(axes: Axes, fit: Fit, look: Look) -> None:
     x = [within(point.level) for point in fit.points]
     trials = [point.n_trials for point in fit.points]
@@ -261,12 +274,10 @@ def _draw_psychometric_curve(axes: Axes, fit: Fit, look: Look) -> None:
         linewidths=0.0,
         label=label_text(group_phrase(fit.group)),
     )
-    if x and fit.alpha is not None and fit.beta is not None:
-        curve = np.geomspace(min(x), max(x), 100)
-        p = weibull(
-            curve, alpha=fit.alpha, beta=fit.beta, guess_rate=fit.gamma or 0.0, lapse_rate=fit.delta or 0.0
-        )
-        axes.plot(curve, p, color=look.colour)
+    curve = fitted_curve(fit)
+    if x and curve is not None:
+        level = np.geomspace(min(x), max(x), 100)
+        axes.plot(level, curve(level), color=look.colour)
     elif len(x) > 1 and not any(trials):
         axes.plot(
             x, [point.p_correct for point in fit.points], color=look.colour

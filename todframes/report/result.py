@@ -50,7 +50,7 @@ class Result(ResultData, frozen=True, kw_only=True, dict=True):
     >>> import todframes as tod
     >>> result = tod.score("sample_frames/naked_eye")
     >>> [(one.group["size_mrad"], round(one.threshold, 3)) for one in result.thresholds]
-    [(0.6, 0.303), (0.9, 0.161), (1.4, 0.102), (2.4, 0.07)]
+    [(0.6, 0.305), (0.9, 0.163), (1.4, 0.104), (2.4, 0.071)]
     """
 
     @classmethod

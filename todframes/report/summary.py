@@ -254,6 +254,11 @@ def remarks(result: ResultData) -> list[str]:
     bound = max((fit.p_correct_error_bound or 0.0 for fit in fits), default=0.0)
     if bound:
         told.append(f"P(correct) is right within {plain(bound, 1)}, as the summed noise is not quite Gaussian.")
+    if any(fit.delta_t_as_printed_mk is not None for fit in fits):
+        told.append(
+            "ΔT is SNR · NETD / k, as the noise of a displayed sample is NETD / k; eq. 4 of the paper as printed "
+            "multiplies by k instead, which gives k² times this ΔT."
+        )
     if result.negative_luminance_pixels:
         told.append(f"{result.negative_luminance_pixels} display pixels have a luminance below zero.")
     return told
@@ -273,11 +278,11 @@ def cautions(result: ResultData) -> list[str]:
     apart = [
         100 * abs(fit.points_threshold / fit.threshold - 1)
         for fit in result.thresholds
-        if fit.threshold is not None and fit.points_threshold is not None
+        if fit.curve != "observer" and fit.threshold is not None and fit.points_threshold is not None
     ]
     if max(apart, default=0.0) >= 1.0:
         told.append(
             f"The points themselves cross the criterion up to {plain(max(apart), 2)} % away from the fitted "
-            "curve; the intervals cover both."
+            "Weibull curve; the intervals cover both."
         )
     return told

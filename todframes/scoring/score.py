@@ -17,7 +17,7 @@ from todframes.frames.contrast import skipped_frames
 from todframes.frames.dataset import Dataset, Skipped, Trial
 from todframes.frames.position import check_places
 from todframes.observers.interface import Observer
-from todframes.psychometrics.fit import FitSettings, PsychometricFit, fit_trials
+from todframes.psychometrics.fit import CurveName, FitSettings, PsychometricFit, fit_trials
 from todframes.scoring.error_budget import PlanName, Step
 from todframes.scoring.plan import ScorePlan, plan_score
 from todframes.scoring.trials import (
@@ -33,6 +33,10 @@ from todframes.stimulus import Stimulus
 
 MOST_DISPLACEMENTS = 64
 """Largest number of displacements of each trial in each replicate."""
+
+
+SIGNAL_WORDS = ("contrast", "snr")
+"""Words in the names of levels that the signal in a frame is proportional to."""
 
 
 DEFAULT_TOLERANCE = 2e-3
@@ -107,6 +111,7 @@ def score_dataset(
     observer: Observer,
     *,
     decisions: Decisions = "expected",
+    curve: CurveName | None = None,
     seed: int = 1,
     fit_settings: FitSettings | None = None,
     tolerance: float | None = None,
@@ -127,6 +132,8 @@ def score_dataset(
     decisions : {"expected", "sampled"}
         "expected": the probability of a correct answer under the internal noise. "sampled": one answer drawn for
         each trial with noise on every neuron, as in the paper.
+    curve : {"observer", "weibull"}, optional
+        Psychometric function of the thresholds. Default: that of `fitted_curve`.
     seed : int
         Seed of all random streams.
     fit_settings : FitSettings, optional
@@ -152,9 +159,10 @@ def score_dataset(
     FrameError, DataError
         If a row or frame is bad, unless bad frames are skipped.
     SettingsError
-        If decisions are "expected" and the observer is not linear, or a tolerance is given and decisions are not
-        "expected".
+        If decisions are "expected" and the observer is not linear, or a tolerance or the observer's curve is asked
+        for and decisions are not "expected".
     """
+    curve = fitted_curve(curve, decisions)
     whole, skipped = usable_trials(dataset, skip_bad_frames=skip_bad_frames)
     if not skip_bad_frames:
         check_places(dataset, whole, observer.centre)
@@ -171,7 +179,8 @@ def score_dataset(
     seen, unread = see(scoring, whole, progress=progress)
     skipped += unread
     check_seen(dataset, seen, skipped)
-    fit = partial(fit_groups, plan, seed=seed, fit_settings=fit_settings or FitSettings(), expected=expected)
+    fit_settings = settings_of_level(fit_settings, dataset.experiment.level)
+    fit = partial(fit_groups, plan, seed=seed, fit_settings=fit_settings, curve=curve, expected=expected)
     decided = fit(seen)
     if tolerance is not None:
         again = [
@@ -188,6 +197,31 @@ def score_dataset(
             of_number = {one.trial.number: one for one in seen + again}
             decided = fit(list(of_number.values()))
     return replace(decided, skipped=tuple(skipped))
+
+
+def fitted_curve(curve: CurveName | None, decisions: Decisions) -> CurveName:
+    """Return the curve to fit: by default the observer's for expected decisions, Weibull's for sampled ones.
+
+    Raises
+    ------
+    SettingsError
+        If the observer's curve is asked for and decisions are sampled.
+    """
+    if decisions == "expected":
+        return curve or "observer"
+    if curve == "observer":
+        raise SettingsError(
+            "curve: found 'observer' with sampled decisions, expected 'weibull': the observer's curve is that of "
+            "its probabilities, which a linear observer has with expected decisions"
+        )
+    return "weibull"
+
+
+def settings_of_level(settings: FitSettings | None, level: str) -> FitSettings:
+    """Return the settings of fits, which expect no slope unless the signal is proportional to the level."""
+    settings = settings or FitSettings()
+    is_signal = any(word in level.lower() for word in SIGNAL_WORDS)
+    return settings if is_signal else replace(settings, slope_spread=None)
 
 
 def usable_trials(dataset: Dataset, *, skip_bad_frames: bool) -> tuple[list[Trial], list[Skipped]]:
@@ -235,7 +269,13 @@ def _single(displacements: FloatArray) -> FloatArray:
 
 
 def fit_groups(
-    plan: ScorePlan, seen: Sequence[SeenTrial], *, seed: int, fit_settings: FitSettings, expected: bool
+    plan: ScorePlan,
+    seen: Sequence[SeenTrial],
+    *,
+    seed: int,
+    fit_settings: FitSettings,
+    curve: CurveName,
+    expected: bool,
 ) -> ScoredDataset:
     """Compute the answers of trials that were seen, and fit a curve to each group.
 
@@ -264,7 +304,8 @@ def fit_groups(
         of_group, p_of_group = [seen[k] for k in members], [p_each[k] for k in members]
         level = np.array([one.trial.level for one in of_group])
         rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(FIT_STREAMS, number)))
-        fit = fit_trials(level, np.array([p.mean() for p in p_of_group]), settings=fit_settings, rng=rng)
+        p_correct = np.array([p.mean() for p in p_of_group])
+        fit = fit_trials(level, p_correct, curve=curve, settings=fit_settings, rng=rng)
         fits.append(
             GroupFit(
                 group=group,
@@ -322,7 +363,7 @@ def _numerical_error(
         return None
     settings, rng = replace(fit_settings, resamples=0), np.random.default_rng(0)
     sets = np.array([p.reshape(REPLICATES, -1).mean(axis=1) for p in p_each]).T
-    thresholds = [fit_trials(level, p, settings=settings, rng=rng).threshold for p in sets]
+    thresholds = [fit_trials(level, p, curve=fit.curve, settings=settings, rng=rng).threshold for p in sets]
     found = [threshold for threshold in thresholds if threshold is not None]
     if len(found) < REPLICATES:
         return None
