@@ -58,11 +58,11 @@ def score(folder: Path) -> Outcome:
     return Outcome(status=fit["status"], threshold=fit["threshold"], warnings=codes)
 
 
-def outcomes(case: Case, folder: Path) -> dict[str, Outcome]:
-    """Record a case in a new folder and score it with each of its backgrounds."""
+def outcomes(case: Case, folder: Path, rules: Sequence[str] | None = None) -> dict[str, Outcome]:
+    """Record a case in a new folder and score it with each of its backgrounds, or with these."""
     case.recording.write(folder)
     found = {}
-    for rule in case.rules:
+    for rule in case.rules if rules is None else rules:
         case.recording.declare(folder, BACKGROUNDS[rule])
         found[rule] = score(folder)
     return found
