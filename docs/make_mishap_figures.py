@@ -45,6 +45,7 @@ PICTURES: dict[str, tuple[str, tuple[int, ...]]] = {
     "position_scatter": ("hand_held", (40, 41, 45)),
     "size_mismatch": ("pitch_doubled", (40,)),
     "size_unit": ("degrees", (40,)),
+    "mixed_sizes": ("mixed_sizes", (40, 41)),
     "mixed_frame_sizes": ("mixed_resolutions", (40, 41)),
 }
 """The case and the shots that show what each warning means."""

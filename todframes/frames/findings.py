@@ -21,7 +21,7 @@ MOST_BY_PATTERN = 3.0
 deviations of a pixel's contrast; a larger one is a step or a slope of the background."""
 
 
-SKEW = 0.25
+SKEW = 0.5
 """Relative deviation of a background's luminance that skewed noise may cause, in standard deviations of a pixel's
 contrast."""
 
@@ -47,6 +47,10 @@ SIZE_SCATTER = 0.2
 """Relative scatter of a size over trials beyond which a group has triangles of several sizes."""
 
 
+SIZE_PER_BLUR = 1.5
+"""Relative scatter of a size that sampling may cause, in standard deviations of the blur per size."""
+
+
 TURN_MRAD, LEAST_TURN_RAD = 0.035, 0.0175
 """Displacement of a triangle's corners by a rotation that matters, and the least rotation that is told."""
 
@@ -63,8 +67,13 @@ LEAST_SIZE_PX = 2.0
 """Size of a triangle in pixels below which its orientation is not displayed."""
 
 
-MOST_CLIPPED = 0.01
-"""Share of the triangle's pixels at an end of the code values that is told."""
+MOST_CLIPPED, MOST_CLIPPED_NOISE, LOUD = 0.002, 0.01, 0.1
+"""Share of the triangle's pixels at an end of the code values that is told: of quiet frames, and of loud ones,
+whose noise reaches that end. Loud is a noise of that contrast."""
+
+
+SKEWED = 0.1
+"""Relative deviation of the background's luminance in loud frames, from noise cut off or a fixed pattern."""
 
 
 UNEVEN_PER_LEVEL, TIMES_TEXTURE = 0.15, 4.0
@@ -142,7 +151,7 @@ def _codes(dataset: Dataset, one: Inspection) -> Iterator[Told]:
         ("crushed", one.crushed_share, "code value 0"),
     )
     for code, share, end in ends:
-        if share is not None and share > MOST_CLIPPED:
+        if share is not None and share > (MOST_CLIPPED if one.noise_contrast < LOUD else MOST_CLIPPED_NOISE):
             yield (
                 code,
                 share,
@@ -165,7 +174,7 @@ def _codes(dataset: Dataset, one: Inspection) -> Iterator[Told]:
 
 def _background(dataset: Dataset, one: Inspection) -> Iterator[Told]:
     rule = dataset.display.background_luminance_cd_m2
-    by_noise = SKEW * one.noise_contrast
+    by_noise = SKEWED if one.noise_contrast > LOUD else SKEW * one.noise_contrast
     by_pattern = min(CERTAIN * one.ring_ratio_error, MOST_BY_PATTERN * one.noise_contrast)
     if abs(one.ring_ratio - 1.0) > max(MATTERS, by_noise, by_pattern):
         advice = (
@@ -213,7 +222,8 @@ def _contrast(dataset: Dataset, one: Inspection) -> Iterator[Told]:
     if slope is None or error is None:
         return
     if one.size_ratio is not None and not _is_other_size(one):
-        slope *= one.size_ratio**2  # the light of the triangle: a blur hides whether it is larger or stronger
+        # Noise and blur hide whether a triangle is larger or stronger; its light is known better.
+        slope = min(slope, slope * one.size_ratio**2, key=lambda value: abs(abs(value) - 1.0))
     if slope < -CERTAIN * error and one.shown_as is not None:
         shown, stated = ("darker", "brighter")[:: one.stimulus.polarity]
         yield (
@@ -342,7 +352,9 @@ def _size(_: Dataset, one: Inspection) -> Iterator[Told]:
             f"of {one.size_px:.3g} pixels): the observer looks for another size; check that size_mrad is the root "
             "of the area in mrad, and the pixel pitch",
         )
-    elif one.size_scatter is not None and one.size_scatter > SIZE_SCATTER:
+    elif one.size_scatter and one.size_scatter > max(
+        SIZE_SCATTER, SIZE_PER_BLUR * (one.blur_px or 0) / one.size_px
+    ):
         yield (
             "mixed_sizes",
             one.size_scatter,

@@ -524,7 +524,9 @@ def _static_error(samples: Sequence[FrameSample], size: float) -> float:
     sectors = [mean[around & (sector == k)].mean() for k in range(8) if (around & (sector == k)).any()]
     if len(sectors) < 2:
         return 0.0
-    return 1.4826 * float(np.median(np.abs(sectors - np.median(sectors)))) / math.sqrt(len(sectors))
+    # The differences of neighbours: the few across an edge between two levels do not count.
+    apart = np.abs(np.diff(sectors, append=sectors[0]))
+    return 1.4826 * float(np.median(apart)) / math.sqrt(2.0 * len(sectors))
 
 
 def _of_codes(codes: Sequence[Codes]) -> dict[str, Any]:
