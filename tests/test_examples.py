@@ -108,11 +108,13 @@ def test_levels_nearest_to_threshold_of_some_groups(make_dataset) -> None:
         assert one.strength == levels[np.abs(np.log(levels / fit.threshold)).argmin()]
 
 
-def test_no_threshold_no_example(make_dataset) -> None:
+def test_no_threshold_no_trial_near_it(make_dataset) -> None:
+    """The strongest trial stands there instead, whole."""
     dataset = load_dataset(make_dataset(contrasts=(0.001, 0.002)).path)
     scored = score_dataset(dataset, PyramidObserver())
     assert [one.fit.status for one in scored.fits] == ["never_reached"]
-    assert examples(dataset, scored, PyramidObserver()) == ()
+    (example,) = examples(dataset, scored, PyramidObserver())
+    assert (example.strength, [picture.name for picture in example.pictures]) == (0.002, ["whole"])
 
 
 def test_frames_of_a_trial_are_averaged() -> None:

@@ -245,14 +245,14 @@ def mistaken(make_dataset):
 def test_strict_ends_with_status_1_after_the_output(mistaken, todframes) -> None:
     status, out, err = todframes("score", mistaken.path, "--strict")
     assert status == 1
-    assert "warning: size_mrad 2: the luminance around the triangle is 50 cd/m²" in out
+    assert "warning: 2 mrad: the luminance around the triangle is 50 cd/m²" in out
     assert err.splitlines()[-1].startswith("error: --strict: found ")
     assert "background_mismatch" in err
     status, out, _ = todframes("score", mistaken.path, "--strict", "--json")
     assert status == 1
     result = json.loads(out)
     assert "background_mismatch" in {one["code"] for one in result["warnings"]}
-    (group,) = result["dataset"]["measured"]
+    (group,) = result["dataset"]["measured"]["stimuli"]
     assert group["group"] == {"size_mrad": 2.0}
     assert group["ring_luminance_cd_m2"] == pytest.approx(50.0, rel=1e-3)
 
@@ -268,8 +268,8 @@ def test_validate_prints_one_json_object(mistaken, todframes) -> None:
     found = json.loads(out)
     assert (status, found["command"], found["skipped"]) == (0, "validate", [])
     assert [one["code"] for one in found["warnings"]] == ["background_mismatch"]
-    assert found["dataset"]["measured"][0]["ring_ratio"] == pytest.approx(1.25, rel=1e-3)
-    assert err.startswith("warning: size_mrad 2: ")
+    assert found["dataset"]["measured"]["stimuli"][0]["ring_ratio"] == pytest.approx(1.25, rel=1e-3)
+    assert err.startswith("warning: 2 mrad: ")
     assert todframes("validate", mistaken.path, "--strict")[0] == 1
     mistaken.frame(0).write_bytes(b"")
     status, out, err = todframes("validate", mistaken.path, "--json")

@@ -93,8 +93,8 @@ def finish(
                 say(f"note: {algorithm.spec}: {algorithm.n_clipped} values were clipped")
         if result.negative_luminance_pixels and not result.algorithms:
             say(f"note: {result.negative_luminance_pixels} of the display pixels read have a luminance below zero")
-        for warning in result.warnings if as_json else ():
-            say(f"warning: {warning.message}")
+        for line in warning_lines(result.warnings) if as_json else ():
+            say(line)
     if as_json:
         click.echo(result.to_json(), nl=False)
         check_strict(result.warnings, strict)
@@ -114,20 +114,36 @@ def finish(
         print_table(tables.thresholds(result, "Details"), details=True)
     for sentence in [*result.verdict, *cautions(result), *(remarks(result) if verbose else [])]:
         echo(*textwrap.wrap(visible(sentence), terminal_width()))
-    for warning in result.warnings:
-        echo(*textwrap.wrap(visible(f"warning: {warning.message}"), terminal_width()))
+    for line in warning_lines(result.warnings):
+        echo(*textwrap.wrap(visible(line), terminal_width()))
     echo(f"{result.run_time_s:.2f} s")
     if out is not None:
         echo(f"written: {out}")
     check_strict(result.warnings, strict)
 
 
+def warning_lines(warnings: Sequence[ResultWarning]) -> Iterator[str]:
+    """Yield a line for each warning, but only for the first groups of those with the same code, and a count."""
+    from todframes.report.wording import count, warning_text
+
+    of_code: dict[str, list[ResultWarning]] = {}
+    for warning in warnings:
+        of_code.setdefault(warning.code, []).append(warning)
+    for code, alike in of_code.items():
+        for warning in alike[:MOST_ALIKE]:
+            yield f"warning: {warning_text(warning.group, warning.message)}"
+        if len(alike) > MOST_ALIKE:
+            yield f"warning: … and {count(len(alike) - MOST_ALIKE, 'more warning')} with the code {code}"
+
+
 def check_strict(warnings: Sequence[ResultWarning], strict: bool) -> None:
     """Raise DataError if there are warnings and they count as errors."""
     if strict and warnings:
+        from todframes.report.wording import count
+
         codes = ", ".join(dict.fromkeys(one.code for one in warnings))
         raise DataError(
-            f"--strict: found {len(warnings)} warnings ({codes}), expected none; all output is written"
+            f"--strict: found {count(len(warnings), 'warning')} ({codes}), expected none; all output is written"
         )
 
 

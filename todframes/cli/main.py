@@ -23,6 +23,7 @@ from todframes.cli.console import (
     progress,
     run,
     say,
+    warning_lines,
 )
 from todframes.cli.options import dataset_argument, json_option, strict_option
 from todframes.cli.score import fit, naked_eye, score
@@ -82,6 +83,7 @@ def validate(*, dataset: Path, add_sha256: bool, strict: bool, as_json: bool) ->
     from todframes.frames.dataset import load_dataset
     from todframes.frames.files import frame_sha256
     from todframes.report.result import Result
+    from todframes.report.wording import count
 
     data = load_dataset(dataset)
     if add_sha256:
@@ -112,15 +114,16 @@ def validate(*, dataset: Path, add_sha256: bool, strict: bool, as_json: bool) ->
         good = list(data.trials)
     record, warnings = inspected(data, good)
     result = Result.made("validate", start, dataset=record, skipped=tuple(found), warnings=warnings)
-    for warning in result.warnings:
-        say(f"warning: {warning.message}")
+    for line in warning_lines(result.warnings):
+        say(line)
     if as_json:
         click.echo(result.to_json(), nl=False)
     if problems.count:
-        raise DataError(f"{dataset}: {problems.count} {'problems' if problems.count > 1 else 'problem'} found")
+        raise DataError(f"{dataset}: {count(problems.count, 'problem')} found")
     if not as_json:
         n_frames = sum(len(trial.frames) for trial in data.trials)
-        echo(f"{dataset}: {n_frames} frames in {len(data.trials)} trials, all good")
+        verdict = f"all readable; {count(len(warnings), 'warning')}" if warnings else "all good"
+        echo(f"{dataset}: {n_frames} frames in {len(data.trials)} trials, {verdict}")
         if add_sha256:
             agree = n_frames - len(sha256_of)
             echo(

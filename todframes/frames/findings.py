@@ -114,13 +114,9 @@ def frame_warnings(dataset: Dataset, inspections: Sequence[Inspection]) -> list[
     found: dict[tuple[str, tuple[float | str, ...]], DatasetWarning] = {}
     for one in inspections:
         group = dict(zip(dataset.experiment.group_by, one.group, strict=True))
-        about = ", ".join(
-            f"{name} {value:g}" if isinstance(value, float) else f"{name} {value}" for name, value in group.items()
-        )
         for judge in JUDGES:
             for code, value, expected, message in judge(dataset, one):
-                text = f"{about}: {message}" if about else message
-                found.setdefault((code, one.group), DatasetWarning(code, group, text, value, expected))
+                found.setdefault((code, one.group), DatasetWarning(code, group, message, value, expected))
     return list(found.values())
 
 

@@ -439,9 +439,9 @@ class DatasetRecord(Struct, frozen=True, kw_only=True):
         Checksum of `manifest.csv`; None for frames in memory.
     n_frames : int or None
         Number of frames in the manifest, those left out included.
-    measured : tuple of dict
-        What the frames of each group and stimulus show, measured on some of them: attributes of
-        `todframes.frames.inspection.Inspection`.
+    measured : dict
+        `stimuli`: what the frames of each group and stimulus show, measured on some of them, as attributes of
+        `todframes.frames.inspection.Inspection`. Empty if nothing was measured.
     """
 
     path: str
@@ -449,18 +449,19 @@ class DatasetRecord(Struct, frozen=True, kw_only=True):
     experiment: Record = {}
     manifest_sha256: str | None = None
     n_frames: int | None = None
-    measured: tuple[Record, ...] = ()
+    measured: Record = {}
 
     @classmethod
     def of(cls, dataset: Dataset, measured: Sequence[Record] = ()) -> DatasetRecord:
-        """Return the record of a dataset."""
+        """Return the record of a dataset, with what was measured of each stimulus."""
+        as_read_again = msgspec.json.decode(msgspec.json.encode(measured))
         return cls(
             path=str(dataset.path),
             display=_display(dataset.display),
             experiment={"level": dataset.experiment.level, "group_by": list(dataset.experiment.group_by)},
             manifest_sha256=dataset.manifest_sha256,
             n_frames=dataset.n_frames,
-            measured=tuple(msgspec.json.decode(msgspec.json.encode(measured))),  # as they will be read again
+            measured={"stimuli": as_read_again} if measured else {},
         )
 
 

@@ -23,7 +23,7 @@ from todframes.report.figures import pictures
 from todframes.report.summary import cautions, remarks, verdict
 from todframes.report.svg import inline_svg
 from todframes.report.table import HIDDEN, Table, markup
-from todframes.report.wording import group_phrase, level_name, plain
+from todframes.report.wording import group_phrase, level_name, plain, warning_text
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -47,7 +47,7 @@ def page(result: ResultData) -> str:
     content = {
         "title": TITLES[result.command],
         "about": _about(result),
-        "warnings": [warning.message for warning in result.warnings],
+        "warnings": [warning_text(warning.group, warning.message) for warning in result.warnings],
         "verdict": verdict(result),
         "figures": _figures(result),
         "tables_shown": _tables(result),

@@ -53,6 +53,11 @@ def group_phrase(group: Mapping[str, float | str]) -> str:
     return ", ".join(phrase(name, value) for name, value in group.items()) or "all trials"
 
 
+def warning_text(group: Mapping[str, float | str], message: str) -> str:
+    """Return a warning with the group that it concerns, if it is not the whole dataset."""
+    return f"{group_phrase(group)}: {message}" if group else message
+
+
 def group_phrases(groups: Sequence[Mapping[str, float | str]]) -> str:
     """Return groups in words; sizes from one column have their unit once: "1.5 and 2.5 mrad"."""
     names = list(groups[0])
