@@ -289,6 +289,7 @@ def test_naked_eye_converges_to_its_threshold():
     assert found.bound < 1e-3 * found.threshold
 
 
+@pytest.mark.slow
 def test_camera_with_external_noise_converges_to_its_threshold():
     found = CAMERA.converge()
     other = predict_threshold(FoldedChain(UNDER_SAMPLED, PyramidObserver(), 3.0), tolerance=5e-4)

@@ -64,6 +64,7 @@ def test_a_curve_at_chance_is_not_known_to_rise_with_level() -> None:
     assert (result.fits[0].status, result.warnings) == ("never_reached", ())
 
 
+@pytest.mark.slow
 def test_levels_of_a_comparison_name_the_algorithm() -> None:
     result = tod.compare(
         SAMPLES / "naked_eye", [brighter], fit=tod.FitSettings(resamples=40), white=100.0, examples=False

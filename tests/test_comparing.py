@@ -477,6 +477,7 @@ def test_corrected_for_all_comparisons(make_dataset) -> None:
     assert smallest.ratio.p_value == pytest.approx(2 / 481)
 
 
+@pytest.mark.slow
 def test_draws_are_common_and_do_not_depend_on_workers(make_dataset) -> None:
     made = make_dataset(suffix=".png", sizes_mrad=(1.0, 1.5), contrasts=(0.1, 0.2, 0.4), repeats=2)
     for decisions in ("expected", "sampled"):

@@ -223,6 +223,7 @@ def test_blur_moves_what_is_informative_to_coarser_bands() -> None:
     assert shares[-1] < 0.2
 
 
+@pytest.mark.slow
 def test_one_neuron_in_twenty_is_enough() -> None:
     """A hundredth less of the squared differences is half a hundredth less of d′."""
     for size_mrad in (1.0, 3.0):

@@ -186,7 +186,7 @@ def answers(result: ResultData) -> Table | None:
         *(Column(key=f"answered_{one.value}", header=f"{one.value} (%)", decimals=0) for one in ORIENTATIONS),
         Column(key="n_answers", header="trials", rank=1),
     ]
-    return Table.of("Answers without a threshold, by orientation shown", "answers.csv", columns, records)
+    return Table.of("Answers by orientation shown", "answers.csv", columns, records)
 
 
 def ratios(result: ResultData, title: str = "") -> Table:
