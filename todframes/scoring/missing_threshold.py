@@ -260,9 +260,9 @@ class _Search:
             )
             for trial in self.trials
         )
-        if factor != 1.0 and self.observer.grid(trials[0].stimulus).side > MOST_GRID_SIDE:
-            return
         try:
+            if factor != 1.0 and self.observer.grid(trials[0].stimulus).side > MOST_GRID_SIDE:
+                return
             placed, (location,) = locate_triangles(self._of(trials), centre=self.observer.centre)
             stated = self._stated_position()
         except TodframesError:
