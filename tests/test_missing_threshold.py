@@ -20,6 +20,7 @@ from todframes.frames.dataset import Dataset
 from todframes.frames.memory import memory_dataset
 from todframes.report.data import ResultWarning
 from todframes.report.result import read_result
+from todframes.scoring import missing_threshold
 from todframes.stimulus import ORIENTATIONS, coverage, vertices
 
 PITCH_MRAD, SIZE_PX, SIDE_PX = 0.25, 8.0, 64
@@ -191,6 +192,17 @@ def test_units_are_not_tried_that_exceed_the_largest_retina_grid() -> None:
     result = tod.score(recording(levels=(1e-5, 2e-5, 4e-5), noise_sd=0.0, pitch_mrad=3.0), **QUICK)
     assert result.fits[0].status == "never_reached"
     assert hints(result) == []
+
+
+def test_frames_are_not_searched_again_if_a_threshold_is_extrapolated(monkeypatch) -> None:
+    """The measurements of the frames tell a wrong place or size; searching takes longer than scoring."""
+
+    def search(*_args, **_settings):
+        raise AssertionError
+
+    monkeypatch.setattr(missing_threshold, "locate_triangles", search)
+    weak = recording(levels=(0.05, 0.06, 0.08))
+    assert tod.score(weak, **QUICK).fits[0].status == "extrapolated"
 
 
 def test_terminal_shows_answers(make_dataset) -> None:
