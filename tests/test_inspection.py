@@ -150,6 +150,7 @@ CLEAN = {
     "sRGB": {"spoil": as_codes, "display": SRGB},
     "surround": {"display": replace(DISPLAY, background_luminance_cd_m2="surround")},
     "border": {"display": replace(DISPLAY, background_luminance_cd_m2="border")},
+    "blurred without noise": {"noise": 0.0, "blur_px": 2.5, "scatter": 0.2},
     "counter": {"spoil": with_counter},
     "no contrast": {"slope": 3.0, "level_name": "temperature"},
 }

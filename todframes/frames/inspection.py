@@ -653,7 +653,8 @@ LEAST_SIGNAL = 8.0
 
 
 UNSTEADY = 2.0
-"""Standard deviation of a block over trials, in medians of all blocks, beyond which it counts less."""
+"""Standard deviation of a block over trials, in those of the noise around the triangle, beyond which the block
+counts less."""
 
 
 def _noise_of_frames(images: FloatArray, level: FloatArray, known: NDArray[np.bool_], size: float) -> FloatArray:
@@ -696,14 +697,13 @@ def _separated(images: FloatArray, level: FloatArray, relative: FloatArray, turn
 
 
 def _steadiness(residuals: FloatArray, certain: FloatArray) -> FloatArray:
-    """Return weights of blocks, (n, n): 1, and less where the frames differ from each other more than usual.
+    """Return weights of blocks, (n, n): 1, and less where the frames differ from each other more than by noise.
 
     Letters that change from frame to frame then count no more than the noise does elsewhere. `residuals`, (trial,
     n, n), are the frames without what they share, and `certain`, (trial,), is the inverse of their noise.
     """
     spread = np.sqrt(np.square(residuals * certain[:, None, None]).mean(axis=0))
-    usual = UNSTEADY * float(np.median(spread))
-    return np.asarray(usual / np.maximum(spread, usual)) if usual > 0.0 else np.ones_like(spread)
+    return np.asarray(UNSTEADY / np.maximum(spread, UNSTEADY))
 
 
 def _found_place(mean: FloatArray, size: float) -> tuple[tuple[float, float, float], float]:
