@@ -90,6 +90,32 @@ def test_errors_grow_with_the_noise() -> None:
     assert 4.0 < ratio < 20.0  # each error is known to 1/√48 and holds the levels' weights too
 
 
+def test_scatter_is_measured_in_frames_of_different_noise() -> None:
+    """A scatter of 0.3 pixels along each axis; a third of the frames is loud, and these do not decide."""
+
+    def louder(luminance, number):
+        noise = np.random.default_rng(number).normal(size=luminance.shape)
+        return luminance + 15.0 * noise if number % 3 == 0 else luminance
+
+    # The standard deviation of 32 normal deviates is known to 1/√64.
+    assert measured(scatter=0.3, spoil=louder).scatter_px == pytest.approx(0.3, rel=3.0 / np.sqrt(64.0))
+    assert measured(spoil=louder).scatter_px == 0.0
+
+
+@pytest.mark.parametrize("seed", [3, 4, 5])
+def test_the_mean_of_a_blurred_pattern_is_no_wrong_background(seed) -> None:
+    """All frames share a pattern of 4 %, as strong as their noise, and both are blurred over half of the frame."""
+    rng = np.random.default_rng(seed)
+
+    def blurred():
+        white = rng.normal(size=(SIDE, SIDE))
+        return 0.04 * 2.0 * 20.0 * np.sqrt(np.pi) * gaussian_filter(white, 20.0, mode="wrap")
+
+    pattern = blurred()
+    dataset = recorded(noise=0.001, spoil=lambda luminance, _number: luminance * (1.0 + pattern + blurred()))
+    assert codes(dataset) == set()
+
+
 def test_the_background_is_measured() -> None:
     found = measured(display=replace(DISPLAY, background_luminance_cd_m2=40.0))
     assert found.ring_luminance_cd_m2 == pytest.approx(50.0, rel=1e-3)
@@ -107,6 +133,13 @@ def as_codes(luminance, _number):
     return np.rint(255.0 * (1.055 * light ** (1 / 2.4) - 0.055)).astype(np.uint8)
 
 
+def with_counter(luminance, number):
+    """White digits below the triangle that change from frame to frame, ten times as strong as the triangles."""
+    digits = np.kron(np.random.default_rng(number).integers(0, 2, (2, 8)), np.ones((3, 3)))
+    luminance[50:56, 12:36] *= 1.0 + 2.0 * digits
+    return luminance
+
+
 CLEAN = {
     "even": {},
     "without noise": {"noise": 0.0},
@@ -117,6 +150,7 @@ CLEAN = {
     "sRGB": {"spoil": as_codes, "display": SRGB},
     "surround": {"display": replace(DISPLAY, background_luminance_cd_m2="surround")},
     "border": {"display": replace(DISPLAY, background_luminance_cd_m2="border")},
+    "counter": {"spoil": with_counter},
     "no contrast": {"slope": 3.0, "level_name": "temperature"},
 }
 

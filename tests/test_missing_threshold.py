@@ -20,6 +20,7 @@ from todframes.frames.dataset import Dataset
 from todframes.frames.memory import memory_dataset
 from todframes.report.data import ResultWarning
 from todframes.report.result import read_result
+from todframes.scoring import missing_threshold
 from todframes.stimulus import ORIENTATIONS, coverage, vertices
 
 PITCH_MRAD, SIZE_PX, SIDE_PX = 0.25, 8.0, 64
@@ -37,6 +38,7 @@ def recording(
     noise_sd: float = 0.02,
     blur_px: float = 0.5,
     steps: NDArray[np.float64] | None = None,
+    pitch_mrad: float = PITCH_MRAD,
 ) -> Dataset:
     """Frames of triangles that the dataset says are upright, bright, in the middle and of `SIZE_PX`."""
     rng = np.random.default_rng(1)
@@ -56,10 +58,10 @@ def recording(
             stated.append(ORIENTATIONS[turn])
             contrasts.append(level)
     display = tod.Display(
-        eotf="linear", white_luminance_cd_m2=1.0, pixel_pitch_mrad=PITCH_MRAD, background_luminance_cd_m2=50.0
+        eotf="linear", white_luminance_cd_m2=1.0, pixel_pitch_mrad=pitch_mrad, background_luminance_cd_m2=50.0
     )
     return memory_dataset(
-        frames, orientation=stated, level=contrasts, size_mrad=PITCH_MRAD * SIZE_PX, display=display
+        frames, orientation=stated, level=contrasts, size_mrad=pitch_mrad * SIZE_PX, display=display
     )
 
 
@@ -184,11 +186,30 @@ def test_answers_are_of_the_strongest_trials() -> None:
     assert read_result(result.to_json(), "result.json").fits[0].answers == fit.answers
 
 
+@pytest.mark.slow
+def test_units_are_not_tried_that_exceed_the_largest_retina_grid() -> None:
+    """24 degrees are 419 mrad, more than the observer sees: the search goes on without, and the scoring too."""
+    result = tod.score(recording(levels=(1e-5, 2e-5, 4e-5), noise_sd=0.0, pitch_mrad=3.0), **QUICK)
+    assert result.fits[0].status == "never_reached"
+    assert hints(result) == []
+
+
+def test_frames_are_not_searched_again_if_a_threshold_is_extrapolated(monkeypatch) -> None:
+    """The measurements of the frames tell a wrong place or size; searching takes longer than scoring."""
+
+    def search(*_args, **_settings):
+        raise AssertionError
+
+    monkeypatch.setattr(missing_threshold, "locate_triangles", search)
+    weak = recording(levels=(0.05, 0.06, 0.08))
+    assert tod.score(weak, **QUICK).fits[0].status == "extrapolated"
+
+
 def test_terminal_shows_answers(make_dataset) -> None:
     made = make_dataset(contrasts=(0.001, 0.002))
     done = CliRunner().invoke(cli, ["score", str(made.path)])
     assert done.exit_code == 0
-    rows = done.stdout.split("Answers without a threshold")[1].splitlines()
+    rows = done.stdout.split("Answers by orientation shown")[1].splitlines()
     # Contrasts so low that each answer is a guess: 25 %, and within 1 % in a table without decimals.
     (up,) = [row.split() for row in rows if " up " in row and "(%)" not in row]
     assert all(abs(int(word) - 25) <= 1 for word in up[-5:-1])
@@ -216,4 +237,4 @@ def test_page_shows_the_strongest_trial_whole(levels: Sequence[float], status: s
     page = result.to_html()
     assert "Without a threshold" in page
     assert "At threshold" not in page
-    assert "Answers without a threshold" in page
+    assert "Answers by orientation shown" in page

@@ -18,7 +18,8 @@ MATTERS = 0.03
 
 MOST_BY_PATTERN = 3.0
 """Largest relative deviation of a background's luminance that noise and a fixed pattern may cause, in standard
-deviations of a pixel's contrast; a larger one is a step or a slope of the background."""
+deviations of a pixel's contrast, from its neighbours and from trial to trial; a larger one is a step or a slope of
+the background."""
 
 
 SKEW = 0.5
@@ -171,7 +172,9 @@ def _codes(dataset: Dataset, one: Inspection) -> Iterator[Told]:
 def _background(dataset: Dataset, one: Inspection) -> Iterator[Told]:
     rule = dataset.display.background_luminance_cd_m2
     by_noise = SKEWED if one.noise_contrast > LOUD else SKEW * one.noise_contrast
-    by_pattern = min(CERTAIN * one.ring_ratio_error, MOST_BY_PATTERN * one.noise_contrast)
+    by_pattern = min(
+        CERTAIN * one.ring_ratio_error, MOST_BY_PATTERN * math.hypot(one.noise_contrast, one.ring_scatter)
+    )
     if abs(one.ring_ratio - 1.0) > max(MATTERS, by_noise, by_pattern):
         advice = (
             'set background_luminance_cd_m2 = "surround", and check eotf and white_luminance_cd_m2'

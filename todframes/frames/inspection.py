@@ -484,6 +484,7 @@ def _measured(dataset: Dataset, group: Group, stimulus: Stimulus, samples: Seque
     # Of a level that is no contrast it is not known how the contrast follows from it.
     strength = level if is_contrast(dataset) else np.ones(len(level))
     ratio = np.array([sample.ring_cd_m2 / sample.background_cd_m2 for sample in samples])
+    scatter = float(ratio.std(ddof=1)) if len(ratio) > 1 else 0.0
     block_px = samples[0].block_px
     size_px = size_in_px(samples[0].trial, dataset.display.pitch_mrad)
     codes = [sample.codes for sample in samples if sample.codes is not None]
@@ -501,9 +502,9 @@ def _measured(dataset: Dataset, group: Group, stimulus: Stimulus, samples: Seque
         ring_luminance_cd_m2=float(np.mean([sample.ring_cd_m2 for sample in samples])),
         ring_ratio=float(ratio.mean()),
         ring_ratio_error=math.hypot(
-            ratio.std() / math.sqrt(len(ratio)), _static_error(samples, size_px / block_px)
+            scatter / math.sqrt(len(ratio)), _static_error(samples, scatter, size_px / block_px)
         ),
-        ring_scatter=float(ratio.std(ddof=1)) if len(ratio) > 1 else 0.0,
+        ring_scatter=scatter,
         level=float(np.median(level)),
         noise_contrast=float(np.median([sample.noise for sample in samples])),
         **_of_codes(codes),
@@ -511,22 +512,31 @@ def _measured(dataset: Dataset, group: Group, stimulus: Stimulus, samples: Seque
     )
 
 
-def _static_error(samples: Sequence[FrameSample], size: float) -> float:
+def _static_error(samples: Sequence[FrameSample], scatter: float, size: float) -> float:
     """Estimate the relative error of the luminance around the triangle from a pattern that all frames share.
 
-    It is that of the mean of eight sectors around the triangle.
+    It is that of the mean of eight sectors around the triangle. On a small frame a blurred pattern makes all
+    sectors alike. Therefore it is also estimated from the `scatter` of the relative luminance over trials, which
+    the noise causes: pattern and noise are taken to be blurred alike, so that the ratio of their errors is the
+    ratio of their standard deviations within the frames. The larger estimate counts.
     """
-    mean = np.mean([sample.even for sample in samples], axis=0)
     known = np.logical_and.reduce([sample.known for sample in samples])
-    v, u = np.mgrid[: len(mean), : len(mean)] - (len(mean) - 1) / 2.0
-    sector = ((np.arctan2(v, u) / np.pi + 1.0) * 4.0).astype(int) % 8
+    v, u = np.mgrid[: len(known), : len(known)] - (len(known) - 1) / 2.0
     around = known & (np.hypot(u, v) > HOLE_IN_SIZES * size)
-    sectors = [mean[around & (sector == k)].mean() for k in range(8) if (around & (sector == k)).any()]
+    sector = ((np.arctan2(v, u)[around] / np.pi + 1.0) * 4.0).astype(int) % 8
+    even = np.array([sample.even[around] for sample in samples])
+    pattern = even.mean(axis=0)
+    sectors = [pattern[sector == k].mean() for k in range(8) if (sector == k).any()]
     if len(sectors) < 2:
         return 0.0
     # The differences of neighbours: the few across an edge between two levels do not count.
     apart = np.abs(np.diff(sectors, append=sectors[0]))
-    return 1.4826 * float(np.median(apart)) / math.sqrt(2.0 * len(sectors))
+    of_sectors = 1.4826 * float(np.median(apart)) / math.sqrt(2.0 * len(sectors))
+    noise_variance = float(even.var(axis=0).mean()) * len(even) / max(len(even) - 1, 1)
+    if not noise_variance > 0.0:
+        return of_sectors
+    pattern_variance = max(float(pattern.var()) - noise_variance / len(even), 0.0)
+    return max(of_sectors, scatter * math.sqrt(pattern_variance / noise_variance))
 
 
 def _of_codes(codes: Sequence[Codes]) -> dict[str, Any]:
@@ -553,7 +563,9 @@ def _of_triangle(
     relative = level / _noise_of_frames(even, level, known, size)
     background, triangles, _ = _separated(even, level, relative, turns)
     weights = np.array([np.square(relative[turns == k]).sum() for k in range(4)])
-    start, sign = _found_place(triangles, weights, size)
+    mean = np.average(triangles, axis=0, weights=weights)
+    mean *= _steadiness(even - background - level[:, None, None] * triangles[turns], relative / level)
+    start, sign = _found_place(mean, size)
     values = np.array([sign, *start, 1.0, 0.0])
     shown_as, margin = _found_turn(triangles, weights, values)
     shift = np.array(TURNS[shown_as])
@@ -640,6 +652,10 @@ LEAST_SIGNAL = 8.0
 """Least contrast of the triangle, in standard errors, for its place, size and orientation to be measured."""
 
 
+UNSTEADY = 2.0
+"""Standard deviation of a block over trials, in medians of all blocks, beyond which it counts less."""
+
+
 def _noise_of_frames(images: FloatArray, level: FloatArray, known: NDArray[np.bool_], size: float) -> FloatArray:
     """Estimate the standard deviation of the contrast of each frame's blocks around the triangle.
 
@@ -679,14 +695,22 @@ def _separated(images: FloatArray, level: FloatArray, relative: FloatArray, turn
     return _Separated(parts[4], parts[:4], shares[4])
 
 
-def _found_place(
-    triangles: FloatArray, weights: FloatArray, size: float
-) -> tuple[tuple[float, float, float], float]:
+def _steadiness(residuals: FloatArray, certain: FloatArray) -> FloatArray:
+    """Return weights of blocks, (n, n): 1, and less where the frames differ from each other more than usual.
+
+    Letters that change from frame to frame then count no more than the noise does elsewhere. `residuals`, (trial,
+    n, n), are the frames without what they share, and `certain`, (trial,), is the inverse of their noise.
+    """
+    spread = np.sqrt(np.square(residuals * certain[:, None, None]).mean(axis=0))
+    usual = UNSTEADY * float(np.median(spread))
+    return np.asarray(usual / np.maximum(spread, usual)) if usual > 0.0 else np.ones_like(spread)
+
+
+def _found_place(mean: FloatArray, size: float) -> tuple[tuple[float, float, float], float]:
     """Find the place and size of the triangle, (x, y, size) in blocks, and the sign of its contrast.
 
-    The mean over the orientations is correlated with that of triangles of many sizes at all places.
+    The mean over the orientations, (n, n), is correlated with that of triangles of many sizes at all places.
     """
-    mean = np.average(triangles, axis=0, weights=weights)
     n = mean.shape[0]
     spectrum = np.fft.rfft2(mean)
     best, found, sign = -1.0, (0.0, 0.0, size), 1.0
@@ -772,14 +796,27 @@ def _beside(filters: FloatArray, known: NDArray[np.bool_], size: float) -> Itera
             yield np.roll(filters, (down * away, right * away), axis=(-2, -1))
 
 
+SCATTER_ERRORS = 5.0
+"""Least scatter over trials that is more than noise, in standard errors."""
+
+
 def _scatter(apart: FloatArray, noise: FloatArray) -> float | None:
-    """Return the standard deviation over trials beyond the noise: 0 if it may be noise, None if few show it."""
-    n = len(apart)
+    """Return the standard deviation over trials beyond the noise: 0 if it may be noise, None if few show it.
+
+    Both arguments have shape (trial, axes). Trials count by the inverse of their noise variance, so that the
+    faintest do not decide.
+    """
+    n, axes = apart.shape
     if n < 4:
         return None
-    variance = float(np.square(apart - apart.mean(axis=0)).sum() / (n - 1) / apart.shape[1])
-    of_noise = float(np.square(noise).mean())
-    return math.sqrt(variance - of_noise) if variance > (1.0 + 4.0 * math.sqrt(2.0 / n)) * of_noise else 0.0
+    weight = 1.0 / np.square(np.maximum(noise, 1e-6))  # frames without noise count alike
+    sums = weight.sum(axis=0)
+    excess = weight * np.square(apart - (weight * apart).sum(axis=0) / sums)
+    freedom = (n - 1) * axes
+    # The cube root of a mean square is normal, very nearly (Wilson and Hilferty).
+    if excess.sum() <= freedom * (1.0 + SCATTER_ERRORS * math.sqrt(2.0 / (9.0 * freedom))) ** 3:
+        return 0.0
+    return math.sqrt((excess.sum() - freedom) / (sums - np.square(weight).sum(axis=0) / sums).sum())
 
 
 def _orientations(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -105,7 +106,8 @@ def explain_missing(
 
     For groups whose criterion is not reached at the levels shown, changes are tried on the strongest trials:
     mirrored, turned or inverted triangles from the answers and scores; other positions and other units of the size
-    by scoring these trials again. A hint is given only for a change after which most answers are right.
+    by scoring these trials again, though not if the threshold is merely extrapolated. A hint is given only for a
+    change after which most answers are right.
 
     Parameters
     ----------
@@ -147,7 +149,7 @@ def explain_missing(
                 after=_orientations(scored, strong + 1),
                 is_inverted=bool(np.median(scored.scores[strong].mean(axis=1)) < 0.0),
             )
-            hints = search.hints()
+            hints = search.hints(is_scored_again=is_missing)
         if is_missing or hints:
             found.append(Explanation(one.group, table, min(scored.trials[k].level for k in strong), hints))
     return tuple(found)
@@ -218,24 +220,31 @@ class _Search:
     after: tuple[int, ...]
     is_inverted: bool
 
-    def hints(self) -> tuple[Hint, ...]:
-        """Return the hints of the first change that works; an empty tuple if none does."""
-        for change in self._changes():
+    def hints(self, *, is_scored_again: bool) -> tuple[Hint, ...]:
+        """Return the hints of the first change that works; an empty tuple if none does.
+
+        Without `is_scored_again`, only changes that need no frame are tried.
+        """
+        for change in chain(self._rearranged(), self._reviewed() if is_scored_again else ()):
             for arrangement in TURNED if change.shown is None else TURNED[:1]:
                 share = self._right(change, arrangement)
                 if self._works(share) and (change.codes or arrangement.mismatches):
                     return self._hints(change, arrangement, share)
         return ()
 
-    def _changes(self) -> Iterator[_Change]:
-        """Yield changes, those that need no frame first."""
+    def _rearranged(self) -> Iterator[_Change]:
+        """Yield changes that need no frame."""
+        if self.is_inverted:
+            return
+        yield _Change(self.answers)
+        for which, shown in (("before", self.before), ("after", self.after)):
+            clause = f"each trial had the orientation of the one {which} it: Are frames and rows out of step?"
+            yield _Change(self.answers, (clause,), (("orientation_mismatch", which, "its own"),), shown)
+
+    def _reviewed(self) -> Iterator[_Change]:
+        """Yield changes for which the frames are looked at again."""
         if self.is_inverted:
             yield from self._scored_again(self.trials, -1)
-        else:
-            yield _Change(self.answers)
-            for which, shown in (("before", self.before), ("after", self.after)):
-                clause = f"each trial had the orientation of the one {which} it: Are frames and rows out of step?"
-                yield _Change(self.answers, (clause,), (("orientation_mismatch", which, "its own"),), shown)
         yield from self._elsewhere(1.0)
         yield from self._each()
         for factor, question in SIZE_UNITS:
@@ -251,9 +260,9 @@ class _Search:
             )
             for trial in self.trials
         )
-        if factor != 1.0 and self.observer.grid(trials[0].stimulus).side > MOST_GRID_SIDE:
-            return
         try:
+            if factor != 1.0 and self.observer.grid(trials[0].stimulus).side > MOST_GRID_SIDE:
+                return
             placed, (location,) = locate_triangles(self._of(trials), centre=self.observer.centre)
             stated = self._stated_position()
         except TodframesError:
