@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -37,8 +37,12 @@ LARGEST_BLUR = 0.5
 """Largest standard deviation of the blur that is fitted, in sizes of the triangle."""
 
 
-HALF_PX, STEP_PX = 0.5, 0.1
-"""Distances of the positions whose correlations are compared, and step of the change of that difference."""
+HALF_STEPS = ((0.5, 0.0), (0.0, 0.5))
+"""Distances, in pixels, to the positions whose correlations are compared for the slope along x and along y."""
+
+
+STEP_PX = 0.1
+"""Step of the change of that slope."""
 
 
 ROUNDS, MOST_STEPS = 3, 6
@@ -223,10 +227,9 @@ class Matcher:
         blur: float = 0.0,
     ) -> FloatArray:
         """Compute the triangle differences of unit energy, shape (orientation, rows, columns)."""
-        triangles = {
-            orientation: arrangement.sign
-            * stimulus.polarity
-            * blurred_coverage(
+        stack = np.empty((len(self.means[stimulus]), *shape))
+        for triangle, orientation in zip(stack, self.means[stimulus], strict=True):
+            triangle[:] = blurred_coverage(
                 shape,
                 size_px=stimulus.size_mrad / self.pitch,
                 x_px=x,
@@ -235,11 +238,11 @@ class Matcher:
                 centre=self.centre,
                 blur=blur,
             )
-            for orientation in self.means[stimulus]
-        }
-        stack = np.array(list(_less_common(triangles).values()))
-        norm = float(np.sqrt(np.square(stack).sum()))
-        return np.asarray(stack / norm) if norm > 0.0 else stack  # within one pixel all orientations are alike
+        stack -= stack.mean(axis=0) if len(stack) > 1 else stack.mean()
+        norm = arrangement.sign * stimulus.polarity * math.sqrt(np.vdot(stack, stack))
+        if norm != 0.0:  # within one pixel all orientations are alike
+            stack /= norm
+        return stack
 
     def search(self) -> Found:
         """Find the highest correlation over all whole pixels and arrangements.
@@ -320,6 +323,12 @@ class Matcher:
         the triangles. The covariance follows from the spread of that correlation over the frame, so it holds for
         noise that is correlated between pixels, too.
         """
+        x, y, blur = self._refined_place(x, y, arrangement)
+        peak = self._cut(x, y, arrangement).correlation(x, y, blur)
+        return Fitted(x, y, blur, arrangement, peak, self._covariance(x, y, arrangement, blur))
+
+    def _refined_place(self, x: float, y: float, arrangement: Arrangement) -> tuple[float, float, float]:
+        """Fit x, y and the blur in turn."""
         from scipy.optimize import minimize_scalar
 
         if self.largest_px < SMALL_PX:  # the slope on the nearest whole pixel may lead away from the peak
@@ -344,10 +353,7 @@ class Matcher:
                 x, y = x + step[0], y + step[1]
                 if np.abs(step).max() < 1e-3:
                     break
-        covariance = self._covariance(x, y, arrangement, blur)
-        return Fitted(
-            float(x), float(y), blur, arrangement, self._cut(x, y, arrangement).correlation(x, y, blur), covariance
-        )
+        return float(x), float(y), blur
 
     def _cut(self, x: float, y: float, arrangement: Arrangement) -> _Cut:
         """Cut the part out of the images that triangles near a position touch, with their blur."""
@@ -361,23 +367,28 @@ class Matcher:
 
     def _covariance(self, x: float, y: float, arrangement: Arrangement, blur: float) -> FloatArray:
         """Compute the covariance of the position, (2, 2), from the noise of the slopes and their change."""
-        cut = self._cut(x, y, arrangement)
-        spectra = np.zeros((2, self.shape[0], self.shape[1] // 2 + 1), dtype=np.complex128)
-        fitted = cut.fitted(x, y, blur)
-        for stimulus, images in self.means.items():
-            part = fitted.parts[stimulus]
-            residual = np.array([*images.values()])
-            residual[:, cut.row : cut.row + part.shape[1], cut.column : cut.column + part.shape[2]] -= part
-            for axis, slope in enumerate(cut.slope_templates(stimulus, x, y, blur)):
-                for image, one in zip(residual, slope, strict=True):
-                    spectra[axis] += np.fft.rfft2(image) * np.conj(np.fft.rfft2(one, self.shape))
-        slopes = np.fft.irfft2(spectra, self.shape)
-        noise = np.einsum("aij,bij->ab", slopes, slopes) / slopes[0].size
+        fitted = self._cut(x, y, arrangement).fitted(x, y, blur)
+        noise = self._slope_noise(fitted, x, y, blur)
         jacobian = fitted.slope_change(x, y, blur)
         if not np.linalg.det(jacobian) > 0.0:
             return np.full((2, 2), np.inf)
         inverse = np.linalg.inv(jacobian)
         return np.asarray(inverse @ noise @ inverse.T)
+
+    def _slope_noise(self, fitted: _Cut, x: float, y: float, blur: float) -> FloatArray:
+        """Compute the covariance of the slopes, (2, 2), over the frame, after subtraction of fitted triangles."""
+        spectra = np.zeros((2, self.shape[0], self.shape[1] // 2 + 1), dtype=np.complex128)
+        for stimulus, images in self.means.items():
+            parts = fitted.parts[stimulus]
+            rows = slice(fitted.row, fitted.row + parts.shape[1])
+            columns = slice(fitted.column, fitted.column + parts.shape[2])
+            for axis, slope in enumerate(fitted.slope_templates(stimulus, x, y, blur)):
+                for image, part, one in zip(images.values(), parts, slope, strict=True):
+                    residual = image.copy()
+                    residual[rows, columns] -= part
+                    spectra[axis] += np.fft.rfft2(residual) * np.conj(np.fft.rfft2(one, self.shape))
+        slopes = np.fft.irfft2(spectra, self.shape)
+        return np.asarray(np.einsum("aij,bij->ab", slopes, slopes) / slopes[0].size)
 
 
 @dataclass(frozen=True, slots=True)
@@ -390,46 +401,46 @@ class _Cut:
     column: int
     arrangement: Arrangement
 
-    def templates(self, stimulus: Stimulus, places: Sequence[tuple[float, float]], blur: float) -> FloatArray:
-        """Compute unit-energy templates at places in the frame, (place, orientation, rows, columns)."""
+    def templates(self, stimulus: Stimulus, x: float, y: float, blur: float) -> FloatArray:
+        """Compute unit-energy templates at a place in the frame, (orientation, rows, columns)."""
         shape = self.parts[stimulus].shape[1:]
-        return np.array(
-            [
-                self.matcher.templates(
-                    stimulus, x - self.column, y - self.row, shape, arrangement=self.arrangement, blur=blur
-                )
-                for x, y in places
-            ]
+        return self.matcher.templates(
+            stimulus, x - self.column, y - self.row, shape, arrangement=self.arrangement, blur=blur
         )
 
     def correlation(self, x: float, y: float, blur: float) -> float:
         """Compute the correlation for a centroid at (x, y), with exact coverage."""
         return sum(
-            float(np.vdot(part, self.templates(stimulus, [(x, y)], blur))) for stimulus, part in self.parts.items()
+            float(np.vdot(part, self.templates(stimulus, x, y, blur))) for stimulus, part in self.parts.items()
         )
 
     def fitted(self, x: float, y: float, blur: float) -> _Cut:
         """Return the triangles with their centroid at (x, y) that explain the images best."""
         parts = {}
         for stimulus, part in self.parts.items():
-            (best,) = self.templates(stimulus, [(x, y)], blur)
-            parts[stimulus] = float(np.vdot(part, best)) * best
+            best = self.templates(stimulus, x, y, blur)
+            best *= float(np.vdot(part, best))
+            parts[stimulus] = best
         return replace(self, parts=parts)
 
-    def slope_templates(self, stimulus: Stimulus, x: float, y: float, blur: float) -> FloatArray:
-        """Compute templates of the slope along x and y, (axis, orientation, rows, columns)."""
-        right, left, below, above = self.templates(
-            stimulus, [(x + HALF_PX, y), (x - HALF_PX, y), (x, y + HALF_PX), (x, y - HALF_PX)], blur
-        )
-        return np.array([right - left, below - above])
+    def slope_templates(self, stimulus: Stimulus, x: float, y: float, blur: float) -> Iterator[FloatArray]:
+        """Yield the templates of the slope along x and along y, (orientation, rows, columns)."""
+        for dx, dy in HALF_STEPS:
+            ahead = self.templates(stimulus, x + dx, y + dy, blur)
+            ahead -= self.templates(stimulus, x - dx, y - dy, blur)
+            yield ahead
 
     def slope(self, x: float, y: float, blur: float) -> FloatArray:
         """Compute the slope of the correlation, (2,), after subtraction of the triangle at (x, y)."""
         total = np.zeros(2)
-        fitted = self.fitted(x, y, blur)
+        remainders = self.fitted(x, y, blur).parts
         for stimulus, part in self.parts.items():
-            remainder = part - fitted.parts[stimulus]
-            total += np.einsum("oij,aoij->a", remainder, self.slope_templates(stimulus, x, y, blur))
+            remainder = np.subtract(part, remainders[stimulus], out=remainders[stimulus])
+            # One template at a time: large frames would fill the memory.
+            for axis, (dx, dy) in enumerate(HALF_STEPS):
+                for sign in (1, -1):
+                    template = self.templates(stimulus, x + sign * dx, y + sign * dy, blur)
+                    total[axis] += sign * np.vdot(remainder, template)
         return total
 
     def slope_change(self, x: float, y: float, blur: float) -> FloatArray:
