@@ -38,6 +38,7 @@ def sha256(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
+@pytest.mark.slow
 def test_exr_without_a_checksum_is_warned_of(make_dataset, todframes, tmp_path) -> None:
     """In the JSON, in one line on standard error and at the top of the report; not with --quiet."""
     made = make_dataset("my frames", contrasts=(0.05, 0.1, 0.2, 0.4))

@@ -55,6 +55,7 @@ def test_score_as_json(todframes, make_dataset) -> None:
     assert result["fits"][0]["threshold"] > result["fits"][1]["threshold"]
 
 
+@pytest.mark.slow
 def test_curve_of_the_thresholds(todframes, make_dataset) -> None:
     path = make_dataset(sizes_mrad=(1.0,), contrasts=(0.05, 0.1, 0.2)).path
     (own,), (weibull,) = (
@@ -278,6 +279,7 @@ def test_scoring_imports_no_plotting_or_statistics(make_dataset) -> None:
     assert done.returncode == 0, done.stderr
 
 
+@pytest.mark.slow
 def test_no_picture_of_an_earlier_run_stays(todframes, make_dataset, tmp_path: Path) -> None:
     sizes = make_dataset("sizes", sizes_mrad=(1.0, 2.0), contrasts=(0.05, 0.1, 0.2)).path
     one = make_dataset("one", contrasts=(0.05, 0.1, 0.2), experiment={"group_by": []}).path
@@ -289,6 +291,7 @@ def test_no_picture_of_an_earlier_run_stays(todframes, make_dataset, tmp_path: P
     assert kept.exists()
 
 
+@pytest.mark.slow
 def test_a_tod_curve_for_each_other_group(todframes, make_dataset, tmp_path: Path) -> None:
     made = make_dataset(
         sizes_mrad=(1.0, 2.0), contrasts=(0.05, 0.1, 0.2), experiment={"group_by": ["size_mrad", "camera"]}

@@ -381,6 +381,7 @@ def test_only_then_does_a_filter_make_no_difference() -> None:
         assert np.abs(filtered / outside[0] - 1.0).max() > 0.005
 
 
+@pytest.mark.slow
 def test_weights_that_are_not_found_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     """A display that leaves next to nothing of fine detail, and an eye without noise that would want it back."""
     monkeypatch.setattr("todframes.observers.hotelling.MOST_ITERATIONS", 50)

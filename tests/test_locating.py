@@ -72,6 +72,7 @@ def test_standard_error_is_honest(make_dataset) -> None:
     assert abs(np.mean(misses)) < 0.5
 
 
+@pytest.mark.slow
 def test_sizes_of_one_group_are_found_together(make_dataset) -> None:
     made = make_dataset(
         sizes_mrad=(1.5, 2.5), repeats=2, side_px=64, experiment={"level": "size_mrad", "group_by": []}

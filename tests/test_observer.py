@@ -322,6 +322,7 @@ def test_retina_nyquist() -> None:
     assert per_degree == pytest.approx(57.04, abs=0.005)
 
 
+@pytest.mark.slow
 def test_acuity_inverts_the_contrast_threshold() -> None:
     observer = PyramidObserver()
     contrast = contrast_threshold(observer, size_mrad=0.7).threshold
@@ -335,6 +336,7 @@ def test_threshold_follows_noise() -> None:
     assert quiet.threshold * 2.0 == pytest.approx(loud.threshold, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_criterion_is_met_at_the_threshold() -> None:
     found = contrast_threshold(PyramidObserver(), size_mrad=1.0, p_correct=0.9)
     at = proportion_correct(PyramidObserver(), size_mrad=1.0, contrast=found.threshold, nodes=32)

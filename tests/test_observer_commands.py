@@ -58,9 +58,8 @@ def succeed(cli, capsys, *line: object) -> dict:
     return json.loads(capsys.readouterr().out)
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=() if name == "pyramid" else pytest.mark.slow) for name in OWN_SETTINGS]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("name", OWN_SETTINGS)
 def test_every_command_takes_every_observer(name: str, make_dataset, tmp_path: Path, capsys) -> None:
     sensor = tmp_path / "sensor.toml"
     sensor.write_text(NEARLY_SHARP, encoding="utf-8")
