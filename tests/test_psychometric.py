@@ -212,6 +212,15 @@ def test_slopes_from_nearly_flat_to_a_step(beta):
     assert fit.threshold == pytest.approx(expected, rel=1e-6 / min(beta, 1.0))
 
 
+def test_a_step_that_determines_nothing_has_an_interval():
+    """The curve is a step between two levels, and its slope there leaves the range of numbers."""
+    chosen = FitSettings(resamples=40, lapse_rate=0.02)
+    fit = fit_counts([1.0, 3.0], [0, 1], [2, 1], settings=chosen, rng=generator())
+    low, high = fit.threshold_ci95
+    assert 1.0 < fit.threshold < 3.0
+    assert (low is None or low <= fit.threshold) and (high is None or high >= fit.threshold)
+
+
 @settings(max_examples=60, deadline=None)
 @given(st.data())
 def test_any_answers_give_a_threshold_or_a_reason(data):

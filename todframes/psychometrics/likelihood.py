@@ -6,6 +6,7 @@ counts, Σ n (p ln P + (1 − p) ln(1 − P)).
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import ClassVar
@@ -130,8 +131,9 @@ class CurveModel(ABC):
         free = (theta > self.lower) & (theta < self.upper)
         root = jacobian[free] * np.sqrt(self.n_trials / (right * wrong))
         # Far from all levels the information, its square, leaves the range of numbers.
-        size = max(float(np.abs(root).max(initial=0.0)), 1e-300)
-        prior = np.diag([0.0, self.slope_prior / size**2, 0.0])[free][:, free]
+        root_prior = math.sqrt(self.slope_prior)
+        size = max(float(np.abs(root).max(initial=root_prior)), 1e-300)
+        prior = np.diag([0.0, (root_prior / size) ** 2, 0.0])[free][:, free]
         inverse = np.linalg.pinv(root / size @ (root / size).T + prior, hermitian=True)
         weight: FloatArray = gradient[free] @ inverse @ (jacobian[free] / size) / size
         return right, weight / (right * wrong)
