@@ -1,4 +1,4 @@
-"""What the frames of a group show, measured on some of them: the triangle, the background and the code values."""
+"""The measurement of what the frames of a group show: the triangle, the background and the code values."""
 
 from __future__ import annotations
 
@@ -119,7 +119,7 @@ class Codes(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Inspection:
-    """What the frames of a group with one stimulus show. Errors are standard errors; None: not known.
+    """The properties that frames of a group with one stimulus show. Errors are standard errors; None: not known.
 
     Attributes
     ----------
@@ -670,7 +670,7 @@ def _noise_of_frames(images: FloatArray, level: FloatArray, known: NDArray[np.bo
 
 
 class _Separated(NamedTuple):
-    """What all frames share, (n, n), and what grows with the level in each orientation, (4, n, n).
+    """The image that all frames share, (n, n), and those that grow with the level, by orientation, (4, n, n).
 
     `share` is the weight of each frame in the former, (trial,).
     """
