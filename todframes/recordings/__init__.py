@@ -1,4 +1,4 @@
-"""Charts to record with a camera, and the way from recordings of them to datasets."""
+"""Charts to record with a camera, recordings, and the way from them to datasets."""
 
 import lazy_loader
 
