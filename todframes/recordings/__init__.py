@@ -1,0 +1,5 @@
+"""Charts, recordings and what is made of them: datasets, and the noise of a camera."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
