@@ -322,7 +322,7 @@ class _CurvePlanner:
     def _optics(self, plan: CurvePlan) -> Step:
         if not plan.sampler.sharp:
             return Step("optics", True, "they shape the samples")
-        change = np.abs(self.weights).sum(axis=-1) * plan.sampler.neglected_bound
+        change = np.abs(_less_first(self.weights)).sum(axis=-1) * plan.sampler.neglected_bound
         why = "too sharp against the detectors for their frequencies to be counted"
         return Step("optics", False, why, self.bound(change) / SAFETY)
 
@@ -339,8 +339,8 @@ class _CurvePlanner:
             outside[margin:-margin, margin:-margin] = False
             weights = self.weights * outside.ravel()
             noise = plan.noise(weights) / self.snr**2
-            # The bound assumes that the signal outside has one sign and meets the largest weight of its detectors.
-            largest = np.abs(self._scores(np.abs(weights), np.abs(self.samples)))
+            # The signal outside may have, at each detector, the sign of the weight that it meets.
+            largest = self._scores(np.abs(_less_first(weights)), np.abs(self.samples))
             bound = self.bound(largest, noise)
             if self._affordable(bound):
                 share_saved = 1.0 - (side / full) ** 2
@@ -423,6 +423,14 @@ class _CurvePlanner:
         noise = "the threshold is a signal-to-noise ratio" if plan.external_noise else "there is none"
         steps.append(Step("noise covariance", plan.external_noise, noise))
         return plan, steps
+
+
+def _less_first(weights: FloatArray) -> FloatArray:
+    """Return the weights, (..., 4, n), of the score differences that decide on the first answer.
+
+    Absolute values of the four would cancel in the differences of the scores.
+    """
+    return weights - weights[..., :1, :]
 
 
 def _beyond(change: float, shorter: int, period: int) -> float:

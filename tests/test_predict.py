@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from sensor_sim.curve_plan import plan_curve
+from sensor_sim.curve_plan import full_plan, plan_curve
 from sensor_sim.predict import FoldedChain, predict_threshold
 from sensor_sim.reconstruction import display_position_px
 from sensor_sim.sampling import field_detectors, field_sampler
@@ -451,7 +451,8 @@ def test_interval_covers_the_threshold(sensor, size, observer):
 @pytest.mark.parametrize("tolerance", [1e-2, 2e-3, 5e-4])
 @sensors
 def test_tolerance_is_kept(sensor, size, tolerance, observer):
-    found = predict_threshold(FoldedChain(sensor, observer, size), tolerance=tolerance, seed=3)
+    plan = plan_curve(sensor, observer, size, tolerance=tolerance)
+    found = predict_threshold(FoldedChain(sensor, observer, size, plan), tolerance=tolerance, seed=3)
     assert found.status == "ok"
     assert 0.0 < found.numerical_error <= tolerance * found.threshold
 
@@ -517,3 +518,26 @@ def test_triangle_larger_than_the_observer_can_see(observer):
     near = replace(UNDER_SAMPLED, display=display(4, 1.0))
     with pytest.raises(SettingsError, match=r"^retina_pitch_mrad: .* retina samples, expected at most"):
         FoldedChain(near, observer, 10.0)
+
+
+def test_a_smaller_field_is_bounded_for_any_sign_of_the_signal_outside(observer):
+    """The signal outside may have, at each detector, the sign of the weight by which two scores differ there."""
+    size = 3.0
+    whole = full_plan(UNDER_SAMPLED, observer, size)
+    plan = plan_curve(UNDER_SAMPLED, observer, size, tolerance=1e-2)
+    (stated,) = [step.bound for step in plan.steps if step.stage == "field"]
+    threshold = predict_threshold(FoldedChain(UNDER_SAMPLED, observer, size, plan), tolerance=1e-2).threshold
+    readout = observer.readout(Stimulus(size * UNDER_SAMPLED.display.detector_pitch_mrad))
+    weights = whole.folding(UNDER_SAMPLED, readout, size).weights(0.0, 0.0) * UNDER_SAMPLED.display.gain
+    samples = whole.sampler.samples(np.zeros(1), np.zeros(1), orientation=ORIENTATIONS[0]).ravel()
+    margin = (whole.field - plan.field) // 2
+    outside = np.pad(np.zeros((plan.field, plan.field)), margin, constant_values=1.0).ravel()
+    covariance = readout.noise_covariance + weights @ weights.T / threshold**2
+    change = 0.0
+    for k in (1, 2, 3):
+        worst = np.sign(weights[0] - weights[k]) * np.abs(samples) * outside
+        variance = covariance[0, 0] + covariance[k, k] - 2.0 * covariance[0, k]
+        # No normal density exceeds 1/(σ √(2π)).
+        change += (weights[0] - weights[k]) @ worst / math.sqrt(2.0 * math.pi * variance)
+    assert margin > 0
+    assert 0.0 < change <= stated

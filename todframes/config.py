@@ -279,7 +279,7 @@ def convert(value: object, kind: Any, where: str) -> object:
     SettingsError
         If it is of another type or out of range; the message begins with `where`.
     """
-    if is_dataclass(value):
+    if is_dataclass(value) or (isinstance(value, tuple) and value and all(map(is_dataclass, value))):
         return value  # made and checked by the caller
     literals = [part for part in (kind, *get_args(kind)) if get_origin(part) is Literal]
     try:

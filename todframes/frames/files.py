@@ -1,4 +1,4 @@
-"""Reading and writing of EXR and PNG frame files; no other module calls OpenImageIO."""
+"""Reading and writing of EXR and PNG frame files; of other modules only `recordings.images` calls OpenImageIO."""
 
 from __future__ import annotations
 

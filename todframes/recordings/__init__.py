@@ -1,4 +1,4 @@
-"""Charts, recordings and what is made of them: datasets, and the noise of a camera."""
+"""Charts to record with a camera, recordings, and the way from them to datasets."""
 
 import lazy_loader
 

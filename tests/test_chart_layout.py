@@ -1,0 +1,189 @@
+"""`chart.toml`: what is written is read again, and what cannot be true is refused."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from todframes.errors import SettingsError
+from todframes.recordings import markers
+from todframes.recordings.chart_layout import (
+    Chart,
+    Markers,
+    Page,
+    Patch,
+    Point,
+    Screen,
+    Triangle,
+    chart_toml,
+    read_chart,
+    write_chart,
+)
+from todframes.stimulus import Orientation
+
+SCREEN = Screen(
+    width_px=1920,
+    height_px=1080,
+    pixel_pitch_mm=0.25,
+    background_luminance_cd_m2=25.0,
+    page_duration_s=1.0,
+)
+MARKERS = Markers(
+    side_mm=40.0,
+    top_left=Point(x_mm=30.0, y_mm=30.0),
+    top_right=Point(x_mm=450.0, y_mm=30.0),
+    bottom_right=Point(x_mm=450.0, y_mm=240.0),
+    bottom_left=Point(x_mm=30.0, y_mm=240.0),
+)
+TRIANGLE = Triangle(
+    orientation=Orientation.UP, size_mrad=2.0, size_mm=20.0, contrast=0.1, x_mm=240.125, y_mm=135.0
+)
+CHART = Chart(
+    kind="screen",
+    name='a "name" \\ with\ttrouble\x7f',
+    distance_m=10.0,
+    page_width_mm=480.0,
+    page_height_mm=270.0,
+    pages=(
+        Page(number=0, file="pages/0000.png", triangles=(TRIANGLE,)),
+        Page(
+            number=1,
+            file="pages/0001.png",
+            triangles=(replace(TRIANGLE, contrast=1.0 / 3.0, contrast_asked=0.3, dithered=True),),
+            patches=(Patch(x_mm=1.0, y_mm=2.0, width_mm=3.0, height_mm=4.0, luminance_cd_m2=5.0),),
+        ),
+    ),
+    markers=MARKERS,
+    screen=SCREEN,
+)
+TEXT = chart_toml(CHART)
+
+
+@pytest.mark.parametrize(
+    "chart",
+    [
+        CHART,
+        replace(CHART, seed=7, pages=CHART.pages[:1]).with_key(),
+        replace(
+            CHART,
+            kind="thermal",
+            screen=None,
+            markers=None,
+            polarity=-1,
+            pages=(Page(number=0, triangles=(replace(TRIANGLE, contrast=None, delta_t_k=-0.25),)),),
+        ),
+        replace(CHART, kind="print", screen=None),
+    ],
+    ids=["screen", "key", "thermal", "print"],
+)
+def test_what_is_written_is_read(chart: Chart, tmp_path: Path) -> None:
+    write_chart(tmp_path / "chart.toml", chart)
+    assert read_chart(tmp_path) == read_chart(tmp_path / "chart.toml") == chart
+
+
+def test_key_depends_on_the_content_alone() -> None:
+    keys = {replace(CHART, seed=seed).with_key().key for seed in range(30)}
+    # 30 draws from 250 keys: fewer than 20 different ones have a chance below 1e-8.
+    assert len(keys) >= 20
+    assert CHART.with_key() == replace(CHART, key=17).with_key()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("schema = 1", "schema = 2", "schema: is missing or unknown, expected 1"),
+        ('kind = "screen"', 'kind = "sreen"', "kind: found 'sreen' .expected one of screen, print, thermal"),
+        ('kind = "screen"', 'kind = "print"', r"\[screen\]: expected it with kind = .screen., and only there"),
+        ('kind = "screen"', 'kindd = "screen"', "unknown key 'kindd'; the nearest valid one is 'kind'"),
+        ("key = 0", "key = 250", "key: found 250, expected a whole number from 0 to 249"),
+        ("polarity = 1", "polarity = -1", "number 0: found 0.1, expected the sign of polarity = -1"),
+        (
+            "distance_m = 10.0",
+            "distance_m = 11.0",
+            "number 0: size_mm: found 20, but size_mrad and distance_m give 22",
+        ),
+        ("distance_m = 10.0", "distance_m = 0", "distance_m: found 0"),
+        ("page_width_mm = 480.0", "page_width_mm = 400.0", "page_width_mm: found 400, but the pixels give 480"),
+        ("number = 1", "number = 2", "number 1: number: found 2, expected 1"),
+        ("pages/0001.png", "../0001.png", r"number 1: file: found '../0001.png', expected a path inside"),
+        ('file = "pages/0001.png"', "", "number 1: file is missing"),
+        (", contrast = 0.1}", "}", "number 0: triangles: contrast and delta_t_k: found none, expected one"),
+        ("contrast = 0.1}", "contrast = 0.0}", "number 0: triangles: contrast or delta_t_k: found 0"),
+        (
+            "contrast = 0.1}",
+            "contrst = 0.1}",
+            "triangles: unknown key 'contrst'; the nearest valid one is 'contrast'",
+        ),
+        ('orientation = "up"', 'orientation = "top"', "triangles: orientation: found 'top'"),
+        ("side_mm = 40.0", "side_mm = 70.0", r"\[markers\]: top_left: reaches beyond the page"),
+        ("top_left = {x_mm = 30.0", "top_left = {x_mm = 450.0", "markers that overlap or are exchanged"),
+        ("top_left = {x_mm = 30.0", "top_left = {x_m = 30.0", "top_left: unknown key 'x_m'"),
+        ("bits = 8", "bits = 9", "bits: found 9"),
+        ('eotf = "srgb"', 'eotf = "gamma"', r"\[screen\]: gamma: is missing"),
+        ('eotf = "srgb"', 'eotf = "lut"\nlut = [[0.0], [1.0]]', "lut: found 1 rows"),
+        ('eotf = "srgb"', 'eotf = "lut"\nlut = ["a"]', "lut: expected pairs of numbers"),
+        ("[screen]", "[markers]", "not valid TOML"),
+        ("y_mm = 135.0", "y_mm = 335.0", "number 0: found a triangle beyond the page"),
+    ],
+)
+def test_a_wrong_chart_is_refused(old: str, new: str, message: str, tmp_path: Path) -> None:
+    assert old in TEXT
+    (tmp_path / "chart.toml").write_text(TEXT.replace(old, new), encoding="utf-8")
+    with pytest.raises(SettingsError, match=message) as caught:
+        read_chart(tmp_path)
+    assert str(caught.value).startswith(str(tmp_path / "chart.toml"))
+    assert "\n" not in str(caught.value)
+
+
+def test_no_chart_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(SettingsError, match=r"chart\.toml: no such file"):
+        read_chart(tmp_path)
+    (tmp_path / "chart.toml").write_text("schema = 1\npages = 3\n", encoding="utf-8")
+    with pytest.raises(SettingsError, match="pages: found 3, expected a list of tables"):
+        read_chart(tmp_path)
+    many = tuple(Page(number=n, triangles=(TRIANGLE,) * 8, file="a" * 99) for n in range(2000))
+    with pytest.raises(SettingsError, match=r"2000 pages.*longer than 1 MB"):
+        write_chart(tmp_path / "long.toml", replace(CHART, pages=many))
+    assert not (tmp_path / "long.toml").exists()
+
+
+def test_ids_name_page_and_chart() -> None:
+    pages = [0, 1, 249, 250, 251, 5000, 62_499]
+    found = {(page, key): markers.marker_ids(page, key) for page in pages for key in (0, 137, 249)}
+    assert len(set(found.values())) == len(found)
+    for (page, key), ids in found.items():
+        assert markers.page_of(ids) == (page, key)
+        assert [one % 4 for one in ids] == [0, 1, 2, 3]
+        assert min(ids) >= 0 and max(ids) < 1000
+
+
+def test_ids_of_no_single_page() -> None:
+    first, second = markers.marker_ids(7, 3), markers.marker_ids(8, 3)
+    assert markers.page_of((first[0], first[1], second[2], first[3])) is None
+    assert markers.page_of((first[1], first[0], *first[2:])) is None
+    assert markers.page_of(first[:3]) is None
+    assert markers.page_of((*first[:3], 1003)) is None
+    with pytest.raises(SettingsError, match="page: found 62500, expected a whole number from 0 to 62499"):
+        markers.marker_ids(62_500, 0)
+    with pytest.raises(SettingsError, match="key: found 250"):
+        markers.marker_ids(0, 250)
+    with pytest.raises(SettingsError, match="marker: found 1000"):
+        markers.marker_bits(1000)
+
+
+def test_bits_are_those_that_opencv_detects() -> None:
+    detector = cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_5X5_1000))
+    for marker in (0, 137, 998, 999):
+        bits = markers.marker_bits(marker)
+        assert bits.shape == (markers.MODULES,) * 2
+        assert not bits[[0, -1]].any() and not bits[:, [0, -1]].any()
+        image = np.pad(
+            np.kron(np.where(bits, 255, 0).astype(np.uint8), np.ones((8, 8), np.uint8)), 20, constant_values=255
+        )
+        corners, ids, _ = detector.detectMarkers(image)
+        assert ids.ravel().tolist() == [marker]
+        assert np.allclose(corners[0][0], [[20, 20], [75, 20], [75, 75], [20, 75]])

@@ -1,0 +1,198 @@
+"""Reading of image sequences and files of several pages: TIFF, DPX, PNG, EXR, PNM, JPEG 2000 and JPEG."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import OpenImageIO as oiio
+from numpy.typing import NDArray
+
+from todframes.errors import FrameError
+from todframes.frames.files import FULL_SCALE, MAX_DECODED_MB, FrameFile, openimageio_reason
+from todframes.recordings.recording import RecordingWarning, StillHeader, check_size
+
+FORMATS = {
+    rb"\x76\x2f\x31\x01": "openexr",
+    rb"\x89PNG\r\n\x1a\n": "png",
+    rb"II[*+]\0|MM\0[*+]": "tiff",
+    rb"SDPX|XPDS": "dpx",
+    rb"P[1-6]\s": "pnm",
+    rb"\0\0\0\x0cjP  |\xff\x4f\xff\x51": "jpeg2000",
+    rb"\xff\xd8\xff": "jpeg",
+}
+"""Patterns of the first bytes of the files that this module reads, and OpenImageIO's names of their formats."""
+
+
+PIXEL_TYPES = ("uint8", "uint16", "int16", "half", "float", "double")
+"""Stored types that are read; all others have values that 32-bit floats cannot hold."""
+
+
+RATES = ("FramesPerSecond", "dpx:FrameRate", "dpx:TemporalFrameRate")
+"""Attributes with the frame rate."""
+
+
+LOSSY = RecordingWarning(
+    "lossy_compression",
+    "JPEG changes pixels and has 256 levels: faint triangles and noise are not what the camera saw; "
+    "record TIFF, PNG or EXR",
+)
+
+
+def format_of(start: bytes) -> str | None:
+    """Return OpenImageIO's name of the format of a file that starts with these bytes; None if it has none."""
+    return next((name for pattern, name in FORMATS.items() if re.match(pattern, start)), None)
+
+
+def read_header(path: Path) -> StillHeader:
+    """Return the size, scale, number of pages and frame rate of an image file.
+
+    Raises
+    ------
+    FrameError
+        If the file is damaged, its pages differ, or its pixel type or channels are none of ours.
+    """
+    image = _open(path)
+    try:
+        name = image.format_name()
+        if name in ("openexr", "png"):
+            return _exr_or_png_header(path, image.spec())
+        spec, n_pages = image.spec(), 1
+        header = _layout(path, spec)
+        while image.seek_subimage(n_pages, 0):
+            if _layout(path, image.spec()) != header:
+                raise FrameError(
+                    path, f"page {n_pages} differs in size or pixel type from page 0, expected equal ones"
+                )
+            n_pages += 1
+    finally:
+        image.close()
+    shape, n_channels, pixel_type = header
+    return StillHeader(
+        shape,
+        n_channels > 1,
+        n_pages,
+        float(_full_scale(path, spec)) if pixel_type in FULL_SCALE else None,
+        frames_per_second=_rate(spec),
+        warnings=(LOSSY,) if name == "jpeg" else (),
+    )
+
+
+def read_frames(path: Path) -> Iterator[NDArray[Any]]:
+    """Yield the values of each page of an image file, as stored: 10 bits give values up to 1023.
+
+    Raises
+    ------
+    FrameError
+        If pixels are damaged, NaN or infinite.
+    """
+    with path.open("rb") as file:
+        name = format_of(file.read(16))
+    if name in ("openexr", "png"):
+        with FrameFile(path) as frame:
+            yield _as_recorded(path, frame.read().stored)
+        return
+    image = _open(path)
+    try:
+        page = 0
+        while image.seek_subimage(page, 0):
+            spec = image.spec()
+            _, n_channels, pixel_type = _layout(path, spec)
+            stored = image.read_image(page, 0, 0, n_channels, pixel_type)
+            if stored is None or image.has_error:
+                raise FrameError(path, f"page {page} cannot be decoded: {openimageio_reason(image)}")
+            if pixel_type in FULL_SCALE:
+                stored = _unscaled(stored, _full_scale(path, spec))
+            yield _as_recorded(path, stored)
+            page += 1
+    finally:
+        image.close()
+
+
+def _open(path: Path) -> Any:
+    try:
+        str(path).encode()
+        image = oiio.ImageInput.open(str(path))
+    except (OSError, ValueError) as error:
+        raise FrameError(path, f"cannot be opened: {error}") from None
+    if image is None:
+        raise FrameError(path, f"cannot be opened: {openimageio_reason(None)}")
+    return image
+
+
+def _exr_or_png_header(path: Path, spec: Any) -> StillHeader:
+    with FrameFile(path) as frame:
+        header = frame.header
+    if (header.n_rows, header.n_columns) != (header.height, header.width):
+        raise FrameError(path, "the data window covers only a part of the display window, expected all of it")
+    return StillHeader(
+        (header.height, header.width),
+        len(header.channels) > 1,
+        1,
+        float(FULL_SCALE[header.pixel_type]) if header.pixel_type in FULL_SCALE else None,
+        frames_per_second=_rate(spec),
+    )
+
+
+def _layout(path: Path, spec: Any) -> tuple[tuple[int, int], int, str]:
+    """Return the shape, the number of channels to read, and the pixel type of a page."""
+    shape, pixel_type = (spec.height, spec.width), str(spec.format)
+    check_size(path, shape)
+    if spec.image_bytes(True) > MAX_DECODED_MB * 2**20 or spec.depth > 1:
+        raise FrameError(path, f"found a volume or more than {MAX_DECODED_MB} MB, expected a frame")
+    if pixel_type not in PIXEL_TYPES:
+        raise FrameError(path, f"pixel type {pixel_type}, expected one of {', '.join(PIXEL_TYPES)}")
+    if not 1 <= spec.nchannels <= 4:
+        raise FrameError(path, f"found {spec.nchannels} channels, expected grey or R, G, B, with or without alpha")
+    return shape, 1 if spec.nchannels < 3 else 3, pixel_type
+
+
+def _full_scale(path: Path, spec: Any) -> int:
+    """Return the largest value that the file can hold: of its bits, or the one that a PNM declares."""
+    if spec.get_string_attribute("oiio:ColorSpace") and "pnm:binary" in [one.name for one in spec.extra_attribs]:
+        return _pnm_maximum(path)
+    stored: Any = str(spec.format)
+    bits = spec.get_int_attribute("oiio:BitsPerSample", 0)
+    return int(2**bits - 1) if 8 < bits < 16 else FULL_SCALE[stored]
+
+
+def _pnm_maximum(path: Path) -> int:
+    with path.open("rb") as file:
+        start = file.read(4096)
+    if start[:2] in (b"P1", b"P4"):
+        return 255  # OpenImageIO makes 0 and 255 of the two values of a bitmap
+    numbers = re.match(rb"P[2356](?:\s|#[^\n]*\n)+\d+(?:\s|#[^\n]*\n)+\d+(?:\s|#[^\n]*\n)+(\d+)\s", start)
+    if numbers is None:
+        raise FrameError(path, "the header of the PNM has no largest value in its first 4096 bytes")
+    return int(numbers[1])
+
+
+def _unscaled(stored: NDArray[Any], full_scale: int) -> NDArray[Any]:
+    """Undo OpenImageIO's stretching of n-bit values to 8 or 16 bits: its rounding is far below one step."""
+    stretched = np.iinfo(stored.dtype).max
+    if full_scale == stretched:
+        return stored
+    return np.rint(stored * (full_scale / stretched)).astype(stored.dtype)
+
+
+def _as_recorded(path: Path, stored: NDArray[Any]) -> NDArray[Any]:
+    """Return (rows, columns) or (rows, columns, 3) as uint8, uint16 or float32."""
+    values = stored if stored.dtype.kind == "u" else stored.astype(np.float32)
+    if values.dtype.kind == "f" and not np.isfinite(values).all():
+        raise FrameError(path, f"{np.count_nonzero(~np.isfinite(values))} values are NaN or infinite")
+    return values[..., 0] if values.shape[2] == 1 else values
+
+
+def _rate(spec: Any) -> float | None:
+    """Return the frame rate that the metadata give, None if they give none."""
+    values = {one.name: one.value for one in spec.extra_attribs if one.name in RATES}
+    for name in RATES:
+        value: Any = values.get(name)
+        if isinstance(value, tuple):
+            value = value[0] / value[1] if len(value) == 2 and value[1] else None
+        if isinstance(value, int | float) and np.isfinite(value) and value > 0:
+            return float(value)
+    return None

@@ -1,0 +1,206 @@
+"""The one form in which frames of every kind of recording are handed on."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, NamedTuple, Protocol
+
+from numpy.typing import NDArray
+
+from todframes.errors import DataError, FrameError, SettingsError
+
+Unit = Literal["code", "counts", "celsius"]
+"""Code values of a picture, counts of a detector, or temperatures."""
+
+
+class RecordedFrame(NamedTuple):
+    """One frame: the values as recorded, their time and origin.
+
+    `values` has shape (rows, columns), or (rows, columns, 3) for R, G, B, and is uint8, uint16 or float32.
+    `time_s` is the presentation time in seconds, None if nothing tells it. `source` names the frame in messages.
+    """
+
+    values: NDArray[Any]
+    time_s: float | None
+    source: str
+
+
+class RecordingWarning(NamedTuple):
+    """A property of a recording that costs precision: a code, and a sentence that says what it costs."""
+
+    code: str
+    message: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Recording:
+    """A sequence of frames of one size, which are read one at a time and as often as asked for.
+
+    Parameters
+    ----------
+    path : path
+        The file or folder.
+    shape : (int, int)
+        Rows and columns of each frame.
+    is_colour : bool
+        Frames have the channels R, G, B; else one.
+    n_frames : int, optional
+        Number of frames as the file gives it; None if only reading it would tell.
+    frames_per_second : float, optional
+        Nominal frame rate; None if nothing tells it.
+    full_scale, zero : float
+        Recorded values of white and black: 255 and 0 for a picture of 8 bits, 235 and 16 in the limited range of a
+        grey video. `full_scale` is None for values without a white: temperatures, counts, floating-point values.
+    unit : {"code", "counts", "celsius"}
+        Meaning of the values.
+    warnings : tuple of RecordingWarning
+        What the recording has lost.
+    read : function without parameters
+        Returns a new iterator over the frames. FrameError or DataError if a frame cannot be read.
+    """
+
+    path: Path
+    shape: tuple[int, int]
+    is_colour: bool
+    n_frames: int | None
+    frames_per_second: float | None
+    full_scale: float | None
+    zero: float = 0.0
+    unit: Unit = "code"
+    warnings: tuple[RecordingWarning, ...] = ()
+    read: Callable[[], Iterator[RecordedFrame]]
+
+    def frames(self) -> Iterator[RecordedFrame]:
+        """Return a new iterator over the frames, from the first; memory does not grow with their number.
+
+        Raises
+        ------
+        FrameError, DataError
+            If a frame is damaged or has another size; those before it are good.
+        """
+        return self.read()
+
+
+class StillHeader(NamedTuple):
+    """What a file of still frames says before its values are decoded; the fields are those of `Recording`."""
+
+    shape: tuple[int, int]
+    is_colour: bool
+    n_frames: int
+    full_scale: float | None
+    zero: float = 0.0
+    unit: Unit = "code"
+    frames_per_second: float | None = None
+    warnings: tuple[RecordingWarning, ...] = ()
+
+
+class StillReader(Protocol):
+    """Protocol of a module that reads files of one or several still frames each."""
+
+    def read_header(self, path: Path) -> StillHeader:
+        """Return the header of a file."""
+
+    def read_frames(self, path: Path) -> Iterator[NDArray[Any]]:
+        """Yield the values of each frame of a file."""
+
+
+def check_rate(frames_per_second: float | None) -> float | None:
+    """Return a frame rate. Raises SettingsError if it is not a positive number."""
+    if frames_per_second is not None and not (math.isfinite(frames_per_second) and frames_per_second > 0):
+        raise SettingsError(f"frames_per_second: found {frames_per_second}, expected a number > 0")
+    return frames_per_second
+
+
+def natural_order(paths: Iterable[Path]) -> list[Path]:
+    """Sort paths by name with numbers in order of size: frame_9 before frame_10."""
+
+    def key(path: Path) -> list[tuple[int, str]]:
+        return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d+)", str(path))]
+
+    return sorted(paths, key=key)
+
+
+def still_recording(
+    paths: Sequence[Path], reader: StillReader, *, folder: Path | None, frames_per_second: float | None
+) -> Recording:
+    """Return one recording of still frames, in the order of their file names.
+
+    Parameters
+    ----------
+    paths : sequence of path
+        At least one file.
+    reader : StillReader
+        The module for files of this kind.
+    folder : path, optional
+        Where they were found; names the recording.
+    frames_per_second : float, optional
+        Frame rate in place of that in the first file.
+
+    Raises
+    ------
+    FrameError
+        If a header cannot be read, or two files differ in size, channels or scale.
+    """
+    paths = natural_order(paths)
+    headers = [reader.read_header(path) for path in paths]
+    first = headers[0]
+    for path, header in zip(paths, headers, strict=True):
+        for what, found, expected in (
+            ("size", _size(header.shape), _size(first.shape)),
+            ("channels", _channels(header), _channels(first)),
+            ("value of white", header.full_scale, first.full_scale),
+            ("unit", header.unit, first.unit),
+        ):
+            if found != expected:
+                problem = f"{what}: found {found}, expected {expected} as in {paths[0].name}"
+                raise FrameError(path, f"{problem}; a recording has frames of one kind")
+    rate = check_rate(frames_per_second) or first.frames_per_second
+    warnings = dict.fromkeys(one for header in headers for one in header.warnings)
+
+    def read() -> Iterator[RecordedFrame]:
+        number = 0
+        for path, header in zip(paths, headers, strict=True):
+            for page, values in enumerate(reader.read_frames(path)):
+                source = path.name if header.n_frames == 1 else f"{path.name}, page {page}"
+                yield RecordedFrame(values, None if rate is None else number / rate, source)
+                number += 1
+
+    return Recording(
+        path=folder or paths[0],
+        shape=first.shape,
+        is_colour=first.is_colour,
+        n_frames=sum(header.n_frames for header in headers),
+        frames_per_second=rate,
+        full_scale=first.full_scale,
+        zero=first.zero,
+        unit=first.unit,
+        warnings=tuple(warnings),
+        read=read,
+    )
+
+
+def _size(shape: tuple[int, int]) -> str:
+    return f"{shape[1]} x {shape[0]} pixels"
+
+
+def _channels(header: StillHeader) -> str:
+    return "R, G, B" if header.is_colour else "grey"
+
+
+def check_size(path: Path, shape: tuple[int, int]) -> None:
+    """Raise FrameError unless a frame has pixels, and not more than a frame file may have."""
+    from todframes.frames.files import MAX_SIDE_PX
+
+    if min(shape) < 1 or max(shape) > MAX_SIDE_PX:
+        raise FrameError(path, f"found {_size(shape)}, expected sides of 1 to {MAX_SIDE_PX}")
+
+
+def missing_extra(path: Path, extra: str, package: str) -> DataError:
+    """Return the error for a file that needs a package which is not installed."""
+    return DataError(
+        f"{path}: needs the package {package}, which is not installed: pip install 'todframes[{extra}]'"
+    )
