@@ -180,7 +180,7 @@ def _expected(name: str, level: str) -> str:
 
 def _values(texts: Mapping[str, str], level: str, where: str) -> dict[str, str]:
     """Return the columns of a row from the texts in a file's name, those with a meaning first."""
-    values = {name: texts[name] for name in ("orientation", "size_mrad", level)} | texts
+    values = {**{name: texts[name] for name in ("orientation", "size_mrad", level)}, **texts}
     values["orientation"] = ORIENTATION_WORDS[values["orientation"].lower()]
     if "polarity" in values:
         values["polarity"] = POLARITY_WORDS[values["polarity"].lower()]
