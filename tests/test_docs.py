@@ -153,7 +153,7 @@ def test_commands_of_a_how_to_page(name: str, folder: Path) -> None:
         run_commands(command)
 
 
-QUICK = ["own_frames.md", "fit_counts.md", "own_enhancement.md", "api.md"]
+QUICK = ["own_frames.md", "displays.md", "fit_counts.md", "own_enhancement.md", "api.md"]
 
 
 @pytest.mark.parametrize(
@@ -165,6 +165,8 @@ def test_code_of_a_page(name: str, capsys) -> None:
     run_code(*blocks(text, "python"))
     if name == "own_frames.md":
         assert capsys.readouterr().out == "never_reached\n"
+    if name == "displays.md":
+        assert capsys.readouterr().out == blocks(text, "text")[0]
 
 
 @pytest.mark.slow

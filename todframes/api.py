@@ -167,7 +167,7 @@ def score_frames(
     orientation: str | Sequence[str],
     level: float | Sequence[float],
     size_mrad: float | Sequence[float],
-    display: Display,
+    display: Display | str,
     group: Mapping[str, Sequence[float | str]] | None = None,
     position: ArrayLike | None = None,
     polarity: int | Sequence[int] = 1,
@@ -190,8 +190,9 @@ def score_frames(
         Stimulus strength, > 0.
     size_mrad : float or sequence of float
         √(area) of the triangle as displayed, in mrad of visual angle.
-    display : Display
-        Conversion of code values to luminance, and the visual angle of a pixel.
+    display : Display or str
+        Conversion of code values to luminance, and the visual angle of a pixel; or the name of a display of this
+        package, such as "reference_sdr", or of a file that describes one.
     group : mapping, optional
         Columns of n values each by name; frames with the same values share a curve. Default: one curve for each
         size.
@@ -237,6 +238,7 @@ def score_frames(
     >>> result.thresholds[0].status
     'ok'
     """
+    from todframes.frames.display_files import find_display
     from todframes.frames.memory import memory_dataset
 
     data = memory_dataset(
@@ -244,7 +246,7 @@ def score_frames(
         orientation=orientation,
         level=level,
         size_mrad=size_mrad,
-        display=display,
+        display=find_display(display).display if isinstance(display, str) else display,
         group=group,
         position=position,
         polarity=polarity,
