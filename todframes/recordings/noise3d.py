@@ -188,8 +188,8 @@ class Noise3D:
             'distribution = "gaussian"',
             "# netd_mk = …                  # unknown: give --mk-per-count"
             if per_unit is None
-            else f"netd_mk = {dynamic.sd * per_unit!r}",
-            f"fixed_pattern_ratio = {self.fixed_pattern_ratio.sd!r}",
+            else f"netd_mk = {dynamic.sd * per_unit:.6g}",
+            f"fixed_pattern_ratio = {self.fixed_pattern_ratio.sd:.6g}",
             f"frames_integrated = {self.frames_integrated}",
         ]
         return "\n".join([*lines, ""])

@@ -68,7 +68,7 @@ class NoiseResult:
             named |= {"dynamic": noise.dynamic, "fixed pattern": noise.fixed}
             meanings |= {"dynamic": "tv, th and tvh together", "fixed pattern": "v, h and vh together"}
         else:
-            meanings["vh"] = "pixels, fixed and from frame to frame"
+            meanings = {name: f"{PARTS[name]} and from frame to frame" for name in named}
         records = [
             {"part": name, "meaning": meanings[name], "sd": one.sd, "sd_ci95": one.ci95, "sd_mk": self._mk(one.sd)}
             for name, one in named.items()
@@ -149,16 +149,15 @@ class NoiseResult:
         from matplotlib.figure import Figure
 
         with style():
-            figure = Figure(figsize=(9.6, 6.4), layout="constrained")
-            (bars, series), (mean, temporal) = figure.subplots(2, 2)
+            unit, temporal_sd = UNITS[self.measured.unit], self.measured.temporal_sd
+            n_rows = 1 if temporal_sd is None else 2
+            figure = Figure(figsize=(9.6, 3.2 * n_rows), layout="constrained")
+            (bars, mean), *more = figure.subplots(n_rows, 2, squeeze=False)
             self._draw_parts(bars)
-            self._draw_means(series)
-            unit = UNITS[self.measured.unit]
             _draw_image(mean, self.measured.mean_image, "Mean of each pixel", unit)
-            if self.measured.temporal_sd is None:
-                temporal.set_axis_off()
-            else:
-                _draw_image(temporal, self.measured.temporal_sd, "SD of each pixel from frame to frame", unit)
+            if temporal_sd is not None:
+                self._draw_means(more[0][0])
+                _draw_image(more[0][1], temporal_sd, "SD of each pixel from frame to frame", unit)
             figure.suptitle(label_text(Path(self.recording).name), fontsize="medium")
         return figure
 
