@@ -140,6 +140,14 @@ SAVED = {"fit_counts.md": ("counts.csv", "text", 0), "own_enhancement.md": ("my_
 HOW_TO = ["own_frames.md", "compare_algorithms.md", "simulate_sensor.md", "fit_counts.md", "own_enhancement.md"]
 
 
+def test_commands_of_the_page_on_noise(folder: Path, capsys) -> None:
+    text = page("camera_noise.md")
+    run_code(*blocks(text, "python"))
+    run_commands(blocks(text, "sh")[0])
+    assert (folder / "noise_of_wall" / "sensor_noise.toml").is_file()
+    assert "SNR" in capsys.readouterr().out
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", HOW_TO)
 def test_commands_of_a_how_to_page(name: str, folder: Path) -> None:
@@ -153,7 +161,7 @@ def test_commands_of_a_how_to_page(name: str, folder: Path) -> None:
         run_commands(command)
 
 
-QUICK = ["own_frames.md", "displays.md", "fit_counts.md", "own_enhancement.md", "api.md"]
+QUICK = ["own_frames.md", "camera_noise.md", "displays.md", "fit_counts.md", "own_enhancement.md", "api.md"]
 
 
 @pytest.mark.parametrize(
@@ -165,7 +173,7 @@ def test_code_of_a_page(name: str, capsys) -> None:
     run_code(*blocks(text, "python"))
     if name == "own_frames.md":
         assert capsys.readouterr().out == "never_reached\n"
-    if name == "displays.md":
+    if name in ("displays.md", "camera_noise.md"):
         assert capsys.readouterr().out == blocks(text, "text")[0]
 
 
