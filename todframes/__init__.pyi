@@ -24,6 +24,7 @@ from .observers.oriented import OrientedObserver as OrientedObserver
 from .observers.pyramid import PyramidObserver as PyramidObserver
 from .psychometrics.fit import FitSettings as FitSettings
 from .psychometrics.fit import PsychometricFit as PsychometricFit
+from .recordings.charts import chart as chart
 from .recordings.file_names import new_dataset as new_dataset
 from .report.result import Result as Result
 from .report.result import load_result as load_result

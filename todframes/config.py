@@ -227,7 +227,7 @@ def _unmet(value: Any, hint: Any) -> str | None:
     parts = get_args(kind) or (kind,)
     if get_origin(kind) is Literal:
         return None if value in parts else f"one of {', '.join(map(str, parts))}"
-    if (value is None and NoneType in parts) or not {int, float} & set(parts):
+    if (value is None and NoneType in parts) or not {int, float} & set(parts) or get_origin(kind) is tuple:
         return None
     number, noun = (Integral, "a whole number") if int in parts else (Real, "a number")
     low, high = (None, None) if meta is None else (meta.ge, meta.le)

@@ -8,7 +8,8 @@ run has left is known by a lock that nobody holds.
 At the end, with signals held back, the files are renamed into place:
 
 - Files of a result folder replace those of the same names one by one, `result.json` last.
-- A dataset that is new gets its files under their names, `dataset.toml` last; without that it is no dataset.
+- A dataset that is new gets its files under their names, `dataset.toml` last; without that it is no dataset. So
+  does a chart, `chart.toml` last.
 - A dataset that replaces another one is swapped with it in one step. The older one is looked at before it is
   removed; if anything has come into it meanwhile, the two are swapped back.
 """
@@ -100,7 +101,7 @@ def output_folder(name: str) -> Iterator[Path]:
 
 
 @contextmanager
-def new_folder(name: str, *, overwrite: bool) -> Iterator[Path]:
+def new_folder(name: str, *, overwrite: bool, last: str = LAST_OF_DATASET) -> Iterator[Path]:
     """Yield a staging folder. If the block ends without an exception, it becomes the dataset named.
 
     Parameters
@@ -108,6 +109,8 @@ def new_folder(name: str, *, overwrite: bool) -> Iterator[Path]:
     overwrite : bool
         Whether it may replace a dataset. A dataset is only replaced if it has the mark of this package and holds
         nothing but the files listed there, unchanged.
+    last : str
+        The file without which the folder is no dataset, or no chart; it is the last to get its name.
 
     Raises
     ------
@@ -124,7 +127,7 @@ def new_folder(name: str, *, overwrite: bool) -> Iterator[Path]:
             with _staging(beside, name):
                 pass  # removes the files of a killed run
         if killed:
-            _remove_unfinished(path)
+            _remove_unfinished(path, last)
         if before := _inventory(path):
             _check_replaceable(name, path, before, overwrite)
             stack.enter_context(_staging(beside, name))
@@ -140,7 +143,7 @@ def new_folder(name: str, *, overwrite: bool) -> Iterator[Path]:
             if before:
                 _exchange(name, staged, path, before)
             else:
-                _fill(name, staged, path)
+                _fill(name, staged, path, last)
             signals.written.append(name)
 
 
@@ -446,10 +449,10 @@ def _remove_folder(folder: Path, found: Inventory) -> None:
     folder.rmdir()
 
 
-def _remove_unfinished(path: Path) -> None:
+def _remove_unfinished(path: Path, last: str) -> None:
     """Remove files that a killed run had moved into a new folder."""
     found = _inventory(path)
-    if MARK in found and LAST_OF_DATASET not in found and not _foreign(path, found):
+    if MARK in found and last not in found and not _foreign(path, found):
         _remove(path, found)
 
 
@@ -513,11 +516,11 @@ def _exchange(name: str, staged: Path, path: Path, before: Inventory) -> None:
         _remove_folder(staged, before)
 
 
-def _fill(name: str, staged: Path, path: Path) -> None:
+def _fill(name: str, staged: Path, path: Path, last: str) -> None:
     """Move a staged dataset into a folder that has none; no file is replaced."""
     moved: list[str] = []
     try:
-        for part in sorted(_names(staged), key=lambda part: (part != MARK, part == LAST_OF_DATASET)):
+        for part in sorted(_names(staged), key=lambda part: (part != MARK, part == last)):
             try:
                 _rename_to_free_name(staged / part, path / part)
             except FileExistsError:

@@ -13,6 +13,7 @@ from pathlib import Path
 import click
 
 from todframes import __version__
+from todframes.cli.chart import chart
 from todframes.cli.compare import compare, enhancements
 from todframes.cli.console import (
     Commands,
@@ -133,7 +134,7 @@ def validate(*, dataset: Path, add_sha256: bool, strict: bool, as_json: bool) ->
     check_strict(result.warnings, strict)
 
 
-for command in (score, compare, naked_eye, fit, new, report_command, enhancements, accuracy, stability):
+for command in (score, compare, naked_eye, fit, chart, new, report_command, enhancements, accuracy, stability):
     cli.add_command(command)
 
 

@@ -20,7 +20,7 @@ from todframes._typing import FloatArray
 from todframes.config import MAX_TOML_MB, check_keys, check_values, from_table, read_toml
 from todframes.errors import SettingsError
 from todframes.frames.display import Display, Eotf, LuminanceTable
-from todframes.recordings.markers import CORNERS, MOST_PAGES, N_DIGITS
+from todframes.recordings.markers import CORNERS, MODULES, MOST_PAGES, N_DIGITS
 from todframes.stimulus import Orientation
 
 SCHEMA = 1
@@ -97,6 +97,19 @@ class Markers:
                 "top_left, top_right, bottom_right, bottom_left: found markers that overlap or are exchanged, "
                 "expected each in the corner of its name, at least side_mm apart"
             )
+
+    @classmethod
+    def in_corners(cls, *, width_mm: float, height_mm: float, module_mm: float, margin_mm: float) -> Markers:
+        """Return markers whose white borders, of one module, keep a margin to the edges of a page."""
+        near = margin_mm + (1.0 + MODULES / 2.0) * module_mm
+        far_x, far_y = width_mm - near, height_mm - near
+        return cls(
+            side_mm=MODULES * module_mm,
+            top_left=Point(x_mm=near, y_mm=near),
+            top_right=Point(x_mm=far_x, y_mm=near),
+            bottom_right=Point(x_mm=far_x, y_mm=far_y),
+            bottom_left=Point(x_mm=near, y_mm=far_y),
+        )
 
     @property
     def centres_mm(self) -> FloatArray:

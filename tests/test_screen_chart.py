@@ -1,0 +1,243 @@
+"""Charts for a monitor: what the written images hold, measured without the code that drew them."""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+import todframes as tod
+from todframes.cli.console import run
+from todframes.cli.main import cli
+from todframes.errors import OutputError, SettingsError
+from todframes.recordings.chart_layout import Chart, read_chart
+from todframes.recordings.dither import TILE, blue_noise, dithered
+from todframes.recordings.markers import page_of
+
+PITCH_MM = 0.25
+MONITOR = {"width_px": 640, "height_px": 481, "pixel_pitch_mm": PITCH_MM, "marker_mm": 17.5}
+CONTRASTS = (0.004, 0.05, 0.8)
+ARUCO = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_5X5_1000)
+
+
+def srgb(code: np.ndarray) -> np.ndarray:
+    """IEC 61966-2-1, white = 100 cd/m²."""
+    return 100.0 * np.where(code <= 0.04045, code / 12.92, ((code + 0.055) / 1.055) ** 2.4)
+
+
+@pytest.fixture(scope="module", params=[1, -1], ids=["bright", "dark"])
+def made(request, tmp_path_factory) -> tuple[Path, Chart]:
+    folder = tmp_path_factory.mktemp("chart") / "made"
+    asked = {"distance_m": 10, "sizes_mrad": [1, 2], "contrasts": CONTRASTS, "polarity": request.param}
+    return folder, tod.chart("screen", out=folder, repeats=2, **asked, **MONITOR)
+
+
+def test_written_is_what_was_returned(made) -> None:
+    folder, chart = made
+    assert read_chart(folder) == chart
+    assert sorted(path.name for path in folder.iterdir()) == [
+        ".todframes.json",
+        "chart.toml",
+        "pages",
+        "play.html",
+    ]
+    files = sorted(path.relative_to(folder).as_posix() for path in (folder / "pages").iterdir())
+    assert files == [page.file for page in chart.pages]
+
+
+def test_all_triangles_equally_often_and_each_once_in_a_block(made) -> None:
+    _, chart = made
+    shown = [(one.size_mrad, one.contrast, one.orientation) for page in chart.pages for one in page.triangles]
+    assert len(shown) == len(chart.pages) == 2 * len(CONTRASTS) * 4 * 2
+    assert set(Counter(shown).values()) == {2}
+    first, second = shown[:24], shown[24:]
+    assert set(first) == set(second) and len(set(first)) == 24
+    assert first != second
+
+
+def test_markers_name_page_and_chart_and_stand_where_it_says(made) -> None:
+    folder, chart = made
+    for page in chart.pages[::7]:
+        found, ids, _ = cv2.aruco.ArucoDetector(ARUCO).detectMarkers(cv2.imread(str(folder / page.file), -1))
+        of_corner = {int(one) % 4: k for k, one in enumerate(ids.ravel())}
+        assert page_of([int(ids.ravel()[of_corner[k]]) for k in range(4)]) == (page.number, chart.key)
+        centres = np.array([found[of_corner[k]][0].mean(axis=0) for k in range(4)])
+        # Corners are found to whole pixels, so a centre to half of one.
+        assert np.abs((centres + 0.5) * PITCH_MM - chart.markers.centres_mm).max() <= 0.5 * PITCH_MM
+
+
+def test_triangles_have_the_contrast_place_and_orientation_that_the_chart_states(made) -> None:
+    folder, chart = made
+    background = chart.screen.background_luminance_cd_m2
+    y, x = (np.mgrid[: MONITOR["height_px"], : MONITOR["width_px"]] + 0.5) * PITCH_MM
+    for page in chart.pages[:24]:
+        (triangle,) = page.triangles
+        codes = cv2.imread(str(folder / page.file), -1)
+        assert codes.dtype == np.uint8 and codes.shape == y.shape
+        near = np.hypot(x - triangle.x_mm, y - triangle.y_mm) < 2.0 * triangle.size_mm
+        excess = np.where(near, srgb(codes / 255.0) / background - 1.0, 0.0)
+        area_px = (triangle.size_mm / PITCH_MM) ** 2
+        step = 2.4 / codes[0, 0]  # relative; the steepest that a power of 2.4 may have
+        # The sum is off by half a step of a pixel and differs as much among orientations; six digits are written.
+        assert excess.sum() == pytest.approx(triangle.contrast * area_px, rel=1e-6, abs=step)
+        assert triangle.contrast == pytest.approx(triangle.contrast_asked or triangle.contrast, rel=0.01)
+        # A weak triangle has some hundred lit pixels. Were they at random, their centroid would be off by
+        # 0.36 sizes / √100; their even spread leaves less.
+        centroid = [float((place * excess).sum() / excess.sum()) for place in (x, y)]
+        tolerance = (0.03 if triangle.dithered and abs(triangle.contrast) < 0.01 else 0.003) * triangle.size_mm
+        assert centroid == pytest.approx([triangle.x_mm, triangle.y_mm], abs=tolerance)
+        # The apex is twice as far from the centroid as the opposite side.
+        rows, columns = np.nonzero(excess)
+        reach = {
+            "up": triangle.y_mm - y[rows.min(), 0],
+            "down": y[rows.max(), 0] - triangle.y_mm,
+            "left": triangle.x_mm - x[0, columns.min()],
+            "right": x[0, columns.max()] - triangle.x_mm,
+        }
+        sizes = (2.0 / 3.0**0.75, 1.0 / 3.0**0.75, 3.0**-0.25)  # to the apex, the side, and half of the side
+        assert reach[triangle.orientation] == pytest.approx(sizes[0] * triangle.size_mm, abs=8 * PITCH_MM)
+        assert max(reach, key=reach.__getitem__) == triangle.orientation
+
+
+def test_below_one_code_step_only_two_codes_are_used(made) -> None:
+    folder, chart = made
+    weak = [page for page in chart.pages if abs(page.triangles[0].contrast) < 0.005]
+    assert len(weak) == 16
+    for page in weak[:8]:
+        (triangle,) = page.triangles
+        assert triangle.dithered
+        codes = cv2.imread(str(folder / page.file), -1).astype(int)
+        inner = codes[140:-140, 160:-160]
+        assert set(np.unique(inner - codes[0, 0])) == {0, chart.polarity}
+        # In four corners of the triangle's box there is background alone.
+        assert (codes[:, 0] == codes[0, 0]).all()
+
+
+def test_a_contrast_is_even_if_a_code_value_is_near(tmp_path: Path) -> None:
+    """Contrast 0.8 lies 0.3 % from a code value, so the inside of the triangle has that one alone."""
+    asked = {"distance_m": 10, "sizes_mrad": [2], "contrasts": [0.8], "repeats": 1}
+    (triangle,) = tod.chart("screen", out=tmp_path / "c", **asked, **MONITOR).pages[0].triangles
+    assert not triangle.dithered
+    assert triangle.contrast_asked == 0.8
+    assert triangle.contrast == pytest.approx(0.8, rel=0.01)
+    codes = cv2.imread(str(tmp_path / "c" / "pages" / "0000.png"), -1)
+    assert len(np.unique(codes[230:250, 310:330])) == 1
+
+
+def test_ten_bits_are_in_sixteen(tmp_path: Path) -> None:
+    asked = {"distance_m": 10, "sizes_mrad": [2], "contrasts": [0.004], "repeats": 1}
+    chart = tod.chart("screen", out=tmp_path / "c", bits=10, eotf="gamma", gamma=2.2, **asked, **MONITOR)
+    stored = cv2.imread(str(tmp_path / "c" / "pages" / "0000.png"), -1)
+    assert stored.dtype == np.uint16
+    codes = stored * (1023 / 65535)
+    assert np.abs(codes - np.rint(codes)).max() < 0.01
+    assert set(np.unique(stored)) >= {0, 65535}
+    background = round(codes[0, 0])
+    assert chart.screen.background_luminance_cd_m2 == pytest.approx(100 * (background / 1023) ** 2.2)
+    assert background == 545  # 1023 · 0.25^(1/2.2), rounded
+
+
+def test_dither_keeps_the_sum() -> None:
+    generator = np.random.default_rng(3)
+    luminance_of_code = np.cumsum(generator.uniform(0.1, 2.0, 64))
+    for low, high in ((luminance_of_code[0], luminance_of_code[-1]), (5.0, 5.5), (5.0, 5.0)):
+        wanted = generator.uniform(low, high, (70, 90))
+        codes = dithered(wanted, luminance_of_code)
+        shown = luminance_of_code[codes]
+        assert abs((shown - wanted).sum()) <= np.diff(luminance_of_code).max() / 2
+        assert (np.abs(np.searchsorted(luminance_of_code, wanted) - codes) <= 1).all()
+    codes = generator.integers(0, 64, (70, 90))
+    assert (dithered(luminance_of_code[codes], luminance_of_code) == codes).all()
+
+
+def test_dither_has_no_coarse_grain() -> None:
+    thresholds = blue_noise()
+    assert np.array_equal(np.sort(thresholds, axis=None), (np.arange(TILE**2) + 0.5) / TILE**2)
+    frequency = np.hypot(*np.meshgrid(np.fft.fftfreq(TILE), np.fft.fftfreq(TILE)))
+    coarse = (frequency > 0) & (frequency < 0.1)
+    for share in (0.1, 0.3, 0.5, 0.8):
+        power = np.abs(np.fft.fft2(thresholds < share)) ** 2 / TILE**2
+        # White noise would have share · (1 − share) at all frequencies.
+        assert power[coarse].mean() < 0.1 * share * (1 - share)
+
+
+def test_the_seed_gives_the_order(tmp_path: Path) -> None:
+    texts = []
+    for place, seed in enumerate((5, 5, 6)):
+        asked = {"distance_m": 10, "sizes_mrad": [1], "contrasts": [0.2, 0.4], "repeats": 1, "seed": seed}
+        tod.chart("screen", out=tmp_path / str(place), **asked, **MONITOR)
+        texts.append((tmp_path / str(place) / "chart.toml").read_text(encoding="utf-8"))
+    assert texts[0] == texts[1] != texts[2]
+
+
+REFUSED = {
+    "--sizes-mrad=8": "8 mrad at 10 m are 80 mm, and with the background that the observer needs 400 mm",
+    "--sizes-mrad=0.1": "sizes_mrad: 0.1 mrad at 10 m are 1 mm, 4 pixels of the monitor",
+    "--sizes-mrad=1,1": "sizes_mrad: found 1.0, 1.0, expected each value once",
+    "--sizes-mrad=": "--sizes-mrad: found '', expected numbers",
+    "--sizes-mrad=nan": "sizes_mrad: found nan",
+    "--contrasts=5": "contrasts: found 5, expected 3 at most",
+    "--contrasts=0.0001": "would raise 10 of the triangle's 1600 pixels by a code step",
+    "--distance-m=0": "distance_m: found 0.0",
+    "--distance-m=1000000": "sizes_mrad: 1 mrad at 1e+06 m are 1e+06 mm",
+    "--pixel-pitch-mm=0": "pixel_pitch_mm: found 0.0",
+    "--eotf=gamma": "gamma: is missing",
+    "--marker-mm=1": "marker_mm: found 1, which is less than 2 pixels a module",
+    "--marker-mm=130": "marker_mm: found 130, too large for a page of 160 mm",
+    "--background-luminance-cd-m2=100": "background_luminance_cd_m2: found 100, which is black or white",
+    "--black-luminance-cd-m2=100": "black_luminance_cd_m2: found 100.0",
+    "--repeats=2000": "found 8000 pages, whose chart.toml would be longer than 1 MB",
+    "--repeats=20000": "found 80000 triangles",
+    "--width-px=100000": "width_px: found 100000",
+    "--bits=9": "Invalid value for '--bits'",
+}
+
+
+@pytest.mark.parametrize("option", REFUSED)
+def test_what_a_monitor_cannot_show_is_one_line(option: str, tmp_path: Path, capsys) -> None:
+    place = tmp_path / "chart"
+    given = ["--distance-m=10", "--sizes-mrad=1", "--contrasts=0.2", "--pixel-pitch-mm=0.25"]
+    given += ["--width-px=640", "--height-px=480", "--repeats=1"]
+    assert run(cli, ["chart", "--for=screen", *given, option, "-o", str(place)]) == 2
+    out, error = capsys.readouterr()
+    assert REFUSED[option] in error and error.startswith("error: ")
+    assert not out and error.count("\n") == 1
+    assert not place.exists()
+
+
+def test_command_does_what_the_call_does(tmp_path: Path, capsys) -> None:
+    options = "--distance-m 10 --sizes-mrad 1,2 --contrasts 0.004,0.8 --repeats 1 --width-px 640 --height-px 481"
+    options += " --pixel-pitch-mm 0.25 --marker-mm 17.5 --polarity -1"
+    assert run(cli, ["chart", "--for", "screen", *options.split(), "-o", str(tmp_path / "a")]) == 0
+    shown = capsys.readouterr().out
+    assert "16 pages" in shown and "-0.004" in shown and "Dithered triangles" in shown
+    asked = {"distance_m": 10, "sizes_mrad": [1, 2], "contrasts": [0.004, 0.8], "repeats": 1, "polarity": -1}
+    assert tod.chart("screen", out=tmp_path / "b", **asked, **MONITOR) == read_chart(tmp_path / "a")
+    for name in ("chart.toml", "play.html", "pages/0003.png"):
+        assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
+
+
+def test_an_interrupted_chart_leaves_nothing_and_a_finished_one_stays(tmp_path: Path) -> None:
+    def stop(_: int) -> None:
+        raise KeyboardInterrupt
+
+    asked = {"distance_m": 10, "sizes_mrad": [1], "contrasts": [0.2], "repeats": 1, "out": tmp_path / "c"}
+    with pytest.raises(KeyboardInterrupt):
+        tod.chart("screen", progress=stop, **asked, **MONITOR)
+    assert not (tmp_path / "c").exists()
+    first = tod.chart("screen", **asked, **MONITOR)
+    with pytest.raises(OutputError, match=r"is not empty; expected a new name, or --overwrite"):
+        tod.chart("screen", seed=2, **asked, **MONITOR)
+    assert read_chart(tmp_path / "c") == first
+    second = tod.chart("screen", seed=2, overwrite=True, **asked, **MONITOR)
+    assert read_chart(tmp_path / "c") == second != first
+
+
+def test_unknown_settings_are_named(tmp_path: Path) -> None:
+    with pytest.raises(
+        SettingsError, match="screen: unknown key 'pixel_pitch'; the nearest valid one is 'pixel_pitch_mm'"
+    ):
+        tod.chart("screen", out=tmp_path / "c", distance_m=10, sizes_mrad=[1], pixel_pitch=0.25)
