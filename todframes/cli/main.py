@@ -134,7 +134,10 @@ def validate(*, dataset: Path, add_sha256: bool, strict: bool, as_json: bool) ->
     check_strict(result.warnings, strict)
 
 
-for command in (score, compare, naked_eye, fit, chart, new, report_command, enhancements, accuracy, stability):
+for command in (
+    *(score, compare, naked_eye, fit, chart, new),
+    *(report_command, enhancements, accuracy, stability),
+):
     cli.add_command(command)
 
 
