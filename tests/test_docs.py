@@ -153,11 +153,12 @@ def test_commands_of_a_how_to_page(name: str, folder: Path) -> None:
         run_commands(command)
 
 
+SLOW_CODE = [*HOW_TO, "thermal_background.md"]
 QUICK = ["own_frames.md", "displays.md", "fit_counts.md", "own_enhancement.md", "api.md"]
 
 
 @pytest.mark.parametrize(
-    "name", [*QUICK, *(pytest.param(name, marks=pytest.mark.slow) for name in HOW_TO if name not in QUICK)]
+    "name", [*QUICK, *(pytest.param(name, marks=pytest.mark.slow) for name in SLOW_CODE if name not in QUICK)]
 )
 @pytest.mark.usefixtures("folder")
 def test_code_of_a_page(name: str, capsys) -> None:
@@ -165,7 +166,7 @@ def test_code_of_a_page(name: str, capsys) -> None:
     run_code(*blocks(text, "python"))
     if name == "own_frames.md":
         assert capsys.readouterr().out == "never_reached\n"
-    if name == "displays.md":
+    if name in ("displays.md", "thermal_background.md"):
         assert capsys.readouterr().out == blocks(text, "text")[0]
 
 
