@@ -1,6 +1,7 @@
 from .api import compare as compare
 from .api import fit_counts as fit_counts
 from .api import naked_eye as naked_eye
+from .api import noise as noise
 from .api import score as score
 from .api import score_frames as score_frames
 from .enhancement.algorithm import find_enhancement as find_enhancement

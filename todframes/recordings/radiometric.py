@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from todframes._typing import FloatArray
 from todframes.errors import FrameError
-from todframes.recordings.recording import StillHeader, check_size
+from todframes.recordings.recording import Recording, StillHeader, check_size, natural_order
 
 FFF_START, JPEG_START = (b"FFF\0", b"AFF\0"), b"\xff\xd8\xff"
 """First bytes of FLIR's containers, and of JPEG files, which may contain one."""
@@ -104,6 +104,16 @@ def read_radiometry(path: Path) -> Radiometry:
             path, f"found R1 {r1}, B {b}, R2 {r2}, emissivity {emissivity}, expected positive numbers"
         )
     return Radiometry(r1, r2, b, f, o, emissivity, reflected_kelvin + ABSOLUTE_ZERO_CELSIUS)
+
+
+def mk_per_count_of(recording: Recording, mean: float) -> float | None:
+    """Return the mK of one count at the mean of a recording; None if it has no constants."""
+    if recording.unit != "counts":
+        return None
+    path = recording.path
+    files = natural_order(one for one in path.iterdir() if one.is_file()) if path.is_dir() else [path]
+    below, above = read_radiometry(files[0]).celsius([mean - 0.5, mean + 0.5])
+    return float(1000 * (above - below))
 
 
 def _counts(path: Path) -> NDArray[np.uint16]:
