@@ -189,9 +189,11 @@ REFUSED = {
     "--marker-mm=130": "marker_mm: found 130, too large for a page of 160 mm",
     "--background-luminance-cd-m2=100": "background_luminance_cd_m2: found 100, which is black or white",
     "--black-luminance-cd-m2=100": "black_luminance_cd_m2: found 100.0",
-    "--repeats=2000": "found 8000 pages, whose chart.toml would be longer than 1 MB",
+    "--repeats=1400": "found 5600 pages, whose chart.toml would be longer than 1 MB",
     "--repeats=20000": "found 80000 triangles",
     "--width-px=100000": "width_px: found 100000",
+    "--plate-mm=9": "plate_mm: is given, but a screen chart has none; it is for thermal",
+    "--delta-t-k=1": "delta_t_k: is given, but a screen chart has none; expected contrasts",
     "--bits=9": "Invalid value for '--bits'",
 }
 
