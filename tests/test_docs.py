@@ -140,6 +140,14 @@ SAVED = {"fit_counts.md": ("counts.csv", "text", 0), "own_enhancement.md": ("my_
 HOW_TO = ["own_frames.md", "compare_algorithms.md", "simulate_sensor.md", "fit_counts.md", "own_enhancement.md"]
 
 
+def test_commands_of_the_page_on_noise(folder: Path, capsys) -> None:
+    text = page("camera_noise.md")
+    run_code(*blocks(text, "python"))
+    run_commands(blocks(text, "sh")[0])
+    assert (folder / "noise_of_wall" / "sensor_noise.toml").is_file()
+    assert "SNR" in capsys.readouterr().out
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", HOW_TO)
 def test_commands_of_a_how_to_page(name: str, folder: Path) -> None:
@@ -153,11 +161,12 @@ def test_commands_of_a_how_to_page(name: str, folder: Path) -> None:
         run_commands(command)
 
 
-QUICK = ["own_frames.md", "fit_counts.md", "own_enhancement.md", "api.md"]
+SLOW_CODE = [*HOW_TO, "thermal_background.md"]
+QUICK = ["own_frames.md", "camera_noise.md", "displays.md", "fit_counts.md", "own_enhancement.md", "api.md"]
 
 
 @pytest.mark.parametrize(
-    "name", [*QUICK, *(pytest.param(name, marks=pytest.mark.slow) for name in HOW_TO if name not in QUICK)]
+    "name", [*QUICK, *(pytest.param(name, marks=pytest.mark.slow) for name in SLOW_CODE if name not in QUICK)]
 )
 @pytest.mark.usefixtures("folder")
 def test_code_of_a_page(name: str, capsys) -> None:
@@ -165,6 +174,8 @@ def test_code_of_a_page(name: str, capsys) -> None:
     run_code(*blocks(text, "python"))
     if name == "own_frames.md":
         assert capsys.readouterr().out == "never_reached\n"
+    if name in ("displays.md", "camera_noise.md", "thermal_background.md"):
+        assert capsys.readouterr().out == blocks(text, "text")[0]
 
 
 @pytest.mark.slow

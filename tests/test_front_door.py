@@ -55,7 +55,7 @@ def same(result: tod.Result, made: dict[str, object]) -> bool:
 
 
 def test_names() -> None:
-    assert 25 <= len(dir(tod)) <= 35
+    assert 25 <= len(dir(tod)) <= 40
     assert {"score", "compare", "fit_counts", "naked_eye", "load_result", "Result", "PyramidObserver"} <= set(
         dir(tod)
     )

@@ -1,6 +1,7 @@
 from .api import compare as compare
 from .api import fit_counts as fit_counts
 from .api import naked_eye as naked_eye
+from .api import noise as noise
 from .api import score as score
 from .api import score_frames as score_frames
 from .enhancement.algorithm import find_enhancement as find_enhancement
@@ -25,6 +26,7 @@ from .observers.pyramid import PyramidObserver as PyramidObserver
 from .psychometrics.fit import FitSettings as FitSettings
 from .psychometrics.fit import PsychometricFit as PsychometricFit
 from .recordings.charts import chart as chart
+from .recordings.file_names import new_dataset as new_dataset
 from .report.result import Result as Result
 from .report.result import load_result as load_result
 from .stimulus import ORIENTATIONS as ORIENTATIONS

@@ -29,7 +29,9 @@ from todframes.scoring.trials import Decisions
 from todframes.stimulus import Centre
 
 if TYPE_CHECKING:
+    from todframes.frames.files import PathLike
     from todframes.frames.locate import Locate
+    from todframes.report.noise import NoiseResult
     from todframes.scoring.naked_eye import Threshold
 
 OnError = Literal["stop", "skip"]
@@ -167,7 +169,7 @@ def score_frames(
     orientation: str | Sequence[str],
     level: float | Sequence[float],
     size_mrad: float | Sequence[float],
-    display: Display,
+    display: Display | str,
     group: Mapping[str, Sequence[float | str]] | None = None,
     position: ArrayLike | None = None,
     polarity: int | Sequence[int] = 1,
@@ -190,8 +192,9 @@ def score_frames(
         Stimulus strength, > 0.
     size_mrad : float or sequence of float
         √(area) of the triangle as displayed, in mrad of visual angle.
-    display : Display
-        Conversion of code values to luminance, and the visual angle of a pixel.
+    display : Display or str
+        Conversion of code values to luminance, and the visual angle of a pixel; or the name of a display of this
+        package, such as "reference_sdr", or of a file that describes one.
     group : mapping, optional
         Columns of n values each by name; frames with the same values share a curve. Default: one curve for each
         size.
@@ -237,6 +240,7 @@ def score_frames(
     >>> result.thresholds[0].status
     'ok'
     """
+    from todframes.frames.display_files import find_display
     from todframes.frames.memory import memory_dataset
 
     data = memory_dataset(
@@ -244,7 +248,7 @@ def score_frames(
         orientation=orientation,
         level=level,
         size_mrad=size_mrad,
-        display=display,
+        display=find_display(display).display if isinstance(display, str) else display,
         group=group,
         position=position,
         polarity=polarity,
@@ -493,6 +497,78 @@ def naked_eye(
         fits=tuple(fits),
         warnings=above_contrast_1(fits),
     )
+
+
+def noise(
+    recording: PathLike | Sequence[PathLike],
+    *,
+    region: tuple[int, int, int, int] | None = None,
+    signal: float | Sequence[float] = (),
+    mk_per_count: float | None = None,
+    frames_per_second: float | None = None,
+    progress: Progress | None = None,
+) -> NoiseResult:
+    """Measure the three-dimensional noise of a recording, as `todframes noise` does.
+
+    The recording shows a uniform scene that does not move; what is not uniform counts as fixed pattern.
+
+    Parameters
+    ----------
+    recording : path or sequence of path
+        A video, image files or a folder of them, camera raw or radiometric files, or a NumPy array.
+    region : (int, int, int, int), optional
+        Left column, top row, width and height in pixels. Default: the whole frame.
+    signal : float or sequence of float
+        Differences of the values, whose signal-to-noise ratios are given too.
+    mk_per_count : float, optional
+        Temperature difference in mK for a difference of one in the values. Default: from the constants of a
+        radiometric file, at the mean of the recording.
+    frames_per_second : float, optional
+        Frame rate in place of what the files say.
+    progress : function of an int, optional
+        Called with 1 for each frame.
+
+    Returns
+    -------
+    NoiseResult
+        `measured` has the parts of the noise, each with a 95 % interval; `sensor_toml()` is for sensor_sim.
+
+    Raises
+    ------
+    DataError, FrameError
+        If the files cannot be read, or are several recordings.
+    SettingsError
+        If a setting is invalid.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import numpy as np
+    >>> import todframes as tod
+    >>> rng = np.random.default_rng(1)
+    >>> path = tempfile.mkdtemp() + "/frames.npy"
+    >>> np.save(path, 100 + rng.normal(0, 1, (64, 64)) + rng.normal(0, 2, (50, 64, 64)))
+    >>> measured = tod.noise(path).measured
+    >>> f"{measured.dynamic.sd:.1f} from frame to frame, {measured.fixed.sd:.1f} fixed"
+    '2.0 from frame to frame, 1.0 fixed'
+    """
+    started = time.perf_counter()
+    from todframes.recordings.noise3d import measure_noise
+    from todframes.recordings.opening import open_recordings
+    from todframes.recordings.radiometric import mk_per_count_of
+    from todframes.report.noise import noise_result
+
+    if mk_per_count is not None and not (np.isfinite(mk_per_count) and mk_per_count > 0):
+        raise SettingsError(f"mk_per_count: found {mk_per_count}, expected a number > 0")
+    found = open_recordings(recording, frames_per_second=frames_per_second)
+    if len(found) != 1:
+        names = ", ".join(str(one.path) for one in found[:3])
+        raise DataError(f"noise: found {len(found)} recordings ({names} …), expected one")
+    measured = measure_noise(found[0], region=region, progress=progress)
+    if mk_per_count is None:
+        mk_per_count = mk_per_count_of(found[0], measured.mean)
+    signals = tuple(np.atleast_1d(np.asarray(signal, np.float64)).tolist())
+    return noise_result(measured, str(found[0].path), mk_per_unit=mk_per_count, signals=signals, started=started)
 
 
 def _computed(group: Group, level: str, p_correct: float, found: Threshold) -> Fit:

@@ -224,8 +224,11 @@ class ProblemLines:
 
 
 @contextmanager
-def progress(task: str, total: int, *, quiet: bool = False) -> Iterator[Callable[[int], None]]:
-    """Show a progress bar on standard error if it is a terminal. Yields a function of the number of items done."""
+def progress(task: str, total: int | None, *, quiet: bool = False) -> Iterator[Callable[[int], None]]:
+    """Show a progress bar on standard error if it is a terminal. Yields a function of the number of items done.
+
+    `total` is None if it is not known.
+    """
     if quiet or not sys.stderr.isatty():
         yield lambda _: None
         return

@@ -26,6 +26,8 @@ from todframes.cli.console import (
     say,
     warning_lines,
 )
+from todframes.cli.new import new
+from todframes.cli.noise import noise
 from todframes.cli.options import dataset_argument, json_option, strict_option
 from todframes.cli.score import fit, naked_eye, score
 from todframes.cli.studies import accuracy, stability
@@ -133,7 +135,10 @@ def validate(*, dataset: Path, add_sha256: bool, strict: bool, as_json: bool) ->
     check_strict(result.warnings, strict)
 
 
-for command in (score, compare, naked_eye, fit, chart, report_command, enhancements, accuracy, stability):
+for command in (
+    *(score, compare, naked_eye, fit, chart, new, noise),
+    *(report_command, enhancements, accuracy, stability),
+):
     cli.add_command(command)
 
 

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, NamedTuple
-
-import numpy as np
 
 from todframes.config import (
     check_columns,
@@ -17,12 +15,14 @@ from todframes.config import (
     from_table,
     number,
     number_or_text,
+    path_inside,
     read_csv,
     read_toml,
     spelling_hint,
 )
 from todframes.errors import DataError, SettingsError
-from todframes.frames.display import Display, LuminanceTable
+from todframes.frames.display import Display
+from todframes.frames.display_files import display_of_table, find_display
 from todframes.frames.files import FrameFile, FrameSource, frame_sha256
 from todframes.stimulus import ORIENTATIONS, Orientation, Stimulus
 
@@ -212,81 +212,27 @@ def load_dataset(path: Path | str) -> Dataset:
     )
 
 
-def _inside(folder: str, name: str, where: str, real_folders: dict[str, str] | None = None) -> str:
-    """Return the full path of a file that a dataset names, with symbolic links resolved.
-
-    `folder` must have its links resolved already. `real_folders` caches resolved folders: without it a million
-    rows would take a minute.
-
-    Raises
-    ------
-    DataError
-        If the file is not in the dataset's folder: an error message might show its content.
-    """
-    if not name or "\0" in name:
-        raise DataError(f"{where}: found {name!r}, expected a path")
-    real_folders = {} if real_folders is None else real_folders
-    parent, last = os.path.split(os.path.join(folder, name))  # noqa: PTH118 - pathlib is slow
-    if parent not in real_folders:
-        # Path.resolve would raise for a link that leads to itself.
-        real_folders[parent] = os.path.realpath(parent)
-    full = os.path.join(real_folders[parent], last)  # noqa: PTH118
-    if last in ("", os.curdir, os.pardir) or os.path.islink(full):  # noqa: PTH114
-        full = os.path.realpath(full)
-    if not f"{full}{os.sep}".startswith(folder.rstrip(os.sep) + os.sep):
-        raise DataError(
-            f"{where} {name} lies outside of the dataset: it is {full}, expected a file in {folder}; copy it there"
-        )
-    return full
-
-
 def _read_settings(path: Path) -> tuple[Display, Experiment]:
     try:
-        _inside(os.path.realpath(path.parent), path.name, f"{path}:")
+        path_inside(os.path.realpath(path.parent), path.name, f"{path}:")
     except DataError as error:
         raise SettingsError(str(error)) from None
     content = read_toml(path)
     check_keys(content, ["schema", "display", "experiment"], str(path))
     if content.get("schema") != SCHEMA:
         raise SettingsError(f"{path}: schema: found {content.get('schema')!r}, expected {SCHEMA}")
-    for name in ("display", "experiment"):
-        if not isinstance(content.get(name), dict):
-            raise SettingsError(f"{path}: table [{name}] is missing")
-    table = dict(content["display"])
-    check_keys(table, [field.name for field in fields(Display)], f"{path}: [display]")
-    if table.get("eotf") == "lut":  # luminances of a table are absolute
-        table.pop("white_luminance_cd_m2", None)
-        table.pop("black_luminance_cd_m2", None)
-    if "white_luminance_cd_m2" not in table and table.get("eotf") != "lut":
-        raise SettingsError(f"{path}: [display]: white_luminance_cd_m2 is missing")
-    if "lut" in table and table.get("eotf") == "lut":
-        if not isinstance(table["lut"], str):
-            raise SettingsError(f"{path}: [display]: lut: found {table['lut']!r}, expected the name of a CSV file")
-        table["lut"] = _read_lut(path.parent, table["lut"], f"{path}: [display]: lut")
-    elif "lut" in table:
-        raise SettingsError(f"{path}: [display]: lut: is given but not used with eotf = {table.get('eotf')!r}")
-    display = from_table(table, Display, f"{path}: [display]")
-    return display, from_table(content["experiment"], Experiment, f"{path}: [experiment]")
-
-
-def _read_lut(folder: Path, name: str, named: str) -> LuminanceTable:
-    path, columns = folder / name, ("code_value", "luminance_cd_m2")
-    try:
-        _inside(os.path.realpath(folder), name, named)
-        rows = read_csv(path)
-        _, header = next(rows)
-        check_columns(header, columns, path)
-        values = []
-        for where, row in rows:
-            check_fields(row, len(header), where)
-            values.append([number(row[name], f"{where}: {name}") for name in columns])
-    except DataError as error:
-        raise SettingsError(str(error)) from None
-    code, luminance = np.array(values, dtype=np.float64).reshape(-1, 2).T
-    try:
-        return LuminanceTable(code, luminance)
-    except SettingsError as error:
-        raise SettingsError(f"{path}: {error}") from None
+    asked, experiment = content.get("display"), content.get("experiment")
+    if not isinstance(experiment, dict):
+        raise SettingsError(f"{path}: table [experiment] is missing")
+    if isinstance(asked, str):
+        display = find_display(asked, where=f"{path}: display", folder=path.parent).display
+    elif isinstance(asked, dict):
+        display = display_of_table(asked, f"{path}: [display]", path.parent)
+    else:
+        raise SettingsError(
+            f'{path}: table [display] is missing; expected it, or display = "NAME or FILE.toml" above all tables'
+        )
+    return display, from_table(experiment, Experiment, f"{path}: [experiment]")
 
 
 class _Manifest:
@@ -303,7 +249,7 @@ class _Manifest:
         self.real_folders: dict[str, str] = {}
 
     def trials(self) -> tuple[Trial, ...]:
-        _inside(self.folder, self.path.name, f"{self.path}:")
+        path_inside(self.folder, self.path.name, f"{self.path}:")
         rows = read_csv(self.path)
         _, header = next(rows)
         self._check_columns(header)
@@ -351,7 +297,7 @@ class _Manifest:
         sha256 = (row.get("sha256") or "").strip().lower() or None
         reference = (row.get(REFERENCE_COLUMN) or "").strip() or None
         if reference is not None:
-            _inside(self.folder, reference, f"{where}: {REFERENCE_COLUMN}", self.real_folders)
+            path_inside(self.folder, reference, f"{where}: {REFERENCE_COLUMN}", self.real_folders)
         return Trial(
             number=row_number,
             name=(row.get("trial") or "").strip() or frame,
@@ -368,7 +314,7 @@ class _Manifest:
         if os.sep == "/" and "\\" in frame and not os.path.lexists(os.path.join(self.folder, frame)):  # noqa: PTH118
             written = frame.replace("\\", "/")
             raise DataError(f"{where}: frame: found {frame} with backslashes, expected slashes: {written}")
-        first = self.seen.setdefault(_inside(self.folder, frame, f"{where}: frame", self.real_folders), where)
+        first = self.seen.setdefault(path_inside(self.folder, frame, f"{where}: frame", self.real_folders), where)
         if first != where:
             raise DataError(f"{where}: frame {frame} is there already, in {first.rpartition(', ')[2]}")
         return frame

@@ -180,7 +180,7 @@ def _common(
 def _group_place(dataset: Dataset, group: Group, frames: MeanFrames, centre: Centre) -> tuple[Location, float]:
     """Find the position that a group's trials have in common, and the blur in blocks of pixels."""
     block_px = frames.block_px
-    matcher = Matcher(frames.means(), block_px * dataset.display.pitch_mrad, centre)
+    matcher = Matcher(frames.take_means(), block_px * dataset.display.pitch_mrad, centre)
     found = matcher.search()
     if found.height == -math.inf:
         size = f"frames of {matcher.shape[1] * block_px} × {matcher.shape[0] * block_px} pixels"

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -112,11 +111,13 @@ class MeanFrames:
         contrasts = [self._contrast(frame, trial.stimulus) for frame in trial.frames]
         return contrasts[0] if len(contrasts) == 1 else np.asarray(sum(contrasts) / len(contrasts))
 
-    def means(self) -> Means:
-        """Return the mean contrast of each stimulus and orientation."""
+    def take_means(self) -> Means:
+        """Return the mean contrast of each stimulus and orientation; the totals become them, and are given up."""
         means: Means = {}
         for (stimulus, orientation), total in self.totals.items():
-            means.setdefault(stimulus, {})[orientation] = total / self.counts[stimulus, orientation]
+            total /= self.counts[stimulus, orientation]
+            means.setdefault(stimulus, {})[orientation] = total
+        self.totals = {}
         return means
 
     def _contrast(self, frame: FrameReference, stimulus: Stimulus) -> FloatArray:
@@ -211,9 +212,10 @@ class Matcher:
 
     def __init__(self, means: Means, pixel_pitch_mrad: float, centre: Centre) -> None:
         self.centre = centre
-        self.means = {stimulus: _less_common(images) for stimulus, images in means.items()}
+        self.orientations = {stimulus: _in_order(images) for stimulus, images in means.items()}
+        self.differences = {stimulus: _less_common(images) for stimulus, images in means.items()}
         self.pitch = pixel_pitch_mrad
-        self.shape = next(iter(next(iter(means.values())).values())).shape
+        self.shape = next(iter(self.differences.values())).shape[1:]
         self.largest_px = max(stimulus.size_mrad for stimulus in means) / pixel_pitch_mrad
 
     def templates(
@@ -227,8 +229,8 @@ class Matcher:
         blur: float = 0.0,
     ) -> FloatArray:
         """Compute the triangle differences of unit energy, shape (orientation, rows, columns)."""
-        stack = np.empty((len(self.means[stimulus]), *shape))
-        for triangle, orientation in zip(stack, self.means[stimulus], strict=True):
+        stack = np.empty((len(self.orientations[stimulus]), *shape))
+        for triangle, orientation in zip(stack, self.orientations[stimulus], strict=True):
             triangle[:] = blurred_coverage(
                 shape,
                 size_px=stimulus.size_mrad / self.pitch,
@@ -257,7 +259,7 @@ class Matcher:
         # The centroid is at least a third of the height, 0.439 sizes, away from each edge of the triangle.
         edge = max(int(np.ceil(0.4386 * self.largest_px - 0.5)), 0)
         rows, columns = self.shape
-        spectra = [self._spectra(stimulus) for stimulus in self.means]
+        spectra = [self._spectra(stimulus) for stimulus in self.differences]
         best = Found(ARRANGEMENTS[0], 0, 0, -np.inf, -np.inf, 0.0)
         if 2 * edge >= min(rows, columns):
             return best
@@ -281,7 +283,7 @@ class Matcher:
     def _spectra(self, stimulus: Stimulus) -> _Spectra:
         """Return the spectra of a stimulus's images and of its triangles in the middle of the frame."""
         rows, columns = self.shape
-        images = self.means[stimulus]
+        images = dict(zip(self.orientations[stimulus], self.differences[stimulus], strict=True))
         triangles = np.array(
             [
                 stimulus.polarity
@@ -356,12 +358,13 @@ class Matcher:
         return float(x), float(y), blur
 
     def _cut(self, x: float, y: float, arrangement: Arrangement) -> _Cut:
-        """Cut the part out of the images that triangles near a position touch, with their blur."""
+        """Cut the part out of the differences that triangles near a position touch, with their blur."""
         reach = int(np.ceil((1.0 + 2.0 * LARGEST_BLUR) * self.largest_px)) + 4
         rows, columns = (slice(max(round(at) - reach, 0), round(at) + reach + 1) for at in (y, x))
+        # Not a copy where the part is all: large frames would fill the memory.
         parts = {
-            stimulus: np.array([image[rows, columns] for image in images.values()])
-            for stimulus, images in self.means.items()
+            stimulus: np.ascontiguousarray(differences[:, rows, columns])
+            for stimulus, differences in self.differences.items()
         }
         return _Cut(self, parts, rows.start, columns.start, arrangement)
 
@@ -378,17 +381,31 @@ class Matcher:
     def _slope_noise(self, fitted: _Cut, x: float, y: float, blur: float) -> FloatArray:
         """Compute the covariance of the slopes, (2, 2), over the frame, after subtraction of fitted triangles."""
         spectra = np.zeros((2, self.shape[0], self.shape[1] // 2 + 1), dtype=np.complex128)
-        for stimulus, images in self.means.items():
-            parts = fitted.parts[stimulus]
-            rows = slice(fitted.row, fitted.row + parts.shape[1])
-            columns = slice(fitted.column, fitted.column + parts.shape[2])
-            for axis, slope in enumerate(fitted.slope_templates(stimulus, x, y, blur)):
-                for image, part, one in zip(images.values(), parts, slope, strict=True):
-                    residual = image.copy()
-                    residual[rows, columns] -= part
-                    spectra[axis] += np.fft.rfft2(residual) * np.conj(np.fft.rfft2(one, self.shape))
+        for stimulus in self.differences:
+            for spectrum, (dx, dy) in zip(spectra, HALF_STEPS, strict=True):
+                self._add_slope_spectrum(spectrum, fitted, stimulus, (x + dx, y + dy), (x - dx, y - dy), blur)
         slopes = np.fft.irfft2(spectra, self.shape)
         return np.asarray(np.einsum("aij,bij->ab", slopes, slopes) / slopes[0].size)
+
+    def _add_slope_spectrum(
+        self,
+        spectrum: ComplexArray,
+        fitted: _Cut,
+        stimulus: Stimulus,
+        ahead: tuple[float, float],
+        behind: tuple[float, float],
+        blur: float,
+    ) -> None:
+        """Add the spectrum of the slope between two places, after subtraction of fitted triangles, in place."""
+        parts = fitted.parts[stimulus]
+        rows = slice(fitted.row, fitted.row + parts.shape[1])
+        columns = slice(fitted.column, fitted.column + parts.shape[2])
+        slope = fitted.templates(stimulus, *ahead, blur)
+        slope -= fitted.templates(stimulus, *behind, blur)
+        for difference, part, one in zip(self.differences[stimulus], parts, slope, strict=True):
+            residual = difference.copy()
+            residual[rows, columns] -= part
+            spectrum += np.fft.rfft2(residual) * np.conj(np.fft.rfft2(one, self.shape))
 
 
 @dataclass(frozen=True, slots=True)
@@ -423,24 +440,17 @@ class _Cut:
             parts[stimulus] = best
         return replace(self, parts=parts)
 
-    def slope_templates(self, stimulus: Stimulus, x: float, y: float, blur: float) -> Iterator[FloatArray]:
-        """Yield the templates of the slope along x and along y, (orientation, rows, columns)."""
-        for dx, dy in HALF_STEPS:
-            ahead = self.templates(stimulus, x + dx, y + dy, blur)
-            ahead -= self.templates(stimulus, x - dx, y - dy, blur)
-            yield ahead
-
     def slope(self, x: float, y: float, blur: float) -> FloatArray:
         """Compute the slope of the correlation, (2,), after subtraction of the triangle at (x, y)."""
         total = np.zeros(2)
         remainders = self.fitted(x, y, blur).parts
         for stimulus, part in self.parts.items():
             remainder = np.subtract(part, remainders[stimulus], out=remainders[stimulus])
-            # One template at a time: large frames would fill the memory.
+            # One template at a time, which no name keeps during the next: large frames would fill the memory.
             for axis, (dx, dy) in enumerate(HALF_STEPS):
                 for sign in (1, -1):
-                    template = self.templates(stimulus, x + sign * dx, y + sign * dy, blur)
-                    total[axis] += sign * np.vdot(remainder, template)
+                    at = x + sign * dx, y + sign * dy
+                    total[axis] += sign * np.vdot(remainder, self.templates(stimulus, *at, blur))
         return total
 
     def slope_change(self, x: float, y: float, blur: float) -> FloatArray:
@@ -494,10 +504,17 @@ def _step(slope: FloatArray, slope_change: FloatArray) -> FloatArray:
     return np.clip(np.linalg.solve(slope_change, slope), -LARGEST_STEP_PX, LARGEST_STEP_PX)
 
 
-def _less_common(images: dict[Orientation, FloatArray]) -> dict[Orientation, FloatArray]:
-    """Subtract from each image the mean of all; a single orientation only loses its mean level."""
+def _in_order(images: dict[Orientation, FloatArray]) -> list[Orientation]:
+    """Return the orientations of images, clockwise from up."""
+    return [orientation for orientation in ORIENTATIONS if orientation in images]
+
+
+def _less_common(images: dict[Orientation, FloatArray]) -> FloatArray:
+    """Subtract the images' mean from each, from a single one its mean level: (orientation, rows, columns)."""
     common = np.mean(list(images.values()), axis=0) if len(images) > 1 else next(iter(images.values())).mean()
-    return {orientation: images[orientation] - common for orientation in ORIENTATIONS if orientation in images}
+    differences = np.array([images[orientation] for orientation in _in_order(images)])
+    differences -= common
+    return differences
 
 
 class Place(NamedTuple):

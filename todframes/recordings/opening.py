@@ -4,17 +4,35 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Literal
 
-from todframes.errors import DataError
+from todframes.errors import DataError, FrameError
 from todframes.frames.files import PathLike
-from todframes.recordings import images
-from todframes.recordings.recording import Recording, check_rate, natural_order, still_recording
+from todframes.recordings import arrays, images, radiometric, raw, video
+from todframes.recordings.recording import Recording, StillReader, check_rate, natural_order, still_recording
+
+StillKind = Literal["image", "camera raw", "radiometric", "array"]
+
+
+Kind = StillKind | Literal["video"]
+
+
+READERS: dict[StillKind, StillReader] = {
+    "image": images,
+    "camera raw": raw,
+    "radiometric": radiometric,
+    "array": arrays,
+}
+"""Modules that read still frames, by kind of file."""
+
+
+EXPECTED = "expected an image, video, camera raw, radiometric (FLIR) or NumPy file"
 
 
 def open_recordings(
     paths: PathLike | Sequence[PathLike], *, frames_per_second: float | None = None
 ) -> tuple[Recording, ...]:
-    """Open recordings; all image files together are one recording, as is each folder of them.
+    """Open recordings: each video or array is one, all image files together are one, as are those of a folder.
 
     Parameters
     ----------
@@ -26,43 +44,89 @@ def open_recordings(
     Returns
     -------
     tuple of Recording
-        In the order of `paths`; a sequence of images stands where its first image stands.
+        In the order of `paths`; a sequence of images stands where its first image stands. Frames of a sequence are
+        in the natural order of their names: frame_9 before frame_10.
 
     Raises
     ------
-    DataError
-        If there are no files, a folder is empty, or a file cannot be read.
+    DataError, FrameError
+        If there are no files, a folder is empty, files of several kinds are in a folder, files of one sequence
+        differ in size, or a file cannot be read.
     SettingsError
         If the frame rate is not a positive number.
     """
     check_rate(frames_per_second)
-    given = (
-        [Path(paths)]
-        if isinstance(paths, str) or not isinstance(paths, Sequence)
-        else [Path(one) for one in paths]
-    )
+    is_one = isinstance(paths, str) or not isinstance(paths, Sequence)
+    given = [Path(paths)] if is_one else [Path(one) for one in paths]  # type: ignore[arg-type, union-attr]
     if not given:
         raise DataError("recordings: found no path, expected at least one")
-    stills = [path for path in given if not path.is_dir()]
     found: list[Recording] = []
-    for path in given:
-        if path.is_dir():
-            files = natural_order(one for one in path.iterdir() if one.is_file() and not one.name.startswith("."))
-            if not files:
-                raise DataError(f"{path}: the folder is empty, expected image files")
-            found.append(_stills(files, path, frames_per_second))
-        elif path == stills[0]:
-            found.append(_stills(stills, None, frames_per_second))
+    sequences: dict[StillKind, list[Path]] = {}
+    kinds = {path: None if path.is_dir() else _kind(path) for path in given}
+    for path, kind in kinds.items():
+        if kind in ("image", "camera raw", "radiometric"):
+            sequences.setdefault(kind, []).append(path)
+    for path, kind in kinds.items():
+        if kind is None:
+            found += _folder(path, frames_per_second)
+        elif kind in sequences:
+            if path == sequences[kind][0]:
+                found.append(_stills(kind, sequences[kind], None, frames_per_second))
+        else:
+            found.append(_single(path, kind, frames_per_second))
     return tuple(found)
 
 
-def _stills(paths: Sequence[Path], folder: Path | None, frames_per_second: float | None) -> Recording:
-    for path in paths:
-        try:
-            with path.open("rb") as file:
-                start = file.read(16)
-        except OSError as error:
-            raise DataError(f"{path}: cannot be read: {error.strerror}") from None
-        if images.format_of(start) is None:
-            raise DataError(f"{path}: found a file that starts with {start[:8]!r}, expected an image file")
-    return still_recording(paths, images, folder=folder, frames_per_second=frames_per_second)
+def _folder(folder: Path, frames_per_second: float | None) -> list[Recording]:
+    """Return the one sequence of a folder, or each of its videos or arrays."""
+    try:
+        files = natural_order(one for one in folder.iterdir() if one.is_file() and not one.name.startswith("."))
+    except OSError as error:
+        raise DataError(f"{folder}: cannot be read: {error.strerror}") from None
+    if not files:
+        raise DataError(f"{folder}: the folder is empty, expected recordings")
+    kinds = {path: _kind(path) for path in files}
+    first = kinds[files[0]]
+    for path, kind in kinds.items():
+        if kind != first:
+            raise DataError(
+                f"{path}: found {kind}, expected {first} as {files[0].name}: a folder has files of one kind"
+            )
+    if first == "video" or first == "array":
+        return [_single(path, first, frames_per_second) for path in files]
+    return [_stills(first, files, folder, frames_per_second)]
+
+
+def _kind(path: Path) -> Kind:
+    """Return the kind of a file by its content, except for camera raw files, which can be TIFF by content."""
+    try:
+        if not path.is_file():
+            raise FrameError(path, "found no file" if not path.exists() else "found a device, expected a file")
+        with path.open("rb") as file:
+            start = file.read(video.N_START)
+    except OSError as error:
+        raise FrameError(path, f"cannot be read: {error.strerror}") from None
+    if path.suffix.lower() in raw.SUFFIXES:
+        return "camera raw"
+    if radiometric.is_radiometric(path, start):
+        return "radiometric"
+    if images.format_of(start) is not None:
+        return "image"
+    if arrays.is_array(start):
+        return "array"
+    if video.format_of(start) is not None:
+        return "video"
+    what = f"a file that starts with {start[:8]!r}" if start else "an empty file"
+    raise FrameError(path, f"found {what}, {EXPECTED}")
+
+
+def _single(path: Path, kind: Kind, frames_per_second: float | None) -> Recording:
+    if kind == "video":
+        return video.open_video(path, frames_per_second=frames_per_second)
+    return _stills(kind, [path], None, frames_per_second)
+
+
+def _stills(
+    kind: StillKind, paths: Sequence[Path], folder: Path | None, frames_per_second: float | None
+) -> Recording:
+    return still_recording(paths, READERS[kind], folder=folder, frames_per_second=frames_per_second)

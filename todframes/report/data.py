@@ -500,6 +500,7 @@ class ResultData(Struct, frozen=True, kw_only=True, omit_defaults=True):
     algorithms: tuple[Algorithm, ...] = ()
     scenes: tuple[SceneResult, ...] = ()
     cases: tuple[Record, ...] = ()
+    noise: Record | None = None
     data_range_cd_m2: float | None = None
     verdict: tuple[Any, ...] | str = ()
     plan: tuple[Record, ...] = ()

@@ -1,0 +1,333 @@
+"""Three-dimensional noise: closed forms, unbiased variances, honest intervals, and the way back into a sensor."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import sensor_sim as ss
+import todframes as tod
+from sensor_sim.noise import displayed_noise, unit_fixed_pattern
+from todframes.cli.main import main
+from todframes.recordings.noise3d import PARTS, combinations, estimate, fit_drift, measure_noise
+from todframes.recordings.opening import open_recordings
+
+AXES = {"t": 0, "v": 1, "h": 2}
+
+REAL = Path(__file__).parent / "recordings"
+
+
+def cube(rng, shape, sd):
+    """Draw Gaussian parts of given standard deviations and add them: the model itself."""
+    sides = {name: [shape[AXES[one]] if one in name else 1 for one in "tvh"] for name in sd}
+    return sum((rng.normal(0, sd[name], sides[name]) for name in sd), np.zeros(shape))
+
+
+def noise_of(path, values, **settings):
+    np.save(path, values)
+    return measure_noise(open_recordings(path, **settings)[0])
+
+
+def anova(values):
+    """Return mean squares and degrees of freedom straight from the definition, part by part."""
+    squares, degrees = {}, {}
+    for name in PARTS:
+        effect = values
+        for axis in range(3):
+            mean = effect.mean(axis, keepdims=True)
+            effect = effect - mean if "tvh"[axis] in name else mean
+        degrees[name] = math.prod(values.shape[AXES[one]] - 1 for one in name)
+        squares[name] = (
+            np.broadcast_to(effect, values.shape).ravel()
+            @ np.broadcast_to(effect, values.shape).ravel()
+            / degrees[name]
+        )
+    return squares, degrees
+
+
+@pytest.mark.parametrize("shape", [(5, 6, 7), (2, 3, 2), (9, 2, 4)])
+def test_the_sums_over_frames_give_the_analysis_of_variance(tmp_path, shape):
+    # A pattern and a mean a thousand times the noise: differences from the first frame keep the digits.
+    rng = np.random.default_rng(3)
+    values = 1e4 + 100 * rng.normal(size=shape[1:]) + rng.normal(size=shape)
+    squares, _ = anova(values.astype(np.float32).astype(float))
+    noise = noise_of(tmp_path / "a.npy", values.astype(np.float32))
+    for name, weights in combinations(*shape).items():
+        expected = sum(weight * squares[one] for one, weight in weights.items())
+        # Sums of n < 300 squares of 32-bit numbers, exact to 1e-16 of (1e2)² each: far below 1e-9.
+        assert noise.parts[name].variance == pytest.approx(expected, abs=1e-9, rel=1e-9)
+    assert noise.mean == pytest.approx(values.mean(), rel=1e-7)
+
+
+@pytest.mark.parametrize("name", PARTS)
+def test_a_part_alone_is_found_as_that_part_alone(tmp_path, name):
+    # Each part made with zero means along its axes, so that no other mean square has any of it.
+    shape = (4, 6, 8)
+    rng = np.random.default_rng(1)
+    effect = rng.normal(size=[shape[k] if "tvh"[k] in name else 1 for k in range(3)])
+    for axis in (AXES[one] for one in name):
+        effect = effect - effect.mean(axis, keepdims=True)
+    noise = noise_of(tmp_path / "a.npy", (np.zeros(shape) + effect).astype(np.float32))
+    squares, _ = anova(np.zeros(shape) + effect)
+    others = [one for one in PARTS if one != name]
+    assert all(squares[one] == pytest.approx(0, abs=1e-28) for one in others)
+    per_value = math.prod(shape[AXES[one]] for one in "tvh" if one not in name)
+    assert noise.parts[name].variance == pytest.approx(squares[name] / per_value, rel=1e-5)
+    # A part with an axis that this one lacks is not there; 32-bit values leave squares of their rounding.
+    assert all(abs(noise.parts[one].variance) < 1e-13 for one in others if not set(one) <= set(name))
+
+
+def expected_mean_squares(shape, sd):
+    """Return E[MS] by counting: a part is in the mean squares of subsets of its axes, times its values."""
+    return {
+        name: sum(
+            sd[one] ** 2 * math.prod(shape[AXES[axis]] for axis in "tvh" if axis not in one)
+            for one in PARTS
+            if set(one) >= set(name)
+        )
+        for name in PARTS
+    }
+
+
+def test_variances_are_unbiased():
+    # Weights applied to expected mean squares give the variances exactly; they differ by 1e-12 of rounding.
+    shape, sd = (7, 5, 6), dict(zip(PARTS, (0.3, 0.5, 0.7, 0.4, 0.6, 1.0, 2.0), strict=True))
+    expected = expected_mean_squares(shape, sd)
+    for name, weights in combinations(*shape).items():
+        found = sum(weight * expected[one] for one, weight in weights.items())
+        assert found == pytest.approx(sd[name] ** 2, rel=1e-12)
+
+
+def test_one_frame_gives_rows_columns_and_the_rest(tmp_path):
+    rng = np.random.default_rng(2)
+    sd = dict.fromkeys(PARTS, 0.0) | {"v": 2.0, "h": 3.0, "vh": 1.0}
+    noise = noise_of(tmp_path / "a.npy", cube(rng, (1, 200, 300), sd))
+    assert list(noise.parts) == ["v", "h", "vh"]
+    assert noise.dynamic is None
+    assert noise.temporal_sd is None
+    assert [one.code for one in noise.warnings] == ["one_frame"]
+    for name in noise.parts:  # 95 % intervals; the seed is one of those for which all three hold
+        low, high = noise.parts[name].ci95
+        assert low < sd[name] < high
+    with pytest.raises(tod.DataError, match="found one frame, expected 2 or more to tell temporal noise"):
+        noise.sensor_toml()
+    assert noise.snr(10.0) == pytest.approx(10 / math.sqrt(sum(one.variance for one in noise.parts.values())))
+
+
+def test_the_interval_of_one_mean_square_is_that_of_a_variance():
+    # s² (n − 1) / χ² is the textbook's interval; χ² of 0.025 and 0.975 at 10 degrees: 3.24697, 20.48318.
+    part = estimate({"vh": 1.0}, {"vh": 4.0}, {"vh": 10})
+    assert part.sd == 2
+    assert part.ci95 == pytest.approx((math.sqrt(40 / 20.48318), math.sqrt(40 / 3.24697)), rel=1e-6)
+
+
+def test_a_negative_variance_is_no_noise():
+    part = estimate({"tv": 0.1, "tvh": -0.1}, {"tv": 1.0, "tvh": 1.5}, {"tv": 40, "tvh": 4000})
+    assert (part.sd, part.ci95[0]) == (0, 0)
+    assert part.variance == pytest.approx(-0.05)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("shape", [(30, 24, 32), (3, 12, 16)])
+def test_intervals_hold_the_truth(tmp_path, shape):
+    sd = dict(zip(PARTS, (0.3, 0.5, 0.7, 0.4, 0.6, 1.0, 2.0), strict=True))
+    n_seeds = 400
+    held = dict.fromkeys([*PARTS, "dynamic", "fixed"], 0)
+    sums = dict.fromkeys(held, 0.0)
+    true = sd | {
+        "dynamic": math.sqrt(sum(sd[one] ** 2 for one in ("tv", "th", "tvh"))),
+        "fixed": math.sqrt(sum(sd[one] ** 2 for one in ("v", "h", "vh"))),
+    }
+    for seed in range(n_seeds):
+        noise = noise_of(tmp_path / "a.npy", 50 + cube(np.random.default_rng(seed), shape, sd))
+        for name, part in (noise.parts | {"dynamic": noise.dynamic, "fixed": noise.fixed}).items():
+            held[name] += part.ci95[0] <= true[name] <= part.ci95[1]
+            sums[name] += part.variance
+    # A true coverage of 95 % gives 0.95 ± 4 · √(0.95 · 0.05 / 400) = ± 0.044. The large-sample interval is
+    # conservative where a part is small against what is taken off, so there is no bound above.
+    assert min(held.values()) / n_seeds >= 0.95 - 0.044, held
+    # Each variance is near the truth, if 5 standard errors of the largest spread (t, with 2 or 29 degrees).
+    for name, total in sums.items():
+        spread = 5 * math.sqrt(2 / (shape[0] - 1) / n_seeds)
+        assert total / n_seeds == pytest.approx(true[name] ** 2, rel=max(spread, 0.1), abs=0.1)
+
+
+def test_drift_is_a_straight_line_with_its_error(tmp_path):
+    rng = np.random.default_rng(4)
+    values = 100 + np.linspace(0, 1, 50)[:, np.newaxis, np.newaxis] + rng.normal(0, 0.1, (50, 20, 30))
+    drift = noise_of(tmp_path / "a.npy", values, frames_per_second=10).drift
+    # 49 steps of 0.1 s: the slope is 1 / 4.9 per second. The mean of 600 pixels has the SD 0.1 / √600, so the
+    # slope's is that over √(Σ t²) = √(50 (50² − 1) / 12) / 10; the estimate of it varies by 1 / √(2 · 48) = 10 %.
+    error = 0.1 / math.sqrt(600) / math.sqrt(50 * (50**2 - 1) / 12) * 10
+    assert drift.slope_error == pytest.approx(error, rel=0.4)
+    assert abs(drift.slope - 1 / 4.9) < 4 * error
+    assert drift.change == pytest.approx(4.9 * drift.slope)
+    assert [one.code for one in noise_of(tmp_path / "a.npy", values).warnings] == ["drift"]
+    assert fit_drift(np.array([1.0, 2.0]), [None, None]) is None
+
+
+def test_doubled_saturated_and_quantised_frames_are_told(tmp_path):
+    rng = np.random.default_rng(5)
+    frames = np.clip(rng.normal(250, 5, (6, 20, 30)), 0, 255).round().astype(np.uint8)
+    frames[3] = frames[2]
+    codes = {one.code: one.message for one in noise_of(tmp_path / "a.npy", frames).warnings}
+    assert list(codes) == ["doubled_frames", "saturated"]
+    assert codes["doubled_frames"].startswith("1 of 6 frames repeat the frame before")
+    quiet = rng.normal(100, 0.3, (6, 20, 30)).round().astype(np.uint8)
+    assert [one.code for one in noise_of(tmp_path / "a.npy", quiet).warnings] == ["quantised"]
+
+
+def test_colour_is_measured_as_luma(tmp_path):
+    rng = np.random.default_rng(6)
+    grey = rng.normal(10, 1, (5, 8, 9))
+    coloured = np.repeat(grey[..., np.newaxis], 3, 3)
+    one, two = noise_of(tmp_path / "a.npy", grey), noise_of(tmp_path / "b.npy", coloured)
+    # The weights add up to 1; 1e-6 for 32-bit values.
+    assert two.dynamic.sd == pytest.approx(one.dynamic.sd, rel=1e-6)
+
+
+def test_a_region_is_that_part_of_the_frames(tmp_path):
+    values = np.random.default_rng(7).normal(10, 1, (5, 20, 30)).astype(np.float32)
+    np.save(tmp_path / "a.npy", values)
+    part = tod.noise(tmp_path / "a.npy", region=(4, 3, 12, 10)).measured
+    whole = noise_of(tmp_path / "b.npy", values[:, 3:13, 4:16])
+    assert part.parts == whole.parts
+    np.testing.assert_array_equal(part.mean_image, whole.mean_image)
+    for region in ((0, 0, 31, 5), (-1, 0, 5, 5), (0, 0, 1, 5)):
+        with pytest.raises(tod.SettingsError, match="expected at least 2 x 2 pixels within the frame of 30 x 20"):
+            tod.noise(tmp_path / "a.npy", region=region)
+
+
+def test_the_maps_are_those_of_numpy(tmp_path):
+    values = np.random.default_rng(8).normal(1000, 3, (9, 10, 11)).astype(np.float32)
+    noise = noise_of(tmp_path / "a.npy", values)
+    # 32-bit values near 1000, sums in 64 bits.
+    np.testing.assert_allclose(noise.mean_image, values.mean(0, dtype=float), rtol=1e-12)
+    np.testing.assert_allclose(noise.temporal_sd, values.std(0, dtype=float, ddof=1), rtol=1e-9)
+    np.testing.assert_allclose(noise.frame_means, values.mean((1, 2), dtype=float), rtol=1e-12)
+
+
+def test_averaging_frames_lowers_dynamic_noise_alone(tmp_path):
+    sd = dict.fromkeys(PARTS, 0.0) | {"vh": 1.0, "tvh": 2.0}
+    noise = noise_of(tmp_path / "a.npy", cube(np.random.default_rng(9), (40, 60, 70), sd))
+    # SD of estimates: below 1/√(2 · 4199) of 1 + 4/40, and less; 4 % is more than 3 of them.
+    assert noise.snr(10.0) == pytest.approx(10 / math.sqrt(1 + 4), rel=0.04)
+    assert noise.snr(10.0, frames=16) == pytest.approx(10 / math.sqrt(1 + 4 / 16), rel=0.04)
+
+
+def test_a_measured_camera_can_be_simulated_and_measured_back(tmp_path):
+    sd = dict.fromkeys(PARTS, 0.0) | {"vh": 3.0, "tvh": 5.0}
+    np.save(tmp_path / "a.npy", 7000 + cube(np.random.default_rng(10), (30, 80, 80), sd))
+    first = tod.noise(tmp_path / "a.npy", mk_per_count=8.0)
+    whole = (REAL.parents[1] / "sample_frames" / "star_like.toml").read_text()
+    before, rest = whole.partition("[noise]")[0], whole.partition("[electronics]")[2]
+    (tmp_path / "sensor.toml").write_text(before + first.sensor_toml() + "\n[electronics]" + rest)
+    noise = ss.load_sensor(tmp_path / "sensor.toml").noise
+    assert noise.distribution == "gaussian"
+    assert noise.frames_integrated == 1
+    assert noise.netd_mk == pytest.approx(40, rel=0.01)  # 5 counts of 8 mK, to 1/√(2 · 29 · 79²) and far less
+
+    # One displayed sample is one frame; its total SD is netd_mk / k, with the dynamic SD netd_mk.
+    total = noise.netd_mk * math.hypot(1, noise.fixed_pattern_ratio)
+    pattern, rng = unit_fixed_pattern((80, 80), noise=noise, seed=1), np.random.default_rng(11)
+    frames = [displayed_noise(pattern, total_sd=total, noise=noise, rng=rng) for _ in range(30)]
+    again = noise_of(tmp_path / "b.npy", frames)
+    # Both measurements have errors of the same size: twice the half-width of one interval holds 99.4 % of them.
+    for found, expected in (
+        (again.dynamic, noise.netd_mk),
+        (again.fixed_pattern_ratio, noise.fixed_pattern_ratio),
+    ):
+        low, high = found.ci95
+        assert found.sd - 2 * (found.sd - low) < expected < found.sd + 2 * (high - found.sd)
+
+
+def test_a_known_frame_rate_gives_the_frames_that_the_eye_averages(tmp_path):
+    values = np.random.default_rng(12).normal(10, 1, (5, 8, 9))
+    # 0.1 s at 60 frames a second: 6, as in the paper.
+    assert noise_of(tmp_path / "a.npy", values, frames_per_second=60).frames_integrated == 6
+    assert noise_of(tmp_path / "a.npy", values, frames_per_second=5).frames_integrated == 1
+
+
+def test_the_ratio_has_an_interval_of_both_errors(tmp_path):
+    sd = dict.fromkeys(PARTS, 0.0) | {"vh": 1.0, "tvh": 2.0}
+    noise = noise_of(tmp_path / "a.npy", cube(np.random.default_rng(13), (10, 30, 30), sd))
+    ratio = noise.fixed_pattern_ratio
+    assert ratio.sd == pytest.approx(noise.fixed.sd / noise.dynamic.sd)
+    assert ratio.ci95[0] < noise.fixed.ci95[0] / noise.dynamic.sd
+    assert ratio.ci95[1] > noise.fixed.ci95[1] / noise.dynamic.sd
+    none = replace(noise, fixed=noise.fixed._replace(sd=0.0, variance=-0.1, ci95=(0.0, 0.5)))
+    assert none.fixed_pattern_ratio.ci95 == (0, 0.5 / noise.dynamic.sd)
+
+
+def run(capsys, *arguments):
+    with pytest.raises(SystemExit) as ended:
+        main([str(one) for one in arguments])
+    shown = capsys.readouterr()
+    return ended.value.code, shown.out, shown.err
+
+
+def test_the_command_prints_and_writes_the_same_numbers(tmp_path, capsys):
+    values = np.random.default_rng(14).normal(100, 2, (12, 16, 18)).astype(np.float32)
+    np.save(tmp_path / "a.npy", values)
+    called = tod.noise(tmp_path / "a.npy", signal=3.0, mk_per_count=10, frames_per_second=50)
+    options = ("--signal", 3, "--mk-per-count", 10, "--frames-per-second", 50)
+    status, out, _ = run(capsys, "noise", tmp_path / "a.npy", *options, "--json", "-o", tmp_path / "out")
+    assert status == 0
+    printed, expected = json.loads(out), json.loads(called.to_json())
+    assert printed["noise"] == expected["noise"]
+    assert printed["noise"]["parts"]["tvh"]["sd_mk"] == pytest.approx(10 * called.measured.parts["tvh"].sd)
+    assert [one["frames"] for one in printed["noise"]["snr"]] == [1, 5]
+    names = {"noise.csv", "snr.csv", "noise.png", "sensor_noise.toml", "result.json"}
+    assert {one.name for one in (tmp_path / "out").iterdir()} == names
+    assert (tmp_path / "out" / "sensor_noise.toml").read_text() == called.sensor_toml()
+    status, out, _ = run(capsys, "noise", tmp_path / "a.npy", *options, "--sensor")
+    assert (status, out) == (0, called.sensor_toml())
+    status, out, _ = run(capsys, "noise", tmp_path / "a.npy", *options)
+    assert "Noise of a pixel: dynamic" in out
+    assert "Drift of the mean" in out
+
+
+def test_a_real_thermal_frame_is_measured_in_mk(capsys):
+    status, out, _ = run(capsys, "noise", REAL / "frame_000000.fff", "--region", "200,150,200,200", "--strict")
+    assert status == 1
+    assert "one frame: its temporal noise cannot be told from its fixed pattern" in out
+    assert "mK" in out
+    found = tod.noise(REAL / "frame_000000.fff")
+    # Planck's law by differences: dT/dS = T² (r1/(r2 (S + o)² )) / (b (r1/(r2 (S + o)) + f)), over the emissivity;
+    # at 285 K and the file's constants about 25 mK a count.
+    radiance = found.measured.mean / 0.93994 - 0.06006 / 0.93994 * 2570 - 228
+    argument = 364058 / radiance + 1
+    kelvin = 1428 / math.log(argument)
+    slope = kelvin**2 * 364058 / radiance**2 / argument / 1428 / 0.93994
+    assert found.mk_per_unit == pytest.approx(1000 * slope, rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("options", "status", "message"),
+    [
+        (["--region", "1,2,3"], 2, "--region: found '1,2,3', expected X,Y,W,H: four whole numbers of pixels"),
+        (["--mk-per-count", "0"], 2, "mk_per_count: found 0.0, expected a number > 0"),
+        (["--sensor"], 1, "found one frame, expected 2 or more"),
+        (["--sensor", "--json"], 2, "found --sensor and --json, expected one of them"),
+        (["--signal", "a"], 2, "--signal: found 'a', expected numbers"),
+    ],
+)
+def test_bad_requests_are_told_in_one_line(tmp_path, capsys, options, status, message):
+    np.save(tmp_path / "a.npy", np.zeros((4, 5)))
+    found, out, err = run(capsys, "noise", tmp_path / "a.npy", "--quiet", *options)
+    assert (found, out) == (status, "")
+    assert message in err.splitlines()[-1]
+
+
+def test_two_recordings_and_frames_without_noise_are_refused(tmp_path):
+    for name in ("a.npy", "b.npy"):
+        np.save(tmp_path / name, np.zeros((3, 4, 5)))
+    with pytest.raises(tod.DataError, match="noise: found 2 recordings"):
+        tod.noise([tmp_path / "a.npy", tmp_path / "b.npy"])
+    with pytest.raises(tod.DataError, match="found none from frame to frame, expected some"):
+        tod.noise(tmp_path / "a.npy").sensor_toml()

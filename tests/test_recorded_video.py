@@ -1,0 +1,258 @@
+"""Video is read exactly: grey as stored, colour by the matrix and range of the ITU's recommendations."""
+
+from __future__ import annotations
+
+import re
+from fractions import Fraction
+
+import numpy as np
+import pytest
+
+import todframes as tod
+from todframes.recordings import open_recordings, video
+
+av = pytest.importorskip("av")
+
+RNG = np.random.default_rng(5)
+
+ROWS, COLUMNS = 48, 70
+"""A width that is no whole number of the blocks that FFmpeg aligns rows to."""
+
+
+def encode(path, planes_of_frames, pixel_format, *, codec="ffv1", times_ms=None, shape=(ROWS, COLUMNS), **options):
+    """Encode frames, each a list of the planes of a pixel format, with PyAV; times in ms or at 25 a second."""
+    header = {name: options.pop(name) for name in ("color_range", "colorspace") if name in options}
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream(codec, rate=25, options={name: str(one) for name, one in options.items()})
+        stream.height, stream.width = shape
+        stream.pix_fmt = pixel_format
+        time_base = Fraction(1, 25 if times_ms is None else 1000)
+        stream.codec_context.time_base = time_base
+        for name, value in header.items():
+            setattr(stream.codec_context, name, value)
+        for number, planes in enumerate(planes_of_frames):
+            frame = av.VideoFrame(shape[1], shape[0], pixel_format)
+            for plane, values in zip(frame.planes, planes, strict=True):
+                data = np.zeros((plane.height, plane.line_size), np.uint8)
+                bytes_ = np.ascontiguousarray(values).view(np.uint8).reshape(plane.height, -1)
+                data[:, : bytes_.shape[1]] = bytes_
+                plane.update(data.tobytes())
+            frame.pts = number if times_ms is None else times_ms[number]
+            frame.time_base = time_base
+            for name, value in header.items():
+                setattr(frame, name, value)
+            container.mux(stream.encode(frame))
+        container.mux(stream.encode())
+    return path
+
+
+def grey16(n_frames, shape=(ROWS, COLUMNS)):
+    return RNG.integers(0, 65536, (n_frames, *shape)).astype(np.uint16)
+
+
+@pytest.mark.parametrize(
+    ("pixel_format", "bits"), [("gray", 8), ("gray10le", 10), ("gray12le", 12), ("gray16le", 16)]
+)
+@pytest.mark.parametrize("suffix", ["mkv", "avi"])
+def test_grey_video_is_bit_exact(tmp_path, pixel_format, bits, suffix):
+    values = RNG.integers(0, 2**bits, (5, ROWS, COLUMNS)).astype(np.uint8 if bits == 8 else np.uint16)
+    encode(tmp_path / f"a.{suffix}", [[one] for one in values], pixel_format)
+    (recording,) = open_recordings(tmp_path / f"a.{suffix}")
+    assert (recording.zero, recording.full_scale, recording.is_colour) == (0, 2**bits - 1, False)
+    assert (recording.n_frames, recording.frames_per_second, recording.warnings) == (5, 25, ())
+    for _ in range(2):  # as often as asked for
+        frames = list(recording.frames())
+        np.testing.assert_array_equal([one.values for one in frames], values)
+        assert frames[0].values.dtype == values.dtype
+    assert [one.time_s for one in frames] == pytest.approx([0, 0.04, 0.08, 0.12, 0.16])
+    assert frames[3].source == f"a.{suffix}, frame 3"
+
+
+@pytest.mark.parametrize(
+    ("pixel_format", "bits"), [("gbrp", 8), ("gbrp9le", 9), ("gbrp10le", 10), ("gbrp16le", 16)]
+)
+def test_rgb_video_is_bit_exact(tmp_path, pixel_format, bits):
+    green, blue, red = RNG.integers(0, 2**bits, (3, ROWS, COLUMNS)).astype(np.uint8 if bits == 8 else np.uint16)
+    encode(tmp_path / "a.nut", [[green, blue, red]], pixel_format, codec="rawvideo" if bits == 8 else "ffv1")
+    (recording,) = open_recordings(tmp_path / "a.nut")
+    assert (recording.zero, recording.full_scale, recording.is_colour) == (0, 2**bits - 1, True)
+    np.testing.assert_array_equal(next(recording.frames()).values, np.stack([red, green, blue], -1))
+
+
+@pytest.mark.parametrize("pixel_format", ["rgb24", "bgr24", "bgra", "argb"])
+def test_packed_rgb_is_bit_exact(pixel_format):
+    letters = pixel_format.removesuffix("24")
+    values = RNG.integers(0, 256, (ROWS, COLUMNS, len(letters))).astype(np.uint8)
+    frame = av.VideoFrame(COLUMNS, ROWS, pixel_format)
+    data = np.zeros((ROWS, frame.planes[0].line_size), np.uint8)
+    data[:, : COLUMNS * len(letters)] = values.reshape(ROWS, -1)
+    frame.planes[0].update(data.tobytes())
+    read = video._values(frame, video.pixel_format(pixel_format), 0)
+    np.testing.assert_array_equal(read, np.stack([values[..., letters.index(one)] for one in "rgb"], -1))
+
+
+def ycbcr_of(rgb, *, bits, limited, weights):
+    """Encode R'G'B' in [0, 1] by BT.709-6, items 3.2 to 3.4 and BT.601-7, items 2.5.1 to 2.5.4, as they stand."""
+    red, green, blue = rgb
+    k_r, k_g, k_b = weights
+    e_y = k_r * red + k_g * green + k_b * blue
+    e_cb, e_cr = (blue - e_y) / (2 * (1 - k_b)), (red - e_y) / (2 * (1 - k_r))
+    if limited:
+        step = 2 ** (bits - 8)
+        exact = (219 * e_y + 16) * step, (224 * e_cb + 128) * step, (224 * e_cr + 128) * step
+    else:
+        exact = (2**bits - 1) * e_y, (2**bits - 1) * e_cb + 2 ** (bits - 1), (2**bits - 1) * e_cr + 2 ** (bits - 1)
+    return [np.clip(np.rint(one), 0, 2**bits - 1).astype(np.uint8 if bits == 8 else np.uint16) for one in exact]
+
+
+BT_709, BT_601 = (0.2126, 0.7152, 0.0722), (0.299, 0.587, 0.114)
+
+
+@pytest.mark.parametrize(("number", "weights"), [(1, BT_709), (5, BT_601), (6, BT_601)])
+@pytest.mark.parametrize("limited", [True, False])
+@pytest.mark.parametrize(("pixel_format", "bits"), [("yuv444p", 8), ("yuv444p10le", 10), ("yuv444p16le", 16)])
+def test_colour_inverts_the_encoding_of_the_itu(tmp_path, number, weights, limited, pixel_format, bits):
+    rgb = RNG.random((3, ROWS, COLUMNS))
+    planes = ycbcr_of(rgb, bits=bits, limited=limited, weights=weights)
+    encode(tmp_path / "a.mkv", [planes], pixel_format, color_range=1 if limited else 2, colorspace=number)
+    (recording,) = open_recordings(tmp_path / "a.mkv")
+    assert (recording.zero, recording.full_scale) == (0, 1)
+    assert [one.code for one in recording.warnings] == (["limited_range"] if limited and bits == 8 else [])
+    read = next(recording.frames()).values
+    assert read.dtype == np.float32
+    # Half a step of Y', and half a step of chroma, or in full range a whole one where pure blue is clipped, times
+    # 2 (1 − k) < 1.9. A step is 1 / (219 · 2^(bits − 8)), or 1 / (2^bits − 1) in full range. 3e-7 for the floats.
+    step = 1 / (219 * 2 ** (bits - 8)) if limited else 1 / (2**bits - 1)
+    np.testing.assert_allclose(read, np.moveaxis(rgb, 0, -1), rtol=0, atol=(0.5 + 1.9) * step + 3e-7)
+
+
+@pytest.mark.parametrize(
+    ("pixel_format", "per_chroma"), [("yuv420p", (2, 2)), ("yuv422p", (2, 1)), ("yuv411p", (4, 1))]
+)
+def test_grey_in_a_colour_format_is_grey_and_chroma_holds(tmp_path, pixel_format, per_chroma):
+    luma = RNG.integers(16, 236, (ROWS, COLUMNS)).astype(np.uint8)
+    across, down = per_chroma
+    chroma = RNG.integers(16, 241, (2, -(-ROWS // down), -(-COLUMNS // across))).astype(np.uint8)
+    neutral = np.full_like(chroma[0], 128)
+    encode(tmp_path / "a.nut", [[luma, neutral, neutral], [luma, *chroma]], pixel_format, codec="rawvideo")
+    (recording,) = open_recordings(tmp_path / "a.nut")
+    assert [one.code for one in recording.warnings] == ["matrix_assumed", "limited_range"]
+    grey, coloured = (one.values for one in recording.frames())
+    np.testing.assert_allclose(grey, np.repeat((luma[..., np.newaxis] - 16.0) / 219, 3, 2), rtol=0, atol=1e-7)
+    # BT.601: R' − Y' = 1.402 (Cr − 128) / 224 at each pixel of a chroma sample.
+    held = chroma[1].repeat(down, 0).repeat(across, 1)[:ROWS, :COLUMNS]
+    difference = coloured[..., 0] - (luma - 16.0) / 219
+    np.testing.assert_allclose(difference, 1.402 * (held - 128.0) / 224, rtol=0, atol=3e-7)
+
+
+@pytest.mark.parametrize(("packed", "planar"), video.REPACKED.items())
+def test_packed_formats_have_the_samples_of_planar_ones(packed, planar):
+    layout = video.pixel_format(planar)
+    assert video.pixel_format(packed) == layout
+    frame = av.VideoFrame(64, ROWS, planar)
+    for plane in frame.planes:
+        samples = RNG.integers(0, 2**layout.bits, plane.height * plane.line_size // layout.dtype.itemsize)
+        plane.update(samples.astype(layout.dtype).tobytes())
+    there = frame.reformat(format=packed)
+    np.testing.assert_array_equal(video._values(there, layout, 1), video._values(frame, layout, 1))
+
+
+def test_lossy_codecs_are_warned_about(tmp_path):
+    planes = [np.full((ROWS, COLUMNS), 90, np.uint8), *[np.full((ROWS // 2, COLUMNS // 2), 128, np.uint8)] * 2]
+    encode(tmp_path / "a.mp4", [planes] * 3, "yuv420p", codec="libx264", crf=18)
+    (recording,) = open_recordings(tmp_path / "a.mp4")
+    assert [one.code for one in recording.warnings] == ["matrix_assumed", "lossy_compression", "limited_range"]
+    assert len(list(recording.frames())) == 3
+
+
+def test_times_are_those_of_the_file(tmp_path):
+    times_ms = [0, 40, 200, 210, 900]
+    encode(tmp_path / "a.mkv", [[one] for one in grey16(5)], "gray16le", times_ms=times_ms)
+    (recording,) = open_recordings(tmp_path / "a.mkv")
+    assert [one.time_s for one in recording.frames()] == pytest.approx(np.array(times_ms) / 1000)
+    (recording,) = open_recordings(tmp_path / "a.mkv", frames_per_second=10)
+    assert [one.time_s for one in recording.frames()] == pytest.approx([0, 0.1, 0.2, 0.3, 0.4])
+
+
+def test_frames_without_times_are_refused_unless_a_rate_is_given(tmp_path, monkeypatch):
+    encode(tmp_path / "a.mkv", [[one] for one in grey16(3)], "gray16le")
+    decoded = video._decoded
+
+    def without_times(*arguments):
+        for frame in decoded(*arguments):
+            frame.pts = None
+            yield frame
+
+    monkeypatch.setattr(video, "_decoded", without_times)
+    (recording,) = open_recordings(tmp_path / "a.mkv")
+    with pytest.raises(
+        tod.DataError, match="frame 0 has no time, so the frame rate may vary; give --frames-per-sec"
+    ):
+        list(recording.frames())
+    (recording,) = open_recordings(tmp_path / "a.mkv", frames_per_second=25)
+    assert len(list(recording.frames())) == 3
+
+
+def test_a_truncated_video_tells_how_many_frames_are_good(tmp_path):
+    values = grey16(12)
+    whole = encode(tmp_path / "a.mkv", [[one] for one in values], "gray16le").read_bytes()
+    (tmp_path / "b.mkv").write_bytes(whole[: len(whole) // 2])
+    (recording,) = open_recordings(tmp_path / "b.mkv")
+    frames, good = recording.frames(), []
+    with pytest.raises(
+        tod.FrameError, match=r"b\.mkv: is truncated: it ends at .* expected .* s; \d+ frames"
+    ) as caught:
+        good.extend(one.values for one in frames)
+    n_good = int(re.search(r"(\d+) frames", str(caught.value))[1])
+    assert n_good == len(good) > 3
+    np.testing.assert_array_equal(good, values[:n_good])
+
+
+def test_a_video_of_which_nothing_is_left_is_told(tmp_path):
+    planes = [np.zeros((ROWS, COLUMNS), np.uint8), *[np.full((ROWS // 2, COLUMNS // 2), 128, np.uint8)] * 2]
+    whole = encode(tmp_path / "a.mp4", [planes] * 3, "yuv420p", codec="libx264").read_bytes()
+    (tmp_path / "b.mp4").write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(tod.FrameError, match=r"b\.mp4: .*; is the file truncated\?"):
+        open_recordings(tmp_path / "b.mp4")
+
+
+def test_damaged_frames_are_told(tmp_path):
+    whole = bytearray(encode(tmp_path / "a.mkv", [[one] for one in grey16(6)], "gray16le").read_bytes())
+    middle = len(whole) // 2
+    whole[middle : middle + 400] = RNG.bytes(400)
+    (tmp_path / "b.mkv").write_bytes(whole)
+    (recording,) = open_recordings(tmp_path / "b.mkv")
+    with pytest.raises(
+        tod.FrameError, match=r"b\.mkv: frame \d+ (is damaged|cannot be decoded).*frames before are good"
+    ):
+        list(recording.frames())
+
+
+def test_an_unsupported_pixel_format_is_named(tmp_path):
+    encode(
+        tmp_path / "a.avi",
+        [[np.zeros(ROWS * COLUMNS // 8 + ROWS, np.uint8)[: ROWS * 9]]],
+        "monob",
+        codec="rawvideo",
+    )
+    with pytest.raises(tod.FrameError, match=r"pixel format \w+, expected grey, Y'CbCr or R'G'B' of 8 to 16 bits"):
+        open_recordings(tmp_path / "a.avi")
+
+
+@pytest.mark.parametrize(
+    "name", ["pal8", "yuv420", "gray", "grayf32le", "bayer_rggb8", "xyz12le", "yuv443p", "gbrpf32le"]
+)
+def test_pixel_formats_that_are_not_read(name):
+    assert (video.pixel_format(name) is None) == (name != "gray")
+
+
+def test_playlists_are_no_videos(tmp_path):
+    (tmp_path / "a.m3u8").write_text("#EXTM3U\n#EXTINF:1,\nhttp://127.0.0.1/a.ts\n")
+    with pytest.raises(tod.FrameError, match="expected an image, video"):
+        open_recordings(tmp_path / "a.m3u8")
+
+
+def test_a_folder_of_videos_is_several_recordings(tmp_path):
+    for name in ("clip10", "clip9"):
+        encode(tmp_path / f"{name}.mkv", [[one] for one in grey16(2)], "gray16le")
+    assert [one.path.name for one in open_recordings(tmp_path)] == ["clip9.mkv", "clip10.mkv"]

@@ -1,0 +1,384 @@
+"""Recordings are read value for value: image sequences, camera raw, radiometric files and arrays."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+import struct
+import sys
+from importlib.metadata import requires
+from pathlib import Path
+
+import numpy as np
+import OpenImageIO as oiio
+import pytest
+
+import todframes as tod
+from todframes.recordings import open_recordings, radiometric, raw
+from todframes.recordings.recording import natural_order
+
+RNG = np.random.default_rng(13)
+
+
+def values_of(path, **settings):
+    (recording,) = open_recordings(path, **settings)
+    return np.array([one.values for one in recording.frames()])
+
+
+def write_image(path, values, *, bits=0, attributes=()):
+    """Write (rows, columns, channels) by OpenImageIO, n-bit values stretched to the 8 or 16 bits that it takes."""
+    stored = {"float16": "half", "float32": "float"}.get(str(values.dtype), str(values.dtype))
+    spec = oiio.ImageSpec(values.shape[1], values.shape[0], values.shape[2], stored)
+    if bits:
+        spec.attribute("oiio:BitsPerSample", bits)
+        values = np.rint(values * (65535 / (2**bits - 1))).astype(np.uint16)
+    for attribute in attributes:
+        spec.attribute(*attribute)
+    output = oiio.ImageOutput.create(str(path))
+    assert output.open(str(path), spec), output.geterror()
+    assert output.write_image(values), output.geterror()
+    assert output.close()
+
+
+@pytest.mark.parametrize("n_channels", [1, 3])
+@pytest.mark.parametrize(
+    ("name", "bits"),
+    [
+        *(("a.png", 8), ("a.png", 16), ("a.tif", 8), ("a.tif", 10), ("a.tif", 12), ("a.tif", 16)),
+        *(("a.dpx", 10), ("a.dpx", 12), ("a.dpx", 16), ("a.ppm", 8), ("a.ppm", 16)),
+    ],
+)
+def test_integers_come_back_as_written(tmp_path, name, bits, n_channels):
+    # 160 × 128 pixels: JPEG 2000 and packed DPX have rows of whole words.
+    values = RNG.integers(0, 2**bits, (128, 160, n_channels)).astype(np.uint8 if bits == 8 else np.uint16)
+    if name.endswith("ppm") and n_channels == 1:
+        name = "a.pgm"
+    write_image(tmp_path / name, values, bits=bits if bits not in (8, 16) else 0)
+    (recording,) = open_recordings(tmp_path / name)
+    (frame,) = recording.frames()
+    assert recording.full_scale == 2**bits - 1
+    assert recording.zero == 0
+    assert recording.is_colour == (n_channels == 3)
+    assert frame.values.dtype == values.dtype
+    np.testing.assert_array_equal(frame.values, values if n_channels == 3 else values[..., 0])
+
+
+@pytest.mark.parametrize("bits", [8, 12, 16])
+def test_jpeg_2000_without_loss_comes_back(tmp_path, bits):
+    values = RNG.integers(0, 2**bits, (128, 160, 1)).astype(np.uint8 if bits == 8 else np.uint16)
+    write_image(tmp_path / "a.jp2", values, bits=0 if bits != 12 else bits)
+    np.testing.assert_array_equal(values_of(tmp_path / "a.jp2"), values[np.newaxis, ..., 0])
+
+
+@pytest.mark.parametrize("maximum", [1, 100, 255, 1000, 1023, 4095, 65535])
+def test_a_pnm_keeps_the_scale_that_it_declares(tmp_path, maximum):
+    values = RNG.integers(0, maximum + 1, (5, 7)).astype(">u2" if maximum > 255 else "u1")
+    (tmp_path / "a.pgm").write_bytes(b"P5 # by hand\n7 5\n%d\n" % maximum + values.tobytes())
+    (recording,) = open_recordings(tmp_path / "a.pgm")
+    assert recording.full_scale == maximum
+    np.testing.assert_array_equal(next(recording.frames()).values, values)
+
+
+@pytest.mark.parametrize(("name", "dtype"), [("a.exr", "half"), ("a.exr", "float"), ("a.tif", "float")])
+def test_floating_point_values_have_no_white(tmp_path, name, dtype):
+    values = RNG.normal(size=(4, 6, 1)).astype(np.float16 if dtype == "half" else np.float32)
+    write_image(tmp_path / name, values)
+    (recording,) = open_recordings(tmp_path / name)
+    assert recording.full_scale is None
+    assert next(recording.frames()).values.dtype == np.float32
+    np.testing.assert_array_equal(next(recording.frames()).values, values[..., 0])
+
+
+def test_the_pages_of_a_file_are_frames(tmp_path):
+    path, pages = tmp_path / "a.tif", RNG.integers(0, 65536, (3, 4, 6)).astype(np.uint16)
+    spec = oiio.ImageSpec(6, 4, 1, "uint16")
+    output = oiio.ImageOutput.create(str(path))
+    assert output.open(str(path), [spec] * 3)
+    for number, page in enumerate(pages):
+        assert number == 0 or output.open(str(path), spec, "AppendSubimage")
+        assert output.write_image(page[..., np.newaxis])
+    assert output.close()
+    (recording,) = open_recordings(path, frames_per_second=50)
+    frames = list(recording.frames())
+    np.testing.assert_array_equal([one.values for one in frames], pages)
+    assert [one.time_s for one in frames] == [0, 0.02, 0.04]
+    assert frames[2].source == "a.tif, page 2"
+    assert recording.n_frames == 3
+
+
+def test_a_folder_is_one_sequence_in_natural_order(tmp_path):
+    for number in (10, 9, 1):
+        tod.write_frame(tmp_path / f"f{number}.png", np.full((4, 5), number / 255), pixel_type="uint8")
+    (tmp_path / ".hidden").write_text("no frame")
+    (recording,) = open_recordings(tmp_path)
+    assert [(one.values[0, 0], one.source) for one in recording.frames()] == [
+        *((1, "f1.png"), (9, "f9.png"), (10, "f10.png"))
+    ]
+    assert recording.frames_per_second is None
+    assert next(recording.frames()).time_s is None
+    assert len(list(recording.frames())) == 3  # again from the start
+
+
+def test_natural_order_of_names_with_and_without_numbers():
+    names = ["b1", "a10", "a9x", "a", "a09", "1"]
+    assert [str(one) for one in natural_order(map(Path, names))] == ["1", "a", "a09", "a9x", "a10", "b1"]
+
+
+@pytest.mark.parametrize(
+    ("name", "attribute", "rate"),
+    [
+        ("a.dpx", ("dpx:FrameRate", 25.0), 25.0),
+        ("a.exr", ("FramesPerSecond", oiio.TypeDesc("rational"), (30000, 1001)), 30000 / 1001),
+    ],
+)
+def test_the_frame_rate_comes_from_the_file(tmp_path, name, attribute, rate):
+    values = np.zeros((4, 160, 1), np.float32 if name.endswith("exr") else np.uint16)
+    write_image(tmp_path / name, values, attributes=[attribute])
+    assert open_recordings(tmp_path / name)[0].frames_per_second == rate
+    assert open_recordings(tmp_path / name, frames_per_second=60)[0].frames_per_second == 60
+
+
+def test_jpeg_is_read_with_a_warning_of_its_cost(tmp_path):
+    write_image(tmp_path / "a.jpg", np.full((16, 16, 3), 77, np.uint8))
+    (recording,) = open_recordings(tmp_path / "a.jpg")
+    assert [one.code for one in recording.warnings] == ["lossy_compression"]
+    assert next(recording.frames()).values.shape == (16, 16, 3)
+
+
+def dng(path, values, *, black, white, mosaic=True):
+    """Write a DNG of one strip by hand: an uncompressed TIFF with the tags that readers need."""
+    rows, columns = values.shape
+    entries = [
+        *((254, 4, [0]), (256, 4, [columns]), (257, 4, [rows]), (258, 3, [16]), (259, 3, [1])),
+        *((262, 3, [32803 if mosaic else 34892]), (271, 2, b"house\0"), (272, 2, b"camera\0"), (273, 4, [0])),
+        *((277, 3, [1]), (278, 4, [rows]), (279, 4, [values.nbytes])),
+        *([(33421, 3, [2, 2]), (33422, 1, b"\0\1\1\2")] if mosaic else []),
+        *((50706, 1, b"\1\4\0\0"), (50708, 2, b"house camera\0")),
+        *((50714, 3, [black]), (50717, 4, [white])),
+    ]
+    if mosaic:
+        entries.append((50721, 10, [1, 1, 0, 1, 0, 1, 0, 1, 1, 1, 0, 1, 0, 1, 0, 1, 1, 1]))
+    formats = {1: "B", 2: "B", 3: "H", 4: "I", 10: "i"}
+    place, extra, table = 8 + 2 + 12 * len(entries) + 4, b"", b""
+    for tag, kind, data in sorted(entries):
+        packed = struct.pack(f"<{len(data)}{formats[kind]}", *data)
+        count = len(data) // 2 if kind == 10 else len(data)
+        if tag == 273:
+            strip_at = 8 + 2 + len(table) + 8
+        if len(packed) > 4:
+            table += struct.pack("<HHII", tag, kind, count, place + len(extra))
+            extra += packed + b"\0" * (len(packed) % 2)
+        else:
+            table += struct.pack("<HHI", tag, kind, count) + packed.ljust(4, b"\0")
+    whole = bytearray(b"II*\0" + struct.pack("<IH", 8, len(entries)) + table + b"\0\0\0\0" + extra)
+    whole[strip_at : strip_at + 4] = struct.pack("<I", len(whole))
+    path.write_bytes(bytes(whole) + values.astype("<u2").tobytes())
+
+
+def test_camera_raw_is_the_mean_of_the_two_greens_of_a_cell(tmp_path):
+    values = RNG.integers(600, 16000, (64, 96)).astype(np.uint16)
+    dng(tmp_path / "a.dng", values, black=512, white=16383)
+    (recording,) = open_recordings(tmp_path / "a.dng")
+    assert (recording.shape, recording.zero, recording.full_scale) == ((32, 48), 512, 16383)
+    # Pattern R G / G B; a mean of two integers of 16 bits is exact in 32-bit floats.
+    expected = (values[0::2, 1::2].astype(float) + values[1::2, 0::2]) / 2
+    np.testing.assert_array_equal(next(recording.frames()).values, expected)
+
+
+def test_camera_raw_without_mosaic_is_the_sensor_itself(tmp_path):
+    values = RNG.integers(600, 16000, (64, 96)).astype(np.uint16)
+    dng(tmp_path / "a.dng", values, black=0, white=16383, mosaic=False)
+    np.testing.assert_array_equal(values_of(tmp_path / "a.dng"), values[np.newaxis])
+
+
+def fff(counts, *, order="<", planck=(364058.0, 1428.0, 1.0, -228, 1.0), emissivity=1.0):
+    """Build FLIR's container by hand: a header, a table of two records, the constants and the counts."""
+    r1, b, f, o, r2 = planck
+    camera = bytearray(0x400)
+    struct.pack_into(f"{order}H", camera, 0, 2)
+    struct.pack_into(f"{order}3f", camera, 0x20, emissivity, 1.0, 293.15)
+    struct.pack_into(f"{order}3f", camera, 0x58, r1, b, f)
+    struct.pack_into(f"{order}if", camera, 0x308, o, r2)
+    data = struct.pack(f"{order}3H", 2, counts.shape[1], counts.shape[0]).ljust(32, b"\0")
+    data += counts.astype(f"{order}u2").tobytes()
+    header = b"FFF\0" + b"house".ljust(16, b"\0") + struct.pack(">4I", 101, 64, 2, 0)
+    table = b""
+    place = 64 + 2 * 32
+    for kind, record in ((32, camera), (1, data)):
+        table += struct.pack(">2HIIIIIII", kind, 0, 100, 0, place, len(record), 0, 0, 0)
+        place += len(record)
+    return header.ljust(64, b"\0") + table + bytes(camera) + data
+
+
+@pytest.mark.parametrize("order", ["<", ">"])
+@pytest.mark.parametrize("in_jpeg", [False, True])
+def test_radiometric_counts_come_back(tmp_path, order, in_jpeg):
+    counts = RNG.integers(0, 65536, (40, 50)).astype(np.uint16)
+    data = fff(counts, order=order)
+    if in_jpeg:  # in two segments, the second one first
+        parts = [b"FLIR\0\1" + bytes([k, 1]) + part for k, part in enumerate((data[:900], data[900:]))]
+        segments = [b"\xff\xe1" + struct.pack(">H", len(one) + 2) + one for one in reversed(parts)]
+        data = b"\xff\xd8" + b"".join(segments) + b"\xff\xd9"
+    (tmp_path / "a.fff").write_bytes(data)
+    (recording,) = open_recordings(tmp_path / "a.fff")
+    assert (recording.unit, recording.full_scale) == ("counts", None)
+    np.testing.assert_array_equal(next(recording.frames()).values, counts)
+
+
+def test_temperatures_of_a_black_body_invert_its_counts(tmp_path):
+    (tmp_path / "a.fff").write_bytes(fff(np.zeros((4, 4)), emissivity=0.9))
+    radiometry = radiometric.read_radiometry(tmp_path / "a.fff")
+    celsius = np.linspace(-20, 100, 7)
+    share = radiometry.emissivity
+    assert (share, radiometry.reflected_celsius) == pytest.approx(
+        (0.9, 20.0), rel=1e-6
+    )  # 32-bit floats in the file
+    seen = share * radiometry.counts_of(celsius) + (1 - share) * radiometry.counts_of(radiometry.reflected_celsius)
+    # The relative rounding of a few operations, 1e-15, times counts / (counts per kelvin) < 1e3 K.
+    np.testing.assert_allclose(radiometry.celsius(seen), celsius, rtol=0, atol=1e-11)
+    assert np.isnan(radiometry.celsius(-1e6))
+
+
+REAL = Path(__file__).parent / "recordings"
+
+
+def test_a_real_radiometric_file_is_read_as_by_flirpy():
+    (recording,) = open_recordings(REAL / "frame_000000.fff")
+    counts = next(recording.frames()).values
+    # SHA-256 of flirpy.io.fff.Fff(path).get_image() as little-endian bytes, by flirpy 0.6.2.
+    digest = hashlib.sha256(counts.astype("<u2").tobytes()).hexdigest()
+    assert digest == "0868740d7414ce78e11a56877bd9ee37e17a633f5111396b17be87122bdfcba4"
+    # flirpy.util.raw.raw2temp(counts, meta) with the object at a distance of 0 m and surroundings of 20 °C; the
+    # file says 6e-6 K less, of which 6 % are reflected.
+    celsius = radiometric.read_radiometry(REAL / "frame_000000.fff").celsius(counts)
+    np.testing.assert_allclose(celsius[0, :4], [10.54402449, 10.69360702, 10.8429458, 10.64377331], atol=5e-7)
+    np.testing.assert_allclose([celsius.min(), celsius.max()], [10.09380317, 12.95733611], atol=5e-7)
+
+
+def test_a_real_thermal_tiff_is_read_as_by_opencv():
+    import cv2
+
+    (values,) = values_of(REAL / "example_radiometric.tiff")
+    assert values.dtype == np.uint16
+    np.testing.assert_array_equal(values, cv2.imread(str(REAL / "example_radiometric.tiff"), cv2.IMREAD_UNCHANGED))
+
+
+def arrays_of(kind, dtype):
+    shape = {"one": (4, 6), "sequence": (3, 4, 6), "colour": (3, 4, 6, 3)}[kind]
+    return (RNG.random(shape) * 200).astype(dtype)
+
+
+@pytest.mark.parametrize("suffix", [".npy", ".npz"])
+@pytest.mark.parametrize("kind", ["one", "sequence", "colour"])
+@pytest.mark.parametrize("dtype", ["u1", ">u2", "i2", "f2", "f4", "f8"])
+def test_arrays_come_back(tmp_path, suffix, kind, dtype):
+    values = arrays_of(kind, dtype)
+    path = tmp_path / f"a{suffix}"
+    if suffix == ".npy":
+        np.save(path, values)
+    else:
+        np.savez_compressed(path, values)
+    (recording,) = open_recordings(path)
+    expected = values if values.dtype.kind == "u" else values.astype(np.float32)
+    np.testing.assert_array_equal(values_of(path), expected if values.ndim > 2 else expected[np.newaxis])
+    assert recording.full_scale == (np.iinfo(values.dtype).max if values.dtype.kind == "u" else None)
+    assert recording.is_colour == (kind == "colour")
+
+
+def write(path, data):
+    path.write_bytes(data)
+    return path
+
+
+def npy_claiming(shape, descr="<u2"):
+    text = repr({"descr": descr, "fortran_order": False, "shape": shape}).encode()
+    text += b" " * (118 - len(text) - 1) + b"\n"
+    return b"\x93NUMPY\x01\x00" + struct.pack("<H", len(text)) + text
+
+
+def pickled(path):
+    np.save(path, np.array([{}, 1], dtype=object), allow_pickle=True)
+    return path
+
+
+def two_sizes(folder):
+    tod.write_frame(folder / "a.png", np.zeros((4, 5)))
+    tod.write_frame(folder / "b.png", np.zeros((4, 6)))
+    return folder
+
+
+def two_kinds(folder):
+    tod.write_frame(folder / "a.png", np.zeros((4, 5)))
+    np.save(folder / "b.npy", np.zeros((4, 5)))
+    return folder
+
+
+def damaged_tiff(folder):
+    write_image(folder / "a.tif", RNG.integers(0, 65536, (64, 64, 1)).astype(np.uint16))
+    return write(folder / "b.tif", (folder / "a.tif").read_bytes()[:2000])
+
+
+BAD = {
+    "empty folder": (lambda d: d, "the folder is empty, expected recordings"),
+    "no file": (lambda d: d / "missing.png", "found no file"),
+    "empty file": (lambda d: write(d / "a.png", b""), "found an empty file, expected an image"),
+    "text": (lambda d: write(d / "a.txt", b"hello"), r"starts with b'hello', expected an image"),
+    "two sizes": (two_sizes, "size: found 6 x 4 pixels, expected 5 x 4 pixels as in a.png"),
+    "two kinds": (two_kinds, "found array, expected image as a.png: a folder has files of one kind"),
+    "truncated tiff": (damaged_tiff, r"b\.tif: .*(cannot be decoded|cannot be opened)"),
+    "huge npy": (lambda d: write(d / "a.npy", npy_claiming((10**9, 512, 640)) + b"\0" * 9), "is it truncated?"),
+    "huge frame": (lambda d: write(d / "a.npy", npy_claiming((3, 32000, 32000))), "a frame has more than 256 MB"),
+    "wide npy": (lambda d: write(d / "a.npy", npy_claiming((3, 4, 10**9))), "expected sides of 1 to 32768"),
+    "header of npy": (
+        lambda d: write(d / "a.npy", b"\x93NUMPY\x01\x00\xff\xff{"),
+        "header of the array is damaged",
+    ),
+    "pickle": (lambda d: pickled(d / "a.npy"), "found values of type object, expected one of uint8"),
+    "vector": (lambda d: write(d / "a.npy", npy_claiming((8,))), r"shape \(8,\), expected \(frames, rows"),
+    "zip": (lambda d: write(d / "a.npz", b"PK\x03\x04abc"), "cannot be read as a NumPy array"),
+    "no raw": (lambda d: write(d / "a.dng", b"II*\0abcdefgh"), "cannot be read as camera raw"),
+    "fff header": (lambda d: write(d / "a.fff", b"FFF\0abc"), "the header of the container is truncated"),
+    "fff": (lambda d: write(d / "a.fff", fff(np.zeros((40, 50)))[:-7]), "reaches beyond the file: truncated"),
+    "nan": (
+        lambda d: (np.save(d / "a.npy", np.full((2, 3, 4), np.nan)), d / "a.npy")[1],
+        "frame 0: 12 values are no numbers",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_recordings_are_told_in_one_line(tmp_path, case):
+    make, message = BAD[case]
+    path = make(tmp_path)
+    with pytest.raises(tod.DataError, match=message) as caught:
+        values_of(path)
+    assert "\n" not in str(caught.value)
+
+
+def test_no_paths_and_bad_rates_are_refused(tmp_path):
+    with pytest.raises(tod.DataError, match="found no path"):
+        open_recordings([])
+    with pytest.raises(tod.SettingsError, match="frames_per_second: found 0, expected a number > 0"):
+        open_recordings(tmp_path, frames_per_second=0)
+
+
+@pytest.mark.parametrize(
+    ("name", "data", "module", "extra"),
+    [("a.dng", b"II*\0abcdefgh", "rawpy", "raw"), ("a.mkv", b"\x1a\x45\xdf\xa3abc", "av", "video")],
+)
+def test_a_package_that_is_not_installed_is_named(tmp_path, monkeypatch, name, data, module, extra):
+    monkeypatch.setitem(sys.modules, module, None)
+    with pytest.raises(tod.DataError, match=rf"not installed: pip install 'todframes\[{extra}\]'"):
+        open_recordings(write(tmp_path / name, data))
+
+
+def test_the_extras_bring_no_second_opencv():
+    found = (re.fullmatch(r"(\w+).*extra == .(video|raw|flir).", one) for one in requires("todframes") or [])
+    needed = [one[1] for one in found if one]
+    assert sorted(needed) == ["av", "rawpy"]
+    for package in needed:
+        assert not [one for one in requires(package) or [] if "opencv" in one.lower()]
+
+
+def test_raw_extensions_are_none_of_flir():
+    assert not {".fff", ".tif", ".tiff"} & set(raw.SUFFIXES)

@@ -1,0 +1,102 @@
+"""The command `noise`: three-dimensional noise of a recording."""
+
+from __future__ import annotations
+
+import textwrap
+from pathlib import Path
+
+import click
+
+from todframes.cli.console import (
+    check_strict,
+    echo,
+    print_table,
+    progress,
+    say,
+    staged,
+    terminal_width,
+    warning_lines,
+)
+from todframes.cli.options import json_option, numbers, quiet_option, strict_option
+from todframes.errors import SettingsError
+
+
+@click.command()
+@click.argument("recording", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.option(
+    "-o", "--out", metavar="OUT", help="Folder for result.json, noise.csv, noise.png and sensor_noise.toml."
+)
+@click.option("--region", metavar="X,Y,W,H", help="Left column, top row, width and height.  [default: all]")
+@click.option("--signal", metavar="S[,S…]", help="Differences of the values; prints their signal-to-noise ratios.")
+@click.option(
+    "--mk-per-count",
+    type=float,
+    metavar="MK",
+    help="Temperature difference in mK for one count.  [default: from the constants of a radiometric file]",
+)
+@click.option(
+    "--frames-per-second", type=float, metavar="F", help="Frame rate in place of what the files say, if they do."
+)
+@click.option("--sensor", is_flag=True, help="Print the table [noise] of a SENSOR.toml and nothing else.")
+@strict_option
+@json_option
+@quiet_option
+def noise(
+    *,
+    recording: tuple[Path, ...],
+    out: str | None,
+    region: str | None,
+    signal: str | None,
+    mk_per_count: float | None,
+    frames_per_second: float | None,
+    sensor: bool,
+    strict: bool,
+    as_json: bool,
+    quiet: bool,
+) -> None:
+    """Measure the noise of RECORDING, which shows a uniform scene that does not move.
+
+    RECORDING is a video, a sequence of images or a folder of them, camera raw or radiometric files, or an array.
+    The noise is that of time, rows and columns (D'Agostino & Webb 1991), each part with a 95 % interval.
+
+    Without -o nothing is written.
+    """
+    if sensor and as_json:
+        raise SettingsError("noise: found --sensor and --json, expected one of them")
+    from todframes import api
+
+    with staged(out) as write:
+        with progress("reading", None, quiet=quiet) as advance:
+            result = api.noise(
+                recording,
+                region=None if region is None else _region(region),
+                signal=() if signal is None else numbers(signal, "--signal"),
+                mk_per_count=mk_per_count,
+                frames_per_second=frames_per_second,
+                progress=advance,
+            )
+        table = result.sensor_toml() if sensor else None
+        write(result.files)
+    warnings = result.warnings
+    if table is not None or as_json:
+        for line in warning_lines(warnings):
+            say(line)
+        click.echo(result.to_json() if table is None else table, nl=False)
+        check_strict(warnings, strict)
+        return
+    print_table(result.table())
+    if (ratios := result.snr_table()) is not None:
+        print_table(ratios)
+    for sentence in [*result.sentences(), *warning_lines(warnings)]:
+        echo(*textwrap.wrap(sentence, terminal_width()))
+    if out is not None:
+        echo(f"written: {out}")
+    check_strict(warnings, strict)
+
+
+def _region(text: str) -> tuple[int, int, int, int]:
+    try:
+        left, top, width, height = (int(part) for part in text.split(","))
+    except ValueError:
+        raise SettingsError(f"--region: found {text!r}, expected X,Y,W,H: four whole numbers of pixels") from None
+    return left, top, width, height

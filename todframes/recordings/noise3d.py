@@ -1,0 +1,452 @@
+"""Three-dimensional noise of a recording: variances of time, rows and columns, and of what they share.
+
+Each value is a mean plus seven independent random parts: one for each frame (t), row (v) and column (h), row of
+a frame (tv), column of a frame (th), pixel (vh), and pixel of a frame (tvh). D'Agostino & Webb 1991, "Three-
+dimensional analysis framework and measurement methodology for imaging system noise", Proc. SPIE 1488. Their
+directional averages leave remainders of the other parts. Here the variances come from the expected mean squares
+of the three-way analysis of variance with random effects: Searle, Casella & McCulloch 1992, "Variance
+Components", chapter 4.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from todframes._typing import FloatArray
+from todframes.errors import DataError, SettingsError
+from todframes.recordings.recording import Recording, RecordingWarning
+
+PARTS = {
+    "t": "all of a frame, from frame to frame",
+    "v": "rows, fixed",
+    "h": "columns, fixed",
+    "tv": "rows, from frame to frame",
+    "th": "columns, from frame to frame",
+    "vh": "pixels, fixed",
+    "tvh": "pixels, from frame to frame",
+}
+"""Names of the parts of the noise, and their meanings."""
+
+
+DYNAMIC, STATIC = ("tv", "th", "tvh"), ("v", "h", "vh")
+"""Parts of the dynamic noise of a pixel, and of the fixed pattern. Flicker of whole frames (t) is in neither."""
+
+
+LUMA = np.array([0.2126, 0.7152, 0.0722])
+"""Weights of R, G, B (Rec. ITU-R BT.709) with which colour is made grey."""
+
+
+MOST_SATURATED = 1e-3
+"""Largest share of values at the ends of the scale that gives no warning."""
+
+
+SMALLEST_STEPS = 0.5
+"""Standard deviation in steps of the recording, below which quantisation decides what is measured."""
+
+
+INTEGRATION_TIME_S = 0.1
+"""Time over which the eye averages. Hogervorst et al. 2001."""
+
+
+Region = tuple[int, int, int, int]
+
+
+Combination = Mapping[str, float]
+"""Weights of mean squares, by the name of the part."""
+
+
+class Part(NamedTuple):
+    """The standard deviation of a part of the noise with a 95 % interval, and the variance that it is the root of.
+
+    An unbiased estimate of a variance can be below zero; then `sd` is 0.
+    """
+
+    sd: float
+    ci95: tuple[float, float]
+    variance: float
+
+
+class Drift(NamedTuple):
+    """The straight line through the means of frames: its slope per second, or per frame if there are no times.
+
+    `change` is that from the first frame to the last; errors are standard errors.
+    """
+
+    slope: float
+    slope_error: float
+    change: float
+    change_error: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Noise3D:
+    """Three-dimensional noise of a recording, in units of its values.
+
+    Attributes
+    ----------
+    n_frames : int
+    region : (int, int, int, int)
+        Left column, top row, width and height of what was measured.
+    mean : float
+    parts : dict of Part
+        By the names in `PARTS`; of a single frame only v, h and vh, and vh contains tvh.
+    dynamic, fixed : Part or None
+        Noise of a pixel from frame to frame (tv, th, tvh together), and its fixed pattern (v, h, vh). None for a
+        single frame, where they cannot be told apart.
+    drift : Drift or None
+        None with fewer than three frames.
+    frames_per_second : float or None
+    mean_image, temporal_sd : ndarray (rows, columns)
+        Mean and standard deviation of each pixel over the frames; the latter is None for a single frame.
+    frame_means : ndarray (n_frames,)
+    unit : str
+        "code", "counts" or "celsius".
+    warnings : tuple of RecordingWarning
+    """
+
+    n_frames: int
+    region: Region
+    mean: float
+    parts: dict[str, Part]
+    dynamic: Part | None
+    fixed: Part | None
+    drift: Drift | None
+    frames_per_second: float | None
+    mean_image: FloatArray
+    temporal_sd: FloatArray | None
+    frame_means: FloatArray
+    unit: str
+    warnings: tuple[RecordingWarning, ...]
+
+    @property
+    def frames_integrated(self) -> int:
+        """Number of frames that the eye averages; 1 if the frame rate is not known."""
+        return max(1, round(INTEGRATION_TIME_S * (self.frames_per_second or 0.0)))
+
+    @property
+    def fixed_pattern_ratio(self) -> Part:
+        """Static divided by dynamic standard deviation, `variance` being its square; see `Part`.
+
+        Raises
+        ------
+        DataError
+            If there is one frame, or no noise from frame to frame.
+        """
+        dynamic, fixed = self._both()
+        # The ends of two independent intervals in opposite directions, added in squares on a logarithmic scale.
+        ratio, (low, high) = fixed.sd / dynamic.sd, fixed.ci95
+        down, up = (_log_ratio(dynamic.sd, end) for end in dynamic.ci95)
+        if ratio == 0:
+            return Part(0.0, (0.0, high / dynamic.sd), fixed.variance / dynamic.variance)
+        lower = math.exp(-math.hypot(_log_ratio(fixed.sd, low), up)) * ratio
+        upper = math.exp(math.hypot(_log_ratio(fixed.sd, high), down)) * ratio
+        return Part(ratio, (lower, upper), ratio**2)
+
+    def _both(self) -> tuple[Part, Part]:
+        """Return the dynamic noise, which is not zero, and the fixed pattern; DataError if they are not known."""
+        if self.dynamic is None or self.fixed is None:
+            raise DataError("noise: found one frame, expected 2 or more to tell temporal noise from fixed pattern")
+        if self.dynamic.variance <= 0:
+            raise DataError("noise: found none from frame to frame, expected some; are all frames the same?")
+        return self.dynamic, self.fixed
+
+    def snr(self, signal: float, *, frames: int = 1) -> float:
+        """Return a signal divided by the noise of a pixel after a number of frames are averaged.
+
+        The dynamic part falls with the root of the number of frames, the fixed pattern does not.
+        """
+        if self.dynamic is None or self.fixed is None:
+            total = sum(max(one.variance, 0.0) for one in self.parts.values())
+        else:
+            total = max(self.dynamic.variance, 0.0) / frames + max(self.fixed.variance, 0.0)
+        return signal / math.sqrt(total) if total > 0 else math.inf
+
+    def sensor_toml(self, *, mk_per_unit: float | None = None) -> str:
+        """Return the table `[noise]` of a SENSOR.toml for a camera with this noise.
+
+        Parameters
+        ----------
+        mk_per_unit : float, optional
+            Temperature difference in mK for a difference of one in the values. Not needed for temperatures; if it
+            is not known, there is no `netd_mk`.
+
+        Raises
+        ------
+        DataError
+            If there is one frame, or no noise from frame to frame.
+        """
+        dynamic, _ = self._both()
+        per_unit = 1000.0 if self.unit == "celsius" else mk_per_unit
+        lines = [
+            "[noise]",
+            'distribution = "gaussian"',
+            "# netd_mk = …                  # unknown: give --mk-per-count"
+            if per_unit is None
+            else f"netd_mk = {dynamic.sd * per_unit:.6g}",
+            f"fixed_pattern_ratio = {self.fixed_pattern_ratio.sd:.6g}",
+            f"frames_integrated = {self.frames_integrated}",
+        ]
+        return "\n".join([*lines, ""])
+
+
+def _log_ratio(value: float, end: float) -> float:
+    return abs(math.log(end / value)) if end > 0 else math.inf
+
+
+def measure_noise(
+    recording: Recording,
+    *,
+    region: Region | None = None,
+    progress: Callable[[int], None] | None = None,
+) -> Noise3D:
+    """Measure the three-dimensional noise of a recording of a scene that does not move.
+
+    Memory does not grow with the number of frames, but for one number a frame.
+
+    Parameters
+    ----------
+    recording : Recording
+    region : (int, int, int, int), optional
+        Left column, top row, width and height in pixels. Default: all.
+    progress : function of an int, optional
+        Called with 1 for each frame.
+
+    Raises
+    ------
+    SettingsError
+        If the region is not within the frame, or has fewer than 2 rows or columns.
+    DataError
+        If a frame cannot be read.
+    """
+    left, top, width, height = region = _checked(recording, region)
+    sums: _Sums | None = None
+    times: list[float | None] = []
+    ends = (recording.zero, recording.full_scale)
+    n_saturated, n_doubled = 0, 0
+    last: NDArray[Any] | None = None
+    for frame in recording.frames():
+        values = frame.values[top : top + height, left : left + width]
+        grey = values.astype(np.float64) if values.ndim == 2 else values @ LUMA
+        sums = sums or _Sums(grey)
+        sums.add(grey)
+        times.append(frame.time_s)
+        if recording.full_scale is not None:
+            n_saturated += int(np.count_nonzero((values <= ends[0]) | (values >= recording.full_scale)))
+        n_doubled += last is not None and np.array_equal(values, last)
+        last = values
+        if progress is not None:
+            progress(1)
+    if sums is None or last is None:
+        raise DataError(f"{recording.path}: found no frame, expected at least one")
+    squares, degrees = sums.mean_squares()
+    weights = combinations(sums.n, *sums.reference.shape)
+    parts = {name: estimate(one, squares, degrees) for name, one in weights.items()}
+    dynamic = fixed = None
+    if sums.n > 1:
+        dynamic, fixed = (
+            estimate(_added([weights[name] for name in names]), squares, degrees) for names in (DYNAMIC, STATIC)
+        )
+    means = np.array(sums.frame_means) + float(sums.reference.mean())
+    drift = fit_drift(means, times)
+    measured = Noise3D(
+        n_frames=sums.n,
+        region=region,
+        mean=float(means.mean()),
+        parts=parts,
+        dynamic=dynamic,
+        fixed=fixed,
+        drift=drift,
+        frames_per_second=recording.frames_per_second,
+        mean_image=sums.mean_image(),
+        temporal_sd=sums.temporal_sd() if sums.n > 1 else None,
+        frame_means=means,
+        unit=recording.unit,
+        warnings=(),
+    )
+    found = _warnings(measured, n_doubled, n_saturated / (sums.n * last.size), is_integer=last.dtype.kind == "u")
+    return replace(measured, warnings=(*recording.warnings, *found))
+
+
+def combinations(n_frames: int, n_rows: int, n_columns: int) -> dict[str, Combination]:
+    """Return the unbiased estimate of each part's variance as a weighted sum of mean squares.
+
+    The expected mean squares with T frames, V rows and H columns, σ² of the part in brackets:
+    tvh: [tvh]; tv: [tvh] + H [tv]; th: [tvh] + V [th]; vh: [tvh] + T [vh];
+    t: [tvh] + H [tv] + V [th] + VH [t]; v: [tvh] + H [tv] + T [vh] + TH [v]; h: [tvh] + V [th] + T [vh] + TV [h].
+    They are solved from the first to the last. For one frame there are v, h and vh, which contains tvh.
+    """
+    t, v, h = n_frames, n_rows, n_columns
+    if t == 1:
+        return {"v": {"v": 1 / h, "vh": -1 / h}, "h": {"h": 1 / v, "vh": -1 / v}, "vh": {"vh": 1.0}}
+    return {
+        "t": _scaled({"t": 1, "tv": -1, "th": -1, "tvh": 1}, v * h),
+        "v": _scaled({"v": 1, "tv": -1, "vh": -1, "tvh": 1}, t * h),
+        "h": _scaled({"h": 1, "th": -1, "vh": -1, "tvh": 1}, t * v),
+        "tv": _scaled({"tv": 1, "tvh": -1}, h),
+        "th": _scaled({"th": 1, "tvh": -1}, v),
+        "vh": _scaled({"vh": 1, "tvh": -1}, t),
+        "tvh": {"tvh": 1.0},
+    }
+
+
+def _scaled(weights: Combination, divisor: int) -> Combination:
+    return {name: weight / divisor for name, weight in weights.items()}
+
+
+def _added(weights: list[Combination]) -> Combination:
+    names = dict.fromkeys(name for one in weights for name in one)
+    return {name: sum(one.get(name, 0.0) for one in weights) for name in names}
+
+
+def estimate(weights: Combination, squares: Mapping[str, float], degrees: Mapping[str, int]) -> Part:
+    """Return the root of a weighted sum of mean squares, and its 95 % interval.
+
+    Mean squares of Gaussian parts are independent, and times degrees of freedom over expectation they are χ². The
+    interval is the modified large-sample one: exact for one mean square, and near 95 % for sums and differences.
+    Graybill & Wang 1980; Burdick & Graybill 1992, "Confidence Intervals on Variance Components", section 3.2.
+    """
+    from scipy.stats import chi2
+
+    variance, below, above = 0.0, 0.0, 0.0
+    for name, weight in weights.items():
+        term, df = weight * squares[name], degrees[name]
+        variance += term
+        down, up = 1 - df / chi2.ppf(0.975, df), df / chi2.ppf(0.025, df) - 1
+        below += (term * (down if weight > 0 else up)) ** 2
+        above += (term * (up if weight > 0 else down)) ** 2
+    ends = variance - math.sqrt(below), variance + math.sqrt(above)
+    low, high = (math.sqrt(max(one, 0.0)) for one in ends)
+    return Part(math.sqrt(max(variance, 0.0)), (low, high), variance)
+
+
+def fit_drift(frame_means: FloatArray, times_s: list[float | None]) -> Drift | None:
+    """Fit a straight line to the means of frames by least squares; None for fewer than three frames."""
+    n = len(frame_means)
+    if n < 3:
+        return None
+    known = [one for one in times_s if one is not None]
+    x = np.array(known if len(known) == n else range(n), np.float64)
+    centred = x - x.mean()
+    spread = float(centred @ centred)
+    slope = float(centred @ frame_means) / spread
+    rest = frame_means - frame_means.mean() - slope * centred
+    error = math.sqrt(float(rest @ rest) / (n - 2) / spread)
+    duration = float(x[-1] - x[0])
+    return Drift(slope, error, slope * duration, error * duration)
+
+
+class _Sums:
+    """Sums over frames of what the mean squares need.
+
+    Differences from the first frame are summed: the parts with t are the same in them, and their squares do not
+    lose digits to a mean that is a thousand times the noise.
+    """
+
+    def __init__(self, first: FloatArray) -> None:
+        self.reference = first
+        self.n = 0
+        self.frame_means: list[float] = []
+        self._sum = np.zeros_like(first)
+        self._squares = np.zeros_like(first)
+        self._of_rows = self._of_columns = 0.0
+
+    def add(self, frame: FloatArray) -> None:
+        difference = frame - self.reference
+        rows, columns = difference.mean(1), difference.mean(0)
+        self.frame_means.append(float(rows.mean()))
+        self._of_rows += float(rows @ rows)
+        self._of_columns += float(columns @ columns)
+        self._sum += difference
+        difference *= difference
+        self._squares += difference
+        self.n += 1
+
+    def mean_image(self) -> FloatArray:
+        return self.reference + self._sum / self.n
+
+    def temporal_sd(self) -> FloatArray:
+        return np.sqrt(np.maximum(self._squares - self._sum**2 / self.n, 0.0) / (self.n - 1))
+
+    def mean_squares(self) -> tuple[dict[str, float], dict[str, int]]:
+        """Return the mean squares and degrees of freedom of the parts."""
+        (v, h), t = self.reference.shape, self.n
+        image = self.mean_image()
+        rows, columns = image.mean(1), image.mean(0)
+        mean = float(image.mean())
+        rest = image - rows[:, np.newaxis] - columns + mean
+        sums = {
+            "v": t * h * float(np.sum((rows - mean) ** 2)),
+            "h": t * v * float(np.sum((columns - mean) ** 2)),
+            "vh": t * float(np.sum(rest**2)),
+        }
+        degrees = {"v": v - 1, "h": h - 1, "vh": (v - 1) * (h - 1)}
+        if t > 1:
+            drift = np.array(self.frame_means)
+            still = self._sum / t
+            still_rows, still_columns = still.mean(1), still.mean(0)
+            of_frames = float(np.sum((drift - drift.mean()) ** 2))
+            # Sums over frames of squared deviations from the mean over frames: of row means, column means, pixels.
+            of_rows = self._of_rows - t * float(still_rows @ still_rows)
+            of_columns = self._of_columns - t * float(still_columns @ still_columns)
+            of_pixels = float(np.sum(self._squares - t * still**2))
+            sums["t"] = v * h * of_frames
+            sums["tv"] = h * of_rows - sums["t"]
+            sums["th"] = v * of_columns - sums["t"]
+            sums["tvh"] = of_pixels - sums["t"] - sums["tv"] - sums["th"]
+            degrees |= {"t": t - 1, "tv": (t - 1) * (v - 1), "th": (t - 1) * (h - 1)}
+            degrees["tvh"] = (t - 1) * (v - 1) * (h - 1)
+        return {name: max(one, 0.0) / degrees[name] for name, one in sums.items()}, degrees
+
+
+def _checked(recording: Recording, region: Region | None) -> Region:
+    rows, columns = recording.shape
+    left, top, width, height = region or (0, 0, columns, rows)
+    if left < 0 or top < 0 or width < 2 or height < 2 or left + width > columns or top + height > rows:
+        raise SettingsError(
+            f"region: found {left},{top},{width},{height} (x, y, width, height), expected at least 2 x 2 pixels "
+            f"within the frame of {columns} x {rows}"
+        )
+    return left, top, width, height
+
+
+def _warnings(noise: Noise3D, n_doubled: int, saturated: float, *, is_integer: bool) -> Iterator[RecordingWarning]:
+    if noise.n_frames == 1:
+        yield RecordingWarning(
+            "one_frame",
+            "one frame: its temporal noise cannot be told from its fixed pattern, and a scene that is not uniform "
+            "counts as noise; record at least 2 frames, better 100",
+        )
+    if n_doubled:
+        yield RecordingWarning(
+            "doubled_frames",
+            f"{n_doubled} of {noise.n_frames} frames repeat the frame before: temporal noise comes out too "
+            "low; record at the camera's own frame rate",
+        )
+    if saturated > MOST_SATURATED:
+        yield RecordingWarning(
+            "saturated",
+            f"{100 * saturated:.2g} % of the values are at an end of the scale: their noise is cut; change "
+            "exposure or gain, or choose a region",
+        )
+    of_pixels = noise.parts.get("tvh")
+    if is_integer and of_pixels is not None and of_pixels.sd < SMALLEST_STEPS:
+        yield RecordingWarning(
+            "quantised",
+            f"the noise of pixels ({of_pixels.sd:.2g}) is below half a step of the recording: rounding decides "
+            "its size; record with more bits or gain",
+        )
+    drift = noise.drift
+    if drift is not None and abs(drift.change) > 5 * drift.change_error and "tvh" in noise.parts:
+        pixel = noise.parts["tvh"].sd
+        if abs(drift.change) > pixel / 2:
+            yield RecordingWarning(
+                "drift",
+                f"the mean drifts by {drift.change:.3g} over the recording, against {pixel:.3g} of noise of "
+                "pixels: it is contained in t; warm the camera up, or record for a shorter time",
+            )

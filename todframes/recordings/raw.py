@@ -1,0 +1,83 @@
+"""Reading of camera raw files: linear sensor values, without demosaicing."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from todframes.errors import FrameError
+from todframes.recordings.recording import StillHeader, check_size, missing_extra
+
+if TYPE_CHECKING:
+    import rawpy
+
+SUFFIXES = (
+    *(".3fr", ".arw", ".cr2", ".cr3", ".crw", ".dcr", ".dng", ".erf", ".iiq", ".kdc", ".mef", ".mos", ".mrw"),
+    *(".nef", ".nrw", ".orf", ".pef", ".raf", ".rw2", ".rwl", ".sr2", ".srf", ".srw", ".x3f"),
+)
+"""Extensions of camera raw files; many of them are TIFF by content."""
+
+
+def read_header(path: Path) -> StillHeader:
+    """Return the size, black level and white level of a raw file; the file is unpacked for it.
+
+    Raises
+    ------
+    DataError
+        If rawpy is not installed.
+    FrameError
+        If the file is damaged, or its mosaic is neither Bayer's nor none at all.
+    """
+    with _opened(path) as raw:
+        values, used = _values(path, raw)
+        white, black = raw.white_level, [raw.black_level_per_channel[one] for one in used]
+    rows, columns = values.shape
+    check_size(path, (rows, columns))
+    return StillHeader((rows, columns), False, 1, float(white), float(np.mean(black)))
+
+
+def read_frames(path: Path) -> Iterator[NDArray[Any]]:
+    """Yield one frame of linear sensor values, black level included.
+
+    A sensor without a mosaic gives its values. Of a Bayer mosaic, each cell of 2 × 2 gives the mean of its two
+    green values: half the rows and columns, but nothing is interpolated between cells.
+    """
+    with _opened(path) as raw:
+        yield _values(path, raw)[0]
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[rawpy.RawPy]:
+    try:
+        import rawpy
+    except ImportError:
+        raise missing_extra(path, "raw", "rawpy") from None
+    try:
+        with rawpy.imread(str(path)) as raw:
+            yield raw
+    except (rawpy.LibRawError, OSError) as error:
+        reason = error.args[0] if error.args else error
+        reason = reason.decode() if isinstance(reason, bytes) else reason
+        raise FrameError(path, f"cannot be read as camera raw: {reason}") from None
+
+
+def _values(path: Path, raw: rawpy.RawPy) -> tuple[NDArray[Any], list[int]]:
+    """Return the sensor's values and the numbers of the colours in them."""
+    if raw.raw_type.name != "Flat":
+        raise FrameError(path, "found values of several colours at each pixel, expected a Bayer mosaic or none")
+    sensor, pattern = raw.raw_image_visible, raw.raw_pattern
+    if raw.num_colors == 1:
+        return sensor.copy(), [0]
+    names = raw.color_desc.decode()
+    colours = raw.raw_colors_visible[:2, :2]
+    greens = [(row, column) for row in (0, 1) for column in (0, 1) if names[colours[row, column]] == "G"]
+    if pattern is None or pattern.shape != (2, 2) or len(greens) != 2:
+        raise FrameError(path, f"found a mosaic of {names} that is not Bayer's, expected Bayer's with two greens")
+    rows, columns = sensor.shape[0] // 2 * 2, sensor.shape[1] // 2 * 2
+    first, second = (sensor[row:rows:2, column:columns:2].astype(np.float32) for row, column in greens)
+    return (first + second) / np.float32(2), [int(colours[place]) for place in greens]

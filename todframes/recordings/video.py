@@ -1,0 +1,410 @@
+"""Reading of video: luma of grey formats as stored, R'G'B' from the matrix and range that the stream declares."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from todframes.errors import DataError, FrameError
+from todframes.recordings.recording import RecordedFrame, Recording, RecordingWarning, check_size, missing_extra
+
+if TYPE_CHECKING:
+    from av.container import InputContainer
+    from av.video.frame import VideoFrame
+    from av.video.stream import VideoStream
+
+FORMATS = {
+    rb"\x1a\x45\xdf\xa3": "matroska",
+    rb"....(ftyp|moov|mdat|wide|free|skip)": "mov",
+    rb"RIFF....AVI ": "avi",
+    rb"YUV4MPEG2 ": "yuv4mpegpipe",
+    rb"\x06\x0e\x2b\x34": "mxf",
+    rb"\x30\x26\xb2\x75\x8e\x66\xcf\x11": "asf",
+    rb"OggS": "ogg",
+    rb"FLV\x01": "flv",
+    rb"nut/multimedia": "nut",
+    rb"\x00\x00\x01\xba": "mpeg",
+    rb"\x47.{187}\x47": "mpegts",
+    rb"\x00\x00\x00\x01[\x67\x27\x09]": "h264",
+    rb"\x00\x00\x00\x01[\x40\x46]\x01": "hevc",
+}
+"""Patterns of the first bytes of video files, and FFmpeg's names of their formats.
+
+FFmpeg is told the format: playlists and scripts, which name other files or addresses, are none of them.
+"""
+
+
+N_START = 189
+"""Number of first bytes that `format_of` needs."""
+
+
+MATRICES = {1: (0.2126, 0.0722), 5: (0.299, 0.114), 6: (0.299, 0.114), 7: (0.212, 0.087), 9: (0.2627, 0.0593)}
+"""Weights of R' and B' in luma by number of the matrix in H.273: BT.709, BT.601 (twice), 240M, BT.2020."""
+
+
+MATRIX_NAMES = {1: "BT.709", 6: "BT.601"}
+"""Names of the matrices that are assumed if the stream declares none."""
+
+
+LIMITED, UNSPECIFIED_MATRIX = 1, 2
+"""FFmpeg's numbers of the limited range, and of a matrix that is not declared."""
+
+
+HD_ROWS = 720
+"""Smallest number of rows for which BT.709 is assumed; BT.601 for fewer."""
+
+
+REPACKED = {
+    "yuyv422": "yuv422p",
+    "uyvy422": "yuv422p",
+    "nv12": "yuv420p",
+    "nv16": "yuv422p",
+    "p010le": "yuv420p10le",
+}
+"""Packed pixel formats and the planar ones with the same samples."""
+
+
+LATE_INTERVALS = 2.0
+"""Number of the longest intervals between frames by which a video may end before its declared duration."""
+
+
+class PixelFormat(NamedTuple):
+    """Layout of a pixel format: its family, bits of a sample, and columns and rows for one chroma sample."""
+
+    family: str
+    bits: int
+    dtype: np.dtype[Any]
+    per_chroma: tuple[int, int] = (1, 1)
+
+
+class Levels(NamedTuple):
+    """Recorded values of black and white of luma, and the range of chroma."""
+
+    zero: float
+    full_scale: float
+    chroma_range: float
+
+
+def format_of(start: bytes) -> str | None:
+    """Return FFmpeg's name of the format of a file that starts with these bytes; None if it is no video."""
+    return next((name for pattern, name in FORMATS.items() if re.match(pattern, start, re.DOTALL)), None)
+
+
+def pixel_format(name: str) -> PixelFormat | None:
+    """Return the layout of one of FFmpeg's pixel formats; None if it is not read."""
+    name = REPACKED.get(name, name)
+    match = re.fullmatch(r"(gray|yuvj?|yuva|gbrp|gbrap)(\d{3}p)?(\d+)?(le|be)?", name)
+    if match is None:
+        packed = re.fullmatch(r"(rgb24|bgr24|rgba|bgra|argb|abgr|rgb0|bgr0|0rgb|0bgr)", name)
+        return PixelFormat(name, 8, np.dtype("u1")) if packed else None
+    family, sampling, bits, order = match.groups()
+    family = {"yuvj": "yuv", "yuva": "yuv", "gbrap": "gbrp"}.get(family, family)
+    if (family == "yuv") != (sampling is not None):
+        return None
+    per_chroma = {"444p": (1, 1), "422p": (2, 1), "420p": (2, 2), "440p": (1, 2), "411p": (4, 1), "410p": (4, 4)}
+    if sampling not in (None, *per_chroma):
+        return None
+    n_bits = int(bits or 8)
+    dtype = np.dtype("u1") if n_bits == 8 else np.dtype(">u2" if order == "be" else "<u2")
+    return PixelFormat(family, n_bits, dtype, per_chroma.get(sampling or "", (1, 1)))
+
+
+def levels(bits: int, *, limited: bool) -> Levels:
+    """Return the values of black, white and chroma for samples of some bits (Rec. ITU-R BT.601 and BT.709)."""
+    if limited:
+        step = 2.0 ** (bits - 8)
+        return Levels(16 * step, 235 * step, 224 * step)
+    return Levels(0.0, 2.0**bits - 1, 2.0**bits - 1)
+
+
+def rgb_from_ycbcr(
+    luma: NDArray[Any],
+    cb: NDArray[Any],
+    cr: NDArray[Any],
+    *,
+    bits: int,
+    limited: bool,
+    matrix: int,
+    per_chroma: tuple[int, int] = (1, 1),
+) -> NDArray[np.float32]:
+    """Convert samples of Y'CbCr to R'G'B' with white 1 and black 0, unclipped; (rows, columns, 3).
+
+    Chroma samples hold over the pixels that they cover: nothing is interpolated.
+
+    Parameters
+    ----------
+    luma : array, (rows, columns)
+    cb, cr : array
+        As `luma`, or with fewer rows and columns by `per_chroma`, rounded up.
+    bits : int
+    limited : bool
+        Range of luma 16 to 235 and of chroma 16 to 240 at 8 bits; else all values.
+    matrix : int
+        A key of `MATRICES`.
+    per_chroma : (int, int)
+        Columns and rows for one chroma sample.
+
+    Rec. ITU-R BT.709-6, item 3, solved for R'G'B'.
+    """
+    (red_weight, blue_weight), (across, down) = MATRICES[matrix], per_chroma
+    green_weight = 1 - red_weight - blue_weight
+    zero, full_scale, chroma_range = levels(bits, limited=limited)
+    y = (luma.astype(np.float32) - np.float32(zero)) / np.float32(full_scale - zero)
+    half = np.float32(2 ** (bits - 1))
+    b_y, r_y = (
+        (one.astype(np.float32) - half) * np.float32(2 * (1 - weight) / chroma_range)
+        for one, weight in ((cb, blue_weight), (cr, red_weight))
+    )
+    g_y = (b_y * np.float32(blue_weight) + r_y * np.float32(red_weight)) / np.float32(-green_weight)
+    rgb = np.empty((*luma.shape, 3), np.float32)
+    for channel, difference in enumerate((r_y, g_y, b_y)):
+        held = np.repeat(np.repeat(difference, down, 0), across, 1)[: luma.shape[0], : luma.shape[1]]
+        np.add(y, held, out=rgb[..., channel])
+    return rgb
+
+
+def open_video(path: Path, *, frames_per_second: float | None = None) -> Recording:
+    """Open a video file; its first frame is decoded, to know the pixel format, range and matrix.
+
+    Parameters
+    ----------
+    path : path
+        A video file.
+    frames_per_second : float, optional
+        Frame rate in place of the times in the file.
+
+    Raises
+    ------
+    DataError
+        If PyAV is not installed.
+    FrameError
+        If the file has no video, its first frame cannot be decoded, or its pixel format is none of ours.
+    """
+    with _opened(path) as (container, stream):
+        first = next(_decoded(path, container, stream), None)
+        if first is None:
+            raise FrameError(path, "no frame can be decoded; is the file truncated?")
+        layout = pixel_format(first.format.name)
+        if layout is None:
+            known = "grey, Y'CbCr or R'G'B' of 8 to 16 bits"
+            raise FrameError(path, f"pixel format {first.format.name}, expected {known}; convert it without loss")
+        check_size(path, (first.height, first.width))
+        scale, is_colour = _levels_of(first, layout), layout.family != "gray"
+        matrix, warnings = _matrix(path, first, layout)
+        if stream.codec_context.codec.lossy:
+            warnings.append(_lossy(stream.codec_context.name))
+        if scale.zero and layout.bits == 8:
+            warnings.append(
+                RecordingWarning(
+                    "limited_range",
+                    "8 bits in limited range have 220 of 256 levels: a step is 0.46 % of white, not 0.39 %; "
+                    "record full range, or 10 bits and more",
+                )
+            )
+        if first.interlaced_frame:
+            warnings.append(
+                RecordingWarning(
+                    "interlaced",
+                    "frames are interlaced: odd and even rows are of different times; record progressive frames",
+                )
+            )
+        if first.rotation:
+            warnings.append(
+                RecordingWarning(
+                    "rotation_not_applied",
+                    f"players turn this video by {first.rotation}°: frames are read as recorded, without it",
+                )
+            )
+        rate = frames_per_second or (float(stream.average_rate) if stream.average_rate else None)
+        duration_s = _duration_s(container, stream)
+        n_frames = stream.frames or (
+            round(duration_s * float(stream.average_rate)) if duration_s and stream.average_rate else None
+        )
+
+    def read() -> Iterator[RecordedFrame]:
+        return _frames(path, layout, (first.height, first.width), matrix, frames_per_second)
+
+    to_unit = layout.family == "yuv"
+    return Recording(
+        path=path,
+        shape=(first.height, first.width),
+        is_colour=is_colour,
+        n_frames=n_frames,
+        frames_per_second=rate,
+        full_scale=1.0 if to_unit else scale.full_scale,
+        zero=0.0 if to_unit else scale.zero,
+        warnings=tuple(warnings),
+        read=read,
+    )
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[tuple[InputContainer, VideoStream]]:
+    """Open a file and its first video stream, to decode in as many threads as there are processors."""
+    try:
+        import av
+    except ImportError:
+        raise missing_extra(path, "video", "av (PyAV)") from None
+    with path.open("rb") as file:
+        name = format_of(file.read(N_START))
+    try:
+        # The prefix keeps FFmpeg from taking a file name for an address.
+        container = av.open(f"file:{path}", format=name)
+    except (av.FFmpegError, OSError, ValueError) as error:
+        raise FrameError(path, f"cannot be opened as video: {_reason(error)}; is the file truncated?") from None
+    with container:
+        if not container.streams.video:
+            raise FrameError(path, "has no video stream; is the file truncated?")
+        stream = container.streams.video[0]
+        # Threads for whole frames would log errors about later frames, and at any time: a file closed while
+        # one of them waits for Python's lock would never be closed.
+        stream.thread_type = "AUTO" if stream.codec_context.codec.lossy else "SLICE"
+        yield container, stream
+
+
+def _decoded(path: Path, container: InputContainer, stream: VideoStream) -> Iterator[VideoFrame]:
+    """Yield the frames of a stream; FrameError with the number of good ones if one cannot be decoded."""
+    import av
+
+    number = 0
+    try:
+        with _complaints(stream) as complaints:
+            for frame in container.decode(stream):
+                if frame.is_corrupt or complaints:
+                    raise FrameError(path, f"frame {number} is damaged; {_good(number)}")
+                yield frame
+                number += 1
+    except av.FFmpegError as error:
+        raise FrameError(path, f"frame {number} cannot be decoded ({_reason(error)}); {_good(number)}") from None
+
+
+@contextmanager
+def _complaints(stream: VideoStream) -> Iterator[list[Any]]:
+    """Yield a list to which the errors of a codec without loss are added.
+
+    FFmpeg replaces a slice of FFV1 whose checksum is wrong by that of the frame before, and no more than logs it.
+    Codecs with loss log much that is harmless.
+    """
+    from av import logging
+
+    if stream.codec_context.codec.lossy:
+        yield []
+        return
+    before = logging.get_level()
+    logging.set_level(logging.ERROR)
+    try:
+        with logging.Capture(local=False) as complaints:
+            yield complaints
+    finally:
+        logging.set_level(before)
+
+
+def _frames(
+    path: Path, layout: PixelFormat, shape: tuple[int, int], matrix: int, frames_per_second: float | None
+) -> Iterator[RecordedFrame]:
+    with _opened(path) as (container, stream):
+        number, last_s, longest_s = 0, None, 0.0
+        for number, frame in enumerate(_decoded(path, container, stream)):
+            if (frame.height, frame.width) != shape or pixel_format(frame.format.name) != layout:
+                found = f"{frame.width} x {frame.height} pixels, {frame.format.name}"
+                raise FrameError(path, f"frame {number} has {found}: not as the first; {_good(number)}")
+            time_s = frame.time
+            if frames_per_second is not None:
+                time_s = number / frames_per_second
+            elif time_s is None:
+                raise DataError(
+                    f"{path}: frame {number} has no time, so the frame rate may vary; give --frames-per-second "
+                    "if it does not"
+                )
+            elif last_s is not None and time_s <= last_s:
+                raise DataError(
+                    f"{path}: frame {number} has the time {time_s:g} s, expected one after {last_s:g} s; "
+                    "give --frames-per-second if the frame rate is constant"
+                )
+            if last_s is not None:
+                longest_s = max(longest_s, time_s - last_s)
+            last_s = time_s
+            yield RecordedFrame(_values(frame, layout, matrix), time_s, f"{path.name}, frame {number}")
+        duration_s = _duration_s(container, stream) if frames_per_second is None else None
+        if duration_s and last_s is not None and last_s + LATE_INTERVALS * longest_s < duration_s:
+            raise FrameError(
+                path,
+                f"is truncated: it ends at {last_s:.6g} s, expected {duration_s:.6g} s; {_good(number + 1)}; "
+                "copy the file again, or cut it to its good part",
+            )
+
+
+def _good(n_frames: int) -> str:
+    return f"{n_frames} frames before are good"
+
+
+def _duration_s(container: InputContainer, stream: VideoStream) -> float | None:
+    """Return the end of the stream that the file declares, in seconds; None if it declares none."""
+    if stream.duration is not None and stream.time_base is not None:
+        return float((stream.duration + (stream.start_time or 0)) * stream.time_base)
+    duration = container.duration
+    return None if duration is None or len(container.streams) > 1 else duration / 1e6
+
+
+def _levels_of(frame: VideoFrame, layout: PixelFormat) -> Levels:
+    """Return the levels of a frame; without a declared range they are limited for Y'CbCr, else full."""
+    declared = int(frame.color_range)
+    by_name = "yuvj" not in frame.format.name and layout.family == "yuv"
+    return levels(layout.bits, limited=declared == LIMITED or (declared == 0 and by_name))
+
+
+def _matrix(path: Path, frame: VideoFrame, layout: PixelFormat) -> tuple[int, list[RecordingWarning]]:
+    matrix = int(frame.colorspace)
+    if layout.family != "yuv" or matrix in MATRICES:
+        return matrix, []
+    if matrix != UNSPECIFIED_MATRIX:
+        raise FrameError(path, f"colour matrix {matrix} (Rec. H.273), expected one of {sorted(MATRICES)}")
+    matrix = 1 if frame.height >= HD_ROWS else 6
+    name = MATRIX_NAMES[matrix]
+    message = f"the video declares no colour matrix: {name} is taken, as usual for its size; grey is not affected"
+    return matrix, [RecordingWarning("matrix_assumed", message)]
+
+
+def _lossy(codec: str) -> RecordingWarning:
+    return RecordingWarning(
+        "lossy_compression",
+        f"the codec {codec} can discard faint structure and noise: triangles near the threshold are not what the "
+        "camera saw, and noise comes out too low; record without loss (FFV1)",
+    )
+
+
+def _values(frame: VideoFrame, layout: PixelFormat, matrix: int) -> NDArray[Any]:
+    """Return the values of a frame, of the shape and type of `RecordedFrame.values`."""
+    if frame.format.name in REPACKED:
+        frame = frame.reformat(format=REPACKED[frame.format.name])
+    if layout.family not in ("gray", "yuv", "gbrp"):
+        letters = layout.family.replace("24", "")
+        samples = _plane(frame, 0, layout.dtype, len(letters)).reshape(frame.height, frame.width, len(letters))
+        return samples[..., [letters.index(one) for one in "rgb"]]
+    if layout.family == "gray":
+        return _plane(frame, 0, layout.dtype)
+    planes = [_plane(frame, number, layout.dtype) for number in range(3)]
+    if layout.family == "gbrp":
+        return np.stack([planes[2], planes[0], planes[1]], axis=-1)
+    limited = _levels_of(frame, layout).zero > 0
+    return rgb_from_ycbcr(*planes, bits=layout.bits, limited=limited, matrix=matrix, per_chroma=layout.per_chroma)
+
+
+def _plane(frame: VideoFrame, number: int, dtype: np.dtype[Any], per_pixel: int = 1) -> NDArray[Any]:
+    """Copy a plane of a frame, without the padding at the ends of rows."""
+    plane = frame.planes[number]
+    rows = np.frombuffer(memoryview(plane), np.uint8)[: plane.height * plane.line_size].reshape(
+        plane.height, plane.line_size
+    )
+    used = np.ascontiguousarray(rows[:, : plane.width * per_pixel * dtype.itemsize])
+    return used.view(dtype).astype(dtype.newbyteorder("="), copy=used.base is not None)
+
+
+def _reason(error: Exception) -> str:
+    return " ".join(str(getattr(error, "strerror", None) or error).split())
