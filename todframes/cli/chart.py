@@ -81,7 +81,17 @@ SHOWN_TOLERANCE = 1e-3
     "--width-px", type=int, metavar="N", help=f"{SCREEN}Pixels in a row of the monitor.  [default: 1920]"
 )
 @click.option("--height-px", type=int, metavar="N", help=f"{SCREEN}Rows of the monitor.  [default: 1080]")
-@click.option("--pixel-pitch-mm", type=float, metavar="MM", help=f"{SCREEN}From pixel to pixel.  [required]")
+@click.option(
+    "--display",
+    metavar="NAME|FILE",
+    help=f"{SCREEN}Monitor as in dataset.toml: its luminances, and its pixel pitch if that is in mm.",
+)
+@click.option(
+    "--pixel-pitch-mm",
+    type=float,
+    metavar="MM",
+    help=f"{SCREEN}From pixel to pixel.  [required without --display]",
+)
 @click.option(
     "--bits", type=click.Choice(["8", "10"]), help=f"{SCREEN}Bits of a code value, up to the panel.  [default: 8]"
 )

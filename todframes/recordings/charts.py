@@ -9,6 +9,8 @@ from typing import Any
 
 from todframes.config import convert, from_table
 from todframes.errors import SettingsError
+from todframes.frames.display import Display
+from todframes.frames.display_files import find_display
 from todframes.output import new_folder
 from todframes.recordings.chart_design import Design
 from todframes.recordings.chart_layout import CHART_FILE, Chart, ChartKind, Screen
@@ -31,7 +33,7 @@ BACKGROUND_SHARE = 0.25
 
 
 SETTINGS: dict[ChartKind, set[str]] = {
-    "screen": {field.name for field in fields(Screen)} | {"marker_mm"},
+    "screen": {field.name for field in fields(Screen)} | {"display", "marker_mm"},
     "print": {field.name for field in fields(Paper)},
     "thermal": {field.name for field in fields(Plate)},
 }
@@ -90,7 +92,8 @@ def chart(
     progress : function of an int, optional
         Called with the number of pages that were just drawn.
     **settings
-        For "screen": `pixel_pitch_mm`, which is needed, others of the table [screen] of chart.toml, `marker_mm`.
+        For "screen": `display`, a name or file as for a dataset; `pixel_pitch_mm`, needed unless the display has
+        it; others of the table [screen] of chart.toml; `marker_mm`.
         For "print": `paper_width_mm`, `paper_height_mm`, `margin_mm`, `paper_reflectance`, `black_reflectance`,
         `reflectances`, `background_reflectance`, `marker_mm`. For "thermal": `plate_mm`.
 
@@ -147,7 +150,11 @@ def chart(
 
 
 def _screen(design: Design, settings: Mapping[str, Any], folder: Path, progress: Progress | None) -> Chart:
-    table = SCREEN_DEFAULTS | dict(settings)
+    table = dict(settings)
+    display = table.pop("display", None)
+    if display is not None:
+        table = _of_display(str(display)) | table
+    table = SCREEN_DEFAULTS | table
     marker_mm = table.pop("marker_mm", None)
     white = convert(table["white_luminance_cd_m2"], float, "screen: white_luminance_cd_m2")
     assert isinstance(white, float)
@@ -156,6 +163,17 @@ def _screen(design: Design, settings: Mapping[str, Any], folder: Path, progress:
     made = design_screen_chart(design, screen, marker_mm=marker_mm)
     write_screen_chart(folder, made, progress=progress)
     return made.chart
+
+
+def _of_display(name: str) -> dict[str, Any]:
+    """Return the settings of a monitor that a display of `find_display` gives."""
+    display = find_display(name).display
+    shared = {field.name for field in fields(Screen)} - {"background_luminance_cd_m2"}
+    found = {one: getattr(display, one) for one in shared & {field.name for field in fields(Display)}}
+    if display.lut is not None:
+        found["white_luminance_cd_m2"] = float(display.lut.luminance_cd_m2[-1])
+        found["black_luminance_cd_m2"] = float(display.lut.luminance_cd_m2[0])
+    return {one: value for one, value in found.items() if value is not None}
 
 
 def _print(design: Design, settings: Mapping[str, Any], folder: Path, progress: Progress | None) -> Chart:
@@ -170,5 +188,9 @@ def _thermal(design: Design, settings: Mapping[str, Any], folder: Path, progress
     return made.chart
 
 
-MAKERS = {"screen": _screen, "print": _print, "thermal": _thermal}
+MAKERS: dict[ChartKind, Callable[[Design, Mapping[str, Any], Path, Progress | None], Chart]] = {
+    "screen": _screen,
+    "print": _print,
+    "thermal": _thermal,
+}
 """Functions that write a chart into an empty folder, by kind."""
