@@ -15,8 +15,12 @@ from typing import Any, Protocol
 
 import pytest
 
-from todframes.frames.files import write_frame
-from todframes.stimulus import ORIENTATIONS, coverage
+from todframes.cli.console import keep_libraries_to_one_thread
+
+keep_libraries_to_one_thread()  # as the commands do, and before NumPy is imported: workers share the processors
+
+from todframes.frames.files import write_frame  # noqa: E402
+from todframes.stimulus import ORIENTATIONS, coverage  # noqa: E402
 
 PITCH_MRAD = 0.25
 WHITE, BACKGROUND = 100.0, 50.0  # cd/m²

@@ -161,11 +161,12 @@ def test_commands_of_a_how_to_page(name: str, folder: Path) -> None:
         run_commands(command)
 
 
+SLOW_CODE = [*HOW_TO, "thermal_background.md"]
 QUICK = ["own_frames.md", "camera_noise.md", "displays.md", "fit_counts.md", "own_enhancement.md", "api.md"]
 
 
 @pytest.mark.parametrize(
-    "name", [*QUICK, *(pytest.param(name, marks=pytest.mark.slow) for name in HOW_TO if name not in QUICK)]
+    "name", [*QUICK, *(pytest.param(name, marks=pytest.mark.slow) for name in SLOW_CODE if name not in QUICK)]
 )
 @pytest.mark.usefixtures("folder")
 def test_code_of_a_page(name: str, capsys) -> None:
@@ -173,7 +174,7 @@ def test_code_of_a_page(name: str, capsys) -> None:
     run_code(*blocks(text, "python"))
     if name == "own_frames.md":
         assert capsys.readouterr().out == "never_reached\n"
-    if name in ("displays.md", "camera_noise.md"):
+    if name in ("displays.md", "camera_noise.md", "thermal_background.md"):
         assert capsys.readouterr().out == blocks(text, "text")[0]
 
 

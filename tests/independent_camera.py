@@ -1,0 +1,232 @@
+"""A camera that films charts, and where it sees the triangles: NumPy, OpenCV and PyAV alone.
+
+Nothing here comes from the packages under test, so an error that they share with it would take two equal mistakes.
+Places are pixels with (0, 0) in the centre of the top left one, x to the right and y down.
+"""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+Image = NDArray[np.float64]
+TO_LIGHT: dict[str, Callable[[Image], Image]] = {
+    "linear": lambda code: code,
+    "srgb": lambda code: np.where(code <= 0.04045, code / 12.92, ((code + 0.055) / 1.055) ** 2.4),
+}
+DIRECTIONS = {"up": (0.0, -1.0), "right": (1.0, 0.0), "down": (0.0, 1.0), "left": (-1.0, 0.0)}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Seen:
+    """A triangle as the camera sees it: centroid, √(area) and direction in pixels of the camera."""
+
+    x_px: float
+    y_px: float
+    size_px: float
+    orientation: str
+    contrast: float
+    size_mrad: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Chart:
+    """The pages of a chart on its monitor, as `chart.toml` and the PNG files have them."""
+
+    folder: Path
+    content: dict
+
+    @classmethod
+    def read(cls, folder: Path) -> Chart:
+        return cls(folder=folder, content=tomllib.loads((folder / "chart.toml").read_text(encoding="utf-8")))
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns of the monitor."""
+        return self.content["screen"]["height_px"], self.content["screen"]["width_px"]
+
+    def __len__(self) -> int:
+        return len(self.content["pages"])
+
+    def light(self, page: int) -> Image:
+        """The light of a page as a share of white, a value for each pixel of the monitor."""
+        code = cv2.imread(str(self.folder / self.content["pages"][page]["file"]), cv2.IMREAD_UNCHANGED)
+        code = code / np.iinfo(code.dtype).max
+        grey = code if code.ndim == 2 else code[..., :3].mean(axis=2)
+        return TO_LIGHT[self.content["screen"]["eotf"]](grey)
+
+    def triangle(self, page: int, matrix: Image) -> Seen:
+        """Where a camera with this homography sees the triangle of a page."""
+        (one,) = self.content["pages"][page]["triangles"]
+        pitch = self.content["screen"]["pixel_pitch_mm"]
+        u, v = one["x_mm"] / pitch - 0.5, one["y_mm"] / pitch - 0.5
+        # The apex is 2/3 of the height from the centroid; the area is height² / √3.
+        height = one["size_mm"] / pitch * 3**0.25
+        ahead = np.array(DIRECTIONS[one["orientation"]])
+        aside = np.array([-ahead[1], ahead[0]])
+        corners = (u, v) + height * np.array(
+            [ahead * 2 / 3, -ahead / 3 + aside / math.sqrt(3), -ahead / 3 - aside / math.sqrt(3)]
+        )
+        seen = np.column_stack([corners, np.ones(3)]) @ matrix.T
+        apex, *base = seen = seen[:, :2] / seen[:, 2:]
+        x, y = seen.mean(axis=0)
+        sides = base[0] - apex, base[1] - apex
+        pointing = apex - (x, y)
+        return Seen(
+            x_px=float(x),
+            y_px=float(y),
+            size_px=math.sqrt(abs(sides[0][0] * sides[1][1] - sides[0][1] * sides[1][0]) / 2),
+            orientation=max(DIRECTIONS, key=lambda name: pointing @ DIRECTIONS[name]),
+            contrast=one["contrast"],
+            size_mrad=one["size_mrad"],
+        )
+
+
+def looking_at(
+    chart: Chart,
+    *,
+    width: int,
+    height: int,
+    scale: float,
+    turn_deg: float = 0.0,
+    tilt_deg: float = 0.0,
+    pan_deg: float = 0.0,
+    mirrored: bool = False,
+    shift_px: tuple[float, float] = (0.0, 0.0),
+) -> Image:
+    """The homography from the monitor's pixels to the camera's, shape (3, 3).
+
+    The camera looks at the middle of the monitor, where one pixel of it is `scale` pixels of the camera. It is
+    turned about its axis, and the monitor about its horizontal (tilt) and vertical (pan) middle line.
+    """
+    rows, columns = chart.shape
+    focal_px = 2.0 * max(width, height)  # a field of view of 28 degrees
+    distance = focal_px / scale
+    turn, tilt, pan = (math.radians(angle) for angle in (turn_deg, tilt_deg, pan_deg))
+    about_x = np.array([[1, 0, 0], [0, math.cos(tilt), -math.sin(tilt)], [0, math.sin(tilt), math.cos(tilt)]])
+    about_y = np.array([[math.cos(pan), 0, math.sin(pan)], [0, 1, 0], [-math.sin(pan), 0, math.cos(pan)]])
+    about_z = np.array([[math.cos(turn), -math.sin(turn), 0], [math.sin(turn), math.cos(turn), 0], [0, 0, 1]])
+    rotation = about_z @ about_x @ about_y
+    centred = np.array([[1, 0, -(columns - 1) / 2], [0, 1, -(rows - 1) / 2], [0, 0, 1]])
+    to_camera = np.column_stack([rotation[:, 0], rotation[:, 1], (0.0, 0.0, distance)])
+    sign = -1.0 if mirrored else 1.0
+    x0, y0 = (width - 1) / 2 + shift_px[0], (height - 1) / 2 + shift_px[1]
+    inner = np.array([[sign * focal_px, 0, x0], [0, focal_px, y0], [0, 0, 1]])
+    return inner @ to_camera @ centred
+
+
+@dataclass(frozen=True, kw_only=True)
+class Camera:
+    """What a camera does to the light: blur, vignetting, noise, mosaic, tone curve and rounding."""
+
+    width: int = 480
+    height: int = 270
+    blur_sigma_px: float = 0.7
+    electrons_at_white: float = 40_000.0
+    read_noise_electrons: float = 6.0
+    vignetting: float = 0.0  # share of the light lost in the corners; falls with the square of the radius
+    mosaic: bool = False
+    gamma: float = 1.0  # code = light ** (1 / gamma)
+    bits: int = 16
+    oversampling: int = 5
+
+    def image(self, light: Image, matrix: Image) -> Image:
+        """The light on each pixel: mean over its area of the warped and blurred page, shape (height, width)."""
+        fine = self.oversampling
+        to_fine = np.array([[fine, 0, (fine - 1) / 2], [0, fine, (fine - 1) / 2], [0, 0, 1.0]])
+        size = (self.width * fine, self.height * fine)
+        warped = cv2.warpPerspective(light, to_fine @ matrix, size, flags=cv2.INTER_NEAREST, borderValue=0.02)
+        blurred = cv2.GaussianBlur(warped, (0, 0), self.blur_sigma_px * fine)
+        pixels = cv2.resize(blurred, (self.width, self.height), interpolation=cv2.INTER_AREA)
+        y, x = np.mgrid[-1 : 1 : self.height * 1j, -1 : 1 : self.width * 1j]
+        return pixels * (1.0 - self.vignetting * (x**2 + y**2) / 2.0)
+
+    def expose(self, image: Image, rng: np.random.Generator) -> NDArray[np.uint8 | np.uint16]:
+        """One frame of code values, grey or RGB, with new noise."""
+        if self.mosaic:
+            raw = self._read(image, rng)
+            # The monitor is white, so red, green and blue sites get the same light; demosaicing is bilinear.
+            rgb = cv2.cvtColor(np.rint(raw * 65535).astype(np.uint16), cv2.COLOR_BayerBG2RGB)
+            values = rgb / 65535.0
+        else:
+            values = self._read(image, rng)
+        code = np.rint(np.clip(values, 0.0, 1.0) ** (1.0 / self.gamma) * (2**self.bits - 1))
+        return code.astype(np.uint8 if self.bits == 8 else np.uint16)
+
+    def _read(self, image: Image, rng: np.random.Generator) -> Image:
+        electrons = image * self.electrons_at_white
+        noise = rng.standard_normal(image.shape) * np.sqrt(electrons + self.read_noise_electrons**2)
+        return np.clip((electrons + noise) / self.electrons_at_white, 0.0, 1.0)
+
+
+def film(
+    chart: Chart,
+    camera: Camera,
+    matrix: Image,
+    *,
+    frames_per_page: int,
+    seed: int = 1,
+    shake_px: float = 0.0,
+    pages: Sequence[int] | None = None,
+) -> list[tuple[int, tuple[float, float], NDArray]]:
+    """Frames of all pages one after the other, each with its page and the shift (x, y) of the hand in pixels."""
+    rng = np.random.default_rng(seed)
+    frames = []
+    for page in range(len(chart)) if pages is None else pages:
+        light = chart.light(page)
+        still = None if shake_px else camera.image(light, matrix)
+        for _ in range(frames_per_page):
+            shift = tuple(rng.uniform(-shake_px, shake_px, 2)) if shake_px else (0.0, 0.0)
+            moved = np.array([[1, 0, shift[0]], [0, 1, shift[1]], [0, 0, 1.0]]) @ matrix
+            image = camera.image(light, moved) if still is None else still
+            frames.append((page, shift, camera.expose(image, rng)))
+    return frames
+
+
+def write_video(
+    path: Path,
+    frames: Iterable[NDArray],
+    *,
+    codec: str = "ffv1",
+    frames_per_second: int = 25,
+    times: Sequence[int] | None = None,
+    options: dict[str, str] | None = None,
+) -> None:
+    """Write frames as a video: grey of 8 or 16 bits with FFV1, 4:2:0 of 8 bits with H.264.
+
+    `times` are those of the frames in units of 1 / `frames_per_second`; by default one after the other.
+    """
+    import av
+
+    with av.open(str(path), "w") as container:
+        stream = None
+        for number, frame in enumerate(frames):
+            grey = "gray16le" if frame.dtype == np.uint16 else "gray"
+            kind = "rgb24" if frame.ndim == 3 else grey
+            if stream is None:
+                stream = container.add_stream(codec, rate=frames_per_second, options=options or {})
+                stream.height, stream.width = frame.shape[:2]
+                stream.pix_fmt = "yuv420p" if codec == "libx264" else ("bgr0" if kind == "rgb24" else kind)
+                stream.time_base = stream.codec_context.time_base = Fraction(1, frames_per_second)
+            picture = av.VideoFrame.from_ndarray(frame, format=kind)
+            picture.pts = number if times is None else times[number]
+            picture.time_base = Fraction(1, frames_per_second)
+            container.mux(stream.encode(picture))
+        assert stream is not None
+        container.mux(stream.encode())
+
+
+def write_tiffs(folder: Path, frames: Iterable[NDArray]) -> None:
+    """Write frames as a sequence of TIFF files."""
+    folder.mkdir()
+    for number, frame in enumerate(frames):
+        pixels = frame if frame.ndim == 2 else frame[..., ::-1]
+        assert cv2.imwrite(str(folder / f"{number:05d}.tif"), pixels)
