@@ -25,7 +25,7 @@ SUFFIXES = (
 
 HALF = RecordingWarning(
     "half_resolution",
-    "of the mosaic, each cell of 2 x 2 gives the mean of its two green values: frames have half the rows and columns "
+    "each cell of 2 x 2 of the mosaic gives the mean of its two green values: frames have half the rows and columns "
     "of the sensor, and a pixel has twice its pitch",
 )
 
