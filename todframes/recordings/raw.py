@@ -25,8 +25,8 @@ SUFFIXES = (
 
 HALF = RecordingWarning(
     "half_resolution",
-    "each cell of 2 x 2 of the mosaic gives the mean of its two green values: frames have half the rows and columns "
-    "of the sensor, and a pixel has twice its pitch",
+    "each cell of 2 x 2 of the mosaic gives the mean of its two green values: frames have half the rows and "
+    "columns of the sensor, and a pixel has twice its pitch",
 )
 
 
