@@ -143,7 +143,8 @@ HOW_TO = ["own_frames.md", "compare_algorithms.md", "simulate_sensor.md", "fit_c
 def test_commands_of_the_page_on_noise(folder: Path, capsys) -> None:
     text = page("camera_noise.md")
     run_code(*blocks(text, "python"))
-    run_commands(blocks(text, "sh")[0])
+    for command in blocks(text, "sh"):
+        run_commands(command)
     assert (folder / "noise_of_wall" / "sensor_noise.toml").is_file()
     assert "SNR" in capsys.readouterr().out
 
