@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from todframes._typing import FloatArray
 from todframes.errors import DataError, SettingsError
+from todframes.frames.display import REC_709_LUMINANCE_WEIGHTS
 from todframes.recordings.recording import Recording, RecordingWarning
 
 PARTS = {
@@ -36,10 +37,6 @@ PARTS = {
 
 DYNAMIC, STATIC = ("tv", "th", "tvh"), ("v", "h", "vh")
 """Parts of the dynamic noise of a pixel, and of the fixed pattern. Flicker of whole frames (t) is in neither."""
-
-
-LUMA = np.array([0.2126, 0.7152, 0.0722])
-"""Weights of R, G, B (Rec. ITU-R BT.709) with which colour is made grey."""
 
 
 MOST_SATURATED = 1e-3
@@ -299,7 +296,7 @@ class _Gathered:
     def add(self, frame: NDArray[Any], recording: Recording) -> None:
         left, top, width, height = self.region
         values = frame[top : top + height, left : left + width]
-        grey = values.astype(np.float64) if values.ndim == 2 else values @ LUMA
+        grey = values.astype(np.float64) if values.ndim == 2 else values @ REC_709_LUMINANCE_WEIGHTS
         self.sums = self.sums or _Sums(grey)
         self.sums.add(grey)
         if recording.full_scale is not None:

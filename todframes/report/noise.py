@@ -127,9 +127,10 @@ class NoiseResult:
             )
         if (transfer := noise.transfer) is not None:
             error = "" if transfer.gain_error is None else f" ± {plain(transfer.gain_error, 2)}"
+            per_unit = f"{plain(transfer.gain, 4)}{error} {UNITS[noise.unit]} per unit of level"
+            deviation = f"{plain(100 * transfer.nonlinearity, 2)} % of its range"
             found.append(
-                f"Signal transfer: {plain(transfer.gain, 4)}{error} {UNITS[noise.unit]} per unit of level; patches "
-                f"deviate from a straight line by up to {plain(100 * transfer.nonlinearity, 2)} % of its range."
+                f"Signal transfer: {per_unit}; patches deviate from a straight line by up to {deviation}."
             )
         return found
 
