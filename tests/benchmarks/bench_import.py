@@ -47,7 +47,7 @@ def rows(n_frames: int = N_FRAMES) -> list[Row]:
 
 
 def _chart(n_pages: int) -> Chart:
-    """A chart whose millimetres are pixels of the frame: the middle of pixel (c, r) is at (c + 0.5, r + 0.5) mm."""
+    """Return a chart whose millimetres are pixels: pixel (c, r) is centred on (c + 0.5, r + 0.5) mm."""
     inset = 1.5 * 7 * MODULE_PX
     places = [(inset, inset), (COLUMNS - inset, inset), (COLUMNS - inset, ROWS - inset), (inset, ROWS - inset)]
     corners = {name: Point(x_mm=x, y_mm=y) for name, (x, y) in zip(CORNERS, places, strict=True)}
