@@ -269,6 +269,14 @@ def test_a_filled_in_schedule_is_read_by_import(plates, tmp_path: Path) -> None:
         assert trial.polarity * trial.level == one.delta_t_k
 
 
+def test_the_same_chart_is_the_same_bytes(plates, tmp_path: Path) -> None:
+    folder, _ = plates
+    asked = {"distance_m": 5, "sizes_mrad": [1, 4], "delta_t_k": [0.1, 0.5, 2], "repeats": 2, "polarity": -1}
+    tod.chart("thermal", out=tmp_path / "again", **asked)
+    for name in ("chart.toml", "schedule.csv", "plates.pdf", "plates/plate_1_mrad.svg"):
+        assert (tmp_path / "again" / name).read_bytes() == (folder / name).read_bytes()
+
+
 def test_commands_say_what_to_do(tmp_path: Path, capsys) -> None:
     given = ["--distance-m=10", "--sizes-mrad=1", "--repeats=1"]
     assert run(cli, ["chart", "--for=print", *given, "--paper=a4", "-o", str(tmp_path / "a")]) == 0

@@ -194,6 +194,7 @@ REFUSED = {
     "--width-px=100000": "width_px: found 100000",
     "--plate-mm=9": "plate_mm: is given, but a screen chart has none; it is for thermal",
     "--delta-t-k=1": "delta_t_k: is given, but a screen chart has none; expected contrasts",
+    "--name=a\nb": "name: found 'a\\nb', expected a text of one line",
     "--bits=9": "Invalid value for '--bits'",
 }
 
@@ -232,6 +233,12 @@ def test_an_interrupted_chart_leaves_nothing_and_a_finished_one_stays(tmp_path: 
     assert not (tmp_path / "c").exists()
     first = tod.chart("screen", **asked, **MONITOR)
     with pytest.raises(OutputError, match=r"is not empty; expected a new name, or --overwrite"):
+        tod.chart("screen", seed=2, **asked, **MONITOR)
+    assert read_chart(tmp_path / "c") == first
+    # What a killed run leaves does not make the chart look unfinished.
+    (tmp_path / "c" / ".todframes-staging").mkdir()
+    (tmp_path / "c" / ".todframes-staging" / "lock").touch()
+    with pytest.raises(OutputError, match=r"is not empty"):
         tod.chart("screen", seed=2, **asked, **MONITOR)
     assert read_chart(tmp_path / "c") == first
     second = tod.chart("screen", seed=2, overwrite=True, **asked, **MONITOR)

@@ -306,7 +306,6 @@ def _player(made: ScreenChart) -> tuple[str, str]:
         "background": f"rgb({grey}, {grey}, {grey})",
     }
     template = resources.files("todframes.recordings").joinpath("templates", "player.html")
-    text = template.read_text(encoding="utf-8")
-    text = text.replace("{{ settings }}", json.dumps(settings)).replace("{{ name }}", html.escape(made.chart.name))
-    head, _, foot = text.partition("{{ pages }}")
+    head, _, foot = template.read_text(encoding="utf-8").partition("{{ pages }}")
+    head = head.replace("{{ settings }}", json.dumps(settings)).replace("{{ name }}", html.escape(made.chart.name))
     return head, foot
