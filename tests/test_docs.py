@@ -154,7 +154,8 @@ HOW_TO = [
 def test_commands_of_the_page_on_noise(folder: Path, capsys) -> None:
     text = page("camera_noise.md")
     run_code(*blocks(text, "python"))
-    run_commands(blocks(text, "sh")[0])
+    for command in blocks(text, "sh"):
+        run_commands(command)
     assert (folder / "noise_of_wall" / "sensor_noise.toml").is_file()
     assert "SNR" in capsys.readouterr().out
 
