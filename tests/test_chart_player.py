@@ -1,4 +1,4 @@
-"""Charts in a browser: the player shows the pages' code values for the time that is set; a sheet has its true size.
+"""Charts in a browser: the player shows the code values of the pages, each for its time; sheets have true size.
 
 Chromium is driven over its debugging pipe. Skipped where there is no Chromium.
 """
