@@ -63,6 +63,12 @@ LINE_SPACING = 1.3
 
 WHITE = 255
 
+LEAST_SIZE_MM = 2.0
+"""Smallest √(area) on paper: the dots by which a printer makes grey would show in smaller triangles."""
+
+
+PaperLength = Annotated[float, Meta(ge=10.0, le=2000.0)]
+
 Reflectance = Annotated[float, Meta(ge=0.0, le=2.0)]
 
 
@@ -91,8 +97,8 @@ class Paper:
         If a value is out of range or contradicts another.
     """
 
-    paper_width_mm: Length = 420.0
-    paper_height_mm: Length = 297.0
+    paper_width_mm: PaperLength = 420.0
+    paper_height_mm: PaperLength = 297.0
     margin_mm: Annotated[float, Meta(ge=0.0, le=1e3)] = 10.0
     paper_reflectance: Reflectance = 0.85
     black_reflectance: Reflectance = 0.04
@@ -301,6 +307,12 @@ def _sheet(paper: Paper) -> _Sheet:
 def _places(design: Design, size_mrad: float, sheet: _Sheet) -> list[tuple[float, float]]:
     """Return the places for triangles of one size on a sheet, from the middle out; SettingsError if none."""
     size_mm = design.size_mm(size_mrad)
+    if size_mm < LEAST_SIZE_MM:
+        raise SettingsError(
+            f"sizes_mrad: {size_mrad:g} mrad at {design.distance_m:g} m are {size_mm:.3g} mm, in which the "
+            f"printer's dots show; expected at least {LEAST_SIZE_MM:g} mm "
+            f"({LEAST_SIZE_MM / design.distance_m:.3g} mrad), or a larger distance"
+        )
     field_mm = FIELD_PER_SIZE * size_mm
     axes = []
     for start_mm, length_mm in ((sheet.top_mm, sheet.height_mm), (sheet.left_mm, sheet.width_mm)):
