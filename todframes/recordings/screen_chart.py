@@ -121,8 +121,8 @@ def design_screen_chart(design: Design, screen: Screen, *, marker_mm: float | No
     least_mm, most_mm = 2 * MODULES * pitch_mm, LARGEST_MARKER_SHARE * min(width_mm, height_mm)
     if not least_mm <= asked_mm <= most_mm:
         raise SettingsError(
-            f"marker_mm: found {asked_mm:g}, expected {least_mm:g} (two pixels a module) to {most_mm:.3g} (a fifth "
-            "of the page)"
+            f"marker_mm: found {asked_mm:g}, expected {least_mm:g} (two pixels a module) to {most_mm:.3g} (a "
+            "fifth of the page)"
         )
     module_mm = round(asked_mm / pitch_mm / MODULES) * pitch_mm
     markers = Markers.in_corners(width_mm=width_mm, height_mm=height_mm, module_mm=module_mm, margin_mm=module_mm)
