@@ -153,6 +153,27 @@ def test_dither_keeps_the_sum() -> None:
     assert (dithered(luminance_of_code[codes], luminance_of_code) == codes).all()
 
 
+def test_a_blurred_dithered_triangle_is_the_ideal_one(tmp_path: Path) -> None:
+    """Standard deviation of the difference inside the triangle, as a share of the contrast: docs/charts.md."""
+    asked = {"distance_m": 10, "sizes_mrad": [1], "contrasts": [0.005, 0.01, 0.03], "repeats": 1}
+    chart = tod.chart("screen", out=tmp_path / "c", **asked, **MONITOR)
+    most = {(0.005, 1.0): 0.13, (0.005, 2.0): 0.045, (0.01, 1.0): 0.075, (0.01, 2.0): 0.025}
+    most |= {(0.03, 1.0): 0.035, (0.03, 2.0): 0.0125}
+    box = np.s_[190:-190, 270:-270]
+    for page in chart.pages:
+        (triangle,) = page.triangles
+        codes = cv2.imread(str(tmp_path / "c" / page.file), -1)[box]
+        shape = {"orientation": triangle.orientation, "size_px": 40.0}
+        middle = {"x_px": (codes.shape[1] - 1) / 2, "y_px": (codes.shape[0] - 1) / 2}
+        covered = tod.coverage(codes.shape, **shape, **middle)
+        ideal = triangle.contrast * covered
+        excess = srgb(codes / 255.0) / chart.screen.background_luminance_cd_m2 - 1.0
+        for blur_px in (1.0, 2.0):
+            left = cv2.GaussianBlur(excess - ideal, (0, 0), blur_px)[covered > 0.0]
+            asked_for = round(triangle.contrast_asked or triangle.contrast, 4)
+            assert np.sqrt(np.mean(left**2)) < most[asked_for, blur_px] * triangle.contrast
+
+
 def test_dither_has_no_coarse_grain() -> None:
     thresholds = blue_noise()
     assert np.array_equal(np.sort(thresholds, axis=None), (np.arange(TILE**2) + 0.5) / TILE**2)
