@@ -27,6 +27,7 @@ from .psychometrics.fit import FitSettings as FitSettings
 from .psychometrics.fit import PsychometricFit as PsychometricFit
 from .recordings.charts import chart as chart
 from .recordings.file_names import new_dataset as new_dataset
+from .recordings.importing import import_recordings as import_recordings
 from .report.result import Result as Result
 from .report.result import load_result as load_result
 from .stimulus import ORIENTATIONS as ORIENTATIONS

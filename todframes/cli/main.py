@@ -29,6 +29,7 @@ from todframes.cli.console import (
 from todframes.cli.new import new
 from todframes.cli.noise import noise
 from todframes.cli.options import dataset_argument, json_option, strict_option
+from todframes.cli.recordings import import_command
 from todframes.cli.score import fit, naked_eye, score
 from todframes.cli.studies import accuracy, stability
 from todframes.errors import DataError
@@ -136,7 +137,7 @@ def validate(*, dataset: Path, add_sha256: bool, strict: bool, as_json: bool) ->
 
 
 for command in (
-    *(score, compare, naked_eye, fit, chart, new, noise),
+    *(score, compare, naked_eye, fit, chart, import_command, new, noise),
     *(report_command, enhancements, accuracy, stability),
 ):
     cli.add_command(command)

@@ -1,0 +1,141 @@
+"""The command `import`."""
+
+from __future__ import annotations
+
+import textwrap
+from pathlib import Path
+from typing import Any, Literal
+
+import click
+
+from todframes.cli.console import MOST_ALIKE, echo, progress, say, terminal_width
+from todframes.cli.options import quiet_option
+from todframes.errors import SettingsError
+
+UNITS_S = {"": 1.0, "s": 1.0, "ms": 1e-3}
+"""Units of a time on the command line, in seconds."""
+
+
+@click.command("import")
+@click.argument("recordings", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="RECORDING…")
+@click.option("--chart", type=click.Path(path_type=Path), metavar="FILE", help="chart.toml of the recorded chart.")
+@click.option(
+    "--schedule",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="CSV file with what each part of the recordings shows, instead of a chart: columns file, start_s, end_s, "
+    "orientation, size_mrad, the level; x_px, y_px if known.",
+)
+@click.option("-o", "--out", required=True, metavar="DATASET", help="Folder of the dataset: a new or empty one.")
+@click.option(
+    "--display",
+    default="reference_sdr",
+    show_default=True,
+    metavar="NAME|FILE",
+    help="Display that shows the frames: one of this package, or a TOML file.",
+)
+@click.option(
+    "--integration-time",
+    default="0.1 s",
+    show_default=True,
+    metavar="TIME",
+    help="Time in which the observer averages frames, in s or ms; all: each clip is one trial.",
+)
+@click.option(
+    "--steady",
+    is_flag=True,
+    help="Let windows follow the triangle by whole pixels, against shake that the camera in use does not have.",
+)
+@click.option(
+    "--range",
+    "value_range",
+    metavar="LOW:HIGH",
+    help="Recorded values that the display shows black and white; needed for temperatures and counts.",
+)
+@click.option("--fps", type=float, metavar="N", help="Frames in a second, in place of what the files say.")
+@click.option(
+    "--ifov-mrad",
+    type=float,
+    metavar="A",
+    help="With --schedule: angle of a recorded pixel at the camera; size_mrad is then an angle there.",
+)
+@click.option(
+    "--level",
+    default="contrast",
+    show_default=True,
+    metavar="COLUMN",
+    help="With --schedule: the stimulus strength.",
+)
+@click.option("--overwrite", is_flag=True, help="Replace DATASET if todframes wrote all that is in it.")
+@quiet_option
+def import_command(
+    *,
+    recordings: tuple[Path, ...],
+    out: str,
+    integration_time: str,
+    value_range: str | None,
+    fps: float | None,
+    quiet: bool,
+    **asked: Any,
+) -> None:
+    """Make a dataset from RECORDING…, which show a chart of `todframes chart`, or what a schedule says.
+
+    Videos, image files and folders of them, camera raw, radiometric and NumPy files. The markers of the chart tell
+    which page a frame shows and where its triangles are; windows are cut about them, with values untouched.
+    `todframes score` reads the dataset; import.json in it tells what was found.
+    """
+    time_s, limits = seconds(integration_time), _limits(value_range)
+    from todframes.recordings.importing import import_recordings, open_for_import
+    from todframes.report.wording import count
+
+    opened = open_for_import(recordings, asked["schedule"], level=asked["level"], frames_per_second=fps)
+    numbers = [one.n_frames for one in opened]
+    total = None if None in numbers else sum(number or 0 for number in numbers)
+    with progress("importing", total, quiet=quiet) as advance:
+        done = import_recordings(
+            opened, out=out, integration_time_s=time_s, value_range=limits, progress=advance, **asked
+        )
+    if not quiet:
+        for note in done.notes:
+            say(f"note: {note}")
+        of_code: dict[str, int] = {}
+        for code, message in done.warnings:
+            of_code[code] = of_code.get(code, 0) + 1
+            if of_code[code] <= MOST_ALIKE:
+                say(f"warning: {message}")
+        for code, number in of_code.items():
+            if number > MOST_ALIKE:
+                say(f"warning: … and {count(number - MOST_ALIKE, 'more warning')} with the code {code}")
+    sentence = (
+        f"{out}: {done.n_frames} frames in {count(done.n_trials, 'trial')} from {count(done.n_clips, 'clip')}"
+    )
+    echo(*textwrap.wrap(sentence, terminal_width()))
+
+
+def seconds(text: str) -> float | Literal["all"]:
+    """Return a time in seconds from a text such as "0.1 s" or "100 ms"; "all" as it is.
+
+    Raises
+    ------
+    SettingsError
+        If it is none of these.
+    """
+    stripped = text.strip()
+    if stripped == "all":
+        return "all"
+    number = stripped.rstrip("ms ")
+    unit = stripped[len(number) :].strip()
+    try:
+        return float(number) * UNITS_S[unit]
+    except (ValueError, KeyError):
+        raise SettingsError(f"--integration-time: found {text!r}, expected a time such as 0.1 s, or all") from None
+
+
+def _limits(text: str | None) -> tuple[float, float] | None:
+    if text is None:
+        return None
+    try:
+        low, high = map(float, text.split(":"))
+    except ValueError:
+        raise SettingsError(f"--range: found {text!r}, expected two numbers LOW:HIGH") from None
+    return low, high

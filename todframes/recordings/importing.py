@@ -1,0 +1,378 @@
+"""Import: recordings of a chart, or with a schedule, become a dataset."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, Protocol
+
+from todframes import __version__
+from todframes.errors import DataError, SettingsError
+from todframes.frames.display import Display
+from todframes.frames.display_files import DisplayDescription, find_display, table_of_display
+from todframes.output import new_folder
+from todframes.recordings.chart_source import ChartSource
+from todframes.recordings.clips import Clip, ClipFrame
+from todframes.recordings.opening import open_recordings
+from todframes.recordings.recording import Recording, RecordingWarning, natural_order
+from todframes.recordings.schedule import read_schedule
+from todframes.recordings.schedule_source import ScheduleSource
+from todframes.recordings.trials import SHAKE_PX, Stimulus, TrialDivision
+from todframes.recordings.windows import Window, WrittenWindow, code_range, manifest, write_window
+from todframes.threads import map_in_threads
+
+INTEGRATION_TIME_S = 0.1
+"""Time in which the eye integrates. Hogervorst et al. 2001, section 4."""
+
+
+WRITERS = 2
+"""Threads that write windows while the next frames are read."""
+
+
+REPORT_FILE = "import.json"
+
+
+PathLike = str | os.PathLike[str]
+
+
+class Source(Protocol):
+    """Protocol of what finds the clips in recordings: by a chart's markers, or by a schedule.
+
+    `level` and `group_by` are columns of the manifest, `clips` are those found so far.
+    """
+
+    level: str
+    group_by: str
+    clips: list[Clip]
+
+    def described(self, page: int, index: int) -> Stimulus:
+        """Return what a triangle of a page is."""
+
+    def frames(self, recording: Recording, number: int) -> Iterator[tuple[Clip, ClipFrame]]:
+        """Yield the frames of a recording that show one page, each with its clip."""
+
+    def why_nothing(self) -> str | None:
+        """Return why there is no clip at all; None if there are some."""
+
+    def warnings(self) -> Iterator[RecordingWarning]:
+        """Yield what makes the dataset less certain."""
+
+    def notes(self) -> Iterator[str]:
+        """Yield what was found and needs no action."""
+
+    def report(self) -> list[dict[str, object]]:
+        """Return what was found, as it is written into import.json."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Imported:
+    """What an import has written.
+
+    Attributes
+    ----------
+    path : Path
+        The dataset.
+    n_frames, n_trials, n_clips : int
+        Windows in the dataset, trials, and clips that gave trials.
+    notes : tuple of str
+        What was found and needs no action.
+    warnings : tuple of RecordingWarning
+        What makes a result from the dataset less certain: a code, and a sentence.
+    """
+
+    path: Path
+    n_frames: int
+    n_trials: int
+    n_clips: int
+    notes: tuple[str, ...]
+    warnings: tuple[RecordingWarning, ...]
+
+
+def import_recordings(
+    recordings: PathLike | Sequence[PathLike] | Sequence[Recording],
+    *,
+    out: PathLike,
+    chart: PathLike | None = None,
+    schedule: PathLike | None = None,
+    display: str | Display = "reference_sdr",
+    integration_time_s: float | Literal["all"] = INTEGRATION_TIME_S,
+    steady: bool = False,
+    value_range: tuple[float, float] | None = None,
+    frames_per_second: float | None = None,
+    ifov_mrad: float | None = None,
+    level: str = "contrast",
+    overwrite: bool = False,
+    progress: Callable[[int], None] | None = None,
+) -> Imported:
+    """Make a dataset from recordings of a chart, or with a schedule, as `todframes import` does.
+
+    Parameters
+    ----------
+    recordings : path, or sequence of path or of Recording
+        Files and folders: videos, image sequences, camera raw, radiometric files, arrays. Or what
+        `open_recordings` returns.
+    out : path
+        Folder of the dataset, new or empty.
+    chart : path, optional
+        The `chart.toml` of the chart that was recorded; either it or `schedule`.
+    schedule : path, optional
+        CSV file that tells what each part of the recordings shows.
+    display : str or Display
+        Display that shows the frames: the name of one of this package, a TOML file, or a `Display`.
+    integration_time_s : float or "all"
+        Time in which the observer averages frames; "all": each clip is one trial. Frames without times are a trial
+        each, unless it is "all".
+    steady : bool
+        Let the windows follow the triangle by whole pixels within a trial, which takes out shake that the camera
+        in use would not have.
+    value_range : (float, float), optional
+        Recorded values that the display shows black and white. Needed for values without a white: temperatures.
+    frames_per_second : float, optional
+        Frame rate in place of what the files say.
+    ifov_mrad : float, optional
+        With a schedule: angle of a recorded pixel at the camera; sizes in mrad are then angles at the camera.
+        Without it they are angles on the display.
+    level : str
+        With a schedule: column of the stimulus strength.
+    overwrite : bool
+        Whether `out` may be replaced if it is a dataset that this package wrote.
+    progress : function of an int, optional
+        Called with the number of recorded frames that were just done.
+
+    Returns
+    -------
+    Imported
+
+    Raises
+    ------
+    DataError, FrameError
+        If a recording cannot be read, or shows nothing of the chart.
+    SettingsError
+        If a setting is invalid.
+    OutputError
+        If `out` cannot be written.
+    """
+    if (chart is None) == (schedule is None):
+        found = "neither" if chart is None else "both"
+        raise SettingsError(f"chart, schedule: found {found}, expected one of them")
+    time_s = _checked_time(integration_time_s)
+    _check_settings(value_range, ifov_mrad, has_schedule=schedule is not None)
+    shown = DisplayDescription(display=display) if isinstance(display, Display) else find_display(display)
+    pitch_mrad = shown.display.pitch_mrad
+    opened = open_for_import(recordings, schedule, level=level, frames_per_second=frames_per_second)
+    source: Source
+    if schedule is None:
+        source = ChartSource(Path(str(chart)), pitch_mrad=pitch_mrad, progress=progress)
+    else:
+        source = ScheduleSource(
+            Path(schedule), opened, pitch_mrad=pitch_mrad, ifov_mrad=ifov_mrad, level=level, progress=progress
+        )
+    scales = [code_range(one, value_range) for one in opened]
+    is_clipped = shown.display.eotf != "linear"
+    division = TrialDivision(source.described, time_s, steady=steady)
+
+    def windows() -> Iterator[Window]:
+        for number, (recording, scale) in enumerate(zip(opened, scales, strict=True)):
+            yield from division.windows(source.frames(recording, number), scale, _interval_s(recording))
+
+    with new_folder(str(out), overwrite=overwrite) as folder:
+        written: dict[str, WrittenWindow] = {}
+
+        def write(window: Window) -> tuple[str, WrittenWindow]:
+            return window.name, write_window(folder, window, clip=is_clipped)
+
+        with closing(map_in_threads(write, windows(), WRITERS)) as done:
+            written.update(done)
+        if not division.trials:
+            raise DataError(source.why_nothing() or _why_no_trial(division, source, time_s))
+        for name in division.left_out:
+            del written[name]
+            (folder / name).unlink()
+        rows = list(division.rows(written, level=source.level, pitch_mrad=pitch_mrad))
+        warnings = (
+            *_of_recordings(opened),
+            *source.warnings(),
+            *_of_trials(division, source, opened, time_s, steady=steady),
+            *_of_windows(written, is_clipped=is_clipped),
+        )
+        notes = tuple(source.notes())
+        n_clips = sum(clip.n_trials > 0 for clip in source.clips)
+        report = {
+            "version": __version__,
+            "n_frames": len(rows),
+            "n_trials": len(division.trials),
+            "n_clips": n_clips,
+            "warnings": [one._asdict() for one in warnings],
+            "found": source.report(),
+        }
+        _remove_empty(folder / "frames")
+        _write(folder / REPORT_FILE, json.dumps(report, indent=1, ensure_ascii=False) + "\n")
+        _write(folder / "manifest.csv", manifest(rows))
+        _write(
+            folder / "dataset.toml", _settings(source, table_of_display(shown.display, folder, title=shown.title))
+        )
+    return Imported(
+        path=Path(out),
+        n_frames=len(rows),
+        n_trials=len(division.trials),
+        n_clips=n_clips,
+        notes=notes,
+        warnings=warnings,
+    )
+
+
+def open_for_import(
+    recordings: PathLike | Sequence[PathLike] | Sequence[Recording],
+    schedule: PathLike | None = None,
+    *,
+    level: str = "contrast",
+    frames_per_second: float | None = None,
+) -> tuple[Recording, ...]:
+    """Open recordings; with a schedule one by one, so that a row can name an image, and folders by their files.
+
+    Raises
+    ------
+    DataError, FrameError
+        If a recording cannot be opened, or the schedule cannot be read.
+    """
+    listed = [recordings] if isinstance(recordings, str | os.PathLike) else list(recordings)
+    opened = [one for one in listed if isinstance(one, Recording)]
+    paths = [Path(one) for one in listed if not isinstance(one, Recording)]
+    if not paths:
+        return tuple(opened)
+    if schedule is None:
+        return (*opened, *open_recordings(paths, frames_per_second=frames_per_second))
+    rows = read_schedule(Path(schedule), level=level)
+    named = {Path(row.file).name for row in rows if row.file is not None}
+    for path in paths:
+        inside = natural_order(path.iterdir()) if path.is_dir() and path.resolve().name not in named else []
+        for one in [file for file in inside if file.name in named] or [path]:
+            opened += open_recordings([one], frames_per_second=frames_per_second)
+    return tuple(opened)
+
+
+def _checked_time(integration_time_s: float | str) -> float | None:
+    """Return the integration time in seconds; None for "all"."""
+    if integration_time_s == "all":
+        return None
+    if isinstance(integration_time_s, str) or not (math.isfinite(integration_time_s) and integration_time_s > 0):
+        raise SettingsError(f'integration_time_s: found {integration_time_s!r}, expected a number > 0, or "all"')
+    return integration_time_s
+
+
+def _check_settings(
+    value_range: tuple[float, float] | None, ifov_mrad: float | None, *, has_schedule: bool
+) -> None:
+    if value_range is not None and not (all(map(math.isfinite, value_range)) and value_range[0] < value_range[1]):
+        raise SettingsError(f"value_range: found {value_range}, expected two numbers, the lower one first")
+    if ifov_mrad is None:
+        return
+    if not has_schedule:
+        raise SettingsError("ifov_mrad: is given but not used with a chart, whose markers tell the scale")
+    if not (math.isfinite(ifov_mrad) and ifov_mrad > 0):
+        raise SettingsError(f"ifov_mrad: found {ifov_mrad!r}, expected a number > 0")
+
+
+def _interval_s(recording: Recording) -> float | None:
+    rate = recording.frames_per_second
+    return None if rate is None else 1.0 / rate
+
+
+def _why_no_trial(division: TrialDivision, source: Source, time_s: float | None) -> str:
+    if division.n_moved:
+        return "in every trial the triangle moves farther than a window may; hold the camera still"
+    timed = [clip for clip in source.clips if clip.end_s is not None]
+    if time_s is None or not timed:
+        return "no triangle lies on the frames; expected all of the page in the picture"
+    clip = max(timed, key=lambda one: (one.end_s or 0.0) - (one.start_s or 0.0))
+    return (
+        f"{clip.first_source}: the longest clip has {clip.n_frames} frames from {clip.start_s:.3f} to "
+        f"{clip.end_s:.3f} s, shorter than the integration time of {time_s:g} s; record each page longer, or "
+        "give a shorter --integration-time"
+    )
+
+
+def _of_recordings(opened: Sequence[Recording]) -> Iterator[RecordingWarning]:
+    for recording in opened:
+        for code, message in recording.warnings:
+            yield RecordingWarning(code, message)
+
+
+def _of_trials(
+    division: TrialDivision, source: Source, opened: Sequence[Recording], time_s: float | None, *, steady: bool
+) -> Iterator[RecordingWarning]:
+    """Yield what the division into trials has left out, and motion within them."""
+    short = [clip for clip in source.clips if clip.n_frames and not clip.n_trials]
+    if short and time_s is not None:
+        yield RecordingWarning(
+            "short_clips",
+            f"{len(short)} of {len(source.clips)} clips are shorter than the integration time of {time_s:g} s and "
+            f"were left out, the first at {short[0].first_source}",
+        )
+    if division.n_moved:
+        yield RecordingWarning(
+            "moved", f"{division.n_moved} trials were left out: the triangle moves farther than a window may"
+        )
+    if time_s is not None:
+        for recording in opened:
+            interval_s = _interval_s(recording)
+            if interval_s is None:
+                yield RecordingWarning(
+                    "no_times",
+                    f"{recording.path}: has no times, so each frame is a trial of its own; --fps gives them",
+                )
+            elif interval_s > 1.5 * time_s:
+                yield RecordingWarning(
+                    "slow_frames",
+                    f"{recording.path}: frames are {interval_s:.3g} s apart, more than the integration time of "
+                    f"{time_s:g} s, so each is a trial of its own",
+                )
+    motions = [trial.motion_px for trial in division.trials]
+    moving = [motion for motion in motions if motion > SHAKE_PX]
+    if moving and steady:
+        yield RecordingWarning(
+            "shake",
+            f"in {len(moving)} of {len(motions)} trials the triangle moves within the windows, by up to "
+            f"{max(moving):.2g} px (rms), although they follow it by whole pixels; it is blurred by that",
+        )
+    elif moving:
+        yield RecordingWarning(
+            "shake",
+            f"in {len(moving)} of {len(motions)} trials the triangle moves on the display within the integration "
+            f"time, by up to {max(moving):.2g} px (rms); the eye sees it blurred, and so does the observer; if "
+            "the camera in use does not shake, take a tripod, or --steady",
+        )
+
+
+def _of_windows(written: dict[str, WrittenWindow], *, is_clipped: bool) -> Iterator[RecordingWarning]:
+    n_beyond, n_values = (sum(getattr(one, name) for one in written.values()) for name in ("n_beyond", "n_values"))
+    if n_beyond:
+        done = "and were clipped, as the display does" if is_clipped else "and were kept"
+        yield RecordingWarning(
+            "beyond_range",
+            f"{100 * n_beyond / n_values:.2g} % of the values lie beyond black and white {done}; a wider --range "
+            "keeps them",
+        )
+
+
+def _settings(source: Source, display_table: str) -> str:
+    return (
+        f"# Imported by todframes {__version__}; {REPORT_FILE} tells what was found in the recordings\n"
+        f"schema = 1\n\n{display_table}\n[experiment]\n"
+        f"level = {json.dumps(source.level, ensure_ascii=False)}\ngroup_by = [{json.dumps(source.group_by)}]\n"
+    )
+
+
+def _write(path: Path, text: str) -> None:
+    path.write_text(text, encoding="utf-8")
+
+
+def _remove_empty(folder: Path) -> None:
+    for clip in list(folder.iterdir()):
+        if not any(clip.iterdir()):
+            clip.rmdir()
