@@ -69,7 +69,7 @@ class Part(NamedTuple):
     variance: float
 
 
-class Patch(NamedTuple):
+class FramePatch(NamedTuple):
     """A uniform part of the frame of known luminance, reflectance or temperature."""
 
     region: Region
@@ -235,7 +235,7 @@ def measure_noise(
     recording: Recording,
     *,
     region: Region | None = None,
-    patches: Sequence[Patch] = (),
+    patches: Sequence[FramePatch] = (),
     progress: Callable[[int], None] | None = None,
 ) -> Noise3D:
     """Measure the three-dimensional noise of a recording of a scene that does not move.
@@ -247,7 +247,7 @@ def measure_noise(
     recording : Recording
     region : (int, int, int, int), optional
         Left column, top row, width and height in pixels. Default: all.
-    patches : sequence of Patch
+    patches : sequence of FramePatch
         Regions of known levels, which give the signal transfer and a signal-to-noise ratio for each level.
     progress : function of an int, optional
         Called with 1 for each frame.
