@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import struct
 import tracemalloc
 from dataclasses import replace
 from pathlib import Path
@@ -401,6 +402,20 @@ def test_the_command_prints_and_writes_the_same_numbers(tmp_path, capsys):
     status, out, _ = run(capsys, "noise", tmp_path / "a.npy", *options)
     assert "Noise of a pixel: dynamic" in out
     assert "Drift of the mean" in out
+
+
+def test_a_folder_of_radiometric_files_has_their_scale(tmp_path):
+    one = tod.noise(REAL / "frame_000000.fff")
+    for name in ("a.fff", "b.fff", ".hidden"):
+        (tmp_path / name).write_bytes((REAL / "frame_000000.fff").read_bytes())
+    two = tod.noise(tmp_path)
+    assert two.mk_per_unit == pytest.approx(one.mk_per_unit)
+    assert [warning.code for warning in two.warnings] == ["doubled_frames", "quantised"]
+    data = bytearray((REAL / "frame_000000.fff").read_bytes())
+    place = data.index(struct.pack("<f", 364058.0))  # R1 of the file's constants
+    data[place : place + 4] = bytes(4)
+    (tmp_path / "c.fff").write_bytes(data)
+    assert tod.noise(tmp_path / "c.fff").mk_per_unit is None
 
 
 def test_a_real_thermal_frame_is_measured_in_mk(capsys):
