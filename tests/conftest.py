@@ -10,7 +10,9 @@ import math
 import signal
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, Protocol
 
 import pytest
@@ -20,7 +22,7 @@ from todframes.cli.console import keep_libraries_to_one_thread
 keep_libraries_to_one_thread()  # as the commands do, and before NumPy is imported: workers share the processors
 
 from todframes.frames.files import write_frame  # noqa: E402
-from todframes.stimulus import ORIENTATIONS, coverage  # noqa: E402
+from todframes.stimulus import ORIENTATIONS, Orientation, coverage  # noqa: E402
 
 PITCH_MRAD = 0.25
 WHITE, BACKGROUND = 100.0, 50.0  # cd/m²
@@ -117,22 +119,14 @@ def make_dataset(tmp_path: Path) -> DatasetMaker:
     ) -> DatasetFolder:
         path = tmp_path / name
         (path / "frames").mkdir(parents=True)
-        full_scale = WHITE if suffix == ".png" else 1.0
         rows = []
         for size_mrad in sizes_mrad:
             for contrast in contrasts:
                 for orientation in ORIENTATIONS:
-                    middle = (side_px - 1) / 2
-                    triangle = coverage(
-                        (side_px, side_px),
-                        size_px=size_mrad / PITCH_MRAD,
-                        x_px=middle,
-                        y_px=middle,
-                        orientation=orientation,
-                    )
+                    content = _frame(suffix, size_mrad, contrast, orientation, side_px)
                     for repeat in range(repeats):
                         frame = f"frames/s{size_mrad}_c{contrast}_{orientation}_{repeat}{suffix}"
-                        write_frame(path / frame, BACKGROUND / full_scale * (1.0 + contrast * triangle))
+                        (path / frame).write_bytes(content)
                         rows.append(
                             {
                                 "frame": frame,
@@ -146,7 +140,7 @@ def make_dataset(tmp_path: Path) -> DatasetMaker:
         tables: dict[str, dict[str, Any]] = {
             "display": {
                 "eotf": "linear",
-                "white_luminance_cd_m2": full_scale,
+                "white_luminance_cd_m2": _full_scale(suffix),
                 "pixel_pitch_mrad": PITCH_MRAD,
                 "background_luminance_cd_m2": BACKGROUND,
             },
@@ -159,6 +153,24 @@ def make_dataset(tmp_path: Path) -> DatasetMaker:
         return dataset
 
     return make
+
+
+@cache
+def _frame(suffix: str, size_mrad: float, contrast: float, orientation: Orientation, side_px: int) -> bytes:
+    """The file of a frame of `make_dataset`: hundreds of tests want the same ones."""
+    middle = (side_px - 1) / 2
+    triangle = coverage(
+        (side_px, side_px), size_px=size_mrad / PITCH_MRAD, x_px=middle, y_px=middle, orientation=orientation
+    )
+    with TemporaryDirectory() as folder:
+        path = Path(folder, f"frame{suffix}")
+        write_frame(path, BACKGROUND / _full_scale(suffix) * (1.0 + contrast * triangle))
+        return path.read_bytes()
+
+
+def _full_scale(suffix: str) -> float:
+    """Luminance of code value 1."""
+    return WHITE if suffix == ".png" else 1.0
 
 
 def _toml_text(content: Mapping[str, Any]) -> str:

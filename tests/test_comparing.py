@@ -101,9 +101,15 @@ def same_scores(one, other) -> bool:
 # The reference is what `score` gives, and an algorithm that does nothing gives the same
 
 
-@pytest.mark.parametrize("background", [50.0, "surround", "border", "frame_mean"])
 @pytest.mark.parametrize(
-    "more", [{"plan_name": "full"}, {"plan_name": "needed"}, {"decisions": "sampled", "seed": 3}]
+    ("background", "more"),
+    [
+        (50.0, {"plan_name": "full"}),
+        (50.0, {"plan_name": "needed"}),
+        ("surround", {"decisions": "sampled", "seed": 3}),
+        ("border", {"plan_name": "needed"}),
+        ("frame_mean", {"plan_name": "full"}),
+    ],
 )
 def test_reference_and_identity_are_what_score_gives(make_dataset, background, more) -> None:
     made = make_dataset(

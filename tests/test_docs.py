@@ -136,14 +136,26 @@ def test_tutorial(folder: Path, capsys) -> None:
 
 
 # Files that a page tells its reader to save, by the number of the block that holds them.
-SAVED = {"fit_counts.md": ("counts.csv", "text", 0), "own_enhancement.md": ("my_enhancements.py", "python", 0)}
-HOW_TO = ["own_frames.md", "compare_algorithms.md", "simulate_sensor.md", "fit_counts.md", "own_enhancement.md"]
+SAVED = {
+    "charts.md": ("patches.csv", "text", 1),
+    "fit_counts.md": ("counts.csv", "text", 0),
+    "own_enhancement.md": ("my_enhancements.py", "python", 0),
+}
+HOW_TO = [
+    "own_frames.md",
+    "charts.md",
+    "compare_algorithms.md",
+    "simulate_sensor.md",
+    "fit_counts.md",
+    "own_enhancement.md",
+]
 
 
 def test_commands_of_the_page_on_noise(folder: Path, capsys) -> None:
     text = page("camera_noise.md")
     run_code(*blocks(text, "python"))
-    run_commands(blocks(text, "sh")[0])
+    for command in blocks(text, "sh"):
+        run_commands(command)
     assert (folder / "noise_of_wall" / "sensor_noise.toml").is_file()
     assert "SNR" in capsys.readouterr().out
 
@@ -159,6 +171,16 @@ def test_commands_of_a_how_to_page(name: str, folder: Path) -> None:
     assert commands
     for command in commands:
         run_commands(command)
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("folder")
+def test_table_of_the_page_on_charts(capsys) -> None:
+    text = page("charts.md")
+    run_commands(blocks(text, "sh")[0])
+    shown = capsys.readouterr().out
+    lines = [line.rstrip() for line in blocks(text, "text")[0].splitlines() if line.strip()]
+    assert [line.rstrip() for line in shown.splitlines() if line.strip()][: len(lines)] == lines
 
 
 SLOW_CODE = [*HOW_TO, "thermal_background.md"]

@@ -72,7 +72,7 @@ def test_import_loads_nothing(package: str) -> None:
 
 
 def marks(name: str) -> list[pytest.MarkDecorator]:
-    return [pytest.mark.slow] if name == "compare" else []
+    return [pytest.mark.slow] if name in ("compare", "Result") else []  # Result scores what `score` does
 
 
 @pytest.mark.parametrize(

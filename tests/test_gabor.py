@@ -104,7 +104,7 @@ def test_orientations_are_evenly_spaced(variant: dict) -> None:
 
 
 @pytest.mark.parametrize("variant", VARIANTS, ids=str)
-@pytest.mark.parametrize("level", [0, 2])
+@pytest.mark.parametrize("level", [0, 1, pytest.param(2, marks=pytest.mark.slow)])
 def test_neurons_of_a_place_share_the_energy_of_their_best_gratings(variant: dict, level: int) -> None:
     """Mean squares of all responses add up to that of the grating, 1/2, averaged over its direction.
 

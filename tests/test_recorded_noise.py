@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import tracemalloc
 from dataclasses import replace
 from pathlib import Path
 
@@ -212,6 +213,49 @@ def test_the_maps_are_those_of_numpy(tmp_path):
     np.testing.assert_allclose(noise.frame_means, values.mean((1, 2), dtype=float), rtol=1e-12)
 
 
+def test_memory_does_not_grow_with_the_number_of_frames(tmp_path):
+    peaks = []
+    for n_frames in (20, 200):
+        np.save(
+            tmp_path / "a.npy", np.random.default_rng(1).integers(0, 999, (n_frames, 128, 128)).astype(np.uint16)
+        )
+        (recording,) = open_recordings(tmp_path / "a.npy")
+        measure_noise(recording)  # loads what it imports
+        tracemalloc.start()
+        measure_noise(recording)
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    # One mean, one time and lists of them for each frame; a frame has 32 kB.
+    assert peaks[1] - peaks[0] < 180 * 200
+
+
+def test_patches_give_the_signal_transfer(tmp_path, capsys):
+    levels, rng = (10.0, 20.0, 40.0, 80.0), np.random.default_rng(15)
+    scene = np.repeat(np.repeat([[100 + 3 * one for one in levels]], 20, 0), 25, 1)
+    frames = scene + rng.normal(0, 1, scene.shape) + rng.normal(0, 2, (30, *scene.shape))
+    np.save(tmp_path / "a.npy", frames)
+    places = {(25 * k, 0, 25, 20): level for k, level in enumerate(levels)}
+    noise = tod.noise(tmp_path / "a.npy", patches=places).measured
+    # A mean of 500 pixels has the SD √(1 + 4/30) / √500 = 0.048; the gain's is that over √Σ(x − x̄)² = 53.6: 9e-4.
+    assert noise.transfer.gain == pytest.approx(3, abs=4 * 9e-4)
+    assert noise.transfer.offset == pytest.approx(100, abs=4 * 0.05)
+    assert noise.transfer.gain_error < 4 * 9e-4
+    assert noise.transfer.nonlinearity < 4 * 0.048 / 210
+    assert noise.patches[0].snr == 0
+    for one, level in zip(noise.patches[1:], levels[1:], strict=True):
+        # The noise of a pixel is √5, its fixed part known to 1 / √(2 · 499) = 3 %.
+        assert one.snr == pytest.approx(3 * (level - 10) / math.sqrt(5), rel=0.05)
+    given = [
+        text for place, level in places.items() for text in ("--patch", ",".join(map(str, place)) + f"={level}")
+    ]
+    status, out, _ = run(capsys, "noise", tmp_path / "a.npy", *given, "--json", "-o", tmp_path / "out")
+    assert status == 0
+    assert json.loads(out)["noise"]["signal_transfer"]["gain"] == noise.transfer.gain
+    assert (tmp_path / "out" / "patches.csv").read_text().count("\n") == 5
+    with pytest.raises(tod.SettingsError, match=r"patches: found levels \[5.0\], expected at least two different"):
+        tod.noise(tmp_path / "a.npy", patches={(0, 0, 5, 5): 5.0, (5, 5, 5, 5): 5.0})
+
+
 def test_averaging_frames_lowers_dynamic_noise_alone(tmp_path):
     sd = dict.fromkeys(PARTS, 0.0) | {"vh": 1.0, "tvh": 2.0}
     noise = noise_of(tmp_path / "a.npy", cube(np.random.default_rng(9), (40, 60, 70), sd))
@@ -312,6 +356,8 @@ def test_a_real_thermal_frame_is_measured_in_mk(capsys):
     [
         (["--region", "1,2,3"], 2, "--region: found '1,2,3', expected X,Y,W,H: four whole numbers of pixels"),
         (["--mk-per-count", "0"], 2, "mk_per_count: found 0.0, expected a number > 0"),
+        (["--patch", "1,2,3,4=a"], 2, "--patch: found '1,2,3,4=a', expected X,Y,W,H=LEVEL"),
+        (["--patch", "1,2,3=4"], 2, "--patch: found '1,2,3=4', expected X,Y,W,H=LEVEL"),
         (["--sensor"], 1, "found one frame, expected 2 or more"),
         (["--sensor", "--json"], 2, "found --sensor and --json, expected one of them"),
         (["--signal", "a"], 2, "--signal: found 'a', expected numbers"),

@@ -21,6 +21,7 @@ ROWS, COLUMNS = 48, 70
 
 def encode(path, planes_of_frames, pixel_format, *, codec="ffv1", times_ms=None, shape=(ROWS, COLUMNS), **options):
     """Encode frames, each a list of the planes of a pixel format, with PyAV; times in ms or at 25 a second."""
+    rotation = options.pop("rotation", 0)
     header = {name: options.pop(name) for name in ("color_range", "colorspace") if name in options}
     with av.open(str(path), "w") as container:
         stream = container.add_stream(codec, rate=25, options={name: str(one) for name, one in options.items()})
@@ -28,6 +29,8 @@ def encode(path, planes_of_frames, pixel_format, *, codec="ffv1", times_ms=None,
         stream.pix_fmt = pixel_format
         time_base = Fraction(1, 25 if times_ms is None else 1000)
         stream.codec_context.time_base = time_base
+        if rotation:
+            stream.set_display_rotation(rotation)
         for name, value in header.items():
             setattr(stream.codec_context, name, value)
         for number, planes in enumerate(planes_of_frames):
@@ -158,8 +161,7 @@ def test_packed_formats_have_the_samples_of_planar_ones(packed, planar):
 
 
 def test_lossy_codecs_are_warned_about(tmp_path):
-    planes = [np.full((ROWS, COLUMNS), 90, np.uint8), *[np.full((ROWS // 2, COLUMNS // 2), 128, np.uint8)] * 2]
-    encode(tmp_path / "a.mp4", [planes] * 3, "yuv420p", codec="libx264", crf=18)
+    encode(tmp_path / "a.mp4", black(3), "yuv420p", codec="libx264", crf=18)
     (recording,) = open_recordings(tmp_path / "a.mp4")
     assert [one.code for one in recording.warnings] == ["matrix_assumed", "lossy_compression", "limited_range"]
     assert len(list(recording.frames())) == 3
@@ -174,23 +176,29 @@ def test_times_are_those_of_the_file(tmp_path):
     assert [one.time_s for one in recording.frames()] == pytest.approx([0, 0.1, 0.2, 0.3, 0.4])
 
 
-def test_frames_without_times_are_refused_unless_a_rate_is_given(tmp_path, monkeypatch):
-    encode(tmp_path / "a.mkv", [[one] for one in grey16(3)], "gray16le")
-    decoded = video._decoded
+def black(n_frames):
+    planes = [np.full((ROWS, COLUMNS), 16, np.uint8), *[np.full((ROWS // 2, COLUMNS // 2), 128, np.uint8)] * 2]
+    return [planes] * n_frames
 
-    def without_times(*arguments):
-        for frame in decoded(*arguments):
-            frame.pts = None
-            yield frame
 
-    monkeypatch.setattr(video, "_decoded", without_times)
-    (recording,) = open_recordings(tmp_path / "a.mkv")
+def test_frames_without_times_are_refused_unless_a_rate_is_given(tmp_path):
+    encode(tmp_path / "a.h264", black(3), "yuv420p", codec="libx264")  # a stream without a container
+    (recording,) = open_recordings(tmp_path / "a.h264")
+    assert recording.frames_per_second is None
     with pytest.raises(
         tod.DataError, match="frame 0 has no time, so the frame rate may vary; give --frames-per-sec"
     ):
         list(recording.frames())
-    (recording,) = open_recordings(tmp_path / "a.mkv", frames_per_second=25)
-    assert len(list(recording.frames())) == 3
+    (recording,) = open_recordings(tmp_path / "a.h264", frames_per_second=50)
+    assert [one.time_s for one in recording.frames()] == [0, 0.02, 0.04]
+
+
+def test_interlaced_and_turned_videos_are_warned_about(tmp_path):
+    encode(tmp_path / "a.mp4", black(3), "yuv420p", codec="libx264", **{"x264-params": "tff=1"})
+    assert "interlaced" in [one.code for one in open_recordings(tmp_path / "a.mp4")[0].warnings]
+    encode(tmp_path / "b.mp4", black(3), "yuv420p", codec="libx264", rotation=90)
+    codes = {one.code: one.message for one in open_recordings(tmp_path / "b.mp4")[0].warnings}
+    assert "turn this video by 90°" in codes["rotation_not_applied"].replace("-90", "90")
 
 
 def test_a_truncated_video_tells_how_many_frames_are_good(tmp_path):
@@ -209,8 +217,7 @@ def test_a_truncated_video_tells_how_many_frames_are_good(tmp_path):
 
 
 def test_a_video_of_which_nothing_is_left_is_told(tmp_path):
-    planes = [np.zeros((ROWS, COLUMNS), np.uint8), *[np.full((ROWS // 2, COLUMNS // 2), 128, np.uint8)] * 2]
-    whole = encode(tmp_path / "a.mp4", [planes] * 3, "yuv420p", codec="libx264").read_bytes()
+    whole = encode(tmp_path / "a.mp4", black(3), "yuv420p", codec="libx264").read_bytes()
     (tmp_path / "b.mp4").write_bytes(whole[: len(whole) // 2])
     with pytest.raises(tod.FrameError, match=r"b\.mp4: .*; is the file truncated\?"):
         open_recordings(tmp_path / "b.mp4")

@@ -180,6 +180,7 @@ def test_camera_raw_is_the_mean_of_the_two_greens_of_a_cell(tmp_path):
     dng(tmp_path / "a.dng", values, black=512, white=16383)
     (recording,) = open_recordings(tmp_path / "a.dng")
     assert (recording.shape, recording.zero, recording.full_scale) == ((32, 48), 512, 16383)
+    assert [one.code for one in recording.warnings] == ["half_resolution"]
     # Pattern R G / G B; a mean of two integers of 16 bits is exact in 32-bit floats.
     expected = (values[0::2, 1::2].astype(float) + values[1::2, 0::2]) / 2
     np.testing.assert_array_equal(next(recording.frames()).values, expected)

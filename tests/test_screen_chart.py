@@ -189,9 +189,11 @@ REFUSED = {
     "--marker-mm=130": "marker_mm: found 130, too large for a page of 160 mm",
     "--background-luminance-cd-m2=100": "background_luminance_cd_m2: found 100, which is black or white",
     "--black-luminance-cd-m2=100": "black_luminance_cd_m2: found 100.0",
-    "--repeats=2000": "found 8000 pages, whose chart.toml would be longer than 1 MB",
+    "--repeats=1400": "found 5600 pages, whose chart.toml would be longer than 1 MB",
     "--repeats=20000": "found 80000 triangles",
     "--width-px=100000": "width_px: found 100000",
+    "--plate-mm=9": "plate_mm: is given, but a screen chart has none; it is for thermal",
+    "--delta-t-k=1": "delta_t_k: is given, but a screen chart has none; expected contrasts",
     "--bits=9": "Invalid value for '--bits'",
 }
 
@@ -234,6 +236,24 @@ def test_an_interrupted_chart_leaves_nothing_and_a_finished_one_stays(tmp_path: 
     assert read_chart(tmp_path / "c") == first
     second = tod.chart("screen", seed=2, overwrite=True, **asked, **MONITOR)
     assert read_chart(tmp_path / "c") == second != first
+
+
+def test_a_measured_monitor(tmp_path: Path) -> None:
+    """Luminances of a table, and a pitch, from a file; options given beside it come first."""
+    (tmp_path / "lut.csv").write_text("code_value,luminance_cd_m2\n0,1\n0.5,21\n1,81\n", encoding="utf-8")
+    (tmp_path / "monitor.toml").write_text(
+        'schema = 1\n[display]\neotf = "lut"\nlut = "lut.csv"\npixel_pitch_mm = 0.5\nviewing_distance_mm = 600\n',
+        encoding="utf-8",
+    )
+    asked = {"distance_m": 10, "sizes_mrad": [2], "contrasts": [0.5], "repeats": 1, "height_px": 480}
+    asked |= {"width_px": 640, "display": tmp_path / "monitor.toml"}
+    chart = tod.chart("screen", out=tmp_path / "c", **asked)
+    assert (chart.screen.pixel_pitch_mm, chart.page_width_mm) == (0.5, 320.0)
+    # A quarter of white is 20.25; code 123 has 1 + 40 · 123 / 255.
+    assert chart.screen.background_luminance_cd_m2 == pytest.approx(1 + 40 * 123 / 255)
+    assert np.array_equal(read_chart(tmp_path / "c").screen.lut.luminance_cd_m2, [1.0, 21.0, 81.0])
+    other = tod.chart("screen", out=tmp_path / "d", pixel_pitch_mm=0.25, **asked)
+    assert other.page_width_mm == 160.0
 
 
 def test_unknown_settings_are_named(tmp_path: Path) -> None:

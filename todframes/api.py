@@ -503,6 +503,7 @@ def noise(
     recording: PathLike | Sequence[PathLike],
     *,
     region: tuple[int, int, int, int] | None = None,
+    patches: Mapping[tuple[int, int, int, int], float] | None = None,
     signal: float | Sequence[float] = (),
     mk_per_count: float | None = None,
     frames_per_second: float | None = None,
@@ -518,6 +519,9 @@ def noise(
         A video, image files or a folder of them, camera raw or radiometric files, or a NumPy array.
     region : (int, int, int, int), optional
         Left column, top row, width and height in pixels. Default: the whole frame.
+    patches : mapping, optional
+        Uniform parts of the frame, as `region`, and the level of each: luminance, reflectance or temperature.
+        They give the signal transfer, and a signal-to-noise ratio for each level.
     signal : float or sequence of float
         Differences of the values, whose signal-to-noise ratios are given too.
     mk_per_count : float, optional
@@ -553,7 +557,7 @@ def noise(
     '2.0 from frame to frame, 1.0 fixed'
     """
     started = time.perf_counter()
-    from todframes.recordings.noise3d import measure_noise
+    from todframes.recordings.noise3d import Patch, measure_noise
     from todframes.recordings.opening import open_recordings
     from todframes.recordings.radiometric import mk_per_count_of
     from todframes.report.noise import noise_result
@@ -564,7 +568,8 @@ def noise(
     if len(found) != 1:
         names = ", ".join(str(one.path) for one in found[:3])
         raise DataError(f"noise: found {len(found)} recordings ({names} …), expected one")
-    measured = measure_noise(found[0], region=region, progress=progress)
+    levels = [Patch(place, float(level)) for place, level in (patches or {}).items()]
+    measured = measure_noise(found[0], region=region, patches=levels, progress=progress)
     if mk_per_count is None:
         mk_per_count = mk_per_count_of(found[0], measured.mean)
     signals = tuple(np.atleast_1d(np.asarray(signal, np.float64)).tolist())

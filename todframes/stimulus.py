@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
+from itertools import pairwise
 from typing import Literal, get_args
 
 import numpy as np
@@ -161,27 +162,35 @@ def _polygon_coverage(corners: FloatArray, box: tuple[int, int]) -> FloatArray:
     """Compute the coverage of the pixels [j, j + 1] × [i, i + 1] of a box by a clockwise polygon."""
     n_rows, n_columns = box
     # The extra column takes the part right of the box; the sum along a row never reads it.
-    steps = np.zeros(n_rows * (n_columns + 2))
-    for (x0, y0), (x1, y1) in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+    width = n_columns + 2
+    steps = np.zeros(n_rows * width)
+    row_edges, column_edges, ends = np.arange(n_rows + 1.0), np.arange(n_columns + 1.0), np.array([0.0, 1.0])
+    for (x0, y0), (x1, y1) in pairwise([*corners.tolist(), corners[0].tolist()]):
         if y1 == y0:
             continue
-        cuts = [np.array([0.0, 1.0]), (np.arange(n_rows + 1) - y0) / (y1 - y0)]
+        cuts = [ends, (row_edges - y0) / (y1 - y0)]
         if x1 != x0:
-            cuts.append((np.arange(n_columns + 1) - x0) / (x1 - x0))
-        t = np.sort(np.clip(np.concatenate(cuts), 0.0, 1.0))
-        fall = np.diff(t) * (y1 - y0)
+            cuts.append((column_edges - x0) / (x1 - x0))
+        t = _clipped(np.concatenate(cuts), 1.0)
+        t.sort()
+        fall = (t[1:] - t[:-1]) * (y1 - y0)
         middle = (t[1:] + t[:-1]) / 2.0
-        x = np.clip(x0 + middle * (x1 - x0), 0.0, n_columns)
         row = np.floor(y0 + middle * (y1 - y0)).astype(np.intp)
         inside = (row >= 0) & (row < n_rows) & (fall != 0.0)
-        column = np.floor(x[inside]).astype(np.intp)
-        left_share = x[inside] - column
-        place = row[inside] * (n_columns + 2) + column
-        steps += np.bincount(place, fall[inside] * (1.0 - left_share), steps.size)
-        steps += np.bincount(place + 1, fall[inside] * left_share, steps.size)
+        fall, x = fall[inside], _clipped(x0 + middle[inside] * (x1 - x0), float(n_columns))
+        column = x.astype(np.intp)
+        left_share = x - column
+        place = row[inside] * width + column
+        steps += np.bincount(place, fall * (1.0 - left_share), steps.size)
+        steps += np.bincount(place + 1, fall * left_share, steps.size)
     # The area right of the falling (right-hand) edge was counted positive, that of the others negative.
-    covered = 0.0 - np.cumsum(steps.reshape(n_rows, n_columns + 2)[:, :n_columns], axis=1)
-    return np.clip(covered, 0.0, 1.0)
+    return _clipped(0.0 - np.cumsum(steps.reshape(n_rows, width)[:, :n_columns], axis=1), 1.0)
+
+
+def _clipped(values: FloatArray, most: float) -> FloatArray:
+    """Limit values to [0, most], in place: a third of the time of `np.clip` where they are few."""
+    np.maximum(values, 0.0, out=values)
+    return np.asarray(np.minimum(values, most, out=values))
 
 
 def spectrum(

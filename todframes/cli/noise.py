@@ -27,6 +27,14 @@ from todframes.errors import SettingsError
     "-o", "--out", metavar="OUT", help="Folder for result.json, noise.csv, noise.png and sensor_noise.toml."
 )
 @click.option("--region", metavar="X,Y,W,H", help="Left column, top row, width and height.  [default: all]")
+@click.option(
+    "--patch",
+    "patches",
+    multiple=True,
+    metavar="X,Y,W,H=LEVEL",
+    help="A uniform part of the frame and its luminance, reflectance or temperature, for the signal transfer; "
+    "repeatable.",
+)
 @click.option("--signal", metavar="S[,S…]", help="Differences of the values; prints their signal-to-noise ratios.")
 @click.option(
     "--mk-per-count",
@@ -46,6 +54,7 @@ def noise(
     recording: tuple[Path, ...],
     out: str | None,
     region: str | None,
+    patches: tuple[str, ...],
     signal: str | None,
     mk_per_count: float | None,
     frames_per_second: float | None,
@@ -70,6 +79,7 @@ def noise(
             result = api.noise(
                 recording,
                 region=None if region is None else _region(region),
+                patches=dict(map(_patch, patches)),
                 signal=() if signal is None else numbers(signal, "--signal"),
                 mk_per_count=mk_per_count,
                 frames_per_second=frames_per_second,
@@ -85,8 +95,9 @@ def noise(
         check_strict(warnings, strict)
         return
     print_table(result.table())
-    if (ratios := result.snr_table()) is not None:
-        print_table(ratios)
+    for table_of in (result.snr_table(), result.patch_table()):
+        if table_of is not None:
+            print_table(table_of)
     for sentence in [*result.sentences(), *warning_lines(warnings)]:
         echo(*textwrap.wrap(sentence, terminal_width()))
     if out is not None:
@@ -94,9 +105,23 @@ def noise(
     check_strict(warnings, strict)
 
 
+def _patch(text: str) -> tuple[tuple[int, int, int, int], float]:
+    place, _, level = text.partition("=")
+    try:
+        return _four(place), float(level)
+    except ValueError:
+        raise SettingsError(
+            f"--patch: found {text!r}, expected X,Y,W,H=LEVEL: four whole numbers and one"
+        ) from None
+
+
 def _region(text: str) -> tuple[int, int, int, int]:
     try:
-        left, top, width, height = (int(part) for part in text.split(","))
+        return _four(text)
     except ValueError:
         raise SettingsError(f"--region: found {text!r}, expected X,Y,W,H: four whole numbers of pixels") from None
+
+
+def _four(text: str) -> tuple[int, int, int, int]:
+    left, top, width, height = map(int, text.split(","))
     return left, top, width, height

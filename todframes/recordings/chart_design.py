@@ -69,7 +69,7 @@ class Design:
 
     def __post_init__(self) -> None:
         check_values(self)
-        for name, values in (("sizes_mrad", self.sizes_mrad), ("levels", self.levels)):
+        for name, values in (("sizes_mrad", self.sizes_mrad), ("contrasts or delta_t_k", self.levels)):
             if not values:
                 raise SettingsError(f"{name}: found none, expected at least one")
             for value in values:

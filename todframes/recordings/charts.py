@@ -3,21 +3,41 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 from todframes.config import convert, from_table
 from todframes.errors import SettingsError
+from todframes.frames.display import Display
+from todframes.frames.display_files import find_display
 from todframes.output import new_folder
 from todframes.recordings.chart_design import Design
 from todframes.recordings.chart_layout import CHART_FILE, Chart, ChartKind, Screen
+from todframes.recordings.print_chart import Paper, design_print_chart, write_print_chart
+from todframes.recordings.screen_chart import design_screen_chart, write_screen_chart
+from todframes.recordings.thermal_chart import Plate, design_thermal_chart, write_thermal_chart
 
 CONTRASTS = (0.02, 0.05, 0.1, 0.2, 0.4, 0.8)
-"""Contrasts of a chart if none are asked for."""
+
+LEVELS: dict[ChartKind, tuple[float, ...]] = {
+    "screen": CONTRASTS,
+    "print": CONTRASTS,
+    "thermal": (0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0),
+}
+"""Contrasts, or temperature differences in K, if none are asked for."""
 
 
 BACKGROUND_SHARE = 0.25
 """Background of a monitor relative to white if none is asked for; contrasts reach from -1 to 3."""
+
+
+SETTINGS: dict[ChartKind, set[str]] = {
+    "screen": {field.name for field in fields(Screen)} | {"display", "marker_mm"},
+    "print": {field.name for field in fields(Paper)},
+    "thermal": {field.name for field in fields(Plate)},
+}
+"""Names of the settings of each kind."""
 
 
 SCREEN_DEFAULTS = {"width_px": 1920, "height_px": 1080, "page_duration_s": 1.0, "white_luminance_cd_m2": 100.0}
@@ -33,7 +53,8 @@ def chart(
     out: Path | str,
     distance_m: float,
     sizes_mrad: Iterable[float],
-    contrasts: Iterable[float] = CONTRASTS,
+    contrasts: Iterable[float] | None = None,
+    delta_t_k: Iterable[float] | None = None,
     repeats: int = 2,
     seed: int = 1,
     polarity: int = 1,
@@ -54,8 +75,10 @@ def chart(
         From the camera to the chart.
     sizes_mrad : iterable of float
         Sizes √(area) of the triangles as angles at the camera.
-    contrasts : iterable of float
-        Weber contrasts, without sign; of a thermal chart `delta_t_k`, temperature differences in K, instead.
+    contrasts : iterable of float, optional
+        Weber contrasts of a screen or print, without sign. Default: 0.02 to 0.8.
+    delta_t_k : iterable of float, optional
+        Temperature differences of a thermal chart in K, without sign. Default: 0.02 to 2.
     repeats : int
         Number of times that each triangle is shown, in each of its four orientations.
     seed : int
@@ -69,7 +92,10 @@ def chart(
     progress : function of an int, optional
         Called with the number of pages that were just drawn.
     **settings
-        Of a monitor, fields of `Screen` (`pixel_pitch_mm` is needed) and `marker_mm`.
+        For "screen": `display`, a name or file as for a dataset; `pixel_pitch_mm`, needed unless the display has
+        it; others of the table [screen] of chart.toml; `marker_mm`.
+        For "print": `paper_width_mm`, `paper_height_mm`, `margin_mm`, `paper_reflectance`, `black_reflectance`,
+        `reflectances`, `background_reflectance`, `marker_mm`. For "thermal": `plate_mm`.
 
     Returns
     -------
@@ -93,11 +119,24 @@ def chart(
     >>> len(made.pages), made.pages[0].triangles[0].contrast
     (4, 0.201414)
     """
+    if kind not in MAKERS:
+        raise SettingsError(f"kind: found {kind!r}, expected one of {', '.join(MAKERS)}")
+    for setting in settings:
+        others = [other for other in MAKERS if setting in SETTINGS[other] and setting not in SETTINGS[kind]]
+        if others:
+            raise SettingsError(
+                f"{setting}: is given, but a {kind} chart has none; it is for {' and '.join(others)}"
+            )
+    levels, other = (delta_t_k, contrasts) if kind == "thermal" else (contrasts, delta_t_k)
+    if other is not None:
+        names = ("contrasts", "delta_t_k")
+        given, expected = names if kind == "thermal" else names[::-1]
+        raise SettingsError(f"{given}: is given, but a {kind} chart has none; expected {expected}")
     design = from_table(
         {
             "distance_m": distance_m,
             "sizes_mrad": list(sizes_mrad),
-            "levels": list(contrasts),
+            "levels": list(LEVELS[kind] if levels is None else levels),
             "repeats": repeats,
             "seed": seed,
             "polarity": polarity,
@@ -106,16 +145,16 @@ def chart(
         Design,
         "chart",
     )
-    if kind not in MAKERS:
-        raise SettingsError(f"kind: found {kind!r}, expected one of {', '.join(MAKERS)}")
     with new_folder(str(out), overwrite=overwrite, last=CHART_FILE) as folder:
         return MAKERS[kind](design, settings, folder, progress)
 
 
 def _screen(design: Design, settings: Mapping[str, Any], folder: Path, progress: Progress | None) -> Chart:
-    from todframes.recordings.screen_chart import design_screen_chart, write_screen_chart
-
-    table = SCREEN_DEFAULTS | dict(settings)
+    table = dict(settings)
+    display = table.pop("display", None)
+    if display is not None:
+        table = _of_display(str(display)) | table
+    table = SCREEN_DEFAULTS | table
     marker_mm = table.pop("marker_mm", None)
     white = convert(table["white_luminance_cd_m2"], float, "screen: white_luminance_cd_m2")
     assert isinstance(white, float)
@@ -126,5 +165,32 @@ def _screen(design: Design, settings: Mapping[str, Any], folder: Path, progress:
     return made.chart
 
 
-MAKERS = {"screen": _screen}
+def _of_display(name: str) -> dict[str, Any]:
+    """Return the settings of a monitor that a display of `find_display` gives."""
+    display = find_display(name).display
+    shared = {field.name for field in fields(Screen)} - {"background_luminance_cd_m2"}
+    found = {one: getattr(display, one) for one in shared & {field.name for field in fields(Display)}}
+    if display.lut is not None:
+        found["white_luminance_cd_m2"] = float(display.lut.luminance_cd_m2[-1])
+        found["black_luminance_cd_m2"] = float(display.lut.luminance_cd_m2[0])
+    return {one: value for one, value in found.items() if value is not None}
+
+
+def _print(design: Design, settings: Mapping[str, Any], folder: Path, progress: Progress | None) -> Chart:
+    made = design_print_chart(design, from_table(settings, Paper, "print"))
+    write_print_chart(folder, made, progress=progress)
+    return made.chart
+
+
+def _thermal(design: Design, settings: Mapping[str, Any], folder: Path, progress: Progress | None) -> Chart:
+    made = design_thermal_chart(design, from_table(settings, Plate, "thermal"))
+    write_thermal_chart(folder, made, progress=progress)
+    return made.chart
+
+
+MAKERS: dict[ChartKind, Callable[[Design, Mapping[str, Any], Path, Progress | None], Chart]] = {
+    "screen": _screen,
+    "print": _print,
+    "thermal": _thermal,
+}
 """Functions that write a chart into an empty folder, by kind."""

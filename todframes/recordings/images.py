@@ -58,8 +58,8 @@ def read_header(path: Path) -> StillHeader:
     image = _open(path)
     try:
         name = image.format_name()
-        if name in ("openexr", "png"):
-            return _exr_or_png_header(path, image.spec())
+        if name == "openexr":
+            return _exr_header(path, image.spec())
         spec, n_pages = image.spec(), 1
         header = _layout(path, spec)
         while image.seek_subimage(n_pages, 0):
@@ -123,7 +123,7 @@ def _open(path: Path) -> Any:
     return image
 
 
-def _exr_or_png_header(path: Path, spec: Any) -> StillHeader:
+def _exr_header(path: Path, spec: Any) -> StillHeader:
     with FrameFile(path) as frame:
         header = frame.header
     if (header.n_rows, header.n_columns) != (header.height, header.width):
@@ -132,7 +132,7 @@ def _exr_or_png_header(path: Path, spec: Any) -> StillHeader:
         (header.height, header.width),
         len(header.channels) > 1,
         1,
-        float(FULL_SCALE[header.pixel_type]) if header.pixel_type in FULL_SCALE else None,
+        None,
         frames_per_second=_rate(spec),
     )
 

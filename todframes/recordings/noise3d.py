@@ -11,7 +11,7 @@ Components", chapter 4.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from todframes._typing import FloatArray
 from todframes.errors import DataError, SettingsError
+from todframes.frames.display import REC_709_LUMINANCE_WEIGHTS
 from todframes.recordings.recording import Recording, RecordingWarning
 
 PARTS = {
@@ -36,10 +37,6 @@ PARTS = {
 
 DYNAMIC, STATIC = ("tv", "th", "tvh"), ("v", "h", "vh")
 """Parts of the dynamic noise of a pixel, and of the fixed pattern. Flicker of whole frames (t) is in neither."""
-
-
-LUMA = np.array([0.2126, 0.7152, 0.0722])
-"""Weights of R, G, B (Rec. ITU-R BT.709) with which colour is made grey."""
 
 
 MOST_SATURATED = 1e-3
@@ -70,6 +67,36 @@ class Part(NamedTuple):
     sd: float
     ci95: tuple[float, float]
     variance: float
+
+
+class Patch(NamedTuple):
+    """A uniform part of the frame of known luminance, reflectance or temperature."""
+
+    region: Region
+    level: float
+
+
+class PatchNoise(NamedTuple):
+    """Mean and noise of a patch, and the ratio of its difference from the first patch to that noise."""
+
+    level: float
+    mean: float
+    dynamic: Part | None
+    fixed: Part | None
+    snr: float
+
+
+class Transfer(NamedTuple):
+    """The straight line through the means of patches: values for a difference of one in level, and at level zero.
+
+    Errors are standard errors from the scatter about the line, None for two patches. `nonlinearity` is the largest
+    distance from the line, relative to the range of the means.
+    """
+
+    gain: float
+    gain_error: float | None
+    offset: float
+    nonlinearity: float
 
 
 class Drift(NamedTuple):
@@ -107,6 +134,9 @@ class Noise3D:
     frame_means : ndarray (n_frames,)
     unit : str
         "code", "counts" or "celsius".
+    patches : tuple of PatchNoise
+    transfer : Transfer or None
+        Signal transfer; None without patches.
     warnings : tuple of RecordingWarning
     """
 
@@ -122,7 +152,9 @@ class Noise3D:
     temporal_sd: FloatArray | None
     frame_means: FloatArray
     unit: str
-    warnings: tuple[RecordingWarning, ...]
+    patches: tuple[PatchNoise, ...] = ()
+    transfer: Transfer | None = None
+    warnings: tuple[RecordingWarning, ...] = ()
 
     @property
     def frames_integrated(self) -> int:
@@ -203,74 +235,102 @@ def measure_noise(
     recording: Recording,
     *,
     region: Region | None = None,
+    patches: Sequence[Patch] = (),
     progress: Callable[[int], None] | None = None,
 ) -> Noise3D:
     """Measure the three-dimensional noise of a recording of a scene that does not move.
 
-    Memory does not grow with the number of frames, but for one number a frame.
+    The frames are read once. Memory does not grow with their number, but for one number a frame.
 
     Parameters
     ----------
     recording : Recording
     region : (int, int, int, int), optional
         Left column, top row, width and height in pixels. Default: all.
+    patches : sequence of Patch
+        Regions of known levels, which give the signal transfer and a signal-to-noise ratio for each level.
     progress : function of an int, optional
         Called with 1 for each frame.
 
     Raises
     ------
     SettingsError
-        If the region is not within the frame, or has fewer than 2 rows or columns.
+        If a region is not within the frame, or has fewer than 2 rows or columns; or if the levels of patches are
+        all the same.
     DataError
         If a frame cannot be read.
     """
-    left, top, width, height = region = _checked(recording, region)
-    sums: _Sums | None = None
+    levels = {one.level for one in patches}
+    if patches and (len(levels) < 2 or not all(map(math.isfinite, levels))):
+        raise SettingsError(f"patches: found levels {sorted(levels)}, expected at least two different numbers")
+    places = [_checked(recording, one) for one in (region, *(patch.region for patch in patches))]
+    gathered = [_Gathered(place) for place in places]
     times: list[float | None] = []
-    ends = (recording.zero, recording.full_scale)
-    n_saturated, n_doubled = 0, 0
-    last: NDArray[Any] | None = None
     for frame in recording.frames():
-        values = frame.values[top : top + height, left : left + width]
-        grey = values.astype(np.float64) if values.ndim == 2 else values @ LUMA
-        sums = sums or _Sums(grey)
-        sums.add(grey)
         times.append(frame.time_s)
-        if recording.full_scale is not None:
-            n_saturated += int(np.count_nonzero((values <= ends[0]) | (values >= recording.full_scale)))
-        n_doubled += last is not None and np.array_equal(values, last)
-        last = values
+        for one in gathered:
+            one.add(frame.values, recording)
         if progress is not None:
             progress(1)
-    if sums is None or last is None:
+    if not times:
         raise DataError(f"{recording.path}: found no frame, expected at least one")
-    squares, degrees = sums.mean_squares()
-    weights = combinations(sums.n, *sums.reference.shape)
-    parts = {name: estimate(one, squares, degrees) for name, one in weights.items()}
-    dynamic = fixed = None
-    if sums.n > 1:
-        dynamic, fixed = (
-            estimate(_added([weights[name] for name in names]), squares, degrees) for names in (DYNAMIC, STATIC)
-        )
-    means = np.array(sums.frame_means) + float(sums.reference.mean())
-    drift = fit_drift(means, times)
-    measured = Noise3D(
-        n_frames=sums.n,
-        region=region,
-        mean=float(means.mean()),
-        parts=parts,
-        dynamic=dynamic,
-        fixed=fixed,
-        drift=drift,
-        frames_per_second=recording.frames_per_second,
-        mean_image=sums.mean_image(),
-        temporal_sd=sums.temporal_sd() if sums.n > 1 else None,
-        frame_means=means,
-        unit=recording.unit,
-        warnings=(),
+    whole, *of_patches = (one.measured(recording, times) for one in gathered)
+    shown = tuple(
+        PatchNoise(patch.level, one.mean, one.dynamic, one.fixed, one.snr(abs(one.mean - of_patches[0].mean)))
+        for patch, one in zip(patches, of_patches, strict=True)
     )
-    found = _warnings(measured, n_doubled, n_saturated / (sums.n * last.size), is_integer=last.dtype.kind == "u")
-    return replace(measured, warnings=(*recording.warnings, *found))
+    transfer = fit_transfer([one.level for one in shown], [one.mean for one in shown]) if shown else None
+    warnings = (*recording.warnings, *_warnings(whole, gathered[0]))
+    return replace(whole, patches=shown, transfer=transfer, warnings=warnings)
+
+
+class _Gathered:
+    """Sums over the frames of one region, and counts of what makes its noise doubtful."""
+
+    def __init__(self, region: Region) -> None:
+        self.region = region
+        self.sums: _Sums | None = None
+        self.n_saturated = self.n_doubled = 0
+        self.last: NDArray[Any] | None = None
+
+    def add(self, frame: NDArray[Any], recording: Recording) -> None:
+        left, top, width, height = self.region
+        values = frame[top : top + height, left : left + width]
+        grey = values.astype(np.float64) if values.ndim == 2 else values @ REC_709_LUMINANCE_WEIGHTS
+        self.sums = self.sums or _Sums(grey)
+        self.sums.add(grey)
+        if recording.full_scale is not None:
+            at_end = (values <= recording.zero) | (values >= recording.full_scale)
+            self.n_saturated += int(np.count_nonzero(at_end))
+        self.n_doubled += self.last is not None and np.array_equal(values, self.last)
+        self.last = values
+
+    def measured(self, recording: Recording, times: list[float | None]) -> Noise3D:
+        sums = self.sums
+        assert sums is not None
+        squares, degrees = sums.mean_squares()
+        weights = combinations(sums.n, *sums.reference.shape)
+        dynamic = fixed = None
+        if sums.n > 1:
+            dynamic, fixed = (
+                estimate(_added([weights[name] for name in names]), squares, degrees)
+                for names in (DYNAMIC, STATIC)
+            )
+        means = np.array(sums.frame_means) + float(sums.reference.mean())
+        return Noise3D(
+            n_frames=sums.n,
+            region=self.region,
+            mean=float(means.mean()),
+            parts={name: estimate(one, squares, degrees) for name, one in weights.items()},
+            dynamic=dynamic,
+            fixed=fixed,
+            drift=fit_drift(means, times),
+            frames_per_second=recording.frames_per_second,
+            mean_image=sums.mean_image(),
+            temporal_sd=sums.temporal_sd() if sums.n > 1 else None,
+            frame_means=means,
+            unit=recording.unit,
+        )
 
 
 def combinations(n_frames: int, n_rows: int, n_columns: int) -> dict[str, Combination]:
@@ -339,6 +399,19 @@ def fit_drift(frame_means: FloatArray, times_s: list[float | None]) -> Drift | N
     error = math.sqrt(float(rest @ rest) / (n - 2) / spread)
     duration = float(x[-1] - x[0])
     return Drift(slope, error, slope * duration, error * duration)
+
+
+def fit_transfer(levels: Sequence[float], means: Sequence[float]) -> Transfer:
+    """Fit a straight line to the means of patches of at least two different levels by least squares."""
+    x, y = np.array(levels, np.float64), np.array(means, np.float64)
+    centred = x - x.mean()
+    spread = float(centred @ centred)
+    gain = float(centred @ y) / spread
+    rest = y - y.mean() - gain * centred
+    error = math.sqrt(float(rest @ rest) / (len(x) - 2) / spread) if len(x) > 2 else None
+    reach = float(np.ptp(y))
+    nonlinearity = float(np.abs(rest).max()) / reach if reach > 0 else math.inf
+    return Transfer(gain, error, float(y.mean() - gain * x.mean()), nonlinearity)
 
 
 class _Sums:
@@ -415,18 +488,21 @@ def _checked(recording: Recording, region: Region | None) -> Region:
     return left, top, width, height
 
 
-def _warnings(noise: Noise3D, n_doubled: int, saturated: float, *, is_integer: bool) -> Iterator[RecordingWarning]:
+def _warnings(noise: Noise3D, gathered: _Gathered) -> Iterator[RecordingWarning]:
+    last = gathered.last
+    assert last is not None
+    saturated = gathered.n_saturated / (noise.n_frames * last.size)
     if noise.n_frames == 1:
         yield RecordingWarning(
             "one_frame",
             "one frame: its temporal noise cannot be told from its fixed pattern, and a scene that is not uniform "
             "counts as noise; record at least 2 frames, better 100",
         )
-    if n_doubled:
+    if gathered.n_doubled:
         yield RecordingWarning(
             "doubled_frames",
-            f"{n_doubled} of {noise.n_frames} frames repeat the frame before: temporal noise comes out too "
-            "low; record at the camera's own frame rate",
+            f"{gathered.n_doubled} of {noise.n_frames} frames repeat the frame before: temporal noise comes out "
+            "too low; record at the camera's own frame rate",
         )
     if saturated > MOST_SATURATED:
         yield RecordingWarning(
@@ -435,7 +511,7 @@ def _warnings(noise: Noise3D, n_doubled: int, saturated: float, *, is_integer: b
             "exposure or gain, or choose a region",
         )
     of_pixels = noise.parts.get("tvh")
-    if is_integer and of_pixels is not None and of_pixels.sd < SMALLEST_STEPS:
+    if last.dtype.kind == "u" and of_pixels is not None and of_pixels.sd < SMALLEST_STEPS:
         yield RecordingWarning(
             "quantised",
             f"the noise of pixels ({of_pixels.sd:.2g}) is below half a step of the recording: rounding decides "

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from todframes.errors import FrameError
-from todframes.recordings.recording import StillHeader, check_size, missing_extra
+from todframes.recordings.recording import RecordingWarning, StillHeader, check_size, missing_extra
 
 if TYPE_CHECKING:
     import rawpy
@@ -21,6 +21,13 @@ SUFFIXES = (
     *(".nef", ".nrw", ".orf", ".pef", ".raf", ".rw2", ".rwl", ".sr2", ".srf", ".srw", ".x3f"),
 )
 """Extensions of camera raw files; many of them are TIFF by content."""
+
+
+HALF = RecordingWarning(
+    "half_resolution",
+    "each cell of 2 x 2 of the mosaic gives the mean of its two green values: frames have half the rows and "
+    "columns of the sensor, and a pixel has twice its pitch",
+)
 
 
 def read_header(path: Path) -> StillHeader:
@@ -38,7 +45,8 @@ def read_header(path: Path) -> StillHeader:
         white, black = raw.white_level, [raw.black_level_per_channel[one] for one in used]
     rows, columns = values.shape
     check_size(path, (rows, columns))
-    return StillHeader((rows, columns), False, 1, float(white), float(np.mean(black)))
+    warnings = () if values.dtype.kind == "u" else (HALF,)
+    return StillHeader((rows, columns), False, 1, float(white), float(np.mean(black)), warnings=warnings)
 
 
 def read_frames(path: Path) -> Iterator[NDArray[Any]]:

@@ -221,11 +221,10 @@ def open_video(path: Path, *, frames_per_second: float | None = None) -> Recordi
                     f"players turn this video by {first.rotation}°: frames are read as recorded, without it",
                 )
             )
-        rate = frames_per_second or (float(stream.average_rate) if stream.average_rate else None)
+        # Of a stream without times, FFmpeg only guesses a rate.
+        average = None if first.pts is None or not stream.average_rate else float(stream.average_rate)
         duration_s = _duration_s(container, stream)
-        n_frames = stream.frames or (
-            round(duration_s * float(stream.average_rate)) if duration_s and stream.average_rate else None
-        )
+        n_frames = stream.frames or (round(duration_s * average) if duration_s and average else None)
 
     def read() -> Iterator[RecordedFrame]:
         return _frames(path, layout, (first.height, first.width), matrix, frames_per_second)
@@ -236,7 +235,7 @@ def open_video(path: Path, *, frames_per_second: float | None = None) -> Recordi
         shape=(first.height, first.width),
         is_colour=is_colour,
         n_frames=n_frames,
-        frames_per_second=rate,
+        frames_per_second=frames_per_second or average,
         full_scale=1.0 if to_unit else scale.full_scale,
         zero=0.0 if to_unit else scale.zero,
         warnings=tuple(warnings),

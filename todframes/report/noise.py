@@ -93,6 +93,20 @@ class NoiseResult:
         ]
         return Table.of("Signal-to-noise ratio of a pixel", "snr.csv", columns, self._snr())
 
+    def patch_table(self) -> Table | None:
+        """Return the mean, noise and signal-to-noise ratio of each patch; None if there are none."""
+        if not self.measured.patches:
+            return None
+        records = [
+            {"level": one.level, "mean": one.mean, "dynamic": _sd(one.dynamic), "fixed_pattern": _sd(one.fixed)}
+            | {"snr": one.snr}
+            for one in self.measured.patches
+        ]
+        headers = {"level": "level", "mean": "mean", "dynamic": "dynamic SD", "fixed_pattern": "fixed SD"}
+        columns = [Column(key=key, header=header) for key, header in headers.items()]
+        columns.append(Column(key="snr", header="SNR against the first"))
+        return Table.of("Patches", "patches.csv", columns, records)
+
     def sentences(self) -> list[str]:
         """Return the findings in words."""
         noise = self.measured
@@ -110,6 +124,13 @@ class NoiseResult:
             found.append(
                 f"Drift of the mean: {plain(noise.drift.slope)} ± {plain(noise.drift.slope_error, 2)} per {per}, "
                 f"{plain(noise.drift.change)} in all."
+            )
+        if (transfer := noise.transfer) is not None:
+            error = "" if transfer.gain_error is None else f" ± {plain(transfer.gain_error, 2)}"
+            per_unit = f"{plain(transfer.gain, 4)}{error} {UNITS[noise.unit]} per unit of level"
+            deviation = f"{plain(100 * transfer.nonlinearity, 2)} % of its range"
+            found.append(
+                f"Signal transfer: {per_unit}; patches deviate from a straight line by up to {deviation}."
             )
         return found
 
@@ -141,6 +162,11 @@ class NoiseResult:
             "drift": None if noise.drift is None else noise.drift._asdict(),
             "mk_per_unit": self.mk_per_unit,
             "snr": self._snr(),
+            "patches": [
+                one._asdict() | {"dynamic": self._json(one.dynamic), "fixed": self._json(one.fixed)}
+                for one in noise.patches
+            ],
+            "signal_transfer": None if noise.transfer is None else noise.transfer._asdict(),
         }
         return Result.made("noise", self.started, noise=found, warnings=self.warnings).to_json()
 
@@ -168,11 +194,11 @@ class NoiseResult:
         figure = self.figure()
         with style():
             picture = save_png(figure)
-        dynamic, snr = self.measured.dynamic, self.snr_table()
+        dynamic, more = self.measured.dynamic, (self.snr_table(), self.patch_table())
         known = dynamic is not None and dynamic.variance > 0
         return {
             "noise.csv": self.table().csv().encode(),
-            **({"snr.csv": snr.csv().encode()} if snr is not None else {}),
+            **{one.file: one.csv().encode() for one in more if one is not None},
             "noise.png": picture,
             **({"sensor_noise.toml": self.sensor_toml().encode()} if known else {}),
             "result.json": self.to_json(),
@@ -241,6 +267,10 @@ class NoiseResult:
         axes.set(title="Mean of each frame", xlabel="time (s)" if rate else "frame", ylabel=UNITS[noise.unit])
         axes.ticklabel_format(useOffset=False)
         axes.title.set_fontsize("medium")
+
+
+def _sd(part: Part | None) -> float | None:
+    return None if part is None else part.sd
 
 
 def _draw_image(axes: Axes, image: FloatArray, title: str, unit: str) -> None:

@@ -230,9 +230,9 @@ def load_result(path: Path | str) -> Result:
     >>> import tempfile
     >>> import todframes as tod
     >>> folder = tempfile.mkdtemp()
-    >>> tod.naked_eye(size_mrad=[1.0, 2.0]).save(folder)
+    >>> tod.fit_counts([0.1, 0.2, 0.4, 0.8], [12, 18, 30, 38], [40, 40, 40, 40]).save(folder)
     >>> len(tod.load_result(folder).thresholds)
-    2
+    1
     """
     path = Path(path)
     if (path / "result.json").is_file():

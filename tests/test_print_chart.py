@@ -1,0 +1,279 @@
+"""Charts on paper and thermal plates: lengths, greys and places read from the files, by code of its own."""
+
+from __future__ import annotations
+
+import csv
+import re
+import zlib
+from collections import Counter
+from pathlib import Path
+from xml.etree import ElementTree
+
+import cv2
+import numpy as np
+import pytest
+
+import todframes as tod
+from todframes.cli.console import run
+from todframes.cli.main import cli
+from todframes.recordings.chart_layout import Chart, Triangle, read_chart
+from todframes.recordings.markers import page_of
+from todframes.recordings.schedule import read_schedule
+
+MM_PER_POINT = 25.4 / 72.0
+SVG = "{http://www.w3.org/2000/svg}"
+CONTRASTS = [0.05, 0.2, 0.8]
+TURNS = {"up": 0, "right": 90, "down": 180, "left": 270}
+
+
+def corners_mm(one: Triangle) -> np.ndarray:
+    """Corners of an equilateral triangle of a given area about its centroid."""
+    side = one.size_mm * np.sqrt(4.0 / np.sqrt(3.0))
+    angles = np.radians(np.array([0.0, 120.0, 240.0]) + TURNS[one.orientation])
+    radius = side / np.sqrt(3.0)
+    return np.column_stack([one.x_mm + radius * np.sin(angles), one.y_mm - radius * np.cos(angles)])
+
+
+def same_triangle(found: np.ndarray, one: Triangle, tolerance_mm: float) -> bool:
+    distances = np.linalg.norm(found[:, None] - corners_mm(one)[None], axis=2)
+    return bool(distances.min(axis=1).max() < tolerance_mm)
+
+
+def polygons(path: Path) -> list[tuple[np.ndarray, str]]:
+    """Corners in mm and fill of each polygon of an SVG file whose user unit is a millimetre."""
+    root = ElementTree.parse(path).getroot()
+    size = root.get("width"), root.get("height")
+    assert root.get("viewBox") == f"0 0 {size[0].removesuffix('mm')} {size[1].removesuffix('mm')}"
+    return [
+        (np.array([pair.split(",") for pair in one.get("points").split()], float), one.get("fill"))
+        for one in root.iter(f"{SVG}polygon")
+    ]
+
+
+def pdf_paths(content: bytes) -> tuple[list[tuple[float, ...]], list[list[np.ndarray]]]:
+    """Sizes of a PDF's pages in mm, and the corners of the paths of each page, in mm from its top left corner."""
+    boxes = [
+        tuple(float(number) * MM_PER_POINT for number in found.split())
+        for found in re.findall(rb"/MediaBox \[([^\]]*)\]", content)
+    ]
+    pages = []
+    for stream in re.findall(rb"stream\r?\n(.*?)\r?\nendstream", content, re.DOTALL):
+        try:
+            text = zlib.decompress(stream).decode("latin-1")
+        except zlib.error:
+            continue
+        if text.startswith("/DeviceRGB"):  # else it is a letter of a font
+            paths = re.findall(r"((?:[-\d.]+ [-\d.]+ [ml]\n)+)h", text)
+            points = ([line.split()[:2] for line in path.splitlines()] for path in paths)
+            pages.append([np.array(one, float) * MM_PER_POINT for one in points])
+    height = boxes[0][3]
+    return boxes, [[np.column_stack([path[:, 0], height - path[:, 1]]) for path in page] for page in pages]
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory) -> tuple[Path, Chart]:
+    folder = tmp_path_factory.mktemp("chart") / "made"
+    asked = {"distance_m": 10, "sizes_mrad": [1, 2], "contrasts": CONTRASTS, "repeats": 2}
+    return folder, tod.chart("print", out=folder, paper_width_mm=300, paper_height_mm=250, **asked)
+
+
+def test_sheets_are_in_true_millimetres(made) -> None:
+    folder, chart = made
+    assert read_chart(folder) == chart
+    boxes, pages = pdf_paths((folder / "chart.pdf").read_bytes())
+    assert len(boxes) == len(pages) == len(chart.pages)
+    # Matplotlib writes six digits.
+    assert np.allclose(boxes, [0.0, 0.0, 300.0, 250.0], atol=1e-3)
+    for page, paths in zip(chart.pages, pages, strict=True):
+        root = ElementTree.parse(folder / page.file).getroot()
+        assert (root.get("width"), root.get("height")) == ("300mm", "250mm")
+        for kind, drawn in (("svg", [one for one, _ in polygons(folder / page.file)]), ("pdf", paths)):
+            found = [one[:3] for one in drawn if len(one) == 3]
+            assert len(found) == len(page.triangles), kind
+            for one in page.triangles:
+                assert sum(same_triangle(path, one, 1e-3) for path in found) == 1
+
+
+def test_greys_have_the_contrasts_that_are_stated(made) -> None:
+    folder, chart = made
+    for page in chart.pages:
+        drawn = polygons(folder / page.file)
+        background = reflectance(drawn[0][1])
+        for one in page.triangles:
+            (fill,) = [fill for path, fill in drawn if len(path) == 3 and same_triangle(path, one, 1e-3)]
+            assert reflectance(fill) / background - 1.0 == pytest.approx(one.contrast, rel=1e-5)
+            # Half a step of a code value is 1.2 % of the background here.
+            assert one.contrast == pytest.approx(one.contrast_asked or one.contrast, abs=0.013)
+        for patch in page.patches:
+            at = [fill for path, fill in drawn if np.allclose(path.mean(axis=0), [patch.x_mm, patch.y_mm])]
+            assert reflectance(at[0]) == pytest.approx(patch.reflectance, rel=1e-5)
+
+
+def reflectance(fill: str) -> float:
+    """Default paper, 0.85, and black, 0.04, with sRGB between them."""
+    code = int(re.fullmatch(r"rgb\((\d+),\1,\1\)", fill)[1]) / 255.0
+    return 0.04 + 0.81 * (code / 12.92 if code <= 0.04045 else ((code + 0.055) / 1.055) ** 2.4)
+
+
+def test_each_triangle_has_its_background_to_itself(made) -> None:
+    folder, chart = made
+    for page in chart.pages:
+        grey = polygons(folder / page.file)[0][0]
+        for one in page.triangles:
+            field = np.array([one.x_mm, one.y_mm]) + 2.5 * one.size_mm * np.array([[-1, -1], [1, 1]])
+            # An SVG has five decimals.
+            assert (field[0] >= grey.min(axis=0) - 1e-5).all() and (field[1] <= grey.max(axis=0) + 1e-5).all()
+            for other in page.triangles:
+                inside = (corners_mm(other) > field[0]) & (corners_mm(other) < field[1])
+                assert inside.all(axis=1).any() == (other is one)
+
+
+def test_each_condition_equally_often_and_sheets_of_one_size(made) -> None:
+    _, chart = made
+    shown = Counter(
+        (one.size_mrad, one.contrast, one.orientation) for page in chart.pages for one in page.triangles
+    )
+    assert len(shown) == 2 * len(CONTRASTS) * 4 and set(shown.values()) == {2}
+    assert all(len({one.size_mrad for one in page.triangles}) == 1 for page in chart.pages)
+    assert max(len(page.triangles) for page in chart.pages) > 1
+
+
+def test_markers_and_ruler(made) -> None:
+    folder, chart = made
+    px_per_mm = 10
+    for page in (chart.pages[0], chart.pages[-1]):
+        image = np.full((250 * px_per_mm, 300 * px_per_mm), 255, np.uint8)
+        drawn = polygons(folder / page.file)
+        for path, fill in drawn:
+            if fill != "none":
+                cv2.fillPoly(image, [np.rint(path * px_per_mm).astype(np.int32)], int(fill[4:].split(",")[0]))
+        detector = cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_5X5_1000))
+        found, ids, _ = detector.detectMarkers(image)
+        of_corner = {int(one) % 4: (int(one), corners[0]) for one, corners in zip(ids.ravel(), found, strict=True)}
+        assert page_of([of_corner[k][0] for k in range(4)]) == (page.number, chart.key)
+        centres = np.array([of_corner[k][1].mean(axis=0) for k in range(4)]) / px_per_mm
+        # Corners are found to whole pixels, two of which may be wrong by rounding.
+        assert np.abs(centres - chart.markers.centres_mm).max() < 2.0 / px_per_mm
+        ticks = sorted(path[0, 0] for path, _ in drawn if np.allclose(np.ptp(path, axis=0), [0.2, 3.0]))
+        assert np.allclose(np.diff(ticks), 10.0) and len(ticks) == 21
+
+
+def test_measured_reflectances(tmp_path: Path) -> None:
+    table = tmp_path / "measured.csv"
+    table.write_text("code_value,reflectance\n0,0.1\n100,0.2\n255,0.82\n", encoding="utf-8")
+    asked = {"distance_m": 10, "sizes_mrad": [1], "contrasts": [0.5], "repeats": 1, "reflectances": str(table)}
+    chart = tod.chart("print", out=tmp_path / "c", background_reflectance=0.2, **asked)
+    # 0.3 is 25 codes above 100, where a code is 0.004.
+    assert chart.pages[0].triangles[0].contrast == pytest.approx(0.5)
+    assert polygons(tmp_path / "c" / "sheets" / "00.svg")[0][1] == "rgb(100,100,100)"
+
+
+REFUSED = {
+    ("print", "--contrasts=5"): "contrasts: found 5, expected 0.012 to 1.82, which the paper's greys have",
+    ("print", "--contrasts=0.001"): "contrasts: found 0.001, expected 0.012",
+    ("print", "--contrasts=0.1,0.101"): "0.1 and 0.101 have the same printed grey",
+    (
+        "print",
+        "--sizes-mrad=8",
+    ): "8 mrad at 10 m are 80 mm, and with the background that the observer needs 400 mm",
+    ("print", "--paper=A9"): "--paper: found 'A9', expected A4, A3, A2, A1, A0, or WIDTH,HEIGHT",
+    ("print", "--paper=60,60"): "found 60 × 60, too small for markers of 4.8 mm",
+    ("print", "--reflectances=none.csv"): "none.csv: no such file",
+    ("print", "--background-reflectance=0.9"): "found 0.9, which is black or paper",
+    ("print", "--black-reflectance=0.9"): "black_reflectance: found 0.9, expected less",
+    ("print", "--width-px=9"): "width_px: is given, but a print chart has none; it is for screen",
+    ("thermal", "--sizes-mrad=0.05"): "0.05 mrad at 10 m are 0.5 mm, whose corners cannot be cut",
+    ("thermal", "--plate-mm=10"): "plate_mm: found 10, expected at least 50",
+    ("thermal", "--delta-t-k=0"): "contrasts or delta_t_k: found 0.0",
+    ("thermal", "--contrasts=0.1"): "contrasts: is given, but a thermal chart has none; expected delta_t_k",
+}
+
+
+@pytest.mark.parametrize(("kind", "option"), REFUSED)
+def test_what_cannot_be_printed_or_cut_is_one_line(kind: str, option: str, tmp_path: Path, capsys) -> None:
+    place = tmp_path / "chart"
+    given = ["--distance-m=10", "--sizes-mrad=1", option, "-o", str(place)]
+    assert run(cli, ["chart", f"--for={kind}", *given]) == 2
+    out, error = capsys.readouterr()
+    assert REFUSED[kind, option] in error
+    assert not out and error.count("\n") == 1
+    assert not place.exists()
+
+
+def test_wrong_tables_of_reflectances(tmp_path: Path, capsys) -> None:
+    table = tmp_path / "measured.csv"
+    for text, message in (
+        ("code_value,reflectance\n0,0.1\n255,0.1\n", "with rising code_value and reflectance"),
+        ("code_value,reflectance\n0,0.1\n200,0.2\n", "found no row for 0 or none for 255"),
+        ("code_value,reflectance\n0,x\n", "line 2: reflectance: found 'x'"),
+        ("code,reflectance\n", "column 'code_value' is missing"),
+    ):
+        table.write_text(text, encoding="utf-8")
+        given = ["--distance-m=10", "--sizes-mrad=1", f"--reflectances={table}", "-o", str(tmp_path / "c")]
+        assert run(cli, ["chart", "--for=print", *given]) == 2
+        assert message in capsys.readouterr().err
+
+
+@pytest.fixture(scope="module")
+def plates(tmp_path_factory) -> tuple[Path, Chart]:
+    folder = tmp_path_factory.mktemp("thermal") / "made"
+    asked = {"distance_m": 5, "sizes_mrad": [1, 4], "delta_t_k": [0.1, 0.5, 2], "repeats": 2, "polarity": -1}
+    return folder, tod.chart("thermal", out=folder, **asked)
+
+
+def test_plates_have_holes_of_the_right_size(plates) -> None:
+    folder, chart = plates
+    assert read_chart(folder) == chart
+    boxes, pages = pdf_paths((folder / "plates.pdf").read_bytes())
+    for place, size_mrad in enumerate((1, 4)):
+        drawing = folder / "plates" / f"plate_{size_mrad}_mrad.svg"
+        size_mm = 5.0 * size_mrad
+        side = size_mm * np.sqrt(4.0 / np.sqrt(3.0))
+        assert f"side {side:.3f} mm" in drawing.read_text(encoding="utf-8")
+        # The first path of a PDF is the white page.
+        for plate, hole in ([path for path, _ in polygons(drawing)][:2], pages[place][1:3]):
+            assert np.allclose(np.ptp(plate, axis=0), chart.page_width_mm, atol=1e-3)
+            hole = hole[:3]  # an outline ends where it began
+            sides = np.linalg.norm(hole - np.roll(hole, 1, axis=0), axis=1)
+            assert np.allclose(sides, side, atol=1e-3)
+            assert np.allclose(hole.mean(axis=0), plate[:4].mean(axis=0), atol=1e-3)
+    assert chart.page_width_mm == 100.0
+    assert np.allclose(boxes, [0, 0, 140, 140], atol=1e-3)
+
+
+def test_settings_are_balanced_and_change_the_plate_once(plates) -> None:
+    folder, chart = plates
+    rows = list(csv.DictReader((folder / "schedule.csv").read_text(encoding="utf-8").splitlines()))
+    shown = [(float(row["size_mrad"]), -float(row["delta_t_k"]), row["orientation"]) for row in rows]
+    in_chart = [page.triangles[0] for page in chart.pages]
+    assert shown == [(one.size_mrad, one.delta_t_k, one.orientation) for one in in_chart]
+    assert set(Counter(shown).values()) == {2} and len(set(shown)) == 24
+    assert len({size for size, _, _ in shown[:24]}) == len({size for size, _, _ in shown[24:]}) == 1
+    for first in range(0, 48, 4):  # the black body keeps its temperature for all four orientations
+        assert len({level for _, level, _ in shown[first : first + 4]}) == 1
+    for first in range(0, 48, 12):
+        assert len(set(shown[first : first + 12])) == 12
+
+
+def test_a_filled_in_schedule_is_read_by_import(plates, tmp_path: Path) -> None:
+    folder, chart = plates
+    lines = (folder / "schedule.csv").read_text(encoding="utf-8").splitlines()
+    assert lines[0].startswith("file,start_s,end_s,")
+    filled = [f"clip.mkv,{2 * k},{2 * k + 1}{line.removeprefix(',,')}" for k, line in enumerate(lines[1:])]
+    (tmp_path / "schedule.csv").write_text("\n".join([lines[0], *filled]), encoding="utf-8")
+    trials = read_schedule(tmp_path / "schedule.csv", level="delta_t_k")
+    assert len(trials) == len(chart.pages)
+    for trial, page in zip(trials, chart.pages, strict=True):
+        one = page.triangles[0]
+        assert (trial.orientation, trial.size_mrad) == (one.orientation, one.size_mrad)
+        assert trial.polarity * trial.level == one.delta_t_k
+
+
+def test_commands_say_what_to_do(tmp_path: Path, capsys) -> None:
+    given = ["--distance-m=10", "--sizes-mrad=1", "--repeats=1"]
+    assert run(cli, ["chart", "--for=print", *given, "--paper=a4", "-o", str(tmp_path / "a")]) == 0
+    shown = capsys.readouterr().out
+    assert "2 sheets" in shown and "at 100 %" in shown and "0.4037" in shown
+    assert run(cli, ["chart", "--for=thermal", *given, "--delta-t-k=0.5", "-o", str(tmp_path / "b")]) == 0
+    shown = capsys.readouterr().out
+    assert "4 settings" in shown and "15.20" in shown and "schedule.csv" in shown
