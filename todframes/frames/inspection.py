@@ -437,7 +437,7 @@ class _CodeCounts:
 class _Model(NamedTuple):
     """A blurred triangle in each orientation, and its derivatives by its parameters.
 
-    `images` has shape (4, n, n), `slopes` (4, parameters, n, n); parameters in the order of `_AMPLITUDE` to `_TURN`.
+    `images` has shape (4, n, n), `slopes` (4, parameters, n, n); parameters are counted as by `_X`.
     """
 
     images: FloatArray
