@@ -437,7 +437,7 @@ class _CodeCounts:
 class _Model(NamedTuple):
     """A blurred triangle in each orientation, and its derivatives by its parameters.
 
-    `images` has shape (4, n, n), `slopes` (4, parameters, n, n); parameters as in `_PARAMETERS`.
+    `images` has shape (4, n, n), `slopes` (4, parameters, n, n); parameters are counted as by `_X`.
     """
 
     images: FloatArray
@@ -450,16 +450,14 @@ _AMPLITUDE, _X, _Y, _SIZE, _BLUR, _TURN = range(6)
 
 def _model(n: int, values: FloatArray) -> _Model:
     """Compute the picture of a triangle on n × n blocks, in each orientation."""
-    from scipy.ndimage import gaussian_filter, laplace
+    from scipy.ndimage import laplace
 
-    amplitude, x, y, size, variance, turn = values
+    amplitude, x, y, size, _, turn = values
     middle = (n - 1) / 2.0
     v, u = np.mgrid[:n, :n] - middle
     u, v = u - x, v - y
     images, slopes = [], []
-    for orientation in ORIENTATIONS:
-        image = coverage((n, n), size_px=size, x_px=middle + x, y_px=middle + y, orientation=orientation)
-        image = gaussian_filter(image, math.sqrt(variance), mode="constant", truncate=6.0)
+    for image in _unturned(n, values):
         down, right = np.gradient(image)
         around = v * right - u * down  # change by a clockwise turn, y down
         image = image + turn * around
@@ -469,6 +467,20 @@ def _model(n: int, values: FloatArray) -> _Model:
                       amplitude * laplace(image) / 2.0, amplitude * around])
         )  # fmt: skip
     return _Model(np.array(images), np.array(slopes))
+
+
+def _unturned(n: int, values: FloatArray) -> FloatArray:
+    """Compute the picture without its amplitude and its rotation from the orientations: (4, n, n)."""
+    from scipy.ndimage import gaussian_filter
+
+    _, x, y, size, variance, _ = values
+    middle = (n - 1) / 2.0
+    sharp = [
+        coverage((n, n), size_px=size, x_px=middle + x, y_px=middle + y, orientation=one) for one in ORIENTATIONS
+    ]
+    return np.array(
+        [gaussian_filter(image, math.sqrt(variance), mode="constant", truncate=6.0) for image in sharp]
+    )
 
 
 FOUND = 2e-4
@@ -738,7 +750,7 @@ def _found_place(mean: FloatArray, size: float) -> tuple[tuple[float, float, flo
 
 def _found_turn(triangles: FloatArray, weights: FloatArray, values: FloatArray) -> tuple[str, float]:
     """Find what was done to the orientations, and how much more like the frames that is than as stated."""
-    images = _model(triangles.shape[1], values).images
+    images = values[_AMPLITUDE] * _unturned(triangles.shape[1], values)
     shown = np.flatnonzero(weights)
     differ = triangles - np.average(triangles, axis=0, weights=weights)
     like = np.einsum("ayx,byx->ab", differ, images - images.mean(axis=0), optimize=True)
@@ -866,7 +878,7 @@ def _unevenness(
         return {}
     static, triangles, share = _separated(seen, level, relative, turns)
     noise = seen - static - level[:, None, None] * triangles[turns]
-    images = _model(n, np.array([1.0, 0.0, 0.0, size, np.square(LEAST_BLUR), 0.0])).images
+    images = _unturned(n, np.array([1.0, 0.0, 0.0, size, np.square(LEAST_BLUR), 0.0]))
     differ = images - images.mean(axis=0)
     energy = float(np.square(differ).sum()) / 4.0
     if not energy > 0.0:  # within one pixel all orientations are alike

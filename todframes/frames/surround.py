@@ -101,8 +101,8 @@ class Surface(NamedTuple):
         Rows and columns that belong to the background. Beyond them lies something else, such as a dark border.
     window : Window
         Rows and columns that were searched; `extent` lies within.
-    noise_cd_m2, residual_cd_m2 : float
-        Standard deviation of the means of neighbouring blocks, and that of the blocks from the surface.
+    noise_cd_m2 : float
+        Standard deviation of the means of neighbouring blocks.
     block_px : int
     """
 
@@ -112,7 +112,6 @@ class Surface(NamedTuple):
     extent: Window
     window: Window
     noise_cd_m2: float
-    residual_cd_m2: float
 
     def luminance(self, rows: Range, columns: Range) -> FloatArray:
         """Compute the background's luminance in cd/m² in half-open ranges of rows and columns: (rows, columns)."""
@@ -217,12 +216,12 @@ class SurroundSums:
         noise = blocks.noise(means)
         kept = blocks.extent(means)
         fitted = _Fitted.of(spans, self.block_px, hole, *kept)
-        coefficients, residual = fitted.surface(means, noise)
+        coefficients = fitted.surface(means, noise)
         extent = Window(*(
             (int(edges[first]) + at, int(edges[stop]) + at)
             for edges, (first, stop), at in zip(blocks.edges, kept, middle, strict=True)
         ))  # fmt: skip
-        return Surface(coefficients, middle, fitted.scale_px, extent, window, noise, residual)
+        return Surface(coefficients, middle, fitted.scale_px, extent, window, noise)
 
 
 Spans = tuple[Range, ...]
@@ -312,8 +311,8 @@ class _Fitted(NamedTuple):
                 terms[degree] = _terms(x / scale, y / scale, degree)
         return _Fitted(places, blocks.counts[places] / block_px**2, terms, scale)
 
-    def surface(self, block_means: FloatArray, noise: float) -> tuple[FloatArray, float]:
-        """Fit a surface; return its coefficients, (5, 5), and the standard deviation of the blocks from it."""
+    def surface(self, block_means: FloatArray, noise: float) -> FloatArray:
+        """Fit a surface; return its coefficients, (5, 5)."""
         means = block_means[self.places]
         degree, (found, scale) = 0, _robust(np.ones((len(means), 1)), means, self.share)
         if not found[0] > 0.0:
@@ -327,7 +326,7 @@ class _Fitted(NamedTuple):
         coefficients = np.zeros((5, 5))
         for (i, j), value in zip(_exponents(degree), found, strict=True):
             coefficients[i, j] = value
-        return coefficients, scale
+        return coefficients
 
 
 def _exponents(degree: int) -> list[tuple[int, int]]:
