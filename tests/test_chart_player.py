@@ -1,4 +1,4 @@
-"""The player of a chart in a browser: what it shows are the code values of the pages, for the time that is set.
+"""Charts in a browser: the player shows the code values of the pages, each for its time; sheets have true size.
 
 Chromium is driven over its debugging pipe. Skipped where there is no Chromium.
 """
@@ -219,3 +219,30 @@ def test_its_panel_fits_a_desk_and_a_phone(chart: Path, browser, width: int) -> 
     )
     assert page.value("innerWidth") == width
     assert page.value("document.documentElement.scrollWidth") <= width
+
+
+def test_a_sheet_has_its_true_size(tmp_path: Path, browser) -> None:
+    """A browser has 96 pixels an inch."""
+    asked = {"distance_m": 10, "sizes_mrad": [3], "contrasts": [0.8], "repeats": 1}
+    chart = tod.chart("print", out=tmp_path / "c", **asked)
+    mm_per_px = 25.4 / 96.0
+    page = browser()
+    width, height = (round(side / mm_per_px) for side in (chart.page_width_mm, chart.page_height_mm))
+    page.call("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=False)
+    page.call("Page.navigate", url=(tmp_path / "c" / chart.pages[0].file).as_uri())
+    page.until("document.readyState === 'complete' && document.documentElement.tagName === 'svg'")
+    grey = cv2.cvtColor(page.picture(), cv2.COLOR_BGR2GRAY)
+    detector = cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_5X5_1000))
+    found, ids, _ = detector.detectMarkers(grey)
+    centres = {int(one) % 4: corners[0].mean(axis=0) for one, corners in zip(ids.ravel(), found, strict=True)}
+    shown_mm = np.array([centres[k] + 0.5 for k in range(4)]) * mm_per_px
+    assert np.abs(shown_mm - chart.markers.centres_mm).max() < mm_per_px
+    for one in chart.pages[0].triangles:
+        y, x = (np.mgrid[:height, :width] + 0.5) * mm_per_px
+        near = np.maximum(np.abs(x - one.x_mm), np.abs(y - one.y_mm)) < 1.1 * one.size_mm
+        excess = np.where(near, grey.astype(float) - np.median(grey[near]), 0.0)
+        share = excess / excess.max()
+        # The browser places edges to a fraction of a pixel, of which √(area) has 113.
+        assert np.sqrt(share.sum()) * mm_per_px == pytest.approx(one.size_mm, rel=0.01)
+        centroid = [(share * place).sum() / share.sum() for place in (x, y)]
+        assert centroid == pytest.approx([one.x_mm, one.y_mm], abs=mm_per_px / 2.0)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import struct
 import tracemalloc
 from dataclasses import replace
 from pathlib import Path
@@ -15,6 +16,8 @@ import sensor_sim as ss
 import todframes as tod
 from sensor_sim.noise import displayed_noise, unit_fixed_pattern
 from todframes.cli.main import main
+from todframes.recordings.chart_layout import Chart, Markers, Page, Patch, Triangle, write_chart
+from todframes.recordings.markers import marker_bits, marker_ids
 from todframes.recordings.noise3d import PARTS, combinations, estimate, fit_drift, measure_noise
 from todframes.recordings.opening import open_recordings
 
@@ -248,12 +251,77 @@ def test_patches_give_the_signal_transfer(tmp_path, capsys):
     given = [
         text for place, level in places.items() for text in ("--patch", ",".join(map(str, place)) + f"={level}")
     ]
-    status, out, _ = run(capsys, "noise", tmp_path / "a.npy", *given, "--json", "-o", tmp_path / "out")
+    status, out, _ = run(capsys, "noise", tmp_path / "a.npy", *given, "--json")
     assert status == 0
     assert json.loads(out)["noise"]["signal_transfer"]["gain"] == noise.transfer.gain
-    assert (tmp_path / "out" / "patches.csv").read_text().count("\n") == 5
+    status, out, _ = run(capsys, "noise", tmp_path / "a.npy", *given)
+    assert "Signal transfer: " in out
+    assert "SNR against the first" in out
     with pytest.raises(tod.SettingsError, match=r"patches: found levels \[5.0\], expected at least two different"):
         tod.noise(tmp_path / "a.npy", patches={(0, 0, 5, 5): 5.0, (5, 5, 5, 5): 5.0})
+
+
+def page_of_patches(chart, scale, patches):
+    """Draw a page by hand: markers and patches of known values on 200, `scale` pixels a mm."""
+    image = np.full((round(chart.page_height_mm * scale), round(chart.page_width_mm * scale)), 200.0)
+
+    def fill(x_mm, y_mm, width_mm, height_mm, value):
+        left, top = round((x_mm - width_mm / 2) * scale), round((y_mm - height_mm / 2) * scale)
+        image[top : top + round(height_mm * scale), left : left + round(width_mm * scale)] = value
+
+    module_mm = chart.markers.side_mm / 7
+    for (x_mm, y_mm), one in zip(chart.markers.centres_mm, marker_ids(0, chart.key), strict=True):
+        fill(x_mm, y_mm, chart.markers.side_mm, chart.markers.side_mm, 20)
+        for row, column in np.argwhere(marker_bits(one)):
+            fill(x_mm + (column - 3) * module_mm, y_mm + (row - 3) * module_mm, module_mm, module_mm, 200)
+    for patch, value in zip(chart.pages[0].patches, patches, strict=True):
+        fill(patch.x_mm, patch.y_mm, patch.width_mm, patch.height_mm, value)
+    return image
+
+
+@pytest.mark.parametrize("turn", [0, 1, 2])
+def test_the_patches_of_a_chart_are_found(tmp_path, turn):
+    levels = (0.1, 0.3, 0.6, 0.8)
+    chart = Chart(
+        kind="print",
+        name="patches",
+        key=7,
+        distance_m=2.0,
+        page_width_mm=200.0,
+        page_height_mm=150.0,
+        markers=Markers.in_corners(width_mm=200, height_mm=150, module_mm=4, margin_mm=4),
+        pages=(
+            Page(
+                number=0,
+                triangles=(
+                    Triangle(orientation="up", size_mrad=5.0, size_mm=10.0, x_mm=100.0, y_mm=50.0, contrast=-0.5),
+                ),
+                patches=tuple(
+                    Patch(x_mm=60 + 25 * k, y_mm=100, width_mm=20, height_mm=16, reflectance=one)
+                    for k, one in enumerate(levels)
+                ),
+            ),
+        ),
+        polarity=-1,
+    )
+    write_chart(tmp_path / "chart.toml", chart)
+    image = np.rot90(page_of_patches(chart, 3.0, [40 + 200 * one for one in levels]), turn)
+    frames = image + np.random.default_rng(16).normal(0, 1, (5, *image.shape))
+    np.save(tmp_path / "a.npy", frames.astype(np.float32))
+    result = tod.noise(tmp_path / "a.npy", chart=tmp_path / "chart.toml")
+    transfer = result.measured.transfer
+    # A patch shows only its own value: 5 · 33 · 42 pixels and more, SD 1, so means to 0.012, 0.01 of them in gain.
+    assert [one.level for one in result.measured.patches] == list(levels)
+    assert transfer.gain == pytest.approx(200, abs=0.2)
+    assert transfer.offset == pytest.approx(40, abs=0.1)
+    # 70 % of 60 × 48 pixels.
+    assert sorted(result.measured.region[2:]) == pytest.approx([0.7 * 48, 0.7 * 60], abs=1.5)
+    np.save(tmp_path / "b.npy", np.full((2, 300, 400), 100.0))
+    with pytest.raises(tod.DataError, match="found no page of a chart, expected its four markers"):
+        tod.noise(tmp_path / "b.npy", chart=tmp_path / "chart.toml")
+    write_chart(tmp_path / "chart.toml", replace(chart, key=8))
+    with pytest.raises(tod.DataError, match="found page 0 of the chart with the key 7, expected one of"):
+        tod.noise(tmp_path / "a.npy", chart=tmp_path / "chart.toml")
 
 
 def test_averaging_frames_lowers_dynamic_noise_alone(tmp_path):
@@ -334,6 +402,20 @@ def test_the_command_prints_and_writes_the_same_numbers(tmp_path, capsys):
     status, out, _ = run(capsys, "noise", tmp_path / "a.npy", *options)
     assert "Noise of a pixel: dynamic" in out
     assert "Drift of the mean" in out
+
+
+def test_a_folder_of_radiometric_files_has_their_scale(tmp_path):
+    one = tod.noise(REAL / "frame_000000.fff")
+    for name in ("a.fff", "b.fff", ".hidden"):
+        (tmp_path / name).write_bytes((REAL / "frame_000000.fff").read_bytes())
+    two = tod.noise(tmp_path)
+    assert two.mk_per_unit == pytest.approx(one.mk_per_unit)
+    assert [warning.code for warning in two.warnings] == ["doubled_frames", "quantised"]
+    data = bytearray((REAL / "frame_000000.fff").read_bytes())
+    place = data.index(struct.pack("<f", 364058.0))  # R1 of the file's constants
+    data[place : place + 4] = bytes(4)
+    (tmp_path / "c.fff").write_bytes(data)
+    assert tod.noise(tmp_path / "c.fff").mk_per_unit is None
 
 
 def test_a_real_thermal_frame_is_measured_in_mk(capsys):

@@ -291,6 +291,52 @@ def write(path, data):
     return path
 
 
+def two_pngs(folder):
+    for name in ("a.png", "b.png"):
+        tod.write_frame(folder / name, RNG.random((40, 60)))
+    return folder
+
+
+def one_dng(folder):
+    dng(folder / "a.dng", RNG.integers(600, 16000, (64, 96)).astype(np.uint16), black=512, white=16383)
+    return folder / "a.dng"
+
+
+def coloured_npy(folder):
+    np.save(folder / "a.npy", arrays_of("colour", "f4"))
+    return folder / "a.npy"
+
+
+def grey_video(folder):
+    import av
+
+    with av.open(str(folder / "a.mkv"), "w") as container:
+        stream = container.add_stream("ffv1", rate=25)
+        stream.width, stream.height, stream.pix_fmt = 64, 48, "gray16le"
+        for values in RNG.integers(0, 65536, (3, 48, 64)).astype(np.uint16):
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(values, format="gray16le")))
+        container.mux(stream.encode())
+    return folder / "a.mkv"
+
+
+@pytest.mark.parametrize(
+    "make", [two_pngs, one_dng, coloured_npy, grey_video, lambda d: write(d / "a.fff", fff(np.ones((40, 50))))]
+)
+def test_every_kind_keeps_the_contract_of_a_recording(tmp_path, make):
+    (recording,) = open_recordings(make(tmp_path), frames_per_second=20)
+    frames = list(recording.frames())
+    assert len(frames) == recording.n_frames
+    for number, frame in enumerate(frames):
+        assert frame.values.dtype in (np.uint8, np.uint16, np.float32)
+        assert frame.values.shape == recording.shape + (3,) * recording.is_colour
+        assert frame.values.flags.writeable  # the caller's own: the next frame does not overwrite it
+        assert frame.time_s == pytest.approx(number / 20)
+    assert len({frame.source for frame in frames}) == len(frames)
+    for frame, again in zip(frames, recording.frames(), strict=True):
+        np.testing.assert_array_equal(frame.values, again.values)
+    assert recording.full_scale is None or recording.full_scale > recording.zero
+
+
 def npy_claiming(shape, descr="<u2"):
     text = repr({"descr": descr, "fortran_order": False, "shape": shape}).encode()
     text += b" " * (118 - len(text) - 1) + b"\n"

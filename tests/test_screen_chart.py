@@ -153,6 +153,27 @@ def test_dither_keeps_the_sum() -> None:
     assert (dithered(luminance_of_code[codes], luminance_of_code) == codes).all()
 
 
+def test_a_blurred_dithered_triangle_is_the_ideal_one(tmp_path: Path) -> None:
+    """Standard deviation of the difference inside the triangle, as a share of the contrast: docs/charts.md."""
+    asked = {"distance_m": 10, "sizes_mrad": [1], "contrasts": [0.005, 0.01, 0.03], "repeats": 1}
+    chart = tod.chart("screen", out=tmp_path / "c", **asked, **MONITOR)
+    most = {(0.005, 1.0): 0.13, (0.005, 2.0): 0.045, (0.01, 1.0): 0.075, (0.01, 2.0): 0.025}
+    most |= {(0.03, 1.0): 0.035, (0.03, 2.0): 0.0125}
+    box = np.s_[190:-190, 270:-270]
+    for page in chart.pages:
+        (triangle,) = page.triangles
+        codes = cv2.imread(str(tmp_path / "c" / page.file), -1)[box]
+        shape = {"orientation": triangle.orientation, "size_px": 40.0}
+        middle = {"x_px": (codes.shape[1] - 1) / 2, "y_px": (codes.shape[0] - 1) / 2}
+        covered = tod.coverage(codes.shape, **shape, **middle)
+        ideal = triangle.contrast * covered
+        excess = srgb(codes / 255.0) / chart.screen.background_luminance_cd_m2 - 1.0
+        for blur_px in (1.0, 2.0):
+            left = cv2.GaussianBlur(excess - ideal, (0, 0), blur_px)[covered > 0.0]
+            asked_for = round(triangle.contrast_asked or triangle.contrast, 4)
+            assert np.sqrt(np.mean(left**2)) < most[asked_for, blur_px] * triangle.contrast
+
+
 def test_dither_has_no_coarse_grain() -> None:
     thresholds = blue_noise()
     assert np.array_equal(np.sort(thresholds, axis=None), (np.arange(TILE**2) + 0.5) / TILE**2)
@@ -185,15 +206,19 @@ REFUSED = {
     "--distance-m=1000000": "sizes_mrad: 1 mrad at 1e+06 m are 1e+06 mm",
     "--pixel-pitch-mm=0": "pixel_pitch_mm: found 0.0",
     "--eotf=gamma": "gamma: is missing",
-    "--marker-mm=1": "marker_mm: found 1, which is less than 2 pixels a module",
-    "--marker-mm=130": "marker_mm: found 130, too large for a page of 160 mm",
+    "--marker-mm=1": "marker_mm: found 1, expected 3.5 (two pixels a module) to 24 (a fifth of the page)",
+    "--marker-mm=130": "marker_mm: found 130, expected 3.5 (two pixels a module) to 24 (a fifth of the page)",
+    "--marker-mm=nan": "marker_mm: found nan",
+    "--white-luminance-cd-m2=nan": "white_luminance_cd_m2: found nan",
+    "--white-luminance-cd-m2=-1": "white_luminance_cd_m2: found -1.0",
+    "--width-px=8": "marker_mm: found 0.3, expected 3.5",
     "--background-luminance-cd-m2=100": "background_luminance_cd_m2: found 100, which is black or white",
     "--black-luminance-cd-m2=100": "black_luminance_cd_m2: found 100.0",
-    "--repeats=1400": "found 5600 pages, whose chart.toml would be longer than 1 MB",
     "--repeats=20000": "found 80000 triangles",
     "--width-px=100000": "width_px: found 100000",
     "--plate-mm=9": "plate_mm: is given, but a screen chart has none; it is for thermal",
     "--delta-t-k=1": "delta_t_k: is given, but a screen chart has none; expected contrasts",
+    "--name=a\nb": "name: found 'a\\nb', expected a text of one line",
     "--bits=9": "Invalid value for '--bits'",
 }
 
@@ -232,6 +257,12 @@ def test_an_interrupted_chart_leaves_nothing_and_a_finished_one_stays(tmp_path: 
     assert not (tmp_path / "c").exists()
     first = tod.chart("screen", **asked, **MONITOR)
     with pytest.raises(OutputError, match=r"is not empty; expected a new name, or --overwrite"):
+        tod.chart("screen", seed=2, **asked, **MONITOR)
+    assert read_chart(tmp_path / "c") == first
+    # What a killed run leaves does not make the chart look unfinished.
+    (tmp_path / "c" / ".todframes-staging").mkdir()
+    (tmp_path / "c" / ".todframes-staging" / "lock").touch()
+    with pytest.raises(OutputError, match=r"is not empty"):
         tod.chart("screen", seed=2, **asked, **MONITOR)
     assert read_chart(tmp_path / "c") == first
     second = tod.chart("screen", seed=2, overwrite=True, **asked, **MONITOR)

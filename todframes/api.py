@@ -504,6 +504,7 @@ def noise(
     *,
     region: tuple[int, int, int, int] | None = None,
     patches: Mapping[tuple[int, int, int, int], float] | None = None,
+    chart: PathLike | None = None,
     signal: float | Sequence[float] = (),
     mk_per_count: float | None = None,
     frames_per_second: float | None = None,
@@ -522,6 +523,9 @@ def noise(
     patches : mapping, optional
         Uniform parts of the frame, as `region`, and the level of each: luminance, reflectance or temperature.
         They give the signal transfer, and a signal-to-noise ratio for each level.
+    chart : path, optional
+        `chart.toml` of the chart that the recording shows: its patches are found by its markers. Default of
+        the region is then the largest patch.
     signal : float or sequence of float
         Differences of the values, whose signal-to-noise ratios are given too.
     mk_per_count : float, optional
@@ -557,7 +561,7 @@ def noise(
     '2.0 from frame to frame, 1.0 fixed'
     """
     started = time.perf_counter()
-    from todframes.recordings.noise3d import Patch, measure_noise
+    from todframes.recordings.noise3d import FramePatch, measure_noise
     from todframes.recordings.opening import open_recordings
     from todframes.recordings.radiometric import mk_per_count_of
     from todframes.report.noise import noise_result
@@ -568,7 +572,12 @@ def noise(
     if len(found) != 1:
         names = ", ".join(str(one.path) for one in found[:3])
         raise DataError(f"noise: found {len(found)} recordings ({names} …), expected one")
-    levels = [Patch(place, float(level)) for place, level in (patches or {}).items()]
+    levels = [FramePatch(place, float(level)) for place, level in (patches or {}).items()]
+    if chart is not None:
+        from todframes.recordings.chart_patches import find_patches
+
+        levels += find_patches(found[0], Path(chart))
+        region = region or max((one.region for one in levels), key=lambda place: place[2] * place[3])
     measured = measure_noise(found[0], region=region, patches=levels, progress=progress)
     if mk_per_count is None:
         mk_per_count = mk_per_count_of(found[0], measured.mean)

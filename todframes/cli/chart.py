@@ -243,7 +243,7 @@ def _remarks(chart: Chart) -> list[str]:
         return remarks
     if chart.kind == "print":
         return [
-            "Print chart.pdf at 100 %, without fitting to the page, and check the ruler. Contrasts are nominal: "
-            "measure the grey patches and make the chart again with --reflectances."
+            "Print chart.pdf at 100 %, without fitting to the page, and check the ruler. Without --reflectances, "
+            "contrasts are nominal: measure the grey patches and make the chart again."
         ]
     return ["Record the settings of schedule.csv in its order, and fill in file, start_s and end_s."]

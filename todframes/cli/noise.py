@@ -35,6 +35,12 @@ from todframes.errors import SettingsError
     help="A uniform part of the frame and its luminance, reflectance or temperature, for the signal transfer; "
     "repeatable.",
 )
+@click.option(
+    "--chart",
+    type=click.Path(path_type=Path),
+    metavar="CHART.toml",
+    help="The chart that RECORDING shows: its patches are found by its markers, and the largest is the region.",
+)
 @click.option("--signal", metavar="S[,S…]", help="Differences of the values; prints their signal-to-noise ratios.")
 @click.option(
     "--mk-per-count",
@@ -55,6 +61,7 @@ def noise(
     out: str | None,
     region: str | None,
     patches: tuple[str, ...],
+    chart: Path | None,
     signal: str | None,
     mk_per_count: float | None,
     frames_per_second: float | None,
@@ -80,6 +87,7 @@ def noise(
                 recording,
                 region=None if region is None else _region(region),
                 patches=dict(map(_patch, patches)),
+                chart=chart,
                 signal=() if signal is None else numbers(signal, "--signal"),
                 mk_per_count=mk_per_count,
                 frames_per_second=frames_per_second,

@@ -52,7 +52,9 @@ UNITS_S = {"": 1.0, "s": 1.0, "ms": 1e-3}
     metavar="LOW:HIGH",
     help="Recorded values that the display shows black and white; needed for temperatures and counts.",
 )
-@click.option("--fps", type=float, metavar="N", help="Frames in a second, in place of what the files say.")
+@click.option(
+    "--frames-per-second", type=float, metavar="N", help="Frames in a second, in place of what the files say."
+)
 @click.option(
     "--ifov-mrad",
     type=float,
@@ -74,7 +76,7 @@ def import_command(
     out: str,
     integration_time: str,
     value_range: str | None,
-    fps: float | None,
+    frames_per_second: float | None,
     quiet: bool,
     **asked: Any,
 ) -> None:
@@ -88,7 +90,9 @@ def import_command(
     from todframes.recordings.importing import import_recordings, open_for_import
     from todframes.report.wording import count
 
-    opened = open_for_import(recordings, asked["schedule"], level=asked["level"], frames_per_second=fps)
+    opened = open_for_import(
+        recordings, asked["schedule"], level=asked["level"], frames_per_second=frames_per_second
+    )
     numbers = [one.n_frames for one in opened]
     total = None if None in numbers else sum(number or 0 for number in numbers)
     with progress("importing", total, quiet=quiet) as advance:

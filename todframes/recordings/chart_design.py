@@ -51,7 +51,7 @@ class Design:
     polarity : {1, -1}
         Triangles are brighter (warmer) or darker (colder) than their background.
     name : str
-        Title of the chart.
+        Title of the chart, in one line.
 
     Raises
     ------
@@ -79,6 +79,10 @@ class Design:
                     )
             if len(set(values)) < len(values):
                 raise SettingsError(f"{name}: found {', '.join(map(repr, values))}, expected each value once")
+        if not self.name.isprintable():
+            raise SettingsError(
+                f"name: found {self.name!r}, expected a text of one line without control characters"
+            )
         if self.n_triangles > MOST_PAGES:
             raise SettingsError(
                 f"found {self.n_triangles} triangles (sizes × levels × 4 orientations × repeats), expected at "

@@ -155,9 +155,9 @@ def _screen(design: Design, settings: Mapping[str, Any], folder: Path, progress:
     if display is not None:
         table = _of_display(str(display)) | table
     table = SCREEN_DEFAULTS | table
-    marker_mm = table.pop("marker_mm", None)
+    marker_mm = convert(table.pop("marker_mm", None), float | None, "screen: marker_mm")
     white = convert(table["white_luminance_cd_m2"], float, "screen: white_luminance_cd_m2")
-    assert isinstance(white, float)
+    assert isinstance(white, float) and isinstance(marker_mm, float | None)
     table.setdefault("background_luminance_cd_m2", BACKGROUND_SHARE * white)
     screen = from_table(table, Screen, "screen")
     made = design_screen_chart(design, screen, marker_mm=marker_mm)

@@ -39,6 +39,11 @@ GAP = 1.5
 """Interval between frames, in frames, from which frames are missing."""
 
 
+TIME_TOLERANCE = 0.05
+"""Part of a frame's interval by which its time may be off: containers round times to 1 ms. Without it, the number
+of frames in 0.1 s would depend on that rounding at 25 frames/s, where 2 and 3 are as near."""
+
+
 Rectangle = tuple[int, int, int, int]
 """Half-open ranges of rows and columns: top, bottom, left, right."""
 
@@ -237,7 +242,7 @@ class Integration:
         is_gap = time_s - last > GAP * self.frame_s
         if self.time_s is None:
             return None
-        if is_gap or time_s - start >= self.time_s - self.frame_s / 2.0:
+        if is_gap or time_s - start >= self.time_s - (0.5 + TIME_TOLERANCE) * self.frame_s:
             return TrialEnd(self.is_whole, is_gap)
         return None
 
@@ -251,4 +256,4 @@ class Integration:
         """Whether the present trial covers the integration time, which a single frame does if it is short."""
         if self.time_s is None or self.frame_s is None or self._start_s is None or self._last_s is None:
             return True
-        return self._last_s - self._start_s >= self.time_s - GAP * self.frame_s
+        return self._last_s - self._start_s >= self.time_s - (1.5 + TIME_TOLERANCE) * self.frame_s

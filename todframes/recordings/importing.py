@@ -324,7 +324,8 @@ def _of_trials(
             if interval_s is None:
                 yield RecordingWarning(
                     "no_times",
-                    f"{recording.path}: has no times, so each frame is a trial of its own; --fps gives them",
+                    f"{recording.path}: has no times, so each frame is a trial of its own; "
+                    "--frames-per-second gives them",
                 )
             elif interval_s > 1.5 * time_s:
                 yield RecordingWarning(

@@ -43,6 +43,11 @@ MOST_STEPS, CONVERGED_PX = 8, 0.02
 leaves a small part of the motion that it corrects."""
 
 
+ENOUGH_MARKERS = 3
+"""Number of markers that a search has to find; the fourth's place follows from these, and its edges tell if it is
+there."""
+
+
 LARGEST_RESIDUAL = 0.2
 """Residual of the edges, in modules, above which the four markers are no chart."""
 
@@ -124,21 +129,22 @@ class MarkerFinder:
         return seen
 
     def _search(self, grey: NDArray[np.float32]) -> Sighting | None:
-        """Search the whole frame; as it was before where that has found something, else in all ways."""
+        """Search the whole frame, and its mirror image unless something was found the right way round before."""
         self.n_searched += 1
         eight_bits = _eight_bits(grey)
         for way in self._ways:
             corners = self._detected(eight_bits, *way)
             self.most_found = max(self.most_found, len(corners))
-            if len(corners) < 4:
+            if len(corners) < ENOUGH_MARKERS:
                 continue
+            known = sorted(corners)
             try:
-                start = fit_geometry(self._corners_mm, np.array([corners[k] for k in range(4)]))
+                start = fit_geometry(self._corners_mm[known], np.array([corners[k] for k in known]))
             except DataError:
                 continue
             seen = self._sighting(grey, start)
             if seen is not None:
-                self._ways = [way]
+                self._ways = [one for one in self._ways if one[1] == way[1]]
                 return seen
         return None
 

@@ -69,7 +69,7 @@ class Part(NamedTuple):
     variance: float
 
 
-class Patch(NamedTuple):
+class FramePatch(NamedTuple):
     """A uniform part of the frame of known luminance, reflectance or temperature."""
 
     region: Region
@@ -235,7 +235,7 @@ def measure_noise(
     recording: Recording,
     *,
     region: Region | None = None,
-    patches: Sequence[Patch] = (),
+    patches: Sequence[FramePatch] = (),
     progress: Callable[[int], None] | None = None,
 ) -> Noise3D:
     """Measure the three-dimensional noise of a recording of a scene that does not move.
@@ -247,7 +247,7 @@ def measure_noise(
     recording : Recording
     region : (int, int, int, int), optional
         Left column, top row, width and height in pixels. Default: all.
-    patches : sequence of Patch
+    patches : sequence of FramePatch
         Regions of known levels, which give the signal transfer and a signal-to-noise ratio for each level.
     progress : function of an int, optional
         Called with 1 for each frame.
@@ -371,13 +371,14 @@ def estimate(weights: Combination, squares: Mapping[str, float], degrees: Mappin
     interval is the modified large-sample one: exact for one mean square, and near 95 % for sums and differences.
     Graybill & Wang 1980; Burdick & Graybill 1992, "Confidence Intervals on Variance Components", section 3.2.
     """
-    from scipy.stats import chi2
+    from scipy.special import gammaincinv
 
     variance, below, above = 0.0, 0.0, 0.0
     for name, weight in weights.items():
         term, df = weight * squares[name], degrees[name]
         variance += term
-        down, up = 1 - df / chi2.ppf(0.975, df), df / chi2.ppf(0.025, df) - 1
+        chi2_high, chi2_low = (2 * float(gammaincinv(df / 2, p)) for p in (0.975, 0.025))
+        down, up = 1 - df / chi2_high, df / chi2_low - 1
         below += (term * (down if weight > 0 else up)) ** 2
         above += (term * (up if weight > 0 else down)) ** 2
     ends = variance - math.sqrt(below), variance + math.sqrt(above)

@@ -51,9 +51,23 @@ N_PATCHES = 12
 
 
 RULER_MM, RULER_STEP_MM, LEAST_RULER_MM = 200.0, 10.0, 50.0
+"""Longest ruler, distance of its marks, and step of its length, which is also the shortest ruler."""
+
+
+TICK_MM, LINE_MM = 3.0, 0.2
+
+
+LINE_SPACING = 1.3
+"""Distance of lines of text in heights of a letter."""
 
 
 WHITE = 255
+
+LEAST_SIZE_MM = 2.0
+"""Smallest √(area) on paper: the dots by which a printer makes grey would show in smaller triangles."""
+
+
+PaperLength = Annotated[float, Meta(ge=10.0, le=2000.0)]
 
 Reflectance = Annotated[float, Meta(ge=0.0, le=2.0)]
 
@@ -83,8 +97,8 @@ class Paper:
         If a value is out of range or contradicts another.
     """
 
-    paper_width_mm: Length = 420.0
-    paper_height_mm: Length = 297.0
+    paper_width_mm: PaperLength = 420.0
+    paper_height_mm: PaperLength = 297.0
     margin_mm: Annotated[float, Meta(ge=0.0, le=1e3)] = 10.0
     paper_reflectance: Reflectance = 0.85
     black_reflectance: Reflectance = 0.04
@@ -153,6 +167,11 @@ class _Sheet:
     inner_left_mm: float
     inner_width_mm: float
 
+    @property
+    def ruler_mm(self) -> float:
+        """Length of the ruler between the markers."""
+        return min(RULER_MM, math.floor(self.inner_width_mm / LEAST_RULER_MM) * LEAST_RULER_MM)
+
 
 def design_print_chart(design: Design, paper: Paper) -> PrintChart:
     """Lay out a chart on paper: sheets with triangles of one size each, in blocks of random order.
@@ -219,6 +238,7 @@ def design_print_chart(design: Design, paper: Paper) -> PrintChart:
         markers=sheet.markers,
         pages=tuple(pages),
     ).with_key()
+    origin = "nominal" if paper.reflectances is None else "as measured"
     drawings = []
     for page, content in zip(chart.pages, sheets, strict=True):
         shapes: list[Shape] = [
@@ -229,7 +249,8 @@ def design_print_chart(design: Design, paper: Paper) -> PrintChart:
             shapes.append(area(corners, code_of_level[condition.level]))
         shapes += _marker_shapes(chart, page)
         shapes += _patch_shapes(page, patch_codes)
-        shapes += _ruler_and_text(chart, page, sheet, least, largest)
+        shapes += _ruler(sheet)
+        shapes += _text(chart, page, sheet, f"{least:.2g} to {largest:.2g}, {origin}")
         drawings.append(Drawing(chart.page_width_mm, chart.page_height_mm, tuple(shapes)))
     return PrintChart(chart, tuple(drawings), least, largest)
 
@@ -286,6 +307,12 @@ def _sheet(paper: Paper) -> _Sheet:
 def _places(design: Design, size_mrad: float, sheet: _Sheet) -> list[tuple[float, float]]:
     """Return the places for triangles of one size on a sheet, from the middle out; SettingsError if none."""
     size_mm = design.size_mm(size_mrad)
+    if size_mm < LEAST_SIZE_MM:
+        raise SettingsError(
+            f"sizes_mrad: {size_mrad:g} mrad at {design.distance_m:g} m are {size_mm:.3g} mm, in which the "
+            f"printer's dots show; expected at least {LEAST_SIZE_MM:g} mm "
+            f"({LEAST_SIZE_MM / design.distance_m:.3g} mrad), or a larger distance"
+        )
     field_mm = FIELD_PER_SIZE * size_mm
     axes = []
     for start_mm, length_mm in ((sheet.top_mm, sheet.height_mm), (sheet.left_mm, sheet.width_mm)):
@@ -362,26 +389,31 @@ def _patch_shapes(page: Page, codes: list[int]) -> list[Shape]:
     return shapes
 
 
-def _ruler_and_text(chart: Chart, page: Page, sheet: _Sheet, least: float, largest: float) -> list[Shape]:
-    """Return the ruler and the lines of text in the band below the grey field."""
-    length_mm = min(RULER_MM, math.floor(sheet.inner_width_mm / LEAST_RULER_MM) * LEAST_RULER_MM)
-    left = sheet.inner_left_mm
-    top = sheet.top_mm + sheet.height_mm + GAP_MM
-    shapes: list[Shape] = [rectangle(left, top + 3.0, length_mm, 0.2, 0)]
-    for k in range(round(length_mm / RULER_STEP_MM) + 1):
-        # The left edge of each tick is the mark.
-        shapes.append(rectangle(left + k * RULER_STEP_MM, top, 0.2, 3.0, 0))
+def _ruler(sheet: _Sheet) -> list[Shape]:
+    """Return the ruler below the grey field; the left edge of each tick is its mark."""
+    left, top = sheet.inner_left_mm, sheet.top_mm + sheet.height_mm + GAP_MM
+    ticks = range(round(sheet.ruler_mm / RULER_STEP_MM) + 1)
+    return [
+        rectangle(left, top + TICK_MM, sheet.ruler_mm, LINE_MM, 0),
+        *(rectangle(left + k * RULER_STEP_MM, top, LINE_MM, TICK_MM, 0) for k in ticks),
+    ]
+
+
+def _text(chart: Chart, page: Page, sheet: _Sheet, contrasts: str) -> list[Shape]:
+    """Return the lines of text below the ruler."""
     one = page.triangles[0]
     lines = [
-        f"{length_mm:g} mm from the first to the last mark. Print at 100 %, without fitting to the page.",
+        f"{sheet.ruler_mm:g} mm from the first to the last mark. Print at 100 %, without fitting to the page.",
         f"{chart.name}, key {chart.key}: sheet {page.number + 1} of {len(chart.pages)}, for a distance of "
         f"{chart.distance_m:g} m; {one.size_mrad:g} mrad = {one.size_mm:.4g} mm",
-        f"Contrasts of 8-bit greys: {least:.2g} to {largest:.2g}, nominal. Patches: code values; measure them.",
+        f"Contrasts of 8-bit greys: {contrasts}. Numbers at the patches are code values; measure the patches.",
     ]
-    height_mm = min(3.0, (sheet.band_mm - 5.0) / len(lines) / 1.3)
-    for k, line in enumerate(lines):
-        shapes.append(Text(left, top + 4.5 + height_mm * (1.3 * k + 1.0), line, height_mm))
-    return shapes
+    top = sheet.top_mm + sheet.height_mm + GAP_MM + TICK_MM + 1.0
+    height_mm = min(3.0, (sheet.band_mm - TICK_MM - 2.0) / len(lines) / LINE_SPACING)
+    return [
+        Text(sheet.inner_left_mm, top + height_mm * (LINE_SPACING * k + 1.0), line, height_mm)
+        for k, line in enumerate(lines)
+    ]
 
 
 def write_print_chart(folder: Path, made: PrintChart, *, progress: Callable[[int], None] | None = None) -> None:

@@ -111,8 +111,12 @@ def mk_per_count_of(recording: Recording, mean: float) -> float | None:
     if recording.unit != "counts":
         return None
     path = recording.path
-    files = natural_order(one for one in path.iterdir() if one.is_file()) if path.is_dir() else [path]
-    below, above = read_radiometry(files[0]).celsius([mean - 0.5, mean + 0.5])
+    if path.is_dir():
+        path = natural_order(one for one in path.iterdir() if one.is_file() and not one.name.startswith("."))[0]
+    try:
+        below, above = read_radiometry(path).celsius([mean - 0.5, mean + 0.5])
+    except FrameError:
+        return None
     return float(1000 * (above - below))
 
 

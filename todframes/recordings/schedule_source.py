@@ -119,8 +119,8 @@ class ScheduleSource:
             return False
         if time_s is None:
             raise DataError(
-                f"{self._rows[row].where}: found start_s and end_s, but the frames have no times; give --fps, the "
-                "number of frames in a second"
+                f"{self._rows[row].where}: found start_s and end_s, but the frames have no times; give "
+                "--frames-per-second"
             )
         return time_s >= end_s
 

@@ -37,15 +37,15 @@ LARGEST_ROUNDING = 0.01
 """Largest relative change of a contrast by rounding to a code value; where it is larger, pixels are dithered."""
 
 
-MARKER_SHARE = 0.15
-"""Side of a marker relative to the smaller side of the page."""
+MARKER_SHARE, LARGEST_MARKER_SHARE = 0.15, 0.2
+"""Side of a marker relative to the smaller side of the page: if none is asked for, and the largest."""
 
 
 REACH_PER_SIZE = 2.0 / 3.0**0.75
 """Distance from the centroid of a triangle to its corners, in sizes."""
 
 
-class Patch(NamedTuple):
+class DrawnTriangle(NamedTuple):
     """The code values of a triangle and some background around it, and whether they are dithered.
 
     `contrast` is their mean contrast over the triangle's area.
@@ -58,11 +58,11 @@ class Patch(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class ScreenChart:
-    """A chart for a monitor, ready to be drawn: its description, the triangle of each page, and their patches."""
+    """A chart for a monitor, ready to be drawn: its description, and the triangle of each page."""
 
     chart: Chart
     order: tuple[Condition, ...]
-    patches: dict[Condition, Patch]
+    drawn: dict[Condition, DrawnTriangle]
     background_code: int
 
     def page_codes(self) -> Iterator[NDArray[np.uint16]]:
@@ -78,7 +78,7 @@ class ScreenChart:
                 modules = np.where(bits, 2**screen.bits - 1, 0).astype(np.uint16)
                 drawn = np.kron(modules, np.ones((module_px, module_px), np.uint16))
                 _put(codes, drawn, *(centre_mm / screen.pixel_pitch_mm))
-            _put(codes, self.patches[condition].code, screen.width_px / 2.0, screen.height_px / 2.0)
+            _put(codes, self.drawn[condition].code, screen.width_px / 2.0, screen.height_px / 2.0)
             yield codes
 
 
@@ -118,28 +118,23 @@ def design_screen_chart(design: Design, screen: Screen, *, marker_mm: float | No
     pitch_mm = screen.pixel_pitch_mm
     width_mm, height_mm = screen.width_px * pitch_mm, screen.height_px * pitch_mm
     asked_mm = MARKER_SHARE * min(width_mm, height_mm) if marker_mm is None else marker_mm
-    module_px = round(asked_mm / pitch_mm / MODULES)
-    if module_px < 2:
+    least_mm, most_mm = 2 * MODULES * pitch_mm, LARGEST_MARKER_SHARE * min(width_mm, height_mm)
+    if not least_mm <= asked_mm <= most_mm:
         raise SettingsError(
-            f"marker_mm: found {asked_mm:g}, which is less than 2 pixels a module; expected at least "
-            f"{2 * MODULES * pitch_mm:g}"
+            f"marker_mm: found {asked_mm:g}, expected {least_mm:g} (two pixels a module) to {most_mm:.3g} (a "
+            "fifth of the page)"
         )
-    module_mm = module_px * pitch_mm
-    if 4 * (MODULES + 2) * module_mm > min(width_mm, height_mm):
-        raise SettingsError(
-            f"marker_mm: found {asked_mm:g}, too large for a page of {width_mm:g} mm × {height_mm:g} mm; expected "
-            f"at most {MODULES / (MODULES + 2) / 4.0 * min(width_mm, height_mm):.3g}"
-        )
+    module_mm = round(asked_mm / pitch_mm / MODULES) * pitch_mm
     markers = Markers.in_corners(width_mm=width_mm, height_mm=height_mm, module_mm=module_mm, margin_mm=module_mm)
     for size_mrad in design.sizes_mrad:
         _check_size(design, size_mrad, markers, width_mm, height_mm, pitch_mm)
-    patches = {one: _patch(one, design, screen, luminance_of_code, background_code) for one in design.conditions}
+    drawn = {one: _drawn(one, design, screen, luminance_of_code, background_code) for one in design.conditions}
     order = [condition for block in design.blocks() for condition in block]
     pages = [
         Page(
             number=number,
             file=f"pages/{number:0{max(4, len(str(len(order) - 1)))}d}.png",
-            triangles=(_triangle(condition, design, patches, x_mm=width_mm / 2.0, y_mm=height_mm / 2.0),),
+            triangles=(_triangle(condition, design, drawn, x_mm=width_mm / 2.0, y_mm=height_mm / 2.0),),
         )
         for number, condition in enumerate(order)
     ]
@@ -155,7 +150,7 @@ def design_screen_chart(design: Design, screen: Screen, *, marker_mm: float | No
         markers=markers,
         pages=tuple(pages),
     )
-    return ScreenChart(chart.with_key(), tuple(order), patches, background_code)
+    return ScreenChart(chart.with_key(), tuple(order), drawn, background_code)
 
 
 def _luminance_of_code(screen: Screen) -> FloatArray:
@@ -195,9 +190,9 @@ def _check_size(
         )
 
 
-def _patch(
+def _drawn(
     condition: Condition, design: Design, screen: Screen, luminance_of_code: FloatArray, background_code: int
-) -> Patch:
+) -> DrawnTriangle:
     """Draw a triangle in code values. Raises SettingsError if the monitor cannot show its contrast."""
     background = luminance_of_code[background_code]
     contrast = design.polarity * condition.level
@@ -233,19 +228,19 @@ def _patch(
     luminance = background + ((wanted if is_dithered else nearest) - background) * covered
     code = dithered(luminance, luminance_of_code)
     shown = float(np.sum(luminance_of_code[code] - background)) / (background * size_px**2)
-    return Patch(code, shown, is_dithered)
+    return DrawnTriangle(code, shown, is_dithered)
 
 
 def _triangle(
-    condition: Condition, design: Design, patches: dict[Condition, Patch], *, x_mm: float, y_mm: float
+    condition: Condition, design: Design, drawn: dict[Condition, DrawnTriangle], *, x_mm: float, y_mm: float
 ) -> Triangle:
     """Return the description of a triangle.
 
     The four orientations of a level have one contrast, the mean of theirs; they differ by at most the luminance of
     a code step of one pixel.
     """
-    alike = [patches[condition._replace(orientation=orientation)] for orientation in ORIENTATIONS]
-    contrast = float(f"{np.mean([patch.contrast for patch in alike]):.6g}")
+    alike = [drawn[condition._replace(orientation=orientation)] for orientation in ORIENTATIONS]
+    contrast = float(f"{np.mean([one.contrast for one in alike]):.6g}")
     asked = design.polarity * condition.level
     return Triangle(
         orientation=Orientation(condition.orientation),
@@ -306,7 +301,6 @@ def _player(made: ScreenChart) -> tuple[str, str]:
         "background": f"rgb({grey}, {grey}, {grey})",
     }
     template = resources.files("todframes.recordings").joinpath("templates", "player.html")
-    text = template.read_text(encoding="utf-8")
-    text = text.replace("{{ settings }}", json.dumps(settings)).replace("{{ name }}", html.escape(made.chart.name))
-    head, _, foot = text.partition("{{ pages }}")
+    head, _, foot = template.read_text(encoding="utf-8").partition("{{ pages }}")
+    head = head.replace("{{ settings }}", json.dumps(settings)).replace("{{ name }}", html.escape(made.chart.name))
     return head, foot

@@ -38,12 +38,16 @@ Described = Callable[[int, int], Stimulus]
 
 @dataclass(slots=True, kw_only=True)
 class ImportedTrial:
-    """Frames of one triangle that the observer integrates, with its places in the windows."""
+    """Frames of one triangle that the observer integrates, with its places in the windows.
+
+    `window` and `start_px` are the window and the triangle's place in the first frame.
+    """
 
     name: str
     stimulus: Stimulus
     orientation: Orientation
     window: Rectangle
+    start_px: tuple[float, float]
     frames: list[str] = field(default_factory=list)
     sources: list[str] = field(default_factory=list)
     times_s: list[float | None] = field(default_factory=list)
@@ -57,6 +61,15 @@ class ImportedTrial:
             return 0.0
         places = np.array(self.places_px)
         return float(np.sqrt(((places - places.mean(axis=0)) ** 2).sum(axis=1).mean()))
+
+
+def _followed(trial: ImportedTrial, placed: Placed) -> Rectangle:
+    """Return the window of a trial's first frame, moved with the triangle by whole pixels."""
+    if placed.x_px is None or placed.y_px is None:
+        return trial.window
+    right, down = round(placed.x_px - trial.start_px[0]), round(placed.y_px - trial.start_px[1])
+    top, bottom, left, far = trial.window
+    return top + down, bottom + down, left + right, far + right
 
 
 def merged_sizes(sizes: Sequence[float]) -> list[float]:
@@ -141,8 +154,9 @@ class TrialDivision:
                 stimulus=self._described(frame.page, index),
                 orientation=placed.orientation,
                 window=placed.window,
+                start_px=(placed.x_px or 0.0, placed.y_px or 0.0),
             )
-        window = placed.window if self._steady else trial.window
+        window = _followed(trial, placed) if self._steady else trial.window
         values = narrowed(placed.part, window)
         if values is None:
             self.n_moved += 1

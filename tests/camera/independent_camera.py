@@ -128,7 +128,7 @@ class Camera:
     """What a camera does to the light: blur, vignetting, noise, mosaic, tone curve and rounding."""
 
     width: int = 480
-    height: int = 270
+    height: int = 320
     blur_sigma_px: float = 0.7
     electrons_at_white: float = 40_000.0
     read_noise_electrons: float = 6.0
@@ -143,7 +143,12 @@ class Camera:
         fine = self.oversampling
         to_fine = np.array([[fine, 0, (fine - 1) / 2], [0, fine, (fine - 1) / 2], [0, 0, 1.0]])
         size = (self.width * fine, self.height * fine)
-        warped = cv2.warpPerspective(light, to_fine @ matrix, size, flags=cv2.INTER_NEAREST, borderValue=0.02)
+        # Samples of the page itself would round its edges to whole samples. Its pixels are halved, so that edges
+        # get the width of about one sample and keep their places when interpolated.
+        halves = light.astype(np.float32).repeat(2, axis=0).repeat(2, axis=1)
+        to_halves = np.array([[2.0, 0, 0.5], [0, 2.0, 0.5], [0, 0, 1.0]])
+        whole = to_fine @ matrix @ np.linalg.inv(to_halves)
+        warped = cv2.warpPerspective(halves, whole, size, flags=cv2.INTER_LINEAR, borderValue=0.02)
         blurred = cv2.GaussianBlur(warped, (0, 0), self.blur_sigma_px * fine)
         pixels = cv2.resize(blurred, (self.width, self.height), interpolation=cv2.INTER_AREA)
         y, x = np.mgrid[-1 : 1 : self.height * 1j, -1 : 1 : self.width * 1j]

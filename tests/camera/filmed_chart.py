@@ -1,0 +1,95 @@
+"""A chart and frames of it through a known homography, for tests: exact sampling, then blur and noise."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.ndimage import gaussian_filter
+
+from todframes.recordings.chart_layout import Chart, Markers, Page, Point, Screen, Triangle
+from todframes.recordings.markers import marker_bits, marker_ids
+from todframes.stimulus import ORIENTATIONS, vertices
+
+ROWS, COLUMNS = 256, 320
+WIDTH_MM, HEIGHT_MM, SIDE_MM, SIZE_MM = 480.0, 384.0, 70.0, 32.0
+MIDDLE_MM = (WIDTH_MM / 2, HEIGHT_MM / 2)
+CENTRES_MM = np.array([[60.0, 60.0], [420.0, 60.0], [420.0, 324.0], [60.0, 324.0]])
+BACKGROUND = 0.5
+SAMPLES = 4
+
+
+def make_chart(contrasts: tuple[float, ...] = (0.1, 0.3), name: str = "filmed") -> Chart:
+    pages = []
+    for number, (contrast, orientation) in enumerate((c, o) for c in contrasts for o in ORIENTATIONS):
+        one = Triangle(
+            orientation=orientation,
+            size_mrad=3.2,
+            size_mm=SIZE_MM,
+            contrast=contrast,
+            x_mm=MIDDLE_MM[0],
+            y_mm=MIDDLE_MM[1],
+        )
+        pages.append(Page(number=number, file=f"pages/{number:04d}.png", triangles=(one,)))
+    corners = [Point(x_mm=float(x), y_mm=float(y)) for x, y in CENTRES_MM]
+    names = ("top_left", "top_right", "bottom_right", "bottom_left")
+    return Chart(
+        kind="screen",
+        name=name,
+        distance_m=10.0,
+        page_width_mm=WIDTH_MM,
+        page_height_mm=HEIGHT_MM,
+        pages=tuple(pages),
+        markers=Markers(side_mm=SIDE_MM, **dict(zip(names, corners, strict=True))),
+        screen=Screen(
+            width_px=1200, height_px=960, pixel_pitch_mm=0.4, background_luminance_cd_m2=50.0, page_duration_s=0.5
+        ),
+    ).with_key()
+
+
+def camera(
+    *,
+    scale: float = 0.62,
+    degrees: float = 1.3,
+    shift: tuple[float, float] = (0.0, 0.0),
+    tilt: float = 0.0,
+    mirror: bool = False,
+) -> np.ndarray:
+    """Homography from mm to pixels: the chart's middle near the frame's; `tilt` is the change of scale per mm."""
+    turn = np.radians(degrees)
+    sign = -1.0 if mirror else 1.0
+    to_middle = np.array([[1, 0, -MIDDLE_MM[0]], [0, 1, -MIDDLE_MM[1]], [0, 0, 1]])
+    turned = np.array(
+        [[np.cos(turn) * sign, -np.sin(turn), 0], [np.sin(turn) * sign, np.cos(turn), 0], [0, 0, 1 / scale]]
+    )
+    tilted = np.array([[1, 0, 0], [0, 1, 0], [tilt * scale, 0.3 * tilt * scale, 1.0]])
+    place = np.array([[1, 0, (COLUMNS - 1) / 2 + shift[0]], [0, 1, (ROWS - 1) / 2 + shift[1]], [0, 0, 1]])
+    return place @ tilted @ turned @ to_middle
+
+
+def filmed(chart: Chart, page: int, homography: np.ndarray, *, blur_px: float = 0.8) -> np.ndarray:
+    """Luminance of a page in a frame, (ROWS, COLUMNS), white is 1: sampled finely, averaged, blurred."""
+    y, x = ((np.arange(n * SAMPLES) + 0.5) / SAMPLES - 0.5 for n in (ROWS, COLUMNS))
+    to_mm = np.linalg.inv(homography)
+    grid = np.stack(np.broadcast_arrays(x[None, :], y[:, None], 1.0), axis=-1) @ to_mm.T
+    x_mm, y_mm = grid[..., 0] / grid[..., 2], grid[..., 1] / grid[..., 2]
+    image = np.full(x_mm.shape, 0.02)
+    image[(x_mm > 0) & (x_mm < WIDTH_MM) & (y_mm > 0) & (y_mm < HEIGHT_MM)] = BACKGROUND
+    for (at_x, at_y), marker in zip(CENTRES_MM, marker_ids(page, chart.key), strict=True):
+        shown = np.pad(np.where(marker_bits(marker), 1.0, 0.05), 1, constant_values=1.0)
+        column, row = (
+            np.floor((at - centre) / (SIDE_MM / 7) + 4.5).astype(int)
+            for at, centre in ((x_mm, at_x), (y_mm, at_y))
+        )
+        inside = (column >= 0) & (column < 9) & (row >= 0) & (row < 9)
+        image[inside] = shown[row[inside], column[inside]]
+    one = chart.pages[page].triangles[0]
+    a, b, c = vertices(size=one.size_mm, orientation=one.orientation, x=one.x_mm, y=one.y_mm)
+    sides = [(q[0] - p[0]) * (y_mm - p[1]) - (q[1] - p[1]) * (x_mm - p[0]) for p, q in ((a, b), (b, c), (c, a))]
+    image[np.all([side > 0 for side in sides], axis=0)] = BACKGROUND * (1.0 + one.contrast)
+    image = image.reshape(ROWS, SAMPLES, COLUMNS, SAMPLES).mean(axis=(1, 3))
+    return gaussian_filter(image, blur_px) if blur_px else image
+
+
+def recorded(image: np.ndarray, noise: float = 0.0, rng: np.random.Generator | None = None) -> np.ndarray:
+    """Values of 16 bits."""
+    noisy = image if rng is None else image + noise * rng.standard_normal(image.shape)
+    return np.rint(np.clip(noisy, 0, 1) * 65535).astype(np.uint16)

@@ -1,0 +1,302 @@
+"""An independent camera films charts: import finds what it saw, with the thresholds of frames placed by hand."""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Sequence
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+from independent_camera import Camera, Chart, film, looking_at, write_tiffs, write_video
+from numpy.typing import NDArray
+
+import todframes as tod
+from todframes.cli.console import run
+from todframes.cli.main import cli
+from todframes.recordings.clips import Integration
+from todframes.recordings.importing import Imported
+
+pytest.importorskip("av", reason="videos need the extra video")
+
+DOCS = Path(__file__).parent.parent / "docs"
+FPS = 25
+PITCH_MRAD = 0.2909
+LINEAR = tod.Display(
+    eotf="linear", white_luminance_cd_m2=100.0, pixel_pitch_mrad=PITCH_MRAD, background_luminance_cd_m2="surround"
+)
+GAMMA = tod.Display(
+    eotf="gamma",
+    gamma=2.2,
+    white_luminance_cd_m2=100.0,
+    pixel_pitch_mrad=PITCH_MRAD,
+    background_luminance_cd_m2="surround",
+)
+# Windows and whole frames have other fractions of a retina sample before their first pixel, never of a jitter.
+SCORING: dict[str, Any] = {
+    "observer": tod.PyramidObserver(position_jitter_samples=0.0),
+    "fit": tod.FitSettings(resamples=0),
+}
+ONE_PERCENT = 0.01
+
+
+@pytest.fixture(scope="module")
+def chart(tmp_path_factory: pytest.TempPathFactory) -> Chart:
+    """40 pages: two sizes, five contrasts, four orientations."""
+    return make_chart(tmp_path_factory.mktemp("chart"), sizes="2,4", contrasts="0.04,0.08,0.16,0.32,0.64")
+
+
+def make_chart(folder: Path, *, sizes: str, contrasts: str) -> Chart:
+    monitor = "--width-px 960 --height-px 540 --pixel-pitch-mm 0.5 --eotf linear"
+    asked = f"--for screen --distance-m 10 --sizes-mrad {sizes} --contrasts {contrasts} --repeats 1 {monitor}"
+    assert run(cli, ["chart", *asked.split(), "-o", str(folder / "chart"), "--quiet"]) == 0
+    return Chart.read(folder / "chart")
+
+
+class Film(NamedTuple):
+    """A recording: frames with their page and the shift of the hand, their times in frames, and the homography."""
+
+    chart: Chart
+    frames: list[tuple[int, tuple[float, float], NDArray]]
+    times: Sequence[int]
+    matrix: NDArray
+
+    @classmethod
+    def of(cls, chart: Chart, camera: Camera, *, frames_per_page: int = 6, shake_px: float = 0.0, **view) -> Film:
+        view = {"scale": 0.46, "tilt_deg": 2.0, **view}
+        matrix = looking_at(chart, width=camera.width, height=camera.height, **view)
+        frames = film(chart, camera, matrix, frames_per_page=frames_per_page, shake_px=shake_px)
+        return cls(chart, frames, range(len(frames)), matrix)
+
+    def pick(self, numbers: Sequence[int], times: Sequence[int]) -> Film:
+        """The film with other frames, at other times."""
+        return self._replace(frames=[self.frames[k] for k in numbers], times=times)
+
+    def write(self, path: Path, **how) -> Path:
+        write_video(path, (values for *_, values in self.frames), times=self.times, frames_per_second=FPS, **how)
+        return path
+
+    def seen(self, number: int):
+        """The triangle as the camera saw it in a frame."""
+        page, (x, y), _ = self.frames[number]
+        return self.chart.triangle(page, np.array([[1, 0, x], [0, 1, y], [0, 0, 1.0]]) @ self.matrix)
+
+
+def rows_of(dataset: Path) -> list[dict[str, str]]:
+    with (dataset / "manifest.csv").open(encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def number_of(row: dict[str, str]) -> int:
+    """The number of the recorded frame that a row's window comes from."""
+    return int(re.search(r"(\d+)(?:\.tif)?$", row["source"])[1])
+
+
+def thresholds(result: tod.Result) -> dict[float, float]:
+    assert [one.status for one in result.thresholds] == ["ok"] * 2
+    return {one.group["size_object_mrad"]: one.threshold for one in result.thresholds}
+
+
+def by_hand(film: Film, dataset: Path, display: tod.Display) -> dict[float, float]:
+    """Thresholds of the same frames, whole and with the places that the camera knows, in the same trials."""
+    rows = rows_of(dataset)
+    seen = [film.seen(number_of(row)) for row in rows]
+    trials = np.array([row["trial"] for row in rows])
+    place, size = np.array([(one.x_px, one.y_px) for one in seen]), np.array([one.size_px for one in seen])
+    for trial in np.unique(trials):
+        place[trials == trial] = place[trials == trial].mean(axis=0)
+        size[trials == trial] = size[trials == trial].mean()
+    return thresholds(
+        tod.score_frames(
+            [film.frames[number_of(row)][2] for row in rows],
+            orientation=[one.orientation for one in seen],
+            level=[one.contrast for one in seen],
+            size_mrad=(size * PITCH_MRAD).tolist(),
+            position=place,
+            trial=trials.tolist(),
+            group={"size_object_mrad": [one.size_mrad for one in seen]},
+            display=display,
+            **SCORING,
+        )
+    )
+
+
+def assert_found(film: Film, dataset: Path) -> None:
+    """Every row names the page, the orientation and the size that the camera saw."""
+    for row in rows_of(dataset):
+        number = number_of(row)
+        seen = film.seen(number)
+        assert (int(row["page"]), row["orientation"]) == (film.frames[number][0], seen.orientation)
+        # Sizes that differ by less than 0.2 % are one size in the manifest.
+        assert float(row["size_mrad"]) == pytest.approx(seen.size_px * PITCH_MRAD, rel=2e-3)
+
+
+def imported(film: Film, recording: Path, *, display: tod.Display = LINEAR, **how) -> Imported:
+    return tod.import_recordings(
+        recording,
+        chart=film.chart.folder / "chart.toml",
+        out=recording.with_suffix(".dataset"),
+        display=display,
+        **how,
+    )
+
+
+def test_a_film_becomes_a_dataset(tmp_path: Path, capsys) -> None:
+    """The whole way, small: chart, film, import, validate, by the commands."""
+    chart = make_chart(tmp_path, sizes="4", contrasts="0.3")
+    camera = Camera(width=320, height=180, oversampling=3)
+    made = Film.of(chart, camera, frames_per_page=1, scale=0.3, tilt_deg=5.0)
+    recording = made.write(tmp_path / "film.mkv")
+    asked = [
+        "--chart",
+        str(chart.folder / "chart.toml"),
+        "--integration-time",
+        "all",
+        "-o",
+        str(tmp_path / "data"),
+    ]
+    assert run(cli, ["import", str(recording), *asked]) == 0
+    assert "4 frames in 4 trials from 4 clips" in capsys.readouterr().out
+    assert_found(made, tmp_path / "data")
+    data = tod.load_dataset(tmp_path / "data")
+    assert not data.bad_rows
+    for trial, row in zip(data.trials, rows_of(tmp_path / "data"), strict=True):
+        # The window is cut at whole pixels, so the triangle's place in it has the fraction that the camera saw.
+        seen = made.seen(number_of(row))
+        for found, expected in ((trial.x_px, seen.x_px), (trial.y_px, seen.y_px)):
+            assert abs((found - expected + 0.5) % 1.0 - 0.5) < 0.1
+
+
+@pytest.mark.parametrize("rate", [9.0, 10.0, 24.0, 25.0, 30000 / 1001, 30.0, 50.0, 60.0, 120.0])
+@pytest.mark.parametrize("digits", [3, 6, 12])
+def test_all_trials_have_the_same_number_of_frames(rate: float, digits: int) -> None:
+    """Whatever digits a container has for times: as many frames as come nearest to 0.1 s."""
+    integration = Integration(0.1, 1.0 / rate)
+    numbers: list[int] = []
+    for k in range(int(10 * rate)):
+        time_s = round(k / rate, digits)
+        is_first = not numbers or (end := integration.ends_before(time_s)) is not None
+        if is_first and numbers:
+            assert end.is_whole
+        if is_first:
+            numbers.append(0)
+        integration.add(time_s, first=is_first)
+        numbers[-1] += 1
+    (number,) = set(numbers[:-1])
+    assert abs(number / rate - 0.1) <= 0.5 / rate + 1e-9
+
+
+VIEWS: dict[str, tuple[Camera, dict[str, Any], str]] = {
+    "straight": (Camera(), {"turn_deg": 1.0}, r"0\.9[12]\d* px per mm of the chart, residual 0\.0"),
+    "mirrored": (Camera(), {"mirrored": True}, "mirrored; orientations are those in the frames"),
+    "turned": (Camera(), {"turn_deg": 180.0}, "turned by 180°"),
+    "perspective": (Camera(), {"tilt_deg": 10.0}, "px per mm"),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", VIEWS)
+def test_lossless_film_has_the_thresholds_of_frames_placed_by_hand(
+    name: str, chart: Chart, tmp_path: Path
+) -> None:
+    camera, view, note = VIEWS[name]
+    made = Film.of(chart, camera, **view)
+    done = imported(made, made.write(tmp_path / "film.mkv"))
+    # 6 frames a page at 25 frames/s: three trials of 0.08 s, as near to 0.1 s as 0.12 s would be.
+    assert (done.n_clips, done.n_trials, done.n_frames, done.warnings) == (40, 120, 240, ())
+    assert re.search(note, " ".join(done.notes))
+    assert_found(made, done.path)
+    assert thresholds(tod.score(done.path, **SCORING)) == pytest.approx(
+        by_hand(made, done.path, LINEAR), rel=ONE_PERCENT
+    )
+
+
+@pytest.mark.slow
+def test_colour_mosaic_and_vignetting(chart: Chart, tmp_path: Path) -> None:
+    made = Film.of(chart, Camera(mosaic=True, vignetting=0.4))
+    write_tiffs(tmp_path / "film", (values for *_, values in made.frames))
+    done = imported(made, tmp_path / "film", frames_per_second=FPS)
+    assert_found(made, done.path)
+    assert thresholds(tod.score(done.path, **SCORING)) == pytest.approx(
+        by_hand(made, done.path, LINEAR), rel=ONE_PERCENT
+    )
+
+
+@pytest.mark.slow
+def test_a_shaking_hand_is_told_and_can_be_taken_out(chart: Chart, tmp_path: Path) -> None:
+    made = Film.of(chart, Camera(), shake_px=3.0)
+    recording = made.write(tmp_path / "film.mkv")
+    done = imported(made, recording)
+    assert [code for code, _ in done.warnings] == ["shake"]
+    shaken = thresholds(tod.score(done.path, **SCORING))
+    assert shaken == pytest.approx(by_hand(made, done.path, LINEAR), rel=ONE_PERCENT)
+    done = imported(made, recording.rename(tmp_path / "again.mkv"), steady=True)
+    still = Film.of(chart, Camera())
+    at_rest = thresholds(tod.score(imported(still, still.write(tmp_path / "still.mkv")).path, **SCORING))
+    steady = thresholds(tod.score(done.path, **SCORING))
+    for size, threshold in at_rest.items():
+        assert shaken[size] > 1.5 * threshold
+        # What is left is a blur by parts of a pixel, and the other noise of another film.
+        assert steady[size] == pytest.approx(threshold, rel=0.1)
+
+
+@pytest.mark.slow
+def test_dropped_frames_are_told_and_no_trial_goes_across(chart: Chart, tmp_path: Path) -> None:
+    made = Film.of(chart, Camera(), frames_per_page=8)
+    kept = np.sort(np.random.default_rng(3).permutation(len(made.frames))[: len(made.frames) * 85 // 100]).tolist()
+    short = made.pick(kept, kept)
+    done = imported(short, short.write(tmp_path / "film.mkv"))
+    gaps = sum(b - a > 1 and made.frames[a][0] == made.frames[b][0] for a, b in pairwise(kept))
+    (warning,) = [message for code, message in done.warnings if code == "dropped_frames"]
+    assert f"{gaps} gaps of more than 1.5 frames" in warning
+    assert_found(short, done.path)
+    times: dict[str, list[int]] = {}
+    for row in rows_of(done.path):
+        times.setdefault(row["trial"], []).append(round(float(row["time_s"]) * FPS))
+    assert all(b - a == 1 for trial in times.values() for a, b in pairwise(trial))
+
+
+@pytest.mark.slow
+def test_doubled_frames_are_told(chart: Chart, tmp_path: Path) -> None:
+    made = Film.of(chart, Camera(), frames_per_page=8)
+    doubled = np.random.default_rng(3).random(len(made.frames)) < 0.1
+    doubled[::8] = False  # the first frame of a page
+    numbers = [k - 1 if twice else k for k, twice in enumerate(doubled)]
+    n_doubled = sum(b == a for a, b in pairwise(numbers))
+    film_twice = made.pick(numbers, made.times)
+    done = imported(film_twice, film_twice.write(tmp_path / "film.mkv"))
+    (warning,) = [message for code, message in done.warnings if code == "doubled_frames"]
+    assert f"{n_doubled} frames repeat the one before" in warning
+    assert_found(film_twice, done.path)
+
+
+CODECS = {"FFV1": {}, "H.264, CRF 18": {"crf": "18"}, "H.264, CRF 28": {"crf": "28"}}
+
+
+@pytest.mark.slow
+def test_what_a_lossy_codec_costs_is_as_the_page_says(chart: Chart, tmp_path: Path) -> None:
+    """Eight bits with gamma 2.2, once without loss and twice with; the same noise in all three."""
+    page = (DOCS / "validation.md").read_text(encoding="utf-8")
+    stated = {
+        name: (float(small), float(large))
+        for name, small, large in re.findall(r"^\| ([^|]+) \| ([\d.]+) \| ([\d.]+) \|$", page, re.MULTILINE)
+        if name in CODECS
+    }
+    made = Film.of(chart, Camera(gamma=2.2, bits=8), frames_per_page=25)
+    found = {}
+    for number, (name, options) in enumerate(CODECS.items()):
+        codec = {"codec": "libx264", "options": options} if options else {}
+        done = imported(made, made.write(tmp_path / f"film_{number}.mkv", **codec), display=GAMMA)
+        assert ("lossy_compression" in {code for code, _ in done.warnings}) == bool(options)
+        assert_found(made, done.path)
+        found[name] = tuple(thresholds(tod.score(done.path, **SCORING)).values())
+    assert stated.keys() == found.keys()
+    for name, (small, large) in found.items():
+        # Versions of the encoder differ by some per cent.
+        assert (small, large) == pytest.approx(stated[name], rel=0.1), name
+        if name != "FFV1":
+            assert small > 1.1 * found["FFV1"][0]
+            assert large > 1.1 * found["FFV1"][1]

@@ -1,0 +1,401 @@
+"""Recordings of a chart, or with a schedule, become datasets; the camera is that of `filmed_chart`."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import cv2
+import filmed_chart as film
+import numpy as np
+import pytest
+
+import todframes as tod
+from todframes.cli.console import run
+from todframes.cli.main import cli
+from todframes.cli.recordings import seconds
+from todframes.errors import DataError, OutputError, SettingsError
+from todframes.recordings.chart_layout import write_chart
+from todframes.recordings.clips import Clip, ClipFrame, Part, Placed, clean_clips, share_of_other
+from todframes.recordings.geometry import Geometry, place_triangle
+from todframes.recordings.markers import marker_bits, marker_ids
+from todframes.recordings.trials import Stimulus, TrialDivision, merged_sizes
+from todframes.recordings.windows import CodeRange
+from todframes.stimulus import Orientation
+
+CHART = film.make_chart()
+RATE = 30.0
+FRAMES_PER_CLIP = 6
+
+
+@pytest.fixture(scope="module")
+def pages() -> list[np.ndarray]:
+    """The pages as the camera sees them, without noise."""
+    return [film.filmed(CHART, page.number, film.camera()) for page in CHART.pages]
+
+
+@pytest.fixture
+def chart(tmp_path: Path) -> Path:
+    write_chart(tmp_path / "chart.toml", CHART)
+    return tmp_path / "chart.toml"
+
+
+def film_of(images: list[np.ndarray], noise: float = 0.02, seed: int = 1) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    return np.array([film.recorded(image, noise, rng) for image in images])
+
+
+def saved(folder: Path, frames: np.ndarray) -> Path:
+    np.save(folder / "film.npy", frames)
+    return folder / "film.npy"
+
+
+def rows_of(dataset: Path) -> list[dict[str, str]]:
+    with (dataset / "manifest.csv").open(encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
+def imported(
+    path: Path, chart: Path, **settings
+) -> tuple[tod.recordings.importing.Imported, list[dict[str, str]]]:
+    out = path.parent / "dataset"
+    settings = {"display": "reference_linear", "frames_per_second": RATE, "out": out} | settings
+    done = tod.import_recordings(path, chart=chart, **settings)
+    return done, rows_of(out)
+
+
+def codes(done) -> set[str]:
+    return {warning.code for warning in done.warnings}
+
+
+def test_a_film_becomes_a_dataset(tmp_path: Path, chart: Path, pages: list[np.ndarray]) -> None:
+    frames = film_of([pages[k] for k in (0, 1, 6) for _ in range(FRAMES_PER_CLIP)])
+    done, rows = imported(saved(tmp_path, frames), chart)
+    assert (done.n_clips, done.n_trials, done.n_frames) == (3, 6, 18)  # 0.1 s at 30 frames/s are 3 frames
+    assert done.warnings == ()
+    assert [row["page"] for row in rows] == ["0"] * 6 + ["1"] * 6 + ["6"] * 6
+    assert [row["orientation"] for row in rows] == ["up"] * 6 + ["right"] * 6 + ["down"] * 6
+    assert {(row["contrast"], row["polarity"], row["size_object_mrad"]) for row in rows[:6]} == {
+        ("0.1", "1", "3.2")
+    }
+    pitch_mrad = tod.load_dataset(done.path).display.pitch_mrad
+    assert float(rows[0]["size_mrad"]) == pytest.approx(32.0 * 0.62 * pitch_mrad, rel=1e-3)
+    assert len({row["size_mrad"] for row in rows}) == 1
+    true = Geometry(film.camera(), 0.0)
+    for number, row in enumerate(rows):
+        window = cv2.imread(str(done.path / row["frame"]), cv2.IMREAD_UNCHANGED)
+        one = place_triangle(
+            true, orientation=Orientation.UP, size_mm=32.0, x_mm=film.MIDDLE_MM[0], y_mm=film.MIDDLE_MM[1]
+        )
+        # Where the window was cut follows from its place of the triangle; then its values are those of the frame.
+        left, top = round(one.x_px - float(row["x_px"])), round(one.y_px - float(row["y_px"]))
+        assert abs(left + float(row["x_px"]) - one.x_px) < 0.1
+        assert abs(top + float(row["y_px"]) - one.y_px) < 0.1
+        height, width = window.shape
+        assert np.array_equal(window, frames[number][top : top + height, left : left + width])
+        assert float(row["time_s"]) == pytest.approx(number / RATE, abs=1e-6)
+    found = json.loads((done.path / "import.json").read_text(encoding="utf-8"))
+    assert [clip["page"] for clip in found["found"][0]["clips"]] == [0, 1, 6]
+    assert found["found"][0]["clips"][0]["scale_px_per_mm"] == pytest.approx(0.62, rel=1e-3)
+    data = tod.load_dataset(done.path)
+    assert not data.bad_rows
+    assert [len(trial.frames) for trial in data.trials] == [3] * 6
+
+
+def test_a_mirrored_turned_film_has_the_orientations_of_its_frames(tmp_path: Path, chart: Path) -> None:
+    view = film.camera(degrees=181.0, mirror=True)
+    frames = film_of([film.filmed(CHART, k, view) for k in range(4)])
+    done, rows = imported(saved(tmp_path, frames), chart, integration_time_s=0.01)
+    # Mirroring exchanges left and right, the turn by 180° each with its opposite.
+    assert [row["orientation"] for row in rows] == ["down", "right", "up", "left"]
+    assert any("mirrored, turned by 180°" in note for note in done.notes)
+
+
+@pytest.mark.slow
+def test_thresholds_are_those_of_frames_placed_by_hand(tmp_path: Path) -> None:
+    contrasts = (0.01, 0.02, 0.04, 0.08, 0.16)
+    shown = film.make_chart(contrasts)
+    write_chart(tmp_path / "chart.toml", shown)
+    images = [film.filmed(shown, page.number, film.camera()) for page in shown.pages for _ in range(3)]
+    frames = film_of(images, noise=0.02)
+    done, _ = imported(saved(tmp_path, frames), tmp_path / "chart.toml", integration_time_s=0.01)
+    (ours,) = tod.score(done.path).thresholds
+    x, y = Geometry(film.camera(), 0.0).to_px(film.MIDDLE_MM)
+    display = tod.load_dataset(done.path).display
+    (theirs,) = tod.score_frames(
+        list(frames / 65535.0),
+        orientation=[page.triangles[0].orientation for page in shown.pages for _ in range(3)],
+        level=[page.triangles[0].contrast for page in shown.pages for _ in range(3)],
+        size_mrad=32.0 * 0.62 * display.pitch_mrad,
+        position=[(x, y)] * len(frames),
+        display=display,
+    ).thresholds
+    assert ours.status == theirs.status == "ok"
+    assert ours.threshold == pytest.approx(theirs.threshold, rel=0.01)
+
+
+def test_transitions_are_left_out(tmp_path: Path, chart: Path, pages: list[np.ndarray]) -> None:
+    first, second = pages[0], pages[1]
+    split = np.where(np.arange(film.ROWS)[:, None] < 100, second, first)  # a display that is read line by line
+    shown = [first] * 8 + [0.9 * first + 0.1 * second, 0.5 * first + 0.5 * second, split] + [second] * 8
+    done, rows = imported(saved(tmp_path, film_of(shown)), chart, integration_time_s="all")
+    assert [row["source"].rpartition(" ")[2] for row in rows] == [str(k) for k in [*range(8), *range(11, 19)]]
+    assert any("left out: 3 frames of transitions" in note for note in done.notes)
+
+
+def test_gaps_and_doubled_frames_are_told(tmp_path: Path, chart: Path, pages: list[np.ndarray]) -> None:
+    frames = film_of([pages[0]] * 6)
+    frames[4] = frames[3]
+    done, _ = imported(saved(tmp_path, frames), chart)
+    assert codes(done) == {"doubled_frames"}
+    assert done.n_trials == 2
+
+
+def test_shake_is_told_and_followed(tmp_path: Path, chart: Path) -> None:
+    shifts = [(0.0, 0.0), (2.0, 1.0), (-1.0, 2.0)]
+    frames = film_of([film.filmed(CHART, 0, film.camera(shift=shift)) for shift in shifts])
+    path = saved(tmp_path, frames)
+    done, rows = imported(path, chart)
+    assert codes(done) == {"shake"}
+    places = np.array(shifts)
+    motion = np.sqrt(((places - places.mean(axis=0)) ** 2).sum(axis=1).mean())
+    assert f"up to {motion:.2g} px" in done.warnings[0].message
+    assert len({(row["x_px"], row["y_px"]) for row in rows}) == 1
+    steady, _ = imported(path, chart, steady=True, out=tmp_path / "steady")
+    assert codes(steady) == set()  # shifts by whole pixels are followed without a rest
+
+
+def test_a_tilt_and_a_roll_are_told(tmp_path: Path, chart: Path) -> None:
+    frames = film_of([film.filmed(CHART, 0, film.camera(degrees=6.0) @ np.diag([0.92, 1.0, 1.0]))])
+    done, _ = imported(saved(tmp_path, frames), chart, integration_time_s=0.01)
+    assert {"rolled", "tilted"} <= codes(done)
+
+
+def test_markers_off_the_frame(tmp_path: Path, chart: Path, pages: list[np.ndarray]) -> None:
+    with pytest.raises(DataError, match="at most 2 of the 4 markers found in one of 1 frames"):
+        imported(saved(tmp_path, film_of([pages[0]])[:, :, :230]), chart)
+
+
+def test_what_cannot_be_imported(tmp_path: Path, chart: Path, pages: list[np.ndarray]) -> None:
+    def refused(frames: np.ndarray, match: str, **settings) -> None:
+        with pytest.raises(DataError, match=match):
+            imported(saved(tmp_path, frames), chart, **settings)
+        assert not (tmp_path / "dataset").exists()
+
+    refused(np.full((2, 64, 64), 100, np.uint8), "no marker found in 2 frames, expected the four of the chart")
+    refused(film_of([pages[0]] * 2), "shorter than the integration time of 0.1 s; record each page longer")
+    other = film.make_chart((0.2,), name="another")
+    assert other.key != CHART.key
+    refused(film_of([film.filmed(other, 0, film.camera())]), f"with the key {other.key}, expected {CHART.key}")
+
+
+@pytest.mark.parametrize(
+    ("settings", "match"),
+    [
+        ({"schedule": "s.csv"}, "found both, expected one"),
+        ({"integration_time_s": 0.0}, "expected a number > 0"),
+        ({"integration_time_s": "long"}, "expected a number > 0"),
+        ({"value_range": (2.0, 1.0)}, "the lower one first"),
+        ({"ifov_mrad": 1.0}, "not used with a chart"),
+        ({"display": "none_such"}, "expected the name of a file"),
+    ],
+)
+def test_settings_that_are_refused(tmp_path: Path, chart: Path, settings: dict, match: str) -> None:
+    path = saved(tmp_path, np.zeros((1, 8, 8), np.uint8))
+    with pytest.raises(SettingsError, match=match):
+        imported(path, chart, **settings)
+
+
+def test_values_without_a_white_need_a_range(tmp_path: Path, chart: Path, pages: list[np.ndarray]) -> None:
+    kelvin = np.array([280.0 + 40.0 * pages[0]], np.float32)
+    path = saved(tmp_path, kelvin)
+    with pytest.raises(SettingsError, match="expected --range LOW:HIGH"):
+        imported(path, chart)
+    done, rows = imported(path, chart, value_range=(270.0, 330.0), integration_time_s=0.01)
+    stored = tod.read_frame(done.path / rows[0]["frame"]).values[..., 0]
+    height, width = stored.shape
+    # The window is found again by its first value; then all code values invert to the recorded ones. Kelvin in 32
+    # bits are exact to 1.5e-5, and so are 60 K times code values of 32 bits.
+    back = stored * 60.0 + 270.0
+    tops, lefts = np.nonzero(np.abs(kelvin[0] - back[0, 0]) < 1e-4)
+    assert any(
+        kelvin[0][top : top + height, left : left + width].shape == back.shape
+        and np.allclose(kelvin[0][top : top + height, left : left + width], back, atol=5e-5, rtol=0)
+        for top, left in zip(tops, lefts, strict=True)
+    )
+
+
+def test_a_dataset_is_replaced_only_when_asked(tmp_path: Path, chart: Path, pages: list[np.ndarray]) -> None:
+    path = saved(tmp_path, film_of([pages[0]]))
+    imported(path, chart, integration_time_s=0.01)
+    with pytest.raises(OutputError, match="is not empty"):
+        imported(path, chart, integration_time_s=0.01)
+    done, _ = imported(path, chart, integration_time_s=0.01, overwrite=True)
+    assert done.n_frames == 1
+
+
+# Schedules ---------------------------------------------------------------------------------------------------
+
+
+def test_a_schedule_says_what_is_shown(tmp_path: Path) -> None:
+    frames = np.random.default_rng(1).integers(0, 255, (12, 200, 220)).astype(np.uint8)
+    path = saved(tmp_path, frames)
+    (tmp_path / "s.csv").write_text(
+        "file,start_s,end_s,orientation,size_mrad,contrast,x_px,y_px\n"
+        "film.npy,0,0.2,left,4.0,0.2,100.25,90.5\nfilm.npy,0.2,0.4,up,4.0,0.1,100.25,90.5\n",
+        encoding="utf-8",
+    )
+    settings = {"schedule": tmp_path / "s.csv", "display": "reference_linear", "frames_per_second": RATE}
+    done = tod.import_recordings(path, out=tmp_path / "d", ifov_mrad=0.2, **settings)
+    rows = rows_of(done.path)
+    assert (done.n_trials, done.n_frames) == (4, 12)
+    assert [row["orientation"] for row in rows] == ["left"] * 6 + ["up"] * 6
+    # 4 mrad at the camera are 20 pixels, seen at 0.2909 mrad each.
+    assert float(rows[0]["size_mrad"]) == pytest.approx(20 * 0.2909)
+    assert rows[0]["size_object_mrad"] == "4.0"
+    window = cv2.imread(str(done.path / rows[7]["frame"]), cv2.IMREAD_UNCHANGED)
+    left, top = (round(at - float(rows[7][name])) for name, at in (("x_px", 100.25), ("y_px", 90.5)))
+    assert (100.25 - left, 90.5 - top) == (float(rows[7]["x_px"]), float(rows[7]["y_px"]))
+    assert np.array_equal(window, frames[7][top : top + window.shape[0], left : left + window.shape[1]])
+
+
+def test_a_schedule_of_images_without_places_keeps_whole_frames(tmp_path: Path) -> None:
+    (tmp_path / "images").mkdir()
+    for name in ("a", "b"):
+        cv2.imwrite(str(tmp_path / "images" / f"{name}.png"), np.full((40, 50), ord(name), np.uint8))
+    (tmp_path / "s.csv").write_text(
+        "file,orientation,size_mrad,snr,lens\nb.png,left,4.0,2,wide\na.png,up,4.0,1,long\n", encoding="utf-8"
+    )
+    done = tod.import_recordings(tmp_path / "images", schedule=tmp_path / "s.csv", level="snr", out=tmp_path / "d")
+    rows = rows_of(done.path)
+    assert {(row["orientation"], row["snr"], row["lens"]) for row in rows} == {
+        ("left", "2.0", "wide"),
+        ("up", "1.0", "long"),
+    }
+    assert {row["x_px"] for row in rows} == {""}
+    for row in rows:
+        whole = cv2.imread(str(done.path / row["frame"]), cv2.IMREAD_UNCHANGED)
+        assert np.array_equal(whole, np.full((40, 50), ord(row["source"][0]), np.uint8))
+    assert 'group_by = ["size_mrad"]' in (done.path / "dataset.toml").read_text(encoding="utf-8")
+
+
+def test_a_schedule_with_times_needs_times(tmp_path: Path) -> None:
+    path = saved(tmp_path, np.zeros((3, 40, 40), np.uint8))
+    (tmp_path / "s.csv").write_text(
+        "start_s,end_s,orientation,size_mrad,contrast\n0,1,left,4.0,0.2\n", encoding="utf-8"
+    )
+    with pytest.raises(DataError, match="the frames have no times; give --frames-per-second"):
+        tod.import_recordings(path, schedule=tmp_path / "s.csv", out=tmp_path / "d")
+    (tmp_path / "s.csv").write_text(
+        "start_s,end_s,orientation,size_mrad,contrast\n5,6,left,4.0,0.2\n", encoding="utf-8"
+    )
+    with pytest.raises(DataError, match="no frame lies in the times of any row"):
+        tod.import_recordings(path, schedule=tmp_path / "s.csv", out=tmp_path / "d", frames_per_second=RATE)
+
+
+# Parts --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("share", [0.0, 0.05, 0.4])
+def test_share_of_another_page_in_a_blend(share: float) -> None:
+    ids, other = marker_ids(7, 3), marker_ids(8, 3)
+    bits, other_bits = (np.array([marker_bits(marker) for marker in page], float) for page in (ids, other))
+    levels = 200.0 + 900.0 * ((1 - share) * bits + share * other_bits)
+    assert share_of_other(levels, ids, other) == pytest.approx(share)
+    levels[0] = 200.0 + 900.0 * bits[0]
+    assert share_of_other(levels, ids, other) == pytest.approx(share)  # the other marker has changed by then
+    assert share_of_other(levels, ids, ids) == 0.0
+
+
+def clip_frame(
+    page: int, number: int, share: float = 0.0, other: int = 0, time_s: float | None = None
+) -> ClipFrame:
+    bits, other_bits = (
+        np.array([marker_bits(marker) for marker in marker_ids(one, 3)], float) for one in (page, other)
+    )
+    part = Part(np.zeros((9, 9), np.uint8), 0, 0)
+    placed = Placed(4.0, 4.0, 2.0, Orientation.UP, (0, 9, 0, 9), part)
+    return ClipFrame(
+        page,
+        number / RATE if time_s is None else time_s,
+        str(number),
+        (placed,),
+        (1 - share) * bits + share * other_bits,
+    )
+
+
+@pytest.mark.parametrize("n_clean", [2, 5, 20])
+def test_frames_with_a_share_of_a_neighbour_are_left_out(n_clean: int) -> None:
+    numbers = iter(range(100))
+    shown = [clip_frame(1, next(numbers)) for _ in range(n_clean)]
+    shown += [clip_frame(1, next(numbers), 0.08, 2), clip_frame(2, next(numbers), 0.3, 1)]
+    shown += [clip_frame(2, next(numbers), 0.01, 1)] + [clip_frame(2, next(numbers)) for _ in range(n_clean)]
+    clean = list(clean_clips(shown, key=3, first_number=4))
+    assert [frame.source for _, frame in clean] == [
+        one.source for k, one in enumerate(shown) if k not in (n_clean, n_clean + 1)
+    ]
+    clips = list({id(clip): clip for clip, _ in clean}.values())
+    assert [(clip.number, clip.page, clip.n_frames, clip.n_transition) for clip in clips] == [
+        (4, 1, n_clean, 1),
+        (5, 2, n_clean + 1, 1),
+    ]
+
+
+def divided(frames: list[ClipFrame], time_s: float | None, frame_s: float | None) -> tuple[TrialDivision, Clip]:
+    division = TrialDivision(lambda page, index: Stimulus(0.1, 1, {}), time_s, steady=False)  # noqa: ARG005
+    clip = Clip(1, 1)
+    list(division.windows(((clip, frame) for frame in frames), CodeRange(0, 255), frame_s))
+    return division, clip
+
+
+@pytest.mark.parametrize(
+    ("n_frames", "time_s", "sizes"),
+    [(10, 0.1, [3, 3, 3]), (3, 0.1, [3]), (2, 0.1, []), (5, 0.01, [1] * 5), (7, 0.2, [6]), (7, None, [7])],
+)
+def test_trials_of_the_integration_time(n_frames: int, time_s: float | None, sizes: list[int]) -> None:
+    division, clip = divided([clip_frame(1, k) for k in range(n_frames)], time_s, 1 / RATE)
+    assert [len(trial.frames) for trial in division.trials] == sizes
+    assert clip.n_trials == len(sizes)
+    assert len(division.left_out) == n_frames - sum(sizes)
+
+
+def test_no_trial_goes_across_a_gap() -> None:
+    division, clip = divided([clip_frame(1, k) for k in (0, 1, 2, 3, 6, 7, 8)], 0.1, 1 / RATE)
+    assert [trial.sources for trial in division.trials] == [["0", "1", "2"], ["6", "7", "8"]]
+    assert (clip.n_gaps, division.left_out) == (1, ["frames/clip_0001/trial_02_0.png"])
+
+
+def test_each_still_without_a_time_is_a_trial() -> None:
+    division, _ = divided([clip_frame(1, k) for k in range(4)], 0.1, None)
+    assert [len(trial.frames) for trial in division.trials] == [1, 1, 1, 1]
+
+
+def test_sizes_that_hardly_differ_are_one() -> None:
+    assert merged_sizes([10.0, 20.0, 10.01, 10.02, 20.2]) == pytest.approx([10.01, 20.0, 10.01, 10.01, 20.2])
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"), [("0.1 s", 0.1), ("100 ms", 0.1), ("0.2", 0.2), ("40ms", 0.04), ("all", "all")]
+)
+def test_times_on_the_command_line(text: str, expected: float | str) -> None:
+    assert seconds(text) == (pytest.approx(expected) if isinstance(expected, float) else expected)
+
+
+@pytest.mark.parametrize("text", ["", "soon", "1 min", "s"])
+def test_times_that_are_none(text: str) -> None:
+    with pytest.raises(SettingsError, match="expected a time such as"):
+        seconds(text)
+
+
+def test_the_command(tmp_path: Path, chart: Path, pages: list[np.ndarray], capsys) -> None:
+    path = saved(tmp_path, film_of([pages[0]] * 3))
+    command = ["import", str(path), "--chart", str(chart), "-o", str(tmp_path / "d")]
+    assert run(cli, [*command, "--frames-per-second", "30"]) == 0
+    shown = capsys.readouterr()
+    assert "3 frames in 1 trial from 1 clip" in shown.out
+    assert "note: " in shown.err
+    assert run(cli, [*command, "--range", "5"]) == 2
+    assert capsys.readouterr().err == "error: --range: found '5', expected two numbers LOW:HIGH\n"
+    assert run(cli, ["import", str(tmp_path / "none.mkv"), "--chart", str(chart), "-o", str(tmp_path / "e")]) == 1
+    assert capsys.readouterr().err.count("\n") == 1
