@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -189,6 +190,35 @@ def test_what_cannot_be_imported(tmp_path: Path, chart: Path, pages: list[np.nda
     assert other.key != CHART.key
     for view in (film.camera(), film.camera() @ np.diag([0.9, 1.0, 1.0])):  # the latter: markers at other places
         refused(film_of([film.filmed(other, 0, view)]), f"with the key {other.key}, expected {CHART.key}")
+
+
+def test_each_triangle_of_a_page_has_windows_and_trials(tmp_path: Path, pages: list[np.ndarray]) -> None:
+    one = CHART.pages[0].triangles[0]
+    off_middle = replace(one, x_mm=150.0, orientation=Orientation.LEFT)
+    at_edge, beyond = replace(one, x_mm=470.0), replace(one, y_mm=384.0, x_mm=478.0)
+    page = replace(CHART.pages[0], triangles=(one, off_middle, at_edge, beyond))
+    sheet = replace(CHART, kind="print", screen=None, pages=(page,))  # the key stays, so the film is of this chart
+    write_chart(tmp_path / "sheet.toml", sheet)
+    path = saved(tmp_path, film_of([pages[0]] * 6)[:, :, :304])
+    done, rows = imported(path, tmp_path / "sheet.toml")
+    assert (done.n_clips, done.n_trials, done.n_frames) == (1, 4, 12)
+    assert [row["orientation"] for row in rows] == ["up"] * 3 + ["left"] * 3 + ["up"] * 3 + ["left"] * 3
+    assert codes(done) == {"off_frame"}  # two triangles, in six frames
+    assert done.warnings[0].message.startswith(f"{path}: 12 triangles reach beyond the frame")
+
+
+def test_a_window_at_the_border_is_smaller(tmp_path: Path, pages: list[np.ndarray]) -> None:
+    page = replace(CHART.pages[0], triangles=(replace(CHART.pages[0].triangles[0], x_mm=470.0),))
+    sheet = replace(CHART, kind="print", screen=None, pages=(page,))
+    write_chart(tmp_path / "sheet.toml", sheet)
+    frames = film_of([pages[0]] * 3)
+    done, rows = imported(saved(tmp_path, frames), tmp_path / "sheet.toml")
+    assert codes(done) == {"cut_window"}
+    window = cv2.imread(str(done.path / rows[0]["frame"]), cv2.IMREAD_UNCHANGED)
+    height, width = window.shape
+    assert width < height
+    top = round(Geometry(film.camera(), 0.0).to_px((470.0, film.MIDDLE_MM[1]))[1] - float(rows[0]["y_px"]))
+    assert np.array_equal(window, frames[0][top : top + height, film.COLUMNS - width :])
 
 
 def test_frames_of_another_chart_among_the_right_ones(

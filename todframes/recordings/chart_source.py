@@ -334,7 +334,7 @@ class ChartSource:
             first = report.clips[0]
             turn, mirrored = float(str(first["turn_degrees"])), bool(first["mirrored"])
             yield (
-                f"{report.path}: {report.n_frames} frames, {len(report.clips)} clips; left out: "
+                f"{report.path}: {report.n_frames} frames, clips: {len(report.clips)}; left out: "
                 f"{report.n_transition} frames of transitions, {report.n_without_markers} without the four markers"
             )
             yield (
