@@ -144,6 +144,7 @@ SAVED = {
 HOW_TO = [
     "own_frames.md",
     "charts.md",
+    "import_recordings.md",
     "compare_algorithms.md",
     "simulate_sensor.md",
     "fit_counts.md",

@@ -45,8 +45,8 @@ ONE_PERCENT = 0.01
 
 @pytest.fixture(scope="module")
 def chart(tmp_path_factory: pytest.TempPathFactory) -> Chart:
-    """40 pages: two sizes, five contrasts, four orientations."""
-    return make_chart(tmp_path_factory.mktemp("chart"), sizes="2,4", contrasts="0.04,0.08,0.16,0.32,0.64")
+    """32 pages: two sizes, four contrasts, four orientations."""
+    return make_chart(tmp_path_factory.mktemp("chart"), sizes="2,4", contrasts="0.03,0.06,0.12,0.24")
 
 
 def make_chart(folder: Path, *, sizes: str, contrasts: str) -> Chart:
@@ -65,7 +65,7 @@ class Film(NamedTuple):
     matrix: NDArray
 
     @classmethod
-    def of(cls, chart: Chart, camera: Camera, *, frames_per_page: int = 6, shake_px: float = 0.0, **view) -> Film:
+    def of(cls, chart: Chart, camera: Camera, *, frames_per_page: int = 4, shake_px: float = 0.0, **view) -> Film:
         view = {"scale": 0.46, "tilt_deg": 2.0, **view}
         matrix = looking_at(chart, width=camera.width, height=camera.height, **view)
         frames = film(chart, camera, matrix, frames_per_page=frames_per_page, shake_px=shake_px)
@@ -205,8 +205,8 @@ def test_lossless_film_has_the_thresholds_of_frames_placed_by_hand(
     camera, view, note = VIEWS[name]
     made = Film.of(chart, camera, **view)
     done = imported(made, made.write(tmp_path / "film.mkv"))
-    # 6 frames a page at 25 frames/s: three trials of 0.08 s, as near to 0.1 s as 0.12 s would be.
-    assert (done.n_clips, done.n_trials, done.n_frames, done.warnings) == (40, 120, 240, ())
+    # 4 frames a page at 25 frames/s: two trials of 0.08 s, as near to 0.1 s as 0.12 s would be.
+    assert (done.n_clips, done.n_trials, done.n_frames, done.warnings) == (32, 64, 128, ())
     assert re.search(note, " ".join(done.notes))
     assert_found(made, done.path)
     assert thresholds(tod.score(done.path, **SCORING)) == pytest.approx(
@@ -245,7 +245,7 @@ def test_a_shaking_hand_is_told_and_can_be_taken_out(chart: Chart, tmp_path: Pat
 
 @pytest.mark.slow
 def test_dropped_frames_are_told_and_no_trial_goes_across(chart: Chart, tmp_path: Path) -> None:
-    made = Film.of(chart, Camera(), frames_per_page=8)
+    made = Film.of(chart, Camera(), frames_per_page=6)
     kept = np.sort(np.random.default_rng(3).permutation(len(made.frames))[: len(made.frames) * 85 // 100]).tolist()
     short = made.pick(kept, kept)
     done = imported(short, short.write(tmp_path / "film.mkv"))
@@ -261,9 +261,9 @@ def test_dropped_frames_are_told_and_no_trial_goes_across(chart: Chart, tmp_path
 
 @pytest.mark.slow
 def test_doubled_frames_are_told(chart: Chart, tmp_path: Path) -> None:
-    made = Film.of(chart, Camera(), frames_per_page=8)
+    made = Film.of(chart, Camera(), frames_per_page=6)
     doubled = np.random.default_rng(3).random(len(made.frames)) < 0.1
-    doubled[::8] = False  # the first frame of a page
+    doubled[::6] = False  # the first frame of a page
     numbers = [k - 1 if twice else k for k, twice in enumerate(doubled)]
     n_doubled = sum(b == a for a, b in pairwise(numbers))
     film_twice = made.pick(numbers, made.times)
@@ -285,7 +285,7 @@ def test_what_a_lossy_codec_costs_is_as_the_page_says(chart: Chart, tmp_path: Pa
         for name, small, large in re.findall(r"^\| ([^|]+) \| ([\d.]+) \| ([\d.]+) \|$", page, re.MULTILINE)
         if name in CODECS
     }
-    made = Film.of(chart, Camera(gamma=2.2, bits=8), frames_per_page=25)
+    made = Film.of(chart, Camera(gamma=2.2, bits=8), frames_per_page=15)
     found = {}
     for number, (name, options) in enumerate(CODECS.items()):
         codec = {"codec": "libx264", "options": options} if options else {}

@@ -475,12 +475,12 @@ def _unturned(n: int, values: FloatArray) -> FloatArray:
 
     _, x, y, size, variance, _ = values
     middle = (n - 1) / 2.0
-    sharp = [
-        coverage((n, n), size_px=size, x_px=middle + x, y_px=middle + y, orientation=one) for one in ORIENTATIONS
-    ]
-    return np.array(
-        [gaussian_filter(image, math.sqrt(variance), mode="constant", truncate=6.0) for image in sharp]
+    images = np.array(
+        [coverage((n, n), size_px=size, x_px=middle + x, y_px=middle + y, orientation=o) for o in ORIENTATIONS]
     )
+    sigma = math.sqrt(variance)
+    gaussian_filter(images, (0.0, sigma, sigma), output=images, mode="constant", truncate=6.0)
+    return images
 
 
 FOUND = 2e-4

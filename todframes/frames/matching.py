@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -229,17 +230,15 @@ class Matcher:
         blur: float = 0.0,
     ) -> FloatArray:
         """Compute the triangle differences of unit energy, shape (orientation, rows, columns)."""
-        stack = np.empty((len(self.orientations[stimulus]), *shape))
-        for triangle, orientation in zip(stack, self.orientations[stimulus], strict=True):
-            triangle[:] = blurred_coverage(
-                shape,
-                size_px=stimulus.size_mrad / self.pitch,
-                x_px=x,
-                y_px=y,
-                orientation=arrangement.of(orientation),
-                centre=self.centre,
-                blur=blur,
-            )
+        stack = blurred_coverages(
+            shape,
+            [arrangement.of(orientation) for orientation in self.orientations[stimulus]],
+            size_px=stimulus.size_mrad / self.pitch,
+            x_px=x,
+            y_px=y,
+            centre=self.centre,
+            blur=blur,
+        )
         stack -= stack.mean(axis=0) if len(stack) > 1 else stack.mean()
         norm = arrangement.sign * stimulus.polarity * math.sqrt(np.vdot(stack, stack))
         if norm != 0.0:  # within one pixel all orientations are alike
@@ -478,23 +477,31 @@ class _Spectra(NamedTuple):
         return np.asarray(total / math.sqrt(energy) if energy > 1e-9 * np.trace(products) else 0.0 * total)
 
 
-def blurred_coverage(
+def blurred_coverages(
     shape: tuple[int, int],
+    orientations: Sequence[Orientation],
     *,
     size_px: float,
     x_px: float,
     y_px: float,
-    orientation: Orientation,
     centre: Centre,
     blur: float,
 ) -> FloatArray:
-    """Compute the coverage of pixels by a triangle after a Gaussian blur with a standard deviation in pixels."""
-    sharp = coverage(shape, size_px=size_px, x_px=x_px, y_px=y_px, orientation=orientation, centre=centre)
+    """Compute the coverage of pixels by a triangle in some orientations after a Gaussian blur.
+
+    `blur` is its standard deviation in pixels. The result has shape (orientation, rows, columns).
+    """
+    triangles = np.empty((len(orientations), *shape))
+    for triangle, orientation in zip(triangles, orientations, strict=True):
+        triangle[:] = coverage(
+            shape, size_px=size_px, x_px=x_px, y_px=y_px, orientation=orientation, centre=centre
+        )
     if blur < 0.05:
-        return sharp
+        return triangles
     from scipy.ndimage import gaussian_filter
 
-    return np.asarray(gaussian_filter(sharp, blur, mode="constant", truncate=3.0))
+    gaussian_filter(triangles, (0.0, blur, blur), output=triangles, mode="constant", truncate=3.0)
+    return triangles
 
 
 def _step(slope: FloatArray, slope_change: FloatArray) -> FloatArray:
@@ -626,19 +633,14 @@ class TrialMatcher:
     def _triangles(self, stimulus: Stimulus, shape: tuple[int, int], x: float, y: float) -> FloatArray:
         """Return the blurred coverage by triangles of all orientations at a position, (4, rows, columns)."""
         size_px = stimulus.size_mrad / self.pitch
-        return np.array(
-            [
-                blurred_coverage(
-                    shape,
-                    size_px=size_px,
-                    x_px=x,
-                    y_px=y,
-                    orientation=orientation,
-                    centre="centroid",
-                    blur=min(self.blur, MOST_TRIAL_BLUR * size_px),
-                )
-                for orientation in ORIENTATIONS
-            ]
+        return blurred_coverages(
+            shape,
+            ORIENTATIONS,
+            size_px=size_px,
+            x_px=x,
+            y_px=y,
+            centre="centroid",
+            blur=min(self.blur, MOST_TRIAL_BLUR * size_px),
         )
 
     def _residual(self, part: FloatArray, stimulus: Stimulus, x: float, y: float) -> FloatArray:

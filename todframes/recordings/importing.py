@@ -6,7 +6,6 @@ import json
 import math
 import os
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, Protocol
@@ -23,15 +22,10 @@ from todframes.recordings.recording import Recording, RecordingWarning, natural_
 from todframes.recordings.schedule import read_schedule
 from todframes.recordings.schedule_source import ScheduleSource
 from todframes.recordings.trials import SHAKE_PX, Stimulus, TrialDivision
-from todframes.recordings.windows import Window, WrittenWindow, code_range, manifest, write_window
-from todframes.threads import map_in_threads
+from todframes.recordings.windows import WrittenWindow, code_range, manifest, write_window
 
 INTEGRATION_TIME_S = 0.1
 """Time in which the eye integrates. Hogervorst et al. 2001, section 4."""
-
-
-WRITERS = 2
-"""Threads that write windows while the next frames are read."""
 
 
 REPORT_FILE = "import.json"
@@ -176,18 +170,11 @@ def import_recordings(
     is_clipped = shown.display.eotf != "linear"
     division = TrialDivision(source.described, time_s, steady=steady)
 
-    def windows() -> Iterator[Window]:
-        for number, (recording, scale) in enumerate(zip(opened, scales, strict=True)):
-            yield from division.windows(source.frames(recording, number), scale, _interval_s(recording))
-
     with new_folder(str(out), overwrite=overwrite) as folder:
         written: dict[str, WrittenWindow] = {}
-
-        def write(window: Window) -> tuple[str, WrittenWindow]:
-            return window.name, write_window(folder, window, clip=is_clipped)
-
-        with closing(map_in_threads(write, windows(), WRITERS)) as done:
-            written.update(done)
+        for number, (recording, scale) in enumerate(zip(opened, scales, strict=True)):
+            for window in division.windows(source.frames(recording, number), scale, _interval_s(recording)):
+                written[window.name] = write_window(folder, window, clip=is_clipped)
         if not division.trials:
             raise DataError(source.why_nothing() or _why_no_trial(division, source, time_s))
         for name in division.left_out:

@@ -1,0 +1,115 @@
+"""Importing a long video against decoding it alone, and the memory that it takes."""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+from timing import Row, process
+
+from todframes.recordings.chart_layout import Chart, Markers, Page, Point, Screen, Triangle, write_chart
+from todframes.recordings.markers import CORNERS, marker_bits, marker_ids
+from todframes.stimulus import ORIENTATIONS, coverage
+
+N_FRAMES, ROWS, COLUMNS, RATE, FRAMES_PER_PAGE = 18_000, 512, 640, 30, 30
+MODULE_PX, NOISE = 6, 0.01
+"""The chart is seen pixel by pixel, since other geometries take as long; noise is what makes decoding slow."""
+
+DECODE = """
+import sys
+from todframes.recordings import open_recordings
+for frame in open_recordings(sys.argv[1])[0].frames():
+    pass
+"""
+
+IMPORT = (
+    "import sys; import todframes as tod; tod.import_recordings(sys.argv[1], chart=sys.argv[2], out=sys.argv[3])"
+)
+
+
+def rows(n_frames: int = N_FRAMES) -> list[Row]:
+    """Wall times of whole processes, one after the other."""
+    with tempfile.TemporaryDirectory() as folder:
+        video, chart, out = (Path(folder, name) for name in ("film.mkv", "chart.toml", "dataset"))
+        layout = _chart(n_frames // FRAMES_PER_PAGE)
+        write_chart(chart, layout)
+        _film(video, layout, n_frames)
+        alone = process("-c", DECODE, str(video))
+        ours = process("-c", IMPORT, str(video), str(chart), str(out))
+    what = f"{n_frames} frames of {COLUMNS} × {ROWS}, FFV1 gray16"
+    speeds = f"decode ({alone.wall_s:.0f} s) ÷ import ({ours.wall_s:.0f} s)"
+    return [
+        Row(f"{speeds}: {what}", alone.wall_s / ours.wall_s, ">= 0.5"),
+        Row(f"peak memory of the import in MB: {what}", ours.peak_mb, "<= 400"),
+    ]
+
+
+def _chart(n_pages: int) -> Chart:
+    """Return a chart whose millimetres are pixels: pixel (c, r) is centred on (c + 0.5, r + 0.5) mm."""
+    inset = 1.5 * 7 * MODULE_PX
+    places = [(inset, inset), (COLUMNS - inset, inset), (COLUMNS - inset, ROWS - inset), (inset, ROWS - inset)]
+    corners = {name: Point(x_mm=x, y_mm=y) for name, (x, y) in zip(CORNERS, places, strict=True)}
+    pages = []
+    for number in range(n_pages):
+        one = Triangle(
+            orientation=ORIENTATIONS[number % 4],
+            size_mrad=2.0,
+            size_mm=20.0,
+            contrast=0.1 * (1 + number // 4 % 5),
+            x_mm=320.0,
+            y_mm=256.0,
+        )
+        pages.append(Page(number=number, file=f"{number}.png", triangles=(one,)))
+    screen = Screen(
+        width_px=COLUMNS, height_px=ROWS, pixel_pitch_mm=1.0, background_luminance_cd_m2=50.0, page_duration_s=1.0
+    )
+    return Chart(
+        kind="screen",
+        name="benchmark",
+        distance_m=10.0,
+        page_width_mm=float(COLUMNS),
+        page_height_mm=float(ROWS),
+        pages=tuple(pages),
+        markers=Markers(side_mm=7.0 * MODULE_PX, **corners),
+        screen=screen,
+    ).with_key()
+
+
+def _film(path: Path, chart: Chart, n_frames: int) -> None:
+    import av
+
+    rng = np.random.default_rng(1)
+    grains = rng.standard_normal((8, ROWS, COLUMNS)).astype(np.float32) * NOISE
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("ffv1", rate=RATE)
+        stream.pix_fmt, stream.width, stream.height = "gray16le", COLUMNS, ROWS
+        for number in range(n_frames):
+            if number % FRAMES_PER_PAGE == 0:
+                clean = _page(chart, number // FRAMES_PER_PAGE)
+            noisy = clean + np.roll(grains[number % 8], int(rng.integers(ROWS)), axis=0)
+            stored = np.rint(np.clip(noisy, 0, 1) * 65535).astype(np.uint16)
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(stored, format="gray16le")))
+        container.mux(stream.encode())
+
+
+def _page(chart: Chart, number: int) -> np.ndarray:
+    image = np.full((ROWS, COLUMNS), 0.5, np.float32)
+    for (x, y), marker in zip(chart.markers.centres_mm, marker_ids(number, chart.key), strict=True):
+        shown = np.kron(np.pad(marker_bits(marker), 1, constant_values=True), np.ones((MODULE_PX, MODULE_PX)))
+        top, left = round(y - len(shown) / 2), round(x - len(shown) / 2)
+        image[top : top + len(shown), left : left + len(shown)] = 0.05 + 0.9 * shown
+    one = chart.pages[number].triangles[0]
+    return image * (
+        1.0
+        + one.contrast
+        * coverage((ROWS, COLUMNS), size_px=20.0, x_px=319.5, y_px=255.5, orientation=one.orientation).astype(
+            np.float32
+        )
+    )
+
+
+if __name__ == "__main__":
+    for row in rows(int(sys.argv[1])):
+        print(*row, sep="  ")
