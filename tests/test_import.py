@@ -187,7 +187,21 @@ def test_what_cannot_be_imported(tmp_path: Path, chart: Path, pages: list[np.nda
     refused(film_of([pages[0]] * 2), "shorter than the integration time of 0.1 s; record each page longer")
     other = film.make_chart((0.2,), name="another")
     assert other.key != CHART.key
-    refused(film_of([film.filmed(other, 0, film.camera())]), f"with the key {other.key}, expected {CHART.key}")
+    for view in (film.camera(), film.camera() @ np.diag([0.9, 1.0, 1.0])):  # the latter: markers at other places
+        refused(film_of([film.filmed(other, 0, view)]), f"with the key {other.key}, expected {CHART.key}")
+
+
+def test_frames_of_another_chart_among_the_right_ones(
+    tmp_path: Path, chart: Path, pages: list[np.ndarray]
+) -> None:
+    other = film.filmed(film.make_chart((0.2,), name="another"), 0, film.camera())
+    blank = np.full_like(pages[0], 0.5)
+    done, rows = imported(saved(tmp_path, film_of([other, blank, *[pages[0]] * 3])), chart)
+    assert [row["source"][-1] for row in rows] == ["2", "3", "4"]
+    assert codes(done) == {"other_chart"}
+    found = json.loads((done.path / "import.json").read_text(encoding="utf-8"))["found"][0]
+    assert list(found["other_keys"].values()) == [1]
+    assert (found["n_frames"], found["n_without_markers"], found["clips"][0]["n_frames"]) == (5, 1, 3)
 
 
 @pytest.mark.parametrize(

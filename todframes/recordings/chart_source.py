@@ -63,8 +63,12 @@ class RecordingReport:
     n_off_frame: int = 0
     n_cut: int = 0
     most_markers: int = 0
-    other_keys: Counter[int] = field(default_factory=Counter)
+    other_keys: dict[int, int] = field(default_factory=dict)
     clips: list[dict[str, object]] = field(default_factory=list)
+
+    def add_other_key(self, key: int) -> None:
+        """Count a frame of another chart, by the chart's key."""
+        self.other_keys[key] = self.other_keys.get(key, 0) + 1
 
 
 class ChartSource:
@@ -144,7 +148,7 @@ class ChartSource:
             report.most_markers = finder.most_found
             if self._progress is not None:
                 self._progress(1)
-            page = self._page(seen, report)
+            page = self._page(seen, finder.key, report)
             if page is not None and seen is not None:
                 placed = self._placed(page, seen)
                 roll = max((one.roll_degrees for one in placed), key=abs)
@@ -161,9 +165,12 @@ class ChartSource:
                 )
                 yield ClipFrame(page, frame.time_s, frame.source, parts, seen.modules)
 
-    def _page(self, seen: Sighting | None, report: RecordingReport) -> int | None:
+    def _page(self, seen: Sighting | None, searched_key: int | None, report: RecordingReport) -> int | None:
         if seen is None:
-            report.n_without_markers += 1
+            if searched_key is None or searched_key == self.chart.key:
+                report.n_without_markers += 1
+            else:
+                report.add_other_key(searched_key)
             return None
         found = page_of(seen.ids)
         if found is None:
@@ -171,7 +178,7 @@ class ChartSource:
             return None
         page, key = found
         if key != self.chart.key:
-            report.other_keys[key] += 1
+            report.add_other_key(key)
             return None
         if page >= len(self.chart.pages):
             report.n_other_page += 1
@@ -229,7 +236,7 @@ class ChartSource:
             return None
         names = ", ".join(report.path for report in self.reports[:3]) + (", …" if len(self.reports) > 3 else "")
         n_frames = sum(report.n_frames for report in self.reports)
-        keys = sum((report.other_keys for report in self.reports), Counter())
+        keys = sum((Counter(report.other_keys) for report in self.reports), Counter[int]())
         most = max(report.most_markers for report in self.reports)
         if keys:
             key, n_keys = keys.most_common(1)[0]

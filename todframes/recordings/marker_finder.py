@@ -43,6 +43,10 @@ MOST_STEPS, CONVERGED_PX = 8, 0.02
 leaves a small part of the motion that it corrects."""
 
 
+CORNER_OF_KEY = 3
+"""Corner whose marker carries the key of the chart."""
+
+
 ENOUGH_MARKERS = 3
 """Number of markers that a search has to find; the fourth's place follows from these, and its edges tell if it is
 there."""
@@ -92,6 +96,9 @@ class MarkerFinder:
         Number of frames that were searched whole.
     most_found : int
         Largest number of corners of the chart of which one frame showed a marker.
+    key : int or None
+        Key of the chart in the present frame if it was searched and the marker that carries the key was found.
+        Markers of another chart are no sighting where they stand at other places.
     """
 
     def __init__(self, centres_mm: FloatArray, side_mm: float) -> None:
@@ -99,6 +106,7 @@ class MarkerFinder:
 
         self.n_searched = 0
         self.most_found = 0
+        self.key: int | None = None
         self._module_mm = side_mm / MODULES
         corner = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]]) * side_mm
         self._corners_mm = centres_mm[:, None, :] + corner
@@ -121,7 +129,7 @@ class MarkerFinder:
         Sighting or None
             None if the frame does not show all four.
         """
-        grey = _grey(frame)
+        grey, self.key = _grey(frame), None
         seen = self._sighting(grey, self._last) if self._last is not None else None
         seen = seen or self._search(grey)
         if seen is not None:
@@ -161,7 +169,9 @@ class MarkerFinder:
             places = (quad.reshape(4, 2).astype(np.float64) + 0.5) / times - 0.5
             if mirrored:
                 places[:, 0] = image.shape[1] - 1 - places[:, 0]
-            corners.setdefault(int(marker) % 4, places)
+            corners.setdefault(int(marker) % len(CORNERS), places)
+            if int(marker) % len(CORNERS) == CORNER_OF_KEY:
+                self.key = int(marker) // len(CORNERS)
         return corners
 
     def _sighting(self, grey: NDArray[np.float32], start: Geometry) -> Sighting | None:
