@@ -128,7 +128,7 @@ def test_natural_order_of_names_with_and_without_numbers():
     ("name", "attribute", "rate"),
     [
         ("a.dpx", ("dpx:FrameRate", 25.0), 25.0),
-        ("a.exr", ("FramesPerSecond", oiio.TypeDesc("rational"), (30000, 1001)), 30000 / 1001),
+        ("a.exr", ("FramesPerSecond", "rational", (30000, 1001)), 30000 / 1001),
     ],
 )
 def test_the_frame_rate_comes_from_the_file(tmp_path, name, attribute, rate):
