@@ -185,7 +185,15 @@ def test_table_of_the_page_on_charts(capsys) -> None:
 
 
 SLOW_CODE = [*HOW_TO, "thermal_background.md"]
-QUICK = ["own_frames.md", "camera_noise.md", "displays.md", "fit_counts.md", "own_enhancement.md", "api.md"]
+QUICK = [
+    "own_frames.md",
+    "your_camera.md",
+    "camera_noise.md",
+    "displays.md",
+    "fit_counts.md",
+    "own_enhancement.md",
+    "api.md",
+]
 
 
 @pytest.mark.parametrize(
@@ -199,6 +207,8 @@ def test_code_of_a_page(name: str, capsys) -> None:
         assert capsys.readouterr().out == "never_reached\n"
     if name in ("displays.md", "camera_noise.md", "thermal_background.md"):
         assert capsys.readouterr().out == blocks(text, "text")[0]
+    if name == "your_camera.md":
+        assert capsys.readouterr().out == blocks(text, "text")[-1]
 
 
 @pytest.mark.slow
