@@ -169,8 +169,8 @@ def test_measured_reflectances(tmp_path: Path) -> None:
 
 
 REFUSED = {
-    ("print", "--contrasts=5"): "contrasts: found 5, expected 0.012 to 1.82, which the paper's greys have",
-    ("print", "--contrasts=0.001"): "contrasts: found 0.001, expected 0.012",
+    ("print", "--contrasts=5"): "--contrasts: found 5, expected 0.012 to 1.82, which the paper's greys have",
+    ("print", "--contrasts=0.001"): "--contrasts: found 0.001, expected 0.012",
     ("print", "--contrasts=0.1,0.101"): "0.1 and 0.101 have the same printed grey",
     (
         "print",
@@ -178,17 +178,17 @@ REFUSED = {
     ): "8 mrad at 10 m are 80 mm, and with the background that the observer needs 400 mm",
     ("print", "--sizes-mrad=0.1"): "0.1 mrad at 10 m are 1 mm, in which the printer's dots show",
     ("print", "--paper=9000,9000"): "paper_width_mm: found 9000.0",
-    ("print", "--margin-mm=nan"): "margin_mm: found nan",
+    ("print", "--margin-mm=nan"): "--margin-mm: found nan",
     ("print", "--paper=A9"): "--paper: found 'A9', expected A4, A3, A2, A1, A0, or WIDTH,HEIGHT",
     ("print", "--paper=60,60"): "found 60 × 60, too small for markers of 4.8 mm",
     ("print", "--reflectances=none.csv"): "none.csv: no such file",
     ("print", "--background-reflectance=0.9"): "found 0.9, which is black or paper",
-    ("print", "--black-reflectance=0.9"): "black_reflectance: found 0.9, expected less",
-    ("print", "--width-px=9"): "width_px: is given, but a print chart has none; it is for screen",
+    ("print", "--black-reflectance=0.9"): "--black-reflectance: found 0.9, expected less",
+    ("print", "--width-px=9"): "--width-px: is given, but a print chart has none; it is for screen",
     ("thermal", "--sizes-mrad=0.05"): "0.05 mrad at 10 m are 0.5 mm, whose corners cannot be cut",
-    ("thermal", "--plate-mm=10"): "plate_mm: found 10, expected at least 50",
-    ("thermal", "--delta-t-k=0"): "contrasts or delta_t_k: found 0.0",
-    ("thermal", "--contrasts=0.1"): "contrasts: is given, but a thermal chart has none; expected delta_t_k",
+    ("thermal", "--plate-mm=10"): "--plate-mm: found 10, expected at least 50",
+    ("thermal", "--delta-t-k=0"): "--contrasts or --delta-t-k: found 0.0",
+    ("thermal", "--contrasts=0.1"): "--contrasts: is given, but a thermal chart has none; expected --delta-t-k",
 }
 
 

@@ -196,31 +196,38 @@ def test_the_seed_gives_the_order(tmp_path: Path) -> None:
 
 REFUSED = {
     "--sizes-mrad=8": "8 mrad at 10 m are 80 mm, and with the background that the observer needs 400 mm",
-    "--sizes-mrad=0.1": "sizes_mrad: 0.1 mrad at 10 m are 1 mm, 4 pixels of the monitor",
-    "--sizes-mrad=1,1": "sizes_mrad: found 1.0, 1.0, expected each value once",
+    "--sizes-mrad=0.1": "--sizes-mrad: 0.1 mrad at 10 m are 1 mm, 4 pixels of the monitor",
+    "--sizes-mrad=1,1": "--sizes-mrad: found 1.0, 1.0, expected each value once",
     "--sizes-mrad=": "--sizes-mrad: found '', expected numbers",
-    "--sizes-mrad=nan": "sizes_mrad: found nan",
-    "--contrasts=5": "contrasts: found 5, expected 3 at most",
+    "--sizes-mrad=nan": "--sizes-mrad: found nan",
+    "--contrasts=5": "--contrasts: found 5, expected 3 at most",
     "--contrasts=0.0001": "would raise 10 of the triangle's 1600 pixels by a code step",
-    "--distance-m=0": "distance_m: found 0.0",
-    "--distance-m=1000000": "sizes_mrad: 1 mrad at 1e+06 m are 1e+06 mm",
-    "--pixel-pitch-mm=0": "pixel_pitch_mm: found 0.0",
-    "--eotf=gamma": "gamma: is missing",
-    "--marker-mm=1": "marker_mm: found 1, expected 3.5 (two pixels a module) to 24 (a fifth of the page)",
-    "--marker-mm=130": "marker_mm: found 130, expected 3.5 (two pixels a module) to 24 (a fifth of the page)",
-    "--marker-mm=nan": "marker_mm: found nan",
-    "--white-luminance-cd-m2=nan": "white_luminance_cd_m2: found nan",
-    "--white-luminance-cd-m2=-1": "white_luminance_cd_m2: found -1.0",
-    "--width-px=8": "marker_mm: found 0.3, expected 3.5",
-    "--background-luminance-cd-m2=100": "background_luminance_cd_m2: found 100, which is black or white",
-    "--black-luminance-cd-m2=100": "black_luminance_cd_m2: found 100.0",
+    "--distance-m=0": "--distance-m: found 0.0",
+    "--distance-m=1000000": "--sizes-mrad: 1 mrad at 1e+06 m are 1e+06 mm",
+    "--pixel-pitch-mm=0": "--pixel-pitch-mm: found 0.0",
+    "--eotf=gamma": "--gamma: is missing",
+    "--marker-mm=1": "--marker-mm: found 1, expected 3.5 (two pixels a module) to 24 (a fifth of the page)",
+    "--marker-mm=130": "--marker-mm: found 130, expected 3.5 (two pixels a module) to 24 (a fifth of the page)",
+    "--marker-mm=nan": "--marker-mm: found nan",
+    "--white-luminance-cd-m2=nan": "--white-luminance-cd-m2: found nan",
+    "--white-luminance-cd-m2=-1": "--white-luminance-cd-m2: found -1.0",
+    "--width-px=8": "--marker-mm: found 0.3, expected 3.5",
+    "--background-luminance-cd-m2=100": "--background-luminance-cd-m2: found 100, which is black or white",
+    "--black-luminance-cd-m2=100": "--black-luminance-cd-m2: found 100.0",
     "--repeats=20000": "found 80000 triangles",
-    "--width-px=100000": "width_px: found 100000",
-    "--plate-mm=9": "plate_mm: is given, but a screen chart has none; it is for thermal",
-    "--delta-t-k=1": "delta_t_k: is given, but a screen chart has none; expected contrasts",
-    "--name=a\nb": "name: found 'a\\nb', expected a text of one line",
+    "--width-px=100000": "--width-px: found 100000",
+    "--plate-mm=9": "--plate-mm: is given, but a screen chart has none; it is for thermal",
+    "--delta-t-k=1": "--delta-t-k: is given, but a screen chart has none; expected --contrasts",
+    "--name=a\nb": "--name: found 'a\\nb', expected a text of one line",
     "--bits=9": "Invalid value for '--bits'",
 }
+
+
+@pytest.mark.parametrize("more", [[], ["--display=reference_sdr"]])
+def test_a_missing_pitch_is_told_by_its_option(more: list[str], tmp_path: Path, capsys) -> None:
+    given = ["--distance-m=10", "--sizes-mrad=1", *more, "-o", str(tmp_path / "chart")]
+    assert run(cli, ["chart", "--for=screen", *given]) == 2
+    assert capsys.readouterr().err == "error: --pixel-pitch-mm is missing\n"
 
 
 @pytest.mark.parametrize("option", REFUSED)

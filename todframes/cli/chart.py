@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import textwrap
 from typing import TYPE_CHECKING, Any
 
@@ -169,11 +170,25 @@ def chart(
     levels = next((settings[name] for name in LEVEL_OPTIONS & settings.keys()), charts.LEVELS[kind])
     n_triangles = len(sizes) * len(levels) * len(ORIENTATIONS) * settings["repeats"]
     with progress("drawing", n_triangles, quiet=quiet) as advance:
-        made = charts.chart(kind, out=out, sizes_mrad=sizes, polarity=int(polarity), progress=advance, **settings)
+        try:
+            made = charts.chart(
+                kind, out=out, sizes_mrad=sizes, polarity=int(polarity), progress=advance, **settings
+            )
+        except SettingsError as error:
+            raise SettingsError(_with_options(str(error))) from None
     print_table(_table(made))
     for sentence in _remarks(made):
         echo(*textwrap.wrap(sentence, terminal_width()))
     echo(f"written: {out}")
+
+
+def _with_options(message: str) -> str:
+    """Return a message about settings with the options of this command in place of their names in Python."""
+    options = {str(option.name): option.opts[0] for option in chart.params}
+    subject, is_one, rest = re.sub(r"^(chart|screen|print|thermal): ", "", message).partition(":")
+    named = {name: option for name, option in options.items() if "_" in name or name == "contrasts"}
+    text = options.get(subject, subject) + is_one + rest
+    return re.sub(rf"(?<![-\w])({'|'.join(named)})\b", lambda found: named[found[1]], text)
 
 
 def _paper_mm(paper: str) -> tuple[float, float]:
