@@ -134,7 +134,7 @@ SPOILED: dict[str, tuple[Callable[[Frames], Frames], tuple[str, ...], int]] = {
 
 
 @pytest.mark.parametrize("line", SPOILED)
-def test_line_that_import_prints(line: str, tmp_path, capsys) -> None:
+def test_line_that_import_prints(line: str, tmp_path: Path, capsys) -> None:
     spoil, options, status = SPOILED[line]
     assert imported(tmp_path, spoil(recorded(6)), *options) == status
     assert line in words(capsys.readouterr().err)
