@@ -97,7 +97,7 @@ def number_of(row: dict[str, str]) -> int:
 
 def thresholds(result: tod.Result) -> dict[float, float]:
     assert [one.status for one in result.thresholds] == ["ok"] * 2
-    return {one.group["size_object_mrad"]: one.threshold for one in result.thresholds}
+    return {one.group["object_size_mrad"]: one.threshold for one in result.thresholds}
 
 
 def by_hand(film: Film, dataset: Path, display: tod.Display) -> dict[float, float]:
@@ -117,7 +117,7 @@ def by_hand(film: Film, dataset: Path, display: tod.Display) -> dict[float, floa
             size_mrad=(size * PITCH_MRAD).tolist(),
             position=place,
             trial=trials.tolist(),
-            group={"size_object_mrad": [one.size_mrad for one in seen]},
+            group={"object_size_mrad": [one.size_mrad for one in seen]},
             display=display,
             **SCORING,
         )

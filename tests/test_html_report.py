@@ -32,6 +32,7 @@ from todframes.report.figure_style import COLOURS
 from todframes.report.figures import draw_psychometric
 from todframes.report.result import read_result
 from todframes.report.summary import verdict
+from todframes.report.wording import phrase, quantity, unit_of
 
 COMMANDS = ["score", "curve", "naked-eye", "fit", "compare", "accuracy"]
 NASTY = [
@@ -689,3 +690,17 @@ def test_places_that_cannot_be_written(results, report, tmp_path: Path) -> None:
         assert wanted in err
     assert list(tmp_path.iterdir()) == [path]
     assert path.read_bytes() == encode(results["fit"])
+
+
+@pytest.mark.parametrize(
+    ("name", "words", "unit", "value"),
+    [
+        ("size_mrad", "size", "mrad", "2 mrad"),
+        ("object_size_mrad", "object size", "mrad", "2 mrad"),
+        ("size_detectors", "size", "detectors", "2 detectors"),
+        ("oversize_mrad", "oversize mrad", "", "oversize_mrad 2"),
+        ("camera", "camera", "", "camera 2"),
+    ],
+)
+def test_columns_of_sizes_in_words(name: str, words: str, unit: str, value: str) -> None:
+    assert (quantity(name), unit_of(name), phrase(name, 2.0)) == (words, unit, value)

@@ -77,7 +77,7 @@ def test_a_film_becomes_a_dataset(tmp_path: Path, chart: Path, pages: list[np.nd
     assert done.warnings == ()
     assert [row["page"] for row in rows] == ["0"] * 6 + ["1"] * 6 + ["6"] * 6
     assert [row["orientation"] for row in rows] == ["up"] * 6 + ["right"] * 6 + ["down"] * 6
-    assert {(row["contrast"], row["polarity"], row["size_object_mrad"]) for row in rows[:6]} == {
+    assert {(row["contrast"], row["polarity"], row["object_size_mrad"]) for row in rows[:6]} == {
         ("0.1", "1", "3.2")
     }
     pitch_mrad = tod.load_dataset(done.path).display.pitch_mrad
@@ -297,7 +297,7 @@ def test_a_schedule_says_what_is_shown(tmp_path: Path) -> None:
     assert [row["orientation"] for row in rows] == ["left"] * 6 + ["up"] * 6
     # 4 mrad at the camera are 20 pixels, seen at 0.2909 mrad each.
     assert float(rows[0]["size_mrad"]) == pytest.approx(20 * 0.2909)
-    assert rows[0]["size_object_mrad"] == "4.0"
+    assert rows[0]["object_size_mrad"] == "4.0"
     window = cv2.imread(str(done.path / rows[7]["frame"]), cv2.IMREAD_UNCHANGED)
     left, top = (round(at - float(rows[7][name])) for name, at in (("x_px", 100.25), ("y_px", 90.5)))
     assert (100.25 - left, 90.5 - top) == (float(rows[7]["x_px"]), float(rows[7]["y_px"]))

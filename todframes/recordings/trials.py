@@ -12,7 +12,7 @@ from todframes.recordings.clips import Clip, ClipFrame, Integration, Placed, Rec
 from todframes.recordings.windows import CodeRange, Window, WrittenWindow, narrowed, suffix
 from todframes.stimulus import Orientation
 
-OBJECT_SIZE = "size_object_mrad"
+OBJECT_SIZE = "object_size_mrad"
 """Column with the size at the camera. It groups, because the displayed size varies a little with perspective."""
 
 

@@ -27,7 +27,7 @@ from todframes.report.figure_style import (
     within,
 )
 from todframes.report.summary import by_curve, size_column
-from todframes.report.wording import evenly, group_phrase, level_heading, level_name, plain, unit_of
+from todframes.report.wording import evenly, group_phrase, level_heading, level_name, plain, quantity, unit_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -144,12 +144,12 @@ def draw_tod(axes: Axes, fits: Sequence[Fit]) -> None:
     """Draw the TOD curve of fits that have one: threshold against size, with intervals, and ΔT if it is known."""
     name = size_column(fits)
     assert name is not None
-    unit = unit_of(name)
+    size, unit = quantity(name), unit_of(name)
     curves = list(by_curve([fit for fit in fits if fit.threshold is not None]).items())[:MOST_CURVES]
     axes.set(
         xscale="log",
         yscale="log",
-        xlabel=label_text(f"1 / size ({unit}⁻¹)"),
+        xlabel=label_text(f"1 / {size} ({unit}⁻¹)"),
         ylabel=label_text(f"threshold {level_heading(fits[0].level)}"),
     )
     drawn = [
@@ -164,7 +164,7 @@ def draw_tod(axes: Axes, fits: Sequence[Fit]) -> None:
     plain_ticks(axes.yaxis, [place.threshold for place in drawn])
     _draw_open_ends(axes, drawn)
     top = axes.secondary_xaxis("top")
-    top.set_xlabel(label_text(f"size ({unit})"))
+    top.set_xlabel(label_text(f"{size} ({unit})"))
     named = evenly(inverse, MOST_SIZES_NAMED)
     top.set_xticks(named, [f"{1.0 / x:g}" for x in named])
     top.minorticks_off()

@@ -19,7 +19,7 @@ from todframes.report.data import (
     group_of,
 )
 from todframes.report.table import EXACT, Column, Table, field_text
-from todframes.report.wording import group_phrase, level_heading, plain, unit_of
+from todframes.report.wording import group_phrase, level_heading, plain, quantity, unit_of
 from todframes.scoring.score import ScoredDataset
 from todframes.stimulus import ORIENTATIONS
 
@@ -87,7 +87,7 @@ def _group_columns(names: Iterable[str]) -> list[Column]:
     return [
         Column(
             key=_group_key(name),
-            header=f"size ({unit_of(name)})" if unit_of(name) else name,
+            header=f"{quantity(name)} ({unit_of(name)})" if unit_of(name) else name,
             digits=EXACT,
             is_name=True,
         )

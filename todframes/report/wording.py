@@ -37,8 +37,14 @@ def value_text(value: float | str) -> str:
 
 
 def unit_of(name: str) -> str:
-    """Return the unit in the name of a column of sizes, "mrad" for size_mrad; "" for any other column."""
-    return name.removeprefix("size_") if name.startswith("size_") else ""
+    """Return the unit in a column of sizes: "mrad" for size_mrad and object_size_mrad; "" for any other column."""
+    of, is_size, unit = name.rpartition("size_")
+    return unit if is_size and (not of or of.endswith("_")) else ""
+
+
+def quantity(name: str) -> str:
+    """Return a column of sizes in words, without its unit: "object size" for object_size_mrad."""
+    return name.removesuffix(f"_{unit_of(name)}").replace("_", " ")
 
 
 def phrase(name: str, value: float | str) -> str:
