@@ -30,7 +30,7 @@ html_css_files = ["site.css"]
 html_title = f"todframes {release}"
 html_copy_source = False
 html_show_sourcelink = False
-html_sidebars = {"index": []}
+html_sidebars = {"index": [], "tutorial": [], "your_camera": []}
 html_theme_options = {
     "logo": {"text": "todframes"},
     "navbar_end": ["theme-switcher"],

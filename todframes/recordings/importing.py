@@ -153,7 +153,7 @@ def import_recordings(
     """
     if (chart is None) == (schedule is None):
         found = "neither" if chart is None else "both"
-        raise SettingsError(f"chart, schedule: found {found}, expected one of them")
+        raise SettingsError(f"chart, schedule: found {found}, expected one, which says what is shown")
     time_s = _checked_time(integration_time_s)
     _check_settings(value_range, ifov_mrad, has_schedule=schedule is not None)
     shown = DisplayDescription(display=display) if isinstance(display, Display) else find_display(display)
