@@ -404,6 +404,26 @@ def test_trials_of_the_integration_time(n_frames: int, time_s: float | None, siz
     assert len(division.left_out) == n_frames - sum(sizes)
 
 
+def test_a_triangle_that_leaves_a_trial_is_left_out_of_it_alone() -> None:
+    """The second of two triangles is off the frame, or moves beyond what is held, and is there again later."""
+
+    def frame(number: int, second: Placed | None) -> ClipFrame:
+        one = clip_frame(1, number)
+        return one._replace(triangles=(*one.triangles, second))
+
+    (there,) = clip_frame(1, 0).triangles
+    moved = there._replace(part=there.part._replace(column=3))
+    shown = [there, moved, there, None, there, there, there, there, there]
+    division, clip = divided([frame(*one) for one in enumerate(shown)], 0.1, 1 / RATE)
+    assert [(trial.name[-10:], len(trial.frames)) for trial in division.trials] == [
+        ("trial_01_1", 3),
+        ("trial_02_1", 3),
+        ("trial_03_1", 3),
+        ("trial_03_2", 3),
+    ]
+    assert (division.left_out, division.n_moved, clip.n_trials) == (["frames/clip_0001/trial_01_2_0.png"], 1, 4)
+
+
 def test_no_trial_goes_across_a_gap() -> None:
     division, clip = divided([clip_frame(1, k) for k in (0, 1, 2, 3, 6, 7, 8)], 0.1, 1 / RATE)
     assert [trial.sources for trial in division.trials] == [["0", "1", "2"], ["6", "7", "8"]]
