@@ -234,14 +234,43 @@ def test_frames_of_another_chart_among_the_right_ones(
     assert (found["n_frames"], found["n_without_markers"], found["clips"][0]["n_frames"]) == (5, 1, 3)
 
 
+def test_what_one_curve_cannot_hold_is_told(tmp_path: Path, chart: Path, pages: list[np.ndarray]) -> None:
+    """A page shown much longer than its turned ones, a film given twice, and one filmed from another distance."""
+    shown = next(page for page in CHART.pages if page.triangles[0].orientation == "up")
+    turned = next(page for page in CHART.pages if page.triangles[0].orientation != "up")
+    frames = film_of([pages[shown.number]] * 12 + [pages[turned.number]] * 3)
+    film_path = saved(tmp_path, frames)
+    (tmp_path / "copy.npy").write_bytes(film_path.read_bytes())
+    done, _ = imported(film_path, chart)
+    assert codes(done) == {"uneven_orientations"}
+    assert "has 4 trials of up and 1 of " in done.warnings[0].message
+    both = [film_path, tmp_path / "copy.npy"]
+    done = tod.import_recordings(both, chart=chart, out=tmp_path / "twice", frames_per_second=RATE)
+    assert [one.message[:27] for one in done.warnings if one.code == "repeated_trials"] == [
+        "5 of 10 trials repeat anoth"
+    ]
+    np.save(tmp_path / "far.npy", frames[:, 1::2, 1::2])
+    both = [film_path, tmp_path / "far.npy"]
+    done = tod.import_recordings(both, chart=chart, out=tmp_path / "far", frames_per_second=RATE)
+    assert "sizes_differ" in codes(done)
+
+
+def test_the_time_that_whole_frames_allow_is_told(tmp_path: Path, chart: Path, pages: list[np.ndarray]) -> None:
+    done, _ = imported(saved(tmp_path, film_of([pages[0]] * 6)), chart, frames_per_second=15.0)
+    assert any("1 frames a trial, 0.0667 s" in note for note in done.notes)
+    done, _ = imported(saved(tmp_path, film_of([pages[0]] * 6)), chart, overwrite=True)
+    assert not any("a trial" in note for note in done.notes)  # 3 frames at 30 frames/s are 0.1 s
+
+
 @pytest.mark.parametrize(
     ("settings", "match"),
     [
         ({"schedule": "s.csv"}, "found both, expected one"),
-        ({"integration_time_s": 0.0}, "expected a number > 0"),
-        ({"integration_time_s": "long"}, "expected a number > 0"),
+        ({"integration_time_s": 0.0}, "expected a time > 0"),
+        ({"integration_time_s": "long"}, "expected a time > 0"),
         ({"value_range": (2.0, 1.0)}, "the lower one first"),
         ({"ifov_mrad": 1.0}, "not used with a chart"),
+        ({"level": "contrast"}, "--level: is given but not used with a chart"),
         ({"display": "none_such"}, "expected the name of a file"),
     ],
 )
