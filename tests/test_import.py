@@ -234,14 +234,43 @@ def test_frames_of_another_chart_among_the_right_ones(
     assert (found["n_frames"], found["n_without_markers"], found["clips"][0]["n_frames"]) == (5, 1, 3)
 
 
+def test_what_one_curve_cannot_hold_is_told(tmp_path: Path, chart: Path, pages: list[np.ndarray]) -> None:
+    """A page shown much longer than its turned ones, a film given twice, and one filmed from another distance."""
+    shown = next(page for page in CHART.pages if page.triangles[0].orientation == "up")
+    turned = next(page for page in CHART.pages if page.triangles[0].orientation != "up")
+    frames = film_of([pages[shown.number]] * 12 + [pages[turned.number]] * 3)
+    film_path = saved(tmp_path, frames)
+    (tmp_path / "copy.npy").write_bytes(film_path.read_bytes())
+    done, _ = imported(film_path, chart)
+    assert codes(done) == {"uneven_orientations"}
+    assert "has 4 trials of up and 1 of " in done.warnings[0].message
+    both = [film_path, tmp_path / "copy.npy"]
+    done = tod.import_recordings(both, chart=chart, out=tmp_path / "twice", frames_per_second=RATE)
+    assert [one.message[:27] for one in done.warnings if one.code == "repeated_trials"] == [
+        "5 of 10 trials repeat anoth"
+    ]
+    np.save(tmp_path / "far.npy", frames[:, 1::2, 1::2])
+    both = [film_path, tmp_path / "far.npy"]
+    done = tod.import_recordings(both, chart=chart, out=tmp_path / "far", frames_per_second=RATE)
+    assert "sizes_differ" in codes(done)
+
+
+def test_the_time_that_whole_frames_allow_is_told(tmp_path: Path, chart: Path, pages: list[np.ndarray]) -> None:
+    done, _ = imported(saved(tmp_path, film_of([pages[0]] * 6)), chart, frames_per_second=15.0)
+    assert any("1 frames a trial, 0.0667 s" in note for note in done.notes)
+    done, _ = imported(saved(tmp_path, film_of([pages[0]] * 6)), chart, overwrite=True)
+    assert not any("a trial" in note for note in done.notes)  # 3 frames at 30 frames/s are 0.1 s
+
+
 @pytest.mark.parametrize(
     ("settings", "match"),
     [
         ({"schedule": "s.csv"}, "found both, expected one"),
-        ({"integration_time_s": 0.0}, "expected a number > 0"),
-        ({"integration_time_s": "long"}, "expected a number > 0"),
+        ({"integration_time_s": 0.0}, "expected a time > 0"),
+        ({"integration_time_s": "long"}, "expected a time > 0"),
         ({"value_range": (2.0, 1.0)}, "the lower one first"),
         ({"ifov_mrad": 1.0}, "not used with a chart"),
+        ({"level": "contrast"}, "--level: is given but not used with a chart"),
         ({"display": "none_such"}, "expected the name of a file"),
     ],
 )
@@ -402,6 +431,26 @@ def test_trials_of_the_integration_time(n_frames: int, time_s: float | None, siz
     assert [len(trial.frames) for trial in division.trials] == sizes
     assert clip.n_trials == len(sizes)
     assert len(division.left_out) == n_frames - sum(sizes)
+
+
+def test_a_triangle_that_leaves_a_trial_is_left_out_of_it_alone() -> None:
+    """The second of two triangles is off the frame, or moves beyond what is held, and is there again later."""
+
+    def frame(number: int, second: Placed | None) -> ClipFrame:
+        one = clip_frame(1, number)
+        return one._replace(triangles=(*one.triangles, second))
+
+    (there,) = clip_frame(1, 0).triangles
+    moved = there._replace(part=there.part._replace(column=3))
+    shown = [there, moved, there, None, there, there, there, there, there]
+    division, clip = divided([frame(*one) for one in enumerate(shown)], 0.1, 1 / RATE)
+    assert [(trial.name[-10:], len(trial.frames)) for trial in division.trials] == [
+        ("trial_01_1", 3),
+        ("trial_02_1", 3),
+        ("trial_03_1", 3),
+        ("trial_03_2", 3),
+    ]
+    assert (division.left_out, division.n_moved, clip.n_trials) == (["frames/clip_0001/trial_01_2_0.png"], 1, 4)
 
 
 def test_no_trial_goes_across_a_gap() -> None:

@@ -127,6 +127,14 @@ def test_a_contrast_is_even_if_a_code_value_is_near(tmp_path: Path) -> None:
     assert len(np.unique(codes[230:250, 310:330])) == 1
 
 
+def test_a_triangle_may_be_as_black_as_the_monitor(tmp_path: Path) -> None:
+    """The luminance of covered pixels and the area of the triangle differ by 1e-5."""
+    monitor = {"width_px": 320, "height_px": 240, "pixel_pitch_mm": 0.5, "marker_mm": 20.0}
+    black = {"contrasts": [1.0], "polarity": -1, "repeats": 1}
+    made = tod.chart("screen", out=tmp_path / "chart", distance_m=4, sizes_mrad=[2], **black, **monitor)
+    assert {one.contrast for page in made.pages for one in page.triangles} == {-1.0}
+
+
 def test_ten_bits_are_in_sixteen(tmp_path: Path) -> None:
     asked = {"distance_m": 10, "sizes_mrad": [2], "contrasts": [0.004], "repeats": 1}
     chart = tod.chart("screen", out=tmp_path / "c", bits=10, eotf="gamma", gamma=2.2, **asked, **MONITOR)

@@ -63,10 +63,8 @@ UNITS_S = {"": 1.0, "s": 1.0, "ms": 1e-3}
 )
 @click.option(
     "--level",
-    default="contrast",
-    show_default=True,
     metavar="COLUMN",
-    help="With --schedule: the stimulus strength.",
+    help="With --schedule: the stimulus strength.  [default: contrast]",
 )
 @click.option("--overwrite", is_flag=True, help="Replace DATASET if todframes wrote all that is in it.")
 @quiet_option

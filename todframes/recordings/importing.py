@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 import math
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, Protocol
@@ -16,16 +17,31 @@ from todframes.frames.display import Display
 from todframes.frames.display_files import DisplayDescription, find_display, table_of_display
 from todframes.output import new_folder
 from todframes.recordings.chart_source import ChartSource
-from todframes.recordings.clips import Clip, ClipFrame
+from todframes.recordings.clips import TIME_TOLERANCE, Clip, ClipFrame
 from todframes.recordings.opening import open_recordings
 from todframes.recordings.recording import Recording, RecordingWarning, natural_order
 from todframes.recordings.schedule import read_schedule
 from todframes.recordings.schedule_source import ScheduleSource
-from todframes.recordings.trials import SHAKE_PX, Stimulus, TrialDivision
+from todframes.recordings.trials import SHAKE_PX, ImportedTrial, Stimulus, TrialDivision
 from todframes.recordings.windows import WrittenWindow, code_range, manifest, write_window
 
 INTEGRATION_TIME_S = 0.1
 """Time in which the eye integrates. Hogervorst et al. 2001, section 4."""
+
+
+LARGEST_TIME_ERROR = 0.1
+"""Relative difference of the trials' time from the integration time, above which it is told."""
+
+
+LARGEST_SIZE_RATIO = 1.1
+"""Ratio of the displayed sizes of one curve that is told; a tilt of 10° in a field of view of 28° has less."""
+
+
+LARGEST_IMBALANCE = 3.0
+"""Ratio of the numbers of trials of two orientations at one level that is told."""
+
+
+DEFAULT_LEVEL = "contrast"
 
 
 REPORT_FILE = "import.json"
@@ -99,7 +115,7 @@ def import_recordings(
     value_range: tuple[float, float] | None = None,
     frames_per_second: float | None = None,
     ifov_mrad: float | None = None,
-    level: str = "contrast",
+    level: str | None = None,
     overwrite: bool = False,
     progress: Callable[[int], None] | None = None,
 ) -> Imported:
@@ -131,8 +147,8 @@ def import_recordings(
     ifov_mrad : float, optional
         With a schedule: angle of a recorded pixel at the camera; sizes in mrad are then angles at the camera.
         Without it they are angles on the display.
-    level : str
-        With a schedule: column of the stimulus strength.
+    level : str, optional
+        With a schedule: column of the stimulus strength. Default: contrast.
     overwrite : bool
         Whether `out` may be replaced if it is a dataset that this package wrote.
     progress : function of an int, optional
@@ -155,7 +171,7 @@ def import_recordings(
         found = "neither" if chart is None else "both"
         raise SettingsError(f"chart, schedule: found {found}, expected one, which says what is shown")
     time_s = _checked_time(integration_time_s)
-    _check_settings(value_range, ifov_mrad, has_schedule=schedule is not None)
+    _check_settings(value_range, ifov_mrad, level, has_schedule=schedule is not None)
     shown = DisplayDescription(display=display) if isinstance(display, Display) else find_display(display)
     pitch_mrad = shown.display.pitch_mrad
     opened = open_for_import(recordings, schedule, level=level, frames_per_second=frames_per_second)
@@ -164,7 +180,12 @@ def import_recordings(
         source = ChartSource(Path(str(chart)), pitch_mrad=pitch_mrad, progress=progress)
     else:
         source = ScheduleSource(
-            Path(schedule), opened, pitch_mrad=pitch_mrad, ifov_mrad=ifov_mrad, level=level, progress=progress
+            Path(schedule),
+            opened,
+            pitch_mrad=pitch_mrad,
+            ifov_mrad=ifov_mrad,
+            level=level or DEFAULT_LEVEL,
+            progress=progress,
         )
     scales = [code_range(one, value_range) for one in opened]
     is_clipped = shown.display.eotf != "linear"
@@ -185,9 +206,10 @@ def import_recordings(
             *_of_recordings(opened),
             *source.warnings(),
             *_of_trials(division, source, opened, time_s, steady=steady),
+            *_of_design(division.trials, written, source),
             *_of_windows(written, is_clipped=is_clipped),
         )
-        notes = tuple(source.notes())
+        notes = (*source.notes(), *_of_time(opened, time_s))
         n_clips = sum(clip.n_trials > 0 for clip in source.clips)
         report = {
             "version": __version__,
@@ -217,7 +239,7 @@ def open_for_import(
     recordings: PathLike | Sequence[PathLike] | Sequence[Recording],
     schedule: PathLike | None = None,
     *,
-    level: str = "contrast",
+    level: str | None = None,
     frames_per_second: float | None = None,
 ) -> tuple[Recording, ...]:
     """Open recordings; with a schedule one by one, so that a row can name an image, and folders by their files.
@@ -234,7 +256,7 @@ def open_for_import(
         return tuple(opened)
     if schedule is None:
         return (*opened, *open_recordings(paths, frames_per_second=frames_per_second))
-    rows = read_schedule(Path(schedule), level=level)
+    rows = read_schedule(Path(schedule), level=level or DEFAULT_LEVEL)
     named = {Path(row.file).name for row in rows if row.file is not None}
     for path in paths:
         inside = natural_order(path.iterdir()) if path.is_dir() and path.resolve().name not in named else []
@@ -248,21 +270,22 @@ def _checked_time(integration_time_s: float | str) -> float | None:
     if integration_time_s == "all":
         return None
     if isinstance(integration_time_s, str) or not (math.isfinite(integration_time_s) and integration_time_s > 0):
-        raise SettingsError(f'integration_time_s: found {integration_time_s!r}, expected a number > 0, or "all"')
+        raise SettingsError(f"--integration-time: found {integration_time_s!r}, expected a time > 0, or all")
     return integration_time_s
 
 
 def _check_settings(
-    value_range: tuple[float, float] | None, ifov_mrad: float | None, *, has_schedule: bool
+    value_range: tuple[float, float] | None, ifov_mrad: float | None, level: str | None, *, has_schedule: bool
 ) -> None:
     if value_range is not None and not (all(map(math.isfinite, value_range)) and value_range[0] < value_range[1]):
-        raise SettingsError(f"value_range: found {value_range}, expected two numbers, the lower one first")
-    if ifov_mrad is None:
-        return
-    if not has_schedule:
-        raise SettingsError("ifov_mrad: is given but not used with a chart, whose markers tell the scale")
-    if not (math.isfinite(ifov_mrad) and ifov_mrad > 0):
-        raise SettingsError(f"ifov_mrad: found {ifov_mrad!r}, expected a number > 0")
+        low, high = value_range
+        raise SettingsError(f"--range: found {low:g}:{high:g}, expected two numbers, the lower one first")
+    if level is not None and not has_schedule:
+        raise SettingsError("--level: is given but not used with a chart, which tells its levels")
+    if ifov_mrad is not None and not has_schedule:
+        raise SettingsError("--ifov-mrad: is given but not used with a chart, whose markers tell the scale")
+    if ifov_mrad is not None and not (math.isfinite(ifov_mrad) and ifov_mrad > 0):
+        raise SettingsError(f"--ifov-mrad: found {ifov_mrad!r}, expected a number > 0")
 
 
 def _interval_s(recording: Recording) -> float | None:
@@ -335,6 +358,55 @@ def _of_trials(
             f"time, by up to {max(moving):.2g} px (rms); the eye sees it blurred, and so does the observer; if "
             "the camera in use does not shake, take a tripod, or --steady",
         )
+
+
+def _of_design(
+    trials: Sequence[ImportedTrial], written: Mapping[str, WrittenWindow], source: Source
+) -> Iterator[RecordingWarning]:
+    """Yield what makes trials unfit for one curve: repeats, two magnifications, more of one orientation."""
+    n_repeats = len(trials) - len({tuple(written[name].sha256 for name in trial.frames) for trial in trials})
+    if n_repeats:
+        yield RecordingWarning(
+            "repeated_trials",
+            f"{n_repeats} of {len(trials)} trials repeat another one bit by bit: they add nothing, and intervals "
+            "come out too narrow; give each recording once",
+        )
+    sizes_px: dict[object, list[float]] = defaultdict(list)
+    numbers: dict[tuple[object, float], Counter[str]] = defaultdict(Counter)
+    for trial in trials:
+        size = trial.stimulus.columns.get(source.group_by)
+        sizes_px[size] += trial.sizes_px
+        numbers[size, trial.stimulus.level][trial.orientation.value] += 1
+    size, of_size = max(sizes_px.items(), key=lambda one: max(one[1]) / min(one[1]))
+    if size is not None and max(of_size) > LARGEST_SIZE_RATIO * min(of_size):
+        yield RecordingWarning(
+            "sizes_differ",
+            f"triangles of {size} mrad are displayed with {min(of_size):.3g} to {max(of_size):.3g} px, so their "
+            "curve mixes cameras, distances or zooms; import these one by one",
+        )
+    for (size, level), of_orientation in numbers.items():
+        (more, n_more), *_, (less, n_less) = [*of_orientation.most_common(), *of_orientation.most_common()[-1:]]
+        if n_more > LARGEST_IMBALANCE * n_less:
+            yield RecordingWarning(
+                "uneven_orientations",
+                f"{source.level} {level:g}{'' if size is None else f' at {size} mrad'} has {n_more} trials of "
+                f"{more} and {n_less} of {less}, so one orientation decides; show each page equally long: aim "
+                "before the recording, or cut it",
+            )
+
+
+def _of_time(opened: Sequence[Recording], time_s: float | None) -> Iterator[str]:
+    """Yield the time that trials have where whole frames do not make up the integration time."""
+    for recording in opened:
+        frame_s = _interval_s(recording)
+        if time_s is None or frame_s is None:
+            continue
+        n_frames = max(1, math.ceil(time_s / frame_s - 0.5 - TIME_TOLERANCE))
+        if abs(n_frames * frame_s / time_s - 1.0) > LARGEST_TIME_ERROR:
+            yield (
+                f"{recording.path}: {n_frames} frames a trial, {n_frames * frame_s:.3g} s: the nearest to the "
+                f"integration time of {time_s:g} s"
+            )
 
 
 def _of_windows(written: dict[str, WrittenWindow], *, is_clipped: bool) -> Iterator[RecordingWarning]:

@@ -146,12 +146,10 @@ def _read_reflectances(path: Path) -> FloatArray:
 
 @dataclass(frozen=True, slots=True)
 class PrintChart:
-    """A chart on paper with a drawing of each sheet, and the smallest and largest contrast that its greys have."""
+    """A chart on paper with a drawing of each sheet."""
 
     chart: Chart
     drawings: tuple[Drawing, ...]
-    least_contrast: float
-    largest_contrast: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -252,7 +250,7 @@ def design_print_chart(design: Design, paper: Paper) -> PrintChart:
         shapes += _ruler(sheet)
         shapes += _text(chart, page, sheet, f"{least:.2g} to {largest:.2g}, {origin}")
         drawings.append(Drawing(chart.page_width_mm, chart.page_height_mm, tuple(shapes)))
-    return PrintChart(chart, tuple(drawings), least, largest)
+    return PrintChart(chart, tuple(drawings))
 
 
 def _codes(

@@ -111,7 +111,7 @@ class StillReader(Protocol):
 def check_rate(frames_per_second: float | None) -> float | None:
     """Return a frame rate. Raises SettingsError if it is not a positive number."""
     if frames_per_second is not None and not (math.isfinite(frames_per_second) and frames_per_second > 0):
-        raise SettingsError(f"frames_per_second: found {frames_per_second}, expected a number > 0")
+        raise SettingsError(f"--frames-per-second: found {frames_per_second}, expected a number > 0")
     return frames_per_second
 
 

@@ -240,7 +240,8 @@ def _triangle(
     a code step of one pixel.
     """
     alike = [drawn[condition._replace(orientation=orientation)] for orientation in ORIENTATIONS]
-    contrast = float(f"{np.mean([one.contrast for one in alike]):.6g}")
+    # The area of covered pixels is off by 1e-5, which must not make black darker than black.
+    contrast = max(-1.0, float(f"{np.mean([one.contrast for one in alike]):.6g}"))
     asked = design.polarity * condition.level
     return Triangle(
         orientation=Orientation(condition.orientation),

@@ -109,7 +109,7 @@ class TrialDivision:
     left_out : list of str
         Names of frames that were written for a trial that turned out not to be whole.
     n_moved : int
-        Number of trials left out since the triangle went farther than a window may.
+        Number of trials left out since the triangle went farther than a window may, or off the frame.
     """
 
     def __init__(self, described: Described, integration_time_s: float | None, *, steady: bool) -> None:
@@ -119,7 +119,8 @@ class TrialDivision:
         self._described = described
         self._time_s = integration_time_s
         self._steady = steady
-        self._open: dict[int, ImportedTrial] = {}
+        # By triangle; None for one that was lost before the end of the present trial.
+        self._open: dict[int, ImportedTrial | None] = {}
 
     def windows(
         self, frames: Iterable[tuple[Clip, ClipFrame]], scale: CodeRange, frame_s: float | None
@@ -135,30 +136,39 @@ class TrialDivision:
             elif self._open and (end := integration.ends_before(frame.time_s)) is not None:
                 self._end(clip, end.is_whole)
                 clip.n_gaps += end.is_gap
-            is_first = not self._open
+            is_first = not any(self._open.values())
             number += is_first
             integration.add(frame.time_s, first=is_first)
+            if is_first:
+                self._open = {
+                    index: self._begun(clip, frame, index, number) for index in range(len(frame.triangles))
+                }
             for index, placed in enumerate(frame.triangles):
-                if placed is not None:
-                    yield from self._taken(clip, frame, index, placed, number, scale)
+                yield from self._taken(frame, index, placed, scale)
         self._end(clip, integration.is_whole)
 
-    def _taken(
-        self, clip: Clip, frame: ClipFrame, index: int, placed: Placed, number: int, scale: CodeRange
-    ) -> Iterator[Window]:
-        trial = self._open.get(index)
+    def _begun(self, clip: Clip, frame: ClipFrame, index: int, number: int) -> ImportedTrial | None:
+        """Begin a trial of a triangle; None if it does not lie on the frame."""
+        placed = frame.triangles[index]
+        if placed is None:
+            return None
+        which = f"_{index + 1}" if len(frame.triangles) > 1 else ""
+        return ImportedTrial(
+            name=f"clip_{clip.number:04d}/trial_{number:02d}{which}",
+            stimulus=self._described(frame.page, index),
+            orientation=placed.orientation,
+            window=placed.window,
+            start_px=(placed.x_px or 0.0, placed.y_px or 0.0),
+        )
+
+    def _taken(self, frame: ClipFrame, index: int, placed: Placed | None, scale: CodeRange) -> Iterator[Window]:
+        """Yield the window of a triangle, unless its trial has ended early or does now."""
+        trial = self._open[index]
         if trial is None:
-            which = f"_{index + 1}" if len(frame.triangles) > 1 else ""
-            trial = self._open[index] = ImportedTrial(
-                name=f"clip_{clip.number:04d}/trial_{number:02d}{which}",
-                stimulus=self._described(frame.page, index),
-                orientation=placed.orientation,
-                window=placed.window,
-                start_px=(placed.x_px or 0.0, placed.y_px or 0.0),
-            )
-        window = _followed(trial, placed) if self._steady else trial.window
-        values = narrowed(placed.part, window)
-        if values is None:
+            return
+        window = _followed(trial, placed) if self._steady and placed is not None else trial.window
+        values = None if placed is None else narrowed(placed.part, window)
+        if placed is None or values is None:
             self.n_moved += 1
             self._discard(index)
             return
@@ -172,17 +182,18 @@ class TrialDivision:
         yield Window(name, values, scale)
 
     def _end(self, clip: Clip | None, is_whole: bool) -> None:
-        if clip is None:
-            return
-        for index in list(self._open):
-            if is_whole:
-                self.trials.append(self._open.pop(index))
+        """End the present trials; keep them if they are whole."""
+        for index, trial in self._open.items():
+            if trial is not None and clip is not None and is_whole:
+                self.trials.append(trial)
                 clip.n_trials += 1
             else:
                 self._discard(index)
+        self._open = {}
 
     def _discard(self, index: int) -> None:
-        self.left_out += self._open.pop(index).frames
+        trial, self._open[index] = self._open[index], None
+        self.left_out += [] if trial is None else trial.frames
 
     def rows(
         self, written: Mapping[str, WrittenWindow], *, level: str, pitch_mrad: float
