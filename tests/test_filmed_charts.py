@@ -284,7 +284,7 @@ def test_what_a_lossy_codec_costs_is_as_the_page_says(chart: Chart, tmp_path: Pa
         for name, small, large in re.findall(r"^\| ([^|]+) \| ([\d.]+) \| ([\d.]+) \|$", page, re.MULTILINE)
         if name in CODECS
     }
-    made = Film.of(chart, Camera(gamma=2.2, bits=8), frames_per_page=15)
+    made = Film.of(chart, Camera(gamma=2.2, bits=8), frames_per_page=8)
     found = {}
     for number, (name, options) in enumerate(CODECS.items()):
         codec = {"codec": "libx264", "options": options} if options else {}
