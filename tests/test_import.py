@@ -21,7 +21,7 @@ from todframes.recordings.chart_layout import write_chart
 from todframes.recordings.clips import Clip, ClipFrame, Part, Placed, clean_clips, share_of_other
 from todframes.recordings.geometry import Geometry, place_triangle
 from todframes.recordings.markers import marker_bits, marker_ids
-from todframes.recordings.trials import Stimulus, TrialDivision, merged_sizes
+from todframes.recordings.trials import TrialDivision, TriangleDescription, merged_sizes
 from todframes.recordings.windows import CodeRange
 from todframes.stimulus import Orientation
 
@@ -416,7 +416,7 @@ def test_frames_with_a_share_of_a_neighbour_are_left_out(n_clean: int) -> None:
 
 
 def divided(frames: list[ClipFrame], time_s: float | None, frame_s: float | None) -> tuple[TrialDivision, Clip]:
-    division = TrialDivision(lambda page, index: Stimulus(0.1, 1, {}), time_s, steady=False)  # noqa: ARG005
+    division = TrialDivision(lambda page, index: TriangleDescription(0.1, 1, {}), time_s, steady=False)  # noqa: ARG005
     clip = Clip(1, 1)
     list(division.windows(((clip, frame) for frame in frames), CodeRange(0, 255), frame_s))
     return division, clip

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from todframes._typing import FloatArray
 from todframes.errors import DataError, SettingsError
 from todframes.frames.display import REC_709_LUMINANCE_WEIGHTS
+from todframes.recordings.clips import INTEGRATION_TIME_S
 from todframes.recordings.recording import Recording, RecordingWarning
 
 PARTS = {
@@ -45,10 +46,6 @@ MOST_SATURATED = 1e-3
 
 SMALLEST_STEPS = 0.5
 """Standard deviation in steps of the recording, below which quantisation decides what is measured."""
-
-
-INTEGRATION_TIME_S = 0.1
-"""Time over which the eye averages. Hogervorst et al. 2001."""
 
 
 Region = tuple[int, int, int, int]

@@ -14,7 +14,7 @@ from todframes.errors import DataError
 from todframes.recordings.clips import Clip, ClipFrame, Part, Placed
 from todframes.recordings.recording import Recording, RecordingWarning
 from todframes.recordings.schedule import ScheduledTrial, assign_recordings, read_schedule
-from todframes.recordings.trials import OBJECT_SIZE, Stimulus
+from todframes.recordings.trials import OBJECT_SIZE, TriangleDescription
 from todframes.recordings.windows import clipped, field_reach_px, part_of, window_about
 
 NO_MODULES = np.zeros((0, 0, 0))
@@ -80,12 +80,12 @@ class ScheduleSource:
         assert row.size_mrad is not None  # a schedule has one of them
         return row.size_mrad / (self._pitch_mrad if self._ifov_mrad is None else self._ifov_mrad)
 
-    def described(self, page: int, index: int) -> Stimulus:  # noqa: ARG002
+    def described(self, page: int, index: int) -> TriangleDescription:  # noqa: ARG002
         """Return what a row of the schedule shows."""
         row = self._rows[page]
         size = self._object_mrad(row)
         columns: dict[str, object] = {} if size is None else {OBJECT_SIZE: repr(size)}
-        return Stimulus(row.level, row.polarity, columns | dict(row.other))
+        return TriangleDescription(row.level, row.polarity, columns | dict(row.other))
 
     def frames(self, recording: Recording, number: int) -> Iterator[tuple[Clip, ClipFrame]]:
         """Yield the frames of a recording that the schedule names, each with its clip.
