@@ -18,7 +18,7 @@ from todframes.cli.main import cli
 from todframes.cli.recordings import seconds
 from todframes.errors import DataError, OutputError, SettingsError
 from todframes.recordings.chart_layout import write_chart
-from todframes.recordings.clips import Clip, ClipFrame, Part, Placed, clean_clips, share_of_other
+from todframes.recordings.clips import Clip, ClipFrame, FramePart, Placed, clean_clips, share_of_other
 from todframes.recordings.geometry import Geometry, place_triangle
 from todframes.recordings.markers import marker_bits, marker_ids
 from todframes.recordings.trials import TrialDivision, TriangleDescription, merged_sizes
@@ -387,7 +387,7 @@ def clip_frame(
     bits, other_bits = (
         np.array([marker_bits(marker) for marker in marker_ids(one, 3)], float) for one in (page, other)
     )
-    part = Part(np.zeros((9, 9), np.uint8), 0, 0)
+    part = FramePart(np.zeros((9, 9), np.uint8), 0, 0)
     placed = Placed(4.0, 4.0, 2.0, Orientation.UP, (0, 9, 0, 9), part)
     return ClipFrame(
         page,

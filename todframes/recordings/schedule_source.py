@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from todframes.errors import DataError
-from todframes.recordings.clips import Clip, ClipFrame, Part, Placed
+from todframes.recordings.clips import Clip, ClipFrame, FramePart, Placed
 from todframes.recordings.recording import Recording, RecordingWarning
 from todframes.recordings.schedule import ScheduledTrial, assign_recordings, read_schedule
 from todframes.recordings.trials import OBJECT_SIZE, TriangleDescription
@@ -133,7 +133,7 @@ class ScheduleSource:
         size_px = self._size_px(row)
         if row.x_px is None or row.y_px is None:
             window = (0, height, 0, width)
-            return Placed(None, None, size_px, row.orientation, window, Part(values, 0, 0))
+            return Placed(None, None, size_px, row.orientation, window, FramePart(values, 0, 0))
         if not (0 <= row.x_px < width and 0 <= row.y_px < height):
             raise DataError(
                 f"{row.where}: found x_px {row.x_px:g} and y_px {row.y_px:g}, expected a place on the frame of "
