@@ -146,19 +146,21 @@ def answer_probability(score: ArrayLike, covariance: ArrayLike, answer: int, *, 
     first = [answer, *OTHERS[answer]]
     scores = np.broadcast_to(scores[..., first], (*shape, 4))
     covariances = covariances[..., first, :][..., first]
-    # Scores along the last axis often share a covariance, and with it most of the work.
-    shared = covariances.ndim < 3 or covariances.shape[-3] == 1
-    if not (shared and shape):
-        scores, shape = scores[..., None, :], (*shape, 1)
-    elif covariances.ndim >= 3:
+    # Scores along the last axis often share a covariance, and with it most of the work; or all scores share one.
+    is_one = covariances.ndim == 2
+    shared = not is_one and covariances.shape[-3] == 1
+    if shared:
         covariances = covariances[..., 0, :, :]
-    covariances = np.broadcast_to(covariances, (*shape[:-1], 4, 4)).reshape(-1, 4, 4)
+    else:
+        scores, shape = scores[..., None, :], (*shape, 1)
+    covariances = covariances if is_one else np.broadcast_to(covariances, (*shape[:-1], 4, 4))
+    covariances = covariances.reshape(-1, 4, 4)
     scores = scores.reshape(-1, shape[-1], 4)
     probability = np.empty(scores.shape[:2])
     for start in range(0, len(scores), 4 * _CHUNK):
         chunk = slice(start, start + 4 * _CHUNK)
         # Few nodes are for matrices that are far from singular, which do not need extended precision either.
-        deviation, angle = of_covariance(covariances[chunk], extended=nodes >= _NODES)
+        deviation, angle = of_covariance(covariances if is_one else covariances[chunk], extended=nodes >= _NODES)
         geometry = _geometry(deviation[:, :1], angle[:, :1], nodes)
         for column in range(scores.shape[1]):
             probability[chunk, column] = _shared_orthants(scores[chunk, column], geometry, slice(0, 1))[:, 0]
