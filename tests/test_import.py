@@ -203,8 +203,8 @@ def test_each_triangle_of_a_page_has_windows_and_trials(tmp_path: Path, pages: l
     done, rows = imported(path, tmp_path / "sheet.toml")
     assert (done.n_clips, done.n_trials, done.n_frames) == (1, 4, 12)
     assert [row["orientation"] for row in rows] == ["up"] * 3 + ["left"] * 3 + ["up"] * 3 + ["left"] * 3
-    assert codes(done) == {"off_frame"}  # two triangles, in six frames
-    assert done.warnings[0].message.startswith(f"{path}: 12 triangles reach beyond the frame")
+    assert codes(done) == {"edited_chart", "off_frame"}  # two triangles, in six frames
+    assert done.warnings[1].message.startswith(f"{path}: 12 triangles reach beyond the frame")
 
 
 def test_a_window_at_the_border_is_smaller(tmp_path: Path, pages: list[np.ndarray]) -> None:
@@ -213,7 +213,7 @@ def test_a_window_at_the_border_is_smaller(tmp_path: Path, pages: list[np.ndarra
     write_chart(tmp_path / "sheet.toml", sheet)
     frames = film_of([pages[0]] * 3)
     done, rows = imported(saved(tmp_path, frames), tmp_path / "sheet.toml")
-    assert codes(done) == {"cut_window"}
+    assert codes(done) == {"edited_chart", "cut_window"}
     window = cv2.imread(str(done.path / rows[0]["frame"]), cv2.IMREAD_UNCHANGED)
     height, width = window.shape
     assert width < height
