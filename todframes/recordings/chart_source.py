@@ -269,8 +269,8 @@ class ChartSource:
         if self.chart.with_key().key != self.chart.key:
             yield RecordingWarning(
                 "edited_chart",
-                f"{self.path}: was changed after the chart was made: places, sizes and levels are taken as it says "
-                "now, not as the chart was; give the original, unless you measured the chart",
+                f"{self.path}: was changed after the chart was made: places, sizes and levels are taken as it "
+                "says now, not as the chart was; give the original, unless you measured the chart",
             )
         for report in self.reports:
             yield from self._warnings(report)
