@@ -19,10 +19,6 @@ from todframes._typing import FloatArray
 from todframes.recordings.markers import marker_bits, marker_ids
 from todframes.stimulus import Orientation
 
-INTEGRATION_TIME_S = 0.1
-"""Time in which the eye integrates. Hogervorst et al. 2001, section 4."""
-
-
 EDGE_FRAMES = 3
 """Frames at the beginning and the end of a clip that may hold a share of another page."""
 

@@ -17,9 +17,9 @@ from todframes.frames.display import Display
 from todframes.frames.display_files import DisplayDescription, find_display, table_of_display
 from todframes.output import new_folder
 from todframes.recordings.chart_source import ChartSource
-from todframes.recordings.clips import INTEGRATION_TIME_S, TIME_TOLERANCE, Clip, ClipFrame
+from todframes.recordings.clips import TIME_TOLERANCE, Clip, ClipFrame
 from todframes.recordings.opening import open_recordings
-from todframes.recordings.recording import Recording, RecordingWarning, natural_order
+from todframes.recordings.recording import INTEGRATION_TIME_S, Recording, RecordingWarning, natural_order
 from todframes.recordings.schedule import read_schedule
 from todframes.recordings.schedule_source import ScheduleSource
 from todframes.recordings.trials import SHAKE_PX, ImportedTrial, TrialDivision, TriangleDescription

@@ -21,8 +21,7 @@ from numpy.typing import NDArray
 from todframes._typing import FloatArray
 from todframes.errors import DataError, SettingsError
 from todframes.frames.display import REC_709_LUMINANCE_WEIGHTS
-from todframes.recordings.clips import INTEGRATION_TIME_S
-from todframes.recordings.recording import Recording, RecordingWarning
+from todframes.recordings.recording import INTEGRATION_TIME_S, Recording, RecordingWarning
 
 PARTS = {
     "t": "all of a frame, from frame to frame",
