@@ -120,8 +120,7 @@ def test_other_files_are_told(folder, capsys) -> None:
     assert run(cli, ["new", str(path), "--from", PATTERN]) == 0
     out, err = capsys.readouterr()
     assert err == (
-        "note: 2 files beside the frames do not match and are left out: frames/Thumbs.db, "
-        "frames/s4_c0.2_up_1.txt\n"
+        "note: 2 files beside the frames without a match, left out: frames/Thumbs.db, frames/s4_c0.2_up_1.txt\n"
     )
     assert out.startswith(f"written: {path}/dataset.toml, and {path}/manifest.csv: 1 frame\n")
     assert sorted(one.name for one in path.iterdir()) == ["dataset.toml", "frames", "manifest.csv", "notes.txt"]

@@ -19,10 +19,10 @@ from todframes.cli.main import cli
 from todframes.cli.recordings import seconds
 from todframes.errors import DataError, OutputError, SettingsError
 from todframes.recordings.chart_layout import write_chart
-from todframes.recordings.clips import Clip, ClipFrame, Part, Placed, clean_clips, share_of_other
+from todframes.recordings.clips import Clip, ClipFrame, FramePart, Placed, clean_clips, share_of_other
 from todframes.recordings.geometry import Geometry, place_triangle
 from todframes.recordings.markers import marker_bits, marker_ids
-from todframes.recordings.trials import Stimulus, TrialDivision, merged_sizes
+from todframes.recordings.trials import TrialDivision, TriangleDescription, merged_sizes
 from todframes.recordings.windows import CodeRange
 from todframes.stimulus import Orientation
 
@@ -206,8 +206,8 @@ def test_each_triangle_of_a_page_has_windows_and_trials(tmp_path: Path, pages: l
     done, rows = imported(path, tmp_path / "sheet.toml")
     assert (done.n_clips, done.n_trials, done.n_frames) == (1, 4, 12)
     assert [row["orientation"] for row in rows] == ["up"] * 3 + ["left"] * 3 + ["up"] * 3 + ["left"] * 3
-    assert codes(done) == {"off_frame"}  # two triangles, in six frames
-    assert done.warnings[0].message.startswith(f"{path}: 12 triangles reach beyond the frame")
+    assert codes(done) == {"edited_chart", "off_frame"}  # two triangles, in six frames
+    assert done.warnings[1].message.startswith(f"{path}: 12 triangles reach beyond the frame")
 
 
 def test_a_window_at_the_border_is_smaller(tmp_path: Path, pages: list[np.ndarray]) -> None:
@@ -216,7 +216,7 @@ def test_a_window_at_the_border_is_smaller(tmp_path: Path, pages: list[np.ndarra
     write_chart(tmp_path / "sheet.toml", sheet)
     frames = film_of([pages[0]] * 3)
     done, rows = imported(saved(tmp_path, frames), tmp_path / "sheet.toml")
-    assert codes(done) == {"cut_window"}
+    assert codes(done) == {"edited_chart", "cut_window"}
     window = cv2.imread(str(done.path / rows[0]["frame"]), cv2.IMREAD_UNCHANGED)
     height, width = window.shape
     assert width < height
@@ -390,7 +390,7 @@ def clip_frame(
     bits, other_bits = (
         np.array([marker_bits(marker) for marker in marker_ids(one, 3)], float) for one in (page, other)
     )
-    part = Part(np.zeros((9, 9), np.uint8), 0, 0)
+    part = FramePart(np.zeros((9, 9), np.uint8), 0, 0)
     placed = Placed(4.0, 4.0, 2.0, Orientation.UP, (0, 9, 0, 9), part)
     return ClipFrame(
         page,
@@ -419,7 +419,7 @@ def test_frames_with_a_share_of_a_neighbour_are_left_out(n_clean: int) -> None:
 
 
 def divided(frames: list[ClipFrame], time_s: float | None, frame_s: float | None) -> tuple[TrialDivision, Clip]:
-    division = TrialDivision(lambda page, index: Stimulus(0.1, 1, {}), time_s, steady=False)  # noqa: ARG005
+    division = TrialDivision(lambda page, index: TriangleDescription(0.1, 1, {}), time_s, steady=False)  # noqa: ARG005
     clip = Clip(1, 1)
     list(division.windows(((clip, frame) for frame in frames), CodeRange(0, 255), frame_s))
     return division, clip

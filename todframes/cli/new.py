@@ -51,8 +51,6 @@ def new(*, dataset: Path, pattern: str, display: str, level: str, overwrite: boo
     found = new_dataset(dataset, pattern, display=display, level=level, overwrite=overwrite)
     if found.unmatched:
         names = ", ".join(found.unmatched[:FILES_SHOWN]) + (", …" if len(found.unmatched) > FILES_SHOWN else "")
-        say(
-            f"note: {count(len(found.unmatched), 'file')} beside the frames do not match and are left out: {names}"
-        )
+        say(f"note: {count(len(found.unmatched), 'file')} beside the frames without a match, left out: {names}")
     echo(f"written: {dataset / 'dataset.toml'}, and {dataset / 'manifest.csv'}: {count(found.n_frames, 'frame')}")
     echo(f"The display is {display}. Check frames, sizes and display: todframes validate {dataset}")

@@ -20,14 +20,14 @@ from todframes.recordings.geometry import PlacedTriangle, place_triangle
 from todframes.recordings.marker_finder import MarkerFinder, Sighting
 from todframes.recordings.markers import CORNERS, page_of
 from todframes.recordings.recording import Recording, RecordingWarning
-from todframes.recordings.trials import OBJECT_SIZE, Stimulus
+from todframes.recordings.trials import OBJECT_SIZE, TriangleDescription
 from todframes.recordings.windows import clipped, field_reach_px, part_of, window_about
 
 SLACK_PX = 16
 """Distance that a triangle may move within a trial."""
 
 
-SIZE_MARGIN = 1.05
+SIZE_MARGIN = 1.1
 """Factor by which a window is larger than a triangle needs, so that those of a size have windows of a size."""
 
 
@@ -104,11 +104,11 @@ class ChartSource:
         self._n_runs = 0
         self._reaches: dict[float, _Reach] = {}
 
-    def described(self, page: int, index: int) -> Stimulus:
+    def described(self, page: int, index: int) -> TriangleDescription:
         """Return what a triangle of a page is."""
         one = self.chart.pages[page].triangles[index]
         columns = {OBJECT_SIZE: repr(one.size_mrad), "page": page}
-        return Stimulus(abs(one.strength), self.chart.polarity, columns)
+        return TriangleDescription(abs(one.strength), self.chart.polarity, columns)
 
     def frames(self, recording: Recording, number: int) -> Iterator[tuple[Clip, ClipFrame]]:  # noqa: ARG002
         """Yield the frames of a recording that show one page, each with its clip.
@@ -266,6 +266,12 @@ class ChartSource:
 
     def warnings(self) -> Iterator[RecordingWarning]:
         """Yield what makes the places and sizes of triangles less certain."""
+        if self.chart.with_key().key != self.chart.key:
+            yield RecordingWarning(
+                "edited_chart",
+                f"{self.path}: was changed after the chart was made: places, sizes and levels are taken as it "
+                "says now, not as the chart was; give the original, unless you measured the chart",
+            )
         for report in self.reports:
             yield from self._warnings(report)
 

@@ -48,7 +48,7 @@ Rectangle = tuple[int, int, int, int]
 """Half-open ranges of rows and columns: top, bottom, left, right."""
 
 
-class Part(NamedTuple):
+class FramePart(NamedTuple):
     """A rectangle of a recorded frame, values untouched; its first pixel is at (row, column) of the frame."""
 
     values: NDArray[np.generic]
@@ -69,7 +69,7 @@ class Placed(NamedTuple):
     size_px: float
     orientation: Orientation
     window: Rectangle
-    part: Part
+    part: FramePart
 
 
 class ClipFrame(NamedTuple):

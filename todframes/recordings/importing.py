@@ -19,22 +19,18 @@ from todframes.output import new_folder
 from todframes.recordings.chart_source import ChartSource
 from todframes.recordings.clips import TIME_TOLERANCE, Clip, ClipFrame
 from todframes.recordings.opening import open_recordings
-from todframes.recordings.recording import Recording, RecordingWarning, natural_order
+from todframes.recordings.recording import INTEGRATION_TIME_S, Recording, RecordingWarning, natural_order
 from todframes.recordings.schedule import read_schedule
 from todframes.recordings.schedule_source import ScheduleSource
-from todframes.recordings.trials import SHAKE_PX, ImportedTrial, Stimulus, TrialDivision
+from todframes.recordings.trials import SHAKE_PX, ImportedTrial, TrialDivision, TriangleDescription
 from todframes.recordings.windows import WrittenWindow, code_range, manifest, write_window
-
-INTEGRATION_TIME_S = 0.1
-"""Time in which the eye integrates. Hogervorst et al. 2001, section 4."""
-
 
 LARGEST_TIME_ERROR = 0.1
 """Relative difference of the trials' time from the integration time, above which it is told."""
 
 
-LARGEST_SIZE_RATIO = 1.1
-"""Ratio of the displayed sizes of one curve that is told; a tilt of 10° in a field of view of 28° has less."""
+LARGEST_SIZE_RATIO = 1.15
+"""Ratio of the displayed sizes of one curve that is told; a tilt of 10° in a field of view of 28° has 1.09."""
 
 
 LARGEST_IMBALANCE = 3.0
@@ -60,7 +56,7 @@ class Source(Protocol):
     group_by: str
     clips: list[Clip]
 
-    def described(self, page: int, index: int) -> Stimulus:
+    def described(self, page: int, index: int) -> TriangleDescription:
         """Return what a triangle of a page is."""
 
     def frames(self, recording: Recording, number: int) -> Iterator[tuple[Clip, ClipFrame]]:

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from todframes._typing import FloatArray
 from todframes.errors import DataError, SettingsError
 from todframes.frames.display import REC_709_LUMINANCE_WEIGHTS
-from todframes.recordings.recording import Recording, RecordingWarning
+from todframes.recordings.recording import INTEGRATION_TIME_S, Recording, RecordingWarning
 
 PARTS = {
     "t": "all of a frame, from frame to frame",
@@ -47,10 +47,6 @@ SMALLEST_STEPS = 0.5
 """Standard deviation in steps of the recording, below which quantisation decides what is measured."""
 
 
-INTEGRATION_TIME_S = 0.1
-"""Time over which the eye averages. Hogervorst et al. 2001."""
-
-
 Region = tuple[int, int, int, int]
 
 
@@ -58,7 +54,7 @@ Combination = Mapping[str, float]
 """Weights of mean squares, by the name of the part."""
 
 
-class Part(NamedTuple):
+class NoisePart(NamedTuple):
     """The standard deviation of a part of the noise with a 95 % interval, and the variance that it is the root of.
 
     An unbiased estimate of a variance can be below zero; then `sd` is 0.
@@ -81,8 +77,8 @@ class PatchNoise(NamedTuple):
 
     level: float
     mean: float
-    dynamic: Part | None
-    fixed: Part | None
+    dynamic: NoisePart | None
+    fixed: NoisePart | None
     snr: float
 
 
@@ -121,9 +117,9 @@ class Noise3D:
     region : (int, int, int, int)
         Left column, top row, width and height of what was measured.
     mean : float
-    parts : dict of Part
+    parts : dict of NoisePart
         By the names in `PARTS`; of a single frame only v, h and vh, and vh contains tvh.
-    dynamic, fixed : Part or None
+    dynamic, fixed : NoisePart or None
         Noise of a pixel from frame to frame (tv, th, tvh together), and its fixed pattern (v, h, vh). None for a
         single frame, where they cannot be told apart.
     drift : Drift or None
@@ -143,9 +139,9 @@ class Noise3D:
     n_frames: int
     region: Region
     mean: float
-    parts: dict[str, Part]
-    dynamic: Part | None
-    fixed: Part | None
+    parts: dict[str, NoisePart]
+    dynamic: NoisePart | None
+    fixed: NoisePart | None
     drift: Drift | None
     frames_per_second: float | None
     mean_image: FloatArray
@@ -162,8 +158,8 @@ class Noise3D:
         return max(1, round(INTEGRATION_TIME_S * (self.frames_per_second or 0.0)))
 
     @property
-    def fixed_pattern_ratio(self) -> Part:
-        """Static divided by dynamic standard deviation, `variance` being its square; see `Part`.
+    def fixed_pattern_ratio(self) -> NoisePart:
+        """Static divided by dynamic standard deviation, `variance` being its square; see `NoisePart`.
 
         Raises
         ------
@@ -175,12 +171,12 @@ class Noise3D:
         ratio, (low, high) = fixed.sd / dynamic.sd, fixed.ci95
         down, up = (_log_ratio(dynamic.sd, end) for end in dynamic.ci95)
         if ratio == 0:
-            return Part(0.0, (0.0, high / dynamic.sd), fixed.variance / dynamic.variance)
+            return NoisePart(0.0, (0.0, high / dynamic.sd), fixed.variance / dynamic.variance)
         lower = math.exp(-math.hypot(_log_ratio(fixed.sd, low), up)) * ratio
         upper = math.exp(math.hypot(_log_ratio(fixed.sd, high), down)) * ratio
-        return Part(ratio, (lower, upper), ratio**2)
+        return NoisePart(ratio, (lower, upper), ratio**2)
 
-    def _both(self) -> tuple[Part, Part]:
+    def _both(self) -> tuple[NoisePart, NoisePart]:
         """Return the dynamic noise, which is not zero, and the fixed pattern; DataError if they are not known."""
         if self.dynamic is None or self.fixed is None:
             raise DataError("noise: found one frame, expected 2 or more to tell temporal noise from fixed pattern")
@@ -364,7 +360,7 @@ def _added(weights: list[Combination]) -> Combination:
     return {name: sum(one.get(name, 0.0) for one in weights) for name in names}
 
 
-def estimate(weights: Combination, squares: Mapping[str, float], degrees: Mapping[str, int]) -> Part:
+def estimate(weights: Combination, squares: Mapping[str, float], degrees: Mapping[str, int]) -> NoisePart:
     """Return the root of a weighted sum of mean squares, and its 95 % interval.
 
     Mean squares of Gaussian parts are independent, and times degrees of freedom over expectation they are χ². The
@@ -383,7 +379,7 @@ def estimate(weights: Combination, squares: Mapping[str, float], degrees: Mappin
         above += (term * (up if weight > 0 else down)) ** 2
     ends = variance - math.sqrt(below), variance + math.sqrt(above)
     low, high = (math.sqrt(max(one, 0.0)) for one in ends)
-    return Part(math.sqrt(max(variance, 0.0)), (low, high), variance)
+    return NoisePart(math.sqrt(max(variance, 0.0)), (low, high), variance)
 
 
 def fit_drift(frame_means: FloatArray, times_s: list[float | None]) -> Drift | None:

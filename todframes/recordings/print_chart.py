@@ -34,8 +34,9 @@ from todframes.stimulus import vertices
 PDF_FILE = "chart.pdf"
 
 
-SPACING_PER_SIZE = 3.4
-"""Distance between triangles of a sheet in sizes: the corners of one stay out of the field around the other."""
+SPACING_PER_SIZE = 3.8
+"""Distance between triangles of a sheet in sizes. The corners of one stay out of the field around the other, with
+0.4 sizes to spare for the blur and the perspective of a camera."""
 
 
 MARKER_SHARE = 0.08

@@ -13,6 +13,10 @@ from numpy.typing import NDArray
 
 from todframes.errors import DataError, FrameError, SettingsError
 
+INTEGRATION_TIME_S = 0.1
+"""Time in which the eye integrates. Hogervorst et al. 2001, section 4."""
+
+
 Unit = Literal["code", "counts", "celsius"]
 """Code values of a picture, counts of a detector, or temperatures."""
 

@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from todframes.errors import DataError
-from todframes.recordings.clips import Clip, ClipFrame, Part, Placed
+from todframes.recordings.clips import Clip, ClipFrame, FramePart, Placed
 from todframes.recordings.recording import Recording, RecordingWarning
 from todframes.recordings.schedule import ScheduledTrial, assign_recordings, read_schedule
-from todframes.recordings.trials import OBJECT_SIZE, Stimulus
+from todframes.recordings.trials import OBJECT_SIZE, TriangleDescription
 from todframes.recordings.windows import clipped, field_reach_px, part_of, window_about
 
 NO_MODULES = np.zeros((0, 0, 0))
@@ -80,12 +80,12 @@ class ScheduleSource:
         assert row.size_mrad is not None  # a schedule has one of them
         return row.size_mrad / (self._pitch_mrad if self._ifov_mrad is None else self._ifov_mrad)
 
-    def described(self, page: int, index: int) -> Stimulus:  # noqa: ARG002
+    def described(self, page: int, index: int) -> TriangleDescription:  # noqa: ARG002
         """Return what a row of the schedule shows."""
         row = self._rows[page]
         size = self._object_mrad(row)
         columns: dict[str, object] = {} if size is None else {OBJECT_SIZE: repr(size)}
-        return Stimulus(row.level, row.polarity, columns | dict(row.other))
+        return TriangleDescription(row.level, row.polarity, columns | dict(row.other))
 
     def frames(self, recording: Recording, number: int) -> Iterator[tuple[Clip, ClipFrame]]:
         """Yield the frames of a recording that the schedule names, each with its clip.
@@ -133,7 +133,7 @@ class ScheduleSource:
         size_px = self._size_px(row)
         if row.x_px is None or row.y_px is None:
             window = (0, height, 0, width)
-            return Placed(None, None, size_px, row.orientation, window, Part(values, 0, 0))
+            return Placed(None, None, size_px, row.orientation, window, FramePart(values, 0, 0))
         if not (0 <= row.x_px < width and 0 <= row.y_px < height):
             raise DataError(
                 f"{row.where}: found x_px {row.x_px:g} and y_px {row.y_px:g}, expected a place on the frame of "

@@ -24,7 +24,7 @@ SHAKE_PX = 0.25
 """Root mean square motion within a trial from which it is told; it blurs like half of a pixel's width."""
 
 
-class Stimulus(NamedTuple):
+class TriangleDescription(NamedTuple):
     """What a triangle of a page is: its level, polarity, and its further columns in the manifest."""
 
     level: float
@@ -32,7 +32,7 @@ class Stimulus(NamedTuple):
     columns: Mapping[str, object]
 
 
-Described = Callable[[int, int], Stimulus]
+Described = Callable[[int, int], TriangleDescription]
 """Function of the number of a page and of a triangle on it."""
 
 
@@ -44,7 +44,7 @@ class ImportedTrial:
     """
 
     name: str
-    stimulus: Stimulus
+    stimulus: TriangleDescription
     orientation: Orientation
     window: Rectangle
     start_px: tuple[float, float]

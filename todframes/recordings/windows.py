@@ -19,7 +19,7 @@ from todframes.errors import OutputError, SettingsError
 from todframes.frames.files import write_frame
 from todframes.frames.surround import TrianglePlace, surround_window
 from todframes.observers.pyramid import PyramidObserver
-from todframes.recordings.clips import Part, Rectangle
+from todframes.recordings.clips import FramePart, Rectangle
 from todframes.recordings.recording import Recording
 from todframes.stimulus import Stimulus
 
@@ -56,13 +56,13 @@ def clipped(window: Rectangle, shape: Sequence[int]) -> Rectangle:
     return max(top, 0), min(bottom, shape[0]), max(left, 0), min(right, shape[1])
 
 
-def part_of(values: NDArray[Any], window: Rectangle) -> Part:
+def part_of(values: NDArray[Any], window: Rectangle) -> FramePart:
     """Copy a window out of a frame."""
     top, bottom, left, right = window
-    return Part(values[top:bottom, left:right].copy(), top, left)
+    return FramePart(values[top:bottom, left:right].copy(), top, left)
 
 
-def narrowed(part: Part, window: Rectangle) -> NDArray[Any] | None:
+def narrowed(part: FramePart, window: Rectangle) -> NDArray[Any] | None:
     """Return the values of a window within a part of a frame; None if it reaches beyond the part."""
     top, bottom, left, right = window
     rows, columns = part.values.shape[:2]

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from todframes._typing import FloatArray, Json
-from todframes.recordings.noise3d import PARTS, Noise3D, Part
+from todframes.recordings.noise3d import PARTS, Noise3D, NoisePart
 from todframes.report.data import ResultWarning
 from todframes.report.figure_style import COLOURS, INK, label_text, style
 from todframes.report.result import Result
@@ -221,7 +221,7 @@ class NoiseResult:
         per_unit = 1000.0 if self.measured.unit == "celsius" else self.mk_per_unit
         return None if per_unit is None else sd * per_unit
 
-    def _with_unit(self, part: Part) -> str:
+    def _with_unit(self, part: NoisePart) -> str:
         text = f"{plain(part.sd)} ({interval_phrase(part.ci95, 3)}) {UNITS[self.measured.unit]}"
         in_mk = self._mk(part.sd)
         return text if in_mk is None else f"{text} = {plain(in_mk)} mK"
@@ -234,7 +234,7 @@ class NoiseResult:
             for n in counts
         ]
 
-    def _json(self, part: Part | None) -> Json | None:
+    def _json(self, part: NoisePart | None) -> Json | None:
         if part is None:
             return None
         values = {"sd": part.sd, "sd_ci95": list(part.ci95), "variance": part.variance}
@@ -269,7 +269,7 @@ class NoiseResult:
         axes.title.set_fontsize("medium")
 
 
-def _sd(part: Part | None) -> float | None:
+def _sd(part: NoisePart | None) -> float | None:
     return None if part is None else part.sd
 
 
