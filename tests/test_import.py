@@ -493,5 +493,9 @@ def test_the_command(tmp_path: Path, chart: Path, pages: list[np.ndarray], capsy
     assert "note: " in shown.err
     assert run(cli, [*command, "--range", "5"]) == 2
     assert capsys.readouterr().err == "error: --range: found '5', expected two numbers LOW:HIGH\n"
+    for sources in ([], ["--chart", "a.toml", "--schedule", "none.csv"]):
+        assert run(cli, ["import", str(path), *sources, "-o", str(tmp_path / "d")]) == 2
+        expected = "error: import: expected one of --chart and --schedule, which says what is shown\n"
+        assert capsys.readouterr().err == expected
     assert run(cli, ["import", str(tmp_path / "none.mkv"), "--chart", str(chart), "-o", str(tmp_path / "e")]) == 1
     assert capsys.readouterr().err.count("\n") == 1

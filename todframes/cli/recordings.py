@@ -84,6 +84,8 @@ def import_command(
     which page a frame shows and where its triangles are; windows are cut about them, with values untouched.
     `todframes score` reads the dataset; import.json in it tells what was found.
     """
+    if (asked["chart"] is None) == (asked["schedule"] is None):
+        raise SettingsError("import: expected one of --chart and --schedule, which says what is shown")
     time_s, limits = seconds(integration_time), _limits(value_range)
     from todframes.recordings.importing import import_recordings, open_for_import
     from todframes.report.wording import count

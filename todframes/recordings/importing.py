@@ -297,9 +297,9 @@ def _why_no_trial(division: TrialDivision, source: Source, time_s: float | None)
         return "no triangle lies on the frames; expected all of the page in the picture"
     clip = max(timed, key=lambda one: (one.end_s or 0.0) - (one.start_s or 0.0))
     return (
-        f"{clip.first_source}: the longest clip has {clip.n_frames} frames from {clip.start_s:.3f} to "
-        f"{clip.end_s:.3f} s, shorter than the integration time of {time_s:g} s; record each page longer, or "
-        "give a shorter --integration-time"
+        f"{clip.first_source}: the longest clip goes from {clip.start_s:.3f} to {clip.end_s:.3f} s "
+        f"(frames: {clip.n_frames}), shorter than the integration time of {time_s:g} s; record each page longer, "
+        "or give a shorter --integration-time"
     )
 
 
