@@ -45,7 +45,7 @@ MOST_STRETCH = 1.05
 
 @dataclass(slots=True)
 class RecordingReport:
-    """What a recording showed: numbers of frames by what became of them, and its clips.
+    """The content of a recording: numbers of frames by what became of them, and its clips.
 
     `n_without_markers` are frames in which the four markers were not found, `n_transition` those with markers of
     two pages or with a share of another page, `n_other_page` those with the chart's key but a page that it does
@@ -353,14 +353,14 @@ class ChartSource:
 
 
 class _Reach(NamedTuple):
-    """How far windows of triangles up to a size reach."""
+    """The distance from their middle to which windows of triangles up to a size reach."""
 
     size_px: float
     reach_px: int
 
 
 class _Measured:
-    """What was measured in the frames of one clip, by name."""
+    """Measurements in the frames of one clip, by name."""
 
     def __init__(self, page: int) -> None:
         self.page = page

@@ -211,7 +211,7 @@ def share_of_other(modules: FloatArray, ids: tuple[int, ...], other_ids: tuple[i
 
 
 class TrialEnd(NamedTuple):
-    """How a trial ended: whether it has the whole integration time, and whether frames are missing then."""
+    """The end of a trial: whether it has the whole integration time, and whether frames are missing then."""
 
     is_whole: bool
     is_gap: bool

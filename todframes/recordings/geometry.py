@@ -19,7 +19,7 @@ from todframes.stimulus import ORIENTATIONS, Orientation, vertices
 
 
 class View(NamedTuple):
-    """How a frame shows a chart about a place on it.
+    """The local geometry of a chart in a frame, about a place on the chart.
 
     `turn_degrees` is the direction in the frame of what points up on the chart, clockwise from up. `stretch` is
     the ratio of the largest to the smallest scale among all directions: 1 for a chart seen squarely, and 1 / cos

@@ -77,7 +77,7 @@ class Source(Protocol):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Imported:
-    """What an import has written.
+    """The dataset that an import has written, in numbers and messages.
 
     Attributes
     ----------

@@ -90,7 +90,7 @@ class Recording:
 
 
 class StillHeader(NamedTuple):
-    """What a file of still frames says before its values are decoded; the fields are those of `Recording`."""
+    """The header of a file of still frames, without decoded values; the fields are those of `Recording`."""
 
     shape: tuple[int, int]
     is_colour: bool

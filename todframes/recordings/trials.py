@@ -25,7 +25,7 @@ SHAKE_PX = 0.25
 
 
 class TriangleDescription(NamedTuple):
-    """What a triangle of a page is: its level, polarity, and its further columns in the manifest."""
+    """A triangle of a page: its level, polarity, and its further columns in the manifest."""
 
     level: float
     polarity: int
