@@ -358,6 +358,33 @@ def read_csv(path: Path) -> Iterator[tuple[str, dict[str, str]]]:
         raise DataError(f"{path}, line {reader.line_num}: not valid CSV ({error})") from None
 
 
+def read_numbers(path: Path, columns: Sequence[str]) -> list[list[float]]:
+    """Return the numbers in the named columns of a CSV file, row by row.
+
+    Raises
+    ------
+    DataError
+        If the file cannot be read, a column is missing, or a value is not a finite number.
+    """
+    rows = read_csv(path)
+    _, header = next(rows)
+    check_columns(header, columns, path)
+    found = []
+    for where, row in rows:
+        check_fields(row, len(header), where)
+        found.append([number(row[name], f"{where}: {name}") for name in columns])
+    return found
+
+
+def csv_text(rows: Sequence[Mapping[str, object]]) -> str:
+    """Return the text of a CSV file; the columns are those of the first row."""
+    text = io.StringIO()
+    writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    return text.getvalue()
+
+
 def check_columns(header: Iterable[str], needed: Iterable[str], path: Path) -> None:
     """Raise DataError if a CSV file lacks a column; the message says if it has one with other letters."""
     found = list(header)

@@ -22,17 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from todframes.config import (
-    check_columns,
-    check_fields,
-    check_keys,
-    from_table,
-    number,
-    path_inside,
-    read_csv,
-    read_toml,
-    spelling_hint,
-)
+from todframes.config import check_keys, from_table, path_inside, read_numbers, read_toml, spelling_hint
 from todframes.errors import DataError, SettingsError
 from todframes.frames.display import Display, LuminanceTable
 
@@ -192,13 +182,7 @@ def _read_lut(folder: Path, name: str, named: str) -> LuminanceTable:
     path, columns = folder / name, ("code_value", "luminance_cd_m2")
     try:
         path_inside(os.path.realpath(folder), name, named)
-        rows = read_csv(path)
-        _, header = next(rows)
-        check_columns(header, columns, path)
-        values = []
-        for where, row in rows:
-            check_fields(row, len(header), where)
-            values.append([number(row[name], f"{where}: {name}") for name in columns])
+        values = read_numbers(path, columns)
     except DataError as error:
         raise SettingsError(str(error)) from None
     code, luminance = np.array(values, dtype=np.float64).reshape(-1, 2).T

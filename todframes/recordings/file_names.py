@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import os
 import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
-from todframes.config import number
+from todframes.config import csv_text, number
 from todframes.errors import DataError, OutputError, SettingsError
 from todframes.frames.dataset import SCHEMA, Experiment
 from todframes.frames.display import Display
@@ -133,7 +131,7 @@ def new_dataset(
             )
         settings = [f"schema = {SCHEMA}", "", table_of_display(shown, staged, title=title)]
         settings += ["[experiment]", f'level = "{level}"', f"group_by = {list(group_by)}".replace("'", '"'), ""]
-        (staged / MANIFEST_FILE).write_text(_manifest(rows), encoding="utf-8")
+        (staged / MANIFEST_FILE).write_text(csv_text(rows), encoding="utf-8")
         (staged / SETTINGS_FILE).write_text("\n".join(settings), encoding="utf-8")
     return FramesFound(len(rows), tuple(unmatched))
 
@@ -207,11 +205,3 @@ def _files(folder: Path, pattern: str) -> Iterator[str]:
         inside = os.path.relpath(parent, folder)
         found += [Path(inside, name).as_posix() for name in files if not name.startswith(".")]
     yield from sorted(set(found) - {SETTINGS_FILE, MANIFEST_FILE}, key=by_number)
-
-
-def _manifest(rows: list[dict[str, str]]) -> str:
-    text = io.StringIO()
-    writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    return text.getvalue()

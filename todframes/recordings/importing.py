@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Literal, Protocol
 
 from todframes import __version__
+from todframes.config import csv_text
 from todframes.errors import DataError, SettingsError
 from todframes.frames.display import Display
 from todframes.frames.display_files import DisplayDescription, find_display, table_of_display
@@ -23,7 +24,7 @@ from todframes.recordings.recording import INTEGRATION_TIME_S, Recording, Record
 from todframes.recordings.schedule import read_schedule
 from todframes.recordings.schedule_source import ScheduleSource
 from todframes.recordings.trials import SHAKE_PX, ImportedTrial, TrialDivision, TriangleDescription
-from todframes.recordings.windows import WrittenWindow, code_range, manifest, write_window
+from todframes.recordings.windows import WrittenWindow, code_range, write_window
 
 LARGEST_TIME_ERROR = 0.1
 """Relative difference of the trials' time from the integration time, above which it is told."""
@@ -217,7 +218,7 @@ def import_recordings(
         }
         _remove_empty(folder / "frames")
         _write(folder / REPORT_FILE, json.dumps(report, indent=1, ensure_ascii=False) + "\n")
-        _write(folder / "manifest.csv", manifest(rows))
+        _write(folder / "manifest.csv", csv_text(rows))
         _write(
             folder / "dataset.toml", _settings(source, table_of_display(shown.display, folder, title=shown.title))
         )

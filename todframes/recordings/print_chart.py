@@ -13,7 +13,7 @@ from msgspec import Meta
 from numpy.typing import NDArray
 
 from todframes._typing import FloatArray
-from todframes.config import check_columns, check_fields, check_values, number, read_csv
+from todframes.config import check_values, read_numbers
 from todframes.errors import DataError, SettingsError
 from todframes.frames.display import srgb_to_linear
 from todframes.recordings.chart_design import FIELD_PER_SIZE, Condition, Design
@@ -123,26 +123,15 @@ class Paper:
             return self.black_reflectance + rise * srgb_to_linear(code / WHITE)
         path = Path(self.reflectances)
         try:
-            measured = _read_reflectances(path)
+            rows = read_numbers(path, ("code_value", "reflectance"))
         except DataError as error:
             raise SettingsError(str(error)) from None
+        measured = np.array(rows, np.float64).reshape(-1, 2)
         if measured.shape[0] < 2 or (np.diff(measured, axis=0) <= 0.0).any():
             raise SettingsError(f"{path}: expected two rows or more, with rising code_value and reflectance")
         if measured[0, 0] != 0.0 or measured[-1, 0] != WHITE:
             raise SettingsError(f"{path}: code_value: found no row for 0 or none for {WHITE}, expected both")
         return np.asarray(np.interp(code, *measured.T))
-
-
-def _read_reflectances(path: Path) -> FloatArray:
-    columns = ("code_value", "reflectance")
-    rows = read_csv(path)
-    _, header = next(rows)
-    check_columns(header, columns, path)
-    values = []
-    for where, row in rows:
-        check_fields(row, len(header), where)
-        values.append([number(row[name], f"{where}: {name}") for name in columns])
-    return np.array(values, np.float64).reshape(-1, 2)
 
 
 @dataclass(frozen=True, slots=True)

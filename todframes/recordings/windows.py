@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import csv
 import hashlib
-import io
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -165,12 +163,3 @@ def encoded_png(values: NDArray[Any]) -> bytes:
     if not done:
         raise OutputError(f"a window of shape {values.shape} cannot be encoded as PNG")
     return content.tobytes()
-
-
-def manifest(rows: Sequence[Mapping[str, object]]) -> str:
-    """Return the text of `manifest.csv`; the columns are those of the first row."""
-    text = io.StringIO()
-    writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    return text.getvalue()
