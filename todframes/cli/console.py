@@ -227,11 +227,7 @@ class ProblemLines:
 def progress(task: str, total: int | None, *, quiet: bool = False) -> Iterator[Callable[[int], None]]:
     """Show a progress bar on standard error if it is a terminal. Yields a function of the number of items done.
 
-    <<<<<<< HEAD
-        `total` is the number of all items, None if it is not known.
-    =======
-        `total` is None if it is not known.
-    >>>>>>> main
+    `total` is the number of all items; None if it is not known.
     """
     if quiet or not sys.stderr.isatty():
         yield lambda _: None
