@@ -20,8 +20,9 @@ from todframes.enhancement.contrast_gain import amplified, contrast_gains, stron
 from todframes.enhancement.enhanced_frame import Measured, Screen, TrialReader
 from todframes.enhancement.image_quality import psnr_db
 from todframes.errors import SettingsError
-from todframes.frames.dataset import Dataset, Trial
+from todframes.frames.dataset import Dataset
 from todframes.frames.position import check_places
+from todframes.frames.trials import Trial
 from todframes.observers.interface import Observer, Readout
 from todframes.psychometrics.fit import MAX_RESAMPLES, CurveName, FitSettings
 from todframes.psychometrics.paired_bootstrap import RatioDraws, ThresholdRatio, holm, ratio_draws, threshold_ratio

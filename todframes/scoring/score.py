@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from todframes._typing import FloatArray
 from todframes.errors import DataError, SettingsError
 from todframes.frames.contrast import skipped_frames
-from todframes.frames.dataset import Dataset, Skipped, Trial
+from todframes.frames.dataset import Dataset, Skipped
 from todframes.frames.position import check_places
+from todframes.frames.trials import Trial
 from todframes.observers.interface import Observer
 from todframes.psychometrics.fit import CurveName, FitSettings, PsychometricFit, fit_trials
 from todframes.scoring.error_budget import PlanName, Step

@@ -15,8 +15,9 @@ import numpy as np
 from todframes._typing import FloatArray
 from todframes.errors import FrameError, SettingsError
 from todframes.frames.contrast import skipped_frames
-from todframes.frames.dataset import Dataset, Skipped, Trial
+from todframes.frames.dataset import Dataset, Skipped
 from todframes.frames.position import check_place
+from todframes.frames.trials import Trial
 from todframes.observers.interface import Observer, Readout
 from todframes.observers.internal_noise import inner_product
 from todframes.observers.retina import RetinaGrid
