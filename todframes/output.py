@@ -23,7 +23,7 @@ import os
 import shutil
 import stat
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path, PurePosixPath
 
@@ -48,9 +48,9 @@ LAST_OF_DATASET, LAST_OF_RESULT = "dataset.toml", "result.json"
 
 
 FILES_OF_COMMAND = {
-    "score": {"report.html", "scores.csv", "psychometric.png", "tod_curve.png"},
+    "score": {"report.html", "scores.csv", "scores.parquet", "psychometric.png", "tod_curve.png"},
     "curve": {"report.html", "psychometric.png", "tod_curve.png"},
-    "compare": {"report.html", "scores.csv", "compare.csv", "compare.png"},
+    "compare": {"report.html", "scores.csv", "scores.parquet", "compare.csv", "compare.png"},
 }
 """Files that each command writes beside `result.json`."""
 
@@ -170,11 +170,12 @@ def write_file(path: Path, content: bytes, *, not_over: Path | None = None) -> N
                 signals.written.append(str(path))
 
 
-def write_files(folder: Path, files: Mapping[str, bytes]) -> None:
-    """Write files into a folder; each is flushed to disk before the next is written."""
+def write_files(folder: Path, files: Mapping[str, bytes | Iterable[bytes]]) -> None:
+    """Write files, whole or part by part, into a folder; each is flushed to disk before the next is written."""
     for name, content in files.items():
         with (folder / name).open("wb") as file:
-            file.write(content)
+            for part in [content] if isinstance(content, bytes) else content:
+                file.write(part)
             file.flush()
             os.fsync(file.fileno())
 

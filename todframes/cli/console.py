@@ -8,7 +8,7 @@ import re
 import shutil
 import sys
 import textwrap
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stdout, suppress
 from typing import TYPE_CHECKING, Any
 
@@ -44,7 +44,7 @@ WHOLE = 10_000
 
 
 @contextmanager
-def staged(out: str | None) -> Iterator[Callable[[Callable[[], dict[str, bytes]]], None]]:
+def staged(out: str | None) -> Iterator[Callable[[Callable[[], Mapping[str, bytes | Iterable[bytes]]]], None]]:
     """Reserve the folder `out` before the work, and fill it if the block ends without an exception.
 
     Yields a function to call with a function that makes the files, by name. Nothing is written if `out` is None.
