@@ -64,7 +64,7 @@ def test_files_are_written_in_parts(tmp_path) -> None:
 
 @pytest.fixture
 def mixed(make_dataset, monkeypatch):
-    """A dataset of two groups, one named by a number and one by a text. Pictures, which take long, are left out."""
+    """A dataset of two groups, one named by a number and one by a text. No pictures are drawn: they take long."""
     monkeypatch.setattr(figures, "pictures", lambda _: [])
     made = make_dataset(contrasts=(0.1, 0.4), repeats=2, experiment={"group_by": ["camera", "size_mrad"]})
     for number, row in enumerate(made.rows):
