@@ -169,7 +169,7 @@ def compare_dataset(
         collect=columns.put,
         skip_bad_frames=skip_bad_frames,
         run=run or Run(),
-        depends_on=(algorithms, screen, sorted(strongest.items(), key=repr)),
+        depends_on=([(one.spec, one.function) for one in algorithms], screen, strongest),
         with_references=True,
     )
     seen = check_seen(dataset, columns.seen(), skipped)

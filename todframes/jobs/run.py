@@ -88,7 +88,7 @@ def run_stored(
         left = yield from _found(work, items, engine, store)
         if len(left) < len(items):
             store.tell(
-                f"{len(items) - len(left)} of {len(items)} results are there from an earlier run; "
+                f"{len(items) - len(left)} of {len(items)} parts of the work are there from an earlier run; "
                 + ("going on with the others" if left else "nothing is left to do")
             )
     elif not engine.is_local:
