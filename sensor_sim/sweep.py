@@ -1,0 +1,310 @@
+"""Thresholds of many designs of a sensor: each computation once, in an order in which neighbours share their parts.
+
+The numbers of a design are those of its curve alone, to the last bit: what is shared is found by all that its value
+depends on, and each size has the same places of the triangle, plan and seed.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import closing
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Any, NamedTuple, Protocol
+
+import msgspec
+import numpy as np
+
+from sensor_sim.curve_plan import linear_readout, plan_curve
+from sensor_sim.designs import Base, Designs
+from sensor_sim.noise import delta_t_mk
+from sensor_sim.predict import FoldedChain, predict_threshold
+from sensor_sim.sensor import Noise, Sensor
+from sensor_sim.sharing import Shared
+from todframes._typing import FloatArray
+from todframes.errors import SettingsError, TodframesError
+from todframes.jobs.work import Engine, Lost
+from todframes.observers.interface import Observer
+from todframes.psychometrics.fit import FitSettings
+from todframes.scoring.error_budget import PlanName
+
+SHARED_MB = 512
+"""Largest size of the parts that are shared, in each process, in units of 2**20 bytes."""
+
+ALIKE_TOGETHER = 8
+"""Number of displays whose weights are kept while the sensors before them change; more may not fit."""
+
+OBSERVERS_KEPT = 8
+"""Number of observers that are kept, each with its readouts."""
+
+IMPOSSIBLE = "impossible"
+"""Status of a design, or of a size of it, that cannot be computed."""
+
+
+class Chain(NamedTuple):
+    """All that a threshold depends on.
+
+    Attributes
+    ----------
+    sensor : Sensor
+        With the default noise and background: thresholds in SNR do not depend on them.
+    observer_settings : object
+    size_detectors : float
+    """
+
+    sensor: Sensor
+    observer_settings: Any
+    size_detectors: float
+
+
+class Computed(NamedTuple):
+    """A threshold SNR with its numerical error, or a status that says why there is none, with the reason."""
+
+    status: str
+    threshold: float | None = None
+    numerical_error: float | None = None
+    n_phases: int = 0
+    reason: str = ""
+
+
+class ObserverKind(Protocol):
+    """Class of an observer; it is called with settings."""
+
+    def __call__(self, settings: Any) -> Observer: ...
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SweepWork:
+    """Work that computes the threshold of a `Chain`.
+
+    Attributes
+    ----------
+    observer_kind : type
+        Class of the observer.
+    p_correct, tolerance, seed, plan
+        As for `sensor_sim.curve`.
+    shared_mb : int
+        Largest size of the parts that are shared, in units of 2**20 bytes; no number depends on it.
+    """
+
+    observer_kind: ObserverKind
+    p_correct: float
+    tolerance: float
+    seed: int
+    plan: PlanName = "needed"
+    shared_mb: int = SHARED_MB
+
+    def function(self) -> Callable[[Chain], Computed]:
+        """Return the function of a chain; what chains share is kept as long as the function."""
+        shared = Shared.of(self.shared_mb * 2**20)
+        observer_of = lru_cache(maxsize=OBSERVERS_KEPT)(self.observer_kind)
+
+        def compute(chain: Chain) -> Computed:
+            sensor, size = chain.sensor, chain.size_detectors
+            try:
+                observer = observer_of(chain.observer_settings)
+                steps = plan_curve(
+                    sensor,
+                    observer,
+                    size,
+                    name=self.plan,
+                    tolerance=self.tolerance,
+                    p_correct=self.p_correct,
+                    shared=shared,
+                )
+                found = predict_threshold(
+                    FoldedChain(sensor, observer, size, steps),
+                    p_correct=self.p_correct,
+                    tolerance=self.tolerance,
+                    seed=self.seed,
+                    n_points=0,
+                )
+            except SettingsError as error:
+                return Computed(IMPOSSIBLE, reason=str(error))
+            except MemoryError:
+                return Computed(IMPOSSIBLE, reason="it needs more memory than there is")
+            return Computed(found.status, found.threshold, found.numerical_error, found.n_phases)
+
+        return compute
+
+    def lost(self, chain: Chain) -> TodframesError:
+        """Return the error about a chain whose process died with it."""
+        return SettingsError(f"{chain.size_detectors:g} detectors: the process died that computed it")
+
+    def encode(self, result: Computed) -> bytes:
+        """Return a result as bytes."""
+        return msgspec.json.encode(result)
+
+    def decode(self, chain: Chain, encoded: bytes) -> Computed:
+        """Return the result that `encode` made these bytes of."""
+        return msgspec.json.decode(encoded, type=Computed)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Swept:
+    """Thresholds of all designs.
+
+    Attributes
+    ----------
+    designs : Designs
+    size_detectors : tuple of float
+    pitch_mrad : ndarray, shape (designs,)
+        Pitch of the detectors in the scene; NaN where there is no such design.
+    mk_per_snr : ndarray, shape (designs,)
+        ΔT of a signal-to-noise ratio of 1; NaN where NETD is not known.
+    threshold_snr, numerical_error : ndarray, shape (designs, sizes)
+        NaN where there is no threshold.
+    n_phases : ndarray of int, shape (designs, sizes)
+    status, reason : list of list of str
+        For each design and size.
+    n_computed : int
+        Number of thresholds that were computed; designs that differ in noise alone have theirs in common.
+    """
+
+    designs: Designs
+    size_detectors: tuple[float, ...]
+    pitch_mrad: FloatArray
+    mk_per_snr: FloatArray
+    threshold_snr: FloatArray
+    numerical_error: FloatArray
+    n_phases: FloatArray
+    status: list[list[str]]
+    reason: list[list[str]]
+    n_computed: int
+
+    @property
+    def delta_t_mk(self) -> FloatArray:
+        """Thresholds in mK, (designs, sizes)."""
+        return self.threshold_snr * self.mk_per_snr[:, None]
+
+
+class Plan(NamedTuple):
+    """Computations of a sweep.
+
+    Attributes
+    ----------
+    chains : list of Chain
+        In the order in which they share most.
+    places : ndarray of int, shape (designs, sizes)
+        Place in `chains` of each threshold; −1 if there is no such design.
+    sensors : list of Sensor or None
+        For each design.
+    reasons : dict of str
+        By design, why there is no such design.
+    """
+
+    chains: list[Chain]
+    places: np.ndarray[Any, np.dtype[np.intp]]
+    sensors: list[Sensor | None]
+    reasons: dict[int, str]
+
+
+def plan_sweep(base: Base, designs: Designs, sizes: Sequence[float]) -> Plan:
+    """Return the computations that designs need, each once, ordered so that neighbours share most."""
+    numbers: dict[tuple[Sensor, Any], int] = {}
+    of_design = np.full(len(designs.values), -1)
+    sensors: list[Sensor | None] = []
+    reasons = {}
+    for row, values in enumerate(designs.values.tolist()):
+        try:
+            sensor, settings = base.design(dict(zip(designs.keys, values, strict=True)))
+        except SettingsError as error:
+            sensors.append(None)
+            reasons[row] = str(error)
+            continue
+        sensors.append(sensor)
+        of_design[row] = numbers.setdefault((as_computed(sensor), settings), len(numbers))
+    order = _order(list(numbers))
+    place_of = np.empty(len(order) + 1, dtype=np.intp)
+    place_of[order], place_of[-1] = np.arange(len(order)), -1
+    unique = list(numbers)
+    chains = [Chain(*unique[number], size) for size in sizes for number in order]
+    first = place_of[of_design][:, None]
+    places = np.where(first < 0, -1, first + len(order) * np.arange(len(sizes)))
+    return Plan(chains, places, sensors, reasons)
+
+
+def as_computed(sensor: Sensor) -> Sensor:
+    """Return a sensor with the same thresholds in SNR, in which all that they do not depend on is the default."""
+    display = replace(sensor.display, background_luminance_cd_m2=1.0)
+    return replace(sensor, noise=Noise(), display=display, name="")
+
+
+def _order(unique: Sequence[tuple[Sensor, Any]]) -> list[int]:
+    """Return the order of sensors in which neighbours share most.
+
+    Samples depend on what is before the detectors, weights on what is behind them. The weights of a few displays
+    stay in memory while the samples change.
+    """
+    before: dict[Any, int] = {}
+    behind: dict[Any, int] = {}
+    places = []
+    for number, (sensor, settings) in enumerate(unique):
+        sampled = before.setdefault((sensor.optics, sensor.detector), len(before))
+        # Displays that differ in gain alone, and observers in noise alone, share their weights and stay neighbours.
+        weighed = behind.setdefault((replace(sensor.display, gain=1.0), sensor.electronics), len(behind))
+        places.append((weighed // ALIKE_TOGETHER, sampled, weighed, number))
+    del settings
+    return [place[-1] for place in sorted(places)]
+
+
+def run_sweep(
+    base: Base,
+    designs: Designs,
+    sizes: Sequence[float],
+    work: SweepWork,
+    engine: Engine,
+    *,
+    progress: Callable[[int], None] | None = None,
+) -> Swept:
+    """Compute the thresholds of all designs.
+
+    Parameters
+    ----------
+    progress : function of an int, optional
+        Called with the number of designs × sizes that were just done.
+
+    Raises
+    ------
+    SettingsError
+        If the observer is not linear.
+    """
+    plan = plan_sweep(base, designs, sizes)
+    uses = np.bincount(plan.places[plan.places >= 0].ravel(), minlength=len(plan.chains)).tolist()
+    if progress is not None:
+        progress(len(plan.reasons) * len(sizes))
+    results: list[Computed] = [Computed("")] * len(plan.chains)
+    with closing(engine.run(work, enumerate(plan.chains))) as batches:
+        for batch in batches:
+            for number, result in batch:
+                found = Computed(IMPOSSIBLE, reason=str(result.error)) if isinstance(result, Lost) else result
+                results[number] = found
+                if progress is not None:
+                    progress(uses[number])
+    return _gathered(designs, tuple(sizes), plan, results)
+
+
+def _gathered(designs: Designs, sizes: tuple[float, ...], plan: Plan, results: Sequence[Computed]) -> Swept:
+    nothing = len(results)
+    status = np.array([*(one.status for one in results), IMPOSSIBLE], dtype=object)
+    threshold, error = (
+        np.array([*(math.nan if value is None else value for value in column), math.nan])
+        for column in ((one.threshold for one in results), (one.numerical_error for one in results))
+    )
+    phases = np.array([*(one.n_phases for one in results), 0])
+    places = np.where(plan.places < 0, nothing, plan.places)
+    reasons = [[results[place].reason if place >= 0 else plan.reasons[row] for place in of_row]
+               for row, of_row in enumerate(plan.places.tolist())]  # fmt: skip
+    return Swept(
+        designs=designs,
+        size_detectors=sizes,
+        pitch_mrad=np.array([math.nan if one is None else one.detector.pitch_mrad for one in plan.sensors]),
+        mk_per_snr=np.array([_mk_per_snr(one) for one in plan.sensors]),
+        threshold_snr=threshold[places],
+        numerical_error=error[places],
+        n_phases=phases[places],
+        status=status[places].tolist(),
+        reason=reasons,
+        n_computed=len(results),
+    )
