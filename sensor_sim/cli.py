@@ -98,7 +98,7 @@ def curve(*, sensor: Path, sizes: str, out: str | None, quiet: bool, **asked: An
     from sensor_sim.sensor import load_sensor
 
     settings, wanted = load_sensor(sensor), numbers(sizes, "--size-detectors")
-    with staged(out) as write:
+    with staged(out) as place:
         with progress("computing", len(wanted), quiet=quiet) as advance:
             result = api.curve(
                 settings,
@@ -109,7 +109,7 @@ def curve(*, sensor: Path, sizes: str, out: str | None, quiet: bool, **asked: An
                 progress=advance,
                 **asked,
             )
-        write(result.files)
+        place.write(result.files)
     finish(result, f"{settings.name}: TOD curve", out=out, quiet=quiet, **shown)
 
 
@@ -123,8 +123,8 @@ def mtf(*, sensor: Path, out: str | None, as_json: bool) -> None:
     from sensor_sim.mtf_report import TABLE_STEP
 
     transfer = api.mtf(sensor)
-    with staged(out) as write:
-        write(transfer.files)
+    with staged(out) as place:
+        place.write(transfer.files)
     if as_json:
         click.echo(transfer.to_json(), nl=False)
         return

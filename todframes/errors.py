@@ -26,6 +26,9 @@ class FrameError(DataError):
         self.path = Path(path)
         self.problem = problem
 
+    def __reduce__(self) -> tuple[type, tuple[Path, str]]:
+        return type(self), (self.path, self.problem)
+
 
 class SettingsError(TodframesError, ValueError):
     """Error for a setting, option or argument that is invalid."""

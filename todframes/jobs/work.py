@@ -36,7 +36,14 @@ class Work(Protocol[Item, Result]):
 
 
 class Engine(Protocol):
-    """Where the work of a run is done."""
+    """Where the work of a run is done: `n_workers` threads of this process if `is_local`, or processes elsewhere.
+
+    `dashboard` is the address of a page that shows the work; None if there is none.
+    """
+
+    n_workers: int
+    is_local: bool
+    dashboard: str | None
 
     def run(
         self, work: Work[T, R], items: Iterable[tuple[int, T]]
