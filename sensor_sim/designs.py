@@ -1,4 +1,4 @@
-"""Designs of a sweep: the values of varied keys, from ranges, a CSV file or a Latin hypercube, and their sensors."""
+"""Designs of a sweep: values of varied keys, from ranges, a CSV file or a Latin hypercube, and their sensors."""
 
 from __future__ import annotations
 
@@ -26,6 +26,9 @@ MOST_DESIGNS = 100_000
 
 NAME = "name"
 """Column of a CSV file of designs that names them."""
+
+Changes = tuple[tuple[str, Any], ...]
+"""Settings by name, of an observer that differs from the usual one."""
 
 Spacing = Literal["linear", "log"]
 
@@ -57,10 +60,14 @@ class Designs(NamedTuple):
 
 
 @cache
-def numeric_keys(observer_settings: type) -> dict[str, bool]:
-    """Return the keys that can be varied, and for each whether its values are whole numbers."""
+def numeric_keys(observer_settings: type | None) -> dict[str, bool]:
+    """Return the keys that can be varied, and for each whether its values are whole numbers.
+
+    `observer_settings` is the type of the observer's settings; None if it has none.
+    """
     found = {FILL_FACTOR: False}
-    for table, kind in (*TABLES.items(), ("observer", observer_settings)):
+    kinds_of = {**TABLES, **({} if observer_settings is None else {"observer": observer_settings})}
+    for table, kind in kinds_of.items():
         hints = get_type_hints(kind)
         for field in fields(kind):
             kinds = _kinds(hints[field.name])
@@ -145,8 +152,8 @@ def _axis(key: str, of_key: str | Sequence[float], *, is_whole: bool) -> FloatAr
         if len(np.unique(values)) < span.n:
             most = math.floor(span.high) - math.ceil(span.low) + 1
             raise SettingsError(
-                f"{where}: found {span.n} values, of which some are the same whole number; expected fewer, at most "
-                f"{max(most, 1)}"
+                f"{where}: found {of_key!r}, in which some values are the same whole number; expected fewer, at "
+                f"most {max(most, 1)}"
             )
     return values
 
@@ -185,12 +192,16 @@ def latin_hypercube(vary: Mapping[str, str], known: Mapping[str, bool], *, n: in
             raise SettingsError(f"{where}: found {text!r}, expected FROM:TO or FROM:TO:log for a sample")
         span = parse_range(text, where)
         if span.n is not None:
-            raise SettingsError(f"{where}: found {text!r}, expected FROM:TO or FROM:TO:log, as N is that of the sample")
+            raise SettingsError(
+                f"{where}: found {text!r}, expected FROM:TO or FROM:TO:log: N is that of the sample"
+            )
         low, high = span.low, span.high
         if known[key]:  # the whole numbers nearest to half a number further: each has the same share
             low, high = (low - 0.5, high + 0.5) if span.spacing == "linear" else (low, high)
         drawn = low * (high / low) ** share if span.spacing == "log" else low + (high - low) * share
-        columns.append(np.clip(np.rint(drawn), math.ceil(span.low), math.floor(span.high)) if known[key] else drawn)
+        if known[key]:
+            drawn = np.clip(np.rint(drawn), math.ceil(span.low), math.floor(span.high))
+        columns.append(drawn)
     return Designs(tuple(vary), np.stack(columns, axis=1))
 
 
@@ -233,7 +244,8 @@ def _check(keys: Iterable[str], known: Mapping[str, bool]) -> None:
     check_keys(keys, known, "vary")
     for alike in ((FILL_FACTOR, WIDTH), ("observer.internal_noise", "observer.internal_noise_sd")):
         if set(alike) <= set(keys):
-            raise SettingsError(f"vary: found {alike[0]} and {alike[1]}, expected one of them: they set the same value")
+            found = " and ".join(alike)
+            raise SettingsError(f"vary: found {found}, expected one of them: they set the same value")
 
 
 def _check_number(n: int) -> None:
@@ -251,7 +263,7 @@ class Base:
     ----------
     sensor : Sensor
     observer_settings : object
-        Settings of the observer, a frozen dataclass.
+        Settings of the observer, a frozen dataclass; None if it has no settings.
     keep_fill_factor : bool
         Whether the detectors' width follows a varied pitch.
     """
@@ -260,16 +272,21 @@ class Base:
     observer_settings: Any
     keep_fill_factor: bool
 
-    def design(self, values: Mapping[str, float]) -> tuple[Sensor, Any]:
-        """Return the sensor and the observer's settings of a design.
+    @property
+    def keys(self) -> dict[str, bool]:
+        """Keys that can be varied, and for each whether its values are whole numbers."""
+        return numeric_keys(None if self.observer_settings is None else type(self.observer_settings))
+
+    def design(self, values: Mapping[str, float]) -> tuple[Sensor, Changes]:
+        """Return the sensor of a design, and the changes of the observer's settings.
 
         Raises
         ------
         SettingsError
             If there is no such design.
         """
-        whole = numeric_keys(type(self.observer_settings))
-        tables: dict[str, dict[str, float]] = {}
+        whole = self.keys
+        tables: dict[str, dict[str, Any]] = {}
         for key, value in values.items():
             table, _, name = key.partition(".")
             tables.setdefault(table, {})[name] = int(value) if whole[key] else float(value)
@@ -279,15 +296,15 @@ class Base:
         for table, changes in tables.items():
             before = self.observer_settings if table == "observer" else getattr(self.sensor, table)
             if "internal_noise" in changes and getattr(before, "internal_noise_sd", None) is not None:
-                changes["internal_noise_sd"] = None  # type: ignore[assignment] # it would take precedence
+                changes["internal_noise_sd"] = None  # it would take precedence
             try:
                 parts[table] = replace(before, **changes)
             except SettingsError as error:
                 too_narrow = PITCH in values and WIDTH not in values and "pitch_mrad (" in str(error)
                 hint = "; keep the fill factor, and the width follows the pitch" if too_narrow else ""
                 raise SettingsError(f"{table}.{error}{hint}") from None
-        settings = parts.pop("observer", self.observer_settings)
-        return replace(self.sensor, **parts), settings
+        parts.pop("observer", None)
+        return replace(self.sensor, **parts), tuple(tables.get("observer", {}).items())
 
     def _with_width(self, changes: dict[str, float]) -> dict[str, float]:
         """Return the changes of the detector with a width in place of a fill factor."""

@@ -1,32 +1,33 @@
-"""Thresholds of many designs of a sensor: each computation once, in an order in which neighbours share their parts.
+"""Thresholds of many designs of a sensor: each computation once, in an order in which neighbours share parts.
 
-The numbers of a design are those of its curve alone, to the last bit: what is shared is found by all that its value
-depends on, and each size has the same places of the triangle, plan and seed.
+The numbers of a design are those of its curve alone, to the last bit: what is shared is found by all that its
+value depends on, and each size has the same places of the triangle, plan and seed.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import closing
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, is_dataclass, replace
 from functools import lru_cache
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
 
-from sensor_sim.curve_plan import linear_readout, plan_curve
-from sensor_sim.designs import Base, Designs
+from sensor_sim.curve_plan import plan_curve
+from sensor_sim.designs import Base, Changes, Designs
 from sensor_sim.noise import delta_t_mk
 from sensor_sim.predict import FoldedChain, predict_threshold
 from sensor_sim.sensor import Noise, Sensor
 from sensor_sim.sharing import Shared
 from todframes._typing import FloatArray
 from todframes.errors import SettingsError, TodframesError
+from todframes.jobs.fingerprint import fingerprint
+from todframes.jobs.run import run_stored
+from todframes.jobs.store import Store
 from todframes.jobs.work import Engine, Lost
 from todframes.observers.interface import Observer
-from todframes.psychometrics.fit import FitSettings
 from todframes.scoring.error_budget import PlanName
 
 SHARED_MB = 512
@@ -49,12 +50,13 @@ class Chain(NamedTuple):
     ----------
     sensor : Sensor
         With the default noise and background: thresholds in SNR do not depend on them.
-    observer_settings : object
+    observer_changes : tuple of (str, value)
+        Settings of the observer that are not the usual ones.
     size_detectors : float
     """
 
     sensor: Sensor
-    observer_settings: Any
+    observer_changes: Changes
     size_detectors: float
 
 
@@ -68,10 +70,37 @@ class Computed(NamedTuple):
     reason: str = ""
 
 
-class ObserverKind(Protocol):
-    """Class of an observer; it is called with settings."""
+@dataclass(frozen=True, slots=True)
+class Variants:
+    """Observers of one class that differ in their settings.
 
-    def __call__(self, settings: Any) -> Observer: ...
+    Attributes
+    ----------
+    kind : type, or Observer
+        Class, which is called with settings; an observer that has no settings.
+    settings : object
+        Settings without changes, a frozen dataclass; None if the observer has none.
+    """
+
+    kind: Any
+    settings: Any
+
+    @classmethod
+    def of(cls, observer: Observer) -> Variants:
+        """Return the variants of an observer."""
+        settings = getattr(observer, "settings", None)
+        return cls(type(observer), settings) if is_dataclass(settings) else cls(observer, None)
+
+    def __call__(self, changes: Changes) -> Observer:
+        """Return the observer with some settings changed.
+
+        Raises
+        ------
+        SettingsError
+            If a value is refused.
+        """
+        observer: Observer = self.kind
+        return observer if self.settings is None else self.kind(replace(self.settings, **dict(changes)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -80,15 +109,14 @@ class SweepWork:
 
     Attributes
     ----------
-    observer_kind : type
-        Class of the observer.
+    observers : Variants
     p_correct, tolerance, seed, plan
         As for `sensor_sim.curve`.
     shared_mb : int
         Largest size of the parts that are shared, in units of 2**20 bytes; no number depends on it.
     """
 
-    observer_kind: ObserverKind
+    observers: Variants
     p_correct: float
     tolerance: float
     seed: int
@@ -98,12 +126,12 @@ class SweepWork:
     def function(self) -> Callable[[Chain], Computed]:
         """Return the function of a chain; what chains share is kept as long as the function."""
         shared = Shared.of(self.shared_mb * 2**20)
-        observer_of = lru_cache(maxsize=OBSERVERS_KEPT)(self.observer_kind)
+        observer_of = lru_cache(maxsize=OBSERVERS_KEPT)(self.observers)
 
         def compute(chain: Chain) -> Computed:
             sensor, size = chain.sensor, chain.size_detectors
             try:
-                observer = observer_of(chain.observer_settings)
+                observer = observer_of(chain.observer_changes)
                 steps = plan_curve(
                     sensor,
                     observer,
@@ -132,11 +160,23 @@ class SweepWork:
         """Return the error about a chain whose process died with it."""
         return SettingsError(f"{chain.size_detectors:g} detectors: the process died that computed it")
 
+    def key(self, item: Chain, *, is_done: bool) -> bytes | None:  # noqa: ARG002
+        """Return the key of a threshold, which stands for all that it depends on; None if code cannot be told."""
+        try:
+            of_work = (self.observers, self.p_correct, self.tolerance, self.seed, self.plan)
+            return fingerprint(of_work, tuple(item))
+        except TypeError:
+            return None
+
+    def stamp(self, item: Chain) -> object:  # noqa: ARG002
+        """Return nothing: no file is read."""
+        return None
+
     def encode(self, result: Computed) -> bytes:
         """Return a result as bytes."""
         return msgspec.json.encode(result)
 
-    def decode(self, chain: Chain, encoded: bytes) -> Computed:
+    def decode(self, encoded: bytes) -> Computed:
         """Return the result that `encode` made these bytes of."""
         return msgspec.json.decode(encoded, type=Computed)
 
@@ -202,19 +242,19 @@ class Plan(NamedTuple):
 
 def plan_sweep(base: Base, designs: Designs, sizes: Sequence[float]) -> Plan:
     """Return the computations that designs need, each once, ordered so that neighbours share most."""
-    numbers: dict[tuple[Sensor, Any], int] = {}
+    numbers: dict[tuple[Sensor, Changes], int] = {}
     of_design = np.full(len(designs.values), -1)
     sensors: list[Sensor | None] = []
     reasons = {}
     for row, values in enumerate(designs.values.tolist()):
         try:
-            sensor, settings = base.design(dict(zip(designs.keys, values, strict=True)))
+            sensor, changes = base.design(dict(zip(designs.keys, values, strict=True)))
         except SettingsError as error:
             sensors.append(None)
             reasons[row] = str(error)
             continue
         sensors.append(sensor)
-        of_design[row] = numbers.setdefault((as_computed(sensor), settings), len(numbers))
+        of_design[row] = numbers.setdefault((as_computed(sensor), changes), len(numbers))
     order = _order(list(numbers))
     place_of = np.empty(len(order) + 1, dtype=np.intp)
     place_of[order], place_of[-1] = np.arange(len(order)), -1
@@ -231,7 +271,7 @@ def as_computed(sensor: Sensor) -> Sensor:
     return replace(sensor, noise=Noise(), display=display, name="")
 
 
-def _order(unique: Sequence[tuple[Sensor, Any]]) -> list[int]:
+def _order(unique: Sequence[tuple[Sensor, Changes]]) -> list[int]:
     """Return the order of sensors in which neighbours share most.
 
     Samples depend on what is before the detectors, weights on what is behind them. The weights of a few displays
@@ -240,12 +280,11 @@ def _order(unique: Sequence[tuple[Sensor, Any]]) -> list[int]:
     before: dict[Any, int] = {}
     behind: dict[Any, int] = {}
     places = []
-    for number, (sensor, settings) in enumerate(unique):
+    for number, (sensor, _) in enumerate(unique):
         sampled = before.setdefault((sensor.optics, sensor.detector), len(before))
-        # Displays that differ in gain alone, and observers in noise alone, share their weights and stay neighbours.
+        # Displays that differ in gain alone, and observers in noise alone, share weights and stay neighbours.
         weighed = behind.setdefault((replace(sensor.display, gain=1.0), sensor.electronics), len(behind))
         places.append((weighed // ALIKE_TOGETHER, sampled, weighed, number))
-    del settings
     return [place[-1] for place in sorted(places)]
 
 
@@ -256,32 +295,32 @@ def run_sweep(
     work: SweepWork,
     engine: Engine,
     *,
+    store: Store | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> Swept:
     """Compute the thresholds of all designs.
 
     Parameters
     ----------
+    store : Store, optional
+        Thresholds of an earlier run, and of this one.
     progress : function of an int, optional
         Called with the number of designs × sizes that were just done.
 
     Raises
     ------
-    SettingsError
-        If the observer is not linear.
+    OutputError
+        If the store cannot be written.
     """
     plan = plan_sweep(base, designs, sizes)
     uses = np.bincount(plan.places[plan.places >= 0].ravel(), minlength=len(plan.chains)).tolist()
     if progress is not None:
         progress(len(plan.reasons) * len(sizes))
     results: list[Computed] = [Computed("")] * len(plan.chains)
-    with closing(engine.run(work, enumerate(plan.chains))) as batches:
-        for batch in batches:
-            for number, result in batch:
-                found = Computed(IMPOSSIBLE, reason=str(result.error)) if isinstance(result, Lost) else result
-                results[number] = found
-                if progress is not None:
-                    progress(uses[number])
+    for number, result in run_stored(work, plan.chains, engine=engine, store=store):
+        results[number] = Computed(IMPOSSIBLE, reason=str(result.error)) if isinstance(result, Lost) else result
+        if progress is not None:
+            progress(uses[number])
     return _gathered(designs, tuple(sizes), plan, results)
 
 
@@ -308,3 +347,9 @@ def _gathered(designs: Designs, sizes: tuple[float, ...], plan: Plan, results: S
         reason=reasons,
         n_computed=len(results),
     )
+
+
+def _mk_per_snr(sensor: Sensor | None) -> float:
+    if sensor is None or sensor.noise.netd_mk is None:
+        return math.nan
+    return float(delta_t_mk(1.0, noise=sensor.noise))
