@@ -14,6 +14,7 @@ from todframes.cli.console import (
     echo,
     finish,
     keep_libraries_to_one_thread,
+    opened_engine,
     print_table,
     progress,
     run,
@@ -28,6 +29,7 @@ from todframes.cli.options import (
     plan_option,
     quiet_option,
     result_options,
+    run_options,
     seed_option,
     tolerance_option,
 )
@@ -63,15 +65,27 @@ def cli() -> None:
 @click.option("--overwrite", is_flag=True, help="Replace DATASET if simulate wrote all that is in it.")
 @click.option("--stages", is_flag=True, help="Also write the stages of a trial with the highest SNR as pictures.")
 @click.option("--workers", type=click.IntRange(1), default=1, show_default=True, help="Threads that draw frames.")
+@run_options
 @quiet_option
 def simulate(*, sensor: Path, sizes: str, snrs: str, trials: int, out: str, quiet: bool, **asked: Any) -> None:
     """Make a dataset of display frames that `todframes score` reads."""
     from sensor_sim import api
 
     size_detectors, snr = numbers(sizes, "--size-detectors"), numbers(snrs, "--snr")
-    with progress("simulating", len(size_detectors) * len(snr) * trials, quiet=quiet) as advance:
+    tell = None if quiet else say
+    with (
+        opened_engine(asked, quiet=quiet),
+        progress("simulating", len(size_detectors) * len(snr) * trials, quiet=quiet) as advance,
+    ):
         written = api.simulate(
-            sensor, size_detectors=size_detectors, snr=snr, trials=trials, out=out, progress=advance, **asked
+            sensor,
+            size_detectors=size_detectors,
+            snr=snr,
+            trials=trials,
+            out=out,
+            tell=tell,
+            progress=advance,
+            **asked,
         )
     if written.clipped_share and not quiet:
         say(f"note: {100 * written.clipped_share:.2g} % of the pixels were clipped")

@@ -177,6 +177,13 @@ def store_folder(staged: Path) -> Path:
     return staged.parent / STORE
 
 
+def remove_others(folder: Path, names: Set[str]) -> None:
+    """Remove all but some files from a staging folder: what an earlier run with other settings has left."""
+    for entry in list(os.scandir(folder)):
+        if entry.name not in names:
+            _remove_entry(entry)
+
+
 def write_file(path: Path, content: bytes, *, not_over: Path | None = None) -> None:
     """Write a whole file or nothing. An older file of that name is replaced; its permissions are kept.
 
@@ -363,12 +370,15 @@ def _clear(folder: Path, stays: Set[str]) -> None:
             raise OutputError(f"{staged}: holds {foreign[0]}, which todframes did not write; move it to safety")
         _remove_folder(staged, found)
     for entry in list(os.scandir(folder)):
-        if entry.name in stays:
-            continue
-        if entry.is_dir(follow_symlinks=False):
-            shutil.rmtree(entry)
-        elif entry.name != LOCK:
-            os.unlink(entry)  # noqa: PTH108 - an entry is no Path
+        if entry.name not in {LOCK, *stays}:
+            _remove_entry(entry)
+
+
+def _remove_entry(entry: os.DirEntry[str]) -> None:
+    if entry.is_dir(follow_symlinks=False):
+        shutil.rmtree(entry)
+    else:
+        os.unlink(entry)  # noqa: PTH108 - an entry is no Path
 
 
 def _names(folder: Path) -> set[str]:

@@ -20,6 +20,7 @@ from todframes.safe_text import visible
 
 if TYPE_CHECKING:
     from todframes.jobs.store import Store
+    from todframes.jobs.work import Engine
     from todframes.output import Going
     from todframes.report.data import ResultWarning
     from todframes.report.result import Result
@@ -85,22 +86,31 @@ def staged(out: str | None, going: Going | None = None, *, quiet: bool = False) 
 
 
 @contextmanager
+def opened_engine(asked: dict[str, Any], *, quiet: bool) -> Iterator[Engine]:
+    """Open the engine of `--cluster` and `--workers`, and say where its work can be watched.
+
+    `cluster` is replaced by the engine in `asked`.
+    """
+    from todframes.jobs.engine import open_engine
+
+    with open_engine(asked["cluster"], asked.get("workers", 1)) as engine:
+        if engine.dashboard is not None and not quiet:
+            say(f"dashboard: {engine.dashboard}")
+        asked["cluster"] = engine
+        yield engine
+
+
+@contextmanager
 def long_run(out: str | None, asked: dict[str, Any], *, quiet: bool) -> Iterator[Staged]:
     """Reserve the folder `out` for a run that can go on later, and open its engine.
 
     Of `asked`, `restart` and `keep_store` are removed; `cluster` is replaced by the engine, and `store` is set.
     """
-    from todframes.jobs.engine import open_engine
     from todframes.output import Going
 
     going = Going(restart=asked.pop("restart"), keep=asked.pop("keep_store"))
-    with (
-        staged(out, going, quiet=quiet) as place,
-        open_engine(asked["cluster"], asked.get("workers", 1)) as engine,
-    ):
-        if engine.dashboard is not None and not quiet:
-            say(f"dashboard: {engine.dashboard}")
-        asked |= {"cluster": engine, "store": place.store}
+    with staged(out, going, quiet=quiet) as place, opened_engine(asked, quiet=quiet):
+        asked["store"] = place.store
         yield place
 
 

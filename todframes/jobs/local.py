@@ -10,7 +10,7 @@ from todframes.jobs.work import Item, Lost, Result, Work
 from todframes.threads import map_in_threads
 
 ITEMS_PER_TASK = 16
-"""Number of items that a thread takes at a time."""
+"""Number of items that a thread takes at a time, of work that does not say `items_at_once`."""
 
 
 class LocalEngine:
@@ -22,16 +22,13 @@ class LocalEngine:
     ----------
     n_workers : int
         Number of threads; with one, all work is done in the calling thread.
-    items_per_task : int
-        Number of items that a thread takes at a time.
     """
 
     is_local = True
     dashboard: str | None = None
 
-    def __init__(self, n_workers: int = 1, *, items_per_task: int = ITEMS_PER_TASK) -> None:
+    def __init__(self, n_workers: int = 1) -> None:
         self.n_workers = n_workers
-        self.items_per_task = items_per_task
 
     def run(
         self, work: Work[Item, Result], items: Iterable[tuple[int, Item]]
@@ -42,10 +39,12 @@ class LocalEngine:
         def do(task: list[tuple[int, Item]]) -> list[tuple[int, Result | Lost]]:
             return [(number, function(item)) for number, item in task]
 
-        with closing(map_in_threads(do, self._tasks(items), self.n_workers)) as finished:
+        tasks = _tasks(items, getattr(work, "items_at_once", ITEMS_PER_TASK))
+        with closing(map_in_threads(do, tasks, self.n_workers)) as finished:
             yield from finished
 
-    def _tasks(self, items: Iterable[tuple[int, Item]]) -> Iterator[list[tuple[int, Item]]]:
-        items = iter(items)
-        while task := list(islice(items, self.items_per_task)):
-            yield task
+
+def _tasks(items: Iterable[tuple[int, Item]], n: int) -> Iterator[list[tuple[int, Item]]]:
+    items = iter(items)
+    while task := list(islice(items, n)):
+        yield task

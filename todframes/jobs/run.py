@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Generic, Protocol, TypeVar
 
 from todframes.errors import TodframesError
+from todframes.jobs.local import ITEMS_PER_TASK
 from todframes.jobs.store import Store
 from todframes.jobs.work import Engine, Lost, Work
 from todframes.threads import map_in_threads
@@ -48,8 +49,8 @@ class StoredWork(Work[Item_contra, Result], Protocol[Item_contra, Result]):
     def encode(self, result: Result) -> bytes | None:
         """Return a result as bytes; None if it is not to be kept."""
 
-    def decode(self, encoded: bytes) -> Result:
-        """Return the result that `encode` made these bytes of."""
+    def decode(self, encoded: bytes) -> Result | None:
+        """Return the result that `encode` made these bytes of; None if what it names is no longer there."""
 
 
 def run_stored(
@@ -138,6 +139,11 @@ class Keyed(Generic[Item, Result]):
     work: StoredWork[Item, Result]
     records: bool
 
+    @property
+    def items_at_once(self) -> int:
+        """Number of items that a thread takes at a time."""
+        return getattr(self.work, "items_at_once", ITEMS_PER_TASK)
+
     def function(self) -> Callable[[Item], KeyedResult[Result]]:
         """Return the function of an item that returns its result and key."""
         function, work = self.work.function(), self.work
@@ -175,8 +181,9 @@ def _found(
         for places, of_chunk in zip(chunks(), computed, strict=True):
             for place, key in zip(places, of_chunk, strict=True):
                 encoded = None if key is None else store.get(key)
-                if encoded is None:
+                result = None if encoded is None else work.decode(encoded)
+                if result is None:
                     left.append(place)
                 else:
-                    yield place, work.decode(encoded)
+                    yield place, result
     return left

@@ -23,7 +23,8 @@ class Work(Protocol[Item, Result]):
     """A value that can be pickled and says what to do with an item.
 
     It is sent once to each process, and the items go separately: large data belong in the work, or in files that
-    it names, and never in the items. Errors of single items that shall not end the run are results.
+    it names, and never in the items. Errors of single items that shall not end the run are results. Work on large
+    items may have an attribute `items_at_once`, the number that a thread takes at a time.
     """
 
     def function(self) -> Callable[[Item], Result]:
