@@ -126,11 +126,12 @@ class CurvePlan:
         )
 
     def weights_by_row(self, folding: Folding, places_x: FloatArray, places_y: FloatArray) -> list[FloatArray]:
-        """Return the folded weights as `Folding.weights_by_row` does."""
-        return self.shared.weights.get(
+        """Return the folded weights as `Folding.weights_by_row` does, but in float64."""
+        rows = self.shared.weights.get(
             (folding.key, places_x.tobytes(), places_y.tobytes()),
             lambda: folding.weights_by_row(places_x, places_y),
         )
+        return [row.astype(np.float64) for row in rows]
 
     def all_four(self, weights: FloatArray) -> FloatArray:
         """Return the weights of all four scores, (..., 4, n), from the folded ones."""
@@ -293,7 +294,8 @@ class _CurvePlanner:
 
     def _samples(self, sampler: TriangleSampler) -> tuple[FloatArray, float]:
         started = time.perf_counter()
-        samples = replace(self.full, sampler=sampler).samples(*np.transpose(TRIED_AT), Orientation.UP)
+        x, y = np.transpose(TRIED_AT)
+        samples = replace(self.full, sampler=sampler).samples(x, y, Orientation.UP)
         spent = (time.perf_counter() - started) / len(TRIED_AT)
         return samples.reshape(len(TRIED_AT), -1), spent
 

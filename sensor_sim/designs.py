@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-import types
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from functools import cache
+from functools import cached_property
 from pathlib import Path
+from types import NoneType, UnionType
 from typing import Any, Literal, NamedTuple, get_args, get_origin, get_type_hints
 
 import numpy as np
@@ -59,14 +59,13 @@ class Designs(NamedTuple):
     names: tuple[str, ...] | None = None
 
 
-@cache
-def numeric_keys(observer_settings: type | None) -> dict[str, bool]:
+def numeric_keys(observer_settings: type) -> dict[str, bool]:
     """Return the keys that can be varied, and for each whether its values are whole numbers.
 
-    `observer_settings` is the type of the observer's settings; None if it has none.
+    `observer_settings` is the type of the observer's settings; that of None if it has none.
     """
     found = {FILL_FACTOR: False}
-    kinds_of = {**TABLES, **({} if observer_settings is None else {"observer": observer_settings})}
+    kinds_of = {**TABLES, **({} if observer_settings is NoneType else {"observer": observer_settings})}
     for table, kind in kinds_of.items():
         hints = get_type_hints(kind)
         for field in fields(kind):
@@ -78,7 +77,7 @@ def numeric_keys(observer_settings: type | None) -> dict[str, bool]:
 
 def _kinds(hint: Any) -> tuple[Any, ...]:
     """Return the type that an annotation names, or those of its union."""
-    return get_args(hint) if get_origin(hint) in (types.UnionType, Literal) else (hint,)
+    return get_args(hint) if get_origin(hint) in (UnionType, Literal) else (hint,)
 
 
 def parse_range(text: str, where: str) -> Range:
@@ -96,8 +95,10 @@ def parse_range(text: str, where: str) -> Range:
         parts, spacing = [*parts, last], "linear"
     try:
         low, high, *more = parts
-        (n,) = [int(one) for one in more] or [None]
+        n = int(more.pop(0)) if more else None
         found = Range(float(low), float(high), n, spacing)
+        if more:
+            raise ValueError(text)
     except ValueError:
         expected = "FROM:TO:N or FROM:TO:N:log, such as 50:200:7"
         raise SettingsError(f"{where}: found {text!r}, expected {expected}") from None
@@ -140,7 +141,10 @@ def grid(vary: Mapping[str, str | Sequence[float]], known: Mapping[str, bool]) -
 def _axis(key: str, of_key: str | Sequence[float], *, is_whole: bool) -> FloatArray:
     where = f"vary {key}"
     if not isinstance(of_key, str):
-        return _given(of_key, where, is_whole=is_whole)
+        values = _finite(of_key, where, is_whole=is_whole)
+        if len(np.unique(values)) < len(values):
+            raise SettingsError(f"{where}: found a value twice in {of_key!r}, expected each once")
+        return values
     span = parse_range(of_key, where)
     if span.n is None:
         raise SettingsError(f"{where}: found {of_key!r}, expected a number of values N: FROM:TO:N")
@@ -158,7 +162,7 @@ def _axis(key: str, of_key: str | Sequence[float], *, is_whole: bool) -> FloatAr
     return values
 
 
-def _given(of_key: Sequence[float], where: str, *, is_whole: bool) -> FloatArray:
+def _finite(of_key: Sequence[float], where: str, *, is_whole: bool) -> FloatArray:
     try:
         values = np.array(of_key, dtype=np.float64)
     except (TypeError, ValueError):
@@ -167,12 +171,12 @@ def _given(of_key: Sequence[float], where: str, *, is_whole: bool) -> FloatArray
         raise SettingsError(f"{where}: found {of_key!r}, expected one or more finite numbers")
     if is_whole and (values != np.rint(values)).any():
         raise SettingsError(f"{where}: found {of_key!r}, expected whole numbers")
-    if len(np.unique(values)) < len(values):
-        raise SettingsError(f"{where}: found a value twice in {of_key!r}, expected each once")
     return values
 
 
-def latin_hypercube(vary: Mapping[str, str], known: Mapping[str, bool], *, n: int, seed: int) -> Designs:
+def latin_hypercube(
+    vary: Mapping[str, str | Sequence[float]], known: Mapping[str, bool], *, n: int, seed: int
+) -> Designs:
     """Return designs that cover ranges evenly: each key's range in `n` equal parts has one design in each.
 
     Raises
@@ -236,6 +240,53 @@ def read_designs(path: Path, known: Mapping[str, bool]) -> Designs:
     return Designs(tuple(keys), np.array(values), tuple(names) if NAME in header else None)
 
 
+def make_designs(
+    base: Base,
+    *,
+    vary: Mapping[str, str | Sequence[float]] | None,
+    design: Path | str | Sequence[Mapping[str, float]] | Designs | None,
+    sample: int | None,
+    seed: int,
+) -> Designs:
+    """Return the designs that a call or command asks for, in one of three ways.
+
+    Raises
+    ------
+    SettingsError
+        If it asks in none of them or in several, or for a design that `grid` or `latin_hypercube` refuses.
+    DataError
+        If a file of designs is refused.
+    """
+    if design is None:
+        if not vary:
+            raise SettingsError(
+                "sweep: found nothing to vary, expected keys with their ranges, or a file of designs"
+            )
+        if sample is not None:
+            return latin_hypercube(vary, base.keys, n=sample, seed=seed)
+        return grid(vary, base.keys)
+    if vary or sample is not None:
+        raise SettingsError("sweep: found designs and also keys to vary or a sample, expected one of them")
+    if isinstance(design, Designs):
+        return design
+    if isinstance(design, Path | str):
+        return read_designs(Path(design), base.keys)
+    return _listed(design, base.keys)
+
+
+def _listed(design: Sequence[Mapping[str, float]], known: Mapping[str, bool]) -> Designs:
+    keys = list(design[0]) if len(design) else []
+    _check(keys, known)
+    _check_number(len(design))
+    for number_of_design, one in enumerate(design, 1):
+        if set(one) != set(keys):
+            raise SettingsError(
+                f"design {number_of_design}: found keys {', '.join(one)}, expected {', '.join(keys)}"
+            )
+    columns = [_finite([one[key] for one in design], f"design {key}", is_whole=known[key]) for key in keys]
+    return Designs(tuple(keys), np.stack(columns, axis=1))
+
+
 def _check(keys: Iterable[str], known: Mapping[str, bool]) -> None:
     """Raise SettingsError if a key cannot be varied, there is none, or two set the same value."""
     keys = list(keys)
@@ -255,7 +306,7 @@ def _check_number(n: int) -> None:
         raise SettingsError(f"designs: found {n}, expected at most {MOST_DESIGNS}")
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Base:
     """The sensor and observer that designs differ from.
 
@@ -272,10 +323,10 @@ class Base:
     observer_settings: Any
     keep_fill_factor: bool
 
-    @property
+    @cached_property
     def keys(self) -> dict[str, bool]:
         """Keys that can be varied, and for each whether its values are whole numbers."""
-        return numeric_keys(None if self.observer_settings is None else type(self.observer_settings))
+        return numeric_keys(type(self.observer_settings))
 
     def design(self, values: Mapping[str, float]) -> tuple[Sensor, Changes]:
         """Return the sensor of a design, and the changes of the observer's settings.
@@ -301,7 +352,7 @@ class Base:
                 parts[table] = replace(before, **changes)
             except SettingsError as error:
                 too_narrow = PITCH in values and WIDTH not in values and "pitch_mrad (" in str(error)
-                hint = "; keep the fill factor, and the width follows the pitch" if too_narrow else ""
+                hint = "; with --keep-fill-factor the width follows the pitch" if too_narrow else ""
                 raise SettingsError(f"{table}.{error}{hint}") from None
         parts.pop("observer", None)
         return replace(self.sensor, **parts), tuple(tables.get("observer", {}).items())

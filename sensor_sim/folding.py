@@ -45,7 +45,7 @@ class Folding:
         Largest distance of the retina's middle from the field's middle along each axis. Retina samples that never
         see the field within that distance are dropped.
     dtype : float32 or float64
-        Precision of the folding; weights are float64 in any case.
+        Precision of the folding and of `weights_by_row`; `weights` are float64 in any case.
     merge_pixels : bool
         Whether pixels that must be alike count as one.
     key : hashable, optional
@@ -90,8 +90,8 @@ class Folding:
         by_column = np.ascontiguousarray(images.astype(self.dtype).transpose(2, 0, 1))
         return by_column.reshape(self.grid.side, self.n * self.grid.side)
 
-    def weights_by_row(self, places_x: FloatArray, places_y: FloatArray) -> list[FloatArray]:
-        """Return for each place along y the weights at all places along x: (places_x, n, field²), in float64.
+    def weights_by_row(self, places_x: FloatArray, places_y: FloatArray) -> list[NDArray[Any]]:
+        """Return for each place along y the weights at all places along x: (places_x, n, field²), in `dtype`.
 
         Places are those of the retina's middle, in detectors from the field's middle.
         """
@@ -102,14 +102,13 @@ class Folding:
         rows = []
         for y in places_y:
             folded = self._fold(y, on_columns).reshape(field, places, self.n, field)
-            by_place = folded.transpose(1, 2, 0, 3).reshape(places, self.n, field**2)
-            rows.append(by_place.astype(np.float64))
+            rows.append(folded.transpose(1, 2, 0, 3).reshape(places, self.n, field**2))
         return rows
 
     def weights(self, place_x: float, place_y: float) -> FloatArray:
         """Return the weights at one place: (n, field²)."""
         (row,) = self.weights_by_row(np.array([place_x]), np.array([place_y]))
-        return np.asarray(row[0])
+        return np.asarray(row[0], dtype=np.float64)
 
     def _fold(self, place: float, weights: NDArray[Any]) -> NDArray[Any]:
         """Fold weights on retina samples along the first axis, (side, n), to detectors, (field, n)."""

@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, is_dataclass, replace
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import msgspec
 import numpy as np
@@ -24,11 +24,14 @@ from sensor_sim.sharing import Shared
 from todframes._typing import FloatArray
 from todframes.errors import SettingsError, TodframesError
 from todframes.jobs.fingerprint import fingerprint
+from todframes.jobs.processes import ProcessEngine
 from todframes.jobs.run import run_stored
 from todframes.jobs.store import Store
 from todframes.jobs.work import Engine, Lost
 from todframes.observers.interface import Observer
+from todframes.psychometrics.fit import FitSettings
 from todframes.scoring.error_budget import PlanName
+from todframes.stimulus import Stimulus
 
 SHARED_MB = 512
 """Largest size of the parts that are shared, in each process, in units of 2**20 bytes."""
@@ -122,6 +125,7 @@ class SweepWork:
     seed: int
     plan: PlanName = "needed"
     shared_mb: int = SHARED_MB
+    items_at_once: ClassVar[int] = 1
 
     def function(self) -> Callable[[Chain], Computed]:
         """Return the function of a chain; what chains share is kept as long as the function."""
@@ -238,6 +242,37 @@ class Plan(NamedTuple):
     places: np.ndarray[Any, np.dtype[np.intp]]
     sensors: list[Sensor | None]
     reasons: dict[int, str]
+
+
+def check_sweep(
+    sensor: Sensor, observer: Observer, sizes: Sequence[float], *, p_correct: float, tolerance: float
+) -> None:
+    """Check what is the same for all designs.
+
+    Raises
+    ------
+    SettingsError
+        If a value is out of its range, a size is there twice, or the observer is not linear.
+    """
+    FitSettings(p_correct=p_correct)  # checks it
+    if not tolerance > 0.0:
+        raise SettingsError(f"tolerance: found {tolerance!r}, expected a number > 0")
+    shown = ",".join(f"{size:g}" for size in sizes)
+    if not sizes or not all(math.isfinite(size) and size > 0.0 for size in sizes):
+        raise SettingsError(f"size_detectors: found {shown!r}, expected finite numbers > 0")
+    if len(set(sizes)) < len(sizes):
+        raise SettingsError(f"size_detectors: found a value twice in {shown!r}, expected each once")
+    try:
+        readout = observer.readout(Stimulus(sizes[0] * sensor.display.detector_pitch_mrad))
+    except SettingsError:
+        return  # this size is impossible for the sensor as it is, but perhaps not for all designs
+    if readout is None:
+        raise SettingsError("observer: it is not linear; no curve can be computed, simulate frames instead")
+
+
+def engine_of(engine: Engine) -> Engine:
+    """Return the engine for a sweep: processes in place of several threads, which would wait for each other."""
+    return ProcessEngine(engine.n_workers) if engine.is_local and engine.n_workers > 1 else engine
 
 
 def plan_sweep(base: Base, designs: Designs, sizes: Sequence[float]) -> Plan:
