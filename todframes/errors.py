@@ -26,6 +26,9 @@ class FrameError(DataError):
         self.path = Path(path)
         self.problem = problem
 
+    def __reduce__(self) -> tuple[type, tuple[Path, str]]:
+        return type(self), (self.path, self.problem)
+
 
 class SettingsError(TodframesError, ValueError):
     """Error for a setting, option or argument that is invalid."""
@@ -35,5 +38,11 @@ class SettingsError(TodframesError, ValueError):
 
 class OutputError(TodframesError, OSError):
     """Error for results that cannot be written to the place that was asked for."""
+
+    exit_status = 2
+
+
+class ClusterError(TodframesError, OSError):
+    """Error for a cluster that cannot be reached, cannot do the work, or is gone."""
 
     exit_status = 2

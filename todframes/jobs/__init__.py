@@ -1,0 +1,1 @@
+"""Long runs: work in items, and engines that do it on this machine or on a cluster."""

@@ -1,0 +1,57 @@
+"""The work of a run, the engines that do it, and the items that are lost with their process."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator, Iterable
+from typing import NamedTuple, Protocol, TypeVar
+
+from todframes.errors import TodframesError
+
+Item = TypeVar("Item", contravariant=True)
+Result = TypeVar("Result", covariant=True)
+T = TypeVar("T")
+R = TypeVar("R")
+
+
+class Lost(NamedTuple):
+    """The result of an item whose process died with it, alone; `error` names the item."""
+
+    error: TodframesError
+
+
+class Work(Protocol[Item, Result]):
+    """A value that can be pickled and says what to do with an item.
+
+    It is sent once to each process, and the items go separately: large data belong in the work, or in files that
+    it names, and never in the items. Errors of single items that shall not end the run are results. Work on large
+    items may have an attribute `items_at_once`, the number that a thread takes at a time.
+    """
+
+    def function(self) -> Callable[[Item], Result]:
+        """Return the function of an item; it is made once in each process and called from any thread."""
+        ...
+
+    def lost(self, item: Item) -> TodframesError:
+        """Return the error about an item whose process died with it."""
+        ...
+
+
+class Engine(Protocol):
+    """Where the work of a run is done: `n_workers` threads of this process if `is_local`, or processes elsewhere.
+
+    `dashboard` is the address of a page that shows the work; None if there is none.
+    """
+
+    n_workers: int
+    is_local: bool
+    dashboard: str | None
+
+    def run(
+        self, work: Work[T, R], items: Iterable[tuple[int, T]]
+    ) -> Generator[list[tuple[int, R | Lost]], None, None]:
+        """Yield the results of numbered items with their numbers, in batches, in any order.
+
+        Items are asked for as they are needed, few ahead. An exception of the function ends the run: it is raised
+        here, and items not begun are dropped, as they are by `close`.
+        """
+        ...
