@@ -382,7 +382,7 @@ def _trials(
 
     def blocks() -> Iterator[dict[str, list[Any]]]:
         for texts, scored in parts:
-            columns, of_part = _columns(dataset, scored), Trials.of(scored.trials)
+            columns, of_part = _columns(dataset, scored), scored.trials
             for start in range(0, len(of_part), BLOCK):
                 rows = slice(start, start + BLOCK)
                 these = of_part[rows]
@@ -399,7 +399,7 @@ Values = Callable[[Trials, slice], list[Any]]
 def _columns(dataset: Dataset, scored: ScoredDataset) -> dict[str, tuple[type, Values]]:
     """Return the type and the values of each column of scored trials."""
     turns = [one.value for one in ORIENTATIONS]
-    groups = Trials.of(scored.trials).groups
+    groups = scored.trials.groups
     numbers = {
         **{f"displacement_{axis}_samples": scored.displacement_samples[:, k] for k, axis in enumerate("xy")},
         **{f"score_{orientation}": scored.scores[:, k] for k, orientation in enumerate(ORIENTATIONS)},
