@@ -11,6 +11,7 @@ import pytest
 import todframes as tod
 from todframes.output import write_files
 from todframes.report import figures, table, tables
+from todframes.report import parquet as parquet_module
 from todframes.report.parquet import parquet_parts
 from todframes.report.table import LongRecords, Table
 
@@ -76,11 +77,12 @@ def mixed(make_dataset, monkeypatch):
 def test_parquet_has_the_numbers_of_the_csv(mixed, tmp_path, monkeypatch) -> None:
     """The same columns and rows, and all bits of the numbers, over several row groups."""
     parquet = pytest.importorskip("pyarrow.parquet", reason="Parquet needs pyarrow, of the parquet extra")
-    monkeypatch.setattr(tables, "BLOCK", 5)
+    monkeypatch.setattr(tables, "BLOCK", 3)
+    monkeypatch.setattr(parquet_module, "ROWS_A_GROUP", 5)
     result = tod.score(mixed, fit=tod.FitSettings(resamples=0), examples=False)
     result.save(tmp_path / "out")
     file = parquet.ParquetFile(tmp_path / "out" / "scores.parquet")
-    assert file.num_row_groups == 4
+    assert [file.metadata.row_group(k).num_rows for k in range(file.num_row_groups)] == [6, 6, 4]
     found = file.read().to_pydict()
     assert list(found) == list(result.trials.records[0])
     assert found["camera"] == ["7.0" if number % 2 else "left" for number in range(16)]

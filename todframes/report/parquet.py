@@ -9,6 +9,9 @@ from typing import Any
 
 from todframes.report.table import LongRecords, Table, field_text
 
+ROWS_A_GROUP = 65536
+"""Least number of rows of a row group, except for the last; they are held as Arrow columns until it is written."""
+
 
 def has_parquet() -> bool:
     """Tell whether Parquet can be written: whether pyarrow is installed."""
@@ -16,7 +19,7 @@ def has_parquet() -> bool:
 
 
 def parquet_parts(table: Table) -> Iterator[bytes]:
-    """Yield a table of long records as a Parquet file, in parts: one for each row group of some thousand rows.
+    """Yield a table of long records as a Parquet file, in parts: one for each row group, and the end.
 
     Columns are those of the CSV: texts, whole numbers and exact doubles, and null where there is no value. In a
     column of both numbers and texts all values are texts.
@@ -35,13 +38,19 @@ def parquet_parts(table: Table) -> Iterator[bytes]:
     schema = pa.schema([(name, types[kind]) for name, kind in records.kinds.items()])
     sink = _Sink()
     with ParquetWriter(sink, schema) as writer:
+        group: list[Any] = []
         for block in records.blocks():
             arrays = [
                 pa.array(_of_kind(block[name], kind), types[kind], from_pandas=True)  # NaN is null
                 for name, kind in records.kinds.items()
             ]
-            writer.write_table(pa.table(arrays, schema=schema))
-            yield sink.taken()
+            group.append(pa.record_batch(arrays, schema=schema))
+            if sum(map(len, group)) >= ROWS_A_GROUP:
+                writer.write_table(pa.Table.from_batches(group))
+                group = []
+                yield sink.taken()
+        if group:
+            writer.write_table(pa.Table.from_batches(group))
     yield sink.taken()
 
 

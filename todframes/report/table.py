@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from rich.console import Group
 
 
-BLOCK = 16384
+BLOCK = 4096
 """Number of rows of a long table that are made, and written, at a time."""
 
 
