@@ -17,7 +17,7 @@ import todframes as tod
 from sensor_sim.cli import cli
 from sensor_sim.designs import Base, grid, latin_hypercube, numeric_keys, parse_range
 from sensor_sim.sharing import Kept
-from sensor_sim.sweep_result import acuity, front
+from sensor_sim.sweep_tables import acuity, front
 from sensor_sim.sweep_work import SweepWork, Variants, plan_sweep, run_sweep
 from todframes.cli.console import run
 from todframes.errors import SettingsError
