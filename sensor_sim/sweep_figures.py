@@ -48,7 +48,7 @@ def pictures(result: SweepData) -> list[Picture]:
             note = "Threshold over the first two keys that vary. Blank: no threshold."
             note += " The lowest over the other keys." * (len(keys) > 2)
             draw = partial(draw_map, result=result, size=size)
-            found.append(Picture(f"Map at {sizes[size]:g} detectors", note, draw, f"map_{sizes[size]:g}.png"))
+            found.append(Picture(f"Map at {sizes[size]:g} detectors", note, draw, "" if size else "map.png"))
     elif varied(result):
         note = "A line for each size."
         found.append(Picture("Threshold against the key", note, partial(draw_lines, result=result), "by_key.png"))

@@ -41,7 +41,7 @@ class SweepResult(SweepData):
         return {
             "sweep.csv": table.csv().encode(),
             **({"sweep.parquet": parquet} if parquet is not None else {}),
-            **{one.file: one.png() for one in pictures(self)},
+            **{one.file: one.png() for one in pictures(self) if one.file},
             "report.html": page(self).encode(),
             "result.json": self.to_json(),
         }

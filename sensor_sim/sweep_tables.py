@@ -341,7 +341,8 @@ class SweepData:
             Column(key="first_design"),
             Column(key="reason", wraps=True),
         ]
-        return Table.of("Designs and sizes without a threshold", "problems.csv", columns, records)
+        table = Table.of("Designs and sizes without a threshold", "problems.csv", columns, records)
+        return table.without_empty_columns()
 
     def sentences(self) -> list[str]:
         """Return the findings in words."""

@@ -331,7 +331,7 @@ def test_output(swept, tmp_path: Path) -> None:
     swept.save(tmp_path / "out")
     names = {path.name for path in (tmp_path / "out").iterdir()} - {"sweep.parquet"}
     assert names == {
-        *("sweep.csv", "result.json", "report.html", "front.png", "map_4.png", "map_7.png", "tod_curves.png"),
+        *("sweep.csv", "result.json", "report.html", "front.png", "map.png", "tod_curves.png"),
     }
     with (tmp_path / "out" / "sweep.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
