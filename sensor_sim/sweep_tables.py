@@ -229,8 +229,7 @@ class SweepData:
             of_design: Json = {"design": row + 1}
             if designs.names is not None:
                 of_design[NAME] = designs.names[row]
-            of_design |= dict(zip(designs.keys, values, strict=True))
-            of_design |= {key: int(of_design[key]) for key in self.whole_keys}
+            of_design |= self._values(values)
             pitch = _known(swept.pitch_mrad[row])
             of_acuity = self._acuity_record(row, pitch)
             for place, size in enumerate(swept.size_detectors):
@@ -250,6 +249,11 @@ class SweepData:
                     "n_phases": int(swept.n_phases[row, place]) or None,
                     "reason": swept.reason[row][place] or None,
                 }
+
+    def _values(self, values: Sequence[float]) -> Json:
+        """Return the values of a design by key, whole numbers as such."""
+        found: Json = dict(zip(self.swept.designs.keys, values, strict=True))
+        return found | {key: int(found[key]) for key in self.whole_keys}
 
     def _acuity_record(self, row: int, pitch: float | None) -> Json:
         if self.acuities is None:
@@ -305,7 +309,7 @@ class SweepData:
             record: Json = {"design": int(row) + 1}
             if designs.names is not None:
                 record[NAME] = designs.names[row]
-            record |= dict(zip(designs.keys, designs.values[row].tolist(), strict=True))
+            record |= self._values(designs.values[row].tolist())
             record |= {f"at_{place}": _known(value) for place, value in enumerate(shown[row])}
             record |= self._acuity_record(int(row), _known(swept.pitch_mrad[row]))
             records.append(record)

@@ -1,4 +1,4 @@
-"""Sweeps of a sensor's designs against one curve for each of them, in CPU time; and on two processes, in wall time."""
+"""Sweeps of a sensor against a curve for each design, in CPU time; and on two processes, in wall time."""
 
 from __future__ import annotations
 
