@@ -55,6 +55,10 @@ FILES_OF_COMMAND = {
     "score": {"report.html", "scores.csv", "scores.parquet", "psychometric.png", "tod_curve.png"},
     "curve": {"report.html", "psychometric.png", "tod_curve.png"},
     "compare": {"report.html", "scores.csv", "scores.parquet", "compare.csv", "compare.png"},
+    "sweep": {
+        *("report.html", "sweep.csv", "sweep.parquet"),
+        *("front.png", "map.png", "by_key.png", "tod_curves.png"),
+    },
 }
 """Files that each command writes beside `result.json`."""
 
