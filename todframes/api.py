@@ -18,6 +18,7 @@ from todframes.frames.dataset import Dataset, Trial, load_dataset
 from todframes.frames.display import Display
 from todframes.frames.findings import frame_warnings
 from todframes.frames.inspection import inspect, records
+from todframes.locations import Location
 from todframes.observers.interface import ENTRY_POINT_GROUP, Observer, find_observer
 from todframes.psychometrics.fit import CurveName, FitSettings
 from todframes.psychometrics.fit import fit_counts as fit_counts_of_one
@@ -41,7 +42,7 @@ Progress = Callable[[int], None]
 
 
 def score(
-    dataset: Path | str | Dataset,
+    dataset: Location | str | Dataset,
     *,
     observer: str | Observer = "pyramid",
     decisions: Decisions = "expected",
@@ -61,8 +62,9 @@ def score(
 
     Parameters
     ----------
-    dataset : path or Dataset
-        Folder with dataset.toml, manifest.csv and frames, or the return value of `load_dataset`.
+    dataset : path, str or Dataset
+        Folder with dataset.toml, manifest.csv and frames, its URL ("s3://lab/archive"), or the return value of
+        `load_dataset`.
     observer : str or Observer
         Name of a registered observer, "module:Class", or an observer: `PyramidObserver(internal_noise=0.25)`.
     decisions : {"expected", "sampled"}
@@ -259,7 +261,7 @@ def score_frames(
 
 
 def compare(
-    dataset: Path | str | Dataset,
+    dataset: Location | str | Dataset,
     enhance: Iterable[str | Callable[..., Any]],
     *,
     observer: str | Observer = "pyramid",
@@ -624,12 +626,12 @@ def _fit_settings(fit: FitSettings | None, p_correct: float | None) -> FitSettin
     return fit if p_correct is None else replace(fit, p_correct=p_correct)
 
 
-def _loaded(dataset: Path | str | Dataset) -> Dataset:
+def _loaded(dataset: Location | str | Dataset) -> Dataset:
     return dataset if isinstance(dataset, Dataset) else load_dataset(dataset)
 
 
 def _located(
-    dataset: Path | str | Dataset,
+    dataset: Location | str | Dataset,
     observer: Observer,
     locate: Locate | bool,
     on_error: OnError,

@@ -7,6 +7,7 @@ import difflib
 import io
 import math
 import os
+import posixpath
 import re
 import stat
 import tomllib
@@ -15,13 +16,14 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import MISSING, fields, is_dataclass
 from functools import cache
 from numbers import Integral, Real
-from pathlib import Path
 from types import NoneType
 from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 import msgspec
 
-from todframes.errors import DataError, SettingsError
+from todframes.errors import DataError, RemoteError, SettingsError
+from todframes.locations import Location, RemotePath
+from todframes.remote import read_bytes
 
 T = TypeVar("T")
 
@@ -35,41 +37,57 @@ FIELDS_FOUND = "\0fields"
 """Key of the number of fields in a row of `read_csv` that has more or fewer fields than the header."""
 
 
-def read_file(path: Path, *, most_mb: int) -> bytes:
+def read_file(path: Location, *, most_mb: int) -> bytes:
     """Return the bytes of a file. Pipes and devices are refused: reading them may never end.
 
     Raises
     ------
     DataError
         If it is not a regular file, cannot be read, or is longer than `most_mb` · 2**20 bytes.
+    RemoteError
+        If it is behind a URL that cannot be reached or may not be read.
     """
     content = b""
     try:
-        status = path.stat()
-        is_file = stat.S_ISREG(status.st_mode)
-        if is_file and status.st_size <= most_mb * 2**20:
-            with path.open("rb") as file:
-                content = file.read(most_mb * 2**20 + 1)
+        if isinstance(path, RemotePath):
+            content = read_bytes(path)
+            is_file, is_folder, size = True, False, len(content)
+        else:
+            status = path.stat()
+            is_file, is_folder = stat.S_ISREG(status.st_mode), stat.S_ISDIR(status.st_mode)
+            size = status.st_size
+            if is_file and size <= most_mb * 2**20:
+                with path.open("rb") as file:
+                    content = file.read(most_mb * 2**20 + 1)
+    except RemoteError:
+        raise
     except FileNotFoundError:
         raise DataError(f"{path}: no such file") from None
     except OSError as error:
         raise DataError(f"{path}: cannot be read ({error.strerror})") from None
     except ValueError as error:  # a NUL in the name
         raise DataError(f"{str(path)!r}: cannot be read ({error})") from None
-    if stat.S_ISDIR(status.st_mode):
+    if is_folder:
         raise DataError(f"{path}: is a folder, expected a file")
     if not is_file:
         raise DataError(f"{path}: is a pipe or device, expected a file; save what comes from it to a file first")
-    if max(status.st_size, len(content)) > most_mb * 2**20:
+    if max(size, len(content)) > most_mb * 2**20:
         raise DataError(f"{path}: is longer than {most_mb} MB, the limit for such files")
     return content
 
 
-def path_inside(folder: str, name: str, where: str, real_folders: dict[str, str] | None = None) -> str:
-    """Return the full path of a file that a file of the user names, with symbolic links resolved.
+def resolved(folder: Location) -> str | RemotePath:
+    """Return a folder for `path_inside`: a local path with its symbolic links resolved, as a text; or the URL."""
+    return folder if isinstance(folder, RemotePath) else os.path.realpath(folder)
 
-    `folder` must have its links resolved already. `real_folders` caches resolved folders: without it a million
-    rows would take a minute.
+
+def path_inside(
+    folder: str | RemotePath, name: str, where: str, real_folders: dict[str, str] | None = None
+) -> str:
+    """Return the full path or URL of a file that a file of the user names, with symbolic links resolved.
+
+    `folder` is that of `resolved`. `real_folders` caches resolved folders: without it a million rows would take a
+    minute.
 
     Raises
     ------
@@ -78,6 +96,13 @@ def path_inside(folder: str, name: str, where: str, real_folders: dict[str, str]
     """
     if not name or "\0" in name:
         raise DataError(f"{where}: found {name!r}, expected a path")
+    if isinstance(folder, RemotePath):
+        first = posixpath.normpath(name).partition("/")[0]
+        if first in ("", os.curdir, os.pardir) or "://" in name or "::" in name:
+            raise DataError(
+                f"{where} {name} lies outside of the dataset: expected a path relative to {folder}; copy it there"
+            )
+        return str(folder / name)
     real_folders = {} if real_folders is None else real_folders
     parent, last = os.path.split(os.path.join(folder, name))  # noqa: PTH118 - pathlib is slow
     if parent not in real_folders:
@@ -93,7 +118,7 @@ def path_inside(folder: str, name: str, where: str, real_folders: dict[str, str]
     return full
 
 
-def read_text(path: Path, *, most_mb: int) -> str:
+def read_text(path: Location, *, most_mb: int) -> str:
     """Return the text of a UTF-8 file, with or without a byte-order mark.
 
     Raises
@@ -107,7 +132,7 @@ def read_text(path: Path, *, most_mb: int) -> str:
         raise DataError(f"{path}: not UTF-8 (byte {error.start})") from None
 
 
-def read_toml(path: Path) -> dict[str, Any]:
+def read_toml(path: Location) -> dict[str, Any]:
     """Return the content of a TOML file.
 
     Raises
@@ -323,7 +348,7 @@ def spelling_hint(text: str, choices: Iterable[str]) -> str:
     return f"; write {meant[0]}" if meant else ""
 
 
-def read_csv(path: Path) -> Iterator[tuple[str, dict[str, str]]]:
+def read_csv(path: Location) -> Iterator[tuple[str, dict[str, str]]]:
     """Yield the rows of a CSV file with a header, each with its place: file and line.
 
     The first item is the header: a row with all keys and empty values.
@@ -358,7 +383,7 @@ def read_csv(path: Path) -> Iterator[tuple[str, dict[str, str]]]:
         raise DataError(f"{path}, line {reader.line_num}: not valid CSV ({error})") from None
 
 
-def read_numbers(path: Path, columns: Sequence[str]) -> list[list[float]]:
+def read_numbers(path: Location, columns: Sequence[str]) -> list[list[float]]:
     """Return the numbers in the named columns of a CSV file, row by row.
 
     Raises
@@ -385,7 +410,7 @@ def csv_text(rows: Sequence[Mapping[str, object]]) -> str:
     return text.getvalue()
 
 
-def check_columns(header: Iterable[str], needed: Iterable[str], path: Path) -> None:
+def check_columns(header: Iterable[str], needed: Iterable[str], path: Location) -> None:
     """Raise DataError if a CSV file lacks a column; the message says if it has one with other letters."""
     found = list(header)
     for name in needed:

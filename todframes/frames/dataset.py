@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import os
+import threading
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal, NamedTuple
 
@@ -18,12 +19,15 @@ from todframes.config import (
     path_inside,
     read_csv,
     read_toml,
+    resolved,
     spelling_hint,
 )
-from todframes.errors import DataError, SettingsError
+from todframes.errors import DataError, FrameError, SettingsError
 from todframes.frames.display import Display
 from todframes.frames.display_files import display_of_table, find_display
 from todframes.frames.files import FrameFile, FrameSource, frame_sha256
+from todframes.locations import Location, RemotePath
+from todframes.remote import Entry, entity_tag, list_folder, location
 from todframes.stimulus import ORIENTATIONS, Orientation, Stimulus
 
 SCHEMA = 1
@@ -142,7 +146,7 @@ class Dataset:
     `manifest_sha256` is the checksum of `manifest.csv`; None for frames in memory.
     """
 
-    path: Path
+    path: Location
     display: Display
     experiment: Experiment
     trials: tuple[Trial, ...]
@@ -155,31 +159,100 @@ class Dataset:
         """Number of frames in the manifest, those in bad rows included."""
         return sum(len(trial.frames) for trial in self.trials) + len(self.bad_rows)
 
-    def frame_path(self, frame: FrameReference) -> Path:
-        """Return the path of the frame on disk."""
+    def frame_path(self, frame: FrameReference) -> Location:
+        """Return the path or URL of the frame."""
         return self.path / frame.path
 
     def has_frame(self, frame: FrameReference) -> bool:
         """Tell whether the frame's file exists."""
         # A million paths take seconds; as Path objects, half a minute.
-        return os.path.exists(os.path.join(self.path, frame.path))  # noqa: PTH110, PTH118
+        return os.path.exists(os.path.join(str(self.path), frame.path))  # noqa: PTH110, PTH118
 
-    def open(self, frame: FrameReference) -> FrameSource:
-        """Open a frame; raise FrameError if it cannot be used."""
-        return FrameFile(self.frame_path(frame))
+    def content_id(self, frame: FrameReference) -> str:
+        """Return a text that changes whenever the bytes of the frame do: the SHA-256 of its file.
 
-    def reference_path(self, frame: FrameReference) -> Path | None:
-        """Return the path of the same frame without noise; None if there is none."""
+        Raises
+        ------
+        FrameError
+            If the file cannot be read.
+        """
+        return frame_sha256(self.frame_path(frame))
+
+    def open(self, frame: FrameReference, *, verify: bool = False) -> FrameSource:
+        """Open a frame; raise FrameError if it cannot be used.
+
+        With `verify`, it must have the checksum that the manifest gives, if it gives one.
+        """
+        return FrameFile(self.frame_path(frame), sha256=frame.sha256 if verify else None)
+
+    def reference_path(self, frame: FrameReference) -> Location | None:
+        """Return the path or URL of the same frame without noise; None if there is none."""
         return None if frame.reference is None else self.path / frame.reference
 
 
-def load_dataset(path: Path | str) -> Dataset:
+class Listings:
+    """The listings of folders behind URLs, each made when a file of the folder is first asked about.
+
+    A copy that is pickled or copied is empty, so that a dataset that goes to another process stays small.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._of_folder: dict[RemotePath, dict[str, Entry] | None] = {}
+
+    def __reduce__(self) -> tuple[type[Listings], tuple[()]]:
+        return Listings, ()
+
+    def of(self, folder: RemotePath) -> dict[str, Entry] | None:
+        """Return the files of a folder by name; None if it cannot be listed."""
+        with self._lock:
+            if folder not in self._of_folder:
+                self._of_folder[folder] = list_folder(folder)
+            return self._of_folder[folder]
+
+
+@dataclass(frozen=True, slots=True)
+class RemoteDataset(Dataset):
+    """A dataset behind a URL: each opening of a frame is one request; no frame is kept, or written to a disk."""
+
+    path: RemotePath
+    listings: Listings = field(default_factory=Listings, compare=False, repr=False)
+
+    def has_frame(self, frame: FrameReference) -> bool:
+        """Tell whether the frame's file exists; True if its folder cannot be listed."""
+        path = self.path / frame.path
+        listed = self.listings.of(path.parent)
+        return listed is None or path.name in listed
+
+    def content_id(self, frame: FrameReference) -> str:
+        """Return a text that changes whenever the bytes of the frame do.
+
+        It is made of the frame's URL and the entity tag that the server gives its bytes: that of the folder's
+        listing, which is made once, or else that of the file. Without a tag it is the SHA-256 of the bytes.
+
+        Raises
+        ------
+        FrameError
+            If the file cannot be read.
+        RemoteError
+            If the server cannot be reached, or the file may not be read.
+        """
+        path = self.path / frame.path
+        entry = (self.listings.of(path.parent) or {}).get(path.name)
+        try:
+            tag = entity_tag(path) if entry is None else entry.tag
+        except FileNotFoundError as error:
+            raise FrameError(path, f"cannot be read: {error.strerror}") from None
+        return frame_sha256(path) if tag is None else f"{path} {tag}"
+
+
+def load_dataset(path: Location | str) -> Dataset:
     """Read and check `dataset.toml` and `manifest.csv`; no frame is opened.
 
     Parameters
     ----------
-    path : path
-        The dataset's folder.
+    path : path or str
+        The dataset's folder, or its URL: "s3://lab/archive".
 
     Returns
     -------
@@ -192,16 +265,19 @@ def load_dataset(path: Path | str) -> Dataset:
     DataError
         If the manifest is missing or unreadable, a column is missing, or there is no frame at all. A wrong row
         raises nothing: it goes to `bad_rows`.
+    RemoteError
+        If the URL cannot be reached, or may not be read.
     """
-    path = Path(path)
-    if not os.path.isdir(path):  # noqa: PTH112 - Path.is_dir raises for a name that is too long
+    path = location(path)
+    if isinstance(path, Path) and not os.path.isdir(path):  # noqa: PTH112 - Path.is_dir raises for a name that is too long
         raise DataError(f"{path}: not a folder; expected a dataset with dataset.toml and manifest.csv")
     display, experiment = _read_settings(path / "dataset.toml")
     manifest = _Manifest(path, display, experiment)
     trials = manifest.trials()
     if not trials and not manifest.bad_rows:
         raise DataError(f"{manifest.path}: no frames; expected a row a frame below the header")
-    return Dataset(
+    kind: type[Dataset] = RemoteDataset if isinstance(path, RemotePath) else Dataset
+    return kind(
         path=path,
         display=display,
         experiment=experiment,
@@ -212,9 +288,9 @@ def load_dataset(path: Path | str) -> Dataset:
     )
 
 
-def _read_settings(path: Path) -> tuple[Display, Experiment]:
+def _read_settings(path: Location) -> tuple[Display, Experiment]:
     try:
-        path_inside(os.path.realpath(path.parent), path.name, f"{path}:")
+        path_inside(resolved(path.parent), path.name, f"{path}:")
     except DataError as error:
         raise SettingsError(str(error)) from None
     content = read_toml(path)
@@ -238,8 +314,8 @@ def _read_settings(path: Path) -> tuple[Display, Experiment]:
 class _Manifest:
     """Reader of the manifest: it checks the rows, gathers frames into trials and records the bad rows."""
 
-    def __init__(self, folder: Path, display: Display, experiment: Experiment) -> None:
-        self.folder = os.path.realpath(folder)
+    def __init__(self, folder: Location, display: Display, experiment: Experiment) -> None:
+        self.folder = resolved(folder)
         self.path = folder / "manifest.csv"
         self.experiment = experiment
         self.needs_background = display.background_luminance_cd_m2 == "column"
@@ -311,7 +387,8 @@ class _Manifest:
         )
 
     def _frame_path(self, frame: str, where: str) -> str:
-        if os.sep == "/" and "\\" in frame and not os.path.lexists(os.path.join(self.folder, frame)):  # noqa: PTH118
+        is_there = isinstance(self.folder, str) and os.path.lexists(os.path.join(self.folder, frame))  # noqa: PTH118
+        if os.sep == "/" and "\\" in frame and not is_there:
             written = frame.replace("\\", "/")
             raise DataError(f"{where}: frame: found {frame} with backslashes, expected slashes: {written}")
         first = self.seen.setdefault(path_inside(self.folder, frame, f"{where}: frame", self.real_folders), where)
