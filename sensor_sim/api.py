@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from contextlib import closing
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -20,6 +21,7 @@ from todframes.scoring.error_budget import PlanName, Step, plan_object
 if TYPE_CHECKING:
     from sensor_sim.mtf_report import SensorMtf
     from sensor_sim.simulation import FrameFormat, Written
+    from todframes.jobs.work import Engine
 
 
 def curve(
@@ -141,6 +143,10 @@ def simulate(
     overwrite: bool = False,
     stages: bool = False,
     workers: int = 1,
+    cluster: str | Engine | None = None,
+    restart: bool = False,
+    keep_store: bool = False,
+    tell: Callable[[str], None] | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> Written:
     """Make a dataset of display frames that `todframes.score` reads, as `sensor-sim simulate` does.
@@ -169,6 +175,14 @@ def simulate(
         Also write the stages of a trial with the highest SNR as pictures.
     workers : int
         Threads that draw frames.
+    cluster : str, optional
+        Address of a Dask scheduler, "tcp://…", or "local:N" for N processes; they draw instead.
+    restart : bool
+        Begin anew even if an earlier call with the same `out` was interrupted.
+    keep_store : bool
+        Keep the list of the frames that are finished after the dataset is whole.
+    tell : function of a text, optional
+        Called with a remark if an earlier call has finished some of the frames.
     progress : function of an int, optional
         Called with the number of frames that were just done.
 
@@ -194,11 +208,18 @@ def simulate(
     8
     """
     from sensor_sim.simulation import plan_trials, write_dataset
-    from todframes.output import new_folder
+    from todframes.jobs.engine import open_engine
+    from todframes.jobs.store import Store
+    from todframes.output import Going, new_folder, store_folder
 
     sensor = sensor if isinstance(sensor, Sensor) else load_sensor(sensor)
     planned = plan_trials([float(one) for one in size_detectors], [float(one) for one in snr], trials)
-    with new_folder(str(out), overwrite=overwrite) as folder:
+    going = Going(restart=restart, keep=keep_store)
+    with (
+        open_engine(cluster, workers) as engine,
+        new_folder(str(out), overwrite=overwrite, going=going) as folder,
+        closing(Store(store_folder(folder), str(out), tell)) as store,
+    ):
         written = write_dataset(
             folder,
             sensor,
@@ -206,7 +227,8 @@ def simulate(
             seed=seed,
             frame_format=frame_format,
             allow_clipping=allow_clipping,
-            workers=workers,
+            engine=engine,
+            store=store,
             progress=progress,
         )
         if stages:

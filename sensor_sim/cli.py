@@ -14,6 +14,7 @@ from todframes.cli.console import (
     echo,
     finish,
     keep_libraries_to_one_thread,
+    opened_engine,
     print_table,
     progress,
     run,
@@ -28,6 +29,7 @@ from todframes.cli.options import (
     plan_option,
     quiet_option,
     result_options,
+    run_options,
     seed_option,
     tolerance_option,
 )
@@ -63,15 +65,27 @@ def cli() -> None:
 @click.option("--overwrite", is_flag=True, help="Replace DATASET if simulate wrote all that is in it.")
 @click.option("--stages", is_flag=True, help="Also write the stages of a trial with the highest SNR as pictures.")
 @click.option("--workers", type=click.IntRange(1), default=1, show_default=True, help="Threads that draw frames.")
+@run_options
 @quiet_option
 def simulate(*, sensor: Path, sizes: str, snrs: str, trials: int, out: str, quiet: bool, **asked: Any) -> None:
     """Make a dataset of display frames that `todframes score` reads."""
     from sensor_sim import api
 
     size_detectors, snr = numbers(sizes, "--size-detectors"), numbers(snrs, "--snr")
-    with progress("simulating", len(size_detectors) * len(snr) * trials, quiet=quiet) as advance:
+    tell = None if quiet else say
+    with (
+        opened_engine(asked, quiet=quiet),
+        progress("simulating", len(size_detectors) * len(snr) * trials, quiet=quiet) as advance,
+    ):
         written = api.simulate(
-            sensor, size_detectors=size_detectors, snr=snr, trials=trials, out=out, progress=advance, **asked
+            sensor,
+            size_detectors=size_detectors,
+            snr=snr,
+            trials=trials,
+            out=out,
+            tell=tell,
+            progress=advance,
+            **asked,
         )
     if written.clipped_share and not quiet:
         say(f"note: {100 * written.clipped_share:.2g} % of the pixels were clipped")
@@ -98,7 +112,7 @@ def curve(*, sensor: Path, sizes: str, out: str | None, quiet: bool, **asked: An
     from sensor_sim.sensor import load_sensor
 
     settings, wanted = load_sensor(sensor), numbers(sizes, "--size-detectors")
-    with staged(out) as write:
+    with staged(out) as place:
         with progress("computing", len(wanted), quiet=quiet) as advance:
             result = api.curve(
                 settings,
@@ -109,7 +123,7 @@ def curve(*, sensor: Path, sizes: str, out: str | None, quiet: bool, **asked: An
                 progress=advance,
                 **asked,
             )
-        write(result.files)
+        place.write(result.files)
     finish(result, f"{settings.name}: TOD curve", out=out, quiet=quiet, **shown)
 
 
@@ -123,8 +137,8 @@ def mtf(*, sensor: Path, out: str | None, as_json: bool) -> None:
     from sensor_sim.mtf_report import TABLE_STEP
 
     transfer = api.mtf(sensor)
-    with staged(out) as write:
-        write(transfer.files)
+    with staged(out) as place:
+        place.write(transfer.files)
     if as_json:
         click.echo(transfer.to_json(), nl=False)
         return

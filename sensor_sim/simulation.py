@@ -9,11 +9,12 @@ import csv
 import io
 import math
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import closing
 from dataclasses import dataclass
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Literal, NamedTuple
 
+import msgspec
 import numpy as np
 
 from sensor_sim.noise import displayed_noise, noise_parts, unit_fixed_pattern
@@ -22,10 +23,15 @@ from sensor_sim.sampling import field_detectors, field_sampler
 from sensor_sim.sensor import Sensor
 from todframes import __version__
 from todframes._typing import FloatArray
-from todframes.errors import SettingsError
+from todframes.errors import DataError, FrameError, SettingsError
 from todframes.frames.files import MAX_DECODED_MB, MAX_SIDE_PX, frame_sha256, write_frame
+from todframes.jobs.fingerprint import fingerprint
+from todframes.jobs.local import LocalEngine
+from todframes.jobs.run import run_stored
+from todframes.jobs.store import Store
+from todframes.jobs.work import Engine, Lost
+from todframes.output import remove_others
 from todframes.stimulus import ORIENTATIONS, Orientation
-from todframes.threads import map_in_threads
 
 FrameFormat = Literal["exr", "png"]
 
@@ -162,6 +168,90 @@ def white_luminance_cd_m2(sensor: Sensor, snrs: Sequence[float]) -> float:
     return sensor.display.background_luminance_cd_m2 * (1.0 + sensor.display.gain * (1.0 + reach))
 
 
+class WrittenFrames(NamedTuple):
+    """The rows of the manifest of frames that were written, and their clipped and all pixels if they are PNG."""
+
+    rows: list[list[str]]
+    n_clipped: int
+    n_pixels: int
+
+
+@dataclass(frozen=True)
+class SimulationWork:
+    """The drawing and writing of frames, as a `StoredWork`: an item is a list of trials of one size.
+
+    Attributes
+    ----------
+    folder : Path
+        Folder of the dataset.
+    sensor : Sensor
+    seed : int
+    frame_format : {"exr", "png"}
+    white_cd_m2 : float
+        Luminance of code value 1.
+    """
+
+    folder: Path
+    sensor: Sensor
+    seed: int
+    frame_format: FrameFormat
+    white_cd_m2: float
+    items_at_once = 1
+
+    def function(self) -> Callable[[list[SimulatedTrial]], WrittenFrames]:
+        """Return the function that writes the frames of some trials."""
+        simulator_of = lru_cache(maxsize=4)(partial(Simulator, self.sensor, seed=self.seed))
+
+        def write(trials: list[SimulatedTrial]) -> WrittenFrames:
+            rows, clipped, n_pixels = [], 0, 0
+            frames = simulator_of(trials[0].size_detectors).frames(trials)
+            for trial, frame in zip(trials, frames, strict=True):
+                code = frame.luminance_cd_m2 / self.white_cd_m2
+                if self.frame_format == "png":
+                    clipped += int(np.count_nonzero((code < 0.0) | (code > 1.0)))
+                    n_pixels += code.size
+                    code = np.clip(code, 0.0, 1.0)
+                rows.append(self._written(trial, frame, code))
+            return WrittenFrames(rows, clipped, n_pixels)
+
+        return write
+
+    def _written(self, trial: SimulatedTrial, frame: SimulatedFrame, code: FloatArray) -> list[str]:
+        name = "frames/s{}_n{}_{}_{}.{}".format(*trial.key[:2], trial.orientation, trial.key[2], self.frame_format)
+        write_frame(self.folder / name, code, attributes=provenance(self.sensor, self.seed, trial))
+        size_mrad = trial.size_detectors * self.sensor.display.detector_pitch_mrad
+        numbers = [repr(size_mrad), repr(trial.size_detectors), repr(trial.snr)]
+        place = [f"{frame.x_px:.6f}", f"{frame.y_px:.6f}"]
+        return [name, trial.orientation.value, *numbers, *place, frame_sha256(self.folder / name)]
+
+    def lost(self, item: list[SimulatedTrial]) -> DataError:
+        """Return the error about trials whose process died with them."""
+        return DataError(
+            f"the process that draws triangles of {item[0].size_detectors:g} detectors died each time"
+        )
+
+    def key(self, item: list[SimulatedTrial], *, is_done: bool) -> bytes:  # noqa: ARG002
+        """Return the key of frames: it stands for the sensor, the trials and the format."""
+        trials = [(trial.key, trial.size_detectors, trial.snr, trial.orientation.value) for trial in item]
+        return fingerprint(self.sensor, self.seed, self.frame_format, self.white_cd_m2, trials)
+
+    def stamp(self, item: list[SimulatedTrial]) -> None:
+        """Return None: no file is read."""
+
+    def encode(self, result: WrittenFrames) -> bytes:
+        """Return the rows of the manifest and the numbers of pixels as bytes."""
+        return msgspec.msgpack.encode(result)
+
+    def decode(self, encoded: bytes) -> WrittenFrames | None:
+        """Return what `encode` was given; None if a frame is not there as it was written."""
+        found = msgspec.msgpack.decode(encoded, type=WrittenFrames)
+        try:
+            is_there = all(frame_sha256(self.folder / row[0]) == row[-1] for row in found.rows)
+        except FrameError:
+            return None
+        return found if is_there else None
+
+
 def write_dataset(
     folder: Path,
     sensor: Sensor,
@@ -170,10 +260,11 @@ def write_dataset(
     seed: int,
     frame_format: FrameFormat = "exr",
     allow_clipping: bool = False,
-    workers: int = 1,
+    engine: Engine | None = None,
+    store: Store | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> Written:
-    """Write frames, `manifest.csv` and `dataset.toml` into an existing, empty folder.
+    """Write frames, `manifest.csv` and `dataset.toml` into a folder that is empty, or holds frames of the store.
 
     Parameters
     ----------
@@ -182,8 +273,10 @@ def write_dataset(
         from 0 cd/m² to `white_luminance_cd_m2`.
     allow_clipping : bool
         Whether more than 1 % of the pixels of a PNG dataset may be clipped.
-    workers : int
-        Number of threads. The bytes written do not depend on it.
+    engine : Engine, optional
+        Default: this thread. The bytes written do not depend on it.
+    store : Store, optional
+        Store that tells which frames of the folder were written by an earlier run.
 
     Raises
     ------
@@ -192,50 +285,39 @@ def write_dataset(
     OutputError
         If a frame cannot be written.
     """
-    (folder / "frames").mkdir()
+    if store is not None:
+        remove_others(folder, {"frames"})
+    (folder / "frames").mkdir(exist_ok=store is not None)
     white = white_luminance_cd_m2(sensor, [trial.snr for trial in trials]) if frame_format == "png" else 1.0
-    simulators: dict[float, Simulator] = {}
     tasks: list[list[SimulatedTrial]] = []
     for trial in trials:
-        if trial.size_detectors not in simulators:
-            simulators[trial.size_detectors] = Simulator(sensor, trial.size_detectors, seed=seed)
         if not tasks or len(tasks[-1]) == TRIALS_PER_TASK or tasks[-1][0].size_detectors != trial.size_detectors:
             tasks.append([])
         tasks[-1].append(trial)
-
-    def write(task: list[SimulatedTrial]) -> tuple[list[list[str]], int, int]:
-        rows, clipped, n_pixels = [], 0, 0
-        for trial, frame in zip(task, simulators[task[0].size_detectors].frames(task), strict=True):
-            code = frame.luminance_cd_m2 / white
-            if frame_format == "png":
-                clipped += int(np.count_nonzero((code < 0.0) | (code > 1.0)))
-                n_pixels += code.size
-                code = np.clip(code, 0.0, 1.0)
-            name = "frames/s{}_n{}_{}_{}.{}".format(*trial.key[:2], trial.orientation, trial.key[2], frame_format)
-            write_frame(folder / name, code, attributes=provenance(sensor, seed, trial))
-            size_mrad = trial.size_detectors * sensor.display.detector_pitch_mrad
-            numbers = [repr(size_mrad), repr(trial.size_detectors), repr(trial.snr)]
-            place = [f"{frame.x_px:.6f}", f"{frame.y_px:.6f}"]
-            rows.append([name, trial.orientation.value, *numbers, *place, frame_sha256(folder / name)])
-        return rows, clipped, n_pixels
-
-    all_rows: list[list[str]] = []
-    n_clipped = n_pixels = 0
-    with closing(map_in_threads(write, tasks, workers)) as written:
-        for rows, clipped, pixels in written:
-            all_rows += rows
-            n_clipped, n_pixels = n_clipped + clipped, n_pixels + pixels
-            if progress is not None:
-                progress(len(rows))
-    share = n_clipped / n_pixels if n_pixels else 0.0
+    for size in {task[0].size_detectors for task in tasks}:
+        Simulator(sensor, size, seed=seed)  # refuses a size before anything is drawn
+    work = SimulationWork(folder, sensor, seed, frame_format, white)
+    done: list[WrittenFrames | None] = [None] * len(tasks)
+    for number, found in run_stored(work, tasks, engine=engine or LocalEngine(), store=store):
+        if isinstance(found, Lost):
+            raise found.error
+        done[number] = found
+        if progress is not None:
+            progress(len(found.rows))
+    written = [one for one in done if one is not None]
+    n_pixels = sum(one.n_pixels for one in written)
+    share = sum(one.n_clipped for one in written) / n_pixels if n_pixels else 0.0
     if share > LARGEST_CLIPPED_SHARE and not allow_clipping:
         raise SettingsError(
             f"format: {100 * share:.2g} % of the PNG pixels would be clipped, expected at most "
             f"{100 * LARGEST_CLIPPED_SHARE:g} %; lower display.gain, take EXR, or allow clipping"
         )
-    (folder / "manifest.csv").write_text(_manifest(all_rows), encoding="utf-8")
+    rows = [row for one in written for row in one.rows]
+    if store is not None:
+        remove_others(folder / "frames", {Path(row[0]).name for row in rows})
+    (folder / "manifest.csv").write_text(_manifest(rows), encoding="utf-8")
     (folder / "dataset.toml").write_text(_settings(sensor, white, seed), encoding="utf-8")
-    return Written(len(all_rows), share)
+    return Written(len(rows), share)
 
 
 def provenance(sensor: Sensor, seed: int, trial: SimulatedTrial) -> dict[str, str]:

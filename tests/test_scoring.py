@@ -9,11 +9,13 @@ from todframes.errors import SettingsError
 from todframes.frames.dataset import load_dataset
 from todframes.frames.files import read_frame, write_frame
 from todframes.frames.locate import locate_triangles
+from todframes.jobs.local import LocalEngine
 from todframes.observers.interface import Readout
 from todframes.observers.pyramid import PyramidObserver, PyramidSettings
 from todframes.psychometrics.fit import FitSettings
 from todframes.scoring.naked_eye import contrast_threshold
 from todframes.scoring.score import score_dataset, settings_of_level
+from todframes.scoring.work import Run
 from todframes.stimulus import ORIENTATIONS, Orientation, Stimulus, coverage
 
 FAST = FitSettings(resamples=0)
@@ -37,7 +39,10 @@ def test_every_orientation_is_seen_alike(make_dataset) -> None:
 def test_workers_change_nothing(make_dataset) -> None:
     path = make_dataset(sizes_mrad=(1.0, 1.5, 2.0), repeats=2).path
     for decisions in ("expected", "sampled"):
-        one, three = (score(path, PyramidObserver(), decisions=decisions, workers=workers) for workers in (1, 3))
+        one, three = (
+            score(path, PyramidObserver(), decisions=decisions, run=Run(LocalEngine(workers)))
+            for workers in (1, 3)
+        )
         assert one.trials == three.trials
         for name in ("displacement_samples", "scores", "probabilities", "answers", "p_correct"):
             assert np.array_equal(getattr(one, name), getattr(three, name)), name

@@ -29,6 +29,7 @@ from todframes.frames import files as frame_writing
 from todframes.frames.contrast import frame_problems
 from todframes.frames.dataset import load_dataset
 from todframes.frames.files import read_frame, read_header
+from todframes.jobs.local import LocalEngine
 from todframes.observers.pyramid import PyramidObserver
 from todframes.psychometrics.fit import FitSettings
 from todframes.scoring.score import score_dataset
@@ -256,7 +257,7 @@ def test_bytes_depend_on_the_seed_and_not_on_the_workers(tmp_path, frame_format)
     options = {"sizes": (0.6, 1.0), "snrs": (4.0,), "trials": 34, "frame_format": frame_format}
     one = contents(written(tmp_path, "one", **options))
     assert len(one) == 70
-    assert contents(written(tmp_path, "three", **options, workers=3)) == one
+    assert contents(written(tmp_path, "three", **options, engine=LocalEngine(3))) == one
     other = contents(written(tmp_path, "other", **options, seed=2))
     frames = [name for name in one if name.startswith("frames/")]
     assert len({*map(one.get, frames), *map(other.get, frames)}) == 2 * len(frames)

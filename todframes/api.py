@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, is_dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -18,6 +19,9 @@ from todframes.frames.dataset import Dataset, Trial, load_dataset
 from todframes.frames.display import Display
 from todframes.frames.findings import frame_warnings
 from todframes.frames.inspection import inspect, records
+from todframes.jobs.engine import open_engine
+from todframes.jobs.store import Store
+from todframes.jobs.work import Engine
 from todframes.locations import Location
 from todframes.observers.interface import ENTRY_POINT_GROUP, Observer, find_observer
 from todframes.psychometrics.fit import CurveName, FitSettings
@@ -34,6 +38,7 @@ if TYPE_CHECKING:
     from todframes.frames.locate import Locate
     from todframes.report.noise import NoiseResult
     from todframes.scoring.naked_eye import Threshold
+    from todframes.scoring.work import Run
 
 OnError = Literal["stop", "skip"]
 
@@ -55,6 +60,8 @@ def score(
     locate: Locate | bool = False,
     on_error: OnError = "stop",
     workers: int = 1,
+    cluster: str | Engine | None = None,
+    store: Store | Path | str | None = None,
     examples: bool = True,
     progress: Progress | None = None,
 ) -> Result:
@@ -90,6 +97,12 @@ def score(
         At a frame or row that cannot be used: raise, or go on and list it in `Result.skipped`.
     workers : int
         Threads that read and score.
+    cluster : str, optional
+        Address of a Dask scheduler, "tcp://…", or "local:N" for N processes; they do the work instead.
+    store : path, optional
+        Folder for the results of single trials as they are finished, so that a run that was interrupted goes on
+        where it was. It is written once the run turns out to take more than some seconds, and is the caller's to
+        remove.
     examples : bool
         Also draw a triangle at threshold, for the page.
     progress : function of an int, optional
@@ -123,19 +136,19 @@ def score(
     judge, settings = described(observer)
     fit = _fit_settings(fit, p_correct)
     data, more, found_wrong = _located(dataset, judge, locate, on_error, progress)
-    scored = score_dataset(
-        data,
-        judge,
-        decisions=decisions,
-        curve=curve,
-        seed=seed,
-        fit_settings=fit,
-        tolerance=tolerance,
-        plan_name=plan,
-        skip_bad_frames=_is_skip(on_error),
-        workers=workers,
-        progress=progress,
-    )
+    with _run(workers, cluster, store, progress) as run:
+        scored = score_dataset(
+            data,
+            judge,
+            decisions=decisions,
+            curve=curve,
+            seed=seed,
+            fit_settings=fit,
+            tolerance=tolerance,
+            plan_name=plan,
+            skip_bad_frames=_is_skip(on_error),
+            run=run,
+        )
     if examples:
         from todframes.report import examples as drawing
 
@@ -276,6 +289,8 @@ def compare(
     locate: Locate | bool = False,
     on_error: OnError = "stop",
     workers: int = 1,
+    cluster: str | Engine | None = None,
+    store: Store | Path | str | None = None,
     examples: bool = True,
     progress: Progress | None = None,
 ) -> Result:
@@ -285,7 +300,8 @@ def compare(
 
     Parameters
     ----------
-    dataset, observer, decisions, curve, plan, seed, p_correct, fit, locate, on_error, workers, examples, progress
+    dataset, observer, decisions, curve, plan, seed, p_correct, fit, locate, on_error, workers, cluster, store, \
+    examples, progress
         Parameters as in `score`.
     enhance : iterable of str or function
         Algorithms: "name" of a registered one or "module:function", optionally followed by ":parameter=value,…";
@@ -330,20 +346,20 @@ def compare(
     data = _loaded(dataset)
     screen = Screen(data.display, white, allow_clipping)
     data, more, found_wrong = _located(data, judge, locate, on_error, progress)
-    results = compare_dataset(
-        data,
-        judge,
-        found,
-        decisions=decisions,
-        curve=curve,
-        seed=seed,
-        fit_settings=fit,
-        screen=screen,
-        plan_name=plan,
-        skip_bad_frames=_is_skip(on_error),
-        workers=workers,
-        progress=progress,
-    )
+    with _run(workers, cluster, store, progress) as run:
+        results = compare_dataset(
+            data,
+            judge,
+            found,
+            decisions=decisions,
+            curve=curve,
+            seed=seed,
+            fit_settings=fit,
+            screen=screen,
+            plan_name=plan,
+            skip_bad_frames=_is_skip(on_error),
+            run=run,
+        )
     reference, compared = results[0].scored, algorithms(data, results)
     if examples:
         from todframes.report.examples import compare_examples
@@ -624,6 +640,21 @@ def _name(kind: type) -> str:
 def _fit_settings(fit: FitSettings | None, p_correct: float | None) -> FitSettings:
     fit = fit or FitSettings()
     return fit if p_correct is None else replace(fit, p_correct=p_correct)
+
+
+@contextmanager
+def _run(
+    workers: int, cluster: str | Engine | None, store: Store | Path | str | None, progress: Progress | None
+) -> Iterator[Run]:
+    """Open the engine and the store of a run, unless they are open."""
+    from todframes.scoring.work import Run
+
+    kept = Store(Path(store), str(store)) if isinstance(store, str | Path) else store
+    with ExitStack() as stack:
+        engine = stack.enter_context(open_engine(cluster, workers))
+        if kept is not None:
+            stack.callback(kept.close)
+        yield Run(engine, kept, progress)
 
 
 def _loaded(dataset: Location | str | Dataset) -> Dataset:

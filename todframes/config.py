@@ -23,7 +23,7 @@ import msgspec
 
 from todframes.errors import DataError, RemoteError, SettingsError
 from todframes.locations import Location, RemotePath
-from todframes.remote import read_bytes
+from todframes.remote import read_content
 
 T = TypeVar("T")
 
@@ -50,7 +50,7 @@ def read_file(path: Location, *, most_mb: int) -> bytes:
     content = b""
     try:
         if isinstance(path, RemotePath):
-            content = read_bytes(path)
+            content = read_content(path).data
             is_file, is_folder, size = True, False, len(content)
         else:
             status = path.stat()

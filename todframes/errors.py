@@ -28,6 +28,9 @@ class FrameError(DataError):
         self.path = Path(path) if isinstance(path, str) else path
         self.problem = problem
 
+    def __reduce__(self) -> tuple[type, tuple[Location, str]]:
+        return type(self), (self.path, self.problem)
+
 
 class RemoteError(TodframesError, ConnectionError):
     """Error for a dataset behind a URL that cannot be reached or may not be read; no further frame is tried."""

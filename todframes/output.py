@@ -5,6 +5,9 @@ and a single file, are staged beside it. The staging folder is made before the w
 written is found at once. A run holds a lock in it: a second run into the same place is refused, and what a killed
 run has left is known by a lock that nobody holds.
 
+A run that can go on later keeps its finished results in the staging folder, in `STORE`. When it fails or is killed
+they stay there, and the next run into the same place finds them; when it ends well they are removed.
+
 At the end, with signals held back, the files are renamed into place:
 
 - Files of a result folder replace those of the same names one by one, `result.json` last.
@@ -23,8 +26,9 @@ import os
 import shutil
 import stat
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Set
 from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
 import msgspec
@@ -37,7 +41,7 @@ if sys.platform != "win32":
     import fcntl
 
 
-STAGING, LOCK, STAGED, ASIDE = ".todframes-staging", "lock", "new", "old"
+STAGING, LOCK, STAGED, ASIDE, STORE = ".todframes-staging", "lock", "new", "old", "store"
 
 
 MARK = ".todframes.json"
@@ -80,9 +84,23 @@ class _Result(msgspec.Struct):
     command: str
 
 
+@dataclass(frozen=True, slots=True)
+class Going:
+    """What becomes of the finished results of a run: those of an earlier one are used unless it is to `restart`,
+    and they are removed when the run has ended well unless it is to `keep` them."""
+
+    restart: bool = False
+    keep: bool = False
+
+
 @contextmanager
-def output_folder(name: str) -> Iterator[Path]:
+def output_folder(name: str, going: Going | None = None) -> Iterator[Path]:
     """Yield a staging folder. If the block ends without an exception, all its files move into the folder named.
+
+    Parameters
+    ----------
+    going : Going, optional
+        For a run that can go on later: its finished results, in `store_folder`, stay if it fails.
 
     Raises
     ------
@@ -91,7 +109,7 @@ def output_folder(name: str) -> Iterator[Path]:
     """
     with _as_output_error(name):
         path = _place(name)
-        with _made(path), _staging(path / STAGING, name):
+        with _made(path), _staging(path / STAGING, name, going, {STORE}):
             staged = path / STAGING / STAGED
             staged.mkdir()
             yield staged
@@ -101,7 +119,9 @@ def output_folder(name: str) -> Iterator[Path]:
 
 
 @contextmanager
-def new_folder(name: str, *, overwrite: bool, last: str = LAST_OF_DATASET) -> Iterator[Path]:
+def new_folder(
+    name: str, *, overwrite: bool, last: str = LAST_OF_DATASET, going: Going | None = None
+) -> Iterator[Path]:
     """Yield a staging folder. If the block ends without an exception, it becomes the dataset named.
 
     Parameters
@@ -111,6 +131,9 @@ def new_folder(name: str, *, overwrite: bool, last: str = LAST_OF_DATASET) -> It
         nothing but the files listed there, unchanged.
     last : str
         The file without which the folder is no dataset, or no chart; it is the last to get its name.
+    going : Going, optional
+        For a run that can go on later: its finished results, in `store_folder`, and the files in the staging
+        folder stay if it fails. The next run finds both.
 
     Raises
     ------
@@ -121,19 +144,21 @@ def new_folder(name: str, *, overwrite: bool, last: str = LAST_OF_DATASET) -> It
     with _as_output_error(name), ExitStack() as stack:
         path = _place(name)
         stack.enter_context(_made(path))
-        killed = stack.enter_context(_staging(path / STAGING, name))
+        kept = {STORE, STAGED}
+        killed = stack.enter_context(_staging(path / STAGING, name, going, kept))
         beside = _beside(path)
-        if beside.is_dir():
-            with _staging(beside, name):
-                pass  # removes the files of a killed run
         if killed:
             _remove_unfinished(path, last)
-        if before := _inventory(path):
+        before = _inventory(path)
+        if beside.is_dir() and not before:
+            with _staging(beside, name):
+                pass  # removes the files of a killed run
+        if before:
             _check_replaceable(name, path, before, overwrite)
-            stack.enter_context(_staging(beside, name))
+            stack.enter_context(_staging(beside, name, going, kept))
             _check_exchange(name, path, beside)
         staged = (beside if before else path / STAGING) / STAGED
-        staged.mkdir()
+        staged.mkdir(exist_ok=going is not None)
         try:
             yield staged
         except OutputError as error:  # name the frame as it would have been
@@ -145,6 +170,18 @@ def new_folder(name: str, *, overwrite: bool, last: str = LAST_OF_DATASET) -> It
             else:
                 _fill(name, staged, path, last)
             signals.written.append(name)
+
+
+def store_folder(staged: Path) -> Path:
+    """Return the folder for the finished results of the run that has this staging folder."""
+    return staged.parent / STORE
+
+
+def remove_others(folder: Path, names: Set[str]) -> None:
+    """Remove all but some files from a staging folder: what an earlier run with other settings has left."""
+    for entry in list(os.scandir(folder)):
+        if entry.name not in names:
+            _remove_entry(entry)
 
 
 def write_file(path: Path, content: bytes, *, not_over: Path | None = None) -> None:
@@ -224,23 +261,31 @@ def _made(path: Path) -> Iterator[None]:
 
 
 @contextmanager
-def _staging(folder: Path, name: str) -> Iterator[bool]:
+def _staging(folder: Path, name: str, going: Going | None = None, kept: Set[str] = frozenset()) -> Iterator[bool]:
     """Make a staging folder for this run alone, empty except for the lock, and remove it at the end.
 
-    Yields whether a killed run had left it.
+    If the run can go on later, what is `kept` may be there at the start, and stays if the run fails and has a
+    store. Yields whether an earlier run had left the folder.
     """
     lock: int | None = None
     ours = False
+    stays: Set[str] = frozenset()
     try:
         with held_back():
             lock, killed = _lock(folder, name)
             ours = True
-            _clear(folder)
+            # Another command into the same place leaves the store alone.
+            stays = frozenset() if going is not None and going.restart else kept if going is not None else {STORE}
+            _clear(folder, stays)
         yield killed
+        stays = {STORE} if going is None or going.keep else frozenset()
+    except BaseException:
+        stays = (kept if going is not None else {STORE}) if (folder / STORE).is_dir() else frozenset()
+        raise
     finally:
         if ours:
             with held_back():
-                _release(folder, lock)
+                _release(folder, lock, stays)
 
 
 def _lock(folder: Path, name: str) -> tuple[int | None, bool]:
@@ -292,13 +337,15 @@ def _is_locked_by(lock: int, folder: Path) -> bool:
     return False
 
 
-def _release(folder: Path, lock: int | None) -> None:
-    """Remove a staging folder, the lock last."""
+def _release(folder: Path, lock: int | None, stays: Set[str]) -> None:
+    """Remove a staging folder, the lock last; if something stays, the lock file stays too, unlocked."""
     ours = lock is None or _is_locked_by(lock, folder)
     with suppress(OSError):  # the next run removes it
         if ours:
-            _clear(folder)
-            (folder / LOCK).unlink()
+            _clear(folder, stays)
+            ours = not stays & _names(folder)
+            if ours:
+                (folder / LOCK).unlink()
     if lock is not None:
         os.close(lock)
     with suppress(OSError):
@@ -306,8 +353,10 @@ def _release(folder: Path, lock: int | None) -> None:
             folder.rmdir()  # on NFS an open file that was removed stays until it is closed
 
 
-def _clear(folder: Path) -> None:
+def _clear(folder: Path, stays: Set[str]) -> None:
     """Remove the files that a run staged or swapped out; from a dataset with a mark only the files in the mark.
+
+    What is named in `stays` stays, but never a dataset with a mark.
 
     Raises
     ------
@@ -321,10 +370,15 @@ def _clear(folder: Path) -> None:
             raise OutputError(f"{staged}: holds {foreign[0]}, which todframes did not write; move it to safety")
         _remove_folder(staged, found)
     for entry in list(os.scandir(folder)):
-        if entry.is_dir(follow_symlinks=False):
-            shutil.rmtree(entry)
-        elif entry.name != LOCK:
-            os.unlink(entry)  # noqa: PTH108 - an entry is no Path
+        if entry.name not in {LOCK, *stays}:
+            _remove_entry(entry)
+
+
+def _remove_entry(entry: os.DirEntry[str]) -> None:
+    if entry.is_dir(follow_symlinks=False):
+        shutil.rmtree(entry)
+    else:
+        os.unlink(entry)  # noqa: PTH108 - an entry is no Path
 
 
 def _names(folder: Path) -> set[str]:

@@ -11,8 +11,9 @@ import functools
 import os
 import re
 import threading
+import time
 from pathlib import Path
-from typing import Any, NamedTuple, NoReturn
+from typing import Any, NamedTuple
 from urllib.parse import unquote
 
 from todframes.errors import DataError, RemoteError
@@ -33,8 +34,12 @@ CONNECT_S, READ_S = 5, 15
 """Longest time until a server of S3 or HTTP accepts a connection, and between two pieces of its answer."""
 
 
-REQUEST_ATTEMPTS, READ_ATTEMPTS = 2, 3
-"""Attempts to get an answer from S3, and to read the whole of one; each of the latter makes all of the former."""
+READ_ATTEMPTS, REQUEST_ATTEMPTS = 3, 2
+"""Attempts to read a file, and to get an answer from S3 in each of them."""
+
+
+WAIT_S = 0.3
+"""Time before the second attempt to read a file, in seconds; before later ones it is longer."""
 
 
 CONNECTIONS = 64
@@ -56,6 +61,13 @@ NO_CONNECTION = (
 NO_ANSWER = "the server did not answer in time; try again"
 
 
+CLOSED = "the server closed the connection; try again"
+
+
+TRANSIENT = (NO_CONNECTION, NO_ANSWER, CLOSED)
+"""Problems after which a file is read again."""
+
+
 PROBLEMS = {
     "NoCredentialsError": NO_CREDENTIALS,
     "PartialCredentialsError": NO_CREDENTIALS,
@@ -72,21 +84,23 @@ PROBLEMS = {
     "ConnectionError": NO_CONNECTION,
     "ClientConnectorError": NO_CONNECTION,
     "gaierror": NO_CONNECTION,
-    "ConnectionClosedError": "the server closed the connection; try again",
-    "ClientPayloadError": "the server closed the connection; try again",
-    "IncompleteReadError": "the server closed the connection; try again",
+    "ConnectionClosedError": CLOSED,
+    "ServerDisconnectedError": CLOSED,
+    "ResponseStreamingError": CLOSED,
+    "ClientPayloadError": CLOSED,
+    "IncompleteReadError": CLOSED,
 }
 """What is said of an exception, by the name of its class or a base class of it, most specific first."""
 
 
-DENIED_STATUS = (401, 403)
-"""Status codes of HTTP for missing credentials or rights."""
+DENIED_STATUS, MISSING_STATUS = (401, 403), (404, 410)
+"""Status codes of HTTP for missing credentials or rights, and for missing files."""
 
 
-class Entry(NamedTuple):
-    """A file in the listing of a folder: its size, and its entity tag if it has one."""
+class Content(NamedTuple):
+    """The bytes of a file, and the entity tag that they have if the file system gives one with them."""
 
-    size: int
+    data: bytes
     tag: str | None
 
 
@@ -127,8 +141,8 @@ def location(name: str | os.PathLike[str] | RemotePath) -> Location:
     return RemotePath(f"{scheme}://{rest.rstrip('/')}")
 
 
-def read_bytes(path: RemotePath) -> bytes:
-    """Return the bytes of a file, by one request.
+def read_content(path: RemotePath) -> Content:
+    """Return the content of a file, by one request; it is tried again if the connection fails.
 
     Raises
     ------
@@ -137,17 +151,53 @@ def read_bytes(path: RemotePath) -> bytes:
     RemoteError
         If the file cannot be read for any other reason.
     """
-    try:
-        content: bytes = _file_system(path).cat_file(path.url)
-    except Exception as error:
-        _raise(path, error)
-    return content
+    for attempt in range(1, READ_ATTEMPTS + 1):
+        try:
+            return _read(path)
+        except Exception as error:
+            problem = _problem(path, error)
+            if attempt == READ_ATTEMPTS or str(problem).partition(": ")[2] not in TRANSIENT:
+                raise problem from None
+        time.sleep(attempt * WAIT_S)
+    raise AssertionError  # the last attempt returns or raises
 
 
-def list_folder(folder: RemotePath) -> dict[str, Entry] | None:
-    """Return the files of a folder by name; None if it cannot be listed. A folder that is missing has no files.
+def _read(path: RemotePath) -> Content:
+    file_system = _file_system(path)
+    read_with_tag = {**dict.fromkeys(S3, _read_s3), **dict.fromkeys(WEB, _read_web)}.get(path.scheme)
+    if read_with_tag is None:
+        return Content(file_system.cat_file(path.url), None)
+    from fsspec.asyn import sync
 
-    S3 lists a thousand files a request.
+    data, tag = sync(file_system.loop, read_with_tag, file_system, path.url)
+    return Content(data, _strong(tag))
+
+
+async def _read_s3(file_system: Any, url: str) -> tuple[bytes, str | None]:
+    bucket, key, _ = file_system.split_path(url)
+    answer = await file_system._call_s3("get_object", Bucket=bucket, Key=key)  # of `call_s3`, to read its stream
+    async with answer["Body"] as body:
+        return await body.read(), answer.get("ETag")
+
+
+async def _read_web(file_system: Any, url: str) -> tuple[bytes, str | None]:
+    session = await file_system.set_session()
+    async with session.get(file_system.encode_url(url)) as answer:
+        if answer.status in MISSING_STATUS:
+            raise FileNotFoundError
+        answer.raise_for_status()
+        return await answer.read(), answer.headers.get("ETag")
+
+
+def list_folder(folder: RemotePath) -> dict[str, str | None] | None:
+    """Return the entity tags of the files of a folder by name; None if it cannot be listed.
+
+    A folder that is missing has no files. S3 lists a thousand files a request.
+
+    Raises
+    ------
+    RemoteError
+        If the server cannot be reached.
     """
     if folder.scheme in WEB:
         return None
@@ -158,31 +208,37 @@ def list_folder(folder: RemotePath) -> dict[str, Entry] | None:
     except (PermissionError, NotImplementedError):
         return None
     except Exception as error:
-        _raise(folder, error)
+        raise _problem(folder, error) from None
     return {
-        str(info["name"]).rpartition("/")[2]: Entry(int(info.get("size") or 0), _tag(info))
+        str(info["name"]).rpartition("/")[2]: _tag(folder, info)
         for info in found
         if info.get("type") != "directory"
     }
 
 
 def entity_tag(path: RemotePath) -> str | None:
-    """Return the entity tag of a file, which changes when its bytes do; None if the file system gives none.
+    """Return the entity tag of a file, which changes when its bytes do; None if it has none.
 
     Raises
     ------
     FileNotFoundError, RemoteError
-        As `read_bytes` does.
+        As `read_content` does.
     """
+    if path.scheme not in (*S3, *WEB):
+        return None
     try:
-        return _tag(_file_system(path).info(path.url))
+        return _tag(path, _file_system(path).info(path.url))
     except Exception as error:
-        _raise(path, error)
+        raise _problem(path, error) from None
 
 
-def _tag(info: dict[str, Any]) -> str | None:
-    """Return the strong entity tag in a description of a file; a weak one may stay when bytes change."""
-    tag = str(info.get("ETag") or info.get("etag") or "")
+def _tag(path: RemotePath, info: dict[str, Any]) -> str | None:
+    """Return the entity tag in a description of a file, for file systems that give it with the bytes too."""
+    return _strong(info.get("ETag")) if path.scheme in (*S3, *WEB) else None
+
+
+def _strong(tag: str | None) -> str | None:
+    """Return an entity tag, or None if it is weak: such a tag may stay when bytes change."""
     return None if not tag or tag.startswith("W/") else tag
 
 
@@ -232,20 +288,20 @@ def _connected(scheme: str, host: str, _process: int, _thread: int) -> Any:
         options |= {"max_concurrency": 1, "config_kwargs": config}
     file_system, _ = url_to_fs(f"{scheme}://{host}", **options)
     if scheme in S3:
-        file_system.retries = READ_ATTEMPTS
+        file_system.retries = 1  # `read_content` tries again
     return file_system
 
 
-def _raise(path: RemotePath, error: Exception) -> NoReturn:
-    """Raise the error of this package, or of Python, for an exception of a file system."""
+def _problem(path: RemotePath, error: Exception) -> RemoteError | FileNotFoundError:
+    """Return the error of this package, or of Python, for an exception of a file system."""
     if isinstance(error, RemoteError):
-        raise error
+        return error
     response = getattr(error.__cause__, "response", None)
     code = response.get("Error", {}).get("Code", "") if isinstance(response, dict) else ""
     if code == "NoSuchBucket":
-        raise RemoteError(f"{path}: the bucket does not exist") from None
+        return RemoteError(f"{path}: the bucket does not exist")
     if isinstance(error, FileNotFoundError):
-        raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT)) from None
+        return FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT))
     status = getattr(error, "status", None)
     classes = [one.__name__ for one in type(error).__mro__]
     if status in DENIED_STATUS:
@@ -255,4 +311,4 @@ def _raise(path: RemotePath, error: Exception) -> NoReturn:
         # Codes are words; nothing else that a server says is shown.
         details = [classes[0], str(status) if isinstance(status, int) else "", *re.findall("^[A-Za-z]+$", code)]
         problem = f"cannot be read ({', '.join(filter(None, details))})"
-    raise RemoteError(f"{path}: {problem}") from None
+    return RemoteError(f"{path}: {problem}")

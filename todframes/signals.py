@@ -29,6 +29,10 @@ written: list[str] = []
 """Places that the present run has written; `output` adds to them, `interruption_message` names the last."""
 
 
+kept: list[str] = []
+"""Places where the present run keeps its finished results until it is whole."""
+
+
 _raised: list[int] = []
 """Signals of the present run that were raised as KeyboardInterrupt."""
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from todframes.cli.console import finish, print_table, prints_go_to_stderr, progress, say, staged
+from todframes.cli.console import finish, long_run, print_table, prints_go_to_stderr, progress, say
 from todframes.cli.options import (
     PASSES,
     ScoringCommand,
@@ -16,6 +16,7 @@ from todframes.cli.options import (
     make_observer,
     observer_options,
     result_options,
+    run_options,
     scoring_options,
     strict_option,
 )
@@ -43,6 +44,7 @@ from todframes.locations import Location
 @click.option("--allow-clipping", is_flag=True, help="Clip what algorithms take beyond the display's range.")
 @observer_options
 @scoring_options
+@run_options
 @result_options
 @strict_option
 def compare(*, dataset: Location, specs: Sequence[str], out: str | None, quiet: bool, **asked: Any) -> None:
@@ -57,12 +59,12 @@ def compare(*, dataset: Location, specs: Sequence[str], out: str | None, quiet: 
     from todframes.frames.dataset import load_dataset
 
     data = load_dataset(dataset)
-    with staged(out) as write, prints_go_to_stderr():
+    with long_run(out, asked, quiet=quiet) as place, prints_go_to_stderr():
         with progress("comparing", len(data.trials) * PASSES[asked["locate"]], quiet=quiet) as advance:
             result = api.compare(
                 data, specs, observer=observer, fit=fit, examples=out is not None, progress=advance, **asked
             )
-        write(result.files)
+        place.write(result.files)
     n_trials = sum(one.n_trials for one in result.algorithms[0].fits)
     finish(result, f"{dataset}: {n_trials} trials", out=out, quiet=quiet, **shown)
 

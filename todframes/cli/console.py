@@ -8,9 +8,9 @@ import re
 import shutil
 import sys
 import textwrap
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, redirect_stdout, suppress
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager, redirect_stdout, suppress
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 
@@ -19,6 +19,9 @@ from todframes.errors import DataError, TodframesError
 from todframes.safe_text import visible
 
 if TYPE_CHECKING:
+    from todframes.jobs.store import Store
+    from todframes.jobs.work import Engine
+    from todframes.output import Going
     from todframes.report.data import ResultWarning
     from todframes.report.result import Result
     from todframes.report.table import Table
@@ -43,19 +46,72 @@ WHOLE = 10_000
 """Width of a line, in letters, if standard output is not a terminal."""
 
 
-@contextmanager
-def staged(out: str | None) -> Iterator[Callable[[Callable[[], dict[str, bytes]]], None]]:
-    """Reserve the folder `out` before the work, and fill it if the block ends without an exception.
+class Staged(NamedTuple):
+    """A place that is reserved for the output of a run.
 
-    Yields a function to call with a function that makes the files, by name. Nothing is written if `out` is None.
+    `write` takes a function that makes the files, by name. `store` is for the results that are finished before;
+    None if there is no such place, or the run is not one that goes on later.
     """
-    from todframes.output import output_folder, write_files
+
+    write: Callable[[Callable[[], Mapping[str, bytes]]], None]
+    store: Store | None = None
+
+
+@contextmanager
+def staged(out: str | None, going: Going | None = None, *, quiet: bool = False) -> Iterator[Staged]:
+    """Reserve the folder `out` before the work; what is written into it appears if the block ends well.
+
+    Parameters
+    ----------
+    out : str or None
+        None: nothing is written.
+    going : Going, optional
+        For a run that can go on later: what becomes of its finished results.
+    quiet : bool
+        Say nothing about results that an earlier run has finished.
+    """
+    from todframes.output import output_folder, store_folder, write_files
 
     if out is None:
-        yield lambda _: None
+        yield Staged(lambda _: None)
         return
-    with output_folder(out) as folder:
-        yield lambda make: write_files(folder, make())
+    with output_folder(out, going) as folder, ExitStack() as stack:
+        store = None
+        if going is not None:
+            from todframes.jobs.store import Store
+
+            store = Store(store_folder(folder), out, None if quiet else say)
+            stack.callback(store.close)
+        yield Staged(lambda make: write_files(folder, make()), store)
+
+
+@contextmanager
+def opened_engine(asked: dict[str, Any], *, quiet: bool) -> Iterator[Engine]:
+    """Open the engine of `--cluster` and `--workers`, and say where its work can be watched.
+
+    `cluster` is replaced by the engine in `asked`.
+    """
+    from todframes.jobs.engine import open_engine
+
+    with open_engine(asked["cluster"], asked.get("workers", 1)) as engine:
+        if engine.dashboard is not None and not quiet:
+            say(f"dashboard: {engine.dashboard}")
+        asked["cluster"] = engine
+        yield engine
+
+
+@contextmanager
+def long_run(out: str | None, asked: dict[str, Any], *, quiet: bool) -> Iterator[Staged]:
+    """Reserve the folder `out` for a run that can go on later, and open its engine.
+
+    Of `asked`, `restart` and `keep_store` are removed; `cluster` is replaced by the engine, and `store` is set.
+    """
+    from todframes.output import Going
+
+    going = Going(restart=asked.pop("restart"), keep=asked.pop("keep_store"))
+    with staged(out, going, quiet=quiet) as place, opened_engine(asked, quiet=quiet):
+        asked["store"] = place.store
+        yield place
 
 
 def finish(
@@ -257,6 +313,7 @@ def run(command: click.Command, arguments: Sequence[str] | None) -> int:
     Every failure that a user can cause is one line on standard error.
     """
     signals.written.clear()
+    signals.kept.clear()
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # a terminal or file whose encoding has no α
@@ -284,6 +341,8 @@ def run(command: click.Command, arguments: Sequence[str] | None) -> int:
 def _fail(message: str, status: int) -> int:
     with suppress(OSError):  # the terminal may be gone
         say("error: " + message)
+        for place in dict.fromkeys(signals.kept):
+            say(f"note: what is finished is kept in {place}; the same command goes on where this one ended")
     return status
 
 

@@ -81,7 +81,7 @@ def noise(
         raise SettingsError("noise: found --sensor and --json, expected one of them")
     from todframes import api
 
-    with staged(out) as write:
+    with staged(out) as place:
         with progress("reading", None, quiet=quiet) as advance:
             result = api.noise(
                 recording,
@@ -94,7 +94,7 @@ def noise(
                 progress=advance,
             )
         table = result.sensor_toml() if sensor else None
-        write(result.files)
+        place.write(result.files)
     warnings = result.warnings
     if table is not None or as_json:
         for line in warning_lines(warnings):

@@ -155,6 +155,24 @@ scoring_options = options(
 """Options of the commands that score frames, named like the parameters of the Python calls."""
 
 
+restart_options = options(
+    click.option("--restart", is_flag=True, help="Begin anew, whatever an interrupted run has finished."),
+    click.option("--keep-store", is_flag=True, help="Keep what is finished in OUT too, for runs that overlap."),
+)
+"""Options of the commands that go on where an interrupted run was."""
+
+
+run_options = options(
+    click.option(
+        "--cluster",
+        metavar="ADDRESS|local:N",
+        help="Work on a Dask cluster: the scheduler's address, or N processes of this machine.",
+    ),
+    restart_options,
+)
+"""Options of the commands that may run long."""
+
+
 class ScoringCommand(click.Command):
     """A command whose option `--locate` may stand without a value, also before the dataset."""
 

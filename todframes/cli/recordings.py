@@ -9,7 +9,7 @@ from typing import Any, Literal
 import click
 
 from todframes.cli.console import MOST_ALIKE, echo, progress, say, terminal_width
-from todframes.cli.options import quiet_option
+from todframes.cli.options import quiet_option, restart_options
 from todframes.errors import SettingsError
 
 UNITS_S = {"": 1.0, "s": 1.0, "ms": 1e-3}
@@ -67,6 +67,7 @@ UNITS_S = {"": 1.0, "s": 1.0, "ms": 1e-3}
     help="With --schedule: the stimulus strength.  [default: contrast]",
 )
 @click.option("--overwrite", is_flag=True, help="Replace DATASET if todframes wrote all that is in it.")
+@restart_options
 @quiet_option
 def import_command(
     *,
@@ -97,7 +98,13 @@ def import_command(
     total = None if None in numbers else sum(number or 0 for number in numbers)
     with progress("importing", total, quiet=quiet) as advance:
         done = import_recordings(
-            opened, out=out, integration_time_s=time_s, value_range=limits, progress=advance, **asked
+            opened,
+            out=out,
+            integration_time_s=time_s,
+            value_range=limits,
+            tell=None if quiet else say,
+            progress=advance,
+            **asked,
         )
     if not quiet:
         for note in done.notes:

@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from todframes.cli.console import finish, progress, staged
+from todframes.cli.console import finish, long_run, progress, staged
 from todframes.cli.options import (
     PASSES,
     ScoringCommand,
@@ -20,6 +20,7 @@ from todframes.cli.options import (
     p_correct_option,
     quiet_option,
     result_options,
+    run_options,
     scoring_options,
     seed_option,
     set_option,
@@ -41,6 +42,7 @@ from todframes.locations import Location
     "displacements as that takes.  [default: one each]",
 )
 @scoring_options
+@run_options
 @result_options
 @strict_option
 def score(*, dataset: Location, out: str | None, quiet: bool, **asked: Any) -> None:
@@ -54,12 +56,12 @@ def score(*, dataset: Location, out: str | None, quiet: bool, **asked: Any) -> N
     from todframes.frames.dataset import load_dataset
 
     data = load_dataset(dataset)
-    with staged(out) as write:
+    with long_run(out, asked, quiet=quiet) as place:
         with progress("scoring", len(data.trials) * PASSES[asked["locate"]], quiet=quiet) as advance:
             result = api.score(
                 data, observer=observer, fit=fit, examples=out is not None, progress=advance, **asked
             )
-        write(result.files)
+        place.write(result.files)
     finish(result, f"{dataset}: {sum(one.n_trials for one in result.fits)} trials", out=out, quiet=quiet, **shown)
 
 
@@ -82,12 +84,12 @@ def naked_eye(
     from todframes import api
 
     sizes = None if size_mrad is None else numbers(size_mrad, "--size-mrad")
-    with staged(out) as write:
+    with staged(out) as place:
         with progress("computing", 1 if sizes is None else len(sizes), quiet=quiet) as advance:
             result = api.naked_eye(
                 contrast=contrast, size_mrad=sizes, observer=observer, p_correct=fit.p_correct, progress=advance
             )
-        write(result.files)
+        place.write(result.files)
     finish(result, "Naked eye", out=out, quiet=quiet, **shown)
 
 

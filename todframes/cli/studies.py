@@ -114,7 +114,7 @@ def accuracy(
                 raise
             if not quiet:
                 say(f"left out: {name}: {error}")
-    with staged(out) as write:
+    with staged(out) as place:
         measured = []
         with progress("measuring", len(scenes), quiet=quiet) as advance:
             for scene in scenes:
@@ -127,7 +127,7 @@ def accuracy(
             seed=seed,
             scenes=tuple(map(accuracy_report.scene_result, measured)),
         )
-        write(lambda: accuracy_report.files(result))
+        place.write(lambda: accuracy_report.files(result))
     if as_json:
         click.echo(result.to_json(), nl=False)
         return

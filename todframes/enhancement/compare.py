@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import time
+from array import array
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -16,7 +17,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from todframes.enhancement.algorithm import REFERENCE, Enhancement, find_enhancement
-from todframes.enhancement.contrast_gain import amplified, contrast_gains, strongest_levels, triangle_contrasts
+from todframes.enhancement.contrast_gain import contrast_gains, strongest_levels, triangle_contrasts
 from todframes.enhancement.enhanced_frame import Measured, Screen, TrialReader
 from todframes.enhancement.image_quality import psnr_db
 from todframes.errors import SettingsError
@@ -35,7 +36,17 @@ from todframes.scoring.score import (
     settings_of_level,
     usable_trials,
 )
-from todframes.scoring.trials import RATIO_STREAMS, Decisions, Scoring, SeenTrial, look_at, see, see_trials
+from todframes.scoring.trials import (
+    RATIO_STREAMS,
+    Decisions,
+    Scoring,
+    SeenColumns,
+    SeenTrial,
+    SeenTrials,
+    look_at,
+    see,
+)
+from todframes.scoring.work import Run, see_trials
 
 Verdict = Literal["better", "worse", "no difference shown", "mixed"]
 
@@ -103,8 +114,7 @@ def compare_dataset(
     screen: Screen | None = None,
     plan_name: PlanName = "needed",
     skip_bad_frames: bool = False,
-    workers: int = 1,
-    progress: Callable[[int], None] | None = None,
+    run: Run | None = None,
 ) -> tuple[AlgorithmResult, ...]:
     """Show every trial to the observer as it is and after each algorithm, and compare the thresholds.
 
@@ -150,44 +160,40 @@ def compare_dataset(
     # The plan considers frames after the algorithms too: what it leaves out is left out for all algorithms.
     plan = plan_score(dataset, whole, observer, name=plan_name, expected=expected, read=reader)
     strongest = strongest_levels(whole)
-    seen, unread = see_trials(
+    columns = _Columns(whole, len(algorithms))
+    skipped += see_trials(
         Scoring(dataset, plan, decisions, seed),
         whole,
-        partial(_show, reader, strongest),
+        _Show(reader, strongest),
+        kind=_SeenTrial,
+        collect=columns.put,
         skip_bad_frames=skip_bad_frames,
-        workers=workers,
-        progress=progress,
+        run=run or Run(),
+        depends_on=(algorithms, screen, sorted(strongest.items(), key=repr)),
+        with_references=True,
     )
-    skipped += unread
-    check_seen(dataset, seen, skipped)
+    seen = check_seen(dataset, columns.seen(), skipped)
     fit = partial(fit_groups, plan, seed=seed, fit_settings=fit_settings, curve=curve, expected=expected)
-    scored = [
-        replace(fit([trial.seen[k] for trial in seen]), skipped=tuple(skipped)) for k in range(len(algorithms))
-    ]
-    gains = contrast_gains(
-        [one.seen[0].trial for one in seen], np.array([one.contrasts for one in seen]), strongest
-    )
+    scored = [replace(fit(one), skipped=tuple(skipped)) for one in seen]
+    gains = contrast_gains(seen[0].trials, columns.contrasts[columns.is_seen], strongest)
     plain = [
-        _amplified(fit, [trial.seen[0] for trial in seen], of_algorithm, fit_settings) if expected else None
-        for of_algorithm in gains[1:]
+        _amplified(fit, seen[0], of_algorithm, fit_settings) if expected else None for of_algorithm in gains[1:]
     ]
     compared = _compared(scored, plain, gains, seed, fit_settings)
     black, white = screen.luminance_range
     results = []
     for k, (algorithm, own) in enumerate(zip(algorithms, compared, strict=True)):
-        measured = [one for trial in seen for one in trial.measured[k]]
-        squared_errors = [one.squared_error for one in measured if one.squared_error is not None]
-        ssims = [one.ssim for one in measured if one.ssim is not None]
+        measured = columns.measured[k]
         results.append(
             AlgorithmResult(
                 enhancement=algorithm,
                 scored=scored[k],
                 compared=tuple(one for one in own if one.group is not None),
                 overall=next((one for one in own if one.group is None), None),
-                psnr_db=psnr_db(_mean(squared_errors), data_range=white - black),
-                ssim=_mean(ssims),
-                n_clipped=sum(one.n_clipped for one in measured),
-                cpu_s=math.fsum(one.cpu_s for one in measured),
+                psnr_db=psnr_db(_mean(measured.squared_errors), data_range=white - black),
+                ssim=_mean(measured.ssims),
+                n_clipped=measured.n_clipped,
+                cpu_s=math.fsum(measured.cpu_s),
             )
         )
     return tuple(results)
@@ -199,46 +205,88 @@ class _SeenTrial(NamedTuple):
     `contrasts` are the displayed contrasts of the triangle; NaN if the trial is not of its group's highest level.
     """
 
-    seen: list[SeenTrial]
-    measured: list[tuple[Measured, ...]]
-    contrasts: list[float]
+    seen: tuple[SeenTrial, ...]
+    measured: tuple[tuple[Measured, ...], ...]
+    contrasts: tuple[float, ...]
 
 
-def _show(
-    reader: TrialReader,
-    strongest: Mapping[tuple[float | str, ...], float],
-    scoring: Scoring,
-    trial: Trial,
-    readout: Readout | None,
-) -> _SeenTrial:
-    """Show a trial to the observer after each algorithm."""
-    started = time.perf_counter()
-    look = look_at(scoring, trial, readout)
-    found = reader.read(
-        scoring.dataset,
-        trial,
-        look.observer,
-        look.grid,
-        look.displacement_samples,
-        whole=scoring.plan.whole_frames,
-    )
-    seen = see(scoring, trial, look, [one.shown for one in found], started)
-    contrasts = [math.nan] * len(found)
-    if trial.level == strongest[trial.group]:
-        centre = look.observer.centre
-        contrasts = triangle_contrasts([one.shown for one in found], trial, grid=look.grid, centre=centre)
-    return _SeenTrial(seen, [one.measured for one in found], contrasts)
+@dataclass(frozen=True, slots=True)
+class _Show:
+    """Function that shows a trial to the observer after each algorithm."""
+
+    reader: TrialReader
+    strongest: Mapping[tuple[float | str, ...], float]
+
+    def __call__(self, scoring: Scoring, trial: Trial, readout: Readout | None) -> _SeenTrial:
+        started = time.perf_counter()
+        look = look_at(scoring, trial, readout)
+        found = self.reader.read(
+            scoring.dataset,
+            trial,
+            look.observer,
+            look.grid,
+            look.displacement_samples,
+            whole=scoring.plan.whole_frames,
+        )
+        seen = see(scoring, trial, look, [one.shown for one in found], started)
+        contrasts = [math.nan] * len(found)
+        if trial.level == self.strongest[trial.group]:
+            centre = look.observer.centre
+            contrasts = triangle_contrasts([one.shown for one in found], trial, grid=look.grid, centre=centre)
+        return _SeenTrial(tuple(seen), tuple(one.measured for one in found), tuple(contrasts))
+
+
+class _Measurements:
+    """The measurements of all frames after an algorithm: numbers for those that have them, and a sum."""
+
+    def __init__(self) -> None:
+        self.squared_errors, self.ssims, self.cpu_s = array("d"), array("d"), array("d")
+        self.n_clipped = 0
+
+    def add(self, one: Measured) -> None:
+        if one.squared_error is not None:
+            self.squared_errors.append(one.squared_error)
+        if one.ssim is not None:
+            self.ssims.append(one.ssim)
+        self.cpu_s.append(one.cpu_s)
+        self.n_clipped += one.n_clipped
+
+
+class _Columns:
+    """The results of all trials, in columns that are filled in any order.
+
+    Sums are exact whatever the order: `math.fsum` rounds once.
+    """
+
+    def __init__(self, trials: Sequence[Trial], n_algorithms: int) -> None:
+        self._seen = [SeenColumns(trials) for _ in range(n_algorithms)]
+        self.measured = [_Measurements() for _ in range(n_algorithms)]
+        self.contrasts = np.full((len(trials), n_algorithms), np.nan)
+        self.is_seen = np.zeros(len(trials), bool)
+
+    def put(self, row: int, found: _SeenTrial) -> None:
+        for columns, measured, one, of_frames in zip(
+            self._seen, self.measured, found.seen, found.measured, strict=True
+        ):
+            columns.put(row, one)
+            for of_frame in of_frames:
+                measured.add(of_frame)
+        self.contrasts[row], self.is_seen[row] = found.contrasts, True
+
+    def seen(self) -> list[SeenTrials]:
+        """Return the scores after each algorithm; an empty list if there are none."""
+        return [one for columns in self._seen if (one := columns.seen()) is not None]
 
 
 def _amplified(
     fit: Callable[..., ScoredDataset],
-    seen: Sequence[SeenTrial],
+    seen: SeenTrials,
     gains: Mapping[tuple[float | str, ...], float],
     fit_settings: FitSettings,
 ) -> ScoredDataset:
     """Fit the trials after a plain gain of contrast; groups whose gain is not known stay as they are."""
-    louder = [amplified(one, gains.get(one.trial.group, 1.0)) for one in seen]
-    return fit(louder, fit_settings=replace(fit_settings, resamples=0))
+    gain = np.array([gains.get(trial.group, 1.0) for trial in seen.trials])
+    return fit(seen.amplified(gain), fit_settings=replace(fit_settings, resamples=0))
 
 
 def _compared(
@@ -320,5 +368,5 @@ def _verdict(ratio: ThresholdRatio, p_value: float) -> Verdict:
     return "better" if ratio.is_lower else "worse"
 
 
-def _mean(values: Sequence[float]) -> float | None:
+def _mean(values: array[float]) -> float | None:
     return math.fsum(values) / len(values) if values else None

@@ -13,7 +13,6 @@ from todframes._typing import FloatArray
 from todframes.frames.dataset import Trial
 from todframes.observers.retina import RetinaGrid
 from todframes.scoring.retina_view import Shown, retina_image
-from todframes.scoring.trials import SeenTrial
 from todframes.stimulus import Centre, coverage
 
 RING_SIZES = (1.3, 2.0)
@@ -92,8 +91,3 @@ def contrast_gains(
             if before > 0.0 and after > LEAST_GAIN * before and math.isfinite(after / before):
                 own[group] = float(after / before)
     return gains
-
-
-def amplified(seen: SeenTrial, gain: float) -> SeenTrial:
-    """Return the scores of a trial as a plain gain of contrast would make them; scores are linear in contrast."""
-    return seen._replace(scores=gain * seen.scores, deviations=gain * seen.deviations)

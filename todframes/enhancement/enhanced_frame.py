@@ -351,6 +351,9 @@ class TrialReader:
         self.screen = screen
         self.reference_luminance = lru_cache(maxsize=16)(self._reference_luminance)
 
+    def __reduce__(self) -> tuple[type, tuple[tuple[Enhancement, ...], Screen]]:
+        return TrialReader, (self.algorithms, self.screen)
+
     def __call__(
         self,
         dataset: Dataset,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import threading
 from collections.abc import Mapping
@@ -27,7 +28,7 @@ from todframes.frames.display import Display
 from todframes.frames.display_files import display_of_table, find_display
 from todframes.frames.files import FrameFile, FrameSource, frame_sha256
 from todframes.locations import Location, RemotePath
-from todframes.remote import Entry, entity_tag, list_folder, location
+from todframes.remote import entity_tag, list_folder, location, read_content
 from todframes.stimulus import ORIENTATIONS, Orientation, Stimulus
 
 SCHEMA = 1
@@ -40,6 +41,10 @@ BACKGROUND_COLUMN = "background_luminance_cd_m2"
 
 REFERENCE_COLUMN = "reference_frame"
 """Name of the manifest column with the path of the same frame without noise."""
+
+
+MOST_REMEMBERED = 1024
+"""Number of files behind URLs of which a thread remembers what it read."""
 
 
 class FrameReference(NamedTuple):
@@ -168,14 +173,18 @@ class Dataset:
         # A million paths take seconds; as Path objects, half a minute.
         return os.path.exists(os.path.join(str(self.path), frame.path))  # noqa: PTH110, PTH118
 
-    def content_id(self, frame: FrameReference) -> str:
+    def content_id(self, frame: FrameReference, *, is_read: bool = False) -> str:
         """Return a text that changes whenever the bytes of the frame do: the SHA-256 of its file.
+
+        `is_read` tells whether this thread has just opened the frame with `verify`.
 
         Raises
         ------
         FrameError
             If the file cannot be read.
         """
+        if is_read and frame.sha256 is not None:  # it was compared with that of the file
+            return frame.sha256
         return frame_sha256(self.frame_path(frame))
 
     def open(self, frame: FrameReference, *, verify: bool = False) -> FrameSource:
@@ -190,25 +199,56 @@ class Dataset:
         return None if frame.reference is None else self.path / frame.reference
 
 
-class Listings:
-    """The listings of folders behind URLs, each made when a file of the folder is first asked about.
+class RemoteContents:
+    """What a process knows of the contents of files behind URLs: listings of folders, and what threads have read.
 
-    A copy that is pickled or copied is empty, so that a dataset that goes to another process stays small.
+    Each folder is listed once, when a file of it is first asked about. A copy that is pickled is empty, so that a
+    dataset that goes to another process stays small.
     """
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._of_folder: dict[RemotePath, dict[str, Entry] | None] = {}
+        self._listed: dict[RemotePath, dict[str, str | None] | None] = {}
+        self._of_thread = threading.local()
 
-    def __reduce__(self) -> tuple[type[Listings], tuple[()]]:
-        return Listings, ()
+    def __reduce__(self) -> tuple[type[RemoteContents], tuple[()]]:
+        return RemoteContents, ()
 
-    def of(self, folder: RemotePath) -> dict[str, Entry] | None:
-        """Return the files of a folder by name; None if it cannot be listed."""
+    def listed(self, folder: RemotePath) -> dict[str, str | None] | None:
+        """Return the entity tags of the files of a folder by name; None if it cannot be listed."""
         with self._lock:
-            if folder not in self._of_folder:
-                self._of_folder[folder] = list_folder(folder)
-            return self._of_folder[folder]
+            if folder not in self._listed:
+                self._listed[folder] = list_folder(folder)
+            return self._listed[folder]
+
+    def read(self, path: RemotePath) -> bytes:
+        """Return the bytes of a file, and remember which they were for `take_id`.
+
+        Raises
+        ------
+        FrameError, RemoteError
+            If it cannot be read.
+        """
+        try:
+            content = read_content(path)
+        except FileNotFoundError as error:
+            raise FrameError(path, f"cannot be opened: {error.strerror}") from None
+        ids = self._ids
+        while len(ids) >= MOST_REMEMBERED:
+            del ids[next(iter(ids))]
+        ids[path] = _id_of_tag(path, content.tag) or hashlib.sha256(content.data).hexdigest()
+        return content.data
+
+    def take_id(self, path: RemotePath) -> str | None:
+        """Return, once, the id of the bytes that this thread last read of a file; None if it is not remembered."""
+        return self._ids.pop(path, None)
+
+    @property
+    def _ids(self) -> dict[RemotePath, str]:
+        if not hasattr(self._of_thread, "ids"):
+            self._of_thread.ids = {}
+        ids: dict[RemotePath, str] = self._of_thread.ids
+        return ids
 
 
 @dataclass(frozen=True, slots=True)
@@ -216,34 +256,50 @@ class RemoteDataset(Dataset):
     """A dataset behind a URL: each opening of a frame is one request; no frame is kept, or written to a disk."""
 
     path: RemotePath
-    listings: Listings = field(default_factory=Listings, compare=False, repr=False)
+    contents: RemoteContents = field(default_factory=RemoteContents, compare=False, repr=False)
 
     def has_frame(self, frame: FrameReference) -> bool:
         """Tell whether the frame's file exists; True if its folder cannot be listed."""
         path = self.path / frame.path
-        listed = self.listings.of(path.parent)
+        listed = self.contents.listed(path.parent)
         return listed is None or path.name in listed
 
-    def content_id(self, frame: FrameReference) -> str:
+    def content_id(self, frame: FrameReference, *, is_read: bool = False) -> str:
         """Return a text that changes whenever the bytes of the frame do.
 
-        It is made of the frame's URL and the entity tag that the server gives its bytes: that of the folder's
-        listing, which is made once, or else that of the file. Without a tag it is the SHA-256 of the bytes.
+        Of files on S3 and web servers it is made of the URL and the entity tag that the server gives the bytes:
+        of a frame that was just read, the tag that came with them; else the tag in the folder's listing, which is
+        made once, or that of the file. Without a tag it is the SHA-256 of the bytes.
 
         Raises
         ------
         FrameError
-            If the file cannot be read.
+            If the file cannot be read, or was not read by this thread.
         RemoteError
             If the server cannot be reached, or the file may not be read.
         """
         path = self.path / frame.path
-        entry = (self.listings.of(path.parent) or {}).get(path.name)
+        if is_read:
+            found = self.contents.take_id(path)
+            if found is None:
+                raise FrameError(path, "was not read by this thread, so its content is not known")
+            return found
+        listed = self.contents.listed(path.parent) or {}
         try:
-            tag = entity_tag(path) if entry is None else entry.tag
+            tag = listed[path.name] if path.name in listed else entity_tag(path)
         except FileNotFoundError as error:
             raise FrameError(path, f"cannot be read: {error.strerror}") from None
-        return frame_sha256(path) if tag is None else f"{path} {tag}"
+        return _id_of_tag(path, tag) or frame_sha256(path)
+
+    def open(self, frame: FrameReference, *, verify: bool = False) -> FrameSource:
+        """Open a frame; raise FrameError if it cannot be used."""
+        path = self.path / frame.path
+        return FrameFile(path, content=self.contents.read(path), sha256=frame.sha256 if verify else None)
+
+
+def _id_of_tag(path: RemotePath, tag: str | None) -> str | None:
+    """Return the id of the bytes of a file; None without a tag. Servers may give two files the same tag."""
+    return None if tag is None else f"{path} {tag}"
 
 
 def load_dataset(path: Location | str) -> Dataset:

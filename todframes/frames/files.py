@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from todframes.errors import FrameError, OutputError, RemoteError, SettingsError
 from todframes.locations import Location, RemotePath
-from todframes.remote import location, read_bytes
+from todframes.remote import location, read_content
 
 PathLike = str | os.PathLike[str]
 
@@ -197,6 +197,8 @@ class FrameFile:
     ----------
     path : path, RemotePath or URL
         An EXR or PNG file.
+    content : bytes, optional
+        The bytes of the file, if they are in memory already; `path` then only names it.
     sha256 : str, optional
         Checksum that the file must have.
 
@@ -209,11 +211,13 @@ class FrameFile:
         If the file is behind a URL that cannot be reached or may not be read.
     """
 
-    def __init__(self, path: PathLike | RemotePath, *, sha256: str | None = None) -> None:
+    def __init__(
+        self, path: PathLike | RemotePath, *, content: bytes | None = None, sha256: str | None = None
+    ) -> None:
         self.path = location(path)
         with ExitStack() as stack:
             try:
-                local = _local(self.path, stack)
+                local = _local(self.path, content, stack)
                 str(local).encode()  # OpenImageIO accepts only names that UTF-8 can encode
                 if sha256 is not None and (found := frame_sha256(local)) != sha256:
                     raise FrameError(self.path, f"sha256 is {found}, the manifest says {sha256}")
@@ -407,7 +411,7 @@ def frame_sha256(path: PathLike | RemotePath) -> str:
     path = location(path)
     try:
         if isinstance(path, RemotePath):
-            return hashlib.sha256(read_bytes(path)).hexdigest()
+            return hashlib.sha256(read_content(path).data).hexdigest()
         _check_is_file(path)
         with path.open("rb") as file:
             return hashlib.file_digest(file, "sha256").hexdigest()
@@ -433,12 +437,17 @@ def has_own_checksums(path: PathLike | RemotePath) -> bool:
         raise FrameError(path, f"cannot be read: {error.strerror}") from None
 
 
-def _local(path: Location, stack: ExitStack) -> Path:
-    """Return a local path of a file. The content of a file behind a URL is in memory until `stack` is closed."""
-    if not isinstance(path, RemotePath):
-        return path
+def _local(path: Location, content: bytes | None, stack: ExitStack) -> Path:
+    """Return a local path of a file. A file behind a URL, or whose content is given, is in memory.
+
+    The memory is given back when `stack` is closed.
+    """
+    if content is None:
+        if not isinstance(path, RemotePath):
+            return path
+        content = read_content(path).data
     memory = stack.enter_context(os.fdopen(os.memfd_create("frame"), "wb"))
-    memory.write(read_bytes(path))
+    memory.write(content)
     memory.flush()
     return Path(f"/proc/self/fd/{memory.fileno()}")
 

@@ -33,7 +33,7 @@ class MemoryDataset(Dataset):
         """Tell whether the frame exists."""
         return frame.path in self.arrays
 
-    def content_id(self, frame: FrameReference) -> str:
+    def content_id(self, frame: FrameReference, *, is_read: bool = False) -> str:  # noqa: ARG002
         """Return a text that changes whenever the frame's values do: the SHA-256 of its array."""
         array = self.arrays[frame.path]
         described = f"{array.dtype.str} {array.shape} ".encode()

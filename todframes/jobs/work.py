@@ -23,7 +23,8 @@ class Work(Protocol[Item, Result]):
     """A value that can be pickled and says what to do with an item.
 
     It is sent once to each process, and the items go separately: large data belong in the work, or in files that
-    it names, and never in the items. Errors of single items that shall not end the run are results.
+    it names, and never in the items. Errors of single items that shall not end the run are results. Work on large
+    items may have an attribute `items_at_once`, the number that a thread takes at a time.
     """
 
     def function(self) -> Callable[[Item], Result]:
@@ -36,7 +37,14 @@ class Work(Protocol[Item, Result]):
 
 
 class Engine(Protocol):
-    """Where the work of a run is done."""
+    """Where the work of a run is done: `n_workers` threads of this process if `is_local`, or processes elsewhere.
+
+    `dashboard` is the address of a page that shows the work; None if there is none.
+    """
+
+    n_workers: int
+    is_local: bool
+    dashboard: str | None
 
     def run(
         self, work: Work[T, R], items: Iterable[tuple[int, T]]

@@ -7,6 +7,7 @@ import math
 import os
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, Protocol
@@ -16,7 +17,8 @@ from todframes.config import csv_text
 from todframes.errors import DataError, SettingsError
 from todframes.frames.display import Display
 from todframes.frames.display_files import DisplayDescription, find_display, table_of_display
-from todframes.output import new_folder
+from todframes.jobs.store import Store
+from todframes.output import Going, new_folder, remove_others, store_folder
 from todframes.recordings.chart_source import ChartSource
 from todframes.recordings.clips import TIME_TOLERANCE, Clip, ClipFrame
 from todframes.recordings.opening import open_recordings
@@ -24,7 +26,7 @@ from todframes.recordings.recording import INTEGRATION_TIME_S, Recording, Record
 from todframes.recordings.schedule import read_schedule
 from todframes.recordings.schedule_source import ScheduleSource
 from todframes.recordings.trials import SHAKE_PX, ImportedTrial, TrialDivision, TriangleDescription
-from todframes.recordings.windows import WrittenWindow, code_range, write_window
+from todframes.recordings.windows import WindowWriter, WrittenWindow, code_range
 
 LARGEST_TIME_ERROR = 0.1
 """Relative difference of the trials' time from the integration time, above which it is told."""
@@ -114,6 +116,9 @@ def import_recordings(
     ifov_mrad: float | None = None,
     level: str | None = None,
     overwrite: bool = False,
+    restart: bool = False,
+    keep_store: bool = False,
+    tell: Callable[[str], None] | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> Imported:
     """Make a dataset from recordings of a chart, or with a schedule, as `todframes import` does.
@@ -148,6 +153,14 @@ def import_recordings(
         With a schedule: column of the stimulus strength. Default: contrast.
     overwrite : bool
         Whether `out` may be replaced if it is a dataset that this package wrote.
+    restart : bool
+        Begin anew even if an earlier call with the same `out` was interrupted. Otherwise the windows that it has
+        written are not written again; the recordings are read again from their beginning, as the frames of a video
+        follow from those before.
+    keep_store : bool
+        Keep the list of the windows that are finished after the dataset is whole.
+    tell : function of a text, optional
+        Called with a remark if an earlier call has written some of the windows.
     progress : function of an int, optional
         Called with the number of recorded frames that were just done.
 
@@ -188,11 +201,19 @@ def import_recordings(
     is_clipped = shown.display.eotf != "linear"
     division = TrialDivision(source.described, time_s, steady=steady)
 
-    with new_folder(str(out), overwrite=overwrite) as folder:
+    going = Going(restart=restart, keep=keep_store)
+    with (
+        new_folder(str(out), overwrite=overwrite, going=going) as folder,
+        closing(Store(store_folder(folder), str(out), tell)) as store,
+    ):
+        remove_others(folder, {"frames"})
+        if store.is_begun:
+            store.tell(f"{len(store)} windows are there from an earlier run; going on with the others")
+        writer = WindowWriter(folder, clip=is_clipped, store=store)
         written: dict[str, WrittenWindow] = {}
         for number, (recording, scale) in enumerate(zip(opened, scales, strict=True)):
             for window in division.windows(source.frames(recording, number), scale, _interval_s(recording)):
-                written[window.name] = write_window(folder, window, clip=is_clipped)
+                written[window.name] = writer.write(window)
         if not division.trials:
             raise DataError(source.why_nothing() or _why_no_trial(division, source, time_s))
         for name in division.left_out:
@@ -216,7 +237,7 @@ def import_recordings(
             "warnings": [one._asdict() for one in warnings],
             "found": source.report(),
         }
-        _remove_empty(folder / "frames")
+        _remove_others(folder, written)
         _write(folder / REPORT_FILE, json.dumps(report, indent=1, ensure_ascii=False) + "\n")
         _write(folder / "manifest.csv", csv_text(rows))
         _write(
@@ -429,7 +450,11 @@ def _write(path: Path, text: str) -> None:
     path.write_text(text, encoding="utf-8")
 
 
-def _remove_empty(folder: Path) -> None:
-    for clip in list(folder.iterdir()):
+def _remove_others(folder: Path, written: Mapping[str, WrittenWindow]) -> None:
+    """Remove the windows of an earlier run with other settings, and the folders of clips that have none."""
+    for clip in list((folder / "frames").iterdir()):
+        for path in list(clip.iterdir()):
+            if path.relative_to(folder).as_posix() not in written:
+                path.unlink()
         if not any(clip.iterdir()):
             clip.rmdir()

@@ -4,18 +4,23 @@ from __future__ import annotations
 
 import hashlib
 import math
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from todframes.errors import OutputError, SettingsError
-from todframes.frames.files import write_frame
+from todframes.errors import FrameError, OutputError, SettingsError
+from todframes.frames.files import frame_sha256, write_frame
 from todframes.frames.surround import TrianglePlace, surround_window
+from todframes.jobs.fingerprint import fingerprint
+from todframes.jobs.run import WORTH_S
+from todframes.jobs.store import Store
 from todframes.observers.pyramid import PyramidObserver
 from todframes.recordings.clips import FramePart, Rectangle
 from todframes.recordings.recording import Recording
@@ -23,6 +28,10 @@ from todframes.stimulus import Stimulus
 
 MARGIN_PX = 2
 """Pixels of a window beyond what the observer and the background need."""
+
+
+WINDOWS_A_COMMIT = 64
+"""Number of windows that are entered into the store together."""
 
 
 EVERYWHERE = (-(10**9), 10**9)
@@ -150,6 +159,57 @@ def write_window(folder: Path, window: Window, *, clip: bool) -> WrittenWindow:
     with path.open("rb") as file:
         sha256 = hashlib.file_digest(file, "sha256").hexdigest()
     return WrittenWindow(sha256, code.size, n_beyond)
+
+
+class WindowWriter:
+    """Writer of the windows of a dataset; those that an earlier run has written are not written again.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of the dataset.
+    clip : bool
+        As in `write_window`.
+    store : Store or None
+        Store that tells which windows of the folder are finished.
+    """
+
+    def __init__(self, folder: Path, *, clip: bool, store: Store | None) -> None:
+        self._folder, self._clip, self._store = folder, clip, store
+        self._finds = store is not None and store.is_begun
+        self._rows: list[tuple[bytes, bytes]] = []
+        self._started = time.perf_counter()
+
+    def write(self, window: Window) -> WrittenWindow:
+        """Write a window, unless it is there as it would be; raise OutputError if it cannot be written."""
+        if self._store is None:
+            return write_window(self._folder, window, clip=self._clip)
+        key = fingerprint(window.name, window.values, window.scale, self._clip)
+        found = self._found(key, self._folder / window.name) if self._finds else None
+        if found is not None:
+            return found
+        written = write_window(self._folder, window, clip=self._clip)
+        self._rows.append((key, msgspec.msgpack.encode(written)))
+        if len(self._rows) >= WINDOWS_A_COMMIT and time.perf_counter() - self._started > WORTH_S:
+            self.flush()
+        return written
+
+    def flush(self) -> None:
+        """Enter the windows written so far into the store."""
+        if self._store is not None:
+            self._store.add(self._rows)
+            self._rows.clear()
+
+    def _found(self, key: bytes, path: Path) -> WrittenWindow | None:
+        assert self._store is not None
+        encoded = self._store.get(key)
+        if encoded is None:
+            return None
+        written = msgspec.msgpack.decode(encoded, type=WrittenWindow)
+        try:
+            return written if frame_sha256(path) == written.sha256 else None
+        except FrameError:
+            return None
 
 
 def encoded_png(values: NDArray[Any]) -> bytes:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence, Sized
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,11 +26,16 @@ from todframes.scoring.trials import (
     REPLICATES,
     Decisions,
     Scoring,
+    SeenColumns,
     SeenTrial,
+    SeenTrials,
     score_trial,
-    see_trials,
+    selected,
 )
+from todframes.scoring.work import Run, see_trials
 from todframes.stimulus import Stimulus
+
+S = TypeVar("S", bound=Sized)
 
 MOST_DISPLACEMENTS = 64
 """Largest number of displacements of each trial in each replicate."""
@@ -75,7 +81,7 @@ class ScoredDataset:
 
     Attributes
     ----------
-    trials : tuple of Trial
+    trials : sequence of Trial
         Trials in the order of the manifest; the rows of the arrays have the same order.
     displacement_samples : ndarray, shape (n, 2)
         Displacement of the retina grid along x and y, in retina samples; NaN if a trial had several.
@@ -94,7 +100,7 @@ class ScoredDataset:
         Stages that were kept or left out.
     """
 
-    trials: tuple[Trial, ...]
+    trials: Sequence[Trial]
     displacement_samples: FloatArray
     scores: FloatArray
     probabilities: FloatArray
@@ -117,8 +123,7 @@ def score_dataset(
     tolerance: float | None = None,
     plan_name: PlanName = "needed",
     skip_bad_frames: bool = False,
-    workers: int = 1,
-    progress: Callable[[int], None] | None = None,
+    run: Run | None = None,
 ) -> ScoredDataset:
     """Show every trial to the observer and fit a psychometric function to each group.
 
@@ -145,10 +150,8 @@ def score_dataset(
         "needed": leave out stages that change thresholds far less than the tolerance. "full": leave out nothing.
     skip_bad_frames : bool
         Skip trials that cannot be read and list them, instead of raising the first error.
-    workers : int
-        Number of threads that read and score.
-    progress : callable
-        Called with the number of trials done since the last call.
+    run : Run, optional
+        Where the work is done and what is kept of it. Default: in this thread, and nothing.
 
     Returns
     -------
@@ -175,27 +178,46 @@ def score_dataset(
         dataset, whole, observer, name=plan_name, tolerance=tolerance or DEFAULT_TOLERANCE, expected=expected
     )
     scoring = Scoring(dataset, plan, decisions, seed, displacements=0 if tolerance is None else 1)
-    see = partial(see_trials, show=score_trial, skip_bad_frames=skip_bad_frames, workers=workers)
-    seen, unread = see(scoring, whole, progress=progress)
+    run = run or Run()
+
+    def see(scoring: Scoring, trials: Sequence[Trial], run: Run) -> tuple[SeenTrials | None, list[Skipped]]:
+        columns = SeenColumns(trials)
+        unread = see_trials(
+            scoring,
+            trials,
+            score_trial,
+            kind=SeenTrial,
+            collect=columns.put,
+            skip_bad_frames=skip_bad_frames,
+            run=run,
+        )
+        return columns.seen(), unread
+
+    seen, unread = see(scoring, whole, run)
     skipped += unread
-    check_seen(dataset, seen, skipped)
+    seen = check_seen(dataset, seen, skipped)
     fit_settings = settings_of_level(fit_settings, dataset.experiment.level)
     fit = partial(fit_groups, plan, seed=seed, fit_settings=fit_settings, curve=curve, expected=expected)
     decided = fit(seen)
     if tolerance is not None:
-        again = [
-            one
-            for group in decided.fits
+        again = {
+            number: displacements
+            for number, group in enumerate(decided.fits)
             if (displacements := _displacements_needed(group, tolerance)) > 1
-            for one in see(
-                replace(scoring, displacements=displacements),
-                [one.trial for one in seen if one.trial.group == group.group],
-                progress=None,
-            )[0]
-        ]
+        }
         if again:
-            of_number = {one.trial.number: one for one in seen + again}
-            decided = fit(list(of_number.values()))
+            _, of_group = groups_of(seen.trials)
+            looks = []
+            for number, displacements in again.items():
+                rows = np.flatnonzero(of_group == number)
+                more, _ = see(
+                    replace(scoring, displacements=displacements),
+                    selected(seen.trials, rows),
+                    replace(run, progress=None),
+                )
+                if more is not None and len(more) == len(rows):  # no frame has gone meanwhile
+                    looks.append(more)
+            decided = fit(seen, looks)
     return replace(decided, skipped=tuple(skipped))
 
 
@@ -243,10 +265,11 @@ def usable_trials(dataset: Dataset, *, skip_bad_frames: bool) -> tuple[list[Tria
     return usable, skipped
 
 
-def check_seen(dataset: Dataset, seen: Sequence[object], skipped: Sequence[Skipped]) -> None:
-    """Raise DataError if no trial could be used."""
+def check_seen(dataset: Dataset, seen: S | None, skipped: Sequence[Skipped]) -> S:
+    """Return what was seen; raise DataError if no trial could be used."""
     if not seen:
         raise DataError(f"{dataset.path}: no frame can be scored; the first: {skipped[0].error}")
+    return seen
 
 
 def _displacements_needed(group: GroupFit, tolerance: float) -> int:
@@ -263,14 +286,20 @@ def _displacement_step(numbers: Sequence[int]) -> Step:
     return Step("displacements", True, why)
 
 
-def _single(displacements: FloatArray) -> FloatArray:
-    """Return the only displacement, (2,); NaN if there are several."""
-    return displacements[0] if len(displacements) == 1 else np.full(2, np.nan)
+def groups_of(trials: Sequence[Trial]) -> tuple[list[tuple[float | str, ...]], NDArray[np.intp]]:
+    """Return the groups of trials, numbers before texts, and the number of each trial's group."""
+    numbers: dict[tuple[float | str, ...], int] = {}
+    found = np.fromiter((numbers.setdefault(t.group, len(numbers)) for t in trials), np.intp, len(trials))
+    ordered = sorted(numbers, key=lambda group: [(isinstance(value, str), value) for value in group])
+    rank = np.empty(len(ordered), np.intp)
+    rank[[numbers[group] for group in ordered]] = np.arange(len(ordered))
+    return ordered, rank[found]
 
 
 def fit_groups(
     plan: ScorePlan,
-    seen: Sequence[SeenTrial],
+    seen: SeenTrials,
+    looks: Sequence[SeenTrials] = (),
     *,
     seed: int,
     fit_settings: FitSettings,
@@ -279,90 +308,113 @@ def fit_groups(
 ) -> ScoredDataset:
     """Compute the answers of trials that were seen, and fit a curve to each group.
 
+    Parameters
+    ----------
+    plan : ScorePlan
+    seen : SeenTrials
+        All trials, in the order of the manifest.
+    looks : sequence of SeenTrials
+        Groups that were seen again, with more displacements: these count.
+
     Returns
     -------
     ScoredDataset
         Trials in the order of the manifest; `skipped` is empty.
     """
-    seen = sorted(seen, key=lambda one: one.trial.number)
-    trials = tuple(one.trial for one in seen)
-    correct = np.array([trial.orientation.quarter_turns for trial in trials])
-    probabilities, p_each, bounds = _decide(plan, seen, correct)
+    trials, n = seen.trials, len(seen)
+    correct = np.fromiter((trial.orientation.quarter_turns for trial in trials), np.intp, n)
+    row_of = {trial.number: row for row, trial in enumerate(trials)} if looks else {}
+    again = [np.array([row_of[trial.number] for trial in look.trials]) for look in looks]
+    of_look = np.zeros(n, np.intp)  # 0: the first one
+    for number, rows in enumerate(again):
+        of_look[rows] = number + 1
+    first = np.flatnonzero(of_look == 0)
+    parts = [(first, seen if not looks else seen.select(first)), *zip(again, looks, strict=True)]
+    displaced, scores, probabilities = np.full((n, 2), np.nan), np.empty((n, 4)), np.full((n, 4), np.nan)
+    p_correct, bounds = np.full(n, np.nan), np.zeros(n)
+    background, seconds = np.empty(n), np.empty(n)
+    p_each: dict[int, FloatArray] = {}
+    for number, (rows, part) in enumerate(parts):
+        if not len(rows):
+            continue
+        if part.displacement_samples.shape[1] == 1:
+            displaced[rows] = part.displacement_samples[:, 0]
+        scores[rows] = part.scores.mean(axis=1)
+        background[rows], seconds[rows] = part.background_luminance_cd_m2, part.seconds
+        probabilities[rows], p_each[number], bounds[rows] = _decide(plan, part, correct[rows])
+        p_correct[rows] = p_each[number].mean(axis=1)
     answers = probabilities.argmax(axis=1)
     if not expected:
-        answers = np.array([one.answer for one in seen])
-        p_each = [np.array([float(answer == right)]) for answer, right in zip(answers, correct, strict=True)]
-        bounds[:] = 0.0
-    places: dict[tuple[float | str, ...], list[int]] = {}
-    for place, trial in enumerate(trials):
-        places.setdefault(trial.group, []).append(place)
-    # Groups are sorted with numbers before texts.
-    ordered = sorted(places.items(), key=lambda item: [(isinstance(v, str), v) for v in item[0]])
+        answers = seen.answer
+        p_correct = (answers == correct).astype(np.float64)
+        p_each, bounds = {0: p_correct[:, None]}, np.zeros(n)
+    groups, of_group = groups_of(trials)
     fits = []
-    for number, (group, members) in enumerate(ordered):
+    for number, group in enumerate(groups):
         started = time.perf_counter()
-        of_group, p_of_group = [seen[k] for k in members], [p_each[k] for k in members]
-        level = np.array([one.trial.level for one in of_group])
+        rows = np.flatnonzero(of_group == number)
+        of_rows = selected(trials, rows)
+        level = np.array([trial.level for trial in of_rows])
         rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(FIT_STREAMS, number)))
-        p_correct = np.array([p.mean() for p in p_of_group])
-        fit = fit_trials(level, p_correct, curve=curve, settings=fit_settings, rng=rng)
+        fit = fit_trials(level, p_correct[rows], curve=curve, settings=fit_settings, rng=rng)
+        look = int(of_look[rows[0]])
+        p_of_rows = p_each[look][np.searchsorted(parts[look][0], rows)]
         fits.append(
             GroupFit(
                 group=group,
                 fit=fit,
-                non_gaussian_bound=float(bounds[members].max()),
-                left_out_bound=plan.bound({one.trial.stimulus for one in of_group}),
-                numerical_error=_numerical_error(level, p_of_group, fit, fit_settings),
-                n_displacements=max(len(p) for p in p_of_group),
-                background_luminance_cd_m2=sum(one.background_luminance_cd_m2 for one in of_group) / len(of_group),
-                run_time_s=sum(one.seconds for one in of_group) + time.perf_counter() - started,
+                non_gaussian_bound=float(bounds[rows].max()),
+                left_out_bound=plan.bound({trial.stimulus for trial in of_rows}),
+                numerical_error=_numerical_error(level, p_of_rows, fit, fit_settings),
+                n_displacements=p_of_rows.shape[1],
+                background_luminance_cd_m2=sum(background[rows].tolist()) / len(rows),
+                run_time_s=sum(seconds[rows].tolist()) + time.perf_counter() - started,
             )
         )
     return ScoredDataset(
         trials=trials,
-        displacement_samples=np.array([_single(one.displacement_samples) for one in seen]),
-        scores=np.array([one.scores.mean(axis=0) for one in seen]),
+        displacement_samples=displaced,
+        scores=scores,
         probabilities=probabilities,
         answers=answers.astype(np.intp),
-        p_correct=np.array([p.mean() for p in p_each]),
+        p_correct=p_correct,
         fits=tuple(fits),
         skipped=(),
-        n_negative=sum(one.n_negative for one in seen),
-        plan=(*plan.steps, _displacement_step([len(p) for p in p_each])),
+        n_negative=int(sum(part.n_negative.sum() for _, part in parts)),
+        plan=(*plan.steps, _displacement_step([p.shape[1] for p in p_each.values()])),
     )
 
 
 def _decide(
-    plan: ScorePlan, seen: Sequence[SeenTrial], correct: NDArray[np.intp]
-) -> tuple[FloatArray, list[FloatArray], FloatArray]:
+    plan: ScorePlan, seen: SeenTrials, correct: NDArray[np.intp]
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Compute the probability of each answer, of the correct one with each displacement, and its error bound."""
-    probabilities = np.full((len(seen), 4), np.nan)
-    p_each: list[FloatArray] = [np.full(1, np.nan)] * len(seen)
-    bounds = np.zeros(len(seen))
-    places: dict[Stimulus, list[int]] = {}
-    for place, one in enumerate(seen):
-        places.setdefault(one.trial.stimulus, []).append(place)
-    for stimulus, members in places.items():
+    n, n_displacements, _ = seen.deviations.shape
+    probabilities, bounds = np.full((n, 4), np.nan), np.zeros(n)
+    p_each = np.full((n, n_displacements), np.nan)
+    stimuli: dict[Stimulus, int] = {}
+    of_stimulus = np.fromiter((stimuli.setdefault(t.stimulus, len(stimuli)) for t in seen.trials), np.intp, n)
+    for stimulus, number in stimuli.items():
         readout = plan.observer_of(stimulus).readout(stimulus)
         if readout is None:
             continue
-        deviations = np.concatenate([seen[k].deviations for k in members])
-        answers = readout.answer_probabilities(deviations)
-        ends = np.cumsum([len(seen[k].deviations) for k in members])[:-1]
-        for k, of_trial in zip(members, np.split(answers, ends), strict=True):
-            probabilities[k], p_each[k] = of_trial.mean(axis=0), of_trial[:, correct[k]]
-        bounds[members] = readout.non_gaussian_bound
+        rows = np.flatnonzero(of_stimulus == number)
+        answers = readout.answer_probabilities(seen.deviations[rows].reshape(-1, 4))
+        answers = answers.reshape(len(rows), n_displacements, 4)
+        probabilities[rows] = answers.mean(axis=1)
+        p_each[rows] = np.take_along_axis(answers, correct[rows, None, None], axis=2)[..., 0]
+        bounds[rows] = readout.non_gaussian_bound
     return probabilities, p_each, bounds
 
 
 def _numerical_error(
-    level: FloatArray, p_each: Sequence[FloatArray], fit: PsychometricFit, fit_settings: FitSettings
+    level: FloatArray, p_each: FloatArray, fit: PsychometricFit, fit_settings: FitSettings
 ) -> float | None:
     """Compute the half-width of the threshold's 95 % interval, from the spread among replicates."""
-    if fit.threshold is None or len(p_each[0]) < REPLICATES:
+    if fit.threshold is None or p_each.shape[1] < REPLICATES:
         return None
     settings, rng = replace(fit_settings, resamples=0), np.random.default_rng(0)
-    sets = np.array([p.reshape(REPLICATES, -1).mean(axis=1) for p in p_each]).T
+    sets = p_each.reshape(len(p_each), REPLICATES, -1).mean(axis=2).T
     thresholds = [fit_trials(level, p, curve=fit.curve, settings=settings, rng=rng).threshold for p in sets]
     found = [threshold for threshold in thresholds if threshold is not None]
     if len(found) < REPLICATES:

@@ -4,35 +4,23 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Sequence
-from contextlib import closing
-from dataclasses import dataclass
-from functools import lru_cache
-from typing import Literal, NamedTuple, TypeVar
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from todframes._typing import FloatArray
-from todframes.errors import FrameError, SettingsError
-from todframes.frames.contrast import skipped_frames
-from todframes.frames.dataset import Dataset, Skipped, Trial
-from todframes.frames.position import check_place
+from todframes.errors import SettingsError
+from todframes.frames.dataset import Dataset, Trial
 from todframes.observers.interface import Observer, Readout
 from todframes.observers.internal_noise import inner_product
 from todframes.observers.retina import RetinaGrid
 from todframes.scoring.plan import ScorePlan
 from todframes.scoring.retina_view import Shown, read_trial, retina_image
-from todframes.stimulus import Stimulus
-from todframes.threads import map_in_threads
-
-T = TypeVar("T")
-
 
 Decisions = Literal["expected", "sampled"]
-
-
-TRIALS_PER_TASK = 16
-"""Number of trials that a thread takes at a time."""
 
 
 NO_ANSWER = -1
@@ -56,7 +44,6 @@ class SeenTrial(NamedTuple):
 
     Attributes
     ----------
-    trial : Trial
     displacement_samples : ndarray, shape (d, 2)
         Displacements of the retina grid along x and y, in retina samples.
     scores, deviations : ndarray, shape (d, 4)
@@ -72,7 +59,6 @@ class SeenTrial(NamedTuple):
         Time that the trial took.
     """
 
-    trial: Trial
     displacement_samples: FloatArray
     scores: FloatArray
     deviations: FloatArray
@@ -80,6 +66,71 @@ class SeenTrial(NamedTuple):
     n_negative: int
     background_luminance_cd_m2: float
     seconds: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SeenTrials:
+    """The observer's scores of many trials with as many displacements each: a `SeenTrial` a row, in columns."""
+
+    trials: Sequence[Trial]
+    displacement_samples: FloatArray
+    scores: FloatArray
+    deviations: FloatArray
+    answer: NDArray[np.intp]
+    n_negative: NDArray[np.int64]
+    background_luminance_cd_m2: FloatArray
+    seconds: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.answer)
+
+    def select(self, rows: NDArray[np.intp]) -> SeenTrials:
+        """Return some of the trials, by row."""
+        columns = (getattr(self, name)[rows] for name in SeenTrial._fields)
+        return SeenTrials(selected(self.trials, rows), *columns)
+
+    def amplified(self, gain: FloatArray) -> SeenTrials:
+        """Return the scores as a plain gain of contrast, one a trial, would make them: they are linear in it."""
+        each = gain[:, None, None]
+        return replace(self, scores=each * self.scores, deviations=each * self.deviations)
+
+
+class SeenColumns:
+    """Columns that are filled with the scores of trials in any order.
+
+    Parameters
+    ----------
+    trials : sequence of Trial
+    """
+
+    def __init__(self, trials: Sequence[Trial]) -> None:
+        self._trials = trials
+        self._columns: dict[str, NDArray[Any]] = {}
+        self._is_seen = np.zeros(len(trials), bool)
+
+    def put(self, row: int, seen: SeenTrial) -> None:
+        """Set the scores of a trial; all trials have as many displacements as the first."""
+        if not self._columns:
+            for name, value in seen._asdict().items():
+                one = np.asarray(value)
+                self._columns[name] = np.zeros((len(self._trials), *one.shape), one.dtype)
+        for name, value in zip(self._columns, seen, strict=True):
+            self._columns[name][row] = value
+        self._is_seen[row] = True
+
+    def seen(self) -> SeenTrials | None:
+        """Return the trials whose scores were set, in the order of the trials; None if there are none."""
+        if not self._columns:
+            return None
+        if self._is_seen.all():
+            return SeenTrials(self._trials, **self._columns)
+        rows = np.flatnonzero(self._is_seen)
+        return SeenTrials(selected(self._trials, rows), **{name: v[rows] for name, v in self._columns.items()})
+
+
+def selected(trials: Sequence[Trial], rows: NDArray[np.intp]) -> Sequence[Trial]:
+    """Return some of the trials, by row."""
+    return [trials[row] for row in rows.tolist()]
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,7 +210,7 @@ def see(scoring: Scoring, trial: Trial, look: Look, ways: Sequence[Shown], start
             answer = look.observer.respond(image, trial.stimulus, look.rng).quarter_turns
         seconds = reading_s + time.perf_counter() - started
         background = shown.background_luminance_cd_m2
-        seen.append(SeenTrial(trial, displaced, scores, deviations, answer, shown.n_negative, background, seconds))
+        seen.append(SeenTrial(displaced, scores, deviations, answer, shown.n_negative, background, seconds))
     return seen
 
 
@@ -202,68 +253,3 @@ def _scores(readout: Readout, contrast: FloatArray) -> tuple[FloatArray, FloatAr
     rounding = 1e-13 * readout.norm * math.sqrt(inner_product(contrast, contrast))
     deviations = np.where(np.abs(deviations) < rounding, 0.0, deviations)
     return deviations + readout.common_score(contrast), deviations
-
-
-def see_trials(
-    scoring: Scoring,
-    trials: Sequence[Trial],
-    show: Callable[[Scoring, Trial, Readout | None], T],
-    *,
-    skip_bad_frames: bool,
-    workers: int,
-    progress: Callable[[int], None] | None,
-) -> tuple[list[T], list[Skipped]]:
-    """Show trials to the observer in threads; return the results and the frames that were skipped.
-
-    Parameters
-    ----------
-    scoring : Scoring
-    trials : sequence of Trial
-    show : function
-        Function called for each trial from any thread: `score_trial`, or one that raises the same errors.
-    skip_bad_frames : bool
-        Skip trials that cannot be read and list their frames, instead of raising the first error.
-    workers : int
-        Number of threads.
-    progress : callable or None
-        Called with the number of trials and skipped frames since the last call.
-
-    Raises
-    ------
-    FrameError
-        If a frame cannot be used, unless bad frames are skipped.
-    """
-    # Trials of one stimulus follow each other, so that few readouts are held at a time.
-    order = sorted(trials, key=lambda trial: (trial.stimulus.size_mrad, trial.stimulus.polarity))
-    tasks = [order[start : start + TRIALS_PER_TASK] for start in range(0, len(order), TRIALS_PER_TASK)]
-    readout_of = lru_cache(maxsize=4)(scoring.plan.readout)
-    fitting: set[Stimulus] = set()
-
-    def show_task(task: list[Trial]) -> tuple[list[T], list[Skipped]]:
-        seen, skipped = [], []
-        for trial in task:
-            try:
-                if trial.stimulus not in fitting:  # check first: a readout may be huge
-                    check_place(scoring.dataset, trial, scoring.plan.observer.centre)
-                    fitting.add(trial.stimulus)
-                try:
-                    readout = readout_of(trial.stimulus)
-                except SettingsError as error:  # an error about this row's size
-                    raise FrameError(scoring.dataset.frame_path(trial.frames[0]), str(error)) from None
-                seen.append(show(scoring, trial, readout))
-            except FrameError as error:
-                if not skip_bad_frames:
-                    raise
-                skipped += skipped_frames(scoring.dataset, trial, error)
-        return seen, skipped
-
-    # Threads, not processes: decoding releases the interpreter lock, and no worker can die with its results.
-    all_seen: list[T] = []
-    all_skipped: list[Skipped] = []
-    with closing(map_in_threads(show_task, tasks, workers)) as results:
-        for seen, skipped in results:
-            all_seen += seen
-            all_skipped += skipped
-            if progress is not None:
-                progress(len(seen) + len(skipped))
-    return all_seen, all_skipped

@@ -1,0 +1,37 @@
+"""The choice of an engine: threads of this process, or processes of a cluster."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from todframes.jobs.local import LocalEngine
+from todframes.jobs.work import Engine
+
+
+@contextmanager
+def open_engine(cluster: str | Engine | None, workers: int) -> Iterator[Engine]:
+    """Open the engine that `--cluster` names for the time of a `with` statement.
+
+    Parameters
+    ----------
+    cluster : str, Engine or None
+        Address of a Dask scheduler, "local:N" for N processes of this machine, or an engine that is open already.
+        None: threads of this process.
+    workers : int
+        Number of threads without a cluster.
+
+    Raises
+    ------
+    TodframesError
+        If there is no such cluster, or its workers cannot do this work.
+    """
+    if cluster is None:
+        yield LocalEngine(workers)
+    elif not isinstance(cluster, str):
+        yield cluster
+    else:
+        from todframes.jobs.cluster import cluster_engine
+
+        with cluster_engine(cluster) as engine:
+            yield engine

@@ -1,0 +1,297 @@
+"""The work of a scoring: trials are shown to the observer by an engine, and what is finished may be kept."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property, lru_cache
+from pathlib import Path
+from typing import Any, Generic, NamedTuple, Protocol, TypeVar
+
+import msgspec
+import numpy as np
+
+from todframes.errors import FrameError, SettingsError
+from todframes.frames.contrast import skipped_frames
+from todframes.frames.dataset import FrameReference, Skipped, Trial
+from todframes.frames.files import frame_sha256
+from todframes.frames.memory import MemoryDataset
+from todframes.frames.position import check_place
+from todframes.jobs.fingerprint import fingerprint
+from todframes.jobs.local import LocalEngine
+from todframes.jobs.run import run_stored
+from todframes.jobs.store import Store
+from todframes.jobs.work import Engine, Lost
+from todframes.locations import Location
+from todframes.observers.interface import Readout
+from todframes.scoring.trials import Scoring
+from todframes.stimulus import Stimulus
+
+T = TypeVar("T")
+T_co = TypeVar("T_co", covariant=True)
+
+
+class Show(Protocol[T_co]):
+    """Protocol of functions that show a trial to the observer, from any thread: `score_trial` is one.
+
+    They can be pickled. They raise FrameError if a frame cannot be used.
+    """
+
+    def __call__(self, scoring: Scoring, trial: Trial, readout: Readout | None) -> T_co:
+        """Return what the observer sees in a trial; `readout` is None if the observer is not linear."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """How the work of a run is done: where, and what is kept of it.
+
+    Attributes
+    ----------
+    engine : Engine
+    store : Store or None
+        Store of finished results; None: nothing is kept.
+    progress : callable or None
+        Called with the number of trials, skipped ones included, since the last call.
+    """
+
+    engine: Engine = field(default_factory=LocalEngine)
+    store: Store | None = None
+    progress: Callable[[int], None] | None = None
+
+
+class Unusable(NamedTuple):
+    """The result of a trial with a frame that cannot be used."""
+
+    error: FrameError
+
+
+@dataclass(frozen=True)
+class TrialWork(Generic[T]):
+    """The showing of trials to an observer, as a `StoredWork`.
+
+    Attributes
+    ----------
+    scoring : Scoring
+        Its dataset may be without trials.
+    show : Show
+    kind : type
+        Type of the results: a NamedTuple of numbers, arrays of float64 and such tuples.
+    depends_on : object
+        What results depend on besides the scoring and the frames.
+    with_references : bool
+        Whether the frames without noise are read too.
+    """
+
+    scoring: Scoring
+    show: Show[T]
+    kind: type[T]
+    depends_on: object = None
+    with_references: bool = False
+
+    def function(self) -> Callable[[Trial], T | Unusable]:
+        """Return the function that shows a trial; a frame that cannot be used is a result."""
+        scoring = self.scoring
+        readout_of = lru_cache(maxsize=4)(scoring.plan.readout)
+        fitting: set[Stimulus] = set()
+
+        def show(trial: Trial) -> T | Unusable:
+            try:
+                if trial.stimulus not in fitting:  # check first: a readout may be huge
+                    check_place(scoring.dataset, trial, scoring.plan.observer.centre)
+                    fitting.add(trial.stimulus)
+                try:
+                    readout = readout_of(trial.stimulus)
+                except SettingsError as error:  # an error about this row's size
+                    raise FrameError(scoring.dataset.frame_path(trial.frames[0]), str(error)) from None
+                return self.show(scoring, trial, readout)
+            except FrameError as error:
+                return Unusable(error)
+
+        return show
+
+    def lost(self, item: Trial) -> FrameError:
+        """Return the error about a trial whose process died with it."""
+        path = self.scoring.dataset.frame_path(item.frames[0])
+        return FrameError(path, "the process that read this frame died, each time it was tried; look at this file")
+
+    @cached_property
+    def identity(self) -> bytes | None:
+        """Fingerprint of all that is the same for all trials; None if the code of a part cannot be told."""
+        scoring = self.scoring
+        try:
+            return fingerprint(
+                scoring.dataset.display,
+                scoring.plan.observer,
+                scoring.plan.whole_frames,
+                scoring.decisions,
+                scoring.seed,
+                scoring.displacements,
+                self.depends_on,
+            )
+        except TypeError:
+            return None
+
+    def key(self, item: Trial, *, is_done: bool) -> bytes | None:
+        """Return the key of a trial's result: it stands for the bytes of its frames and for all settings."""
+        if self.identity is None:
+            return None
+        try:
+            contents = [self._contents(frame, is_done) for frame in item.frames]
+        except FrameError:
+            return None
+        plan = self.scoring.plan.stimuli[item.stimulus]
+        return fingerprint(
+            self.identity,
+            plan.half_width,
+            plan.full_observer,
+            item.number,
+            item.orientation.value,
+            item.stimulus.size_mrad,
+            item.stimulus.polarity,
+            (item.x_px, item.y_px),
+            contents,
+        )
+
+    def stamp(self, item: Trial) -> object:
+        """Return what changes when a frame of the trial is written, without reading it."""
+        # The content of a file behind a URL is known by what came with it when it was read.
+        paths = [path for frame in item.frames for path in self._paths(frame)]
+        return [_stamp(path) for path in paths if isinstance(path, Path)]
+
+    def encode(self, result: T | Unusable) -> bytes | None:
+        """Return a result as bytes; None for a frame that cannot be used: it may be mended."""
+        return None if isinstance(result, Unusable) else _ENCODER.encode(result)
+
+    def decode(self, encoded: bytes) -> T:
+        """Return the result that `encode` made these bytes of."""
+        return self._decoder.decode(encoded)
+
+    @cached_property
+    def _decoder(self) -> msgspec.msgpack.Decoder[T]:
+        return msgspec.msgpack.Decoder(self.kind, dec_hook=lambda _, packed: _array(*packed))
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what is pickled: decoders are not, and other processes have no use for the trials."""
+        self.identity  # noqa: B018 - to be the same in all processes
+        return {name: value for name, value in vars(self).items() if name != "_decoder"}
+
+    def _paths(self, frame: FrameReference) -> list[Location]:
+        dataset = self.scoring.dataset
+        reference = dataset.reference_path(frame) if self.with_references else None
+        return [dataset.frame_path(frame)] + ([] if reference is None else [reference])
+
+    def _contents(self, frame: FrameReference, is_done: bool) -> tuple[object, ...]:
+        """Return the checksums of the files of a frame and the luminance that the manifest gives with it."""
+        dataset = self.scoring.dataset
+        _, *others = self._paths(frame)
+        references = [
+            _sha256_of(*_stamp(path))
+            if isinstance(path, Path)
+            else dataset.content_id(frame._replace(path=frame.reference or ""))
+            for path in others
+        ]
+        return dataset.content_id(frame, is_read=is_done), frame.background_luminance_cd_m2, *references
+
+
+def see_trials(
+    scoring: Scoring,
+    trials: Sequence[Trial],
+    show: Show[T],
+    *,
+    kind: type[T],
+    collect: Callable[[int, T], None],
+    skip_bad_frames: bool,
+    run: Run,
+    depends_on: object = None,
+    with_references: bool = False,
+) -> list[Skipped]:
+    """Show trials to the observer; return the frames that were skipped.
+
+    Parameters
+    ----------
+    scoring : Scoring
+    trials : sequence of Trial
+    show, kind, depends_on, with_references
+        As in `TrialWork`.
+    collect : callable
+        Called with the place of each trial that was seen, in any order, and its result.
+    skip_bad_frames : bool
+        Skip trials that cannot be read and list their frames, instead of raising the first error.
+    run : Run
+
+    Raises
+    ------
+    FrameError
+        If a frame cannot be used, unless bad frames are skipped.
+    """
+    bare = replace(scoring, dataset=replace(scoring.dataset, trials=()))
+    work = TrialWork(bare, show, kind, depends_on, with_references)
+    order = by_stimulus(trials)
+    store = None if isinstance(scoring.dataset, MemoryDataset) else run.store
+    unusable: dict[int, FrameError] = {}
+    in_order = _Ordered(trials, order)
+    for number, found in run_stored(work, in_order, engine=run.engine, store=store):
+        if isinstance(found, Unusable | Lost):
+            error = found.error
+            assert isinstance(error, FrameError)
+            if not skip_bad_frames:
+                raise error
+            unusable[number] = error
+        else:
+            collect(int(order[number]), found)
+        if run.progress is not None:
+            run.progress(1 if number not in unusable else len(in_order[number].frames))
+    return [
+        skipped
+        for number in sorted(unusable)
+        for skipped in skipped_frames(scoring.dataset, in_order[number], unusable[number])
+    ]
+
+
+def by_stimulus(trials: Sequence[Trial]) -> np.ndarray[Any, np.dtype[np.intp]]:
+    """Return the rows of trials in the order of their stimuli, so that few readouts are held at a time."""
+    sizes = np.fromiter((trial.stimulus.size_mrad for trial in trials), np.float64, len(trials))
+    polarities = np.fromiter((trial.stimulus.polarity for trial in trials), np.int8, len(trials))
+    return np.lexsort((polarities, sizes))
+
+
+class _Ordered(Sequence[Trial]):
+    """Trials in another order."""
+
+    def __init__(self, trials: Sequence[Trial], order: np.ndarray[Any, np.dtype[np.intp]]) -> None:
+        self._trials, self._order = trials, order
+
+    def __len__(self) -> int:
+        return len(self._order)
+
+    def __getitem__(self, place: Any) -> Any:
+        return self._trials[self._order[place]]
+
+
+def _stamp(path: Path) -> tuple[Path, int, int, int, int]:
+    """Return the path of a file with what the file system changes when it is written."""
+    try:
+        status = path.stat()
+    except OSError:
+        return path, 0, 0, 0, 0
+    return path, status.st_size, status.st_mtime_ns, status.st_ctime_ns, status.st_ino
+
+
+@lru_cache(maxsize=1024)
+def _sha256_of(path: Path, *_: int) -> str:
+    """Return the SHA-256 of a file with this stamp; many trials share a frame without noise."""
+    return frame_sha256(path)
+
+
+def _packed(value: Any) -> Any:
+    if isinstance(value, np.ndarray):
+        return value.shape, np.ascontiguousarray(value, np.float64).tobytes()
+    return value.item()
+
+
+def _array(shape: Sequence[int], content: bytes) -> Any:
+    return np.frombuffer(content, np.float64).reshape(shape)
+
+
+_ENCODER = msgspec.msgpack.Encoder(enc_hook=_packed)
