@@ -256,10 +256,10 @@ def _file_system(path: RemotePath) -> Any:
         from fsspec import get_filesystem_class
 
         kind = get_filesystem_class(path.scheme)
-    except ImportError:
+    except ImportError as error:
+        remedy = "pip install 'todframes[remote]'" if path.scheme in (*S3, *WEB) else error
         raise RemoteError(
-            f"{path}: needs a package for {path.scheme}:// that is not installed: pip install 'todframes[remote]' "
-            "(s3 and http), or the one that fsspec has for it"
+            f"{path}: needs a package for {path.scheme}:// that is not installed: {remedy}"
         ) from None
     except ValueError:
         raise RemoteError(

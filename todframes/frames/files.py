@@ -217,7 +217,7 @@ class FrameFile:
         self.path = location(path)
         with ExitStack() as stack:
             try:
-                local = _local(self.path, content, stack)
+                self._opened = local = _local(self.path, content, stack)
                 str(local).encode()  # OpenImageIO accepts only names that UTF-8 can encode
                 if sha256 is not None and (found := frame_sha256(local)) != sha256:
                     raise FrameError(self.path, f"sha256 is {found}, the manifest says {sha256}")
@@ -226,7 +226,7 @@ class FrameFile:
                 options = (_OPEN_OPTIONS,) if format_name == "png" else ()
                 self._image: Any = oiio.ImageInput.open(str(local), *options)
                 if self._image is None or self._image.format_name() != format_name:
-                    raise FrameError(self.path, f"cannot be opened: {openimageio_reason(self._image)}")
+                    raise FrameError(self.path, f"cannot be opened: {self._reason()}")
                 stack.callback(self._image.close)
                 self.header = self._read_header()
             except RemoteError:
@@ -370,11 +370,14 @@ class FrameFile:
             x, y = 0, y_begin
             stored = self._image.read_scanlines(self._part, 0, y_begin + spec.y, y_end + spec.y, spec.z, *what)
         if stored is None or self._image.has_error:
-            reason = openimageio_reason(self._image)
-            raise FrameError(self.path, f"rows {top} to {bottom - 1} cannot be decoded: {reason}")
+            raise FrameError(self.path, f"rows {top} to {bottom - 1} cannot be decoded: {self._reason()}")
         stored = stored[y_begin - y : y_end - y, x_begin - x : x_end - x]
         picks = [channel - first_channel for channel in self._channels]
         return np.asarray(stored if picks == list(range(stored.shape[2])) else stored[..., picks])
+
+    def _reason(self) -> str:
+        """Return OpenImageIO's error message; it names a file in memory by a path of this process."""
+        return openimageio_reason(self._image).replace(str(self._opened), str(self.path))
 
 
 def read_header(path: PathLike | RemotePath) -> FrameHeader:
