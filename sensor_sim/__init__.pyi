@@ -1,6 +1,7 @@
 from .api import curve as curve
 from .api import mtf as mtf
 from .api import simulate as simulate
+from .api import sweep as sweep
 from .matched import matched_settings as matched_settings
 from .sensor import Detector as Detector
 from .sensor import Electronics as Electronics

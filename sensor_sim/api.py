@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import asdict
 from pathlib import Path
@@ -19,8 +19,11 @@ from todframes.report.result import Result
 from todframes.scoring.error_budget import PlanName, Step, plan_object
 
 if TYPE_CHECKING:
+    from sensor_sim.designs import Designs
     from sensor_sim.mtf_report import SensorMtf
     from sensor_sim.simulation import FrameFormat, Written
+    from sensor_sim.sweep_result import SweepResult
+    from todframes.jobs.store import Store
     from todframes.jobs.work import Engine
 
 
@@ -128,6 +131,130 @@ def curve(
         more["examples"] = threshold_examples(sensor, judge, fits, seed=seed)
     settings |= {"p_correct": p_correct, "sensor": asdict(sensor), "tolerance": tolerance, "plan": plan}
     return Result.made("curve", started, settings=settings, seed=seed, fits=tuple(fits), **more)
+
+
+def sweep(
+    sensor: Sensor | Path | str,
+    *,
+    size_detectors: Sequence[float],
+    vary: Mapping[str, str | Sequence[float]] | None = None,
+    design: Path | str | Sequence[Mapping[str, float]] | Designs | None = None,
+    sample: int | None = None,
+    keep_fill_factor: bool = False,
+    minimise: Sequence[str] = (),
+    maximise: Sequence[str] = (),
+    acuity_snr: float | None = None,
+    acuity_delta_t_mk: float | None = None,
+    observer: str | Observer = "pyramid",
+    p_correct: float = 0.75,
+    tolerance: float = 2e-3,
+    plan: PlanName = "needed",
+    seed: int = 1,
+    workers: int = 1,
+    cluster: str | Engine | None = None,
+    store: Store | None = None,
+    progress: Callable[[int], None] | None = None,
+) -> SweepResult:
+    """Compute the thresholds of many designs of a sensor, as `sensor-sim sweep` does.
+
+    The numbers of each design are those that `curve` gives for it alone. What designs share is computed once.
+
+    Parameters
+    ----------
+    sensor : Sensor or path
+        Settings that all designs share but for the varied ones, or the path of a SENSOR.toml.
+    size_detectors : sequence of float
+        Sizes √(area) in detector pitches, without repetitions; the first is the one that tables are ordered by.
+    vary : mapping
+        For each key, such as "optics.aperture_mm" or "observer.internal_noise", its values, or a text
+        "FROM:TO:N" or "FROM:TO:N:log". All combinations are computed. With `sample`, texts "FROM:TO" or
+        "FROM:TO:log".
+    design : path, or sequence of mappings
+        CSV file with a column for each key and a row for each design, or a mapping of values for each design.
+    sample : int
+        Number of designs of a Latin hypercube over the ranges of `vary`.
+    keep_fill_factor : bool
+        Whether the detectors' width follows a varied pitch.
+    minimise, maximise : sequence of str
+        Columns that are best when low or high, for the trade-off front: varied keys, "delta_t_mk",
+        "threshold_snr", "acuity_mrad", "acuity_detectors". The first orders the designs.
+    acuity_snr, acuity_delta_t_mk : float, optional
+        Signal of a large triangle for which the smallest visible size is interpolated, as an SNR or in mK.
+    observer, p_correct, tolerance, plan, seed
+        As for `curve`; the seed is also that of `sample`.
+    workers : int
+        Processes to compute in. A script then calls this below `if __name__ == "__main__":`.
+    cluster : str or Engine, optional
+        Address of a Dask scheduler or "local:N", instead of `workers`.
+    store : Store, optional
+        Thresholds that an earlier run has computed; this one adds its own.
+    progress : function of an int, optional
+        Called with the number of designs × sizes that were just done.
+
+    Returns
+    -------
+    SweepResult
+        A row for each design and size by `table()` or `to_dataframe()`; `plot_map()`, `plot_front()`, `save()`.
+
+    Raises
+    ------
+    SettingsError
+        If a setting, key or range is invalid, or the observer is not linear.
+    DataError
+        If a file of designs is invalid.
+
+    Examples
+    --------
+    >>> import sensor_sim as ss
+    >>> camera = "sample_frames/staring_camera.toml"
+    >>> vary = {"optics.aperture_mm": "110:220:2", "noise.netd_mk": [16, 32]}
+    >>> result = ss.sweep(camera, size_detectors=[6], vary=vary, tolerance=0.1)
+    >>> [round(row["delta_t_mk"]) for row in result.records()]
+    [12, 24, 10, 21]
+    """
+    started = time.perf_counter()
+    from sensor_sim.designs import Base, make_designs
+    from sensor_sim.sweep_result import Criterion, SweepResult, objectives
+    from sensor_sim.sweep_work import SweepWork, Variants, check_sweep, engine_of, run_sweep
+    from todframes.jobs.engine import open_engine
+
+    judge, settings = described(observer)
+    sensor = sensor if isinstance(sensor, Sensor) else load_sensor(sensor)
+    sizes = [float(size) for size in size_detectors]
+    check_sweep(sensor, judge, sizes, p_correct=p_correct, tolerance=tolerance)
+    observers = Variants.of(judge)
+    base = Base(sensor, observers.settings, keep_fill_factor)
+    designs = make_designs(base, vary=vary, design=design, sample=sample, seed=seed)
+    has_netd = sensor.noise.netd_mk is not None or "noise.netd_mk" in designs.keys
+    criterion = Criterion.of(acuity_snr, acuity_delta_t_mk, has_netd=has_netd)
+    goals = objectives(minimise, maximise, designs.keys, has_netd=has_netd, has_acuity=criterion is not None)
+    work = SweepWork(observers=observers, p_correct=p_correct, tolerance=tolerance, seed=seed, plan=plan)
+    with open_engine(cluster, workers) as engine:
+        swept = run_sweep(base, designs, sizes, work, engine_of(engine), store=store, progress=progress)
+    settings |= {
+        "p_correct": p_correct,
+        "size_detectors": sizes,
+        "vary": {key: one if isinstance(one, str) else list(one) for key, one in (vary or {}).items()},
+        "design": str(design) if isinstance(design, Path | str) else None,
+        "sample": sample,
+        "keep_fill_factor": keep_fill_factor,
+        "minimise": [one.column for one in goals if one.sign > 0],
+        "maximise": [one.column for one in goals if one.sign < 0],
+        "acuity_snr": acuity_snr,
+        "acuity_delta_t_mk": acuity_delta_t_mk,
+        "sensor": asdict(sensor),
+        "tolerance": tolerance,
+        "plan": plan,
+    }
+    return SweepResult(
+        swept=swept,
+        objectives=goals,
+        criterion=criterion,
+        whole_keys=tuple(key for key in designs.keys if base.keys[key]),
+        settings=settings,
+        seed=seed,
+        run_time_s=round(time.perf_counter() - started, 4),
+    )
 
 
 def simulate(

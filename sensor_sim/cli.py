@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import textwrap
 from pathlib import Path
 from typing import Any
 
@@ -14,12 +15,14 @@ from todframes.cli.console import (
     echo,
     finish,
     keep_libraries_to_one_thread,
+    long_run,
     opened_engine,
     print_table,
     progress,
     run,
     say,
     staged,
+    terminal_width,
 )
 from todframes.cli.options import (
     json_option,
@@ -33,6 +36,7 @@ from todframes.cli.options import (
     seed_option,
     tolerance_option,
 )
+from todframes.errors import SettingsError
 
 sensor_argument = click.argument("sensor", type=click.Path(path_type=Path), metavar="SENSOR.toml")
 
@@ -125,6 +129,128 @@ def curve(*, sensor: Path, sizes: str, out: str | None, quiet: bool, **asked: An
             )
         place.write(result.files)
     finish(result, f"{settings.name}: TOD curve", out=out, quiet=quiet, **shown)
+
+
+@cli.command()
+@sensor_argument
+@sizes_option
+@click.option(
+    "--vary",
+    "ranges",
+    multiple=True,
+    metavar="KEY=FROM:TO:N[:log]",
+    help="Values of a number in SENSOR.toml (optics.aperture_mm) or of the observer (observer.internal_noise); "
+    "repeatable, for all combinations.",
+)
+@click.option(
+    "--design",
+    type=click.Path(path_type=Path),
+    metavar="DESIGNS.csv",
+    help="Designs from a file instead: a column for each key, a row for each design.",
+)
+@click.option(
+    "--sample",
+    type=click.IntRange(1),
+    metavar="N",
+    help="N designs that cover the ranges of --vary KEY=FROM:TO[:log] evenly (Latin hypercube).",
+)
+@click.option("--keep-fill-factor", is_flag=True, help="Let the detectors' width follow a varied pitch.")
+@click.option(
+    "--minimise",
+    metavar="COLUMN[,…]",
+    help="Columns to be low for the trade-off front: varied keys, delta_t_mk, threshold_snr, acuity_mrad, "
+    "acuity_detectors.  [default: delta_t_mk]",
+)
+@click.option("--maximise", metavar="COLUMN[,…]", help="Columns to be high for it.")
+@click.option("--acuity-snr", type=float, metavar="R", help="Give the smallest size visible at this SNR.")
+@click.option("--acuity-delta-t-mk", type=float, metavar="T", help="Give the smallest size visible at this ΔT.")
+@observer_options
+@tolerance_option(2e-3, "Relative error of the thresholds to reach.")
+@plan_option
+@seed_option
+@click.option("--workers", type=click.IntRange(1), default=1, show_default=True, help="Processes that compute.")
+@click.option(
+    "-o", "--out", metavar="OUT", help="Folder for sweep.csv, sweep.parquet, result.json, report.html and plots."
+)
+@run_options
+@json_option
+@quiet_option
+def sweep(
+    *,
+    sensor: Path,
+    sizes: str,
+    ranges: tuple[str, ...],
+    design: Path | None,
+    sample: int | None,
+    minimise: str | None,
+    maximise: str | None,
+    out: str | None,
+    as_json: bool,
+    quiet: bool,
+    **asked: Any,
+) -> None:
+    """Compute the thresholds of many designs of a sensor, and which are the best trade-offs.
+
+    A design differs from SENSOR.toml in the values of some keys. One that is impossible gets a status and the
+    reason, and the others go on.
+    """
+    observer, fit = make_observer(asked, fitted=False)
+    from sensor_sim import api
+    from sensor_sim.designs import Base, make_designs
+    from sensor_sim.sensor import load_sensor
+    from sensor_sim.sweep_work import Variants
+
+    settings, wanted = load_sensor(sensor), numbers(sizes, "--size-detectors")
+    base = Base(settings, Variants.of(observer).settings, asked["keep_fill_factor"])
+    vary = _assigned_ranges(ranges)
+    designs = make_designs(base, vary=vary, design=design, sample=sample, seed=asked["seed"])
+    with long_run(out, asked, quiet=quiet) as place:
+        with progress("sweeping", len(designs.values) * len(wanted), quiet=quiet) as advance:
+            result = api.sweep(
+                settings,
+                size_detectors=wanted,
+                vary=vary if design is None else None,
+                design=designs if design is not None else None,
+                sample=sample,
+                minimise=minimise.split(",") if minimise else (),
+                maximise=maximise.split(",") if maximise else (),
+                observer=observer,
+                p_correct=fit.p_correct,
+                progress=advance,
+                **asked,
+            )
+        place.write(result.files)
+    if as_json:
+        click.echo(result.to_json(), nl=False)
+        return
+    print_table(result.best())
+    problems = result.problems()
+    if problems is not None:
+        print_table(problems)
+    for sentence in result.sentences():
+        echo(*textwrap.wrap(sentence, terminal_width()))
+    echo(f"{result.run_time_s:.2f} s")
+    if out is not None:
+        echo(f"written: {out}")
+
+
+def _assigned_ranges(ranges: tuple[str, ...]) -> dict[str, str]:
+    """Return the texts of `--vary KEY=FROM:TO:N` by key.
+
+    Raises
+    ------
+    SettingsError
+        If one has no key or no equals sign, or a key is there twice.
+    """
+    found: dict[str, str] = {}
+    for text in ranges:
+        key, equals, values = (part.strip() for part in text.partition("="))
+        if not (key and equals):
+            raise SettingsError(f"--vary: found {text!r}, expected KEY=FROM:TO:N")
+        if key in found:
+            raise SettingsError(f"--vary: found {key} twice, expected each key once")
+        found[key] = values
+    return found
 
 
 @cli.command()

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -18,6 +18,7 @@ from numpy.typing import DTypeLike
 from sensor_sim.folding import Folding, is_unblurred
 from sensor_sim.sampling import TriangleSampler, field_detectors, field_sampler, smallest_field
 from sensor_sim.sensor import Sensor
+from sensor_sim.sharing import NOTHING, Shared
 from todframes._typing import FloatArray
 from todframes.errors import SettingsError
 from todframes.observers.decision import answer_probability
@@ -71,6 +72,8 @@ class CurvePlan:
         Bound on the change of P(correct) because the scene repeats, with the longest period that is considered.
     unit_s : float
         Time that folding and sampling took at each place tried, in seconds.
+    shared : Shared
+        Parts of this computation that others may have in common with it.
     """
 
     observer: Observer
@@ -85,6 +88,7 @@ class CurvePlan:
     steps: tuple[Step, ...] = ()
     repetition_bound: float = 0.0
     unit_s: float = math.inf
+    shared: Shared = NOTHING
 
     @property
     def bound(self) -> float:
@@ -94,16 +98,40 @@ class CurvePlan:
     def folding(self, sensor: Sensor, readout: Readout, size_detectors: float) -> Folding:
         """Return a `Folding` of the readout's weights onto the detectors."""
         offsets = [centre_offset(self.observer, orientation, size_detectors) for orientation in ORIENTATIONS]
+        n = 3 if self.three_templates else 4
+        reach = 0.5 + max(map(abs, np.ravel(offsets)))
+        key: Hashable = None
+        if self.shared is not NOTHING:
+            # Gain and background do not change how a readout folds.
+            display = replace(sensor.display, gain=1.0, background_luminance_cd_m2=1.0)
+            choices = (n, self.field, reach, np.dtype(self.dtype), self.merge_pixels)
+            key = (readout.weights_key, display, sensor.electronics, choices)
         return Folding(
             sensor,
             readout.grid,
             readout.deviations,
-            n=3 if self.three_templates else 4,
+            n=n,
             field=self.field,
-            reach_detectors=0.5 + max(map(abs, np.ravel(offsets))),
+            reach_detectors=reach,
             dtype=self.dtype,
             merge_pixels=self.merge_pixels,
+            key=key,
         )
+
+    def samples(self, x_detectors: FloatArray, y_detectors: FloatArray, orientation: Orientation) -> FloatArray:
+        """Return the samples of triangles at these places: (places, field, field)."""
+        return self.shared.samples.get(
+            (self.sampler.key, orientation, x_detectors.tobytes(), y_detectors.tobytes()),
+            lambda: self.sampler.samples(x_detectors, y_detectors, orientation=orientation),
+        )
+
+    def weights_by_row(self, folding: Folding, places_x: FloatArray, places_y: FloatArray) -> list[FloatArray]:
+        """Return the folded weights as `Folding.weights_by_row` does, but in float64."""
+        rows = self.shared.weights.get(
+            (folding.key, places_x.tobytes(), places_y.tobytes()),
+            lambda: folding.weights_by_row(places_x, places_y),
+        )
+        return [row.astype(np.float64) for row in rows]
 
     def all_four(self, weights: FloatArray) -> FloatArray:
         """Return the weights of all four scores, (..., 4, n), from the folded ones."""
@@ -125,6 +153,7 @@ def plan_curve(
     tolerance: float = 2e-3,
     p_correct: float = 0.75,
     external_noise: bool = True,
+    shared: Shared = NOTHING,
 ) -> CurvePlan:
     """Plan the computation of a threshold.
 
@@ -143,6 +172,8 @@ def plan_curve(
         Raw proportion correct at threshold.
     external_noise : bool
         Whether there is detector noise.
+    shared : Shared
+        Parts that this computation may have in common with others, in which it looks for its own and leaves them.
 
     Returns
     -------
@@ -158,11 +189,15 @@ def plan_curve(
             sensor,
             observer.with_extra_level() if isinstance(observer, TruncatedObserver) else observer,
             size_detectors,
+            shared,
         )
         planner = _CurvePlanner(sensor, size_detectors, full, p_correct, tolerance)
         return replace(full, repetition_bound=planner.repetition_bound(full))
     full = replace(
-        full_plan(sensor, observer, size_detectors), external_noise=external_noise, fewest_places=1, steps=()
+        full_plan(sensor, observer, size_detectors, shared),
+        external_noise=external_noise,
+        fewest_places=1,
+        steps=(),
     )
     stimulus = Stimulus(size_detectors * sensor.display.detector_pitch_mrad)
     fewer_levels = observer.with_fewer_levels(stimulus) if isinstance(observer, TruncatedObserver) else None
@@ -173,7 +208,7 @@ def plan_curve(
     return _CurvePlanner(sensor, size_detectors, full, p_correct, tolerance).plan()
 
 
-def full_plan(sensor: Sensor, observer: Observer, size_detectors: float) -> CurvePlan:
+def full_plan(sensor: Sensor, observer: Observer, size_detectors: float, shared: Shared = NOTHING) -> CurvePlan:
     """Return the plan that computes everything except exact identities.
 
     Raises
@@ -185,9 +220,12 @@ def full_plan(sensor: Sensor, observer: Observer, size_detectors: float) -> Curv
     return CurvePlan(
         observer=observer,
         field=detectors,
-        sampler=field_sampler(sensor, size_detectors),
+        sampler=shared.samplers.get(
+            (sensor.optics, sensor.detector, size_detectors), lambda: field_sampler(sensor, size_detectors)
+        ),
         fewest_places=FULL_PLACES,
         steps=(Step("everything", True, f"as --plan full asks; the field is {detectors} detectors"),),
+        shared=shared,
     )
 
 
@@ -247,13 +285,17 @@ class _CurvePlanner:
         folding = plan.folding(self.sensor, readout, self.size)
         dx, dy = centre_offset(self.observer, Orientation.UP, self.size)
         started = time.perf_counter()
-        weights = np.stack([folding.weights(x + dx, y + dy) for x, y in places])
+        weights = plan.shared.weights.get(
+            (folding.key, dx, dy, places),
+            lambda: np.stack([folding.weights(x + dx, y + dy) for x, y in places]),
+        )
         spent = (time.perf_counter() - started) / len(places)
         return plan.all_four(weights) * self.sensor.display.gain, spent
 
     def _samples(self, sampler: TriangleSampler) -> tuple[FloatArray, float]:
         started = time.perf_counter()
-        samples = sampler.samples(*np.transpose(TRIED_AT), orientation=Orientation.UP)
+        x, y = np.transpose(TRIED_AT)
+        samples = replace(self.full, sampler=sampler).samples(x, y, Orientation.UP)
         spent = (time.perf_counter() - started) / len(TRIED_AT)
         return samples.reshape(len(TRIED_AT), -1), spent
 
@@ -378,12 +420,16 @@ class _CurvePlanner:
     def _shorter_period(self, plan: CurvePlan) -> tuple[TriangleSampler, float, float]:
         """Return a sampler of a shorter period, a bound on its change of P(correct), and the time it saves."""
         period = plan.sampler.period
-        sampler = TriangleSampler(
-            optics=self.sensor.optics,
-            detector=self.sensor.detector,
-            size_detectors=self.size,
-            field_detectors=plan.field,
-            period_detectors=2 * plan.field if 2 * plan.field < period else period // 2,
+        shorter = 2 * plan.field if 2 * plan.field < period else period // 2
+        sampler = plan.shared.samplers.get(
+            (self.sensor.optics, self.sensor.detector, self.size, plan.field, shorter),
+            lambda: TriangleSampler(
+                optics=self.sensor.optics,
+                detector=self.sensor.detector,
+                size_detectors=self.size,
+                field_detectors=plan.field,
+                period_detectors=shorter,
+            ),
         )
         samples, spent = self._samples(sampler)
         return sampler, self.bound(self._scores(self.weights, samples - self.samples)), self.sample_s - spent

@@ -10,6 +10,8 @@ Hogervorst et al. 2001, sections 3.4 to 4.1.
 from __future__ import annotations
 
 import math
+from collections.abc import Hashable
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -43,9 +45,11 @@ class Folding:
         Largest distance of the retina's middle from the field's middle along each axis. Retina samples that never
         see the field within that distance are dropped.
     dtype : float32 or float64
-        Precision of the folding; weights are float64 in any case.
+        Precision of the folding and of `weights_by_row`; `weights` are float64 in any case.
     merge_pixels : bool
         Whether pixels that must be alike count as one.
+    key : hashable, optional
+        Everything that the weights depend on besides their places.
     """
 
     def __init__(
@@ -59,25 +63,35 @@ class Folding:
         reach_detectors: float,
         dtype: DTypeLike = np.float64,
         merge_pixels: bool = True,
+        key: Hashable = None,
     ) -> None:
-        self.n, self.field, self.dtype = n, field, np.dtype(dtype)
+        self.n, self.field, self.dtype, self.key = n, field, np.dtype(dtype), key
         pitch = sensor.display.detector_pitch_mrad
         self.pixels = 1 if merge_pixels and is_unblurred(sensor) else sensor.display.pixels_per_detector
         self.pixel_pitch_mrad = pitch / self.pixels
-        self.hold = None
-        if self.pixels > 1 or not is_unblurred(sensor):
-            hold = axis_matrix(field, display=sensor.display, electronics=sensor.electronics)
-            self.hold = hold.T.astype(self.dtype)
+        self._sensor, self._images = sensor, images
         seen = 2 * math.ceil((field / 2.0 + reach_detectors) * pitch / grid.pitch_mrad) + 1
         margin = max((grid.side - seen) // 2, 0)
+        self._seen = slice(margin, grid.side - margin)
         self.grid = RetinaGrid(grid.side - 2 * margin, grid.pitch_mrad)
-        images = images[:, margin : margin + self.grid.side, margin : margin + self.grid.side]
-        images = images[:n] - images.mean(axis=0)
-        by_column = np.ascontiguousarray(images.astype(self.dtype).transpose(2, 0, 1))
-        self._along_x_first = by_column.reshape(self.grid.side, self.n * self.grid.side)
 
-    def weights_by_row(self, places_x: FloatArray, places_y: FloatArray) -> list[FloatArray]:
-        """Return for each place along y the weights at all places along x: (places_x, n, field²), in float64.
+    @cached_property
+    def hold(self) -> FloatArray | None:
+        """Adjoint of sample & hold and blur along one axis; None where pixels that are alike count as one."""
+        if self.pixels == 1 and is_unblurred(self._sensor):
+            return None
+        hold = axis_matrix(self.field, display=self._sensor.display, electronics=self._sensor.electronics)
+        return hold.T.astype(self.dtype)
+
+    @cached_property
+    def _along_x_first(self) -> NDArray[Any]:
+        images = self._images[:, self._seen, self._seen]
+        images = images[: self.n] - images.mean(axis=0)
+        by_column = np.ascontiguousarray(images.astype(self.dtype).transpose(2, 0, 1))
+        return by_column.reshape(self.grid.side, self.n * self.grid.side)
+
+    def weights_by_row(self, places_x: FloatArray, places_y: FloatArray) -> list[NDArray[Any]]:
+        """Return for each place along y the weights at all places along x: (places_x, n, field²), in `dtype`.
 
         Places are those of the retina's middle, in detectors from the field's middle.
         """
@@ -88,14 +102,13 @@ class Folding:
         rows = []
         for y in places_y:
             folded = self._fold(y, on_columns).reshape(field, places, self.n, field)
-            by_place = folded.transpose(1, 2, 0, 3).reshape(places, self.n, field**2)
-            rows.append(by_place.astype(np.float64))
+            rows.append(folded.transpose(1, 2, 0, 3).reshape(places, self.n, field**2))
         return rows
 
     def weights(self, place_x: float, place_y: float) -> FloatArray:
         """Return the weights at one place: (n, field²)."""
         (row,) = self.weights_by_row(np.array([place_x]), np.array([place_y]))
-        return np.asarray(row[0])
+        return np.asarray(row[0], dtype=np.float64)
 
     def _fold(self, place: float, weights: NDArray[Any]) -> NDArray[Any]:
         """Fold weights on retina samples along the first axis, (side, n), to detectors, (field, n)."""

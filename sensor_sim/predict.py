@@ -149,12 +149,12 @@ class FoldedChain:
         dx, dy = centre_offset(self.observer, orientation, self.size_detectors)
         places, field = len(middle_x), self.field
         signal, noise = [], []
-        for row, weights in enumerate(self.folding.weights_by_row(middle_x + dx, middle_y + dy)):
+        by_row = self.plan.weights_by_row(self.folding, middle_x + dx, middle_y + dy)
+        for row, weights in enumerate(by_row):
             weights = self.plan.all_four(weights) * self.sensor.display.gain
             in_row = slice(row * places, (row + 1) * places)
-            samples = self.sampler.samples(
-                triangle_x[in_row].ravel(), triangle_y[in_row].ravel(), orientation=orientation
-            ).reshape(places, -1, field**2)
+            at = triangle_x[in_row].ravel(), triangle_y[in_row].ravel()
+            samples = self.plan.samples(*at, orientation).reshape(places, -1, field**2)
             signal.append(samples @ weights.swapaxes(1, 2))
             noise.append(self.plan.noise(weights))
         return Phases(np.concatenate(signal), np.concatenate(noise), orientation.quarter_turns)
@@ -229,7 +229,7 @@ class PredictedThreshold:
 
 
 def predict_threshold(
-    chain: FoldedChain, *, p_correct: float = 0.75, tolerance: float = 2e-3, seed: int = 1
+    chain: FoldedChain, *, p_correct: float = 0.75, tolerance: float = 2e-3, seed: int = 1, n_points: int = 7
 ) -> PredictedThreshold:
     """Compute the threshold SNR, with more and more places until its error falls below the tolerance.
 
@@ -243,6 +243,8 @@ def predict_threshold(
         Relative half-width of the 95 % interval that ends the refinement.
     seed : int
         Seed of the replicates.
+    n_points : int
+        Number of points of the psychometric function to return.
 
     Raises
     ------
@@ -270,7 +272,7 @@ def predict_threshold(
         if error <= max(tolerance * threshold - left_out, tolerance * threshold / 2.0):
             break
     assert threshold is not None
-    levels = (threshold * 2.0 ** np.linspace(-1.0, 1.0, 7)).tolist()
+    levels = (threshold * 2.0 ** np.linspace(-1.0, 1.0, n_points)).tolist()
     points = tuple((snr, chain.proportion_correct(parts[0], snr)) for snr in levels)
     return PredictedThreshold(chain.size_detectors, status, threshold, error + left_out, n_phases, points)
 

@@ -22,6 +22,7 @@ from __future__ import annotations
 
 import copy
 import math
+from collections.abc import Hashable
 from functools import cached_property
 
 import numpy as np
@@ -139,6 +140,16 @@ class TriangleSampler:
             field_mrad=self._whole_field * pitch,
             period_mrad=self.period * pitch,
         )
+
+    @property
+    def key(self) -> Hashable:
+        """Everything that the samples depend on."""
+        return self._optics, self._detector, self._size, self._whole_field, self._field, self.period
+
+    @property
+    def nbytes(self) -> int:
+        """Size of the spectrum in bytes."""
+        return 0 if self.sharp else self._unfolded.nbytes
 
     def _prepare_spectrum(self, optics: Optics, detector: Detector, last: float) -> None:
         """Compute the spectrum up to `last` cycles per period: [folded x][replica in y, folded y][replica in x].

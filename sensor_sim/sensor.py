@@ -208,7 +208,7 @@ class Sensor:
         return self.display.detector_pitch_mrad / self.detector.pitch_mrad
 
 
-_TABLES = {
+TABLES = {
     "optics": Optics,
     "detector": Detector,
     "noise": Noise,
@@ -229,7 +229,7 @@ def load_sensor(path: Path | str) -> Sensor:
         message names the file, table and key, the value found and the values expected.
     """
     content = read_toml(Path(path))
-    check_keys(content, ["schema", "name", *_TABLES], str(path))
+    check_keys(content, ["schema", "name", *TABLES], str(path))
     schema = content.get("schema")
     if schema != SCHEMA or isinstance(schema, bool):
         found = "nothing" if schema is None else repr(schema)
@@ -238,7 +238,7 @@ def load_sensor(path: Path | str) -> Sensor:
     if not isinstance(name, str):
         raise SettingsError(f"{path}: name: found {name!r}, expected a text")
     parts: dict[str, Any] = {}
-    for table, kind in _TABLES.items():
+    for table, kind in TABLES.items():
         if table in content:
             if not isinstance(content[table], dict):
                 raise SettingsError(f"{path}: {table}: found {content[table]!r}, expected a table [{table}]")

@@ -15,10 +15,11 @@ from numpy.typing import ArrayLike
 from todframes._typing import Json
 from todframes.errors import DataError, SettingsError
 from todframes.frames.checksums import dataset_warnings
-from todframes.frames.dataset import Dataset, Trial, load_dataset
+from todframes.frames.dataset import Dataset, load_dataset
 from todframes.frames.display import Display
 from todframes.frames.findings import frame_warnings
 from todframes.frames.inspection import inspect, records
+from todframes.frames.trials import Trial
 from todframes.jobs.engine import open_engine
 from todframes.jobs.store import Store
 from todframes.jobs.work import Engine

@@ -13,11 +13,12 @@ import stat
 import tomllib
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import MISSING, fields, is_dataclass
 from functools import cache
 from numbers import Integral, Real
 from types import NoneType
-from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
+from typing import Any, BinaryIO, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 import msgspec
 
@@ -47,19 +48,37 @@ def read_file(path: Location, *, most_mb: int) -> bytes:
     RemoteError
         If it is behind a URL that cannot be reached or may not be read.
     """
-    content = b""
+    with _opened(path, most_mb) as file:
+        content = file.read(most_mb * 2**20 + 1)
+        _check_length(path, len(content), most_mb)
+    return content
+
+
+def _check_length(path: Location, n_bytes: int, most_mb: int) -> None:
+    if n_bytes > most_mb * 2**20:
+        raise DataError(f"{path}: is longer than {most_mb} MB, the limit for such files")
+
+
+@contextmanager
+def _opened(path: Location, most_mb: int) -> Iterator[BinaryIO]:
+    """Open a file for reading; see `read_file` for the errors."""
     try:
         if isinstance(path, RemotePath):
             content = read_content(path).data
-            is_file, is_folder, size = True, False, len(content)
-        else:
-            status = path.stat()
-            is_file, is_folder = stat.S_ISREG(status.st_mode), stat.S_ISDIR(status.st_mode)
-            size = status.st_size
-            if is_file and size <= most_mb * 2**20:
-                with path.open("rb") as file:
-                    content = file.read(most_mb * 2**20 + 1)
-    except RemoteError:
+            _check_length(path, len(content), most_mb)
+            yield io.BytesIO(content)
+            return
+        status = path.stat()
+        if stat.S_ISDIR(status.st_mode):
+            raise DataError(f"{path}: is a folder, expected a file")
+        if not stat.S_ISREG(status.st_mode):
+            raise DataError(
+                f"{path}: is a pipe or device, expected a file; save what comes from it to a file first"
+            )
+        _check_length(path, status.st_size, most_mb)
+        with path.open("rb") as file:
+            yield file
+    except (DataError, RemoteError):
         raise
     except FileNotFoundError:
         raise DataError(f"{path}: no such file") from None
@@ -67,13 +86,6 @@ def read_file(path: Location, *, most_mb: int) -> bytes:
         raise DataError(f"{path}: cannot be read ({error.strerror})") from None
     except ValueError as error:  # a NUL in the name
         raise DataError(f"{str(path)!r}: cannot be read ({error})") from None
-    if is_folder:
-        raise DataError(f"{path}: is a folder, expected a file")
-    if not is_file:
-        raise DataError(f"{path}: is a pipe or device, expected a file; save what comes from it to a file first")
-    if max(size, len(content)) > most_mb * 2**20:
-        raise DataError(f"{path}: is longer than {most_mb} MB, the limit for such files")
-    return content
 
 
 def resolved(folder: Location) -> str | RemotePath:
@@ -104,10 +116,10 @@ def path_inside(
             )
         return str(folder / name)
     real_folders = {} if real_folders is None else real_folders
-    parent, last = os.path.split(os.path.join(folder, name))  # noqa: PTH118 - pathlib is slow
+    parent, last = os.path.split(name)  # pathlib is slow
     if parent not in real_folders:
         # Path.resolve would raise for a link that leads to itself.
-        real_folders[parent] = os.path.realpath(parent)
+        real_folders[parent] = os.path.realpath(os.path.join(folder, parent))  # noqa: PTH118
     full = os.path.join(real_folders[parent], last)  # noqa: PTH118
     if last in ("", os.curdir, os.pardir) or os.path.islink(full):  # noqa: PTH114
         full = os.path.realpath(full)
@@ -130,6 +142,16 @@ def read_text(path: Location, *, most_mb: int) -> str:
         return read_file(path, most_mb=most_mb).decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise DataError(f"{path}: not UTF-8 (byte {error.start})") from None
+
+
+def _lines(path: Location, *, most_mb: int) -> Iterator[str]:
+    """Yield the lines of a UTF-8 file with their ends; the errors are those of `read_text`, some in the middle."""
+    with _opened(path, most_mb) as file, io.TextIOWrapper(file, encoding="utf-8-sig", newline="") as text:
+        try:
+            yield from text
+        except UnicodeDecodeError as error:
+            place = file.tell() - len(error.object) + error.start
+            raise DataError(f"{path}: not UTF-8 (byte {place})") from None
 
 
 def read_toml(path: Location) -> dict[str, Any]:
@@ -349,7 +371,7 @@ def spelling_hint(text: str, choices: Iterable[str]) -> str:
 
 
 def read_csv(path: Location) -> Iterator[tuple[str, dict[str, str]]]:
-    """Yield the rows of a CSV file with a header, each with its place: file and line.
+    """Yield the rows of a CSV file with a header as they are read, each with its place: file and line.
 
     The first item is the header: a row with all keys and empty values.
 
@@ -358,7 +380,7 @@ def read_csv(path: Location) -> Iterator[tuple[str, dict[str, str]]]:
     DataError
         If the file cannot be read or is not CSV, or two columns have the same name.
     """
-    reader = csv.reader(io.StringIO(read_text(path, most_mb=MAX_CSV_MB), newline=""), strict=True)
+    reader = csv.reader(_lines(path, most_mb=MAX_CSV_MB), strict=True)
     try:
         header = [name.strip() for name in next(reader, [])]
         if len(header) == 1 and (other := re.search("[;\t]", header[0])):

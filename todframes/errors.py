@@ -46,3 +46,9 @@ class OutputError(TodframesError, OSError):
     """Error for results that cannot be written to the place that was asked for."""
 
     exit_status = 2
+
+
+class ClusterError(TodframesError, OSError):
+    """Error for a cluster that cannot be reached, cannot do the work, or is gone."""
+
+    exit_status = 2

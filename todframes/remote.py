@@ -73,6 +73,7 @@ PROBLEMS = {
     "PartialCredentialsError": NO_CREDENTIALS,
     "CredentialRetrievalError": NO_CREDENTIALS,
     "ProfileNotFound": "AWS_PROFILE names a profile that does not exist",
+    "ParamValidationError": "the name of the bucket is not valid",
     "TokenRetrievalError": "the login of AWS_PROFILE has expired; log in again",
     "SSOError": "the login of AWS_PROFILE has expired; log in again",
     "PermissionError": "access denied; check the credentials in the environment and their rights (without the "

@@ -96,18 +96,18 @@ def validate(*, dataset: Location, add_sha256: bool, strict: bool, as_json: bool
     sha256_of: dict[str, str] = {}
     problems = ProblemLines()
     found: list[dict[str, str]] = []
-    good = []
+    good: list[int] = []
     for row in data.bad_rows:
         found.append(row._asdict())
         problems.add(row.error, kind=row.error.replace(row.frame or "\0", "#"))
     with progress("checking", len(data.trials)) as advance:
-        for trial in data.trials:
+        for index, trial in enumerate(data.trials):
             wrong = list(frame_problems(data, trial))
             for error in wrong:
                 problems.add(str(error), kind=error.problem)
                 found.append({"frame": str(error.path), "error": str(error)})
             if not wrong:
-                good.append(trial)
+                good.append(index)
             if add_sha256 and not problems.count:
                 missing = [frame for frame in trial.frames if frame.sha256 is None]
                 sha256_of |= {frame.path: frame_sha256(data.frame_path(frame)) for frame in missing}
@@ -116,8 +116,7 @@ def validate(*, dataset: Location, add_sha256: bool, strict: bool, as_json: bool
     if add_sha256 and not problems.count:
         write_sha256(data, sha256_of)
         data = load_dataset(dataset)
-        good = list(data.trials)
-    record, warnings = inspected(data, good)
+    record, warnings = inspected(data, data.trials.select(good))
     result = Result.made("validate", start, dataset=record, skipped=tuple(found), warnings=warnings)
     for line in warning_lines(result.warnings):
         say(line)
@@ -126,7 +125,7 @@ def validate(*, dataset: Location, add_sha256: bool, strict: bool, as_json: bool
     if problems.count:
         raise DataError(f"{dataset}: {count(problems.count, 'problem')} found")
     if not as_json:
-        n_frames = sum(len(trial.frames) for trial in data.trials)
+        n_frames = data.trials.n_frames
         verdict = f"all readable; {count(len(warnings), 'warning')}" if warnings else "all good"
         echo(f"{dataset}: {n_frames} frames in {len(data.trials)} trials, {verdict}")
         if add_sha256:

@@ -21,8 +21,9 @@ from todframes.enhancement.contrast_gain import contrast_gains, strongest_levels
 from todframes.enhancement.enhanced_frame import Measured, Screen, TrialReader
 from todframes.enhancement.image_quality import psnr_db
 from todframes.errors import SettingsError
-from todframes.frames.dataset import Dataset, Trial
+from todframes.frames.dataset import Dataset
 from todframes.frames.position import check_places
+from todframes.frames.trials import Trial, Trials
 from todframes.observers.interface import Observer, Readout
 from todframes.psychometrics.fit import MAX_RESAMPLES, CurveName, FitSettings
 from todframes.psychometrics.paired_bootstrap import RatioDraws, ThresholdRatio, holm, ratio_draws, threshold_ratio
@@ -169,7 +170,7 @@ def compare_dataset(
         collect=columns.put,
         skip_bad_frames=skip_bad_frames,
         run=run or Run(),
-        depends_on=(algorithms, screen, sorted(strongest.items(), key=repr)),
+        depends_on=([(one.spec, one.function) for one in algorithms], screen, strongest),
         with_references=True,
     )
     seen = check_seen(dataset, columns.seen(), skipped)
@@ -258,7 +259,7 @@ class _Columns:
     Sums are exact whatever the order: `math.fsum` rounds once.
     """
 
-    def __init__(self, trials: Sequence[Trial], n_algorithms: int) -> None:
+    def __init__(self, trials: Trials, n_algorithms: int) -> None:
         self._seen = [SeenColumns(trials) for _ in range(n_algorithms)]
         self.measured = [_Measurements() for _ in range(n_algorithms)]
         self.contrasts = np.full((len(trials), n_algorithms), np.nan)
@@ -285,7 +286,7 @@ def _amplified(
     fit_settings: FitSettings,
 ) -> ScoredDataset:
     """Fit the trials after a plain gain of contrast; groups whose gain is not known stay as they are."""
-    gain = np.array([gains.get(trial.group, 1.0) for trial in seen.trials])
+    gain = np.array([gains.get(group, 1.0) for group in seen.trials.groups])[seen.trials.group_codes]
     return fit(seen.amplified(gain), fit_settings=replace(fit_settings, resamples=0))
 
 
@@ -305,8 +306,8 @@ def _compared(
     n_comparisons = (len(scored) - 1) * (len(groups) + several)
     resamples = max(fit_settings.resamples, min(RESAMPLES_PER_COMPARISON * n_comparisons, MAX_RESAMPLES))
     settings = replace(fit_settings, resamples=resamples)
-    level = np.array([trial.level for trial in trials])
-    of_group = [np.array([trial.group == group for trial in trials]) for group in groups]
+    level = trials.levels
+    of_group = [trials.indices_of_group(group) for group in groups]
 
     def draw(number: int, series: Sequence[ScoredDataset]) -> list[RatioDraws]:
         these = of_group[number]

@@ -10,7 +10,7 @@ import math
 from collections.abc import Mapping, Sequence
 
 from todframes._typing import FloatArray
-from todframes.frames.dataset import Trial
+from todframes.frames.trials import Trial
 from todframes.observers.retina import RetinaGrid
 from todframes.scoring.retina_view import Shown, retina_image
 from todframes.stimulus import Centre, coverage

@@ -25,10 +25,11 @@ from todframes.frames.contrast import (
     luminance_at_triangle,
     row_bands,
 )
-from todframes.frames.dataset import Dataset, FrameReference, Trial
+from todframes.frames.dataset import Dataset
 from todframes.frames.display import Display
 from todframes.frames.files import FULL_SCALE, FrameSource, read_frame
 from todframes.frames.surround import Surface, SurroundSums, TrianglePlace, surround_window
+from todframes.frames.trials import FrameReference, Trial
 from todframes.observers.interface import Observer
 from todframes.observers.retina import RetinaGrid
 from todframes.scoring.retina_view import Placement, Shown, place_grid

@@ -10,9 +10,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from todframes.errors import DataError, OutputError
-from todframes.frames.dataset import Dataset, DatasetWarning, Trial
+from todframes.frames.dataset import Dataset, DatasetWarning
 from todframes.frames.files import has_own_checksums
 from todframes.frames.memory import MemoryDataset
+from todframes.frames.trials import Trial
 from todframes.locations import RemotePath
 from todframes.output import write_file
 
@@ -46,14 +47,17 @@ def dataset_warnings(dataset: Dataset, trials: Sequence[Trial]) -> list[DatasetW
     """
     if isinstance(dataset, MemoryDataset):
         return []
-    frames = [frame for trial in trials for frame in trial.frames]
-    unverified = sum(frame.sha256 is None and not has_own_checksums(dataset.frame_path(frame)) for frame in frames)
+    n_frames = unverified = 0
+    for trial in trials:
+        for frame in trial.frames:
+            n_frames += 1
+            unverified += frame.sha256 is None and not has_own_checksums(dataset.frame_path(frame))
     if not unverified:
         return []
     is_remote = isinstance(dataset.path, RemotePath)
     folder = "FOLDER" if is_remote else shlex.quote(str(dataset.path))
     message = (
-        f"{unverified} of {len(frames)} frames are EXR without a sha256 in manifest.csv: nothing checks these "
+        f"{unverified} of {n_frames} frames are EXR without a sha256 in manifest.csv: nothing checks these "
         "files, and damage to them would change thresholds unseen; add checksums with "
         f"`todframes validate {folder} --add-sha256`" + (" on a local copy, and upload it" if is_remote else "")
     )

@@ -13,11 +13,12 @@ from numpy.typing import NDArray
 
 from todframes._typing import FloatArray
 from todframes.errors import DataError, FrameError
-from todframes.frames.dataset import Dataset, FrameReference, Skipped, Trial
+from todframes.frames.dataset import Dataset, Skipped
 from todframes.frames.display import BackgroundRule, Display, border_values, weber_contrast
 from todframes.frames.files import BAND_VALUES, FrameFile, FrameSource, code_values
 from todframes.frames.position import centroid_position, check_on_frame, size_in_px
 from todframes.frames.surround import Surface, SurroundSums, TrianglePlace, surround_window
+from todframes.frames.trials import FrameReference, Trial
 
 MOST_HELD_PX = 2**20
 """Largest number of pixels of a patch that is held as contrast, which takes eight bytes a pixel."""

@@ -5,7 +5,8 @@ from __future__ import annotations
 import hashlib
 import os
 import threading
-from collections.abc import Mapping
+from array import array
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal, NamedTuple
@@ -27,9 +28,10 @@ from todframes.errors import DataError, FrameError, SettingsError
 from todframes.frames.display import Display
 from todframes.frames.display_files import display_of_table, find_display
 from todframes.frames.files import FrameFile, FrameSource, frame_sha256
+from todframes.frames.trials import FrameReference, Trial, Trials, TrialsBuilder
 from todframes.locations import Location, RemotePath
 from todframes.remote import entity_tag, list_folder, location, read_content
-from todframes.stimulus import ORIENTATIONS, Orientation, Stimulus
+from todframes.stimulus import ORIENTATIONS, Stimulus
 
 SCHEMA = 1
 """Version of the format of `dataset.toml` that this package reads."""
@@ -47,35 +49,11 @@ MOST_REMEMBERED = 1024
 """Number of files behind URLs of which a thread remembers what it read."""
 
 
-class FrameReference(NamedTuple):
-    """A frame as the manifest names it: its path relative to the dataset, its checksum and its background.
-
-    `reference` is the path of the same frame without noise; None if there is none.
-    """
-
-    path: str
-    sha256: str | None
-    background_luminance_cd_m2: float | None
-    reference: str | None = None
+ORIENTATION_OF = {one.value: one for one in ORIENTATIONS}
 
 
-class Trial(NamedTuple):
-    """One presentation: the frames to average, their stimulus and its position.
-
-    `number` is the number of the first frame's row in the manifest and seeds the trial's random stream. `x_px` and
-    `y_px` are the position of the triangle's centroid in pixels; None: the frame's centre. `group` has one value
-    for each column of `group_by`.
-    """
-
-    number: int
-    name: str
-    frames: tuple[FrameReference, ...]
-    orientation: Orientation
-    stimulus: Stimulus
-    level: float
-    group: tuple[float | str, ...]
-    x_px: float | None
-    y_px: float | None
+LEAST_SLOTS = 1024
+"""Number of slots of a new index; a power of 2."""
 
 
 class Skipped(NamedTuple):
@@ -146,23 +124,27 @@ class Experiment:
 class Dataset:
     """A folder of frames whose settings and manifest have been read.
 
-    `bad_rows` are not among `trials`. A trial that lost a frame to a bad row is among `trials`, but its name is
-    also in `spoilt`: it would be averaged over fewer frames than the others and must not be scored.
+    `trials` may be given as any sequence of `Trial`. `bad_rows` are not among them. A trial that lost a frame to a
+    bad row is among them, but its name is also in `spoilt`: it would be averaged over fewer frames than the others
+    and must not be scored.
     `manifest_sha256` is the checksum of `manifest.csv`; None for frames in memory.
     """
 
     path: Location
     display: Display
     experiment: Experiment
-    trials: tuple[Trial, ...]
+    trials: Trials
     bad_rows: tuple[Skipped, ...]
     spoilt: frozenset[str]
     manifest_sha256: str | None
 
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "trials", Trials.of(self.trials))
+
     @property
     def n_frames(self) -> int:
         """Number of frames in the manifest, those in bad rows included."""
-        return sum(len(trial.frames) for trial in self.trials) + len(self.bad_rows)
+        return self.trials.n_frames + len(self.bad_rows)
 
     def frame_path(self, frame: FrameReference) -> Location:
         """Return the path or URL of the frame."""
@@ -377,26 +359,43 @@ class _Manifest:
         self.needs_background = display.background_luminance_cd_m2 == "column"
         self.bad_rows: list[Skipped] = []
         self.spoilt: set[str] = set()
-        self.seen: dict[str, str] = {}
         self.real_folders: dict[str, str] = {}
+        self.stimuli: dict[tuple[str, str], Stimulus] = {}
+        self.found = TrialsBuilder()
+        self.names = _Index(self.found.name)
+        self.real_paths = _Index(self._real_path)
+        # For each real path: the line, and the frame in `found`, or the row in `bad_rows` counted back from -1.
+        self.lines, self.frames = array("q"), array("i")
 
-    def trials(self) -> tuple[Trial, ...]:
+    def trials(self) -> Trials:
         path_inside(self.folder, self.path.name, f"{self.path}:")
         rows = read_csv(self.path)
         _, header = next(rows)
         self._check_columns(header)
-        trials: dict[str, Trial] = {}
         for number_of_row, (where, row) in enumerate(rows):
-            name = (row.get("trial") or row.get("frame") or "").strip()
+            n_paths = len(self.real_paths)
             try:
                 check_fields(row, len(header), where)
-                trial = self._trial(row, where, number_of_row)
-                trials[name] = self._joined(trials[name], trial, where) if name in trials else trial
+                self._add(self._trial(row, where, number_of_row), where, joins="trial" in header)
+                frame = self.found.n_frames - 1
             except DataError as error:
                 self.bad_rows.append(Skipped((row.get("frame") or "").strip(), str(error)))
-                if (row.get("trial") or "").strip():
+                if name := (row.get("trial") or "").strip():
                     self.spoilt.add(name)
-        return tuple(trials.values())
+                frame = -len(self.bad_rows)
+            if len(self.real_paths) > n_paths:
+                self.lines.append(int(where.rpartition(" ")[2]))
+                self.frames.append(frame)
+        return self.found.trials()
+
+    def _add(self, trial: Trial, where: str, *, joins: bool) -> None:
+        """Add a trial, or its frame to the trial of the same name; without `joins` no two have the same."""
+        index = self.names.number(trial.name) if joins else len(self.found)
+        if index == len(self.found):
+            self.found.append(trial)
+        else:
+            self._check_joined(self.found.without_frames(index), trial, where)
+            self.found.append_frame(index, trial.frames[0])
 
     def _check_columns(self, found: Mapping[str, str]) -> None:
         needed = ["frame", "orientation", "size_mrad", self.experiment.level, *self.experiment.group_by]
@@ -409,18 +408,19 @@ class _Manifest:
     def _trial(self, row: Mapping[str, str], where: str, row_number: int) -> Trial:
         frame = self._frame_path(row["frame"].strip(), where)
         orientation = row["orientation"].strip()
-        if orientation not in ORIENTATIONS:
+        if orientation not in ORIENTATION_OF:
             hint = spelling_hint(orientation, ORIENTATIONS)
             raise DataError(f"{where}: orientation: found {orientation!r}, expected up, right, down or left{hint}")
         polarity = (row.get("polarity") or "1").strip()
         if polarity not in ("1", "+1", "-1"):
             raise DataError(f"{where}: polarity: found {polarity!r}, expected 1 or -1")
-        place = [
-            number(row[name], f"{where}: {name}") if (row.get(name) or "").strip() else None
-            for name in ("x_px", "y_px")
-        ]
-        if place.count(None) == 1:
-            raise DataError(f"{where}: found one of x_px and y_px, expected both or none")
+        x_px = y_px = None
+        if "x_px" in row:
+            x_px, y_px = (
+                number(row[name], f"{where}: {name}") if row[name].strip() else None for name in ("x_px", "y_px")
+            )
+            if (x_px is None) != (y_px is None):
+                raise DataError(f"{where}: found one of x_px and y_px, expected both or none")
         background = (
             number(row[BACKGROUND_COLUMN], f"{where}: {BACKGROUND_COLUMN}", positive=True)
             if self.needs_background
@@ -434,12 +434,12 @@ class _Manifest:
             number=row_number,
             name=(row.get("trial") or "").strip() or frame,
             frames=(FrameReference(frame, sha256, background, reference),),
-            orientation=Orientation(orientation),
-            stimulus=Stimulus(number(row["size_mrad"], f"{where}: size_mrad", positive=True), int(polarity)),
+            orientation=ORIENTATION_OF[orientation],
+            stimulus=self._stimulus(row["size_mrad"], polarity, where),
             level=number(row[self.experiment.level], f"{where}: {self.experiment.level}", positive=True),
             group=tuple(number_or_text(row[name]) for name in self.experiment.group_by),
-            x_px=place[0],
-            y_px=place[1],
+            x_px=x_px,
+            y_px=y_px,
         )
 
     def _frame_path(self, frame: str, where: str) -> str:
@@ -447,13 +447,27 @@ class _Manifest:
         if os.sep == "/" and "\\" in frame and not is_there:
             written = frame.replace("\\", "/")
             raise DataError(f"{where}: frame: found {frame} with backslashes, expected slashes: {written}")
-        first = self.seen.setdefault(path_inside(self.folder, frame, f"{where}: frame", self.real_folders), where)
-        if first != where:
-            raise DataError(f"{where}: frame {frame} is there already, in {first.rpartition(', ')[2]}")
+        n_paths = len(self.real_paths)
+        first = self.real_paths.number(path_inside(self.folder, frame, f"{where}: frame", self.real_folders))
+        if first < n_paths:
+            raise DataError(f"{where}: frame {frame} is there already, in line {self.lines[first]}")
         return frame
 
-    def _joined(self, first: Trial, other: Trial, where: str) -> Trial:
-        """Return a trial with one frame more; everything but the frame must agree."""
+    def _real_path(self, number_of_path: int) -> str:
+        """Return a path in `real_paths`, made again from the manifest's."""
+        frame = self.frames[number_of_path]
+        name = self.found.path(frame) if frame >= 0 else self.bad_rows[-1 - frame].frame
+        return path_inside(self.folder, name, "", self.real_folders)
+
+    def _stimulus(self, size: str, polarity: str, where: str) -> Stimulus:
+        found = self.stimuli.get((size, polarity))
+        if found is None:
+            found = Stimulus(number(size, f"{where}: size_mrad", positive=True), int(polarity))
+            self.stimuli[size, polarity] = found
+        return found
+
+    def _check_joined(self, first: Trial, other: Trial, where: str) -> None:
+        """Raise DataError if two frames of a trial do not agree in everything else."""
         expected, found = (self._shown(trial) for trial in (first, other))
         for name, value in found.items():
             if value != expected[name]:
@@ -461,7 +475,6 @@ class _Manifest:
                     f"{where}: {name}: found {value}, expected {expected[name]} as in the other frames of trial "
                     f"{first.name!r}"
                 )
-        return first._replace(frames=first.frames + other.frames)
 
     def _shown(self, trial: Trial) -> dict[str, object]:
         """Return the values of a trial in the manifest, by column."""
@@ -474,3 +487,42 @@ class _Manifest:
             "y_px": trial.y_px,
             **dict(zip(self.experiment.group_by, trial.group, strict=True)),
         }
+
+
+class _Index:
+    """Numbers of distinct texts in the order in which they come, without the texts: some 20 bytes for each.
+
+    It is exact: where the hashes of two texts agree, the earlier one is made again by `text_of` and compared.
+    """
+
+    def __init__(self, text_of: Callable[[int], str]) -> None:
+        self._text_of = text_of
+        self._hashes = array("q")
+        self._slots = array("i", [-1]) * LEAST_SLOTS
+
+    def __len__(self) -> int:
+        return len(self._hashes)
+
+    def number(self, text: str) -> int:
+        """Return the number of a text; that of a new one is the number of texts that came before."""
+        found, hashes, slots = hash(text), self._hashes, self._slots
+        last = len(slots) - 1
+        slot = found & last
+        while (count := slots[slot]) >= 0:
+            if hashes[count] == found and self._text_of(count) == text:
+                return count
+            slot = (slot + 1) & last
+        slots[slot] = len(hashes)
+        hashes.append(found)
+        if 2 * len(hashes) > len(slots):
+            self._grow()
+        return len(hashes) - 1
+
+    def _grow(self) -> None:
+        last = 4 * len(self._slots) - 1
+        slots = self._slots = array("i", [-1]) * (last + 1)
+        for count, found in enumerate(self._hashes):
+            slot = found & last
+            while slots[slot] >= 0:
+                slot = (slot + 1) & last
+            slots[slot] = count

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from todframes._typing import FloatArray
 from todframes.errors import DataError, FrameError
 from todframes.frames.contrast import LuminanceFound
-from todframes.frames.dataset import Dataset, Trial
+from todframes.frames.dataset import Dataset
 from todframes.frames.display import border_values
 from todframes.frames.files import FULL_SCALE
 from todframes.frames.position import centroid_position, size_in_px
@@ -28,10 +28,8 @@ from todframes.frames.surround import (
     hole_radius_px,
     surround_window,
 )
-from todframes.stimulus import ORIENTATIONS, Centre, Orientation, Stimulus, coverage
-
-Group = tuple[float | str, ...]
-
+from todframes.frames.trials import Group, Trial, Trials, indices_by
+from todframes.stimulus import ORIENTATIONS, Centre, Stimulus, coverage
 
 MOST_SAMPLED, LEAST_SAMPLED = 24, 8
 """Most and fewest trials of a stimulus in a group that are measured."""
@@ -231,16 +229,16 @@ def inspect(dataset: Dataset, trials: Sequence[Trial], *, centre: Centre = "cent
     list of Inspection
         One for each stimulus of each group, in the order of the trials.
     """
-    of_stimulus: dict[tuple[Group, Stimulus], list[Trial]] = {}
-    for trial in trials:
-        of_stimulus.setdefault((trial.group, trial.stimulus), []).append(trial)
+    trials = Trials.of(trials)
+    of_stimulus = indices_by(trials.group_codes.astype(np.int64) * len(trials.stimuli) + trials.stimulus_codes)
     in_all = max(SAMPLED, SAMPLED_SHARE * len(trials))
     most = int(min(max(in_all / max(len(of_stimulus), 1), LEAST_SAMPLED), MOST_SAMPLED))
     found = []
-    for (group, stimulus), members in of_stimulus.items():
-        samples = list(_samples(dataset, _spread(members, most), centre))
+    for members in of_stimulus:
+        samples = list(_samples(dataset, _spread(trials.select(members), most), centre))
         if samples:
-            found.append(_measured(dataset, group, stimulus, samples))
+            first = samples[0].trial
+            found.append(_measured(dataset, first.group, first.stimulus, samples))
     return found
 
 
@@ -253,16 +251,12 @@ def is_contrast(dataset: Dataset) -> bool:
     return dataset.experiment.level.strip().lower() in CONTRAST_LEVELS
 
 
-def _spread(trials: Sequence[Trial], most: int) -> list[Trial]:
+def _spread(trials: Trials, most: int) -> Trials:
     """Choose trials of all levels and orientations, evenly over the manifest."""
     if len(trials) <= most:
-        return list(trials)
-    kinds: dict[tuple[float, Orientation], list[Trial]] = {}
-    for trial in trials:
-        kinds.setdefault((trial.level, trial.orientation), []).append(trial)
-    ordered = [trial for _, members in sorted(kinds.items()) for trial in members]
-    places = np.linspace(0, len(ordered) - 1, most).round().astype(int)
-    return [ordered[place] for place in places]
+        return trials
+    ordered = np.lexsort([np.argsort(np.argsort(ORIENTATIONS))[trials.quarter_turns], trials.levels])
+    return trials.select(ordered[np.linspace(0, len(trials) - 1, most).round().astype(int)])
 
 
 def _samples(dataset: Dataset, trials: Sequence[Trial], centre: Centre) -> Iterator[FrameSample]:

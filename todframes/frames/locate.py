@@ -13,13 +13,11 @@ from todframes._typing import FloatArray
 from todframes.errors import DataError, FrameError, SettingsError
 from todframes.frames.arrangement import ARRANGEMENTS, Arrangement
 from todframes.frames.contrast import skipped_frames
-from todframes.frames.dataset import Dataset, DatasetWarning, Skipped, Trial
+from todframes.frames.dataset import Dataset, DatasetWarning, Skipped
 from todframes.frames.matching import SEARCHED, Matcher, MeanFrames, Place, TrialMatcher
 from todframes.frames.position import from_centroid, to_centroid
+from todframes.frames.trials import Group, Trials, indices_by
 from todframes.stimulus import Centre
-
-Group = tuple[float | str, ...]
-
 
 Locate = Literal["group", "each"]
 
@@ -117,64 +115,67 @@ def locate_triangles(
     if locate not in get_args(Locate):
         raise SettingsError(f"locate: found {locate!r}, expected {' or '.join(get_args(Locate))}")
     advance = progress or (lambda _: None)
-    groups: dict[Group, list[Trial]] = {}
-    for trial in dataset.trials:
-        if trial.x_px is None:
-            groups.setdefault(trial.group, []).append(trial)
+    trials = dataset.trials
+    position_px, is_kept = trials.positions_px, np.ones(len(trials), bool)
+    unplaced = np.flatnonzero(np.isnan(position_px[:, 0]))
     locations: list[Location] = []
-    positions: dict[int, tuple[float, float]] = {}
-    skipped: dict[int, list[Skipped]] = {}
-    for group, trials in groups.items():
+    skipped: list[Skipped] = []
+    for of_group in indices_by(trials.group_codes[unplaced]):
+        members = unplaced[of_group]
         frames = MeanFrames(dataset)
-        usable = []
-        for trial in trials:
+        is_usable = np.ones(len(members), bool)
+        for k, trial in enumerate(trials.select(members)):
             try:
                 frames.add(trial)
-                usable.append(trial)
             except FrameError as error:
                 if not skip_bad_frames:
                     raise
-                skipped[trial.number] = skipped_frames(dataset, trial, error)
+                is_usable[k] = False
+                skipped += skipped_frames(dataset, trial, error)
             advance(1)
+        members, usable = members[is_usable], trials.select(members[is_usable])
+        is_kept[unplaced[of_group]] = is_usable
         try:
             if usable:
-                found, of_trials = (_each if locate == "each" else _common)(
+                group = usable[0].group
+                found, places_px = (_each if locate == "each" else _common)(
                     dataset, group, frames, usable, centre, advance
                 )
                 locations.append(found)
-                positions |= of_trials
+                position_px[members] = _centroids(usable, places_px, centre, dataset.display.pitch_mrad)
         except DataError as error:
             if not skip_bad_frames:
                 raise
-            skipped |= {
-                t.number: skipped_frames(dataset, t, str(error)) for t in trials if t.number not in skipped
-            }
-    placed = []
-    for trial in dataset.trials:
-        if trial.number in positions:
-            x, y = to_centroid(trial, *positions[trial.number], centre, dataset.display.pitch_mrad)
-            placed.append(trial._replace(x_px=x, y_px=y))
-        elif trial.number not in skipped:
-            placed.append(trial)
-    bad_rows = (*dataset.bad_rows, *(one for frames in skipped.values() for one in frames))
-    return replace(dataset, trials=tuple(placed), bad_rows=bad_rows), tuple(locations)
+            is_kept[members] = False
+            for trial in usable:
+                skipped += skipped_frames(dataset, trial, str(error))
+    placed = trials.placed(position_px).select(is_kept)
+    return replace(dataset, trials=placed, bad_rows=(*dataset.bad_rows, *skipped)), tuple(locations)
 
 
-Located = tuple[Location, dict[int, tuple[float, float]]]
-"""A group's location, and the position of each of its trials in pixels, by number."""
+Located = tuple[Location, FloatArray]
+"""A group's location, and the position (x, y) of each of its trials in pixels, shape (n, 2)."""
+
+
+def _centroids(trials: Trials, places_px: FloatArray, centre: Centre, pitch_mrad: float) -> FloatArray:
+    """Return the centroids of triangles whose `centre` lies at these places, all in pixels, shape (n, 2)."""
+    centroids = (
+        to_centroid(trial, x, y, centre, pitch_mrad) for trial, (x, y) in zip(trials, places_px, strict=True)
+    )
+    return np.fromiter(centroids, np.dtype((np.float64, 2)), len(trials))
 
 
 def _common(
     dataset: Dataset,
     group: Group,
     frames: MeanFrames,
-    trials: Sequence[Trial],
+    trials: Trials,
     centre: Centre,
     _: Callable[[int], None],
 ) -> Located:
     """Find the position that a group's trials have in common."""
     found = _group_place(dataset, group, frames, centre)[0]
-    return found, {trial.number: (found.x_px, found.y_px) for trial in trials}
+    return found, np.tile([found.x_px, found.y_px], (len(trials), 1))
 
 
 def _group_place(dataset: Dataset, group: Group, frames: MeanFrames, centre: Centre) -> tuple[Location, float]:
@@ -211,7 +212,7 @@ def _each(
     dataset: Dataset,
     group: Group,
     frames: MeanFrames,
-    trials: Sequence[Trial],
+    trials: Trials,
     centre: Centre,
     advance: Callable[[int], None],
 ) -> Located:
@@ -237,24 +238,24 @@ def _each(
         peaks.append([one._replace(x=one.x + dx, y=one.y + dy) for one in of_trial])
         advance(1)
     mean, scatter, chosen = _scatter(peaks, np.array(middle))
-    positions = {}
-    for trial, place in zip(trials, chosen, strict=True):
+    places_px = np.empty((len(trials), 2))
+    for k, place in enumerate(chosen):
         at = mean
         if place is not None:
             share = scatter**2 / (scatter**2 + place.variance)
             at = mean + share * (np.array([place.x, place.y]) - mean)
-        positions[trial.number] = _in_pixels(block_px, (float(at[0]), float(at[1])))
+        places_px[k] = _in_pixels(block_px, (float(at[0]), float(at[1])))
     variances = [scatter**2 + place.variance for place in chosen if place is not None]
     if variances:
         x_px, y_px = _in_pixels(block_px, (float(mean[0]), float(mean[1])))
         error_px = block_px * math.sqrt(float(np.mean(variances)) / len(variances))
         of_group = of_group._replace(x_px=x_px, y_px=y_px, standard_error_px=error_px)
     found = of_group._replace(n_trials=len(trials), n_located=len(variances), scatter_px=block_px * scatter)
-    return found, positions
+    return found, places_px
 
 
 def _place_of_strongest(
-    dataset: Dataset, group: Group, frames: MeanFrames, trials: Sequence[Trial]
+    dataset: Dataset, group: Group, frames: MeanFrames, trials: Trials
 ) -> tuple[Location, float] | None:
     """Find the middle of the positions in the strongest trials, anywhere on the frames.
 
@@ -267,7 +268,7 @@ def _place_of_strongest(
 
     None if a triangle stands out in less than half of the strongest trials.
     """
-    strongest = sorted(trials, key=lambda trial: -trial.level)[:MOST_STRONGEST]
+    strongest = trials.select(np.argsort(-trials.levels, kind="stable")[:MOST_STRONGEST])
     block_px = frames.block_px
     common = sum(frames.totals.values()) / frames.counts.total()
     tops: dict[Arrangement, list[Place]] = {}

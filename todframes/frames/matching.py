@@ -14,7 +14,8 @@ from todframes._typing import ComplexArray, FloatArray
 from todframes.errors import FrameError
 from todframes.frames.arrangement import ARRANGEMENTS, Arrangement
 from todframes.frames.contrast import Patch, read_contrast
-from todframes.frames.dataset import Dataset, FrameReference, Trial
+from todframes.frames.dataset import Dataset
+from todframes.frames.trials import FrameReference, Trial
 from todframes.stimulus import ORIENTATIONS, Centre, Orientation, Stimulus, coverage
 
 MOST_LOCATED_PX = 2**21

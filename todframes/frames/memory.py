@@ -13,9 +13,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from todframes.errors import DataError, FrameError
-from todframes.frames.dataset import Dataset, Experiment, FrameReference, Trial
+from todframes.frames.dataset import Dataset, Experiment
 from todframes.frames.display import Display
 from todframes.frames.files import Frame, FrameHeader, FrameSource, Range, clip_rectangle
+from todframes.frames.trials import FrameReference, Trial, Trials
 from todframes.locations import Location
 from todframes.stimulus import ORIENTATIONS, Orientation, Stimulus
 
@@ -176,7 +177,7 @@ def memory_dataset(
         path=Path("in memory"),
         display=display,
         experiment=experiment,
-        trials=tuple(trials.values()),
+        trials=Trials.of(trials.values()),
         bad_rows=(),
         spoilt=frozenset(),
         manifest_sha256=None,

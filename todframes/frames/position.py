@@ -6,10 +6,11 @@ from collections.abc import Sequence
 from functools import lru_cache
 
 from todframes.errors import FrameError
-from todframes.frames.dataset import Dataset, Trial
+from todframes.frames.dataset import Dataset
 from todframes.frames.files import FrameHeader
+from todframes.frames.trials import Trial
 from todframes.locations import Location
-from todframes.stimulus import Centre, Orientation, bounding_box_offset, vertices
+from todframes.stimulus import Centre, Orientation, Stimulus, bounding_box_offset, vertices
 
 
 def centroid_position(
@@ -42,11 +43,12 @@ def check_places(dataset: Dataset, trials: Sequence[Trial], centre: Centre) -> N
     FrameError
         If a file is missing, or the triangle does not lie on its frame.
     """
+    of_stimulus: dict[Stimulus, Trial] = {}
     for trial in trials:
         for frame in trial.frames:
             if not dataset.has_frame(frame):
                 raise FrameError(dataset.frame_path(frame), "cannot be opened: No such file or directory")
-    of_stimulus = {trial.stimulus: trial for trial in reversed(trials)}
+        of_stimulus.setdefault(trial.stimulus, trial)
     for trial in sorted(of_stimulus.values(), key=lambda trial: trial.number):
         check_place(dataset, trial, centre)
 

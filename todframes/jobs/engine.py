@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from importlib.util import find_spec
 
+from todframes.errors import SettingsError
 from todframes.jobs.local import LocalEngine
 from todframes.jobs.work import Engine
 
@@ -23,13 +25,19 @@ def open_engine(cluster: str | Engine | None, workers: int) -> Iterator[Engine]:
 
     Raises
     ------
-    TodframesError
+    SettingsError
+        If the package for clusters is not installed, or the text names no cluster.
+    ClusterError
         If there is no such cluster, or its workers cannot do this work.
     """
     if cluster is None:
         yield LocalEngine(workers)
     elif not isinstance(cluster, str):
         yield cluster
+    elif find_spec("distributed") is None:
+        raise SettingsError(
+            "--cluster: needs the package distributed, which is not installed: pip install 'todframes[cluster]'"
+        )
     else:
         from todframes.jobs.cluster import cluster_engine
 

@@ -80,7 +80,7 @@ def run_stored(
     """
     left: Sequence[int] = range(len(items))
     if store is None:
-        with closing(engine.run(work, ((number, items[number]) for number in left))) as batches:
+        with closing(engine.run(work, enumerate(items))) as batches:
             for batch in batches:
                 yield from batch
         return
@@ -88,7 +88,7 @@ def run_stored(
         left = yield from _found(work, items, engine, store)
         if len(left) < len(items):
             store.tell(
-                f"{len(items) - len(left)} of {len(items)} results are there from an earlier run; "
+                f"{len(items) - len(left)} of {len(items)} parts of the work are there from an earlier run; "
                 + ("going on with the others" if left else "nothing is left to do")
             )
     elif not engine.is_local:
@@ -96,7 +96,8 @@ def run_stored(
     keyed = Keyed(work, store.is_begun)
     started = time.perf_counter()
     n_done = 0
-    with closing(engine.run(keyed, ((number, items[number]) for number in left))) as keyed_batches:
+    numbered = enumerate(items) if len(left) == len(items) else ((number, items[number]) for number in left)
+    with closing(engine.run(keyed, numbered)) as keyed_batches:
         for keyed_batch in keyed_batches:
             store.add(_rows(work, keyed_batch))
             for number, one in keyed_batch:

@@ -117,7 +117,7 @@ class Store:
             self._database = None
 
     def _opened(self) -> sqlite3.Connection:
-        database = sqlite3.connect(self.folder / FILE, isolation_level=None, check_same_thread=False)
+        database = sqlite3.connect(self.folder / FILE, timeout=0.1, isolation_level=None, check_same_thread=False)
         try:
             # With an exclusive lock the log needs no shared memory, so it also works on network file systems.
             for pragma in ("locking_mode = EXCLUSIVE", "journal_mode = WAL", "synchronous = NORMAL"):

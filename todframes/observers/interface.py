@@ -6,6 +6,7 @@ the noise on all its neurons reaches the decision as one four-vector. One that i
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -61,6 +62,13 @@ class Readout:
     def common(self) -> FloatArray:
         """Weights that all four scores share: (side, side)."""
         return self.find_common()
+
+    @cached_property
+    def weights_key(self) -> bytes:
+        """Hash of the grid and of `deviations`: readouts of the same weights share it, whatever their noise."""
+        digest = hashlib.blake2b(repr((self.grid, self.deviations.shape)).encode(), digest_size=16)
+        digest.update(np.ascontiguousarray(self.deviations).data)
+        return digest.digest()
 
     @cached_property
     def norm(self) -> float:

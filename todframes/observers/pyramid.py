@@ -131,6 +131,7 @@ class PyramidObserver:
         self.templates = lru_cache(maxsize=4)(self._templates)
         self.readout = lru_cache(maxsize=4)(self._readout)
         self.with_extra_level = lru_cache(maxsize=1)(self._with_extra_level)
+        self.with_fewer_levels = lru_cache(maxsize=4)(self._with_fewer_levels)
 
     @property
     def centre(self) -> Centre:
@@ -178,7 +179,7 @@ class PyramidObserver:
         """Return the observer with one band, and one octave of the field, more than a triangle needs."""
         return type(self)(self.settings, more_levels=1)
 
-    def with_fewer_levels(self, stimulus: Stimulus) -> Self | None:
+    def _with_fewer_levels(self, stimulus: Stimulus) -> Self | None:
         """Return the observer with one band less; None where the triangle would not fit."""
         if self.settings.levels is not None or self._more_levels or self._levels(stimulus) == FEWEST_LEVELS:
             return None

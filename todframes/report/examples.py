@@ -18,10 +18,11 @@ from todframes._typing import FloatArray
 from todframes.enhancement.compare import AlgorithmResult
 from todframes.enhancement.enhanced_frame import Screen, TrialReader
 from todframes.frames.contrast import Patch, read_contrast
-from todframes.frames.dataset import Dataset, Trial
+from todframes.frames.dataset import Dataset
 from todframes.frames.matching import block_means
 from todframes.frames.position import centroid_position, size_in_px
 from todframes.frames.surround import TrianglePlace
+from todframes.frames.trials import Trial, Trials
 from todframes.observers.interface import Observer
 from todframes.report.data import Example, Thumbnail, group_of
 from todframes.report.wording import evenly
@@ -101,8 +102,9 @@ def examples(dataset: Dataset, scored: ScoredDataset, observer: Observer) -> tup
         )
         found.append(_example(dataset, trial, float(scored.p_correct[place]), width_mrad, drawn))
     for one in evenly([one for one in scored.fits if one.fit.threshold is None], MOST_WITHOUT):
-        places = (place for place, trial in enumerate(scored.trials) if trial.group == one.group)
-        place = max(places, key=lambda place: scored.trials[place].level)
+        trials = Trials.of(scored.trials)
+        places = trials.indices_of_group(one.group)
+        place = int(places[np.argmax(trials.levels[places])])
         trial = scored.trials[place]
         width_mrad, drawn = _whole(dataset, trial, observer)
         found.append(_example(dataset, trial, float(scored.p_correct[place]), width_mrad, drawn))
@@ -170,13 +172,11 @@ def nearest_trial(scored: ScoredDataset, one: GroupFit) -> int:
     """Return the trial's index: level nearest to threshold, and of those P(correct) nearest to the criterion."""
     threshold, criterion = one.fit.threshold, one.fit.p_correct
     assert threshold is not None
-    return min(
-        (place for place, trial in enumerate(scored.trials) if trial.group == one.group),
-        key=lambda place: (
-            abs(math.log(scored.trials[place].level / threshold)),
-            abs(scored.p_correct[place] - criterion),
-        ),
-    )
+    trials = Trials.of(scored.trials)
+    places = trials.indices_of_group(one.group)
+    from_threshold = np.abs(np.log(trials.levels[places] / threshold))
+    from_criterion = np.abs(scored.p_correct[places] - criterion)
+    return int(places[np.lexsort([from_criterion, from_threshold])[0]])
 
 
 def _shown(dataset: Dataset, trial: Trial, observer: Observer) -> list[FramePart]:
@@ -324,7 +324,7 @@ def compare_examples(
         draw = partial(_drawn, (dx, dy), observer, trial.stimulus)
         white = max(draw(one)[1][0].scale or 0.0 for one in after)
         for result, one in zip(shown_results, after, strict=True):
-            (here,) = [k for k, other in enumerate(result.scored.trials) if other.number == trial.number]
+            (here,) = np.flatnonzero(Trials.of(result.scored.trials).numbers == trial.number)
             p_correct = float(result.scored.p_correct[here])
             found.append(
                 _example(dataset, trial, p_correct, *draw(one, white=white), algorithm=result.enhancement.spec)

@@ -19,7 +19,7 @@ from todframes._typing import Json
 from todframes.report import tables
 from todframes.report.data import DatasetRecord, Example, Record, ResultData, Thumbnail
 from todframes.report.figure_style import style
-from todframes.report.figures import pictures
+from todframes.report.figures import Picture, pictures
 from todframes.report.summary import cautions, remarks, verdict
 from todframes.report.svg import inline_svg
 from todframes.report.table import HIDDEN, Table, markup
@@ -49,7 +49,7 @@ def page(result: ResultData) -> str:
         "about": _about(result),
         "warnings": [warning_text(warning.group, warning.message) for warning in result.warnings],
         "verdict": verdict(result),
-        "figures": _figures(result),
+        "figures": figure_items(pictures(result)),
         "tables_shown": _tables(result),
         "examples": _examples([one for one in result.examples or () if not _is_whole(one)]),
         "without": _examples([one for one in result.examples or () if _is_whole(one)]),
@@ -58,7 +58,13 @@ def page(result: ResultData) -> str:
         + cautions(result),
         "details": _details(result),
         "version": result.version,
+        "can_be_made_again": True,
     }
+    return render(content)
+
+
+def render(content: Json) -> str:
+    """Return the page of some content: the values that the template `report.html.j2` names."""
     return _environment().get_template("report.html.j2").render(content)
 
 
@@ -87,7 +93,8 @@ def _about(result: ResultData) -> str:
     return str(result.dataset_path or name or "")
 
 
-def _figures(result: ResultData) -> list[Json]:
+def figure_items(drawn: Sequence[Picture]) -> list[Json]:
+    """List figures for the page, up to `MOST_FIGURES`."""
     with style():
         return [
             {
@@ -95,7 +102,7 @@ def _figures(result: ResultData) -> list[Json]:
                 "title": one.title,
                 "note": one.note,
             }
-            for number, one in enumerate(pictures(result)[:MOST_FIGURES], 1)
+            for number, one in enumerate(drawn[:MOST_FIGURES], 1)
         ]
 
 
@@ -103,19 +110,20 @@ def _tables(result: ResultData) -> list[Json]:
     """List the tables under the figures; the reader opens those that are `folded`."""
     found = []
     if result.algorithms:
-        found += [_item(tables.ratios(result)), _item(tables.measures(result.algorithms))]
+        found += [table_item(tables.ratios(result)), table_item(tables.measures(result.algorithms))]
     if result.thresholds:
-        found.append(_item(tables.thresholds(result), folded=bool(result.algorithms)))
+        found.append(table_item(tables.thresholds(result), folded=bool(result.algorithms)))
     answers = tables.answers(result)
-    found += [_item(answers)] if answers is not None else []
+    found += [table_item(answers)] if answers is not None else []
     points = tables.points(result)
-    found += [_item(points, folded=True)] if points is not None else []
+    found += [table_item(points, folded=True)] if points is not None else []
     for scene in result.scenes:
-        found += [_item(one, folded=bool(n)) for n, one in enumerate(tables.scene_tables(scene))]
+        found += [table_item(one, folded=bool(n)) for n, one in enumerate(tables.scene_tables(scene))]
     return found
 
 
-def _item(table: Table, *, folded: bool = False) -> Json:
+def table_item(table: Table, *, folded: bool = False) -> Json:
+    """Return a table for the page, with its CSV; the reader opens it if it is `folded`."""
     return {"table": table, "csv": "data:text/csv;charset=utf-8," + quote(table.csv()), "folded": folded}
 
 
@@ -173,16 +181,18 @@ def _details(result: ResultData) -> list[Json]:
         ("Positions found", "located.csv", result.located or (), True),
     ]
     found = [
-        _item(tables.records_table(caption, file, rows), folded=folded)
+        table_item(tables.records_table(caption, file, rows), folded=folded)
         for caption, file, rows, folded in records
         if rows
     ]
     found += (
-        [_item(tables.plan(result), folded=True)] if result.plan or any(fit.plan for fit in result.fits) else []
+        [table_item(tables.plan(result), folded=True)]
+        if result.plan or any(fit.plan for fit in result.fits)
+        else []
     )
     if isinstance(result.dataset, DatasetRecord):
-        found.append(_item(tables.dataset(result.dataset), folded=True))
-    return [*found, _item(tables.settings(result), folded=True)]
+        found.append(table_item(tables.dataset(result.dataset), folded=True))
+    return [*found, table_item(tables.settings(result), folded=True)]
 
 
 def notebook_html(result: ResultData) -> str:

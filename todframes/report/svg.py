@@ -78,7 +78,7 @@ def _tidy(element: ElementTree.Element) -> None:
 def _references(element: ElementTree.Element) -> list[str]:
     """Return the names of other elements that an element uses, each with a hash in front."""
     found = [f"#{name}" for value in element.attrib.values() for name in _REFERENCE.findall(value)]
-    return found + [value for key, value in element.attrib.items() if key == "href"]
+    return found + [value for key, value in element.attrib.items() if key == "href" and value[0] == "#"]
 
 
 def _rewrite(element: ElementTree.Element, prefix: str, used: set[str]) -> None:
@@ -88,7 +88,7 @@ def _rewrite(element: ElementTree.Element, prefix: str, used: set[str]) -> None:
             if value in used:
                 attributes[key] = f"{prefix}-{value}"
             continue
-        if key == "href":
+        if key == "href" and value[0] == "#":
             value = f"#{prefix}-{value[1:]}"
         elif key in ("style", "fill", "stroke"):
             for colour, of_page in PAGE_COLOURS.items():

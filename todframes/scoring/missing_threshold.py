@@ -14,12 +14,13 @@ from numpy.typing import NDArray
 from todframes._typing import FloatArray
 from todframes.errors import TodframesError
 from todframes.frames.arrangement import ARRANGEMENTS, Arrangement
-from todframes.frames.dataset import Dataset, Trial, WarningCode
+from todframes.frames.dataset import Dataset, WarningCode
 from todframes.frames.locate import locate_triangles
 from todframes.frames.position import centroid_position
+from todframes.frames.trials import Group, Trial, Trials
 from todframes.observers.interface import Observer
 from todframes.psychometrics.fit import FitSettings, PsychometricFit
-from todframes.scoring.score import GroupFit, ScoredDataset, score_dataset
+from todframes.scoring.score import ScoredDataset, score_dataset
 from todframes.scoring.trials import Decisions
 
 LEAST_TRIALS, MOST_TRIALS = 8, 32
@@ -126,13 +127,14 @@ def explain_missing(
         extrapolated to stronger levels, if there is a hint.
     """
     found = []
+    trials = Trials.of(scored.trials)
     for one in scored.fits:
         is_missing = one.fit.threshold is None
         if not (is_missing or _is_beyond(one.fit)):
             continue
-        strong = _strongest(scored, one)
-        answers = _answers(scored)[strong]
-        shown = np.array([scored.trials[k].orientation.quarter_turns for k in strong])
+        strong = _strongest(trials, one.group)
+        answers = _answers(scored, strong)
+        shown = trials.quarter_turns[strong]
         table = np.zeros((4, 4))
         np.add.at(table, shown, answers)
         hints: tuple[Hint, ...] = ()
@@ -143,15 +145,15 @@ def explain_missing(
                 observer,
                 decisions,
                 seed,
-                tuple(scored.trials[k] for k in strong),
-                _answers(scored)[strong],
-                before=_orientations(scored, strong - 1),
-                after=_orientations(scored, strong + 1),
+                tuple(trials.select(strong)),
+                _answers(scored, strong),
+                before=_orientations(trials, strong - 1),
+                after=_orientations(trials, strong + 1),
                 is_inverted=bool(np.median(scored.scores[strong].mean(axis=1)) < 0.0),
             )
             hints = search.hints(is_scored_again=is_missing)
         if is_missing or hints:
-            found.append(Explanation(one.group, table, min(scored.trials[k].level for k in strong), hints))
+            found.append(Explanation(one.group, table, float(trials.levels[strong].min()), hints))
     return tuple(found)
 
 
@@ -160,16 +162,13 @@ def _is_beyond(fit: PsychometricFit) -> bool:
     return fit.threshold is not None and fit.threshold > max(point.level for point in fit.points)
 
 
-def _strongest(scored: ScoredDataset, one: GroupFit) -> NDArray[np.intp]:
+def _strongest(trials: Trials, group: Group) -> NDArray[np.intp]:
     """Return the indices of the trials of a group's highest levels, in the order of the trials."""
-    members = [k for k, trial in enumerate(scored.trials) if trial.group == one.group]
-    levels = sorted({scored.trials[k].level for k in members}, reverse=True)
-    chosen: list[int] = []
-    for number, level in enumerate(levels):
-        if number >= STRONG_SHARE * len(levels) and len(chosen) >= LEAST_TRIALS:
-            break
-        chosen += [k for k in members if scored.trials[k].level == level]
-    return np.array(sorted(chosen), dtype=np.intp)
+    members = trials.indices_of_group(group)
+    level = trials.levels[members]
+    levels, counts = np.unique(-level, return_counts=True)
+    is_taken = (np.arange(len(levels)) < STRONG_SHARE * len(levels)) | (np.cumsum(counts) - counts < LEAST_TRIALS)
+    return np.asarray(members[level >= -levels[is_taken][-1]])
 
 
 def _some(places: NDArray[np.intp], most: int) -> NDArray[np.intp]:
@@ -178,15 +177,15 @@ def _some(places: NDArray[np.intp], most: int) -> NDArray[np.intp]:
     return places[:: step + (step + 1) % 2 if step > 1 else 1]
 
 
-def _orientations(scored: ScoredDataset, places: NDArray[np.intp]) -> tuple[int, ...]:
+def _orientations(trials: Trials, places: NDArray[np.intp]) -> tuple[int, ...]:
     """Return the orientations of some trials, indices into `ORIENTATIONS`; the last trial is before the first."""
-    return tuple(scored.trials[k % len(scored.trials)].orientation.quarter_turns for k in places)
+    return tuple(trials.quarter_turns[places % len(trials)].tolist())
 
 
-def _answers(scored: ScoredDataset) -> FloatArray:
-    """Return the probability of each answer; 1 for the answer drawn if there are no probabilities."""
-    drawn = np.eye(4)[scored.answers]
-    return np.where(np.isfinite(scored.probabilities), scored.probabilities, drawn)
+def _answers(scored: ScoredDataset, places: NDArray[np.intp]) -> FloatArray:
+    """Return the probability of each answer in some trials; 1 for the answer drawn if there are none."""
+    drawn, probabilities = np.eye(4)[scored.answers[places]], scored.probabilities[places]
+    return np.where(np.isfinite(probabilities), probabilities, drawn)
 
 
 @dataclass(frozen=True, slots=True)
@@ -320,14 +319,18 @@ class _Search:
         except TodframesError:
             return
         if sign == 1:
-            yield _Change(_answers(scored))
+            yield _Change(_answers(scored, np.arange(len(scored.trials))))
             return
         contrast = "brighter" if polarity == -1 else "darker"
         clause = f"polarity were {-polarity}: Are the triangles {contrast} than the background?"
-        yield _Change(_answers(scored), (clause,), (("polarity_mismatch", -polarity, polarity),))
+        yield _Change(
+            _answers(scored, np.arange(len(scored.trials))),
+            (clause,),
+            (("polarity_mismatch", -polarity, polarity),),
+        )
 
     def _of(self, trials: Sequence[Trial]) -> Dataset:
-        return replace(self.dataset, trials=tuple(trials), bad_rows=(), spoilt=frozenset())
+        return replace(self.dataset, trials=Trials.of(trials), bad_rows=(), spoilt=frozenset())
 
     def _stated_position(self) -> tuple[float, float]:
         """Return the centroid's position in the first trial as it was scored, in pixels."""

@@ -12,20 +12,20 @@ import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
-from itertools import islice
 from typing import cast
 
 import numpy as np
 
 from todframes._typing import FloatArray
 from todframes.errors import FrameError, SettingsError
-from todframes.frames.dataset import Dataset, Trial
+from todframes.frames.dataset import Dataset
 from todframes.frames.position import check_place
+from todframes.frames.trials import Trial, Trials, indices_by
 from todframes.observers.interface import Observer, OmittedWeights, Readout, TruncatedObserver
 from todframes.observers.retina import RetinaGrid
 from todframes.scoring.error_budget import LEFT_OUT_SHARE, SAFETY, PlanName, Step, decision_change
 from todframes.scoring.retina_view import Reader, Shown, read_as_it_is, retina_image
-from todframes.stimulus import Stimulus, bounding_box_offset
+from todframes.stimulus import ORIENTATIONS, Stimulus, bounding_box_offset
 
 HALF_FIELDS_IN_SIZES = (1.5, 2.0, 2.5)
 """Half-widths of the fields that are tried, in triangle sizes."""
@@ -125,9 +125,8 @@ def plan_score(
     -------
     ScorePlan
     """
-    of_stimulus: dict[Stimulus, list[Trial]] = {}
-    for trial in trials:
-        of_stimulus.setdefault(trial.stimulus, []).append(trial)
+    trials = Trials.of(trials)
+    of_stimulus = {trials.stimuli[trials.stimulus_codes[one[0]]]: one for one in indices_by(trials.stimulus_codes)}
     if name == "full" or not expected:
         full = name == "full" and isinstance(observer, TruncatedObserver)
         plans = {stimulus: StimulusPlan(full_observer=full) for stimulus in of_stimulus}
@@ -135,8 +134,8 @@ def plan_score(
         return ScorePlan(observer, plans, name == "full", (Step("everything", True, why),))
     budget = LEFT_OUT_SHARE * tolerance * SLOPE / 2.0
     weighed = {
-        stimulus: _weigh(dataset, sorted(these, key=lambda trial: trial.level), observer, budget, read)
-        for stimulus, these in of_stimulus.items()
+        stimulus: _weigh(dataset, _by_level(trials.select(members)), observer, budget, read)
+        for stimulus, members in of_stimulus.items()
     }
     return ScorePlan(observer, {s: w.plan for s, w in weighed.items()}, False, _steps(list(weighed.values())))
 
@@ -151,12 +150,17 @@ class _Weighed:
     retina: float = 1.0
 
 
-def _weigh(dataset: Dataset, trials: Sequence[Trial], observer: Observer, budget: float, read: Reader) -> _Weighed:
+def _by_level(trials: Trials) -> Trials:
+    return trials.select(np.argsort(trials.levels, kind="stable"))
+
+
+def _weigh(dataset: Dataset, trials: Trials, observer: Observer, budget: float, read: Reader) -> _Weighed:
     """Plan one stimulus from a few of its trials, which must be in the order of their level."""
     stimulus = trials[0].stimulus
     tried = _tried(trials, observer, dataset.display.pitch_mrad)
-    first = islice(dict.fromkeys((*tried, *trials)), MOST_BAD)
-    if not any(_has_place(dataset, trial, observer) for trial in first):
+    others = range(min(len(trials), MOST_BAD + len(tried)))
+    candidates = trials.select(list(dict.fromkeys((*tried, *others)))[: MOST_BAD + len(tried)])
+    if not any(_has_place(dataset, trial, observer) for trial in candidates[:MOST_BAD]):
         return _Weighed(StimulusPlan())  # scoring reports the error; the readout may be huge
     try:
         missing = observer.omitted_bands(stimulus) if isinstance(observer, TruncatedObserver) else None
@@ -169,7 +173,7 @@ def _weigh(dataset: Dataset, trials: Sequence[Trial], observer: Observer, budget
     shown: list[Shown] = []
     n_read = 0
     # Scoring reports frames that cannot be read; here others replace them.
-    for trial in islice(dict.fromkeys((*tried, *trials)), len(tried) + MOST_BAD):
+    for trial in candidates:
         with suppress(FrameError):
             shown += read(dataset, trial, observer, widest, displaced_mrad / widest.pitch_mrad)
             n_read += 1
@@ -212,19 +216,26 @@ def _has_place(dataset: Dataset, trial: Trial, observer: Observer) -> bool:
     return True
 
 
-def _tried(trials: Sequence[Trial], observer: Observer, pitch_mrad: float) -> list[Trial]:
-    """Choose trials at middle levels and, if positions differ, those nearest to the edges of the frame."""
+def _tried(trials: Trials, observer: Observer, pitch_mrad: float) -> list[int]:
+    """Choose trials at middle levels and, if positions differ, those nearest to the edges of the frame.
+
+    Returns their indices.
+    """
     n_tried = min(max(len(trials) // ONE_TRIED_OF, 1), MOST_TRIED)
     first = (len(trials) - n_tried) // 2
-    chosen = list(trials[first : first + n_tried])
+    chosen = list(range(first, first + n_tried))
     # Either all positions are known, or an unknown position is the middle of the frame.
-    placed = [trial for trial in trials if trial.x_px is not None] or trials
-    place = np.array([(trial.x_px or 0.0, trial.y_px or 0.0) for trial in placed])
+    place = trials.positions_px
+    placed = np.flatnonzero(~np.isnan(place[:, 0]))
+    if len(placed):
+        place = place[placed]
+    else:
+        placed, place = np.arange(len(trials)), np.zeros_like(place)
     if observer.centre == "bounding_box":
-        offset = np.array([bounding_box_offset(trial.orientation) for trial in placed])
-        place += offset * placed[0].stimulus.size_mrad / pitch_mrad
+        offset = np.array([bounding_box_offset(orientation) for orientation in ORIENTATIONS])
+        place += offset[trials.quarter_turns[placed]] * trials[0].stimulus.size_mrad / pitch_mrad
     if np.ptp(place, axis=0).any():
-        chosen += [placed[k] for k in np.argmax(place @ OUTWARDS, axis=0)]
+        chosen += placed[np.argmax(place @ OUTWARDS, axis=0)].tolist()
     return list(dict.fromkeys(chosen))
 
 

@@ -13,7 +13,7 @@ from todframes.frames.contrast import (
     Patch,
     read_contrast,
 )
-from todframes.frames.dataset import Dataset, Trial
+from todframes.frames.dataset import Dataset
 from todframes.frames.files import FrameSource
 from todframes.frames.position import (
     centroid_position,
@@ -22,6 +22,7 @@ from todframes.frames.position import (
     size_in_px,
 )
 from todframes.frames.surround import TrianglePlace
+from todframes.frames.trials import Trial
 from todframes.observers.interface import Observer
 from todframes.observers.retina import RetinaGrid, resample, resampled_rows
 

@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 from todframes._typing import FloatArray
 from todframes.errors import DataError, SettingsError
 from todframes.frames.contrast import skipped_frames
-from todframes.frames.dataset import Dataset, Skipped, Trial
+from todframes.frames.dataset import Dataset, Skipped
 from todframes.frames.position import check_places
+from todframes.frames.trials import Group, Trials, indices_by
 from todframes.observers.interface import Observer
 from todframes.psychometrics.fit import CurveName, FitSettings, PsychometricFit, fit_trials
 from todframes.scoring.error_budget import PlanName, Step
@@ -30,10 +31,8 @@ from todframes.scoring.trials import (
     SeenTrial,
     SeenTrials,
     score_trial,
-    selected,
 )
 from todframes.scoring.work import Run, see_trials
-from todframes.stimulus import Stimulus
 
 S = TypeVar("S", bound=Sized)
 
@@ -81,7 +80,7 @@ class ScoredDataset:
 
     Attributes
     ----------
-    trials : sequence of Trial
+    trials : Trials
         Trials in the order of the manifest; the rows of the arrays have the same order.
     displacement_samples : ndarray, shape (n, 2)
         Displacement of the retina grid along x and y, in retina samples; NaN if a trial had several.
@@ -100,7 +99,7 @@ class ScoredDataset:
         Stages that were kept or left out.
     """
 
-    trials: Sequence[Trial]
+    trials: Trials
     displacement_samples: FloatArray
     scores: FloatArray
     probabilities: FloatArray
@@ -180,7 +179,7 @@ def score_dataset(
     scoring = Scoring(dataset, plan, decisions, seed, displacements=0 if tolerance is None else 1)
     run = run or Run()
 
-    def see(scoring: Scoring, trials: Sequence[Trial], run: Run) -> tuple[SeenTrials | None, list[Skipped]]:
+    def see(scoring: Scoring, trials: Trials, run: Run) -> tuple[SeenTrials | None, list[Skipped]]:
         columns = SeenColumns(trials)
         unread = see_trials(
             scoring,
@@ -206,13 +205,13 @@ def score_dataset(
             if (displacements := _displacements_needed(group, tolerance)) > 1
         }
         if again:
-            _, of_group = groups_of(seen.trials)
+            groups = groups_of(seen.trials)
             looks = []
             for number, displacements in again.items():
-                rows = np.flatnonzero(of_group == number)
+                _, rows = groups[number]
                 more, _ = see(
                     replace(scoring, displacements=displacements),
-                    selected(seen.trials, rows),
+                    seen.trials.select(rows),
                     replace(run, progress=None),
                 )
                 if more is not None and len(more) == len(rows):  # no frame has gone meanwhile
@@ -246,7 +245,7 @@ def settings_of_level(settings: FitSettings | None, level: str) -> FitSettings:
     return settings if is_signal else replace(settings, slope_spread=None)
 
 
-def usable_trials(dataset: Dataset, *, skip_bad_frames: bool) -> tuple[list[Trial], list[Skipped]]:
+def usable_trials(dataset: Dataset, *, skip_bad_frames: bool) -> tuple[Trials, list[Skipped]]:
     """Return the trials whose rows are all good, and the frames that are skipped.
 
     Raises
@@ -256,13 +255,13 @@ def usable_trials(dataset: Dataset, *, skip_bad_frames: bool) -> tuple[list[Tria
     """
     if dataset.bad_rows and not skip_bad_frames:
         raise DataError(dataset.bad_rows[0].error)
-    skipped = list(dataset.bad_rows)
-    for trial in dataset.trials:
-        if trial.name in dataset.spoilt:
+    skipped, usable = list(dataset.bad_rows), Trials.of(dataset.trials)
+    if dataset.spoilt:
+        is_spoilt = np.array([name in dataset.spoilt for name in usable.names()], bool)
+        for trial in usable.select(is_spoilt):
             skipped += skipped_frames(dataset, trial, f"another frame of trial {trial.name} cannot be used")
-    usable = [trial for trial in dataset.trials if trial.name not in dataset.spoilt]
-    check_seen(dataset, usable, skipped)
-    return usable, skipped
+        usable = usable.select(~is_spoilt)
+    return check_seen(dataset, usable, skipped), skipped
 
 
 def check_seen(dataset: Dataset, seen: S | None, skipped: Sequence[Skipped]) -> S:
@@ -286,14 +285,12 @@ def _displacement_step(numbers: Sequence[int]) -> Step:
     return Step("displacements", True, why)
 
 
-def groups_of(trials: Sequence[Trial]) -> tuple[list[tuple[float | str, ...]], NDArray[np.intp]]:
-    """Return the groups of trials, numbers before texts, and the number of each trial's group."""
-    numbers: dict[tuple[float | str, ...], int] = {}
-    found = np.fromiter((numbers.setdefault(t.group, len(numbers)) for t in trials), np.intp, len(trials))
-    ordered = sorted(numbers, key=lambda group: [(isinstance(value, str), value) for value in group])
-    rank = np.empty(len(ordered), np.intp)
-    rank[[numbers[group] for group in ordered]] = np.arange(len(ordered))
-    return ordered, rank[found]
+def groups_of(trials: Trials) -> list[tuple[Group, NDArray[np.intp]]]:
+    """Return the groups of trials, numbers before texts, and the indices of each group's trials."""
+    found = [
+        (trials.groups[trials.group_codes[indices[0]]], indices) for indices in indices_by(trials.group_codes)
+    ]
+    return sorted(found, key=lambda one: [(isinstance(value, str), value) for value in one[0]])
 
 
 def fit_groups(
@@ -322,9 +319,8 @@ def fit_groups(
         Trials in the order of the manifest; `skipped` is empty.
     """
     trials, n = seen.trials, len(seen)
-    correct = np.fromiter((trial.orientation.quarter_turns for trial in trials), np.intp, n)
-    row_of = {trial.number: row for row, trial in enumerate(trials)} if looks else {}
-    again = [np.array([row_of[trial.number] for trial in look.trials]) for look in looks]
+    correct = trials.quarter_turns
+    again = [np.searchsorted(trials.numbers, look.trials.numbers) for look in looks]
     of_look = np.zeros(n, np.intp)  # 0: the first one
     for number, rows in enumerate(again):
         of_look[rows] = number + 1
@@ -348,13 +344,10 @@ def fit_groups(
         answers = seen.answer
         p_correct = (answers == correct).astype(np.float64)
         p_each, bounds = {0: p_correct[:, None]}, np.zeros(n)
-    groups, of_group = groups_of(trials)
     fits = []
-    for number, group in enumerate(groups):
+    for number, (group, rows) in enumerate(groups_of(trials)):
         started = time.perf_counter()
-        rows = np.flatnonzero(of_group == number)
-        of_rows = selected(trials, rows)
-        level = np.array([trial.level for trial in of_rows])
+        level = trials.levels[rows]
         rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(FIT_STREAMS, number)))
         fit = fit_trials(level, p_correct[rows], curve=curve, settings=fit_settings, rng=rng)
         look = int(of_look[rows[0]])
@@ -364,7 +357,9 @@ def fit_groups(
                 group=group,
                 fit=fit,
                 non_gaussian_bound=float(bounds[rows].max()),
-                left_out_bound=plan.bound({trial.stimulus for trial in of_rows}),
+                left_out_bound=plan.bound(
+                    {trials.stimuli[code] for code in set(trials.stimulus_codes[rows].tolist())}
+                ),
                 numerical_error=_numerical_error(level, p_of_rows, fit, fit_settings),
                 n_displacements=p_of_rows.shape[1],
                 background_luminance_cd_m2=sum(background[rows].tolist()) / len(rows),
@@ -392,13 +387,11 @@ def _decide(
     n, n_displacements, _ = seen.deviations.shape
     probabilities, bounds = np.full((n, 4), np.nan), np.zeros(n)
     p_each = np.full((n, n_displacements), np.nan)
-    stimuli: dict[Stimulus, int] = {}
-    of_stimulus = np.fromiter((stimuli.setdefault(t.stimulus, len(stimuli)) for t in seen.trials), np.intp, n)
-    for stimulus, number in stimuli.items():
+    for rows in indices_by(seen.trials.stimulus_codes):
+        stimulus = seen.trials.stimuli[seen.trials.stimulus_codes[rows[0]]]
         readout = plan.observer_of(stimulus).readout(stimulus)
         if readout is None:
             continue
-        rows = np.flatnonzero(of_stimulus == number)
         answers = readout.answer_probabilities(seen.deviations[rows].reshape(-1, 4))
         answers = answers.reshape(len(rows), n_displacements, 4)
         probabilities[rows] = answers.mean(axis=1)

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from todframes._typing import FloatArray
 from todframes.errors import SettingsError
-from todframes.frames.dataset import Dataset, Trial
+from todframes.frames.dataset import Dataset
+from todframes.frames.trials import Trial, Trials
 from todframes.observers.interface import Observer, Readout
 from todframes.observers.internal_noise import inner_product
 from todframes.observers.retina import RetinaGrid
@@ -72,7 +73,7 @@ class SeenTrial(NamedTuple):
 class SeenTrials:
     """The observer's scores of many trials with as many displacements each: a `SeenTrial` a row, in columns."""
 
-    trials: Sequence[Trial]
+    trials: Trials
     displacement_samples: FloatArray
     scores: FloatArray
     deviations: FloatArray
@@ -87,7 +88,7 @@ class SeenTrials:
     def select(self, rows: NDArray[np.intp]) -> SeenTrials:
         """Return some of the trials, by row."""
         columns = (getattr(self, name)[rows] for name in SeenTrial._fields)
-        return SeenTrials(selected(self.trials, rows), *columns)
+        return SeenTrials(self.trials.select(rows), *columns)
 
     def amplified(self, gain: FloatArray) -> SeenTrials:
         """Return the scores as a plain gain of contrast, one a trial, would make them: they are linear in it."""
@@ -100,10 +101,10 @@ class SeenColumns:
 
     Parameters
     ----------
-    trials : sequence of Trial
+    trials : Trials
     """
 
-    def __init__(self, trials: Sequence[Trial]) -> None:
+    def __init__(self, trials: Trials) -> None:
         self._trials = trials
         self._columns: dict[str, NDArray[Any]] = {}
         self._is_seen = np.zeros(len(trials), bool)
@@ -125,12 +126,7 @@ class SeenColumns:
         if self._is_seen.all():
             return SeenTrials(self._trials, **self._columns)
         rows = np.flatnonzero(self._is_seen)
-        return SeenTrials(selected(self._trials, rows), **{name: v[rows] for name, v in self._columns.items()})
-
-
-def selected(trials: Sequence[Trial], rows: NDArray[np.intp]) -> Sequence[Trial]:
-    """Return some of the trials, by row."""
-    return [trials[row] for row in rows.tolist()]
+        return SeenTrials(self._trials.select(rows), **{name: v[rows] for name, v in self._columns.items()})
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,13 +10,15 @@ from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
 from todframes.errors import FrameError, SettingsError
 from todframes.frames.contrast import skipped_frames
-from todframes.frames.dataset import FrameReference, Skipped, Trial
+from todframes.frames.dataset import Skipped
 from todframes.frames.files import frame_sha256
 from todframes.frames.memory import MemoryDataset
 from todframes.frames.position import check_place
+from todframes.frames.trials import FrameReference, Trial, Trials
 from todframes.jobs.fingerprint import fingerprint
 from todframes.jobs.local import LocalEngine
 from todframes.jobs.run import run_stored
@@ -196,7 +198,7 @@ class TrialWork(Generic[T]):
 
 def see_trials(
     scoring: Scoring,
-    trials: Sequence[Trial],
+    trials: Trials,
     show: Show[T],
     *,
     kind: type[T],
@@ -211,7 +213,7 @@ def see_trials(
     Parameters
     ----------
     scoring : Scoring
-    trials : sequence of Trial
+    trials : Trials
     show, kind, depends_on, with_references
         As in `TrialWork`.
     collect : callable
@@ -225,12 +227,12 @@ def see_trials(
     FrameError
         If a frame cannot be used, unless bad frames are skipped.
     """
-    bare = replace(scoring, dataset=replace(scoring.dataset, trials=()))
+    bare = replace(scoring, dataset=replace(scoring.dataset, trials=Trials.of(())))
     work = TrialWork(bare, show, kind, depends_on, with_references)
     order = by_stimulus(trials)
     store = None if isinstance(scoring.dataset, MemoryDataset) else run.store
     unusable: dict[int, FrameError] = {}
-    in_order = _Ordered(trials, order)
+    in_order = trials.select(order)
     for number, found in run_stored(work, in_order, engine=run.engine, store=store):
         if isinstance(found, Unusable | Lost):
             error = found.error
@@ -249,24 +251,11 @@ def see_trials(
     ]
 
 
-def by_stimulus(trials: Sequence[Trial]) -> np.ndarray[Any, np.dtype[np.intp]]:
-    """Return the rows of trials in the order of their stimuli, so that few readouts are held at a time."""
-    sizes = np.fromiter((trial.stimulus.size_mrad for trial in trials), np.float64, len(trials))
-    polarities = np.fromiter((trial.stimulus.polarity for trial in trials), np.int8, len(trials))
-    return np.lexsort((polarities, sizes))
-
-
-class _Ordered(Sequence[Trial]):
-    """Trials in another order."""
-
-    def __init__(self, trials: Sequence[Trial], order: np.ndarray[Any, np.dtype[np.intp]]) -> None:
-        self._trials, self._order = trials, order
-
-    def __len__(self) -> int:
-        return len(self._order)
-
-    def __getitem__(self, place: Any) -> Any:
-        return self._trials[self._order[place]]
+def by_stimulus(trials: Trials) -> NDArray[np.intp]:
+    """Return the indices of trials in the order of their stimuli, so that few readouts are held at a time."""
+    sizes, polarities = np.array([(one.size_mrad, one.polarity) for one in trials.stimuli]).T
+    codes = trials.stimulus_codes
+    return np.lexsort((polarities[codes], sizes[codes]))
 
 
 def _stamp(path: Path) -> tuple[Path, int, int, int, int]:

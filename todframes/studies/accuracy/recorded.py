@@ -12,7 +12,8 @@ import numpy as np
 
 from todframes._typing import FloatArray
 from todframes.errors import DataError
-from todframes.frames.dataset import Dataset, Trial, load_dataset
+from todframes.frames.dataset import Dataset, load_dataset
+from todframes.frames.trials import Trial
 from todframes.observers.interface import Readout
 from todframes.observers.pyramid import PyramidObserver, PyramidSettings
 from todframes.psychometrics.fit import FitSettings, PsychometricFit, fit_trials

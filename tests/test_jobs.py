@@ -1,0 +1,307 @@
+"""The store of finished results, and work that goes on where an interrupted run was."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import sqlite3
+import subprocess
+import sys
+import textwrap
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from todframes import signals
+from todframes.errors import DataError, OutputError
+from todframes.jobs import run as run_module
+from todframes.jobs.fingerprint import code_fingerprint, fingerprint
+from todframes.jobs.local import LocalEngine
+from todframes.jobs.run import run_stored
+from todframes.jobs.store import FILE, Store
+from todframes.observers.pyramid import PyramidObserver
+from todframes.psychometrics.fit import FitSettings
+from todframes.stimulus import Orientation, Stimulus
+
+
+@pytest.fixture
+def store(tmp_path: Path):
+    signals.kept.clear()
+    made = Store(tmp_path / "store", "OUT")
+    yield made
+    made.close()
+    signals.kept.clear()
+
+
+@pytest.fixture
+def always_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A store is begun after the first results, however short the run."""
+    monkeypatch.setattr(run_module, "LOOKED_AT_S", 0.0)
+    monkeypatch.setattr(run_module, "WORTH_S", 0.0)
+
+
+# The store -----------------------------------------------------------------------------------------------------
+
+
+def test_nothing_is_written_before_the_store_begins(store: Store) -> None:
+    store.add([])
+    assert not store.is_begun
+    assert not store.folder.exists()
+    assert len(store) == 0
+    assert signals.kept == []
+
+
+def test_results_are_found_again(store: Store) -> None:
+    store.add([(b"a", b"1"), (b"b", b"2")])
+    store.add([(b"b", b"3")])
+    store.close()
+    again = Store(store.folder, "OUT")
+    assert (again.get(b"a"), again.get(b"b"), again.get(b"c"), len(again)) == (b"1", b"3", None, 2)
+    again.close()
+    assert signals.kept == ["OUT", "OUT"]
+
+
+def test_results_survive_the_end_of_the_process(store: Store) -> None:
+    """What `add` has returned from is there, though the process ends without closing anything."""
+    script = f"""
+        import os
+        from pathlib import Path
+        from todframes.jobs.store import Store
+        store = Store(Path({str(store.folder)!r}), "OUT")
+        for k in range(100):
+            store.add([(str(k).encode(), bytes(100))])
+        os._exit(9)
+    """
+    assert subprocess.run([sys.executable, "-c", textwrap.dedent(script)], check=False).returncode == 9
+    assert len(store) == 100
+
+
+@pytest.mark.parametrize("damage", [b"not a database" * 100, b""])
+def test_a_damaged_store_is_begun_anew(store: Store, damage: bytes) -> None:
+    store.folder.mkdir()
+    (store.folder / FILE).write_bytes(damage)
+    assert store.is_begun
+    assert store.get(b"a") is None
+    store.add([(b"a", b"1")])
+    assert store.get(b"a") == b"1"
+
+
+def test_a_store_of_another_version_is_begun_anew(store: Store) -> None:
+    store.add([(b"a", b"1")])
+    store.close()
+    with sqlite3.connect(store.folder / FILE) as database:
+        database.execute("PRAGMA user_version = 99")
+    database.close()
+    assert store.get(b"a") is None
+
+
+def test_a_full_disk_keeps_what_was_written(store: Store) -> None:
+    """The limit on file sizes stands for a full disk: SQLite gets the same kind of error from the system."""
+    script = f"""
+        import resource, signal, sys
+        from pathlib import Path
+        from todframes.errors import OutputError
+        from todframes.jobs.store import Store
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, 200_000))
+        store = Store(Path({str(store.folder)!r}), "OUT")
+        for k in range(1000):
+            try:
+                store.add([(str(k).encode(), bytes(1000))])
+            except OutputError as error:
+                print(k, error)
+                store.close()
+                sys.exit()
+    """
+    done = subprocess.run(
+        [sys.executable, "-c", textwrap.dedent(script)], capture_output=True, text=True, check=True
+    )
+    kept, _, message = done.stdout.partition(" ")
+    assert message.startswith("OUT: finished results cannot be kept there (")
+    assert message.count("\n") == 1
+    assert int(kept) > 10
+    assert len(store) == int(kept)
+
+
+def test_a_store_that_another_process_uses_is_refused(store: Store) -> None:
+    store.add([(b"a", b"1")])
+    with pytest.raises(OutputError, match=r"OUT: finished results cannot be kept there \(database is locked\)"):
+        Store(store.folder, "OUT").get(b"a")
+
+
+# Fingerprints --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("one", "other"),
+    [
+        (("ab", "c"), ("a", "bc")),
+        ((1,), (1.0,)),
+        ((1,), (True,)),
+        ((None,), ("None",)),
+        ((0.1,), (np.nextafter(0.1, 1.0).item(),)),
+        ((0.0,), (-0.0,)),
+        (([1, 2],), ([1], 2)),
+        ((np.zeros(2),), (np.zeros((2, 1)),)),
+        ((np.zeros(2),), (np.zeros(2, np.float32),)),
+        ((FitSettings(p_correct=0.75),), (FitSettings(p_correct=0.8),)),
+        ((PyramidObserver(internal_noise=0.5),), (PyramidObserver(internal_noise=0.25),)),
+        ((Stimulus(1.0, 1),), (Stimulus(1.0, -1),)),
+        ((Orientation.UP,), (Orientation.DOWN,)),
+        ((code_fingerprint,), (fingerprint,)),
+        ((b"a",), ("a",)),
+    ],
+)
+def test_fingerprints_of_different_values_differ(one: tuple[object, ...], other: tuple[object, ...]) -> None:
+    assert fingerprint(*one) != fingerprint(*other)
+
+
+def test_code_in_no_file_has_no_fingerprint() -> None:
+    with pytest.raises(TypeError, match="the code of builtins is in no file"):
+        fingerprint(type("A", (), {"__module__": "builtins"}))
+
+
+def test_fingerprints_of_equal_values_are_equal() -> None:
+    assert fingerprint({"a": 1, "b": [2.0]}) == fingerprint({"b": [2.0], "a": 1})
+    assert fingerprint({3, 1, 2}) == fingerprint({2, 3, 1})
+    assert fingerprint(np.arange(6.0)[::2]) == fingerprint(np.array([0.0, 2.0, 4.0]))
+    assert fingerprint(np.float64(0.1), np.int64(3)) == fingerprint(0.1, 3)
+
+
+def test_the_code_of_a_users_module_counts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(tmp_path)
+    found = []
+    for text in ("def f(x): return x", "def f(x): return 2 * x"):
+        (tmp_path / "users_own.py").write_text(text, encoding="utf-8")
+        sys.modules.pop("users_own", None)
+        code_fingerprint.cache_clear()
+        import users_own  # type: ignore[import-not-found]
+
+        found.append(fingerprint(users_own.f))
+    assert found[0] != found[1]
+    sys.modules.pop("users_own")
+    code_fingerprint.cache_clear()
+
+
+# Work that goes on ---------------------------------------------------------------------------------------------
+
+
+@dataclass
+class Squares:
+    """Work that squares the numbers in files, and keeps a list of those it was called for."""
+
+    folder: Path
+    power: int = 2
+    called: list[int] = field(default_factory=list)
+    fails_at: int | None = None
+    items_at_once: int = 3
+
+    def function(self) -> Callable[[int], int]:
+        def do(item: int) -> int:
+            if item == self.fails_at:
+                raise DataError(f"item {item}")
+            self.called.append(item)
+            return int((self.folder / str(item)).read_text(encoding="utf-8")) ** self.power
+
+        return do
+
+    def lost(self, item: int) -> DataError:
+        return DataError(f"lost {item}")
+
+    def key(self, item: int, *, is_done: bool) -> bytes | None:  # noqa: ARG002
+        return fingerprint(self.power, (self.folder / str(item)).read_bytes(), item)
+
+    def stamp(self, item: int) -> object:
+        return (self.folder / str(item)).stat().st_mtime_ns
+
+    def encode(self, result: int) -> bytes:
+        return str(result).encode()
+
+    def decode(self, encoded: bytes) -> int:
+        return int(encoded)
+
+
+@pytest.fixture
+def squares(tmp_path: Path) -> Squares:
+    for number in range(20):
+        (tmp_path / str(number)).write_text(str(number), encoding="utf-8")
+    return Squares(tmp_path)
+
+
+def done(work: Squares, store: Store | None, workers: int = 1) -> dict[int, int]:
+    return dict(run_stored(work, range(20), engine=LocalEngine(workers), store=store))  # type: ignore[arg-type]
+
+
+SQUARED = {n: n * n for n in range(20)}
+
+
+@pytest.mark.parametrize("workers", [1, 3])
+@pytest.mark.parametrize("fails_at", [0, 4, 11, 19])
+def test_a_run_goes_on_where_it_was(squares: Squares, store: Store, fails_at: int, workers: int) -> None:
+    store.begin()
+    with pytest.raises(DataError, match=f"item {fails_at}"):
+        done(dataclasses.replace(squares, fails_at=fails_at, called=[]), store, workers)
+    kept = fails_at // 3 * 3  # all but the batch under way
+    assert len(store) == kept
+    assert done(squares, store, workers) == SQUARED
+    assert sorted(squares.called) == list(range(kept, 20))
+    squares.called.clear()
+    assert done(squares, store, workers) == SQUARED
+    assert squares.called == []
+
+
+@pytest.mark.usefixtures("always_kept")
+def test_a_long_run_begins_a_store_of_its_own(squares: Squares, store: Store) -> None:
+    assert done(squares, store) == SQUARED
+    assert len(store) == 17  # the first batch decides
+
+
+def test_what_has_changed_is_done_again(squares: Squares, store: Store, tmp_path: Path) -> None:
+    store.begin()
+    assert done(squares, store) == SQUARED
+    (tmp_path / "7").write_text("70", encoding="utf-8")
+    squares.called.clear()
+    assert done(squares, store) == SQUARED | {7: 4900}
+    assert squares.called == [7]
+    cubes = Squares(tmp_path, power=3)
+    assert done(cubes, store)[2] == 8
+    assert len(cubes.called) == 20
+
+
+def test_a_file_that_is_written_meanwhile_is_not_kept(squares: Squares, store: Store, tmp_path: Path) -> None:
+    """The result is of the old bytes and the key would be of the new ones."""
+    store.begin()
+    inner = squares.function()
+
+    def and_write(item: int) -> int:
+        result = inner(item)
+        if item == 5:
+            (tmp_path / "5").write_text("50", encoding="utf-8")
+            os.utime(tmp_path / "5", ns=(1, 1))
+        return result
+
+    squares.function = lambda: and_write  # type: ignore[method-assign]
+    assert done(squares, store)[5] == 25
+    assert len(store) == 19
+    squares.called.clear()
+    assert done(squares, store)[5] == 2500
+
+
+def test_a_short_run_keeps_nothing(squares: Squares, store: Store) -> None:
+    assert done(squares, store) == SQUARED
+    assert not store.is_begun
+
+
+def test_what_was_found_is_told_once(squares: Squares, tmp_path: Path) -> None:
+    told: list[str] = []
+    store = Store(tmp_path / "store", "OUT", told.append)
+    store.begin()
+    with pytest.raises(DataError, match="item 9"):
+        done(dataclasses.replace(squares, fails_at=9), store)
+    done(squares, store)
+    done(squares, store)
+    assert told == ["9 of 20 parts of the work are there from an earlier run; going on with the others"]
+    store.close()

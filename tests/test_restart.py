@@ -1,0 +1,273 @@
+"""Runs that are killed, interrupted or fail, and go on: the commands as a user meets them."""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from todframes.cli.console import run
+from todframes.cli.main import cli
+from todframes.jobs import run as run_module
+from todframes.output import STAGING, STORE
+from todframes.scoring import work as scoring_work
+
+SAMPLES = Path(__file__).parent.parent / "sample_frames"
+
+AT_ONCE = """
+import sys
+from todframes.jobs import run
+run.LOOKED_AT_S = run.WORTH_S = 0.0
+import {package}.__main__
+sys.argv = [{package!r}, *sys.argv[1:]]
+{package}.__main__.main()
+"""
+
+
+@pytest.fixture
+def todframes(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch):
+    """Runs a command whose results are kept from the first on; gives exit status, output and error output."""
+    monkeypatch.setattr(run_module, "LOOKED_AT_S", 0.0)
+    monkeypatch.setattr(run_module, "WORTH_S", 0.0)
+
+    def call(*arguments: str | Path) -> tuple[int, str, str]:
+        status = run(cli, [str(argument) for argument in arguments])
+        return status, *capsys.readouterr()
+
+    return call
+
+
+def started(package: str, *arguments: str | Path) -> subprocess.Popen[str]:
+    """Start a command in another process whose results are kept from the first on."""
+    script = AT_ONCE.format(package=package)
+    return subprocess.Popen(
+        [sys.executable, "-c", script, *map(str, arguments)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def done(package: str, *arguments: str | Path) -> str:
+    """Run a command to its good end; return its error output."""
+    process = started(package, *arguments)
+    _, err = process.communicate(timeout=120)
+    assert process.returncode == 0, err
+    return err
+
+
+def content(folder: Path) -> dict[str, bytes]:
+    """The files of a result or dataset, without what tells time."""
+    found = {
+        path.relative_to(folder).as_posix(): path.read_bytes()
+        for path in folder.rglob("*")
+        if path.is_file() and STAGING not in path.parts
+    }
+    if "result.json" in found:
+        result = json.loads(found.pop("result.json"))
+        found["fits"] = json.dumps(
+            [{k: v for k, v in fit.items() if k != "run_time_s"} for fit in result["fits"]]
+        ).encode()
+        found.pop("report.html")
+    return found
+
+
+def spoil_last(path: Path) -> Path:
+    """Cut the frame of the manifest's last row; its content before is beside it."""
+    manifest = (path / "manifest.csv").read_text(encoding="utf-8").splitlines()
+    frame = path / manifest[-1].partition(",")[0]
+    shutil.copy(frame, frame.with_suffix(".whole"))
+    frame.write_bytes(frame.read_bytes()[:100])
+    return frame
+
+
+def test_a_run_that_failed_goes_on(todframes, make_dataset, tmp_path: Path, monkeypatch) -> None:
+    path = make_dataset(contrasts=(0.05, 0.1, 0.2, 0.4), repeats=8).path
+    assert todframes("score", path, "-o", tmp_path / "undisturbed")[0] == 0
+    frame = spoil_last(path)
+    out = tmp_path / "out"
+    status, _, err = todframes("score", path, "-o", out)
+    assert status == 1
+    error, note = err.splitlines()
+    assert error.startswith(f"error: {frame}: ")
+    assert note == f"note: what is finished is kept in {out}; the same command goes on where this one ended"
+    assert [one.name for one in out.iterdir()] == [STAGING]
+    frame.with_suffix(".whole").replace(frame)
+    seen = []
+    inner = scoring_work.TrialWork.function
+
+    def counted(self):
+        function = inner(self)
+        return lambda trial: (seen.append(trial.number), function(trial))[1]
+
+    monkeypatch.setattr(scoring_work.TrialWork, "function", counted)
+    status, _, err = todframes("score", path, "-o", out)
+    assert status == 0
+    # 128 trials in batches of 16; the first batch decides on the store, and the last trial failed.
+    assert err.splitlines()[0] == (
+        "111 of 128 parts of the work are there from an earlier run; going on with the others"
+    )
+    assert len(seen) == 17
+    assert content(out) == content(tmp_path / "undisturbed")
+    assert not (out / STAGING).exists()
+
+
+def test_restart_and_keep_store(todframes, make_dataset, tmp_path: Path) -> None:
+    path, out = make_dataset(contrasts=(0.05, 0.1, 0.2), repeats=4).path, tmp_path / "out"
+    assert todframes("score", path, "-o", out, "--keep-store")[0] == 0
+    whole = content(out)
+    assert (out / STAGING / STORE).is_dir()
+    status, _, err = todframes("score", path, "-o", out, "--keep-store")
+    assert (status, err) == (
+        0,
+        "32 of 48 parts of the work are there from an earlier run; going on with the others\n",
+    )
+    status, _, err = todframes("score", path, "-o", out, "--keep-store")
+    assert err == "48 of 48 parts of the work are there from an earlier run; nothing is left to do\n"
+    # Another criterion needs no trial again, another noise or seed all of them.
+    assert "48 of 48" in todframes("score", path, "-o", out, "--keep-store", "--p-correct", "0.6")[2]
+    for changed in (("--internal-noise", "0.4"), ("--seed", "2"), ("--set", "kernel_a=0.4")):
+        assert todframes("score", path, "-o", tmp_path / "other", *changed)[0] == 0
+        assert todframes("score", path, "-o", out, "--keep-store", *changed)[2] == ""
+        assert content(out)["scores.csv"] == content(tmp_path / "other")["scores.csv"]
+    # A command of another kind leaves the store where it is.
+    assert todframes("naked-eye", "--contrast", "1", "-o", out)[0] == 0
+    assert (out / STAGING / STORE).is_dir()
+    status, _, err = todframes("score", path, "-o", out, "--restart")
+    assert (status, err) == (0, "")
+    assert not (out / STAGING).exists()
+    assert {name: whole[name] for name in whole} == {name: content(out)[name] for name in whole}
+
+
+def test_compare_goes_on(todframes, make_dataset, tmp_path: Path) -> None:
+    path = make_dataset(contrasts=(0.05, 0.1, 0.2, 0.4), repeats=4).path
+    command = (
+        "compare",
+        path,
+        "--enhance",
+        "gaussian:sigma=1",
+        "--white",
+        "100",
+        "--set",
+        "resamples=40",
+        "--json",
+    )
+    undisturbed = json.loads(todframes(*command, "-o", tmp_path / "undisturbed")[1])
+    frame = spoil_last(path)
+    assert todframes(*command, "-o", tmp_path / "out")[0] == 1
+    frame.with_suffix(".whole").replace(frame)
+    status, out, err = todframes(*command, "-o", tmp_path / "out")
+    assert status == 0
+    assert "47 of 64 parts of the work are there" in err
+    scores = [(tmp_path / name / "scores.csv").read_bytes() for name in ("undisturbed", "out")]
+    assert scores[0] == scores[1]
+    for one, other in zip(undisturbed["algorithms"], json.loads(out)["algorithms"], strict=True):
+        assert one.get("ratios") == other.get("ratios")
+        assert one["n_clipped"] == other["n_clipped"]
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupted_run_says_what_is_kept(make_dataset, tmp_path: Path, number: signal.Signals) -> None:
+    path, out = make_dataset(contrasts=(0.05, 0.1, 0.2, 0.4), repeats=60).path, tmp_path / "out"
+    process = started("todframes", "score", path, "-o", out)
+    until_begun(out)
+    process.send_signal(number)
+    _, err = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert err.splitlines() == [
+        "error: interrupted, nothing was written",
+        f"note: what is finished is kept in {out}; the same command goes on where this one ended",
+    ]
+
+
+def until_begun(out: Path) -> None:
+    """Wait until the store's log has results: more than its empty tables take."""
+    deadline = time.monotonic() + 60
+    while not any(path.stat().st_size > 17_000 for path in out.glob(f"{STAGING}/{STORE}/*-wal")):
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
+def test_a_second_run_into_one_folder_is_told(make_dataset, tmp_path: Path, todframes) -> None:
+    path, out = make_dataset(contrasts=(0.05, 0.1, 0.2, 0.4), repeats=60).path, tmp_path / "out"
+    process = started("todframes", "score", path, "-o", out)
+    until_begun(out)
+    os.kill(process.pid, signal.SIGSTOP)
+    status, _, err = todframes("score", path, "-o", out)
+    os.kill(process.pid, signal.SIGCONT)
+    process.communicate(timeout=60)
+    assert (status, err) == (2, f"error: {out}: another run is writing there; wait for it, or take another name\n")
+    assert process.returncode == 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("workers", [1, 2])
+def test_killed_at_random_moments(make_dataset, tmp_path: Path, workers: int) -> None:
+    """After the last restart the result is that of an undisturbed run, byte for byte."""
+    path = make_dataset(sizes_mrad=(1.0, 2.0), contrasts=(0.05, 0.1, 0.2, 0.4), repeats=30).path
+    command = ("todframes", "score", path, "--quiet", "--workers", str(workers), "-o")
+    done(*command, tmp_path / "undisturbed")
+    random_s = random.Random(workers)
+    kills = 0
+    while kills < 6:
+        process = started(*command, tmp_path / "out")
+        try:
+            process.communicate(timeout=0.5 + random_s.random())
+            break
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.communicate()
+            kills += 1
+    assert kills > 1
+    done(*command, tmp_path / "out")
+    assert content(tmp_path / "out") == content(tmp_path / "undisturbed")
+
+
+@pytest.mark.slow
+def test_a_killed_simulation_goes_on(tmp_path: Path) -> None:
+    command = ("sensor_sim", "simulate", SAMPLES / "staring_camera.toml", "--size-detectors", "4,6")
+    command += ("--snr", "1,2", "--trials", "128", "-o")
+    done(*command, tmp_path / "undisturbed")
+    out = tmp_path / "out"
+    process = started(*command, out)
+    until_begun(out)
+    process.kill()
+    process.communicate()
+    # Frames of other settings are not taken over, nor do they stay.
+    shutil.copytree(out, tmp_path / "other")
+    err = done(*command, out)
+    assert "parts of the work are there from an earlier run; going on with the others" in err
+    assert content(out) == content(tmp_path / "undisturbed")
+    err = done(*command, tmp_path / "other", "--seed", "2", "--format", "png")
+    assert "earlier run" not in err
+    assert {path.suffix for path in (tmp_path / "other" / "frames").iterdir()} == {".png"}
+
+
+@pytest.mark.slow
+def test_a_killed_import_goes_on(tmp_path: Path) -> None:
+    rng = np.random.default_rng(1)
+    np.save(tmp_path / "frames.npy", rng.integers(0, 255, (600, 200, 300), dtype=np.uint8))
+    (tmp_path / "schedule.csv").write_text(
+        "file,start_s,end_s,orientation,size_mrad,contrast,x_px,y_px\nframes.npy,0,20,up,20,0.5,150,100\n",
+        encoding="utf-8",
+    )
+    command = ("todframes", "import", tmp_path / "frames.npy", "--schedule", tmp_path / "schedule.csv")
+    command += ("--frames-per-second", "30", "-o")
+    done(*command, tmp_path / "undisturbed")
+    out = tmp_path / "out"
+    process = started(*command, out)
+    until_begun(out)
+    process.kill()
+    process.communicate()
+    err = done(*command, out)
+    assert "windows are there from an earlier run; going on with the others" in err
+    assert content(out) == content(tmp_path / "undisturbed")

@@ -1,0 +1,399 @@
+"""Sweeps: the numbers of `curve` for each design, ranges and files of designs, acuity, trade-off front, output."""
+
+from __future__ import annotations
+
+import csv
+import itertools
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import sensor_sim as ss
+import todframes as tod
+from sensor_sim.cli import cli
+from sensor_sim.designs import Base, grid, latin_hypercube, numeric_keys, parse_range
+from sensor_sim.sharing import Kept
+from sensor_sim.sweep_result import acuity, front
+from sensor_sim.sweep_work import SweepWork, Variants, plan_sweep, run_sweep
+from todframes.cli.console import run
+from todframes.errors import SettingsError
+from todframes.jobs.local import LocalEngine
+from todframes.jobs.processes import ProcessEngine
+from todframes.observers.pyramid import PyramidObserver, PyramidSettings
+
+CAMERA = Path(__file__).parent.parent / "sample_frames" / "staring_camera.toml"
+KNOWN = numeric_keys(PyramidSettings)
+ROUGH = 0.1
+"""Tolerance of thresholds that are compared with each other and not with the truth."""
+
+
+def small_camera() -> ss.Sensor:
+    """A camera whose triangles are a few retina samples wide, which takes the least time."""
+    camera = ss.load_sensor(CAMERA)
+    display = replace(camera.display, pixels_per_detector=2, blur_sigma_px=0.5)
+    return replace(camera, display=display)
+
+
+@pytest.fixture(scope="module")
+def swept():
+    vary = {
+        "optics.aperture_mm": [60.0, 220.0],
+        "noise.netd_mk": [10.0, 40.0],
+        "observer.internal_noise": [0.2, 0.5],
+    }
+    return ss.sweep(
+        small_camera(),
+        size_detectors=[4, 7],
+        vary=vary,
+        tolerance=ROUGH,
+        minimise=["delta_t_mk", "optics.aperture_mm"],
+        acuity_delta_t_mk=50.0,
+    )
+
+
+def test_numbers_are_those_of_the_curve(swept) -> None:
+    """To the last bit, whatever designs share: every key was in use by a neighbour."""
+    camera = small_camera()
+    rows = list(swept.records())
+    for design in (0, 3, 6):
+        aperture, netd, noise = swept.swept.designs.values[design]
+        alone = ss.curve(
+            replace(
+                camera,
+                optics=replace(camera.optics, aperture_mm=aperture),
+                noise=replace(camera.noise, netd_mk=netd),
+            ),
+            size_detectors=[4, 7],
+            observer=tod.PyramidObserver(internal_noise=noise),
+            tolerance=ROUGH,
+            examples=False,
+        )
+        for fit, row in zip(alone.fits, rows[2 * design : 2 * design + 2], strict=True):
+            assert row["design"] == design + 1
+            assert row["size_detectors"] == fit.group["size_detectors"]
+            assert row["threshold_snr"] == fit.threshold
+            assert row["threshold_snr_error"] == fit.threshold_numerical_error
+            assert row["delta_t_mk"] == fit.delta_t_mk
+            assert (row["status"], row["n_phases"]) == (fit.status, fit.n_phases)
+
+
+def test_designs_that_differ_in_noise_alone_are_computed_once(swept) -> None:
+    assert swept.swept.n_computed == 8  # 2 apertures × 2 observers × 2 sizes, for 8 designs
+    rows = list(swept.records())
+    for one, other in zip(rows[0:4], rows[4:8], strict=True):  # NETD 10 and 40 mK
+        assert one["threshold_snr"] == other["threshold_snr"]
+        assert other["delta_t_mk"] == pytest.approx(4.0 * one["delta_t_mk"], rel=1e-14)
+
+
+def test_memory_and_order_change_no_number() -> None:
+    camera = small_camera()
+    base = Base(camera, PyramidSettings(), keep_fill_factor=True)
+    designs = grid({"detector.pitch_mrad": [0.08, 0.1], "display.blur_sigma_px": [0.4, 0.8]}, base.keys)
+    found = []
+    for shared_mb, order in ((0, 1), (1, 1), (512, -1)):
+        work = SweepWork(
+            observers=Variants(PyramidObserver, PyramidSettings()),
+            p_correct=0.75,
+            tolerance=ROUGH,
+            seed=1,
+            shared_mb=shared_mb,
+        )
+        turned = designs._replace(values=designs.values[::order])
+        found.append(run_sweep(base, turned, [4.0], work, LocalEngine()).threshold_snr[::order])
+    assert np.isfinite(found[0]).all()
+    for other in found[1:]:
+        assert np.array_equal(found[0], other)
+
+
+@pytest.mark.slow
+def test_processes_and_a_store_change_no_number(swept, tmp_path: Path) -> None:
+    from todframes.jobs.store import Store
+
+    camera, vary = small_camera(), {"optics.aperture_mm": [60.0, 220.0], "noise.netd_mk": [10.0, 40.0]}
+    store = Store(tmp_path / "store", "OUT")
+    arguments = {"size_detectors": [4, 7], "vary": vary, "tolerance": ROUGH, "store": store}
+    one = ss.sweep(camera, cluster=ProcessEngine(2, items_per_task=1), **arguments)
+    assert len(store) == 4
+    again = ss.sweep(camera, **arguments)
+    store.close()
+    for result in (one, again):
+        assert np.array_equal(result.swept.threshold_snr, swept.swept.threshold_snr[1::2])
+        assert np.array_equal(result.swept.numerical_error, swept.swept.numerical_error[1::2])
+
+
+def test_impossible_designs_have_a_reason_and_the_others_go_on() -> None:
+    vary = {"detector.pitch_mrad": [0.05, 0.0681], "optics.blur_sigma_mrad": [0.01, 30.0]}
+    result = ss.sweep(small_camera(), size_detectors=[4], vary=vary, tolerance=ROUGH)
+    assert [one[0] for one in result.swept.status] == ["impossible", "impossible", "ok", "impossible"]
+    reasons = [one[0] for one in result.swept.reason]
+    assert reasons[0] == (
+        "detector.width_mrad: found 0.0681, expected at most pitch_mrad (0.05); "
+        "with --keep-fill-factor the width follows the pitch"
+    )
+    assert reasons[3].startswith("field: a triangle of 4 detectors and optics.blur_sigma_mrad of 30 need")
+    assert "3 designs cannot be made or computed" in " ".join(result.sentences())
+
+
+def test_width_follows_the_pitch() -> None:
+    camera = replace(ss.load_sensor(CAMERA), detector=ss.Detector(pitch_mrad=0.1, width_mrad=0.08))
+    kept = Base(camera, PyramidSettings(), keep_fill_factor=True)
+    free = Base(camera, PyramidSettings(), keep_fill_factor=False)
+    assert kept.design({"detector.pitch_mrad": 0.05})[0].detector.width_mrad == pytest.approx(0.04)
+    assert free.design({"detector.pitch_mrad": 0.2})[0].detector.width_mrad == 0.08
+    both = free.design({"detector.pitch_mrad": 0.05, "detector.fill_factor": 0.81})[0].detector
+    assert both.fill_factor == pytest.approx(0.81)
+    assert kept.design({"detector.pitch_mrad": 0.2, "detector.width_mrad": 0.1})[0].detector.width_mrad == 0.1
+    with pytest.raises(SettingsError, match=r"detector.fill_factor: found 1.2, expected a number above 0 and at"):
+        free.design({"detector.fill_factor": 1.2})
+
+
+def test_neighbours_share_samples_or_weights() -> None:
+    """Samples are needed anew only with the optics, weights only with the display: few changes in the order."""
+    base = Base(small_camera(), PyramidSettings(), keep_fill_factor=False)
+    designs = grid(
+        {"display.blur_sigma_px": [0.1 * k for k in range(1, 21)], "optics.aperture_mm": "60:220:5"}, KNOWN
+    )
+    chains = plan_sweep(base, designs, [4.0, 6.0]).chains
+    assert len(chains) == 200
+    apertures = [chain.sensor.optics.aperture_mm for chain in chains]
+    changes = sum(one != other for one, other in itertools.pairwise(apertures))
+    assert changes == 2 * 3 * 5 - 1  # 2 sizes × 3 groups of up to 8 displays × 5 apertures
+
+
+def test_grid_varies_the_last_key_fastest() -> None:
+    designs = grid({"optics.aperture_mm": "50:200:4", "noise.frames_integrated": "1:16:5:log"}, KNOWN)
+    assert designs.values[:6].tolist() == [[50, 1], [50, 2], [50, 4], [50, 8], [50, 16], [100, 1]]
+    assert len(designs.values) == 20
+    ends = grid({"optics.aperture_mm": "50:200:3:log"}, KNOWN).values[:, 0]
+    assert ends == pytest.approx([50.0, 100.0, 200.0])
+
+
+def test_latin_hypercube_has_one_design_in_each_part() -> None:
+    vary = {"optics.aperture_mm": "50:250", "noise.netd_mk": "1:100:log", "noise.frames_integrated": "1:4"}
+    designs = latin_hypercube(vary, KNOWN, n=40, seed=3)
+    parts = np.floor((designs.values[:, 0] - 50.0) / 200.0 * 40)
+    assert sorted(parts) == list(range(40))
+    parts = np.floor(np.log10(designs.values[:, 1]) / 2.0 * 40)
+    assert sorted(parts) == list(range(40))
+    assert np.unique(designs.values[:, 2], return_counts=True)[1].tolist() == [10] * 4
+    assert np.array_equal(designs.values, latin_hypercube(vary, KNOWN, n=40, seed=3).values)
+    assert not np.array_equal(designs.values, latin_hypercube(vary, KNOWN, n=40, seed=4).values)
+
+
+@pytest.mark.parametrize(
+    ("text", "match"),
+    [
+        ("5:5:3", "found '5:5:3', a range of zero width"),
+        ("9:5:3", "found '9:5:3', a range that falls"),
+        ("0:5:3:log", "expected FROM above 0 with log"),
+        ("1:5:1", "expected N of 2 or more"),
+        ("1:5:0", "expected N of 2 or more"),
+        ("1:5:2.5", "expected FROM:TO:N"),
+        ("1:5:3:ln", "expected FROM:TO:N"),
+        ("1:5:3:4:log", "expected FROM:TO:N"),
+        ("1", "expected FROM:TO:N"),
+        ("log", "expected FROM:TO:N"),
+        ("", "expected FROM:TO:N"),
+        ("nan:5:3", "expected finite numbers"),
+        ("1:inf:3", "expected finite numbers"),
+    ],
+)
+def test_bad_ranges(text: str, match: str) -> None:
+    with pytest.raises(SettingsError, match=match):
+        parse_range(text, "vary optics.aperture_mm")
+
+
+def bad(capsys: pytest.CaptureFixture[str], *arguments: object, status: int = 2) -> str:
+    """Return the one line of an error of the command."""
+    assert run(cli, ["sweep", str(CAMERA), "--size-detectors", "4", *map(str, arguments)]) == status
+    captured = capsys.readouterr()
+    assert not captured.out
+    (line,) = captured.err.splitlines()
+    return line
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        ((), "sweep: found nothing to vary"),
+        (
+            ("--vary", "optics.aperture=50:200:7"),
+            "unknown key 'optics.aperture'; the nearest valid one is 'optics.ap",
+        ),
+        (("--vary", "observer.internalnoise=0:1:3"), "the nearest valid one is 'observer.internal_noise'"),
+        (("--vary", "noise.distribution=1:2:2"), "unknown key 'noise.distribution'"),
+        (("--vary", "optics.aperture_mm"), "--vary: found 'optics.aperture_mm', expected KEY=FROM:TO:N"),
+        (("--vary", "optics.aperture_mm=50:200"), "expected a number of values N"),
+        (("--vary", "optics.aperture_mm=1:2:2000000"), "designs: found 2000000, expected at most 100000"),
+        (("--vary", "noise.frames_integrated=1:3:7"), "some values are the same whole number"),
+        (("--vary", "noise.netd_mk=1:3:3", "--vary", "noise.netd_mk=1:3:3"), "found noise.netd_mk twice"),
+        (("--vary", "noise.netd_mk=1:3:3", "--sample", "4"), "N is that of the sample"),
+        (("--vary", "noise.netd_mk=1:3:3", "--minimise", "netd"), "minimise: unknown key 'netd'"),
+        (("--vary", "noise.netd_mk=1:3:3", "--minimise", "acuity_mrad"), "needs an SNR or ΔT for the acuity"),
+        (
+            ("--vary", "noise.netd_mk=1:3:3", "--acuity-snr", "-1"),
+            "acuity_snr: found -1.0, expected a finite number",
+        ),
+        (("--vary", "noise.netd_mk=1:3:3", "--tolerance", "0"), "tolerance: found 0.0, expected a number > 0"),
+        (
+            ("--vary", "noise.netd_mk=1:3:3", "--observer", "oriented", "--set", "complex_cells=true"),
+            "it is not linear",
+        ),
+        (
+            ("--vary", "detector.width_mrad=1:2:2", "--vary", "detector.fill_factor=0.5:1:2"),
+            "found detector.fill_factor and detector.width_mrad, expected one of them",
+        ),
+    ],
+)
+def test_bad_commands_give_one_line(capsys, arguments: tuple[str, ...], expected: str) -> None:
+    assert expected in bad(capsys, *arguments)
+
+
+@pytest.mark.parametrize(
+    ("content", "expected"),
+    [
+        ("optics.aperture_mm\n", "found no design, expected a row for each"),
+        ("optics.aperture\n5\n", "unknown key 'optics.aperture'; the nearest valid one is 'optics.aperture_mm'"),
+        ("optics.aperture_mm\nlarge\n", "line 2: optics.aperture_mm: found 'large', expected a finite number"),
+        (
+            "noise.frames_integrated\n2.5\n",
+            "line 2: noise.frames_integrated: found '2.5', expected a whole number",
+        ),
+        ("optics.aperture_mm,noise.netd_mk\n5\n", "line 2: found 1 fields, expected 2"),
+        ("name\nbest\n", "found no key"),
+    ],
+)
+def test_bad_files_of_designs_give_one_line(capsys, tmp_path: Path, content: str, expected: str) -> None:
+    path = tmp_path / "designs.csv"
+    path.write_text(content)
+    line = bad(capsys, "--design", path, status=1)
+    assert line.startswith(f"error: {path}")
+    assert expected in line
+
+
+def test_acuity_of_a_power_law_is_exact() -> None:
+    """Thresholds c · size⁻² meet the level l at √(c/l); a relative error e of both shifts it by e/2."""
+    size, c, level = np.array([8.0, 2.0, 4.0]), 24.0, 3.0
+    threshold = c / size**2
+    found = acuity(size, threshold, 0.02 * threshold, ["ok"] * 3, level)
+    assert found.status == "ok"
+    assert found.detectors == pytest.approx(math.sqrt(c / level), rel=1e-12)
+    assert found.error == pytest.approx(0.01 * found.detectors, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("threshold", "status", "expected"),
+    [
+        ([9.0, 8.0], ["ok", "ok"], "never_reached"),
+        ([2.0, 1.0], ["ok", "ok"], "always_exceeded"),
+        ([math.nan, 1.0], ["never_reached", "ok"], "too_few_sizes"),
+        ([math.nan, 1.0], ["impossible", "ok"], "too_few_sizes"),
+        ([9.0, math.nan], ["ok", "impossible"], "too_few_sizes"),
+        ([math.nan, math.nan], ["never_reached", "never_reached"], "never_reached"),
+        ([9.0, math.nan], ["ok", "always_exceeded"], "too_few_sizes"),
+    ],
+)
+def test_acuity_is_never_extrapolated(threshold: list[float], status: list[str], expected: str) -> None:
+    found = acuity(np.array([2.0, 4.0]), np.array(threshold), np.zeros(2), status, 3.0)
+    assert found.status == expected
+    assert math.isnan(found.detectors)
+
+
+def test_front_is_what_no_row_dominates() -> None:
+    rng = np.random.default_rng(5)
+    costs = rng.integers(0, 12, (200, 3)).astype(float)
+    costs[::17, 1] = np.nan
+    on = front(costs)
+    for k, row in enumerate(costs):
+        dominated = ((costs <= row).all(axis=1) & (costs < row).any(axis=1)).any()
+        assert on[k] == (np.isfinite(row).all() and not dominated)
+    assert 0 < on.sum() < 200
+
+
+def test_kept_values_stay_within_their_bytes() -> None:
+    made: list[int] = []
+
+    def value(key: int) -> np.ndarray:
+        return kept.get(key, lambda: made.append(key) or np.zeros(1000))  # 8 kB, and 1 kB for the key
+
+    kept = Kept(20_000)
+    for key in (1, 2, 1, 3, 1, 2):
+        value(key)
+    assert made == [1, 2, 3, 2]  # 2 made room for 3, as 1 was used after it
+    assert len(Kept(100).get(1, lambda: np.zeros(1000))) == 1000
+
+
+def test_output(swept, tmp_path: Path) -> None:
+    swept.save(tmp_path / "out")
+    names = {path.name for path in (tmp_path / "out").iterdir()} - {"sweep.parquet"}
+    assert names == {
+        *("sweep.csv", "result.json", "report.html", "front.png", "map_4.png", "map_7.png", "tod_curves.png"),
+    }
+    with (tmp_path / "out" / "sweep.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    records = json.loads((tmp_path / "out" / "result.json").read_text())["records"]
+    assert len(rows) == len(records) == 16
+    for row, record, made in zip(rows, records, swept.records(), strict=True):
+        assert record == made
+        assert {key: value for key, value in row.items() if value} == {
+            key: json.dumps(value) if not isinstance(value, str) else value
+            for key, value in record.items()
+            if value is not None
+        }
+    assert rows[0]["acuity_status"] in ("ok", "never_reached", "always_exceeded")
+    assert float(rows[2]["size_scene_mrad"]) == pytest.approx(4 * 0.0681)
+
+
+def test_parquet_is_the_table(swept, tmp_path: Path) -> None:
+    parquet = pytest.importorskip("pyarrow.parquet", reason="pyarrow is not installed")
+    swept.save(tmp_path / "out")
+    assert parquet.read_table(tmp_path / "out" / "sweep.parquet").to_pylist() == list(swept.records())
+
+
+def test_one_key_and_one_size_have_a_line() -> None:
+    designs = [{"noise.netd_mk": 10.0}, {"noise.netd_mk": 20.0}]
+    result = ss.sweep(small_camera(), size_detectors=[5], design=designs, tolerance=ROUGH)
+    assert {"by_key.png", "report.html"} <= result.files().keys()
+    with pytest.raises(tod.DataError, match="plot_map: found one key that varies"):
+        result.plot_map()
+    with pytest.raises(tod.DataError, match="plot_front: found one column"):
+        result.plot_front()
+    with pytest.raises(tod.DataError, match="plot_tod: found no design with thresholds at two or more sizes"):
+        result.plot_tod()
+
+
+def test_command_is_the_call(capsys, tmp_path: Path) -> None:
+    path = tmp_path / "designs.csv"
+    path.write_text("name,optics.aperture_mm,display.pixels_per_detector\nsmall,60,2\nlarge,220,2\n")
+    arguments = ["sweep", CAMERA, "--design", path, "--size-detectors", "4", "--tolerance", ROUGH, "--json"]
+    assert run(cli, list(map(str, arguments))) == 0
+    made = json.loads(capsys.readouterr().out)
+    call = json.loads(ss.sweep(CAMERA, design=path, size_detectors=[4], tolerance=ROUGH).to_json())
+    assert [row["name"] for row in made["records"]] == ["small", "large"]
+    assert made["records"] == call["records"]
+    assert made["settings"]["sensor"] == call["settings"]["sensor"]
+
+
+def test_table_fits_a_narrow_terminal(swept, capsys, monkeypatch) -> None:
+    from todframes.cli.console import print_table
+
+    monkeypatch.setenv("COLUMNS", "80")
+    print_table(swept.best())
+    lines = capsys.readouterr().out.splitlines()
+    assert max(map(len, lines)) <= 80
+    assert "aperture" in "".join(lines)
+
+
+def test_keys_that_set_nothing_are_refused_by_the_call() -> None:
+    with pytest.raises(SettingsError, match="size_detectors: found a value twice in '4,4'"):
+        ss.sweep(CAMERA, size_detectors=[4, 4], vary={"noise.netd_mk": [1.0]})
+    with pytest.raises(SettingsError, match=r"design 2: found keys noise\.netd_mk, expected optics.aperture_mm"):
+        ss.sweep(CAMERA, size_detectors=[4], design=[{"optics.aperture_mm": 9.0}, {"noise.netd_mk": 9.0}])
+    with pytest.raises(SettingsError, match="found designs and also keys to vary"):
+        ss.sweep(CAMERA, size_detectors=[4], design=[{"noise.netd_mk": 9.0}], vary={"noise.netd_mk": [1.0]})
+    with pytest.raises(SettingsError, match=r"vary noise\.netd_mk: found a value twice"):
+        ss.sweep(CAMERA, size_detectors=[4], vary={"noise.netd_mk": [1.0, 1.0]})

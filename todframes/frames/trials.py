@@ -1,0 +1,504 @@
+"""Trials of a dataset as columns: a million take some 150 MB, where as many objects would take a gigabyte."""
+
+from __future__ import annotations
+
+from array import array
+from collections.abc import Hashable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Generic, NamedTuple, SupportsIndex, TypeVar, overload
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from todframes._typing import FloatArray
+from todframes.stimulus import ORIENTATIONS, Orientation, Stimulus
+
+V = TypeVar("V", bound=Hashable)
+
+
+Group = tuple[float | str, ...]
+
+
+BLOCK = 4096
+"""Number of trials that are made from the columns at a time."""
+
+
+class FrameReference(NamedTuple):
+    """A frame as the manifest names it: its path relative to the dataset, its checksum and its background.
+
+    `reference` is the path of the same frame without noise; None if there is none.
+    """
+
+    path: str
+    sha256: str | None
+    background_luminance_cd_m2: float | None
+    reference: str | None = None
+
+
+class Trial(NamedTuple):
+    """One presentation: the frames to average, their stimulus and its position.
+
+    `number` is the number of the first frame's row in the manifest and seeds the trial's random stream. `x_px` and
+    `y_px` are the position of the triangle's centroid in pixels; None: the frame's centre. `group` has one value
+    for each column of `group_by`.
+    """
+
+    number: int
+    name: str
+    frames: tuple[FrameReference, ...]
+    orientation: Orientation
+    stimulus: Stimulus
+    level: float
+    group: Group
+    x_px: float | None
+    y_px: float | None
+
+
+class Trials(Sequence[Trial]):
+    """Trials in the order of the manifest, held as columns; a `Trial` is made when it is asked for.
+
+    The columns do not change. A selection shares the columns of the trials that it was selected from; one that is
+    pickled takes along its own trials only.
+
+    `Trials.of` makes one of any trials. Arrays that the properties return have an element for each trial.
+    """
+
+    __slots__ = ("_columns", "_rows")
+
+    def __init__(self, columns: _Columns, rows: NDArray[np.intp]) -> None:
+        self._columns = columns
+        self._rows = rows
+
+    @classmethod
+    def of(cls, trials: Iterable[Trial]) -> Trials:
+        """Return trials as columns: the same object if they are columns already."""
+        if isinstance(trials, Trials):
+            return trials
+        builder = TrialsBuilder()
+        for trial in trials:
+            builder.append(trial)
+        return builder.trials()
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
+    @overload
+    def __getitem__(self, index: SupportsIndex) -> Trial: ...
+    @overload
+    def __getitem__(self, index: slice) -> Trials: ...
+    def __getitem__(self, index: SupportsIndex | slice) -> Trial | Trials:
+        if isinstance(index, slice):
+            return self.select(index)
+        (trial,) = self._columns.made(self._rows[np.array([index], np.intp)])
+        return trial
+
+    def __iter__(self) -> Iterator[Trial]:
+        for start in range(0, len(self), BLOCK):
+            yield from self._columns.made(self._rows[start : start + BLOCK])
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Trials):
+            return NotImplemented
+        return len(self) == len(other) and all(one == two for one, two in zip(self, other, strict=True))
+
+    def __hash__(self) -> int:
+        return hash(self.numbers.tobytes())
+
+    def __repr__(self) -> str:
+        return f"<Trials: {len(self)}>"
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Trials, (self._columns.taken(self._rows), np.arange(len(self)))
+
+    def select(self, indices: ArrayLike | slice) -> Trials:
+        """Return the trials at some indices, in the order of these, or those for which a mask is true."""
+        if not isinstance(indices, slice):
+            indices = np.asarray(indices)
+            if indices.dtype != np.bool_:
+                indices = indices.astype(np.intp, copy=False)
+        return Trials(self._columns, self._rows[indices])
+
+    def placed(self, position_px: FloatArray) -> Trials:
+        """Return the same trials at other positions (x, y) in pixels, shape (n, 2); NaN: the frame's centre."""
+        moved = np.full((len(self._columns.number), 2), np.nan)
+        moved[self._rows] = position_px
+        return Trials(replace(self._columns, position_px=moved), self._rows)
+
+    @property
+    def numbers(self) -> NDArray[np.int64]:
+        """Number of each trial."""
+        return self._columns.number[self._rows]
+
+    @property
+    def levels(self) -> FloatArray:
+        """Stimulus strength of each trial."""
+        return self._columns.level[self._rows]
+
+    @property
+    def quarter_turns(self) -> NDArray[np.intp]:
+        """Orientation of each trial, an index into `ORIENTATIONS`."""
+        return self._columns.orientation[self._rows].astype(np.intp)
+
+    @property
+    def stimuli(self) -> tuple[Stimulus, ...]:
+        """Stimuli that `stimulus_codes` count; a selection may lack some of them."""
+        return self._columns.stimuli
+
+    @property
+    def stimulus_codes(self) -> NDArray[np.int32]:
+        """Stimulus of each trial, an index into `stimuli`."""
+        return self._columns.stimulus[self._rows]
+
+    @property
+    def groups(self) -> tuple[Group, ...]:
+        """Groups that `group_codes` count; a selection may lack some of them."""
+        return self._columns.groups
+
+    @property
+    def group_codes(self) -> NDArray[np.int32]:
+        """Group of each trial, an index into `groups`."""
+        return self._columns.group[self._rows]
+
+    @property
+    def positions_px(self) -> FloatArray:
+        """Position (x, y) of each trial's triangle in pixels, shape (n, 2); NaN: the frame's centre."""
+        position_px = self._columns.position_px
+        return np.full((len(self), 2), np.nan) if position_px is None else position_px[self._rows]
+
+    @property
+    def frame_counts(self) -> NDArray[np.int64]:
+        """Number of frames of each trial."""
+        return np.asarray(np.diff(self._columns.first_frame)[self._rows])
+
+    @property
+    def n_frames(self) -> int:
+        """Number of frames of all trials."""
+        return int(self.frame_counts.sum())
+
+    def names(self) -> Iterator[str]:
+        """Yield the name of each trial."""
+        for start in range(0, len(self), BLOCK):
+            yield from self._columns.names(self._rows[start : start + BLOCK])
+
+    def indices_of_group(self, group: Group) -> NDArray[np.intp]:
+        """Return the indices of the trials of a group, ascending."""
+        if group not in self.groups:
+            return np.zeros(0, np.intp)
+        return np.flatnonzero(self.group_codes == self.groups.index(group))
+
+
+def indices_by(codes: NDArray[np.integer]) -> list[NDArray[np.intp]]:
+    """Return the indices, ascending, at which each code stands; codes are in the order of their first index."""
+    order = np.argsort(codes, kind="stable")
+    parts = np.split(order, np.flatnonzero(np.diff(codes[order])) + 1) if len(codes) else []
+    return sorted(parts, key=lambda part: int(part[0]))
+
+
+# Columns -------------------------------------------------------------------------------------------------------
+
+
+class TrialsBuilder:
+    """Columns that grow by a trial, or by a frame of a trial, at a time."""
+
+    def __init__(self) -> None:
+        self._number, self._orientation, self._level = array("q"), array("b"), array("d")
+        self._stimulus, self._group, self._position_px = array("i"), array("i"), array("d")
+        self._first_frame, self._trial_of_frame, self._background = array("i"), array("i"), array("d")
+        self._name, self._path, self._sha256, self._reference = (_Texts() for _ in range(4))
+        self._stimuli, self._groups = _Codes[Stimulus](), _Codes[Group]()
+
+    def __len__(self) -> int:
+        return len(self._number)
+
+    @property
+    def n_frames(self) -> int:
+        """Number of frames of all trials."""
+        return len(self._trial_of_frame)
+
+    def append(self, trial: Trial) -> None:
+        """Add a trial with its frames."""
+        self._name.append(b"" if trial.name == trial.frames[0].path else _encoded(f"={trial.name}"))
+        self._number.append(trial.number)
+        self._orientation.append(ORIENTATIONS.index(trial.orientation))
+        self._stimulus.append(self._stimuli.code(trial.stimulus))
+        self._level.append(trial.level)
+        self._group.append(self._groups.code(trial.group))
+        self._position_px.extend((_number(trial.x_px), _number(trial.y_px)))
+        self._first_frame.append(self.n_frames)
+        for frame in trial.frames:
+            self.append_frame(len(self) - 1, frame)
+
+    def append_frame(self, index: int, frame: FrameReference) -> None:
+        """Add a frame to the trial at an index."""
+        self._trial_of_frame.append(index)
+        self._path.append(_encoded(frame.path))
+        self._sha256.append(_packed_sha256(frame.sha256))
+        self._background.append(_number(frame.background_luminance_cd_m2))
+        self._reference.append(_encoded(frame.reference or ""))
+
+    def path(self, frame: int) -> str:
+        """Return the path of a frame, by its number in the order in which frames were added."""
+        return _decoded(self._path[frame])
+
+    def name(self, index: int) -> str:
+        """Return the name of the trial at an index."""
+        return _decoded(self._name[index])[1:] if self._name[index] else self.path(self._first_frame[index])
+
+    def without_frames(self, index: int) -> Trial:
+        """Return the trial at an index, but for its frames."""
+        x_px, y_px = self._position_px[2 * index : 2 * index + 2]
+        return Trial(
+            number=self._number[index],
+            name=self.name(index),
+            frames=(),
+            orientation=ORIENTATIONS[self._orientation[index]],
+            stimulus=self._stimuli.values[self._stimulus[index]],
+            level=self._level[index],
+            group=self._groups.values[self._group[index]],
+            x_px=_or_none(x_px),
+            y_px=_or_none(y_px),
+        )
+
+    def trials(self) -> Trials:
+        """Return the trials; no more can be added afterwards."""
+        trial_of_frame = _column(self._trial_of_frame, np.int32)
+        frames = _Frames(
+            path=self._path,
+            sha256=self._sha256.or_none(),
+            background_cd_m2=_unless_missing(_column(self._background, np.float64)),
+            reference=self._reference.or_none(),
+        )
+        if np.any(np.diff(trial_of_frame) < 0):  # the frames of a trial are to follow each other
+            frames = frames.taken(np.argsort(trial_of_frame, kind="stable"))
+        n_frames = np.bincount(trial_of_frame, minlength=len(self))
+        columns = _Columns(
+            number=_column(self._number, np.int64),
+            name=self._name.or_none(),
+            first_frame=np.concatenate([[0], np.cumsum(n_frames)]),
+            frames=frames,
+            orientation=_column(self._orientation, np.int8),
+            stimulus=_column(self._stimulus, np.int32),
+            level=_column(self._level, np.float64),
+            group=_column(self._group, np.int32),
+            position_px=_unless_missing(_column(self._position_px, np.float64).reshape(-1, 2)),
+            stimuli=tuple(self._stimuli.values),
+            groups=tuple(self._groups.values),
+        )
+        return Trials(columns, np.arange(len(self)))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Frames:
+    """Columns of frames; those in which all values are missing are None."""
+
+    path: _Texts
+    sha256: _Texts | None
+    background_cd_m2: FloatArray | None
+    reference: _Texts | None
+
+    def made(self, rows: NDArray[np.intp]) -> list[FrameReference]:
+        """Return the frames in some rows."""
+        none = [None] * len(rows)
+        sha256 = none if self.sha256 is None else map(_unpacked_sha256, self.sha256.at(rows))
+        background = none if self.background_cd_m2 is None else map(_or_none, self.background_cd_m2[rows].tolist())
+        reference = none if self.reference is None else (_decoded(one) or None for one in self.reference.at(rows))
+        return list(map(FrameReference, map(_decoded, self.path.at(rows)), sha256, background, reference))
+
+    def taken(self, rows: NDArray[np.intp]) -> _Frames:
+        """Return the columns of some rows alone."""
+        return _Frames(
+            path=self.path.taken(rows),
+            sha256=None if self.sha256 is None else self.sha256.taken(rows),
+            background_cd_m2=None if self.background_cd_m2 is None else self.background_cd_m2[rows],
+            reference=None if self.reference is None else self.reference.taken(rows),
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Columns:
+    """Columns of trials.
+
+    Attributes
+    ----------
+    number, orientation, stimulus, level, group : ndarray, shape (n,)
+        The number; an index into `ORIENTATIONS`; one into `stimuli`; the level; an index into `groups`.
+    name : _Texts or None
+        Names after a "=", and nothing where the name is the path of the first frame; None: nowhere another one.
+    first_frame : ndarray, shape (n + 1,)
+        Row in `frames` of each trial's first frame, which its other frames follow.
+    position_px : ndarray, shape (n, 2), or None
+        Position (x, y); NaN where it is not stated. None: nowhere stated.
+    """
+
+    number: NDArray[np.int64]
+    name: _Texts | None
+    first_frame: NDArray[np.int64]
+    frames: _Frames
+    orientation: NDArray[np.int8]
+    stimulus: NDArray[np.int32]
+    level: FloatArray
+    group: NDArray[np.int32]
+    position_px: FloatArray | None
+    stimuli: tuple[Stimulus, ...]
+    groups: tuple[Group, ...]
+
+    def made(self, rows: NDArray[np.intp]) -> Iterator[Trial]:
+        """Yield the trials in some rows."""
+        frames = self.frames.made(self._rows_of_frames(rows))
+        ends = np.cumsum(self.first_frame[rows + 1] - self.first_frame[rows]).tolist()
+        of_trials = [tuple(frames[start:end]) for start, end in zip([0, *ends], ends, strict=False)]
+        places = [(None, None)] * len(rows) if self.position_px is None else self.position_px[rows].tolist()
+        for number, name, own, turns, stimulus, level, group, (x_px, y_px) in zip(
+            self.number[rows].tolist(),
+            self.names(rows),
+            of_trials,
+            self.orientation[rows].tolist(),
+            self.stimulus[rows].tolist(),
+            self.level[rows].tolist(),
+            self.group[rows].tolist(),
+            places,
+            strict=True,
+        ):
+            yield Trial(
+                number,
+                name,
+                own,
+                ORIENTATIONS[turns],
+                self.stimuli[stimulus],
+                level,
+                self.groups[group],
+                _or_none(x_px),
+                _or_none(y_px),
+            )
+
+    def names(self, rows: NDArray[np.intp]) -> list[str]:
+        """Return the names of the trials in some rows."""
+        names = list(map(_decoded, self.frames.path.at(self.first_frame[rows])))
+        if self.name is None:
+            return names
+        own = map(_decoded, self.name.at(rows))
+        return [one[1:] if one else path for one, path in zip(own, names, strict=True)]
+
+    def taken(self, rows: NDArray[np.intp]) -> _Columns:
+        """Return the columns of some rows alone."""
+        n_frames = self.first_frame[rows + 1] - self.first_frame[rows]
+        stimuli, stimulus = np.unique(self.stimulus[rows], return_inverse=True)
+        groups, group = np.unique(self.group[rows], return_inverse=True)
+        return _Columns(
+            number=self.number[rows],
+            name=None if self.name is None else self.name.taken(rows),
+            first_frame=np.concatenate([[0], np.cumsum(n_frames)]),
+            frames=self.frames.taken(self._rows_of_frames(rows)),
+            orientation=self.orientation[rows],
+            stimulus=stimulus.astype(np.int32),
+            level=self.level[rows],
+            group=group.astype(np.int32),
+            position_px=None if self.position_px is None else self.position_px[rows],
+            stimuli=tuple(self.stimuli[k] for k in stimuli.tolist()),
+            groups=tuple(self.groups[k] for k in groups.tolist()),
+        )
+
+    def _rows_of_frames(self, rows: NDArray[np.intp]) -> NDArray[np.intp]:
+        """Return the rows in `frames` of the frames of some trials, one trial after the other."""
+        first = self.first_frame[rows]
+        n_frames = self.first_frame[rows + 1] - first
+        return np.repeat(first - np.cumsum(n_frames) + n_frames, n_frames) + np.arange(n_frames.sum())
+
+
+class _Codes(Generic[V]):
+    """Distinct values, numbered in the order in which they appear."""
+
+    def __init__(self) -> None:
+        self.values: list[V] = []
+        self._codes: dict[V, int] = {}
+
+    def code(self, value: V) -> int:
+        """Return the number of a value, which is new or was there before."""
+        code = self._codes.setdefault(value, len(self.values))
+        if code == len(self.values):
+            self.values.append(value)
+        return code
+
+
+class _Texts:
+    """Byte strings in one buffer, each followed by the next."""
+
+    __slots__ = ("_content", "_ends")
+
+    def __init__(self, parts: Iterable[bytes | bytearray] = ()) -> None:
+        self._content, self._ends = bytearray(), array("q", [0])
+        for part in parts:
+            self.append(part)
+
+    def append(self, part: bytes | bytearray) -> None:
+        self._content += part
+        self._ends.append(len(self._content))
+
+    def __getitem__(self, index: int) -> bytearray:
+        return self._content[self._ends[index] : self._ends[index + 1]]
+
+    def at(self, indices: NDArray[np.intp]) -> list[bytearray]:
+        """Return the strings at some indices."""
+        ends, content = _column(self._ends, np.int64), self._content
+        bounds = zip(ends[indices].tolist(), ends[indices + 1].tolist(), strict=True)
+        return [content[start:end] for start, end in bounds]
+
+    def taken(self, indices: NDArray[np.intp]) -> _Texts:
+        """Return the strings at some indices alone, in a buffer of their own."""
+        return _Texts(self.at(indices))
+
+    def or_none(self) -> _Texts | None:
+        """Return the strings, or None if all are empty."""
+        return self if self._content else None
+
+
+def _column(values: array[Any], dtype: type[Any]) -> NDArray[Any]:
+    """Return an array that shares the memory of a Python array and cannot be written."""
+    column = np.frombuffer(values, dtype)
+    column.flags.writeable = False
+    return column
+
+
+def _unless_missing(column: FloatArray) -> FloatArray | None:
+    """Return a column, or None if all its values are missing: NaN."""
+    return None if np.isnan(column).all() else column
+
+
+def _number(value: float | None) -> float:
+    """Return a number, NaN for None."""
+    return np.nan if value is None else value
+
+
+def _or_none(value: float | None) -> float | None:
+    """Return a number, None for NaN."""
+    return None if value is None or value != value else value
+
+
+def _encoded(text: str) -> bytes:
+    return text.encode("utf-8", "surrogatepass")
+
+
+def _decoded(text: bytearray) -> str:
+    return text.decode("utf-8", "surrogatepass")
+
+
+NO_SHA256 = bytes(33)
+"""Bytes in front of a text that is given as a checksum but is none: no checksum is as long."""
+
+
+def _packed_sha256(text: str | None) -> bytes:
+    """Return the 32 bytes of a checksum, and nothing for None."""
+    if text is None:
+        return b""
+    try:
+        packed = bytes.fromhex(text)
+    except ValueError:
+        packed = b""
+    return packed if len(packed) == 32 and packed.hex() == text else NO_SHA256 + _encoded(text)
+
+
+def _unpacked_sha256(packed: bytearray) -> str | None:
+    """Return the text of a packed checksum."""
+    if len(packed) > 32:
+        return _decoded(packed[len(NO_SHA256) :])
+    return packed.hex() or None
