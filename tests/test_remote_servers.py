@@ -24,6 +24,7 @@ from todframes import remote
 from todframes.errors import FrameError, RemoteError
 from todframes.frames.dataset import Dataset, load_dataset
 from todframes.frames.files import read_header
+from todframes.jobs.store import Store
 
 pytestmark = [
     pytest.mark.oracle,
@@ -369,3 +370,27 @@ def pixels(data: Dataset, number: int) -> bytes:
     """The decoded values of a frame."""
     with data.open(data.trials[number % len(data.trials)].frames[0]) as file:
         return file.read().stored.tobytes()
+
+
+def test_a_run_goes_on_without_scoring_frames_again(make_dataset, web, tmp_path) -> None:
+    """Frames are known by their tags alone, and each is read once less; one whose bytes have changed is scored."""
+
+    def scored() -> object:
+        store = Store(tmp_path / "store", "OUT")
+        store.begin()
+        return thresholds_and_scores(tod.score(url, examples=False, store=store))
+
+    made, url = make_dataset(contrasts=(0.01, 0.05, 0.2)), f"{web.url}/dataset"
+    frames = [f"dataset/{row['frame']}" for row in made.rows]
+    asked, results = [], []
+    for _ in range(2):
+        results.append(scored())
+        asked.append(web.asked.copy())
+        web.asked.clear()
+    # The first frame of a stimulus is read once more, for its size.
+    assert [asked[0]["GET", name] - asked[1]["GET", name] for name in frames] == [2, *[1] * (len(frames) - 1)]
+    assert [(asked[0]["HEAD", name], asked[1]["HEAD", name]) for name in frames] == [(0, 1)] * len(frames)
+    made.frame(5).write_bytes(made.frame(1).read_bytes())
+    results.append(scored())
+    assert results[0] == results[1] != results[2]
+    assert results[2] == thresholds_and_scores(tod.score(made.path, examples=False))
