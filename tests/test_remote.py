@@ -326,7 +326,7 @@ def test_a_lost_connection_ends_the_run_even_if_bad_frames_are_skipped(make_data
         tod.score(data, on_error="skip")
     assert str(caught.value).startswith(f"{data.path}/{made.rows[5]['frame']}: ")
     assert SECRET not in str(caught.value)
-    assert len(calls) == remote.READ_ATTEMPTS
+    assert len(calls) == remote.ATTEMPTS
 
 
 def test_checksums_are_verified_and_cannot_be_added(make_dataset, upload, run) -> None:

@@ -310,10 +310,25 @@ def test_s3_asks_once_for_each_frame_and_once_for_its_folder(make_dataset, uploa
     assert len({data.content_id(frame) for frame in frames}) == len(frames)
     for frame in frames:
         data.open(frame).__exit__()
-    objects = Counter({f"get_object archive/{frame.path}": 1 for frame in frames})
-    listings = {name: n for name, n in asked.items() if not name.startswith("get_object")}
-    assert asked - Counter(listings) == objects
-    assert sum(listings.values()) <= 1  # pages of listings are asked for in another way
+    expected = {f"get_object archive/{frame.path}": 1 for frame in frames}
+    assert asked == Counter(expected | {"list_objects_v2 archive/frames/": 1})
+
+
+def test_folders_are_listed_in_pages(make_dataset, upload, monkeypatch) -> None:
+    data = load_dataset(upload(make_dataset().path))
+    call, pages = s3fs.S3FileSystem._call_s3, []
+
+    async def few(self: object, method: str, *arguments: object, **more: object) -> object:
+        pages.append(method)
+        return await call(self, method, *arguments, **more, **({"MaxKeys": 3} if "list" in method else {}))
+
+    monkeypatch.setattr(s3fs.S3FileSystem, "_call_s3", few)
+    listed = remote.list_folder(data.path / "frames")
+    assert len(pages) == 3  # of 3, 3 and 2 files
+    assert {f"frames/{name}" for name in listed} == {trial.frames[0].path for trial in data.trials}
+    assert listed == {name: remote.entity_tag(data.path / "frames" / name) for name in listed}
+    assert set(remote.list_folder(data.path)) == {"dataset.toml", "manifest.csv"}
+    assert remote.list_folder(data.path / "none") == {}
 
 
 @pytest.mark.parametrize("tag", ['"{}"', 'W/"{}"', ""])

@@ -12,12 +12,16 @@ import os
 import re
 import threading
 import time
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 from urllib.parse import unquote
 
 from todframes.errors import DataError, RemoteError
 from todframes.locations import WEB, Location, RemotePath
+
+T = TypeVar("T")
+
 
 URL = re.compile(r"[A-Za-z][A-Za-z0-9+.:-]*://")
 """Pattern of the start of a URL, or of several chained by "::"."""
@@ -34,12 +38,12 @@ CONNECT_S, READ_S = 5, 15
 """Longest time until a server of S3 or HTTP accepts a connection, and between two pieces of its answer."""
 
 
-READ_ATTEMPTS, REQUEST_ATTEMPTS = 3, 2
-"""Attempts to read a file, and to get an answer from S3 in each of them."""
+ATTEMPTS, ATTEMPTS_AT_ONCE = 3, 2
+"""Attempts of a request, each of which asks S3 that often at once."""
 
 
 WAIT_S = 0.3
-"""Time before the second attempt to read a file, in seconds; before later ones it is longer."""
+"""Time before the second attempt of a request, in seconds; it is longer before later ones."""
 
 
 CONNECTIONS = 64
@@ -65,7 +69,7 @@ CLOSED = "the server closed the connection; try again"
 
 
 TRANSIENT = (NO_CONNECTION, NO_ANSWER, CLOSED)
-"""Problems after which a file is read again."""
+"""Problems after which a request is tried again."""
 
 
 PROBLEMS = {
@@ -143,7 +147,7 @@ def location(name: str | os.PathLike[str] | RemotePath) -> Location:
 
 
 def read_content(path: RemotePath) -> Content:
-    """Return the content of a file, by one request; it is tried again if the connection fails.
+    """Return the content of a file, by one request.
 
     Raises
     ------
@@ -152,12 +156,41 @@ def read_content(path: RemotePath) -> Content:
     RemoteError
         If the file cannot be read for any other reason.
     """
-    for attempt in range(1, READ_ATTEMPTS + 1):
+    return _tried(_read, path)
+
+
+def list_folder(folder: RemotePath) -> dict[str, str | None] | None:
+    """Return the entity tags of the files of a folder by name; None if it cannot be listed.
+
+    A folder that is missing has no files. S3 lists a thousand files a request.
+
+    Raises
+    ------
+    RemoteError
+        If the server cannot be reached.
+    """
+    return None if folder.scheme in WEB else _tried(_list, folder)
+
+
+def entity_tag(path: RemotePath) -> str | None:
+    """Return the entity tag of a file, which changes when its bytes do; None if it has none.
+
+    Raises
+    ------
+    FileNotFoundError, RemoteError
+        As `read_content` does.
+    """
+    return _tried(_entity_tag, path) if path.scheme in (*S3, *WEB) else None
+
+
+def _tried(request: Callable[[RemotePath], T], path: RemotePath) -> T:
+    """Return the answer to a request, which is tried again if the connection fails."""
+    for attempt in range(1, ATTEMPTS + 1):
         try:
-            return _read(path)
+            return request(path)
         except Exception as error:
             problem = _problem(path, error)
-            if attempt == READ_ATTEMPTS or str(problem).partition(": ")[2] not in TRANSIENT:
+            if attempt == ATTEMPTS or str(problem).partition(": ")[2] not in TRANSIENT:
                 raise problem from None
         time.sleep(attempt * WAIT_S)
     raise AssertionError  # the last attempt returns or raises
@@ -190,52 +223,38 @@ async def _read_web(file_system: Any, url: str) -> tuple[bytes, str | None]:
         return await answer.read(), answer.headers.get("ETag")
 
 
-def list_folder(folder: RemotePath) -> dict[str, str | None] | None:
-    """Return the entity tags of the files of a folder by name; None if it cannot be listed.
-
-    A folder that is missing has no files. S3 lists a thousand files a request.
-
-    Raises
-    ------
-    RemoteError
-        If the server cannot be reached.
-    """
-    if folder.scheme in WEB:
-        return None
+def _list(folder: RemotePath) -> dict[str, str | None] | None:
+    file_system = _file_system(folder)
     try:
-        found = _file_system(folder).ls(folder.url, detail=True)
+        if folder.scheme in S3:
+            from fsspec.asyn import sync
+
+            tags: dict[str, str | None] = sync(file_system.loop, _list_s3, file_system, folder.url)
+            return tags
+        found = file_system.ls(folder.url, detail=True)
     except FileNotFoundError:
         return {}
     except (PermissionError, NotImplementedError):
         return None
-    except Exception as error:
-        raise _problem(folder, error) from None
-    return {
-        str(info["name"]).rpartition("/")[2]: _tag(folder, info)
-        for info in found
-        if info.get("type") != "directory"
-    }
+    return {str(info["name"]).rpartition("/")[2]: None for info in found if info.get("type") != "directory"}
 
 
-def entity_tag(path: RemotePath) -> str | None:
-    """Return the entity tag of a file, which changes when its bytes do; None if it has none.
-
-    Raises
-    ------
-    FileNotFoundError, RemoteError
-        As `read_content` does.
-    """
-    if path.scheme not in (*S3, *WEB):
-        return None
-    try:
-        return _tag(path, _file_system(path).info(path.url))
-    except Exception as error:
-        raise _problem(path, error) from None
+async def _list_s3(file_system: Any, url: str) -> dict[str, str]:
+    bucket, key, _ = file_system.split_path(url)
+    tags: dict[str, str] = {}
+    more: dict[str, str] | None = {}
+    while more is not None:
+        # `ls` would hold a kilobyte for each file.
+        page = await file_system._call_s3(
+            "list_objects_v2", Bucket=bucket, Prefix=key and f"{key}/", Delimiter="/", **more
+        )
+        tags |= {one["Key"].rpartition("/")[2]: one["ETag"] for one in page.get("Contents", ())}
+        more = {"ContinuationToken": page["NextContinuationToken"]} if page.get("IsTruncated") else None
+    return tags
 
 
-def _tag(path: RemotePath, info: dict[str, Any]) -> str | None:
-    """Return the entity tag in a description of a file, for file systems that give it with the bytes too."""
-    return _strong(info.get("ETag")) if path.scheme in (*S3, *WEB) else None
+def _entity_tag(path: RemotePath) -> str | None:
+    return _strong(_file_system(path).info(path.url).get("ETag"))
 
 
 def _strong(tag: str | None) -> str | None:
@@ -282,14 +301,14 @@ def _connected(scheme: str, host: str, _process: int, _thread: int) -> Any:
         timeout = aiohttp.ClientTimeout(total=None, sock_connect=CONNECT_S, sock_read=READ_S)
         options |= {"encoded": True, "client_kwargs": {"timeout": timeout}}
     elif scheme in S3:
-        retries = {"mode": "standard", "total_max_attempts": REQUEST_ATTEMPTS}
+        retries = {"mode": "standard", "total_max_attempts": ATTEMPTS_AT_ONCE}
         times = {"connect_timeout": CONNECT_S, "read_timeout": READ_S}
         config = {"retries": retries, "max_pool_connections": CONNECTIONS, **times}
         # If files might be read in parts at once, each would first be asked for its size.
         options |= {"max_concurrency": 1, "config_kwargs": config}
     file_system, _ = url_to_fs(f"{scheme}://{host}", **options)
     if scheme in S3:
-        file_system.retries = 1  # `read_content` tries again
+        file_system.retries = 1  # `_tried` tries again
     return file_system
 
 
