@@ -442,16 +442,19 @@ class _Manifest:
         )
 
     def _frame_path(self, frame: str, where: str) -> str:
-        if os.sep == "/" and "\\" in frame:
-            if not (isinstance(self.folder, str) and os.path.lexists(os.path.join(self.folder, frame))):  # noqa: PTH118
-                written = frame.replace("\\", "/")
-                raise DataError(f"{where}: frame: found {frame} with backslashes, expected slashes: {written}")
+        if os.sep == "/" and "\\" in frame and not self._is_there(frame):
+            written = frame.replace("\\", "/")
+            raise DataError(f"{where}: frame: found {frame} with backslashes, expected slashes: {written}")
         n_paths = len(self.real_paths)
         path = path_inside(self.folder, frame, f"{where}: frame", self.real_folders)
         first = self.real_paths.number(path, self._real_path)
         if first < n_paths:
             raise DataError(f"{where}: frame {frame} is there already, in line {self.lines[first]}")
         return frame
+
+    def _is_there(self, frame: str) -> bool:
+        """Tell whether there is a local file of this name."""
+        return isinstance(self.folder, str) and os.path.lexists(os.path.join(self.folder, frame))  # noqa: PTH118
 
     def _real_path(self, number_of_path: int) -> str:
         """Return a path in `real_paths`, made again from the manifest's."""
