@@ -304,8 +304,7 @@ def _connected(scheme: str, host: str, _process: int, _thread: int) -> Any:
         retries = {"mode": "standard", "total_max_attempts": ATTEMPTS_AT_ONCE}
         times = {"connect_timeout": CONNECT_S, "read_timeout": READ_S}
         config = {"retries": retries, "max_pool_connections": CONNECTIONS, **times}
-        # If files might be read in parts at once, each would first be asked for its size.
-        options |= {"max_concurrency": 1, "config_kwargs": config}
+        options |= {"config_kwargs": config}
     file_system, _ = url_to_fs(f"{scheme}://{host}", **options)
     if scheme in S3:
         file_system.retries = 1  # `_tried` tries again
