@@ -185,15 +185,16 @@ def entity_tag(path: RemotePath) -> str | None:
 
 def _tried(request: Callable[[RemotePath], T], path: RemotePath) -> T:
     """Return the answer to a request, which is tried again if the connection fails."""
-    for attempt in range(1, ATTEMPTS + 1):
+    attempt = 1
+    while True:
         try:
             return request(path)
         except Exception as error:
             problem = _problem(path, error)
-            if attempt == ATTEMPTS or str(problem).partition(": ")[2] not in TRANSIENT:
+            if attempt == ATTEMPTS or not str(problem).endswith(TRANSIENT):
                 raise problem from None
         time.sleep(attempt * WAIT_S)
-    raise AssertionError  # the last attempt returns or raises
+        attempt += 1
 
 
 def _read(path: RemotePath) -> Content:
