@@ -17,12 +17,12 @@ from numpy.typing import NDArray
 from todframes._typing import FloatArray
 from todframes.enhancement.compare import AlgorithmResult
 from todframes.enhancement.enhanced_frame import Screen, TrialReader
-from todframes.frames.contrast import Patch, check_sha256, read_contrast
+from todframes.frames.contrast import Patch, read_contrast
 from todframes.frames.dataset import Dataset
 from todframes.frames.matching import block_means
 from todframes.frames.position import centroid_position, size_in_px
 from todframes.frames.surround import TrianglePlace
-from todframes.frames.trials import Trial, Trials
+from todframes.frames.trials import Trial
 from todframes.observers.interface import Observer
 from todframes.report.data import Example, Thumbnail, group_of
 from todframes.report.wording import evenly
@@ -102,7 +102,7 @@ def examples(dataset: Dataset, scored: ScoredDataset, observer: Observer) -> tup
         )
         found.append(_example(dataset, trial, float(scored.p_correct[place]), width_mrad, drawn))
     for one in evenly([one for one in scored.fits if one.fit.threshold is None], MOST_WITHOUT):
-        trials = Trials.of(scored.trials)
+        trials = scored.trials
         places = trials.indices_of_group(one.group)
         place = int(places[np.argmax(trials.levels[places])])
         trial = scored.trials[place]
@@ -172,7 +172,7 @@ def nearest_trial(scored: ScoredDataset, one: GroupFit) -> int:
     """Return the trial's index: level nearest to threshold, and of those P(correct) nearest to the criterion."""
     threshold, criterion = one.fit.threshold, one.fit.p_correct
     assert threshold is not None
-    trials = Trials.of(scored.trials)
+    trials = scored.trials
     places = trials.indices_of_group(one.group)
     from_threshold = np.abs(np.log(trials.levels[places] / threshold))
     from_criterion = np.abs(scored.p_correct[places] - criterion)
@@ -185,8 +185,7 @@ def _shown(dataset: Dataset, trial: Trial, observer: Observer) -> list[FramePart
     reach_px = _reach_px(observer, trial.stimulus, pitch_mrad)
     found = []
     for frame in trial.frames:
-        check_sha256(dataset, frame)
-        with dataset.open(frame) as file:
+        with dataset.open(frame, verify=True) as file:
             x, y = centroid_position(trial, file.header, observer.centre, pitch_mrad)
             rows, columns = ((round(place) - reach_px, round(place) + reach_px + 1) for place in (y, x))
             triangle = TrianglePlace(x, y, size_in_px(trial, pitch_mrad))
@@ -325,7 +324,7 @@ def compare_examples(
         draw = partial(_drawn, (dx, dy), observer, trial.stimulus)
         white = max(draw(one)[1][0].scale or 0.0 for one in after)
         for result, one in zip(shown_results, after, strict=True):
-            (here,) = np.flatnonzero(Trials.of(result.scored.trials).numbers == trial.number)
+            (here,) = np.flatnonzero(result.scored.trials.numbers == trial.number)
             p_correct = float(result.scored.p_correct[here])
             found.append(
                 _example(dataset, trial, p_correct, *draw(one, white=white), algorithm=result.enhancement.spec)
