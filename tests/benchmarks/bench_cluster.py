@@ -80,7 +80,7 @@ def rows() -> list[Row]:
 
         folder = Path(name, "frames")
         make_dataset(folder, N_DISTINCT, "png")
-        _repeat(folder / "manifest.csv", N_TRIALS // N_DISTINCT)
+        _repeat(folder, N_TRIALS // N_DISTINCT)
         dataset = load_dataset(folder)
 
         def score(engine: Engine) -> None:
@@ -92,8 +92,15 @@ def rows() -> list[Row]:
     return found
 
 
-def _repeat(manifest: Path, times: int) -> None:
-    """Show each frame of a manifest several times."""
+def _repeat(folder: Path, times: int) -> None:
+    """Show each frame of a dataset several times, by links to its file."""
+    manifest = folder / "manifest.csv"
     header, *lines = list(csv.reader(manifest.read_text(encoding="utf-8").splitlines()))
     with manifest.open("w", encoding="utf-8", newline="") as file:
-        csv.writer(file).writerows([header, *(lines * times)])
+        writer = csv.writer(file)
+        writer.writerow(header)
+        for number in range(times):
+            for frame, *others in lines:
+                link = frame.replace("/", f"/{number}_")
+                (folder / link).hardlink_to(folder / frame)
+                writer.writerow([link, *others])

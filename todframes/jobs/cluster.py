@@ -445,6 +445,8 @@ async def _local_cluster(n_workers: int) -> AsyncIterator[str]:
     settings = {
         "distributed.worker.multiprocessing-method": "spawn",
         "distributed.nanny.pre-spawn-environ": environment,
+        # Samples of the stack, a hundred each second, and nobody who looks at them.
+        "distributed.worker.profile.enabled": False,
         # A process that dies is started again, without end; Dask gives one up that happens to be down after this.
         "distributed.deploy.lost-worker-timeout": "1000 days",
     }
@@ -460,10 +462,17 @@ async def _local_cluster(n_workers: int) -> AsyncIterator[str]:
             silence_logs=logging.CRITICAL,
         )
         try:
-            await cluster
+            try:
+                await cluster
+            except Exception as error:
+                raise ClusterError(
+                    f"local:{n_workers}: the processes could not start ({in_words(error)}); a script must call "
+                    'this below `if __name__ == "__main__":`'
+                ) from None
             yield cluster.scheduler_address
         finally:
-            await asyncio.gather(*(nanny.close(timeout=KILL_S) for nanny in cluster.workers.values()))
+            closing = (nanny.close(timeout=KILL_S) for nanny in cluster.workers.values())
+            await asyncio.gather(*closing, return_exceptions=True)
             await cluster.close()
 
 
