@@ -237,9 +237,7 @@ class SweepData:
             for place, size in enumerate(swept.size_detectors):
                 snr, error = swept.threshold_snr[row, place], swept.numerical_error[row, place]
                 mk = swept.mk_per_snr[row]
-                in_mk = (
-                    {"delta_t_mk": _known(snr * mk), "delta_t_mk_error": _known(error * mk)} if has_netd else {}
-                )
+                in_mk = {"delta_t_mk": _known(snr * mk), "delta_t_mk_error": _known(error * mk)}
                 yield {
                     **of_design,
                     "size_detectors": size,
