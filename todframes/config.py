@@ -380,7 +380,7 @@ def read_csv(path: Location) -> Iterator[tuple[str, dict[str, str]]]:
     DataError
         If the file cannot be read or is not CSV, or two columns have the same name.
     """
-    reader = csv.reader(_lines(path, most_mb=MAX_CSV_MB), strict=True)
+    reader, name_of_file = csv.reader(_lines(path, most_mb=MAX_CSV_MB), strict=True), str(path)
     try:
         header = [name.strip() for name in next(reader, [])]
         if len(header) == 1 and (other := re.search("[;\t]", header[0])):
@@ -397,7 +397,7 @@ def read_csv(path: Location) -> Iterator[tuple[str, dict[str, str]]]:
             if not fields_found:
                 continue  # an empty line
             row = dict(zip(header, fields_found, strict=False))
-            where = f"{path}, line {reader.line_num}"
+            where = f"{name_of_file}, line {reader.line_num}"
             if len(fields_found) != len(header):
                 row[FIELDS_FOUND] = str(len(fields_found))
             yield where, row

@@ -185,15 +185,16 @@ def entity_tag(path: RemotePath) -> str | None:
 
 def _tried(request: Callable[[RemotePath], T], path: RemotePath) -> T:
     """Return the answer to a request, which is tried again if the connection fails."""
-    for attempt in range(1, ATTEMPTS + 1):
+    attempt = 1
+    while True:
         try:
             return request(path)
         except Exception as error:
             problem = _problem(path, error)
-            if attempt == ATTEMPTS or str(problem).partition(": ")[2] not in TRANSIENT:
+            if attempt == ATTEMPTS or not str(problem).endswith(TRANSIENT):
                 raise problem from None
         time.sleep(attempt * WAIT_S)
-    raise AssertionError  # the last attempt returns or raises
+        attempt += 1
 
 
 def _read(path: RemotePath) -> Content:
@@ -304,8 +305,7 @@ def _connected(scheme: str, host: str, _process: int, _thread: int) -> Any:
         retries = {"mode": "standard", "total_max_attempts": ATTEMPTS_AT_ONCE}
         times = {"connect_timeout": CONNECT_S, "read_timeout": READ_S}
         config = {"retries": retries, "max_pool_connections": CONNECTIONS, **times}
-        # If files might be read in parts at once, each would first be asked for its size.
-        options |= {"max_concurrency": 1, "config_kwargs": config}
+        options |= {"config_kwargs": config}
     file_system, _ = url_to_fs(f"{scheme}://{host}", **options)
     if scheme in S3:
         file_system.retries = 1  # `_tried` tries again

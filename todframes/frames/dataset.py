@@ -442,8 +442,7 @@ class _Manifest:
         )
 
     def _frame_path(self, frame: str, where: str) -> str:
-        is_there = isinstance(self.folder, str) and os.path.lexists(os.path.join(self.folder, frame))  # noqa: PTH118
-        if os.sep == "/" and "\\" in frame and not is_there:
+        if os.sep == "/" and "\\" in frame and not self._is_there(frame):
             written = frame.replace("\\", "/")
             raise DataError(f"{where}: frame: found {frame} with backslashes, expected slashes: {written}")
         n_paths = len(self.real_paths)
@@ -452,6 +451,10 @@ class _Manifest:
         if first < n_paths:
             raise DataError(f"{where}: frame {frame} is there already, in line {self.lines[first]}")
         return frame
+
+    def _is_there(self, frame: str) -> bool:
+        """Tell whether there is a local file of this name."""
+        return isinstance(self.folder, str) and os.path.lexists(os.path.join(self.folder, frame))  # noqa: PTH118
 
     def _real_path(self, number_of_path: int) -> str:
         """Return a path in `real_paths`, made again from the manifest's."""

@@ -417,20 +417,20 @@ async def _connected(cluster: str) -> AsyncIterator[Client]:
 async def _client(address: str) -> AsyncIterator[Client]:
     client = Client(address, asynchronous=True, timeout=CONNECT_S, set_as_default=False, direct_to_workers=False)
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", VersionMismatchWarning)  # `_check` looks at the versions
-            await client
-    except OSError:
-        raise ClusterError(
-            f"{address}: no Dask scheduler has answered within {CONNECT_S:g} s; is the address right, and "
-            "`dask scheduler` running there?"
-        ) from None
-    except Exception as error:
-        raise ClusterError(
-            f"{address}: cannot talk to what listens there ({in_words(error)}); expected a Dask scheduler of "
-            f"version {distributed.__version__}"
-        ) from None
-    try:
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", VersionMismatchWarning)  # `_check` looks at the versions
+                await client
+        except OSError:
+            raise ClusterError(
+                f"{address}: no Dask scheduler has answered within {CONNECT_S:g} s; is the address right, and "
+                "`dask scheduler` running there?"
+            ) from None
+        except Exception as error:
+            raise ClusterError(
+                f"{address}: cannot talk to what listens there ({in_words(error)}); expected a Dask scheduler of "
+                f"version {distributed.__version__}"
+            ) from None
         yield client
     finally:
         with suppress(TimeoutError):  # it waits for a lost scheduler

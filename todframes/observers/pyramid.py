@@ -127,6 +127,16 @@ class PyramidObserver:
         check_keys(changes, [field.name for field in fields(self.settings_type)], "settings")
         self.settings = replace(settings if settings is not None else self.settings_type(), **changes)
         self._more_levels = more_levels
+        self._make_caches()
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in vars(self).items() if not hasattr(value, "cache_info")}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self._make_caches()
+        vars(self).update(state)
+
+    def _make_caches(self) -> None:
         # Per observer, not per class: a cache on the method would keep every observer alive.
         self.templates = lru_cache(maxsize=4)(self._templates)
         self.readout = lru_cache(maxsize=4)(self._readout)
