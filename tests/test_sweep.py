@@ -120,7 +120,8 @@ def test_processes_and_a_store_change_no_number(swept, tmp_path: Path) -> None:
     assert len(store) == 4
     again = ss.sweep(camera, **arguments)
     store.close()
-    for result in (one, again):
+    workers = ss.sweep(camera, workers=2, **{**arguments, "store": None})
+    for result in (one, again, workers):
         assert np.array_equal(result.swept.threshold_snr, swept.swept.threshold_snr[1::2])
         assert np.array_equal(result.swept.numerical_error, swept.swept.numerical_error[1::2])
 
