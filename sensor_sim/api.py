@@ -210,11 +210,12 @@ def sweep(
     >>> vary = {"optics.aperture_mm": "110:220:2", "noise.netd_mk": [16, 32]}
     >>> result = ss.sweep(camera, size_detectors=[6], vary=vary, tolerance=0.1)
     >>> [round(row["delta_t_mk"]) for row in result.records()]
-    [12, 24, 10, 21]
+    [12, 25, 10, 21]
     """
     started = time.perf_counter()
     from sensor_sim.designs import Base, make_designs
-    from sensor_sim.sweep_result import Criterion, SweepResult, objectives
+    from sensor_sim.sweep_result import SweepResult
+    from sensor_sim.sweep_tables import Criterion, objectives
     from sensor_sim.sweep_work import SweepWork, Variants, check_sweep, engine_of, run_sweep
     from todframes.jobs.engine import open_engine
 

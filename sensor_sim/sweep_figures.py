@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sensor_sim.sweep_result import BY_SIZE, UNITS, SweepResult
+from sensor_sim.sweep_tables import BY_SIZE, UNITS, SweepData
 from todframes import __version__
 from todframes._typing import FloatArray
 from todframes.errors import DataError
@@ -32,7 +32,7 @@ LOG_SPAN = 10.0
 """Smallest ratio of the largest to the smallest value on a logarithmic axis."""
 
 
-def pictures(result: SweepResult) -> list[Picture]:
+def pictures(result: SweepData) -> list[Picture]:
     """List the figures of a sweep, the most important first."""
     keys, sizes = result.swept.designs.keys, result.swept.size_detectors
     found = []
@@ -48,7 +48,7 @@ def pictures(result: SweepResult) -> list[Picture]:
             note = "Threshold over the first two keys that vary. Blank: no threshold."
             note += " The lowest over the other keys." * (len(keys) > 2)
             draw = partial(draw_map, result=result, size=size)
-            found.append(Picture(f"Map at {sizes[size]:g} detectors", note, draw, f"map_{sizes[size]:g}.png"))
+            found.append(Picture(f"Map at {sizes[size]:g} detectors", note, draw, "" if size else "map.png"))
     elif varied(result):
         note = "A line for each size."
         found.append(Picture("Threshold against the key", note, partial(draw_lines, result=result), "by_key.png"))
@@ -58,13 +58,13 @@ def pictures(result: SweepResult) -> list[Picture]:
     return found
 
 
-def varied(result: SweepResult) -> list[int]:
+def varied(result: SweepData) -> list[int]:
     """Return the places of the keys that have more than one value."""
     values = result.swept.designs.values
     return [place for place in range(values.shape[1]) if len(np.unique(values[:, place])) > 1]
 
 
-def thresholds(result: SweepResult) -> tuple[FloatArray, str]:
+def thresholds(result: SweepData) -> tuple[FloatArray, str]:
     """Return thresholds in mK where NETD is known for all designs, else in SNR; and their heading."""
     swept = result.swept
     if np.isfinite(swept.mk_per_snr[np.isfinite(swept.pitch_mrad)]).all() and np.isfinite(swept.mk_per_snr).any():
@@ -72,7 +72,7 @@ def thresholds(result: SweepResult) -> tuple[FloatArray, str]:
     return swept.threshold_snr, "threshold SNR"
 
 
-def draw_curves(axes: Axes, result: SweepResult) -> None:
+def draw_curves(axes: Axes, result: SweepData) -> None:
     """Draw threshold against 1 / size of up to `MOST_CURVES` designs, coloured by the first key that varies."""
     from matplotlib.collections import LineCollection
 
@@ -99,7 +99,7 @@ def draw_curves(axes: Axes, result: SweepResult) -> None:
         _colour_bar(axes, drawn, swept.designs.keys[keys[0]])
 
 
-def draw_map(axes: Axes, result: SweepResult, size: int) -> None:
+def draw_map(axes: Axes, result: SweepData, size: int) -> None:
     """Draw thresholds at one size over the first two keys that vary: cells of a grid, or points."""
     keys = varied(result)
     if len(keys) < 2:
@@ -136,7 +136,7 @@ def draw_map(axes: Axes, result: SweepResult, size: int) -> None:
     _colour_bar(axes, drawn, heading)
 
 
-def draw_lines(axes: Axes, result: SweepResult) -> None:
+def draw_lines(axes: Axes, result: SweepData) -> None:
     """Draw the threshold against the one key that varies, a line for each size."""
     shown, heading = thresholds(result)
     key = varied(result)[0]
@@ -158,7 +158,7 @@ def draw_lines(axes: Axes, result: SweepResult) -> None:
     add_legend(axes)
 
 
-def draw_front(axes: Axes, result: SweepResult, size: int) -> None:
+def draw_front(axes: Axes, result: SweepData, size: int) -> None:
     """Draw all designs over the first two objectives at one size, and those on the trade-off front."""
     if len(result.objectives) < 2:
         raise DataError("plot_front: found one column, expected two or more to be low or high")
@@ -227,7 +227,7 @@ def edges_between(middles: FloatArray) -> FloatArray:
     return np.concatenate([[2.0 * middles[0] - inner[0]], inner, [2.0 * middles[-1] - inner[-1]]])
 
 
-def page(result: SweepResult) -> str:
+def page(result: SweepData) -> str:
     """Return the HTML page of a sweep: sentences, figures and the best designs; `sweep.csv` has all of them."""
     problems = result.problems()
     settings = [

@@ -39,8 +39,8 @@ SHARED_MB = 512
 ALIKE_TOGETHER = 8
 """Number of displays whose weights are kept while the sensors before them change; more may not fit."""
 
-OBSERVERS_KEPT = 8
-"""Number of observers that are kept, each with its readouts."""
+OBSERVERS_KEPT = 4
+"""Number of observers that are kept, each with its readouts, while sensors change."""
 
 IMPOSSIBLE = "impossible"
 """Status of a design, or of a size of it, that cannot be computed."""
@@ -309,17 +309,19 @@ def as_computed(sensor: Sensor) -> Sensor:
 def _order(unique: Sequence[tuple[Sensor, Changes]]) -> list[int]:
     """Return the order of sensors in which neighbours share most.
 
-    Samples depend on what is before the detectors, weights on what is behind them. The weights of a few displays
-    stay in memory while the samples change.
+    Samples depend on what is before the detectors, weights on what is behind them. A few observers, and the
+    weights of a few displays, stay in memory while the samples change.
     """
     before: dict[Any, int] = {}
     behind: dict[Any, int] = {}
     places = []
-    for number, (sensor, _) in enumerate(unique):
+    observers: dict[Changes, int] = {}
+    for number, (sensor, changes) in enumerate(unique):
         sampled = before.setdefault((sensor.optics, sensor.detector), len(before))
         # Displays that differ in gain alone, and observers in noise alone, share weights and stay neighbours.
         weighed = behind.setdefault((replace(sensor.display, gain=1.0), sensor.electronics), len(behind))
-        places.append((weighed // ALIKE_TOGETHER, sampled, weighed, number))
+        observer = observers.setdefault(changes, len(observers))
+        places.append((observer // OBSERVERS_KEPT, weighed // ALIKE_TOGETHER, sampled, weighed, number))
     return [place[-1] for place in sorted(places)]
 
 

@@ -147,6 +147,7 @@ HOW_TO = [
     "import_recordings.md",
     "compare_algorithms.md",
     "simulate_sensor.md",
+    "sweep.md",
     "fit_counts.md",
     "own_enhancement.md",
 ]

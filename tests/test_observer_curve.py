@@ -230,7 +230,7 @@ def test_ratio_is_the_quotient_of_the_thresholds(naked_eye):
     )
     level = np.repeat(levels, 12)
     fits = [fitted(level, p) for p in series]
-    draws = ratio_draws(level, series, fits, settings=FitSettings(resamples=200), rng=rng)
+    draws = ratio_draws(level, series, fits, pairs=[(1, 0)], settings=FitSettings(resamples=200), rng=rng)
     found = threshold_ratio(draws)
     assert found.ratio == fits[1].threshold / fits[0].threshold
     assert draws[0].points_ratio is None

@@ -25,6 +25,8 @@ SIGNALS = [
     pytest.param(number, id=number.name, marks=[] if number.name in QUICK else pytest.mark.slow)
     for number in (*signals.SIGNALS, *([signal.SIGKILL] if hasattr(signal, "SIGKILL") else []))
 ]
+MOMENTS = [pytest.param(False, id="before"), pytest.param(True, id="after", marks=pytest.mark.slow)]
+"""Whether a signal comes after a call or before it."""
 CALLS = ("mkdir", "open", "link", "rename", "replace", "unlink", "rmdir", "chmod")
 """Of `os`, each one that changes something on disk."""
 NOT_REACHED, INTERRUPTED = 99, 130
@@ -112,7 +114,6 @@ def ended_at(call: int, number: int, act: Callable[[], None], *, after: bool) ->
             for name in CALLS:
                 setattr(os, name, interrupting(getattr(os, name)))
             output._rename = interrupting(output._rename)
-            os.sync = lambda: None
             signals.written.clear()
             with signals.raised():
                 act()
@@ -132,24 +133,23 @@ def ended_at(call: int, number: int, act: Callable[[], None], *, after: bool) ->
 
 
 def endings(
-    tmp_path: Path, number: int, prepare: Callable[[Path], None], act: Callable[[Path], None]
+    tmp_path: Path, number: int, prepare: Callable[[Path], None], act: Callable[[Path], None], *, after: bool
 ) -> Iterator[tuple[Path, bool]]:
     """Places in which a run was ended by a signal before or after each of its calls; whether it says it wrote."""
     for call in range(1, 1000):
-        for after in (False, True):
-            path = tmp_path / f"{call}{after}" / "out"
-            path.parent.mkdir()
-            prepare(path)
-            status, said = ended_at(call, number, lambda path=path: act(path), after=after)  # type: ignore[misc]
-            if status == NOT_REACHED:
-                assert call > 5
-                return
-            if number == getattr(signal, "SIGKILL", None):
-                assert status == -number
-            else:
-                assert status == INTERRUPTED, said
-                assert staging_folders(path.parent) == []
-            yield path, "was written before" in said
+        path = tmp_path / str(call) / "out"
+        path.parent.mkdir()
+        prepare(path)
+        status, said = ended_at(call, number, lambda path=path: act(path), after=after)  # type: ignore[misc]
+        if status == NOT_REACHED:
+            assert call > 5
+            return
+        if number == getattr(signal, "SIGKILL", None):
+            assert status == -number
+        else:
+            assert status == INTERRUPTED, said
+            assert staging_folders(path.parent) == []
+        yield path, "was written before" in said
     raise AssertionError("the run has no end")
 
 
@@ -159,10 +159,15 @@ OLD, NEW, NEXT = dataset("old", "abc"), dataset("new"), dataset("next")
 @forks
 @forks_with_threads
 @pytest.mark.parametrize("number", SIGNALS)
-def test_a_dataset_is_replaced_whole_or_not_at_all(tmp_path: Path, number: int) -> None:
+@pytest.mark.parametrize("after", MOMENTS)
+def test_a_dataset_is_replaced_whole_or_not_at_all(tmp_path: Path, number: int, after: bool) -> None:
     seen = []
     for path, says_written in endings(
-        tmp_path, number, lambda path: simulate(path, OLD), lambda path: simulate(path, NEW, overwrite=True)
+        tmp_path,
+        number,
+        lambda path: simulate(path, OLD),
+        lambda path: simulate(path, NEW, overwrite=True),
+        after=after,
     ):
         found = contents(path)
         assert found in (OLD, NEW)
@@ -180,11 +185,16 @@ def test_a_dataset_is_replaced_whole_or_not_at_all(tmp_path: Path, number: int) 
 @forks_with_threads
 @pytest.mark.parametrize("there", [False, True], ids=["absent", "empty"])
 @pytest.mark.parametrize("number", SIGNALS)
-def test_a_dataset_appears_whole_or_not_at_all(tmp_path: Path, number: int, there: bool) -> None:
+@pytest.mark.parametrize("after", MOMENTS)
+def test_a_dataset_appears_whole_or_not_at_all(tmp_path: Path, number: int, after: bool, there: bool) -> None:
     """After a kill there may be parts, but no dataset.toml; the next run takes them away."""
     seen = []
     for path, says_written in endings(
-        tmp_path, number, lambda path: path.mkdir() if there else None, lambda path: simulate(path, NEW)
+        tmp_path,
+        number,
+        lambda path: path.mkdir() if there else None,
+        lambda path: simulate(path, NEW),
+        after=after,
     ):
         found = contents(path)
         is_dataset = "dataset.toml" in (found or {})
@@ -208,14 +218,15 @@ def test_a_dataset_appears_whole_or_not_at_all(tmp_path: Path, number: int, ther
 @forks
 @forks_with_threads
 @pytest.mark.parametrize("number", SIGNALS)
-def test_results_are_replaced_together_and_result_json_last(tmp_path: Path, number: int) -> None:
+@pytest.mark.parametrize("after", MOMENTS)
+def test_results_are_replaced_together_and_result_json_last(tmp_path: Path, number: int, after: bool) -> None:
     old = dict.fromkeys(("notes.txt", "scores.csv", "psychometric.png"), "old")
     old["result.json"] = '{"command": "score", "seed": 1}'
     made = dict.fromkeys(("report.html", "scores.csv"), "new") | {"result.json": '{"command": "score"}'}
     new = {"notes.txt": "old"} | made
     seen = []
     for path, says_written in endings(
-        tmp_path, number, lambda path: score(path, old), lambda path: score(path, made)
+        tmp_path, number, lambda path: score(path, old), lambda path: score(path, made), after=after
     ):
         found = contents(path)
         assert found is not None and found["notes.txt"] == "old"
@@ -236,13 +247,15 @@ def test_results_are_replaced_together_and_result_json_last(tmp_path: Path, numb
 @forks
 @forks_with_threads
 @pytest.mark.parametrize("number", SIGNALS)
-def test_a_file_is_replaced_whole_or_not_at_all(tmp_path: Path, number: int) -> None:
+@pytest.mark.parametrize("after", MOMENTS)
+def test_a_file_is_replaced_whole_or_not_at_all(tmp_path: Path, number: int, after: bool) -> None:
     seen = []
     for path, says_written in endings(
         tmp_path,
         number,
         lambda path: path.write_text("old", encoding="utf-8") and None,
         lambda path: write_file(path, b"new", not_over=tmp_path),
+        after=after,
     ):
         found = path.read_text(encoding="utf-8")
         assert found in ("old", "new")

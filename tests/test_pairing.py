@@ -30,7 +30,8 @@ def compared(level, *series, seed: int = 1):
     """Ratio of each series but the first to the first."""
     p_correct, rng = np.array(series, dtype=np.float64), np.random.default_rng(seed)
     fits = [fit_trials(level, p, settings=FitSettings(resamples=0), rng=rng) for p in p_correct]
-    draws = ratio_draws(np.asarray(level), p_correct, fits, settings=SETTINGS, rng=rng)
+    pairs = [(k, 0) for k in range(1, len(series))]
+    draws = ratio_draws(np.asarray(level), p_correct, fits, pairs=pairs, settings=SETTINGS, rng=rng)
     return [threshold_ratio([one]) for one in draws]
 
 
@@ -141,7 +142,8 @@ def test_algorithms_that_are_alike_are_hardly_ever_called_different(
         chosen = rng.integers(answers.shape[1], size=(7, 12))
         p_correct = answers[np.arange(7)[:, None], chosen].reshape(-1, 2).T
         fits = [fit_trials(level, p, curve=curve, settings=FitSettings(resamples=0), rng=rng) for p in p_correct]
-        draws = ratio_draws(level, p_correct, fits, settings=FitSettings(resamples=119), rng=rng)
+        settings = FitSettings(resamples=119)
+        draws = ratio_draws(level, p_correct, fits, pairs=[(1, 0)], settings=settings, rng=rng)
         different += threshold_ratio(draws).p_value < 0.05
     assert different <= 0.05 * experiments
 

@@ -17,7 +17,7 @@ import todframes as tod
 from sensor_sim.cli import cli
 from sensor_sim.designs import Base, grid, latin_hypercube, numeric_keys, parse_range
 from sensor_sim.sharing import Kept
-from sensor_sim.sweep_result import acuity, front
+from sensor_sim.sweep_tables import acuity, front
 from sensor_sim.sweep_work import SweepWork, Variants, plan_sweep, run_sweep
 from todframes.cli.console import run
 from todframes.errors import SettingsError
@@ -331,7 +331,7 @@ def test_output(swept, tmp_path: Path) -> None:
     swept.save(tmp_path / "out")
     names = {path.name for path in (tmp_path / "out").iterdir()} - {"sweep.parquet"}
     assert names == {
-        *("sweep.csv", "result.json", "report.html", "front.png", "map_4.png", "map_7.png", "tod_curves.png"),
+        *("sweep.csv", "result.json", "report.html", "front.png", "map.png", "tod_curves.png"),
     }
     with (tmp_path / "out" / "sweep.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))

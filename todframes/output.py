@@ -26,7 +26,7 @@ import os
 import shutil
 import stat
 import sys
-from collections.abc import Iterator, Mapping, Set
+from collections.abc import Iterable, Iterator, Mapping, Set
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
@@ -52,9 +52,13 @@ LAST_OF_DATASET, LAST_OF_RESULT = "dataset.toml", "result.json"
 
 
 FILES_OF_COMMAND = {
-    "score": {"report.html", "scores.csv", "psychometric.png", "tod_curve.png"},
+    "score": {"report.html", "scores.csv", "scores.parquet", "psychometric.png", "tod_curve.png"},
     "curve": {"report.html", "psychometric.png", "tod_curve.png"},
-    "compare": {"report.html", "scores.csv", "compare.csv", "compare.png"},
+    "compare": {"report.html", "scores.csv", "scores.parquet", "compare.csv", "compare.png"},
+    "sweep": {
+        *("report.html", "sweep.csv", "sweep.parquet"),
+        *("front.png", "map.png", "by_key.png", "tod_curves.png"),
+    },
 }
 """Files that each command writes beside `result.json`."""
 
@@ -207,11 +211,12 @@ def write_file(path: Path, content: bytes, *, not_over: Path | None = None) -> N
                 signals.written.append(str(path))
 
 
-def write_files(folder: Path, files: Mapping[str, bytes]) -> None:
-    """Write files into a folder; each is flushed to disk before the next is written."""
+def write_files(folder: Path, files: Mapping[str, bytes | Iterable[bytes]]) -> None:
+    """Write files, whole or part by part, into a folder; each is flushed to disk before the next is written."""
     for name, content in files.items():
         with (folder / name).open("wb") as file:
-            file.write(content)
+            for part in [content] if isinstance(content, bytes) else content:
+                file.write(part)
             file.flush()
             os.fsync(file.fileno())
 

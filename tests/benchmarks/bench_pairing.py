@@ -91,7 +91,8 @@ class Scene:
         curve: CurveName = "observer" if case.decisions == "expected" else "weibull"
         fits = [fit_trials(level, p, curve=curve, settings=FitSettings(resamples=0), rng=rng) for p in answers]
         settings = FitSettings(resamples=resamples)
-        return threshold_ratio(ratio_draws(level, np.array(answers), fits, settings=settings, rng=rng))
+        draws = ratio_draws(level, np.array(answers), fits, pairs=[(1, 0)], settings=settings, rng=rng)
+        return threshold_ratio(draws)
 
 
 def _root(covariance: FloatArray) -> FloatArray:

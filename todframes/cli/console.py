@@ -8,7 +8,7 @@ import re
 import shutil
 import sys
 import textwrap
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, redirect_stdout, suppress
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -53,7 +53,7 @@ class Staged(NamedTuple):
     None if there is no such place, or the run is not one that goes on later.
     """
 
-    write: Callable[[Callable[[], Mapping[str, bytes]]], None]
+    write: Callable[[Callable[[], Mapping[str, bytes | Iterable[bytes]]]], None]
     store: Store | None = None
 
 

@@ -177,9 +177,7 @@ def compare_dataset(
     fit = partial(fit_groups, plan, seed=seed, fit_settings=fit_settings, curve=curve, expected=expected)
     scored = [replace(fit(one), skipped=tuple(skipped)) for one in seen]
     gains = contrast_gains(seen[0].trials, columns.contrasts[columns.is_seen], strongest)
-    plain = [
-        _amplified(fit, seen[0], of_algorithm, fit_settings) if expected else None for of_algorithm in gains[1:]
-    ]
+    plain = [_amplified(fit, seen[0], of_algorithm, fit_settings) for of_algorithm in gains[1:] if expected]
     compared = _compared(scored, plain, gains, seed, fit_settings)
     black, white = screen.luminance_range
     results = []
@@ -292,14 +290,15 @@ def _amplified(
 
 def _compared(
     scored: Sequence[ScoredDataset],
-    plain: Sequence[ScoredDataset | None],
+    plain: Sequence[ScoredDataset],
     gains: Sequence[Mapping[tuple[float | str, ...], float]],
     seed: int,
     fit_settings: FitSettings,
 ) -> list[list[Compared]]:
     """Compare each algorithm with the reference: once a group, and once over all groups if there are several.
 
-    `plain` are the reference's trials after a plain gain of contrast, as large as that of each other algorithm.
+    `plain` are the reference's trials after a plain gain of contrast, as large as that of each other algorithm;
+    there are none if answers were drawn.
     """
     trials, groups = scored[0].trials, [fit.group for fit in scored[0].fits]
     several = len(groups) > 1
@@ -309,23 +308,25 @@ def _compared(
     level = trials.levels
     of_group = [trials.indices_of_group(group) for group in groups]
 
-    def draw(number: int, series: Sequence[ScoredDataset]) -> list[RatioDraws]:
+    # All series of a group at once: each is drawn and fitted only once.
+    others = range(1, len(scored))
+    pairs = [(k, 0) for k in others] + [(k, k + len(plain)) for k in others if plain]
+
+    def draw(number: int) -> list[RatioDraws]:
         these = of_group[number]
         rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(RATIO_STREAMS, number)))
-        fits = [one.fits[number].fit for one in series]
-        p_correct = np.array([one.p_correct[these] for one in series])
-        return ratio_draws(level[these], p_correct, fits, settings=settings, rng=rng)
+        fits = [one.fits[number].fit for one in (*scored, *plain)]
+        p_correct = np.array([one.p_correct[these] for one in (*scored, *plain)])
+        return ratio_draws(level[these], p_correct, fits, pairs=pairs, settings=settings, rng=rng)
 
-    draws = [draw(number, scored) for number in range(len(groups))]
+    draws = list(zip(*(draw(number) for number in range(len(groups))), strict=True))
     ratios = [
         [threshold_ratio([one]) for one in own] + ([threshold_ratio(own)] if several else [])
-        for own in zip(*draws, strict=True)
+        for own in draws[: len(others)]
     ]
     beyond = [
-        _beyond([draw(number, [amplifier, own])[0] for number in range(len(groups))], of_algorithm, groups)
-        if amplifier is not None
-        else [None] * (len(groups) + several)
-        for own, amplifier, of_algorithm in zip(scored[1:], plain, gains[1:], strict=True)
+        _beyond(own, of_algorithm, groups) if plain else [None] * (len(groups) + several)
+        for own, of_algorithm in zip(draws[-len(others) :], gains[1:], strict=True)
     ]
     least = 2 / (resamples + 1)
     corrected = iter(holm([ratio.p_value for own in ratios for ratio in own]).tolist())

@@ -230,8 +230,7 @@ class _Manifest:
         self.real_folders: dict[str, str] = {}
         self.stimuli: dict[tuple[str, str], Stimulus] = {}
         self.found = TrialsBuilder()
-        self.names = _Index(self.found.name)
-        self.real_paths = _Index(self._real_path)
+        self.names, self.real_paths = _Index(), _Index()
         # For each real path: the line, and the frame in `found`, or the row in `bad_rows` counted back from -1.
         self.lines, self.frames = array("q"), array("i")
 
@@ -258,7 +257,7 @@ class _Manifest:
 
     def _add(self, trial: Trial, where: str, *, joins: bool) -> None:
         """Add a trial, or its frame to the trial of the same name; without `joins` no two have the same."""
-        index = self.names.number(trial.name) if joins else len(self.found)
+        index = self.names.number(trial.name, self.found.name) if joins else len(self.found)
         if index == len(self.found):
             self.found.append(trial)
         else:
@@ -315,7 +314,8 @@ class _Manifest:
             written = frame.replace("\\", "/")
             raise DataError(f"{where}: frame: found {frame} with backslashes, expected slashes: {written}")
         n_paths = len(self.real_paths)
-        first = self.real_paths.number(path_inside(self.folder, frame, f"{where}: frame", self.real_folders))
+        path = path_inside(self.folder, frame, f"{where}: frame", self.real_folders)
+        first = self.real_paths.number(path, self._real_path)
         if first < n_paths:
             raise DataError(f"{where}: frame {frame} is there already, in line {self.lines[first]}")
         return frame
@@ -359,24 +359,23 @@ class _Manifest:
 class _Index:
     """Numbers of distinct texts in the order in which they come, without the texts: some 20 bytes for each.
 
-    It is exact: where the hashes of two texts agree, the earlier one is made again by `text_of` and compared.
+    It is exact: where the hashes of two texts agree, the earlier one is made again and compared.
     """
 
-    def __init__(self, text_of: Callable[[int], str]) -> None:
-        self._text_of = text_of
+    def __init__(self) -> None:
         self._hashes = array("q")
         self._slots = array("i", [-1]) * LEAST_SLOTS
 
     def __len__(self) -> int:
         return len(self._hashes)
 
-    def number(self, text: str) -> int:
-        """Return the number of a text; that of a new one is the number of texts that came before."""
+    def number(self, text: str, text_of: Callable[[int], str]) -> int:
+        """Return a text's number: for a new one, that of texts before it. `text_of` makes a text by its number."""
         found, hashes, slots = hash(text), self._hashes, self._slots
         last = len(slots) - 1
         slot = found & last
         while (count := slots[slot]) >= 0:
-            if hashes[count] == found and self._text_of(count) == text:
+            if hashes[count] == found and text_of(count) == text:
                 return count
             slot = (slot + 1) & last
         slots[slot] = len(hashes)

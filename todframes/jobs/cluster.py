@@ -29,6 +29,7 @@ from collections.abc import AsyncIterator, Coroutine, Generator, Iterable, Itera
 from concurrent.futures import Future, wait
 from contextlib import AbstractAsyncContextManager, AsyncExitStack, asynccontextmanager, contextmanager, suppress
 from dataclasses import dataclass
+from multiprocessing import resource_tracker
 from typing import Any, Generic, NamedTuple, TypeVar
 
 import cloudpickle
@@ -56,7 +57,7 @@ WITHOUT_WORKERS_S = 60.0
 """Time after which a run ends if all workers have gone."""
 
 
-CLOSE_S = 3.0
+CLOSE_S = 10.0
 """Longest time to leave a cluster in order."""
 
 
@@ -96,8 +97,8 @@ MOST_SUSPECTS = 10
 """Number of items put aside at which they are done before the rest."""
 
 
-LOGGERS = re.compile(r"(distributed|tornado|bokeh)\b")
-"""Pattern of the names of loggers that are switched off: this module tells what matters, in one line."""
+LIBRARIES = ("distributed", "tornado", "bokeh")
+"""Names of the loggers that are silenced, with those below them."""
 
 
 @contextmanager
@@ -384,7 +385,9 @@ class _Background:
 
     def _run(self) -> None:
         if hasattr(signal, "pthread_sigmask"):
-            # Processes started from here inherit the mask: Ctrl-C in a terminal reaches all of them.
+            # Ctrl-C in a terminal reaches all processes; those that are started from here inherit the mask. The
+            # start of the resource tracker would lift it.
+            resource_tracker.ensure_running()
             signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         self._loop.run_forever()
 
@@ -442,6 +445,8 @@ async def _local_cluster(n_workers: int) -> AsyncIterator[str]:
     settings = {
         "distributed.worker.multiprocessing-method": "spawn",
         "distributed.nanny.pre-spawn-environ": environment,
+        # A process that dies is started again, without end; Dask gives one up that happens to be down after this.
+        "distributed.deploy.lost-worker-timeout": "1000 days",
     }
     with _environment_kept(environment), dask.config.set(settings), tempfile.TemporaryDirectory() as folder:
         cluster = LocalCluster(
@@ -510,13 +515,13 @@ async def _count_threads(client: Client) -> int:
 
 @contextmanager
 def _without_messages() -> Iterator[None]:
-    """Switch off loggers of Dask: about lost connections and dead processes, the engine says what matters."""
-    found = [logging.getLogger(name) for name in list(logging.root.manager.loggerDict) if LOGGERS.match(name)]
-    switched_off = [logger for logger in found if not logger.disabled]
-    for logger in switched_off:
-        logger.disabled = True
+    """Silence the loggers of Dask: about lost connections and dead processes, the engine says what matters."""
+    names = {*LIBRARIES, *(name for name in logging.root.manager.loggerDict if name.split(".")[0] in LIBRARIES)}
+    levels = {logger: logger.level for logger in map(logging.getLogger, names)}
+    for logger in levels:
+        logger.setLevel(logging.CRITICAL + 1)
     try:
         yield
     finally:
-        for logger in switched_off:
-            logger.disabled = False
+        for logger, level in levels.items():
+            logger.setLevel(level)

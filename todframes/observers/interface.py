@@ -66,7 +66,7 @@ class Readout:
     @cached_property
     def weights_key(self) -> bytes:
         """Hash of the grid and of `deviations`: readouts of the same weights share it, whatever their noise."""
-        digest = hashlib.blake2b(repr((self.grid, self.deviations.shape)).encode(), digest_size=16)
+        digest = hashlib.sha256(repr((self.grid, self.deviations.shape)).encode())
         digest.update(np.ascontiguousarray(self.deviations).data)
         return digest.digest()
 

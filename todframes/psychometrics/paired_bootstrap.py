@@ -64,10 +64,11 @@ def ratio_draws(
     p_correct: FloatArray,
     fits: Sequence[PsychometricFit],
     *,
+    pairs: Sequence[tuple[int, int]],
     settings: FitSettings,
     rng: np.random.Generator,
 ) -> list[RatioDraws]:
-    """Compare the thresholds of several series of answers to the same trials with that of the first series.
+    """Compare the thresholds of pairs of series of answers to the same trials.
 
     In each repeated experiment the trials of a level are drawn with replacement, the same ones for all series, and
     curves are fitted to all.
@@ -79,15 +80,17 @@ def ratio_draws(
         0 or 1 where an answer was drawn, or the probability in [0, 1] that the answer is correct.
     fits : sequence of PsychometricFit
         Fit of each series to these trials, all with the same curve.
+    pairs : sequence of (int, int)
+        Series whose threshold is divided, and series that it is divided by; both count from 0.
 
     Returns
     -------
     list of RatioDraws
-        One for each series but the first.
+        One for each pair.
     """
     distinct, place, n_trials = np.unique(level, return_inverse=True, return_counts=True)
     if len(distinct) < 2:
-        return [RatioDraws(None, None, np.zeros(settings.resamples)) for _ in fits[1:]]
+        return [RatioDraws(None, None, np.zeros(settings.resamples)) for _ in pairs]
     by_level = np.split(p_correct[:, np.argsort(place, kind="stable")], np.cumsum(n_trials)[:-1], axis=1)
     curves = np.array([_fitted(fit, distinct) for fit in fits])
     are_probabilities = bool(np.any((p_correct > 0) & (p_correct < 1)))
@@ -106,13 +109,16 @@ def ratio_draws(
         refits = model.fit_many(answers, tolerance=tolerance)
         ln_thresholds.append(_within_reach(model, model.ln_threshold(refits)))
     found = []
-    for fit, ln_threshold in zip(fits[1:], ln_thresholds[1:], strict=True):
-        ratio = _quotient(fit.threshold, fits[0].threshold)
+    for one, other in pairs:
+        fit, reference = fits[one], fits[other]
+        ratio = _quotient(fit.threshold, reference.threshold)
         with np.errstate(invalid="ignore"):
-            ln_ratios = np.nan_to_num(ln_threshold - ln_thresholds[0], nan=0.0, posinf=np.inf, neginf=-np.inf)
+            difference = ln_thresholds[one] - ln_thresholds[other]
+        ln_ratios = np.nan_to_num(difference, nan=0.0, posinf=np.inf, neginf=-np.inf)
         if ratio is not None:
             ln_ratios = math.log(ratio) + (ln_ratios - math.log(ratio)) * widening
-        of_points = _quotient(fit.points_threshold, fits[0].points_threshold) if fit.curve == "weibull" else None
+        is_convention = fit.curve == "weibull"
+        of_points = _quotient(fit.points_threshold, reference.points_threshold) if is_convention else None
         found.append(RatioDraws(ratio, of_points, ln_ratios))
     return found
 

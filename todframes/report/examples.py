@@ -22,7 +22,7 @@ from todframes.frames.dataset import Dataset
 from todframes.frames.matching import block_means
 from todframes.frames.position import centroid_position, size_in_px
 from todframes.frames.surround import TrianglePlace
-from todframes.frames.trials import Trial, Trials
+from todframes.frames.trials import Trial
 from todframes.observers.interface import Observer
 from todframes.report.data import Example, Thumbnail, group_of
 from todframes.report.wording import evenly
@@ -102,7 +102,7 @@ def examples(dataset: Dataset, scored: ScoredDataset, observer: Observer) -> tup
         )
         found.append(_example(dataset, trial, float(scored.p_correct[place]), width_mrad, drawn))
     for one in evenly([one for one in scored.fits if one.fit.threshold is None], MOST_WITHOUT):
-        trials = Trials.of(scored.trials)
+        trials = scored.trials
         places = trials.indices_of_group(one.group)
         place = int(places[np.argmax(trials.levels[places])])
         trial = scored.trials[place]
@@ -172,7 +172,7 @@ def nearest_trial(scored: ScoredDataset, one: GroupFit) -> int:
     """Return the trial's index: level nearest to threshold, and of those P(correct) nearest to the criterion."""
     threshold, criterion = one.fit.threshold, one.fit.p_correct
     assert threshold is not None
-    trials = Trials.of(scored.trials)
+    trials = scored.trials
     places = trials.indices_of_group(one.group)
     from_threshold = np.abs(np.log(trials.levels[places] / threshold))
     from_criterion = np.abs(scored.p_correct[places] - criterion)
@@ -325,7 +325,7 @@ def compare_examples(
         draw = partial(_drawn, (dx, dy), observer, trial.stimulus)
         white = max(draw(one)[1][0].scale or 0.0 for one in after)
         for result, one in zip(shown_results, after, strict=True):
-            (here,) = np.flatnonzero(Trials.of(result.scored.trials).numbers == trial.number)
+            (here,) = np.flatnonzero(result.scored.trials.numbers == trial.number)
             p_correct = float(result.scored.p_correct[here])
             found.append(
                 _example(dataset, trial, p_correct, *draw(one, white=white), algorithm=result.enhancement.spec)

@@ -6,7 +6,7 @@ import csv
 import platform
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
@@ -175,14 +175,17 @@ class Result(ResultData, frozen=True, kw_only=True, dict=True):
 
         return page(self)
 
-    def files(self) -> dict[str, bytes]:
-        """Return the content of all files by name: `result.json`, `report.html`, tables and pictures."""
+    def files(self) -> dict[str, bytes | Iterable[bytes]]:
+        """Return the content of all files by name: `result.json`, `report.html`, tables and pictures.
+
+        Long tables come in parts, each made when it is asked for.
+        """
         from todframes.report.figures import pictures
         from todframes.report.tables import ratios
 
         trials = self.trials
         return {
-            **({} if trials is None else {"scores.csv": trials.csv().encode()}),
+            **({} if trials is None else _score_files(trials)),
             **({"compare.csv": ratios(self).csv().encode()} if self.algorithms else {}),
             **{one.file: one.png() for one in pictures(self) if one.file},
             "report.html": self.to_html().encode(),
@@ -206,6 +209,16 @@ class Result(ResultData, frozen=True, kw_only=True, dict=True):
 
         with output_folder(str(folder)) as staging:
             write_files(staging, self.files())
+
+
+def _score_files(trials: Table) -> dict[str, Iterable[bytes]]:
+    """Return `scores.csv` and, where pyarrow is installed, `scores.parquet` in parts."""
+    from todframes.report.parquet import has_parquet, parquet_parts
+
+    files: dict[str, Iterable[bytes]] = {"scores.csv": (part.encode() for part in trials.csv_parts())}
+    if has_parquet():
+        files["scores.parquet"] = parquet_parts(trials)
+    return files
 
 
 def load_result(path: Path | str) -> Result:
@@ -248,12 +261,19 @@ def read_result(content: bytes, where: str) -> Result:
 
 
 def _read_trials(path: Path) -> Table:
-    from todframes.report.table import Table
+    from todframes.report.table import LongRecords, Table
 
     with path.open(encoding="utf-8", newline="") as file:
-        header, *rows = csv.reader(file)
-    records = [dict(zip(header, map(_value, row), strict=True)) for row in rows]
-    return Table.of("Trials", path.name, header, records)
+        columns = {name: list(map(_value, texts)) for name, *texts in zip(*csv.reader(file), strict=True)}
+    kinds = {name: _kind(values) for name, values in columns.items()}
+    n = min(map(len, columns.values()), default=0)
+    return Table.of("Trials", path.name, kinds, LongRecords(kinds, n, lambda: iter([columns])))
+
+
+def _kind(values: Sequence[object]) -> type:
+    """Return the type of the values of a column, which may have None among them."""
+    kinds = {type(value) for value in values if value is not None}
+    return str if str in kinds else int if kinds == {int} else float
 
 
 def _value(text: str) -> object:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from html import escape
-from typing import TYPE_CHECKING, Any, Literal
+from itertools import islice
+from typing import TYPE_CHECKING, Any, Literal, overload
 
 import msgspec
 
@@ -16,6 +17,10 @@ from todframes.safe_text import csv_text, visible
 if TYPE_CHECKING:
     from pandas import DataFrame
     from rich.console import Group
+
+
+BLOCK = 4096
+"""Number of rows of a long table that are made, and written, at a time."""
 
 
 LONGEST_TABLE = 200
@@ -114,6 +119,52 @@ class Column:
                 return msgspec.json.encode(value).decode()
 
 
+class LongRecords(Sequence[Mapping[str, Any]]):
+    """Records that are made from columns, block by block, each time they are read: not all are in memory at once.
+
+    Parameters
+    ----------
+    kinds : mapping of str to type
+        Type of the values of each column: str, int or float.
+    n : int
+        Number of records.
+    blocks : function
+        Function that returns an iterator over mappings of all keys, in the order of `kinds`, to lists of values.
+    """
+
+    def __init__(
+        self, kinds: Mapping[str, type], n: int, blocks: Callable[[], Iterator[Mapping[str, Sequence[Any]]]]
+    ) -> None:
+        self.kinds = kinds
+        self.blocks = blocks
+        self._n = n
+
+    def __len__(self) -> int:
+        return self._n
+
+    def __iter__(self) -> Iterator[Mapping[str, Any]]:
+        for block in self.blocks():
+            for values in zip(*block.values(), strict=True):
+                yield dict(zip(block, values, strict=True))
+
+    @overload
+    def __getitem__(self, index: int) -> Mapping[str, Any]: ...
+    @overload
+    def __getitem__(self, index: slice) -> tuple[Mapping[str, Any], ...]: ...
+    def __getitem__(self, index: int | slice) -> Mapping[str, Any] | tuple[Mapping[str, Any], ...]:
+        places = range(self._n)[index]
+        if isinstance(places, int):
+            return next(islice(self, places, None))
+        first, last = min(places, default=0), max(places, default=-1)
+        part = list(islice(self, first, last + 1))
+        return tuple(part[place - first] for place in places)
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Sequence):
+            return NotImplemented
+        return len(self) == len(other) and all(one == two for one, two in zip(self, other, strict=True))
+
+
 @dataclass(frozen=True, slots=True)
 class Table:
     """Columns and records with a title; `file` is the name of the CSV file."""
@@ -121,7 +172,7 @@ class Table:
     title: str
     file: str
     columns: tuple[Column, ...]
-    records: tuple[Mapping[str, Any], ...]
+    records: Sequence[Mapping[str, Any]]
 
     @classmethod
     def of(
@@ -129,7 +180,7 @@ class Table:
     ) -> Table:
         """Return a table; a column given as text is its key, with all else by default."""
         made = (Column(key=one) if isinstance(one, str) else one for one in columns)
-        return cls(title, file, tuple(made), tuple(records))
+        return cls(title, file, tuple(made), records if isinstance(records, LongRecords) else tuple(records))
 
     def without_empty_columns(self, *but: str) -> Table:
         """Return the table without the columns in which no record has a value; columns named in `but` are kept."""
@@ -153,12 +204,17 @@ class Table:
 
     def csv(self) -> str:
         """Return all columns as CSV; numbers have all their digits, and no text is a formula."""
-        header = [name for column in self.columns for name in column.names]
+        return "".join(self.csv_parts())
+
+    def csv_parts(self) -> Iterator[str]:
+        """Yield the CSV in parts of some thousand rows."""
+        yield csv_text([[name for column in self.columns for name in column.names]])
         rows = (
             [field_text(value) for column in self.columns for value in _ends(column, record)]
             for record in self.records
         )
-        return csv_text([header, *rows])
+        while part := list(islice(rows, BLOCK)):
+            yield csv_text(part)
 
     def markdown(self) -> str:
         """Return the shown columns as a table in GitHub's Markdown."""

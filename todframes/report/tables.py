@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from functools import partial
 from typing import Any
 
+from todframes._typing import FloatArray
 from todframes.enhancement.compare import AlgorithmResult
 from todframes.frames.dataset import Dataset
+from todframes.frames.trials import Trials
 from todframes.report.data import (
     Algorithm,
     DatasetRecord,
@@ -16,12 +19,11 @@ from todframes.report.data import (
     Record,
     ResultData,
     SceneResult,
-    group_of,
 )
-from todframes.report.table import EXACT, Column, Table, field_text
+from todframes.report.table import BLOCK, EXACT, Column, LongRecords, Table, field_text
 from todframes.report.wording import group_phrase, level_heading, plain, quantity, unit_of
 from todframes.scoring.score import ScoredDataset
-from todframes.stimulus import ORIENTATIONS
+from todframes.stimulus import ORIENTATIONS, Stimulus
 
 THRESHOLD_COLUMNS = (
     Column(key="threshold_ci95", header="95 % interval", interval="threshold_ci95"),
@@ -362,38 +364,74 @@ def _flat(values: Record, prefix: str) -> Record:
 
 def trials(dataset: Dataset, scored: ScoredDataset) -> Table:
     """Make the table of scored trials: stimulus, scores, probability of each answer, answer."""
-    records = [*_trials(dataset, scored)]
-    return Table.of("Trials", "scores.csv", records[0], records)
+    return Table.of("Trials", "scores.csv", *_trials(dataset, [({}, scored)]))
 
 
 def compared_trials(dataset: Dataset, results: Sequence[AlgorithmResult]) -> Table:
     """Make the table of scored trials after each algorithm."""
-    records = [
-        {"algorithm": one.enhancement.spec, **record} for one in results for record in _trials(dataset, one.scored)
-    ]
-    return Table.of("Trials", "scores.csv", records[0], records)
+    parts = [({"algorithm": one.enhancement.spec}, one.scored) for one in results]
+    return Table.of("Trials", "scores.csv", *_trials(dataset, parts))
 
 
-def _trials(dataset: Dataset, scored: ScoredDataset) -> Iterable[Record]:
+def _trials(
+    dataset: Dataset, parts: Sequence[tuple[Mapping[str, str], ScoredDataset]]
+) -> tuple[list[str], LongRecords]:
+    """Return the names of the columns and the records of scored trials, each part with some texts in front."""
+    more, first = parts[0]
+    kinds = {**dict.fromkeys(more, str), **{name: kind for name, (kind, _) in _columns(dataset, first).items()}}
+
+    def blocks() -> Iterator[dict[str, list[Any]]]:
+        for texts, scored in parts:
+            columns, of_part = _columns(dataset, scored), scored.trials
+            for start in range(0, len(of_part), BLOCK):
+                rows = slice(start, start + BLOCK)
+                these = of_part[rows]
+                block = {name: [text] * len(these) for name, text in texts.items()}
+                yield block | {name: values(these, rows) for name, (_, values) in columns.items()}
+
+    return list(kinds), LongRecords(kinds, sum(len(scored.trials) for _, scored in parts), blocks)
+
+
+Values = Callable[[Trials, slice], list[Any]]
+"""Function of some trials, and of their rows in the arrays of `ScoredDataset`, that returns a value for each."""
+
+
+def _columns(dataset: Dataset, scored: ScoredDataset) -> dict[str, tuple[type, Values]]:
+    """Return the type and the values of each column of scored trials."""
+    turns = [one.value for one in ORIENTATIONS]
+    groups = scored.trials.groups
     numbers = {
         **{f"displacement_{axis}_samples": scored.displacement_samples[:, k] for k, axis in enumerate("xy")},
         **{f"score_{orientation}": scored.scores[:, k] for k, orientation in enumerate(ORIENTATIONS)},
         **{f"p_{orientation}": scored.probabilities[:, k] for k, orientation in enumerate(ORIENTATIONS)},
     }
-    lists = {name: values.tolist() for name, values in numbers.items()}
-    for place, trial in enumerate(scored.trials):
-        yield {
-            "trial": trial.name,
-            "n_frames": len(trial.frames),
-            "orientation": trial.orientation.value,
-            "size_mrad": trial.stimulus.size_mrad,
-            "polarity": trial.stimulus.polarity,
-            dataset.experiment.level: trial.level,
-            **group_of(dataset, trial.group),
-            **{name: values[place] for name, values in lists.items()},
-            "answer": ORIENTATIONS[scored.answers[place]].value,
-            "p_correct": float(scored.p_correct[place]),
-        }
+    return {
+        "trial": (str, lambda trials, _: list(trials.names())),
+        "n_frames": (int, lambda trials, _: trials.frame_counts.tolist()),
+        "orientation": (str, lambda trials, _: [turns[k] for k in trials.quarter_turns.tolist()]),
+        "size_mrad": (float, lambda trials, _: [one.size_mrad for one in _stimuli(trials)]),
+        "polarity": (int, lambda trials, _: [one.polarity for one in _stimuli(trials)]),
+        dataset.experiment.level: (float, lambda trials, _: trials.levels.tolist()),
+        **{
+            name: (float if all(isinstance(group[k], float) for group in groups) else str, partial(_of_group, k))
+            for k, name in enumerate(dataset.experiment.group_by)
+        },
+        **{name: (float, partial(_of_array, values)) for name, values in numbers.items()},
+        "answer": (str, lambda _, rows: [turns[k] for k in scored.answers[rows].tolist()]),
+        "p_correct": (float, partial(_of_array, scored.p_correct)),
+    }
+
+
+def _stimuli(trials: Trials) -> list[Stimulus]:
+    return [trials.stimuli[k] for k in trials.stimulus_codes.tolist()]
+
+
+def _of_group(column: int, trials: Trials, _: slice) -> list[Any]:
+    return [trials.groups[k][column] for k in trials.group_codes.tolist()]
+
+
+def _of_array(values: FloatArray, _: Trials, rows: slice) -> list[Any]:
+    return list(values[rows].tolist())
 
 
 # Scenes of an accuracy study -----------------------------------------------------------------------------------

@@ -127,7 +127,7 @@ def explain_missing(
         extrapolated to stronger levels, if there is a hint.
     """
     found = []
-    trials = Trials.of(scored.trials)
+    trials = scored.trials
     for one in scored.fits:
         is_missing = one.fit.threshold is None
         if not (is_missing or _is_beyond(one.fit)):

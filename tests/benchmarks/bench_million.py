@@ -1,0 +1,73 @@
+"""Peak memory of loading and scoring up to a million small frames, links to a few files: half an hour."""
+
+from __future__ import annotations
+
+import tempfile
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+from timing import Cost, Row, process
+
+from todframes.frames.files import frame_sha256, write_frame
+from todframes.stimulus import ORIENTATIONS, coverage
+
+SCORED = (10**4, 10**5, 10**6)
+SIDE, PITCH_MRAD = 32, 0.5
+SIZES_MRAD, CONTRASTS = (2.0, 2.5, 3.0), (0.02, 0.05, 0.1, 0.2, 0.4)
+FRAMES_A_FOLDER = 1000
+LOAD = "import sys; from todframes.frames.dataset import load_dataset; load_dataset(sys.argv[1])"
+
+
+def rows() -> list[Row]:
+    """Peak memory of whole processes; the difference of two, divided by that of their trials."""
+    with tempfile.TemporaryDirectory() as folder:
+        datasets = [_dataset(Path(folder, str(n)), n) for n in SCORED]
+        loads = [process("-c", LOAD, str(path)) for path in datasets]
+        scores = [
+            process("-m", "todframes", "score", str(path), "-o", f"{path}.out", "--quiet", "--workers", "2")
+            for path in datasets
+        ]
+    return [
+        *_rows("load", loads, "<= 250"),
+        *_rows("score -o", scores, "flat"),
+    ]
+
+
+def _rows(what: str, costs: list[Cost], asked: str) -> list[Row]:
+    few, *others = zip(SCORED, costs, strict=True)
+    found = [Row(f"{what} {few[0]:,} trials ({few[1].wall_s:.0f} s): MB", few[1].peak_mb, "")]
+    for n, cost in others:
+        found.append(Row(f"{what} {n:,} trials ({cost.wall_s:.0f} s): MB", cost.peak_mb, ""))
+        bytes_a_trial = (cost.peak_mb - few[1].peak_mb) * 2**20 / (n - few[0])
+        found.append(Row(f"{what}: bytes a trial, {few[0]:,} to {n:,}", bytes_a_trial, asked))
+    return found
+
+
+def _dataset(path: Path, n_trials: int) -> Path:
+    """Write a dataset of links to a few files, with checksums."""
+    kinds = []
+    middle = (SIDE - 1) / 2
+    for size_mrad, contrast, orientation in product(SIZES_MRAD, CONTRASTS, ORIENTATIONS):
+        shape = coverage(
+            (SIDE, SIDE), size_px=size_mrad / PITCH_MRAD, x_px=middle, y_px=middle, orientation=orientation
+        )
+        frame = path / f"kinds/{len(kinds)}.png"
+        frame.parent.mkdir(parents=True, exist_ok=True)
+        write_frame(frame, (0.5 + 0.5 * contrast * shape).astype(np.float32), pixel_type="uint16")
+        kinds.append((frame, f"{orientation.value},{size_mrad},{contrast},{frame_sha256(frame)}"))
+    (path / "dataset.toml").write_text(
+        "schema = 1\n[display]\neotf = 'linear'\nwhite_luminance_cd_m2 = 100.0\n"
+        f"pixel_pitch_mrad = {PITCH_MRAD}\nbackground_luminance_cd_m2 = 50.0\n"
+        "[experiment]\nlevel = 'contrast'\ngroup_by = ['size_mrad']\n"
+    )
+    with (path / "manifest.csv").open("w") as manifest:
+        manifest.write("frame,orientation,size_mrad,contrast,sha256\n")
+        for number in range(n_trials):
+            frame, row = kinds[number % len(kinds)]
+            name = f"frames/{number // FRAMES_A_FOLDER:04d}/trial_{number:07d}.png"
+            if not number % FRAMES_A_FOLDER:
+                (path / name).parent.mkdir(parents=True)
+            (path / name).hardlink_to(frame)
+            manifest.write(f"{name},{row}\n")
+    return path

@@ -1,0 +1,588 @@
+"""A Dask cluster as the engine: what is sent, and what happens when parts of it die."""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import os
+import pickle
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+import todframes
+from todframes.errors import ClusterError, DataError, FrameError, SettingsError
+from todframes.jobs import engine as engines
+from todframes.jobs.engine import open_engine
+from todframes.jobs.work import Lost
+
+if TYPE_CHECKING:
+    from todframes.jobs.cluster import ClusterEngine
+
+HAS_DASK = find_spec("distributed") is not None
+if HAS_DASK:
+    import cloudpickle
+    import distributed
+
+    from todframes.jobs import cluster, worker
+
+    # Workers cannot import this module.
+    cloudpickle.register_pickle_by_value(sys.modules[__name__])
+
+
+def dask(test: Any) -> Any:
+    """Mark a test that needs Dask; all of them start processes, or import Dask, which takes as long."""
+    return pytest.mark.slow(pytest.mark.skipif(not HAS_DASK, reason="needs the extra `cluster`")(test))
+
+
+@dataclass
+class Squares:
+    """Work that squares integers, and takes `seconds` for each; `payload` makes it large."""
+
+    seconds: float = 0.0
+    payload: bytes = b""
+
+    def function(self) -> Callable[[int], int]:
+        def square(item: int) -> int:
+            time.sleep(self.seconds)
+            return item**2
+
+        return square
+
+    def lost(self, item: int) -> DataError:
+        return DataError(f"item {item} is lost")
+
+
+@dataclass
+class Calls:
+    """Work whose function is given, and does anything."""
+
+    call: Callable[[int], Any]
+
+    def function(self) -> Callable[[int], Any]:
+        return self.call
+
+    def lost(self, item: int) -> DataError:
+        return DataError(f"item {item} is lost")
+
+
+def results_of(engine: ClusterEngine, work: Any, items: Any) -> dict[int, Any]:
+    """Results by number; each number has come once."""
+    pairs = [pair for batch in engine.run(work, enumerate(items)) for pair in batch]
+    found = dict(pairs)
+    assert len(found) == len(pairs)
+    return found
+
+
+def squares(n: int) -> dict[int, int]:
+    return {number: number**2 for number in range(n)}
+
+
+# Without Dask -------------------------------------------------------------------------------------------------
+
+
+def test_asking_for_a_cluster_without_dask_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(engines, "find_spec", lambda _: None)
+    message = r"^--cluster: needs the package distributed.*: pip install 'todframes\[cluster\]'$"
+    with pytest.raises(SettingsError, match=message), open_engine("local:2", 1):
+        pass
+
+
+def test_dask_is_imported_for_a_cluster_alone() -> None:
+    code = "import sys, todframes.jobs.engine; sys.exit(bool({'dask', 'distributed'} & set(sys.modules)))"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+# Two processes of this machine ----------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def local() -> Iterator[ClusterEngine]:
+    with open_engine("local:2", 1) as engine:
+        yield engine
+
+
+@dask
+@pytest.mark.parametrize("n", [0, 1, 1000])
+def test_results_come_with_their_numbers(local: ClusterEngine, n: int) -> None:
+    assert results_of(local, Squares(), range(n)) == squares(n)
+    assert local.n_workers == 2
+    assert not local.is_local
+    assert local.dashboard is not None
+    assert local.dashboard.startswith("http://127.0.0.1:")
+
+
+@dask
+def test_items_are_asked_for_as_they_are_needed(local: ClusterEngine) -> None:
+    asked = itertools.count()
+    items = ((next(asked), 1) for _ in range(10_000))
+    batches = local.run(Squares(seconds=0.01), items)
+    done = 0
+    for batch in batches:
+        done += len(batch)
+        # Batches of at most 2 s, so 200 items; four for each of two workers.
+        assert next(asked) - done <= 4 * 2 * 200 + done  # `asked` itself has counted every batch
+        if done > 20:
+            break
+    batches.close()
+    assert results_of(local, Squares(), range(10)) == squares(10)
+
+
+@dask
+def test_the_work_is_sent_once_to_each_process_and_never_with_items(local: ClusterEngine, tmp_path: Path) -> None:
+    made = tmp_path / "made"
+
+    @dataclass
+    class Large(Squares):
+        def function(self) -> Callable[[int], int]:
+            with made.open("a") as file:
+                file.write(f"{os.getpid()}\n")
+            return super().function()
+
+    work = Large(seconds=0.002, payload=os.urandom(4_000_000))
+    stream = local._client.scheduler_comm
+    before = stream.byte_count
+    assert results_of(local, work, range(2000)) == squares(2000)
+    processes = made.read_text().split()
+    assert len(processes) == len(set(processes)) == 2
+    # A pickled integer takes 3 bytes or fewer; each of some 40 batches is allowed 2 kB for its names.
+    assert stream.byte_count - before < 2000 * 3 + 100 * 2000
+
+
+@dask
+def test_processes_are_new_and_have_one_native_thread(
+    local: ClusterEngine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(todframes, "_of_the_parent", True, raising=False)
+
+    def look(_: int) -> tuple[bool, set[int]]:
+        import cv2
+        import OpenImageIO as oiio
+        import scipy.linalg  # has a BLAS of its own
+        import threadpoolctl
+
+        assert scipy.linalg.svd(np.eye(2))[1].all()
+        threads = {one["num_threads"] for one in threadpoolctl.threadpool_info()}
+        return hasattr(todframes, "_of_the_parent"), threads | {
+            cv2.getNumThreads(),
+            oiio.get_int_attribute("threads"),
+        }
+
+    found = list(results_of(local, Calls(look), range(4)).values())
+    assert found == [(False, {1})] * 4
+
+
+@dask
+def test_libraries_that_are_loaded_already_are_kept_to_one_thread() -> None:
+    """As in a worker that was started without a nanny, which sets the environment."""
+    code = """
+        import os
+        import cv2, numpy, OpenImageIO, threadpoolctl
+        from todframes.jobs.worker import keep_libraries_to_one_thread
+        cv2.setNumThreads(2)
+        OpenImageIO.attribute("threads", 2)
+        assert any(one["num_threads"] == 2 for one in threadpoolctl.threadpool_info())
+        keep_libraries_to_one_thread()
+        assert all(one["num_threads"] == 1 for one in threadpoolctl.threadpool_info())
+        assert cv2.getNumThreads() == OpenImageIO.get_int_attribute("threads") == 1
+        """
+    environment = os.environ | {"OPENBLAS_NUM_THREADS": "2"}
+    lines = "\n".join(line.strip() for line in code.splitlines())
+    subprocess.run([sys.executable, "-c", lines], check=True, env=environment)
+
+
+@dask
+def test_an_error_of_an_item_ends_the_run_and_arrives_whole(local: ClusterEngine) -> None:
+    def call(item: int) -> int:
+        if item == 20:
+            raise FrameError("frames/20.exr", "the file is empty")
+        return item
+
+    with pytest.raises(FrameError, match=r"^frames/20\.exr: the file is empty$") as raised:
+        results_of(local, Calls(call), range(1000))
+    assert raised.value.problem == "the file is empty"
+
+
+@dask
+def test_a_defect_says_where_it_was_raised(local: ClusterEngine) -> None:
+    def call(item: int) -> float:
+        return 1 / item
+
+    with pytest.raises(ZeroDivisionError, match="division by zero") as raised:
+        results_of(local, Calls(call), range(10))
+    assert "test_cluster.py" in "".join(raised.value.__notes__)
+
+
+class NotPortableError(Exception):
+    def __init__(self, one: int, two: int) -> None:
+        super().__init__(f"{one} and {two}")
+
+
+@dask
+def test_an_error_that_cannot_be_pickled_is_told_in_words(local: ClusterEngine) -> None:
+    def call(item: int) -> float:
+        raise NotPortableError(item, 2)
+
+    with pytest.raises(RuntimeError, match="in a worker: NotPortableError: 0 and 2"):
+        results_of(local, Calls(call), [0])
+
+
+@dask
+def test_what_cannot_be_pickled_is_one_line(local: ClusterEngine) -> None:
+    lock = threading.Lock()
+    with pytest.raises(
+        SettingsError, match=r"^--cluster: cannot send this to other processes \(TypeError: .*lock"
+    ):
+        results_of(local, Calls(lambda _: lock), [0])
+    with pytest.raises(
+        SettingsError, match=r"^--cluster: cannot send this to other processes \(TypeError: .*lock"
+    ):
+        results_of(local, Squares(), [lock])
+
+
+@dask
+def test_a_work_that_a_worker_cannot_load_is_one_line(local: ClusterEngine) -> None:
+    @dataclass
+    class Elsewhere(Squares):
+        def __reduce__(self) -> tuple[Any, ...]:
+            return __import__, ("not_installed_there",)
+
+    with pytest.raises(ClusterError, match=r"^local:2: worker tcp://.*: cannot load the work \(ModuleNotFound"):
+        results_of(local, Elsewhere(), [0])
+
+
+@dask
+def test_a_worker_of_another_version_that_joins_later_is_one_line(
+    local: ClusterEngine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(worker, "versions", lambda: worker.Versions("3.11", "7.7"))
+    with pytest.raises(ClusterError, match=r"^local:2: worker tcp://.*found Python .* expected .*todframes 7\.7$"):
+        results_of(local, Squares(), [0])
+
+
+# Death of workers -----------------------------------------------------------------------------------------------
+
+
+@dask
+def test_a_dead_worker_costs_what_it_had_in_flight(local: ClusterEngine, tmp_path: Path) -> None:
+    def call(item: int) -> tuple[int, int]:
+        time.sleep(0.002)
+        if item in (100, 900) and not (flag := tmp_path / str(item)).exists():
+            flag.touch()
+            os.kill(os.getpid(), signal.SIGKILL)
+        return item**2, os.getpid()
+
+    found = results_of(local, Calls(call), range(1500))
+    assert {number: square for number, (square, _) in found.items()} == squares(1500)
+    assert len(list(tmp_path.iterdir())) == 2
+    assert len({process for _, process in found.values()}) > 2  # the new ones have received the work
+
+
+@dask
+def test_finished_results_that_die_with_their_worker_come_all_the_same(
+    local: ClusterEngine, tmp_path: Path
+) -> None:
+    """The process ends from 0 to 12 ms after the batch: before, while or after its results are fetched."""
+
+    def call(item: int) -> int:
+        if item % 50 == 0 and not (flag := tmp_path / str(item)).exists():
+            flag.touch()
+            threading.Timer(item / 50 * 3e-3, os.kill, [os.getpid(), signal.SIGKILL]).start()
+        return item**2
+
+    assert results_of(local, Calls(call), range(250)) == squares(250)
+    assert len(list(tmp_path.iterdir())) == 5
+
+
+@dask
+@pytest.mark.parametrize("poisonous", [{0}, {5, 6}])
+def test_poisonous_items_are_named_and_innocent_ones_are_done(local: ClusterEngine, poisonous: set[int]) -> None:
+    def call(item: int) -> int:
+        time.sleep(0.002)
+        if item in poisonous:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return item**2
+
+    found = results_of(local, Calls(call), range(12))
+    lost = {number: str(one.error) for number, one in found.items() if isinstance(one, Lost)}
+    assert lost == {item: f"item {item} is lost" for item in poisonous}
+    assert {number: one for number, one in found.items() if number not in poisonous} == {
+        number: square for number, square in squares(12).items() if number not in poisonous
+    }
+
+
+@dask
+def test_many_poisonous_items_are_named_before_the_rest_is_done(
+    local: ClusterEngine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """If all are, the first comes as soon as some were put aside, and the run can be ended there."""
+    monkeypatch.setattr(cluster, "MOST_SUSPECTS", 2)
+
+    def call(item: int) -> int:
+        os.kill(os.getpid(), signal.SIGKILL)
+        return item
+
+    asked = itertools.count()
+    with contextlib.closing(local.run(Calls(call), ((next(asked), 0) for _ in range(1000)))) as batches:
+        ((_, first),) = next(batches)
+    assert isinstance(first, Lost)
+    assert next(asked) < 50
+
+
+# A scheduler of somebody else's ---------------------------------------------------------------------------------
+
+
+@contextlib.contextmanager
+def scheduler_process(*worker_options: str) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
+    """A scheduler in a process of its own, and a worker if there are options for one: its address and process."""
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+    address = f"tcp://127.0.0.1:{port}"
+    command = ["scheduler", "--host", "127.0.0.1", "--port", str(port), "--dashboard-address", "127.0.0.1:0"]
+    processes = [_dask(*command)]
+    if worker_options:
+        processes.append(_dask("worker", address, "--nthreads", "1", *worker_options))
+    try:
+        yield address, processes[0]
+    finally:
+        for process in processes:
+            process.terminate()
+        for process in processes:
+            process.wait()
+
+
+def _dask(command: str, *options: str) -> subprocess.Popen[bytes]:
+    module = f"distributed.cli.dask_{command}"
+    return subprocess.Popen([sys.executable, "-m", module, *options], stderr=subprocess.DEVNULL)
+
+
+def kill_after(n: int, process: subprocess.Popen[bytes], items: Iterator[int]) -> Iterator[int]:
+    """Items, and a kill of the process as one of them is asked for."""
+    yield from itertools.islice(items, n)
+    process.kill()
+    yield from items
+
+
+@dask
+def test_a_dead_scheduler_ends_the_run_with_one_line(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    with scheduler_process("--local-directory", str(tmp_path)) as (address, process):
+        endless = kill_after(20, process, itertools.repeat(0))
+        message = f"^{address}: the Dask scheduler is gone; start it, then give the same command again$"
+        with pytest.raises(ClusterError, match=message), open_engine(address, 1) as engine:
+            results_of(engine, Squares(seconds=0.01), endless)
+        assert process.wait() == -signal.SIGKILL
+    assert capfd.readouterr() == ("", "")
+
+
+@dask
+def test_poison_is_found_by_a_scheduler_that_tries_again_by_itself(tmp_path: Path) -> None:
+    """Dask's default is to kill four workers before it gives a batch up."""
+
+    def call(item: int) -> int:
+        if item == 5:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return item**2
+
+    with scheduler_process("--local-directory", str(tmp_path)) as (address, _), open_engine(address, 1) as engine:
+        found = results_of(engine, Calls(call), range(8))
+    assert isinstance(found.pop(5), Lost)
+    assert found == {number: square for number, square in squares(8).items() if number != 5}
+
+
+@dask
+def test_a_run_without_workers_ends_with_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cluster, "WITHOUT_WORKERS_S", 2.0)
+    options = ("--no-nanny", "--local-directory", str(tmp_path))
+
+    def call(_: int) -> None:
+        os.kill(os.getpid(), signal.SIGKILL)
+
+    with (
+        scheduler_process(*options) as (address, _),
+        pytest.raises(ClusterError, match=f"^{address}: all workers have been gone for 2 s; start some"),
+        open_engine(address, 1) as engine,
+    ):
+        results_of(engine, Calls(call), [0])
+
+
+@dask
+@pytest.mark.parametrize("name", ["", "local", "local:0", "local:x", "foo", "http://h:1", "tcp://h", "tcp://:"])
+def test_what_names_no_cluster_is_one_line(name: str) -> None:
+    message = rf"^--cluster: found '{name}', expected local:N or tcp://HOST:PORT$"
+    with pytest.raises(SettingsError, match=message), open_engine(name, 1):
+        pass
+
+
+@dask
+@pytest.mark.parametrize("address", ["tcp://127.0.0.1:1", "tcp://no-such-host.invalid:8786"])
+def test_no_scheduler_at_the_address_is_one_line(
+    address: str, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(cluster, "CONNECT_S", 0.5)
+    message = f"^{address}: no Dask scheduler has answered within 0.5 s; is the address right, "
+    with pytest.raises(ClusterError, match=message), open_engine(address, 1):
+        pass
+    assert capfd.readouterr() == ("", "")
+
+
+@dask
+def test_something_else_at_the_address_is_one_line(
+    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(cluster, "CONNECT_S", 0.5)
+    with socket.create_server(("127.0.0.1", 0)) as server:
+
+        def answer() -> None:
+            with contextlib.suppress(OSError):
+                while True:
+                    connection, _ = server.accept()
+                    connection.sendall(b"HTTP/1.1 400 Bad Request\r\n\r\n" * 10)
+                    connection.close()
+
+        thread = threading.Thread(target=answer, daemon=True)
+        thread.start()
+        address = f"tcp://127.0.0.1:{server.getsockname()[1]}"
+        with pytest.raises(ClusterError, match=f"^{address}: "), open_engine(address, 1):
+            pass
+        server.shutdown(socket.SHUT_RDWR)
+    thread.join()
+    assert capfd.readouterr() == ("", "")
+
+
+@pytest.fixture
+def foreign_worker(tmp_path: Path) -> Iterator[Callable[[str], str]]:
+    """Function that starts a cluster with a worker in which some code has run, and returns its address."""
+    with contextlib.ExitStack() as stack:
+
+        def start(code: str) -> str:
+            preload = tmp_path / "preload.py"
+            preload.write_text(code)
+            options = ("--local-directory", str(tmp_path), "--preload", str(preload))
+            return stack.enter_context(scheduler_process(*options))[0]
+
+        yield start
+
+
+@dask
+def test_a_worker_without_the_package_is_one_line(foreign_worker: Callable[[str], str]) -> None:
+    address = foreign_worker("import sys\nsys.modules['todframes'] = None\n")
+    message = rf"^{address}: worker tcp://\S+ has no todframes {todframes.__version__} \(ModuleNotFoundError"
+    with pytest.raises(ClusterError, match=message), open_engine(address, 1):
+        pass
+
+
+@dask
+def test_a_worker_with_another_version_is_one_line(foreign_worker: Callable[[str], str]) -> None:
+    address = foreign_worker("import todframes\ntodframes.__version__ = '0.0.7'\n")
+    message = rf"^{address}: worker tcp://\S+: found Python \S+ and todframes 0\.0\.7, expected Python "
+    with pytest.raises(ClusterError, match=message), open_engine(address, 1):
+        pass
+
+
+@dask
+def test_a_scheduler_without_workers_or_of_another_version_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    with scheduler_process() as (address, _):
+        with monkeypatch.context() as patched:
+            patched.setattr(distributed, "__version__", "2001.1.0")
+            message = rf"^{address}: the scheduler has distributed \S+, expected 2001\.1\.0 as here$"
+            with pytest.raises(ClusterError, match=message), open_engine(address, 1):
+                pass
+        monkeypatch.setattr(cluster, "CONNECT_S", 0.5)
+        with (
+            pytest.raises(ClusterError, match=f"^{address}: the scheduler has no workers"),
+            open_engine(address, 1),
+        ):
+            pass
+
+
+# Batches and interruptions --------------------------------------------------------------------------------------
+
+
+def _batch_sizes(seconds_per_item: float, n: int) -> list[int]:
+    """Sizes of the first `n` batches, each of which is done before the next."""
+    plan = cluster._Plan(Squares(), zip(itertools.count(), itertools.repeat(0), strict=False))
+    sizes = []
+    for _ in range(n):
+        batch = plan.next_batch(is_idle=True)
+        assert batch is not None
+        size = len(batch.items)
+        sizes.append(size)
+        list(plan.take(batch, worker.Done(pickle.dumps([0] * size), size, size * seconds_per_item, None)))
+    return sizes
+
+
+@dask
+@pytest.mark.parametrize(("seconds_per_item", "size"), [(30.0, 1), (0.5, 4), (0.005, 400), (0.0, 10_000)])
+def test_batches_begin_small_and_come_to_take_two_seconds(seconds_per_item: float, size: int) -> None:
+    sizes = _batch_sizes(seconds_per_item, 30)
+    assert sizes[0] == 1
+    assert all(b <= 2 * a + 1 for a, b in itertools.pairwise(sizes))
+    # The rate is a mean of all earlier ones, each half as important as the next: 2^-30 is left of the first.
+    assert sizes[-1] in (size - 1, size)
+
+
+@dask
+def test_a_batch_that_takes_too_long_comes_back_in_part(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(worker, "LONGEST_BATCH_S", 0.05)
+    done = worker._do(lambda item: time.sleep(0.02) or item**2, range(100))
+    assert 1 <= done.n_items <= 3
+    assert pickle.loads(done.results) == [0, 1, 4][: done.n_items]
+
+    plan = cluster._Plan(Squares(), [])
+    batch = cluster._Batch([(number, number) for number in range(10)])
+    assert list(plan.take(batch, done)) == [[(0, 0), (1, 1), (2, 4)][: done.n_items]]
+    left = plan.next_batch(is_idle=False)
+    assert left is not None
+    assert [number for number, _ in left.items] == list(range(done.n_items, 10))
+
+
+RUN = """
+import sys, time
+from todframes import signals
+from todframes.errors import DataError
+from todframes.jobs.engine import open_engine
+
+class Naps:
+    def function(self):
+        return time.sleep
+    def lost(self, item):
+        return DataError("lost")
+
+if __name__ == "__main__":
+    try:
+        with signals.raised(), open_engine("local:2", 1) as engine:
+            for _ in engine.run(Naps(), enumerate([0.1] * 10_000)):
+                print("running", flush=True)
+    except KeyboardInterrupt:
+        print("interrupted", flush=True)
+"""
+
+
+@dask
+def test_ctrl_c_in_a_terminal_ends_all_processes_at_once_and_quietly(tmp_path: Path) -> None:
+    script = tmp_path / "run.py"
+    script.write_text(RUN)
+    command = [sys.executable, str(script)]
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    # A session of its own is a process group, as a terminal makes it.
+    with subprocess.Popen(command, start_new_session=True, **pipes) as process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        assert process.stdout.readline() == "running\n"
+        started = time.monotonic()
+        os.killpg(process.pid, signal.SIGINT)
+        *_, last = process.stdout.read().split()  # to its end: no worker holds it any more
+        assert time.monotonic() - started < 3.0
+        assert last == "interrupted"
+        assert process.stderr.read() == ""

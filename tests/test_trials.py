@@ -1,0 +1,198 @@
+"""Trials as columns: what goes in comes out, in little memory, and rows that repeat are found."""
+
+from __future__ import annotations
+
+import pickle
+import tracemalloc
+
+import numpy as np
+import pytest
+
+from todframes.frames.dataset import _Index, load_dataset
+from todframes.frames.trials import FrameReference, Trial, Trials, TrialsBuilder, indices_by
+from todframes.stimulus import ORIENTATIONS, Stimulus
+
+DIGEST = "0123456789abcdef" * 4
+
+
+def trial(number: int, **more) -> Trial:
+    """A trial of a kind of its own, by its number."""
+    frame = FrameReference(f"frames/ä {number}.png", DIGEST, None)
+    made = Trial(
+        number=number,
+        name=frame.path,
+        frames=(frame,),
+        orientation=ORIENTATIONS[number * 3 % 4],
+        stimulus=Stimulus(1.0 + number % 2, (-1) ** (number // 2)),
+        level=0.1 * (number % 5 + 1),
+        group=(float(number % 3), "left"),
+        x_px=None,
+        y_px=None,
+    )
+    return made._replace(**more)
+
+
+PLAIN = [trial(number) for number in range(12)]
+MIXED = [
+    trial(0),
+    trial(3, name="", x_px=1.5, y_px=-0.0),
+    trial(4, name="=4"),
+    trial(5, frames=tuple(FrameReference(f"{k}.exr", None, 0.1 * k + 0.1, f"ref/{k}") for k in range(3))),
+    trial(9, frames=(FrameReference("odd.exr", DIGEST.upper(), None, None),), group=("7", 7.0)),
+    trial(10, frames=(FrameReference("odd.exr", "no checksum", 50.0, "odd.exr"),), name="odd.exr"),
+    trial(11, frames=(FrameReference("\udcff", f"{DIGEST[:62]} 0", 1.0),), name="\udcff"),
+]
+
+
+@pytest.mark.parametrize("trials", [PLAIN, MIXED, []], ids=["plain", "mixed", "none"])
+def test_trials_come_out_as_they_went_in(trials) -> None:
+    columns = Trials.of(trial for trial in trials)
+    assert list(columns) == trials
+    assert [columns[k] for k in range(-len(trials), len(trials))] == trials + trials
+    assert len(columns) == len(trials)
+    assert list(columns[1::2]) == trials[1::2]
+    assert list(reversed(columns)) == trials[::-1]
+    assert Trials.of(columns) is columns
+    again = pickle.loads(pickle.dumps(columns))
+    assert (again, hash(again)) == (columns, hash(columns))
+    with pytest.raises(IndexError, match="out of bounds"):
+        columns[len(trials)]
+
+
+def test_columns_are_those_of_the_trials() -> None:
+    """Of trials in another order than they were added, and of some of them."""
+    order = [6, 3, 0, 5]
+    trials, columns = [MIXED[k] for k in order], Trials.of(MIXED).select(order)
+    assert columns.numbers.tolist() == [one.number for one in trials]
+    assert columns.levels.tolist() == [one.level for one in trials]
+    assert [ORIENTATIONS[k] for k in columns.quarter_turns] == [one.orientation for one in trials]
+    assert [columns.stimuli[k] for k in columns.stimulus_codes] == [one.stimulus for one in trials]
+    assert [columns.groups[k] for k in columns.group_codes] == [one.group for one in trials]
+    assert columns.frame_counts.tolist() == [len(one.frames) for one in trials]
+    assert columns.n_frames == 6
+    assert list(columns.names()) == [one.name for one in trials]
+    nan = np.nan
+    assert np.array_equal(columns.positions_px, [[nan, nan], [nan, nan], [nan, nan], [nan, nan]], equal_nan=True)
+    assert Trials.of(MIXED).positions_px[1].tolist() == [1.5, 0.0]
+
+
+def test_selections() -> None:
+    columns = Trials.of(MIXED)
+    assert list(columns.select(columns.levels > 0.25)) == [one for one in MIXED if one.level > 0.25]
+    assert list(columns.select([])) == []
+    part = columns.select([5, 1]).select([1])
+    assert list(part) == [MIXED[1]]
+    assert list(pickle.loads(pickle.dumps(part))) == [MIXED[1]]
+    assert part == Trials.of([MIXED[1]])
+    assert part != columns
+    assert list(columns.indices_of_group(("7", 7.0))) == [4]
+    assert list(columns.indices_of_group((8.0, "left"))) == []
+
+
+def test_positions_can_be_replaced_in_a_selection() -> None:
+    placed = Trials.of(PLAIN).select([7, 2]).placed(np.array([[1.0, 2.0], [np.nan, np.nan]]))
+    assert list(placed) == [PLAIN[7]._replace(x_px=1.0, y_px=2.0), PLAIN[2]]
+
+
+def test_nothing_changes_the_columns() -> None:
+    columns = Trials.of(PLAIN)
+    columns.levels[:] = 7.0
+    columns.numbers[:] = 7
+    columns.positions_px[:] = 7.0
+    assert list(columns) == PLAIN
+
+
+def test_a_batch_is_sent_without_the_others() -> None:
+    """A path of 20 bytes, a checksum of 32, and numbers; objects would be 300 bytes and more."""
+    columns = Trials.of(trial(number) for number in range(2000))
+    batch = columns[500:700]
+    assert len(pickle.dumps(batch)) < 200 * 150
+    assert len(pickle.dumps(columns[:1])) < 3000
+
+
+def test_frames_of_a_trial_may_come_later() -> None:
+    builder = TrialsBuilder()
+    for one in PLAIN[:3]:
+        builder.append(one)
+    more = [FrameReference("late.exr", None, None), FrameReference("later.exr", None, None)]
+    builder.append_frame(1, more[0])
+    builder.append_frame(0, more[1])
+    assert builder.without_frames(1) == PLAIN[1]._replace(frames=())
+    assert (builder.path(3), builder.name(1)) == ("late.exr", PLAIN[1].name)
+    first, second, third = builder.trials()
+    assert first.frames == (*PLAIN[0].frames, more[1])
+    assert second.frames == (*PLAIN[1].frames, more[0])
+    assert third == PLAIN[2]
+
+
+def test_indices_are_in_the_order_of_the_first() -> None:
+    assert [part.tolist() for part in indices_by(np.array([5, 2, 5, 9, 2]))] == [[0, 2], [1, 4], [3]]
+    assert indices_by(np.array([], int)) == []
+
+
+def test_a_manifest_takes_little_memory(tmp_path) -> None:
+    """Python's own count of what is held: columns of 150 bytes, where objects took 1000."""
+    n = 2000
+    (tmp_path / "dataset.toml").write_text(
+        "schema = 1\n[display]\neotf = 'linear'\npixel_pitch_mrad = 1.0\nwhite_luminance_cd_m2 = 1.0\n"
+        "background_luminance_cd_m2 = 1.0\n[experiment]\nlevel = 'contrast'\n"
+    )
+    rows = [f"frames/s2.0_c0.1_up_{number:07d}.png,up,2.0,{DIGEST},0.1\n" for number in range(n)]
+    (tmp_path / "manifest.csv").write_text("".join(["frame,orientation,size_mrad,sha256,contrast\n", *rows]))
+    load_dataset(tmp_path)  # what is imported and cached is not counted
+    tracemalloc.start()
+    try:
+        dataset = load_dataset(tmp_path)
+        held, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert len(dataset.trials) == n
+    assert held <= 200 * n
+    # The index of paths takes 20 to 50 bytes a row; the file is hashed in pieces of 2**18 bytes.
+    assert peak <= 300 * n + 2**19
+
+
+def test_a_frame_that_was_in_a_bad_row_is_there_already(make_dataset) -> None:
+    made = make_dataset(row_changes={0: {"orientation": "sideways"}})
+    made.rows[3]["frame"] = made.rows[0]["frame"]
+    made.rows[5]["frame"] = "./" + made.rows[4]["frame"]
+    made.save()
+    bad = load_dataset(made.path).bad_rows
+    assert [one.frame for one in bad] == [made.rows[k]["frame"] for k in (0, 3, 5)]
+    assert bad[1].error.endswith(f", line 5: frame {made.rows[0]['frame']} is there already, in line 2")
+    assert bad[2].error.endswith(f", line 7: frame {made.rows[5]['frame']} is there already, in line 6")
+
+
+def test_rows_of_a_trial_need_not_follow_each_other(make_dataset) -> None:
+    made = make_dataset(contrasts=(0.5,), repeats=2)
+    for number, row in enumerate(made.rows):
+        row["trial"] = f"t{number % 4}"
+        row["orientation"] = ORIENTATIONS[number % 4]
+    made.rows[7]["size_mrad"] = "3.0"
+    made.save()
+    data = load_dataset(made.path)
+    assert [[frame.path for frame in one.frames] for one in data.trials] == [
+        [made.rows[k]["frame"] for k in pair] for pair in ((0, 4), (1, 5), (2, 6), (3,))
+    ]
+    assert "size_mrad: found 3.0, expected 2.0 as in the other frames of trial 't3'" in data.bad_rows[0].error
+    assert data.spoilt == {"t3"}
+
+
+class Alike(str):
+    """A text whose hash is that of many others."""
+
+    __slots__ = ()
+    __eq__ = str.__eq__
+
+    def __hash__(self) -> int:
+        return len(self)
+
+
+def test_texts_with_the_same_hash_are_told_apart() -> None:
+    texts = [Alike(number) for number in np.random.default_rng(0).integers(0, 900, 3000)]
+    expected: dict[str, int] = {}
+    for text in texts:
+        expected.setdefault(str(text), len(expected))
+    index, text_of = _Index(), list(expected).__getitem__
+    assert [index.number(text, text_of) for text in texts] == [expected[str(text)] for text in texts]
+    assert len(index) == len(expected)

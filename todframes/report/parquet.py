@@ -1,0 +1,84 @@
+"""Tables as Parquet, where pyarrow is installed."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterator, Sequence
+from importlib.util import find_spec
+from typing import Any
+
+from todframes.report.table import LongRecords, Table, field_text
+
+ROWS_A_GROUP = 65536
+"""Least number of rows of a row group, except for the last; they are held as Arrow columns until it is written."""
+
+
+def has_parquet() -> bool:
+    """Tell whether Parquet can be written: whether pyarrow is installed."""
+    return find_spec("pyarrow") is not None
+
+
+def parquet_parts(table: Table) -> Iterator[bytes]:
+    """Yield a table of long records as a Parquet file, in parts: one for each row group, and the end.
+
+    Columns are those of the CSV: texts, whole numbers and exact doubles, and null where there is no value. In a
+    column of both numbers and texts all values are texts.
+
+    Parameters
+    ----------
+    table : Table
+        Table whose records are `LongRecords`.
+    """
+    import pyarrow as pa
+    from pyarrow.parquet import ParquetWriter
+
+    records = table.records
+    assert isinstance(records, LongRecords)
+    types = {str: pa.string(), int: pa.int64(), float: pa.float64()}
+    schema = pa.schema([(name, types[kind]) for name, kind in records.kinds.items()])
+    sink = _Sink()
+    with ParquetWriter(sink, schema) as writer:
+        group: list[Any] = []
+        for block in records.blocks():
+            arrays = [
+                pa.array(_of_kind(block[name], kind), types[kind], from_pandas=True)  # NaN is null
+                for name, kind in records.kinds.items()
+            ]
+            group.append(pa.record_batch(arrays, schema=schema))
+            if sum(map(len, group)) >= ROWS_A_GROUP:
+                writer.write_table(pa.Table.from_batches(group))
+                group = []
+                yield sink.taken()
+        if group:
+            writer.write_table(pa.Table.from_batches(group))
+    yield sink.taken()
+
+
+def _of_kind(values: Sequence[Any], kind: type) -> Sequence[Any]:
+    return [field_text(value) for value in values] if kind is str else values
+
+
+class _Sink(io.RawIOBase):
+    """File that keeps what was written until it is taken."""
+
+    def __init__(self) -> None:
+        self._parts: list[bytes] = []
+        self._length = 0
+
+    def writable(self) -> bool:
+        return True
+
+    def write(self, content: Any) -> int:
+        part = bytes(content)
+        self._parts.append(part)
+        self._length += len(part)
+        return len(part)
+
+    def tell(self) -> int:
+        return self._length
+
+    def taken(self) -> bytes:
+        """Return what was written since the last call."""
+        part = b"".join(self._parts)
+        self._parts = []
+        return part
