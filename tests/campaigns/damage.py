@@ -94,14 +94,27 @@ TEXT_FILES = (
         scenes.OBSERVER_TOML,
         ((*SCORE, "--observer-settings", "observer.toml"),),
     ),
-    TextFile("counts.csv", scenes.COUNTS_CSV, (("todframes", "fit", "counts.csv", "--set", "resamples=0", "--json"),)),
+    TextFile(
+        "counts.csv", scenes.COUNTS_CSV, (("todframes", "fit", "counts.csv", "--set", "resamples=0", "--json"),)
+    ),
     TextFile(
         "SENSOR.toml",
         (scenes.SAMPLES / "staring_camera.toml").read_text(encoding="utf-8"),
         (
             ("sensor_sim", "mtf", "SENSOR.toml", "--json"),
             ("sensor_sim", "curve", *SENSOR),
-            ("sensor_sim", "simulate", "SENSOR.toml", "--size-detectors", "2", "--snr", "2", "--trials", "1", "--quiet")
+            (
+                "sensor_sim",
+                "simulate",
+                "SENSOR.toml",
+                "--size-detectors",
+                "2",
+                "--snr",
+                "2",
+                "--trials",
+                "1",
+                "--quiet",
+            )
             + ("-o", "simulated"),
         ),
     ),
@@ -392,7 +405,9 @@ def _other_formats() -> list[bytes]:
     import cv2
 
     picture = (np.random.default_rng(1).random((32, 32)) * 255).astype(np.uint8)
-    found = [cv2.imencode(suffix, picture)[1].tobytes() for suffix in (".jpg", ".tiff", ".bmp", ".webp", ".pgm", ".jp2")]
+    found = [
+        cv2.imencode(suffix, picture)[1].tobytes() for suffix in (".jpg", ".tiff", ".bmp", ".webp", ".pgm", ".jp2")
+    ]
     return [*found, b"GIF89a" + bytes(100), b"PK\3\4" + bytes(100), b"%PDF-1.7\n", b"SIMPLE  =" + bytes(100)]
 
 

@@ -36,7 +36,10 @@ LONGEST_RUN_S = 600.0
 
 Target = Literal["client", "worker", "scheduler"]
 
-GONE = re.compile(r"error: tcp://\S+: (the Dask scheduler is gone|no Dask scheduler has answered)")
+NO_CLUSTER = 2
+"""Exit status of a run whose scheduler is gone."""
+
+GONE = re.compile(r"error: tcp://\S+: (the Dask scheduler is gone|no Dask scheduler has answered|cannot talk to)")
 
 
 class Command(NamedTuple):
@@ -263,7 +266,7 @@ def kill_repeatedly(
                 status = _wait(client)
             err = (folder / "stderr").read_text(encoding="utf-8", errors="replace")
             run.end(status)
-            if status in (-signal.SIGKILL, 1) and not _is_expected(status, err, command):
+            if status in (-signal.SIGKILL, NO_CLUSTER) and not _is_expected(status, err, command):
                 tally.faults.append(f"status {status}: {err[-500:]}")
             if status == 0:
                 if (found := scenes.content(out)) != wanted:
@@ -275,7 +278,7 @@ def kill_repeatedly(
                 if not left:
                     break
                 shutil.rmtree(out)
-            elif status not in (-signal.SIGKILL, 1):
+            elif status not in (-signal.SIGKILL, NO_CLUSTER):
                 tally.faults.append(f"status {status}: {err[-500:]}")
                 break
     finally:
@@ -303,7 +306,9 @@ def _is_expected(status: int, err: str, command: Command) -> bool:
     if status == -signal.SIGKILL:
         return "Traceback" not in err
     lines = [line for line in err.splitlines() if "of the work are there" not in line]
-    return len(lines) in (1, 2) and GONE.match(lines[0]) is not None and all("note: " in line for line in lines[1:])
+    return (
+        len(lines) in (1, 2) and GONE.match(lines[0]) is not None and all("note: " in line for line in lines[1:])
+    )
 
 
 class _Run:
@@ -414,7 +419,12 @@ def campaign(n: int, *, seed: int) -> list[Tally]:
                 kills: list[Target] = ["client"] * share
                 tallies.append(
                     kill_repeatedly(
-                        found[kind], kills, folder / f"local {kind}", moments_s=(0.3, 6.0), seed=seed, in_flight=160
+                        found[kind],
+                        kills,
+                        folder / f"local {kind}",
+                        moments_s=(0.3, 6.0),
+                        seed=seed,
+                        in_flight=160,
                     )
                 )
                 print(tallies[-1].line(), flush=True)
@@ -453,6 +463,4 @@ def long_run(n_frames: int, n_kills: int, *, seed: int, workers: int = 1) -> Tal
         arguments = ("todframes", "score", str(folder / "dataset"), "--quiet", "--workers", str(workers))
         command = Command(f"score of {4 * len(contrasts) * n_repeats} frames", arguments, 0.003, at_once=False)
         kills: list[Target] = ["client"] * n_kills
-        return kill_repeatedly(
-            command, kills, folder / "runs", moments_s=(1.0, 5.0), seed=seed, in_flight=160
-        )
+        return kill_repeatedly(command, kills, folder / "runs", moments_s=(1.0, 5.0), seed=seed, in_flight=160)

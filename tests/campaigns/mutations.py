@@ -271,7 +271,18 @@ def misspell(content: bytes, rng: Rng, _: Sequence[bytes]) -> bytes:
 def strange_bytes(content: bytes, rng: Rng, _: Sequence[bytes]) -> bytes:
     """Put in bytes that are no UTF-8, control characters, a byte order mark, deep nesting, or another encoding."""
     place = int(rng.integers(len(content) + 1))
-    found = (b"\xff", b"\0", b"\x1b[31m", b"\r", b"\xef\xbb\xbf", "\u202e".encode(), b"[" * 100, b'"', b"\n\n", b"''")
+    found = (
+        b"\xff",
+        b"\0",
+        b"\x1b[31m",
+        b"\r",
+        b"\xef\xbb\xbf",
+        "\u202e".encode(),
+        b"[" * 100,
+        b'"',
+        b"\n\n",
+        b"''",
+    )
     match rng.integers(4):
         case 0:
             return content.decode().encode("utf-16")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import hashlib
+import io
 import json
 import os
 from collections.abc import Sequence
@@ -50,7 +51,7 @@ include_residual = false
 band_gain = 1.0
 template_blur_samples = 1.2
 internal_noise = 0.5
-noise_distribution = "uniform"
+internal_noise_sd = 0.14
 resamples = 0
 p_correct = 0.75
 """
@@ -156,7 +157,7 @@ def without_times(value: Any) -> Any:
 
 
 def _tells_time(key: str) -> bool:
-    return key == "seconds" or key.endswith(("run_time_s", "cpu_s"))
+    return key in ("seconds", "saves_s") or key.endswith(("run_time_s", "cpu_s"))
 
 
 def content(folder: Path) -> dict[str, Any]:
@@ -173,4 +174,7 @@ def content(folder: Path) -> dict[str, Any]:
         found["result.json"] = without_times(json.loads(found["result.json"]))
     if "report.html" in found:
         found["report.html"] = b""
+    if "compare.csv" in found:
+        rows = list(csv.DictReader(io.StringIO(found["compare.csv"].decode())))
+        found["compare.csv"] = [without_times(row) for row in rows]
     return found

@@ -246,6 +246,10 @@ CONTRAST_LEVELS = ("contrast", "weber_contrast")
 """Names of levels that are the displayed contrast of the triangle."""
 
 
+CONTRASTS = (1e-9, 1e9)
+"""Range of contrasts that are computed with; beyond it are mistakes in a manifest, whose squares may overflow."""
+
+
 def is_contrast(dataset: Dataset) -> bool:
     """Tell whether the level of a dataset is the triangle's contrast, by its name."""
     return dataset.experiment.level.strip().lower() in CONTRAST_LEVELS
@@ -496,7 +500,7 @@ LEAST_BLUR = 0.3
 def _measured(dataset: Dataset, group: Group, stimulus: Stimulus, samples: Sequence[FrameSample]) -> Inspection:
     level = np.array([sample.trial.level for sample in samples])
     # Of a level that is no contrast it is not known how the contrast follows from it.
-    strength = level if is_contrast(dataset) else np.ones(len(level))
+    strength = np.clip(level, *CONTRASTS) if is_contrast(dataset) else np.ones(len(level))
     ratio = np.array([sample.ring_cd_m2 / sample.background_cd_m2 for sample in samples])
     scatter = float(ratio.std(ddof=1)) if len(ratio) > 1 else 0.0
     block_px = samples[0].block_px
