@@ -397,7 +397,7 @@ def test_older_results_come_back_if_one_cannot_be_replaced(
 
 def test_a_cluster_that_is_gone_is_no_place_that_cannot_be_written(tmp_path: Path) -> None:
     """Both are errors of the operating system."""
-    with pytest.raises(ClusterError, match="^the scheduler is gone$"), output_folder(str(tmp_path / "out")):
+    with pytest.raises(ClusterError, match=r"^the scheduler is gone$"), output_folder(str(tmp_path / "out")):
         raise ClusterError("the scheduler is gone")
 
 

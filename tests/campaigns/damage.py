@@ -20,7 +20,7 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -28,7 +28,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import scenes
-from mutations import FRAMES, TEXTS, Mutation
+from mutations import FRAMES, TEXTS
 
 LONGEST_CASE_S = 120.0
 
@@ -81,7 +81,9 @@ class TextFile:
     commands: tuple[tuple[str, ...], ...]
 
 
-SCORE = ("todframes", "score", "dataset", "--set", "resamples=0", "--quiet", "--json")
+SETTINGS = ("--set", "resamples=0")
+SCORE = ("todframes", "score", "dataset", *SETTINGS, "--quiet", "--json")
+SIMULATE = ("SENSOR.toml", "--size-detectors", "2", "--snr", "2", "--trials", "1", "--quiet", "-o", "simulated")
 SENSOR = ("SENSOR.toml", "--size-detectors", "4", "--tolerance", "0.1", "--quiet", "--json")
 
 TEXT_FILES = (
@@ -94,28 +96,14 @@ TEXT_FILES = (
         scenes.OBSERVER_TOML,
         ((*SCORE, "--observer-settings", "observer.toml"),),
     ),
-    TextFile(
-        "counts.csv", scenes.COUNTS_CSV, (("todframes", "fit", "counts.csv", "--set", "resamples=0", "--json"),)
-    ),
+    TextFile("counts.csv", scenes.COUNTS_CSV, (("todframes", "fit", "counts.csv", *SETTINGS, "--json"),)),
     TextFile(
         "SENSOR.toml",
         (scenes.SAMPLES / "staring_camera.toml").read_text(encoding="utf-8"),
         (
             ("sensor_sim", "mtf", "SENSOR.toml", "--json"),
             ("sensor_sim", "curve", *SENSOR),
-            (
-                "sensor_sim",
-                "simulate",
-                "SENSOR.toml",
-                "--size-detectors",
-                "2",
-                "--snr",
-                "2",
-                "--trials",
-                "1",
-                "--quiet",
-            )
-            + ("-o", "simulated"),
+            ("sensor_sim", "simulate", *SIMULATE),
         ),
     ),
     TextFile("designs.csv", scenes.DESIGNS_CSV, (("sensor_sim", "sweep", *SENSOR, "--design", "designs.csv"),)),
@@ -125,7 +113,7 @@ WEIGHTS = (5, 2, 3, 6, 4, 3, 4, 1)
 """How often each of the text files is mutated; a sweep takes as long as fifty of the others."""
 
 
-# The parent -------------------------------------------------------------------------------------------------------
+# The parent ----------------------------------------------------------------------------------------------------
 
 
 def run_campaign(n: int, *, seed: int, first: int = 0) -> list[Outcome]:
@@ -177,7 +165,7 @@ def table(outcomes: Sequence[Outcome]) -> str:
     return "\n".join(lines)
 
 
-# The child --------------------------------------------------------------------------------------------------------
+# The child -----------------------------------------------------------------------------------------------------
 
 
 RENEWED = 99
@@ -187,7 +175,7 @@ CASES_PER_CHILD = 2000
 
 
 class Runner:
-    """Runs commands in this process; their output is caught at the file descriptors, native libraries' included."""
+    """Runs commands in this process; output is caught at the file descriptors, also that of native libraries."""
 
     def __init__(self, folder: Path) -> None:
         from sensor_sim.cli import cli as sensor_sim
@@ -199,8 +187,7 @@ class Runner:
         for number, file in zip((1, 2), self._files, strict=True):
             os.dup2(file.fileno(), number)
         for name in ("stdout", "stderr"):
-            stream = io.TextIOWrapper(open(1 if name == "stdout" else 2, "wb", closefd=False), encoding="utf-8")
-            setattr(sys, name, stream)
+            setattr(sys, name, io.TextIOWrapper(getattr(sys, name).buffer, encoding="utf-8"))
 
     def run(self, package: str, *arguments: str) -> Ran:
         """Run a command to its end, whatever it is."""
@@ -237,6 +224,10 @@ class Child:
             if file.content and not file.path.startswith("dataset/"):
                 (folder / file.path).write_text(file.content, encoding="utf-8")
         self._runner = Runner(folder)
+        for command in (command for file in TEXT_FILES for command in file.commands):
+            if (ran := self._runner.run(*command)).status:
+                raise RuntimeError(f"{command}: {ran.err}")
+        shutil.rmtree(folder / "simulated")
         self._right: dict[str, Any] = {}
         self._other_frames = [
             (path / names[3]).read_bytes() for path, names in self._frames.values()
@@ -405,9 +396,8 @@ def _other_formats() -> list[bytes]:
     import cv2
 
     picture = (np.random.default_rng(1).random((32, 32)) * 255).astype(np.uint8)
-    found = [
-        cv2.imencode(suffix, picture)[1].tobytes() for suffix in (".jpg", ".tiff", ".bmp", ".webp", ".pgm", ".jp2")
-    ]
+    suffixes = (".jpg", ".tiff", ".bmp", ".webp", ".pgm", ".jp2")
+    found = [cv2.imencode(suffix, picture)[1].tobytes() for suffix in suffixes]
     return [*found, b"GIF89a" + bytes(100), b"PK\3\4" + bytes(100), b"%PDF-1.7\n", b"SIMPLE  =" + bytes(100)]
 
 

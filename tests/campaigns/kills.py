@@ -82,13 +82,13 @@ class Tally:
         kills = ", ".join(f"{count} of the {target}" for target, count in sorted(self.kills.items()))
         twice = self.n_done - self.n_unkeyed - self.n_items
         return (
-            f"{self.name}: kills: {kills}; {self.n_items} items, {twice} done again ({self.most_in_flight} at most "
-            f"after one kill), {self.n_unkeyed} before the store began; {self.seconds:.0f} s; "
-            f"{len(self.faults)} faults {self.faults}"
+            f"{self.name}: kills: {kills}; {self.n_items} items, {twice} done again "
+            f"({self.most_in_flight} at most after one run), {self.n_unkeyed} before the store began; "
+            f"{self.seconds:.0f} s; {len(self.faults)} faults {self.faults}"
         )
 
 
-# Processes --------------------------------------------------------------------------------------------------------
+# Processes -----------------------------------------------------------------------------------------------------
 
 
 class Processes:
@@ -144,7 +144,7 @@ def _processes_of(sessions: Sequence[int]) -> list[int]:
 
 
 class Cluster:
-    """A scheduler and two workers, as processes of their own; `address` stays the same when they are started again."""
+    """A scheduler and two workers, as processes of their own; `address` is the same when they start again."""
 
     def __init__(self, processes: Processes, folder: Path) -> None:
         self._processes, self._folder = processes, folder
@@ -195,7 +195,7 @@ class Cluster:
         raise TimeoutError("the scheduler has not started")
 
 
-# A campaign -------------------------------------------------------------------------------------------------------
+# A campaign ----------------------------------------------------------------------------------------------------
 
 
 def kill_repeatedly(
@@ -266,7 +266,7 @@ def kill_repeatedly(
                 status = _wait(client)
             err = (folder / "stderr").read_text(encoding="utf-8", errors="replace")
             run.end(status)
-            if status in (-signal.SIGKILL, NO_CLUSTER) and not _is_expected(status, err, command):
+            if status in (-signal.SIGKILL, NO_CLUSTER) and not _is_expected(status, err):
                 tally.faults.append(f"status {status}: {err[-500:]}")
             if status == 0:
                 if (found := scenes.content(out)) != wanted:
@@ -300,9 +300,8 @@ def _wait(client: subprocess.Popen[bytes]) -> int:
         return 124
 
 
-def _is_expected(status: int, err: str, command: Command) -> bool:
-    """Tell whether a client ended as it should: killed, or with one line about the scheduler and one about the store."""
-    del command
+def _is_expected(status: int, err: str) -> bool:
+    """Tell whether a client ended as it should: killed, or with a line about the cluster and a note."""
     if status == -signal.SIGKILL:
         return "Traceback" not in err
     lines = [line for line in err.splitlines() if "of the work are there" not in line]
@@ -377,7 +376,7 @@ def stored_keys(out: Path) -> set[str]:
             database.close()
 
 
-# The campaigns ----------------------------------------------------------------------------------------------------
+# The campaigns -------------------------------------------------------------------------------------------------
 
 
 def commands(folder: Path, *, n_repeats: int = 100) -> dict[str, Command]:

@@ -51,7 +51,6 @@ include_residual = false
 band_gain = 1.0
 template_blur_samples = 1.2
 internal_noise = 0.5
-internal_noise_sd = 0.14
 resamples = 0
 p_correct = 0.75
 """
@@ -111,12 +110,12 @@ def write_dataset(
                 orientation=orientation,
             )
             values = BACKGROUND / WHITE * (1.0 + level * covered + noise * rng.standard_normal(covered.shape))
+            name = f"c{level:.4g}_{orientation.value}"
             for repeat in range(repeats):
-                frame = f"frames/c{level:.4g}_{orientation.value}_{repeat}{suffix}"
+                frame = f"frames/{name}_{repeat}{suffix}"
                 if repeat:
-                    os.link(path / first, path / frame)
+                    os.link(path / f"frames/{name}_0{suffix}", path / frame)
                 else:
-                    first = frame
                     stored = np.repeat(values[..., np.newaxis], n_channels, axis=2)
                     write_image(path / frame, stored, pixel_type=pixel_type, compression=compression)
                     sha256 = hashlib.sha256((path / frame).read_bytes()).hexdigest()
@@ -135,7 +134,7 @@ def write_dataset(
 
 
 def write_recording(path: Path, *, n_frames: int = 600, side_px: int = 200) -> None:
-    """Write `frames.npy`, a recording of noise, and `schedule.csv`, which says that a triangle is in its middle."""
+    """Write `frames.npy`, a recording of noise, and `schedule.csv`, which puts a triangle in its middle."""
     path.mkdir(parents=True, exist_ok=True)
     rng = np.random.default_rng(1)
     np.save(path / "frames.npy", rng.integers(0, 255, (n_frames, side_px, side_px), dtype=np.uint8))
