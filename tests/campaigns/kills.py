@@ -26,6 +26,7 @@ from pathlib import Path
 from typing import Literal, NamedTuple
 
 import scenes
+from forks import Forked, import_all, in_a_fork
 from logged import NO_KEY
 
 LOGGED = Path(__file__).with_name("logged.py")
@@ -91,19 +92,31 @@ class Tally:
 # Processes -----------------------------------------------------------------------------------------------------
 
 
+class _StartedCommand:
+    """A command in a process of its own, with what it says."""
+
+    def __init__(self, process: subprocess.Popen[bytes], err: Path) -> None:
+        self._err = err
+        self.poll, self.wait, self.kill = process.poll, process.wait, process.kill
+
+    @property
+    def err(self) -> str:
+        return self._err.read_text(encoding="utf-8", errors="replace")
+
+
 class Processes:
     """Processes that are started in a session of their own, and are all gone at the end."""
 
     def __init__(self, log: Path, item_s: float, *, at_once: bool) -> None:
-        self._environment = os.environ | {
-            "CAMPAIGN_LOG": str(log),
-            "CAMPAIGN_ITEM_S": str(item_s),
+        self._variables = {"CAMPAIGN_LOG": str(log), "CAMPAIGN_ITEM_S": str(item_s)}
+        if at_once:
+            self._variables["CAMPAIGN_AT_ONCE"] = "1"
+        self._environment = os.environ | self._variables
+        self._environment |= {
             "OMP_NUM_THREADS": "1",
             "OPENBLAS_NUM_THREADS": "1",
             "DASK_DISTRIBUTED__COMM__TIMEOUTS__CONNECT": "10s",
         }
-        if at_once:
-            self._environment["CAMPAIGN_AT_ONCE"] = "1"
         self._sessions: list[int] = []
 
     def start(self, *arguments: str, output: Path | None = None) -> subprocess.Popen[bytes]:
@@ -120,6 +133,14 @@ class Processes:
             )
         self._sessions.append(process.pid)
         return process
+
+    def command(
+        self, arguments: Sequence[str], folder: Path, *, is_forked: bool = False
+    ) -> Forked | _StartedCommand:
+        """Start a command that logs its items."""
+        if is_forked:
+            return Forked(arguments, folder, self._variables)
+        return _StartedCommand(self.start(str(LOGGED), *arguments, output=folder / "stderr"), folder / "stderr")
 
     def left(self, patience_s: float) -> list[int]:
         """Return the processes that are still there after a time, and end them."""
@@ -207,6 +228,8 @@ def kill_repeatedly(
     seed: int,
     in_flight: int,
     with_cluster: bool = False,
+    at_start: float = 1.0,
+    is_forked: bool = False,
 ) -> Tally:
     """Kill a run, or a part of the cluster that does it, again and again, and compare its end.
 
@@ -220,6 +243,10 @@ def kill_repeatedly(
         Shortest and longest time after the start, or after the last kill, in seconds; moments are uniform.
     in_flight : int
         Largest number of items that a kill may cost.
+    at_start : float
+        Share of the kills whose time counts from the start; that of others counts from when items are done.
+    is_forked : bool
+        Whether clients are copies of this process, which start sooner.
     """
     folder.mkdir(parents=True)
     tally, rng = Tally(command.name), random.Random(f"{seed} {command.name}")
@@ -228,9 +255,9 @@ def kill_repeatedly(
     processes = Processes(log, command.item_s, at_once=command.at_once)
     undisturbed = folder / "undisturbed"
     first = Processes(folder / "log of undisturbed", 0.0, at_once=True)
-    process = first.start(str(LOGGED), *command.arguments, "-o", str(undisturbed), output=folder / "stderr")
+    process = first.command([*command.arguments, "-o", str(undisturbed)], folder, is_forked=is_forked)
     if process.wait(LONGEST_RUN_S):
-        raise RuntimeError((folder / "stderr").read_text(encoding="utf-8"))
+        raise RuntimeError(process.err)
     wanted = scenes.content(undisturbed)
     cluster = Cluster(processes, folder) if with_cluster else None
     arguments = [*command.arguments, "-o", str(out)]
@@ -243,9 +270,11 @@ def kill_repeatedly(
             if cluster is not None:
                 cluster.complete()
             run.begin()
-            client = processes.start(str(LOGGED), *arguments, output=folder / "stderr")
+            client = processes.command(arguments, folder, is_forked=is_forked)
             status: int | None = None
             while left and status is None:
+                if rng.random() > at_start:
+                    status = run.wait_for_work(client)
                 with suppress(subprocess.TimeoutExpired):
                     status = client.wait(rng.uniform(*moments_s))
                 if status is None:
@@ -264,7 +293,7 @@ def kill_repeatedly(
                             cluster.complete()
             if status is None:
                 status = _wait(client)
-            err = (folder / "stderr").read_text(encoding="utf-8", errors="replace")
+            err = client.err
             run.end(status)
             if status in (-signal.SIGKILL, NO_CLUSTER) and not _is_expected(status, err):
                 tally.faults.append(f"status {status}: {err[-500:]}")
@@ -290,7 +319,7 @@ def kill_repeatedly(
     return tally
 
 
-def _wait(client: subprocess.Popen[bytes]) -> int:
+def _wait(client: Forked | _StartedCommand) -> int:
     """Wait for a client; one that takes too long is killed, with the status of a time-out."""
     try:
         return client.wait(LONGEST_RUN_S)
@@ -316,7 +345,7 @@ class _Run:
     def __init__(self, tally: Tally, log: Path, out: Path, in_flight: int) -> None:
         self._tally, self._log, self._out, self._in_flight = tally, log, out, in_flight
         self._stored: set[str] = set()
-        self._before = 0
+        self._before = self._size_before = 0
         self._all: list[str] = []
         self.costs = 0
 
@@ -327,7 +356,14 @@ class _Run:
             self._tally.faults.append(f"{len(lost)} results have gone from the store")
         self._stored = stored
         self._before = len(self._lines())
+        self._size_before = self._size
         self.costs = 0
+
+    def wait_for_work(self, client: Forked | _StartedCommand) -> int | None:
+        """Wait until an item has been done in this run; return the status of the client if it ends before."""
+        while client.poll() is None and self._size == self._size_before:
+            time.sleep(0.02)
+        return client.poll()
 
     def end(self, status: int) -> None:
         """Compare what a run has done with the store."""
@@ -354,6 +390,10 @@ class _Run:
         self._tally.n_done += len(self._all)
         self._tally.n_unkeyed += len(self._all) - len(keyed)
         self._all, self._stored = [], set()
+
+    @property
+    def _size(self) -> int:
+        return self._log.stat().st_size if self._log.exists() else 0
 
     def _lines(self) -> list[str]:
         return self._log.read_text(encoding="utf-8").splitlines() if self._log.exists() else []
@@ -403,15 +443,18 @@ def commands(folder: Path, *, n_repeats: int = 100) -> dict[str, Command]:
     return {command.name: command for command in found}
 
 
-def campaign(n: int, *, seed: int) -> list[Tally]:
-    """Kill clients, workers and schedulers, `n` in all: two fifths of them clients without a cluster."""
+def campaign(n: int, *, seed: int, only: str = "") -> list[Tally]:
+    """Kill clients, workers and schedulers, `n` in all: two fifths of them clients without a cluster.
+
+    `only` is a part of the names of the commands to kill.
+    """
     rng = random.Random(seed)
     n_local = max(1, 2 * n // 5)
     tallies = []
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         found = commands(folder)
-        kinds = list(found)
+        kinds = [kind for kind in found if only in kind]
         for number, kind in enumerate(kinds):
             share = n_local // len(kinds) + (number < n_local % len(kinds))
             if share:
@@ -449,17 +492,29 @@ def campaign(n: int, *, seed: int) -> list[Tally]:
     return tallies
 
 
-def long_run(n_frames: int, n_kills: int, *, seed: int, workers: int = 1) -> Tally:
-    """Kill a run of many frames again and again; the frames are links to some hundred files.
+def long_run(n_frames: int, n_kills: int, *, seed: int, item_s: float = 0.01) -> Tally:
+    """Kill a run of many frames again and again; the frames are links to some files.
 
-    Each run makes some progress before it is killed, so that all kills are those of one run.
+    Each frame takes `item_s` in addition, long enough for all kills to be those of one run. One kill in ten comes
+    at any moment after the start, the others up to 4 s after the first frame that was scored in this run.
     """
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         contrasts = (0.03, 0.05, 0.08, 0.1, 0.15, 0.2, 0.3, 0.4)
         n_repeats = n_frames // (4 * len(contrasts))
-        scenes.write_dataset(folder / "dataset", side_px=64, contrasts=contrasts, repeats=n_repeats, noise=0.05)
-        arguments = ("todframes", "score", str(folder / "dataset"), "--quiet", "--workers", str(workers))
-        command = Command(f"score of {4 * len(contrasts) * n_repeats} frames", arguments, 0.003, at_once=False)
-        kills: list[Target] = ["client"] * n_kills
-        return kill_repeatedly(command, kills, folder / "runs", moments_s=(1.0, 5.0), seed=seed, in_flight=160)
+        scene = {"side_px": 64, "contrasts": contrasts, "noise": 0.05}
+        in_a_fork(scenes.write_dataset, folder / "small", **scene)
+        import_all(["todframes", "score", str(folder / "small"), "-o", str(folder / "out")])
+        in_a_fork(scenes.write_dataset, folder / "dataset", repeats=n_repeats, **scene)
+        arguments = ("todframes", "score", str(folder / "dataset"), "--quiet")
+        command = Command(f"score of {4 * len(contrasts) * n_repeats} frames", arguments, item_s, at_once=False)
+        return kill_repeatedly(
+            command,
+            ["client"] * n_kills,
+            folder / "runs",
+            moments_s=(0.0, 4.0),
+            seed=seed,
+            in_flight=16,
+            at_start=0.1,
+            is_forked=True,
+        )

@@ -7,6 +7,7 @@ import hashlib
 import io
 import json
 import os
+import shutil
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -90,8 +91,9 @@ def write_dataset(
     repeats: int = 1,
     with_sha256: bool = False,
     noise: float = 0.0,
+    linked: bool = True,
 ) -> list[str]:
-    """Write a dataset: a frame for each contrast and orientation, with `repeats` links to it.
+    """Write a dataset: a frame for each contrast and orientation, with `repeats` links to it or copies of it.
 
     Returns the names of the frames, in the order of the manifest's rows.
     """
@@ -114,7 +116,7 @@ def write_dataset(
             for repeat in range(repeats):
                 frame = f"frames/{name}_{repeat}{suffix}"
                 if repeat:
-                    os.link(path / f"frames/{name}_0{suffix}", path / frame)
+                    (os.link if linked else shutil.copy)(path / f"frames/{name}_0{suffix}", path / frame)
                 else:
                     stored = np.repeat(values[..., np.newaxis], n_channels, axis=2)
                     write_image(path / frame, stored, pixel_type=pixel_type, compression=compression)
