@@ -493,6 +493,10 @@ FOUND = 2e-4
 """Last step of the fit, in sizes and radians; the errors that matter are a hundred times as large."""
 
 
+LEAST_SIZE = 1e-9
+"""Least size in blocks that is computed with; smaller ones are mistakes, and ratios to them overflow."""
+
+
 LEAST_BLUR = 0.3
 """Least standard deviation of the blur in blocks; the derivatives of a sharper picture are not known."""
 
@@ -526,7 +530,7 @@ def _measured(dataset: Dataset, group: Group, stimulus: Stimulus, samples: Seque
         level=float(np.median(level)),
         noise_contrast=float(np.median([sample.noise for sample in samples])),
         **_of_codes(codes),
-        **_of_triangle(samples, strength, size_px / block_px, stimulus.polarity, block_px),
+        **_of_triangle(samples, strength, max(size_px / block_px, LEAST_SIZE), stimulus.polarity, block_px),
     )
 
 
