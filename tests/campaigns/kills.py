@@ -310,6 +310,8 @@ def kill_repeatedly(
             elif status not in (-signal.SIGKILL, NO_CLUSTER):
                 tally.faults.append(f"status {status}: {err[-500:]}")
                 break
+            elif not _is_expected(status, err):
+                break
     finally:
         if cluster is not None:
             cluster.close()
@@ -482,7 +484,8 @@ def campaign(n: int, *, seed: int, only: str = "") -> list[Tally]:
                         command,
                         share,
                         folder / f"cluster {kind}",
-                        moments_s=(1.0, 12.0),
+                        moments_s=(0.0, 6.0),
+                        at_start=0.3,
                         seed=seed,
                         in_flight=100_000,
                         with_cluster=True,

@@ -156,6 +156,10 @@ class Enhancement:
     any_parameter: bool
     values: Mapping[str, Any] = field(default_factory=dict)
 
+    def __reduce__(self) -> tuple[Callable[..., Enhancement], tuple[Any, ...]]:
+        """Return what is pickled: the parameters follow from the function, and their ranges cannot be pickled."""
+        return _with_values, (self.name, self.spec, self.function, self.values)
+
     @property
     def what(self) -> str:
         """The first line of the function's docstring; empty if there is none."""
@@ -314,6 +318,10 @@ def _described(name: str, spec: str, function: Callable[..., Any], where: str) -
         ),
         any_parameter=any(one.kind is one.VAR_KEYWORD for one in signature),
     )
+
+
+def _with_values(name: str, spec: str, function: Callable[..., Any], values: Mapping[str, Any]) -> Enhancement:
+    return replace(_described(name, spec, function, f"enhance {spec!r}"), values=values)
 
 
 def _kind_of(default: object) -> Any:
