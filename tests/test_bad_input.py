@@ -560,6 +560,15 @@ def test_contrast_beyond_all_numbers(make_dataset):
     assert_spoils(dataset, BAD, (re.escape(str(dataset.frame(BAD))), "background|luminance|contrast"), FrameError)
 
 
+@pytest.mark.parametrize("change", [{"contrast": "1e308"}, {"contrast": "1e-308"}, {"size_mrad": "5e-324"}])
+def test_values_near_the_ends_of_all_numbers_print_nothing(change, make_dataset, todframes):
+    """What the frames show is measured with numbers that can be squared and divided by: NumPy does not warn."""
+    dataset = make_dataset(contrasts=(0.05, 0.1, 0.5), repeats=2, row_changes={23: change})
+    status, out, errors = todframes("score", dataset.path, "--json", "--quiet", "--set", "resamples=0")
+    assert (status, errors) == (0, [])
+    assert sum(fit["n_trials"] for fit in json.loads(out)["fits"]) == 24
+
+
 def test_background_column_missing(make_dataset):
     dataset = make_dataset(display={"background_luminance_cd_m2": "column"})
     wanted = (re.escape(str(dataset.manifest_file)), "column 'background_luminance_cd_m2' is missing")

@@ -280,6 +280,13 @@ def own(tmp_path, monkeypatch):
 
 
 @pytest.mark.usefixtures("own")
+def test_a_pickled_algorithm_is_the_same() -> None:
+    """As it is sent to the workers of a cluster."""
+    for spec in ("none", "gaussian:sigma=1.5", "clahe:clip_limit=2"):
+        algorithm = find_enhancement(spec)
+        assert pickle.loads(pickle.dumps(algorithm)) == algorithm
+
+
 def test_own_functions() -> None:
     image = picture()
     algorithm = find_enhancement("own_algorithms:stretched")

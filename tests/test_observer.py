@@ -140,6 +140,20 @@ def test_answers_depend_on_the_generator_alone(any_observer: Observer) -> None:
     assert len(set(runs[0])) > 1
 
 
+def test_a_pickled_observer_answers_as_before(any_observer: Observer) -> None:
+    """As it is sent to the workers of a cluster, with its caches filled."""
+    stimulus = Stimulus(1.0)
+    seen = 0.1 * triangle_on(any_observer.grid(stimulus), 1.0, Orientation.UP)
+    any_observer.readout(stimulus)
+    copy = pickle.loads(pickle.dumps(any_observer))
+    assert (copy.readout(stimulus) is None) == (any_observer.readout(stimulus) is None)
+    runs = [
+        [one.respond(seen, stimulus, rng) for _ in range(5)]
+        for one, rng in ((any_observer, np.random.default_rng(5)), (copy, np.random.default_rng(5)))
+    ]
+    assert runs[0] == runs[1]
+
+
 def test_a_quarter_turn_permutes_the_scores(linear_observer: Observer) -> None:
     readout = linear_observer.readout(Stimulus(1.0))
     for seed in range(5):

@@ -17,7 +17,7 @@ from typing import Any
 import pytest
 
 from todframes import output, signals
-from todframes.errors import OutputError
+from todframes.errors import ClusterError, OutputError
 from todframes.output import MARK, STAGING, new_folder, output_folder, write_file, write_files
 
 QUICK = "SIGINT", "SIGKILL"
@@ -393,6 +393,12 @@ def test_older_results_come_back_if_one_cannot_be_replaced(
     with pytest.raises(OutputError, match=r"cannot be written \(Permission denied\)"):
         score(path, {"report.html": "new", "result.json": "{}", "scores.csv": "new"})
     assert contents(path) == old
+
+
+def test_a_cluster_that_is_gone_is_no_place_that_cannot_be_written(tmp_path: Path) -> None:
+    """Both are errors of the operating system."""
+    with pytest.raises(ClusterError, match=r"^the scheduler is gone$"), output_folder(str(tmp_path / "out")):
+        raise ClusterError("the scheduler is gone")
 
 
 def test_no_device_is_replaced_by_a_file(tmp_path: Path) -> None:

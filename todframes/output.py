@@ -34,7 +34,7 @@ from pathlib import Path, PurePosixPath
 import msgspec
 
 from todframes import __version__, signals
-from todframes.errors import OutputError
+from todframes.errors import OutputError, TodframesError
 from todframes.signals import held_back
 
 if sys.platform != "win32":
@@ -225,7 +225,7 @@ def write_files(folder: Path, files: Mapping[str, bytes | Iterable[bytes]]) -> N
 def _as_output_error(name: str) -> Iterator[None]:
     try:
         yield
-    except OutputError:
+    except TodframesError:  # some are errors of the system, too
         raise
     except OSError as error:
         raise OutputError(f"{name}: cannot be written ({error.strerror or error})") from None

@@ -246,6 +246,10 @@ CONTRAST_LEVELS = ("contrast", "weber_contrast")
 """Names of levels that are the displayed contrast of the triangle."""
 
 
+CONTRASTS = (1e-9, 1e9)
+"""Range of contrasts that are computed with; beyond it are mistakes in a manifest, whose squares may overflow."""
+
+
 def is_contrast(dataset: Dataset) -> bool:
     """Tell whether the level of a dataset is the triangle's contrast, by its name."""
     return dataset.experiment.level.strip().lower() in CONTRAST_LEVELS
@@ -489,6 +493,10 @@ FOUND = 2e-4
 """Last step of the fit, in sizes and radians; the errors that matter are a hundred times as large."""
 
 
+LEAST_SIZE = 1e-9
+"""Least size in blocks that is computed with; smaller ones are mistakes, and ratios to them overflow."""
+
+
 LEAST_BLUR = 0.3
 """Least standard deviation of the blur in blocks; the derivatives of a sharper picture are not known."""
 
@@ -496,7 +504,7 @@ LEAST_BLUR = 0.3
 def _measured(dataset: Dataset, group: Group, stimulus: Stimulus, samples: Sequence[FrameSample]) -> Inspection:
     level = np.array([sample.trial.level for sample in samples])
     # Of a level that is no contrast it is not known how the contrast follows from it.
-    strength = level if is_contrast(dataset) else np.ones(len(level))
+    strength = np.clip(level, *CONTRASTS) if is_contrast(dataset) else np.ones(len(level))
     ratio = np.array([sample.ring_cd_m2 / sample.background_cd_m2 for sample in samples])
     scatter = float(ratio.std(ddof=1)) if len(ratio) > 1 else 0.0
     block_px = samples[0].block_px
@@ -522,7 +530,7 @@ def _measured(dataset: Dataset, group: Group, stimulus: Stimulus, samples: Seque
         level=float(np.median(level)),
         noise_contrast=float(np.median([sample.noise for sample in samples])),
         **_of_codes(codes),
-        **_of_triangle(samples, strength, size_px / block_px, stimulus.polarity, block_px),
+        **_of_triangle(samples, strength, max(size_px / block_px, LEAST_SIZE), stimulus.polarity, block_px),
     )
 
 

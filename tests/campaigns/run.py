@@ -1,0 +1,48 @@
+"""Runs the campaigns of this folder; exit status 1 if a case has not ended as it should.
+
+python tests/campaigns/run.py mutations [N]        # 10,000 mutated frames and settings files; half an hour
+python tests/campaigns/run.py kills [N]            # 100 kills of clients, workers and schedulers
+python tests/campaigns/run.py long-run [N]         # 100 kills of one run of 20,000 frames
+python tests/campaigns/run.py faults               # full disks, second runs, files that change
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+
+import damage
+import faults
+import kills
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run a campaign and print what it has found. Returns the exit status."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("campaign", choices=["mutations", "kills", "long-run", "faults"])
+    parser.add_argument("n", nargs="?", type=int, help="number of mutations or kills [default: 10,000 or 100]")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--first", type=int, default=0, help="number of the first mutation, to repeat a case")
+    parser.add_argument("--frames", type=int, default=20_000, help="number of frames of the long run")
+    parser.add_argument("--only", default="", help="part of the name of faults or commands")
+    asked = parser.parse_args(arguments)
+    match asked.campaign:
+        case "mutations":
+            outcomes = damage.run_campaign(asked.n or 10_000, seed=asked.seed, first=asked.first)
+            print(damage.table(outcomes))
+            return int(any(one.is_fault for one in outcomes))
+        case "kills":
+            tallies = kills.campaign(asked.n or 100, seed=asked.seed, only=asked.only)
+            return int(any(tally.faults for tally in tallies))
+        case "long-run":
+            tally = kills.long_run(asked.frames, asked.n or 100, seed=asked.seed)
+            print(tally.line())
+            return int(bool(tally.faults))
+    n, found = faults.campaign(seed=asked.seed, only=asked.only)
+    print(f"{n} cases, {len(found)} faults")
+    return int(bool(found))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

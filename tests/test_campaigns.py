@@ -1,0 +1,53 @@
+"""The campaigns of `tests/campaigns` run, with small numbers."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from importlib.util import find_spec
+from pathlib import Path
+
+import pytest
+
+RUN = Path(__file__).parent / "campaigns" / "run.py"
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(sys.platform != "linux", reason="processes are looked up in /proc"),
+]
+
+
+def campaign(*arguments: str) -> str:
+    """Run a campaign to its good end; return what it prints."""
+    process = subprocess.run(
+        [sys.executable, RUN, *arguments], capture_output=True, text=True, timeout=600, check=False
+    )
+    assert process.returncode == 0, process.stdout + process.stderr
+    return process.stdout
+
+
+def test_mutated_files() -> None:
+    out = campaign("mutations", "40", "--seed", "3")
+    assert "40  in all, 0 faults" in out
+
+
+@pytest.mark.skipif(find_spec("distributed") is None, reason="needs the extra `cluster`")
+def test_kills() -> None:
+    local, cluster = campaign("kills", "4", "--only", "score", "--seed", "3").splitlines()[-2:]
+    assert local.startswith("score")
+    assert cluster.startswith("score --cluster: kills: ")
+
+
+def test_a_long_run() -> None:
+    assert "kills: 2 of the client" in campaign("long-run", "2", "--frames", "320")
+
+
+@pytest.mark.parametrize("fault", ["frame deleted before it was seen, with", "store between runs: cut"])
+def test_faults(fault: str) -> None:
+    assert "1 cases, 0 faults" in campaign("faults", "--only", fault)
+
+
+@pytest.mark.skipif(getattr(os, "geteuid", lambda: 1)() != 0, reason="only root may mount a disk")
+def test_a_full_disk() -> None:
+    assert "1 cases, 0 faults" in campaign("faults", "--only", "disk full, score")
