@@ -10,6 +10,7 @@ import json
 import math
 import os
 import signal
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -30,6 +31,25 @@ PITCH_MRAD = 0.25
 WHITE, BACKGROUND = 100.0, 50.0  # cd/m²
 # A grey PNG of one pixel, in base64.
 ONE_PIXEL = "iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAAAAAA6fptVAAAACklEQVR4nGNoAAAAggCBd81ytgAAAABJRU5ErkJggg=="
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Offer a shorter run that still calls every test function."""
+    help_text = "Run the first of every N cases of each test function."
+    parser.addoption("--one-of", type=int, default=1, metavar="N", help=help_text)
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Deselect cases as `--one-of` asks."""
+    n, found = config.getoption("--one-of"), Counter[str]()
+    chosen: dict[bool, list[pytest.Item]] = {True: [], False: []}
+    for item in items:
+        function = item.nodeid.partition("[")[0]
+        chosen[found[function] % n == 0].append(item)
+        found[function] += 1
+    if chosen[False]:
+        config.hook.pytest_deselected(items=chosen[False])
+        items[:] = chosen[True]
 
 
 def pytest_configure() -> None:
