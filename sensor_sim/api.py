@@ -216,7 +216,7 @@ def sweep(
     from sensor_sim.designs import Base, make_designs
     from sensor_sim.sweep_result import SweepResult
     from sensor_sim.sweep_tables import Criterion, objectives
-    from sensor_sim.sweep_work import SweepWork, Variants, check_sweep, engine_of, run_sweep
+    from sensor_sim.sweep_work import SweepWork, Variants, check_sweep, run_sweep
     from todframes.jobs.engine import open_engine
 
     judge, settings = described(observer)
@@ -231,7 +231,7 @@ def sweep(
     goals = objectives(minimise, maximise, designs.keys, has_netd=has_netd, has_acuity=criterion is not None)
     work = SweepWork(observers=observers, p_correct=p_correct, tolerance=tolerance, seed=seed, plan=plan)
     with open_engine(cluster, workers) as engine:
-        swept = run_sweep(base, designs, sizes, work, engine_of(engine), store=store, progress=progress)
+        swept = run_sweep(base, designs, sizes, work, engine, store=store, progress=progress)
     settings |= {
         "p_correct": p_correct,
         "size_detectors": sizes,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -9,7 +10,7 @@ from typing import TYPE_CHECKING
 from sensor_sim.sweep_figures import draw_curves, draw_front, draw_map, page, pictures
 from sensor_sim.sweep_tables import SweepData
 from todframes.report.figures import drawn
-from todframes.report.table import Table
+from todframes.report.parquet import has_parquet, parquet_parts
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -34,13 +35,12 @@ class SweepResult(SweepData):
         """Draw all designs over the first two objectives, and their trade-off front; returns the axes."""
         return drawn(lambda axes: draw_front(axes, self, size), ax)
 
-    def files(self) -> dict[str, bytes]:
-        """Return the content of all files by name; `sweep.parquet` is among them if pyarrow is installed."""
+    def files(self) -> dict[str, bytes | Iterable[bytes]]:
+        """Return the content of all files by name, tables in parts; `sweep.parquet` needs pyarrow."""
         table = self.table()
-        parquet = _parquet(table)
         return {
-            "sweep.csv": table.csv().encode(),
-            **({"sweep.parquet": parquet} if parquet is not None else {}),
+            "sweep.csv": (part.encode() for part in table.csv_parts()),
+            **({"sweep.parquet": parquet_parts(table)} if has_parquet() else {}),
             **{one.file: one.png() for one in pictures(self) if one.file},
             "report.html": page(self).encode(),
             "result.json": self.to_json(),
@@ -58,16 +58,3 @@ class SweepResult(SweepData):
 
         with output_folder(str(folder)) as staging:
             write_files(staging, self.files())
-
-
-def _parquet(table: Table) -> bytes | None:
-    """Return a table as Parquet; None if pyarrow is not installed."""
-    try:
-        import pyarrow
-        from pyarrow import parquet
-    except ImportError:
-        return None
-    columns = {one.key: [record[one.key] for record in table.records] for one in table.columns}
-    sink = pyarrow.BufferOutputStream()
-    parquet.write_table(pyarrow.table(columns), sink)
-    return bytes(sink.getvalue().to_pybytes())

@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
+from itertools import islice
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import msgspec
@@ -19,7 +20,7 @@ from todframes import __version__
 from todframes._typing import FloatArray, Json
 from todframes.config import check_keys
 from todframes.errors import SettingsError
-from todframes.report.table import Column, Table
+from todframes.report.table import BLOCK, Column, LongRecords, Table
 from todframes.report.wording import count, listed, plain
 
 if TYPE_CHECKING:
@@ -225,6 +226,7 @@ class SweepData:
     def records(self) -> Iterator[Json]:
         """Yield a record for each design and size, with the design's values in each."""
         swept, designs = self.swept, self.swept.designs
+        has_netd = np.isfinite(swept.mk_per_snr).any()
         for row, values in enumerate(designs.values.tolist()):
             of_design: Json = {"design": row + 1}
             if designs.names is not None:
@@ -235,6 +237,7 @@ class SweepData:
             for place, size in enumerate(swept.size_detectors):
                 snr, error = swept.threshold_snr[row, place], swept.numerical_error[row, place]
                 mk = swept.mk_per_snr[row]
+                in_mk = {"delta_t_mk": _known(snr * mk), "delta_t_mk_error": _known(error * mk)}
                 yield {
                     **of_design,
                     "size_detectors": size,
@@ -242,8 +245,7 @@ class SweepData:
                     "status": swept.status[row][place],
                     "threshold_snr": _known(snr),
                     "threshold_snr_error": _known(error),
-                    "delta_t_mk": _known(snr * mk),
-                    "delta_t_mk_error": _known(error * mk),
+                    **(in_mk if has_netd else {}),
                     **of_acuity,
                     "on_front": bool(self.on_front[row, place]),
                     "n_phases": int(swept.n_phases[row, place]) or None,
@@ -269,10 +271,24 @@ class SweepData:
 
     def table(self) -> Table:
         """Return the table of all designs: a row for each design and size."""
-        records = list(self.records())
-        table = Table.of("All designs and sizes", "sweep.csv", list(records[0]), records)
-        unused = () if np.isfinite(self.swept.mk_per_snr).any() else ("delta_t_mk", "delta_t_mk_error")
-        return replace(table, columns=tuple(one for one in table.columns if one.key not in unused))
+        kinds = self._kinds()
+        records = LongRecords(kinds, self.swept.threshold_snr.size, self._blocks)
+        return Table.of("All designs and sizes", "sweep.csv", kinds, records)
+
+    def _kinds(self) -> dict[str, type]:
+        """Return the type of each column."""
+        texts = {NAME, "status", "acuity_status", "reason"}
+        whole = {"design", "n_phases", *self.whole_keys}
+        return {
+            key: str if key in texts else int if key in whole else bool if key == "on_front" else float
+            for key in next(self.records())
+        }
+
+    def _blocks(self) -> Iterator[dict[str, list[Any]]]:
+        """Yield the columns of some thousand records at a time."""
+        records = self.records()
+        while block := list(islice(records, BLOCK)):
+            yield {key: [record[key] for record in block] for key in block[0]}
 
     def to_dataframe(self) -> DataFrame:
         """Return all designs as a pandas DataFrame with a row for each design and size.

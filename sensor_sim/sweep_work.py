@@ -270,9 +270,13 @@ def check_sweep(
         raise SettingsError("observer: it is not linear; no curve can be computed, simulate frames instead")
 
 
-def engine_of(engine: Engine) -> Engine:
+def _engine_for(engine: Engine, n_chains: int) -> Engine:
     """Return the engine for a sweep: processes in place of several threads, which would wait for each other."""
-    return ProcessEngine(engine.n_workers) if engine.is_local and engine.n_workers > 1 else engine
+    if not engine.is_local or engine.n_workers == 1:
+        return engine
+    # Neighbours share parts, but each process gets several tasks, so that all end at about the same time.
+    at_once = min(max(n_chains // (4 * engine.n_workers), 1), ALIKE_TOGETHER)
+    return ProcessEngine(engine.n_workers, items_per_task=at_once)
 
 
 def plan_sweep(base: Base, designs: Designs, sizes: Sequence[float]) -> Plan:
@@ -354,6 +358,7 @@ def run_sweep(
     if progress is not None:
         progress(len(plan.reasons) * len(sizes))
     results: list[Computed] = [Computed("")] * len(plan.chains)
+    engine = _engine_for(engine, len(plan.chains))
     for number, result in run_stored(work, plan.chains, engine=engine, store=store):
         results[number] = Computed(IMPOSSIBLE, reason=str(result.error)) if isinstance(result, Lost) else result
         if progress is not None:

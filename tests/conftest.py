@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import csv
+import gc
 import io
 import json
 import math
@@ -34,6 +35,16 @@ ONE_PIXEL = "iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAAAAAA6fptVAAAACklEQVR4nGNoAAAAggC
 def pytest_configure() -> None:
     """Let Ctrl-C interrupt, for the tests of it: a job in the background of a shell script ignores it."""
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def pytest_collection_finish() -> None:
+    """Exempt modules and tests from garbage collection: passes over all of them take their time."""
+    gc.freeze()
+
+
+def pytest_unconfigure() -> None:
+    """Leave them to the collection at the end, or OpenImageIO takes them for leaks."""
+    gc.unfreeze()
 
 
 @pytest.fixture(autouse=True)

@@ -38,12 +38,15 @@ def flat(image, *, note: object = object()):
 """
 
 
+QUICKLY = "--set", "resamples=200"
+
+
 @pytest.fixture
 def todframes(capsys: pytest.CaptureFixture[str]):
     """Runs a command line, no terminal at its end; gives exit status, standard output and standard error."""
 
     def call(*arguments: str | Path) -> tuple[int, str, str]:
-        few = ["--set", "resamples=200"] if arguments[0] == "compare" else []
+        few = QUICKLY if arguments[0] == "compare" else ()
         status = run(cli, [str(argument) for argument in [arguments[0], *few, *arguments[1:]]])
         return status, *capsys.readouterr()
 
@@ -210,10 +213,10 @@ def test_one_group(todframes, make_dataset) -> None:
     assert todframes("compare", made.path, "--enhance", "gaussian:sigma=3")[1].count("PSNR") == 0
 
 
-def test_two_of_one_name_have_their_parameters_as_names(todframes, dataset: Path) -> None:
+def test_two_of_one_name_have_their_parameters_as_names(todframes, make_dataset) -> None:
     _, out, _ = todframes(
         "compare",
-        dataset,
+        make_dataset(suffix=".png").path,
         "--enhance",
         "median",
         "--enhance",
@@ -265,7 +268,7 @@ def test_nothing_else_runs_from_the_present_folder(
     script.write_text("from todframes.cli.main import main\nmain()\n", encoding="utf-8")
     command = [str(script)] if start == "script" else ["-m", "todframes"]
     done = subprocess.run(
-        [sys.executable, *command, "compare", str(dataset), "--enhance", spec, "--json"],
+        [sys.executable, *command, "compare", str(dataset), "--enhance", spec, *QUICKLY, "--json"],
         cwd=here,
         capture_output=True,
         text=True,
@@ -290,7 +293,17 @@ def test_standard_output_is_for_the_result_alone(dataset: Path, here: Path, opti
         encoding="utf-8",
     )
     done = subprocess.run(
-        [sys.executable, "-m", "todframes", "compare", str(dataset), "--enhance", "talks:same", *options],
+        [
+            sys.executable,
+            "-m",
+            "todframes",
+            "compare",
+            str(dataset),
+            "--enhance",
+            "talks:same",
+            *QUICKLY,
+            *options,
+        ],
         cwd=here,
         capture_output=True,
         text=True,

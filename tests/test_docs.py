@@ -187,6 +187,7 @@ def test_table_of_the_page_on_charts(capsys) -> None:
 
 SLOW_CODE = [*HOW_TO, "thermal_background.md"]
 QUICK = [
+    "datasets.md",
     "own_frames.md",
     "your_camera.md",
     "camera_noise.md",
@@ -206,7 +207,7 @@ def test_code_of_a_page(name: str, capsys) -> None:
     run_code(*blocks(text, "python"))
     if name == "own_frames.md":
         assert capsys.readouterr().out == "never_reached\n"
-    if name in ("displays.md", "camera_noise.md", "thermal_background.md"):
+    if name in ("datasets.md", "displays.md", "camera_noise.md", "thermal_background.md"):
         assert capsys.readouterr().out == blocks(text, "text")[0]
     if name == "your_camera.md":
         assert capsys.readouterr().out == blocks(text, "text")[-1]

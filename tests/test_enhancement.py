@@ -60,6 +60,12 @@ def test_gives_an_image_and_leaves_its_own_alone(name: str) -> None:
     assert np.array_equal(algorithm.run(image)[0], found)  # nothing is drawn, nothing remembered
 
 
+@pytest.mark.parametrize("name", [*NAMES, "gaussian:sigma=2.5"])
+def test_a_copy_in_another_process_is_the_same(name: str) -> None:
+    ours = find_enhancement(name)
+    assert pickle.loads(pickle.dumps(ours)) == ours
+
+
 @pytest.mark.parametrize("name", NAMES)
 def test_a_colour_image_is_three_images(name: str) -> None:
     algorithm = find_enhancement(name)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -32,6 +33,7 @@ def scored(frames, **changes):
 def test_arrays_give_the_numbers_of_their_files(name):
     """The same pixels, the same manifest rows and so the same random streams: the same numbers to the last bit."""
     data = tod.load_dataset(SAMPLES / name)
+    data = replace(data, trials=data.trials[: len(data.trials) // 2])  # two of the sizes
     on_disk = tod.score(data, examples=False)
     assert data.experiment.group_by == ("size_mrad",)
     stored = [tod.read_frame(data.frame_path(one.frames[0])).stored for one in data.trials]

@@ -88,6 +88,18 @@ def test_settings_are_a_frozen_dataclass(any_observer: Observer) -> None:
     assert kind.__dataclass_params__.frozen
 
 
+def test_a_copy_in_another_process_sees_the_same(any_observer: Observer) -> None:
+    stimulus = Stimulus(0.5)
+    image = np.random.default_rng(0).normal(size=(any_observer.grid(stimulus).side,) * 2)
+    first, copy = (
+        [one.respond(image, stimulus, np.random.default_rng(seed)) for seed in range(5)]
+        for one in (any_observer, pickle.loads(pickle.dumps(any_observer)))
+    )
+    assert first == copy
+    readout, of_copy = any_observer.readout(stimulus), pickle.loads(pickle.dumps(any_observer)).readout(stimulus)
+    assert (readout is None) == (of_copy is None)
+
+
 def test_grid_has_a_middle_and_holds_the_triangle(any_observer: Observer) -> None:
     for size in (0.05, 1.0, 20.0):
         grid = any_observer.grid(Stimulus(size))

@@ -284,7 +284,7 @@ def test_orientations_are_alike_to_a_symmetric_observer(observer):
 # Limits -------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("size_mrad", [0.4, 0.6])
+@pytest.mark.parametrize("size_mrad", [0.4, pytest.param(0.6, marks=pytest.mark.slow)])
 def test_dense_sampling_without_noise_is_the_naked_eye(size_mrad, observer):
     """Ten detectors a retina sample, one pixel each, no blur; the display's gain is the contrast."""
     pitch_mrad = 0.1 * observer.settings.retina_pitch_mrad

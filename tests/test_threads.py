@@ -97,7 +97,7 @@ def test_interruption_while_a_result_is_waited_for() -> None:
         return task
 
     # Tasks under way end by themselves.
-    threading.Timer(1.0, release.set).start()
+    threading.Timer(0.5, release.set).start()
     with pytest.raises(KeyboardInterrupt):
         list(map_in_threads(work, range(100), 2))
     time.sleep(0.1)

@@ -9,6 +9,7 @@ from .enhancement.algorithm import parameter as parameter
 from .errors import DataError as DataError
 from .errors import FrameError as FrameError
 from .errors import OutputError as OutputError
+from .errors import RemoteError as RemoteError
 from .errors import SettingsError as SettingsError
 from .errors import TodframesError as TodframesError
 from .frames.dataset import Dataset as Dataset

@@ -23,6 +23,7 @@ from todframes.frames.trials import Trial
 from todframes.jobs.engine import open_engine
 from todframes.jobs.store import Store
 from todframes.jobs.work import Engine
+from todframes.locations import Location
 from todframes.observers.interface import ENTRY_POINT_GROUP, Observer, find_observer
 from todframes.psychometrics.fit import CurveName, FitSettings
 from todframes.psychometrics.fit import fit_counts as fit_counts_of_one
@@ -47,7 +48,7 @@ Progress = Callable[[int], None]
 
 
 def score(
-    dataset: Path | str | Dataset,
+    dataset: Location | str | Dataset,
     *,
     observer: str | Observer = "pyramid",
     decisions: Decisions = "expected",
@@ -69,8 +70,9 @@ def score(
 
     Parameters
     ----------
-    dataset : path or Dataset
-        Folder with dataset.toml, manifest.csv and frames, or the return value of `load_dataset`.
+    dataset : path, str or Dataset
+        Folder with dataset.toml, manifest.csv and frames, its URL ("s3://lab/archive"), or the return value of
+        `load_dataset`.
     observer : str or Observer
         Name of a registered observer, "module:Class", or an observer: `PyramidObserver(internal_noise=0.25)`.
     decisions : {"expected", "sampled"}
@@ -273,7 +275,7 @@ def score_frames(
 
 
 def compare(
-    dataset: Path | str | Dataset,
+    dataset: Location | str | Dataset,
     enhance: Iterable[str | Callable[..., Any]],
     *,
     observer: str | Observer = "pyramid",
@@ -656,12 +658,12 @@ def _run(
         yield Run(engine, kept, progress)
 
 
-def _loaded(dataset: Path | str | Dataset) -> Dataset:
+def _loaded(dataset: Location | str | Dataset) -> Dataset:
     return dataset if isinstance(dataset, Dataset) else load_dataset(dataset)
 
 
 def _located(
-    dataset: Path | str | Dataset,
+    dataset: Location | str | Dataset,
     observer: Observer,
     locate: Locate | bool,
     on_error: OnError,

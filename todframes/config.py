@@ -7,6 +7,7 @@ import difflib
 import io
 import math
 import os
+import posixpath
 import re
 import stat
 import tomllib
@@ -16,13 +17,14 @@ from contextlib import contextmanager
 from dataclasses import MISSING, fields, is_dataclass
 from functools import cache
 from numbers import Integral, Real
-from pathlib import Path
 from types import NoneType
 from typing import Any, BinaryIO, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 import msgspec
 
-from todframes.errors import DataError, SettingsError
+from todframes.errors import DataError, RemoteError, SettingsError
+from todframes.locations import Location, RemotePath
+from todframes.remote import read_content
 
 T = TypeVar("T")
 
@@ -36,13 +38,15 @@ FIELDS_FOUND = "\0fields"
 """Key of the number of fields in a row of `read_csv` that has more or fewer fields than the header."""
 
 
-def read_file(path: Path, *, most_mb: int) -> bytes:
+def read_file(path: Location, *, most_mb: int) -> bytes:
     """Return the bytes of a file. Pipes and devices are refused: reading them may never end.
 
     Raises
     ------
     DataError
         If it is not a regular file, cannot be read, or is longer than `most_mb` · 2**20 bytes.
+    RemoteError
+        If it is behind a URL that cannot be reached or may not be read.
     """
     with _opened(path, most_mb) as file:
         content = file.read(most_mb * 2**20 + 1)
@@ -50,15 +54,20 @@ def read_file(path: Path, *, most_mb: int) -> bytes:
     return content
 
 
-def _check_length(path: Path, n_bytes: int, most_mb: int) -> None:
+def _check_length(path: Location, n_bytes: int, most_mb: int) -> None:
     if n_bytes > most_mb * 2**20:
         raise DataError(f"{path}: is longer than {most_mb} MB, the limit for such files")
 
 
 @contextmanager
-def _opened(path: Path, most_mb: int) -> Iterator[BinaryIO]:
+def _opened(path: Location, most_mb: int) -> Iterator[BinaryIO]:
     """Open a file for reading; see `read_file` for the errors."""
     try:
+        if isinstance(path, RemotePath):
+            content = read_content(path).data
+            _check_length(path, len(content), most_mb)
+            yield io.BytesIO(content)
+            return
         status = path.stat()
         if stat.S_ISDIR(status.st_mode):
             raise DataError(f"{path}: is a folder, expected a file")
@@ -69,7 +78,7 @@ def _opened(path: Path, most_mb: int) -> Iterator[BinaryIO]:
         _check_length(path, status.st_size, most_mb)
         with path.open("rb") as file:
             yield file
-    except DataError:
+    except (DataError, RemoteError):
         raise
     except FileNotFoundError:
         raise DataError(f"{path}: no such file") from None
@@ -79,11 +88,18 @@ def _opened(path: Path, most_mb: int) -> Iterator[BinaryIO]:
         raise DataError(f"{str(path)!r}: cannot be read ({error})") from None
 
 
-def path_inside(folder: str, name: str, where: str, real_folders: dict[str, str] | None = None) -> str:
-    """Return the full path of a file that a file of the user names, with symbolic links resolved.
+def resolved(folder: Location) -> str | RemotePath:
+    """Return a folder for `path_inside`: a local path with its symbolic links resolved, as a text; or the URL."""
+    return folder if isinstance(folder, RemotePath) else os.path.realpath(folder)
 
-    `folder` must have its links resolved already. `real_folders` caches resolved folders: without it a million
-    rows would take a minute.
+
+def path_inside(
+    folder: str | RemotePath, name: str, where: str, real_folders: dict[str, str] | None = None
+) -> str:
+    """Return the full path or URL of a file that a file of the user names, with symbolic links resolved.
+
+    `folder` is that of `resolved`. `real_folders` caches resolved folders: without it a million rows would take a
+    minute.
 
     Raises
     ------
@@ -92,6 +108,13 @@ def path_inside(folder: str, name: str, where: str, real_folders: dict[str, str]
     """
     if not name or "\0" in name:
         raise DataError(f"{where}: found {name!r}, expected a path")
+    if isinstance(folder, RemotePath):
+        first = posixpath.normpath(name).partition("/")[0]
+        if first in ("", os.curdir, os.pardir) or "://" in name or "::" in name:
+            raise DataError(
+                f"{where} {name} lies outside of the dataset: expected a path relative to {folder}; copy it there"
+            )
+        return str(folder / name)
     real_folders = {} if real_folders is None else real_folders
     parent, last = os.path.split(name)  # pathlib is slow
     if parent not in real_folders:
@@ -107,7 +130,7 @@ def path_inside(folder: str, name: str, where: str, real_folders: dict[str, str]
     return full
 
 
-def read_text(path: Path, *, most_mb: int) -> str:
+def read_text(path: Location, *, most_mb: int) -> str:
     """Return the text of a UTF-8 file, with or without a byte-order mark.
 
     Raises
@@ -121,7 +144,7 @@ def read_text(path: Path, *, most_mb: int) -> str:
         raise DataError(f"{path}: not UTF-8 (byte {error.start})") from None
 
 
-def _lines(path: Path, *, most_mb: int) -> Iterator[str]:
+def _lines(path: Location, *, most_mb: int) -> Iterator[str]:
     """Yield the lines of a UTF-8 file with their ends; the errors are those of `read_text`, some in the middle."""
     with _opened(path, most_mb) as file, io.TextIOWrapper(file, encoding="utf-8-sig", newline="") as text:
         try:
@@ -131,7 +154,7 @@ def _lines(path: Path, *, most_mb: int) -> Iterator[str]:
             raise DataError(f"{path}: not UTF-8 (byte {place})") from None
 
 
-def read_toml(path: Path) -> dict[str, Any]:
+def read_toml(path: Location) -> dict[str, Any]:
     """Return the content of a TOML file.
 
     Raises
@@ -347,7 +370,7 @@ def spelling_hint(text: str, choices: Iterable[str]) -> str:
     return f"; write {meant[0]}" if meant else ""
 
 
-def read_csv(path: Path) -> Iterator[tuple[str, dict[str, str]]]:
+def read_csv(path: Location) -> Iterator[tuple[str, dict[str, str]]]:
     """Yield the rows of a CSV file with a header as they are read, each with its place: file and line.
 
     The first item is the header: a row with all keys and empty values.
@@ -357,7 +380,7 @@ def read_csv(path: Path) -> Iterator[tuple[str, dict[str, str]]]:
     DataError
         If the file cannot be read or is not CSV, or two columns have the same name.
     """
-    reader = csv.reader(_lines(path, most_mb=MAX_CSV_MB), strict=True)
+    reader, name_of_file = csv.reader(_lines(path, most_mb=MAX_CSV_MB), strict=True), str(path)
     try:
         header = [name.strip() for name in next(reader, [])]
         if len(header) == 1 and (other := re.search("[;\t]", header[0])):
@@ -374,7 +397,7 @@ def read_csv(path: Path) -> Iterator[tuple[str, dict[str, str]]]:
             if not fields_found:
                 continue  # an empty line
             row = dict(zip(header, fields_found, strict=False))
-            where = f"{path}, line {reader.line_num}"
+            where = f"{name_of_file}, line {reader.line_num}"
             if len(fields_found) != len(header):
                 row[FIELDS_FOUND] = str(len(fields_found))
             yield where, row
@@ -382,7 +405,7 @@ def read_csv(path: Path) -> Iterator[tuple[str, dict[str, str]]]:
         raise DataError(f"{path}, line {reader.line_num}: not valid CSV ({error})") from None
 
 
-def read_numbers(path: Path, columns: Sequence[str]) -> list[list[float]]:
+def read_numbers(path: Location, columns: Sequence[str]) -> list[list[float]]:
     """Return the numbers in the named columns of a CSV file, row by row.
 
     Raises
@@ -409,7 +432,7 @@ def csv_text(rows: Sequence[Mapping[str, object]]) -> str:
     return text.getvalue()
 
 
-def check_columns(header: Iterable[str], needed: Iterable[str], path: Path) -> None:
+def check_columns(header: Iterable[str], needed: Iterable[str], path: Location) -> None:
     """Raise DataError if a CSV file lacks a column; the message says if it has one with other letters."""
     found = list(header)
     for name in needed:

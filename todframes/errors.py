@@ -7,6 +7,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from todframes.locations import Location
+
 
 class TodframesError(Exception):
     """Base class of all errors that a user can cause and correct; `exit_status` is the status of the command."""
@@ -21,13 +23,17 @@ class DataError(TodframesError, ValueError):
 class FrameError(DataError):
     """Error for a frame that cannot be used; `path` names it and `problem` says why, without the path."""
 
-    def __init__(self, path: Path | str, problem: str) -> None:
+    def __init__(self, path: Location | str, problem: str) -> None:
         super().__init__(f"{path}: {problem}")
-        self.path = Path(path)
+        self.path = Path(path) if isinstance(path, str) else path
         self.problem = problem
 
-    def __reduce__(self) -> tuple[type, tuple[Path, str]]:
+    def __reduce__(self) -> tuple[type, tuple[Location, str]]:
         return type(self), (self.path, self.problem)
+
+
+class RemoteError(TodframesError, ConnectionError):
+    """Error for a dataset behind a URL that cannot be reached or may not be read; no further frame is tried."""
 
 
 class SettingsError(TodframesError, ValueError):

@@ -235,6 +235,8 @@ def _place(name: str) -> Path:
     """Return the path of the folder named, with links resolved. Raises OutputError if it cannot be a folder."""
     if not name or "\0" in name:
         raise OutputError(f"found {name!r} as the folder for results, expected a name")
+    if "://" in name:  # it may hold a secret
+        raise OutputError("found a URL as the folder for results, expected a local folder")
     path = Path(name)
     if path.exists() and not path.is_dir():
         raise OutputError(f"{path}: is a file, expected a folder or a new name")

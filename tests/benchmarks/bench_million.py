@@ -30,7 +30,7 @@ def rows() -> list[Row]:
         ]
     return [
         *_rows("load", loads, "<= 250"),
-        *_rows("score -o", scores, "flat"),
+        *_rows("score -o", scores, "<= 700"),
     ]
 
 

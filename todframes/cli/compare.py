@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import click
@@ -22,6 +21,7 @@ from todframes.cli.options import (
     strict_option,
 )
 from todframes.errors import SettingsError
+from todframes.locations import Location
 
 
 @click.command(cls=ScoringCommand)
@@ -47,7 +47,7 @@ from todframes.errors import SettingsError
 @run_options
 @result_options
 @strict_option
-def compare(*, dataset: Path, specs: Sequence[str], out: str | None, quiet: bool, **asked: Any) -> None:
+def compare(*, dataset: Location, specs: Sequence[str], out: str | None, quiet: bool, **asked: Any) -> None:
     """Tell whether enhancement algorithms lower the thresholds of DATASET, by how much and how surely.
 
     Each is compared with the frames as they are, on the same frames and with the same random draws.

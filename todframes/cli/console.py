@@ -281,7 +281,9 @@ class ProblemLines:
 
 @contextmanager
 def progress(task: str, total: int | None, *, quiet: bool = False) -> Iterator[Callable[[int], None]]:
-    """Show a progress bar on standard error if it is a terminal. Yields a function of the number of items done.
+    """Show a bar with rate and time left on standard error if it is a terminal.
+
+    Yields a function to call with the number of items that were just done.
 
     `total` is the number of all items; None if it is not known.
     """
@@ -289,9 +291,23 @@ def progress(task: str, total: int | None, *, quiet: bool = False) -> Iterator[C
         yield lambda _: None
         return
     from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        ProgressColumn,
+        Task,
+        TextColumn,
+        TimeRemainingColumn,
+    )
+    from rich.text import Text
 
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    class RateColumn(ProgressColumn):
+        def render(self, task: Task) -> Text:
+            return Text("" if not task.speed else f"{task.speed:.3g}/s")
+
+    named, done = (TextColumn("{task.description}"), BarColumn()), (MofNCompleteColumn(), RateColumn())
+    columns = (*named, *done, TimeRemainingColumn())
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         running = bar.add_task(task, total=total)
         yield lambda done: bar.advance(running, done)

@@ -33,6 +33,7 @@ from todframes.cli.recordings import import_command
 from todframes.cli.score import fit, naked_eye, score
 from todframes.cli.studies import accuracy, stability
 from todframes.errors import DataError
+from todframes.locations import Location
 
 
 @click.command("report")
@@ -75,7 +76,7 @@ def cli() -> None:
 )
 @strict_option
 @json_option
-def validate(*, dataset: Path, add_sha256: bool, strict: bool, as_json: bool) -> None:
+def validate(*, dataset: Location, add_sha256: bool, strict: bool, as_json: bool) -> None:
     """Check every file and row of DATASET, and what its frames show, without scoring.
 
     Each problem and each warning is one line.

@@ -7,14 +7,14 @@ from pathlib import Path
 import click
 
 from todframes.cli.console import echo, say
-from todframes.cli.options import dataset_argument
+from todframes.cli.options import folder_argument
 
 FILES_SHOWN = 3
 """Number of files that do not match whose names are printed."""
 
 
 @click.command()
-@dataset_argument
+@folder_argument
 @click.option(
     "--from",
     "pattern",

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 from todframes.errors import SettingsError
+from todframes.locations import Location
 
 if TYPE_CHECKING:
     from todframes.observers.interface import Observer
@@ -37,7 +38,16 @@ def options(*decorators: Callable[[F], F]) -> Callable[[F], F]:
     return decorate
 
 
-dataset_argument = click.argument("dataset", type=click.Path(path_type=Path))
+def _location(_: click.Context, __: click.Parameter, name: str) -> Location:
+    from todframes.remote import location
+
+    return location(name)
+
+
+dataset_argument = click.argument("dataset", type=click.Path(), callback=_location)
+
+
+folder_argument = click.argument("dataset", type=click.Path(path_type=Path))
 
 
 verbose_option = click.option(

@@ -29,6 +29,7 @@ from todframes.cli.options import (
     verbose_option,
 )
 from todframes.errors import SettingsError
+from todframes.locations import Location
 
 
 @click.command(cls=ScoringCommand)
@@ -44,10 +45,10 @@ from todframes.errors import SettingsError
 @run_options
 @result_options
 @strict_option
-def score(*, dataset: Path, out: str | None, quiet: bool, **asked: Any) -> None:
+def score(*, dataset: Location, out: str | None, quiet: bool, **asked: Any) -> None:
     """Score the display frames of DATASET and fit its thresholds.
 
-    DATASET is a folder with dataset.toml, manifest.csv and frames. Without -o nothing is written.
+    DATASET is a folder with dataset.toml, manifest.csv and frames, or its URL. Without -o nothing is written.
     """
     shown = {name: asked.pop(name) for name in ("as_json", "verbose", "explain", "strict")}
     observer, fit = make_observer(asked)

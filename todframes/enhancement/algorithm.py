@@ -156,9 +156,9 @@ class Enhancement:
     any_parameter: bool
     values: Mapping[str, Any] = field(default_factory=dict)
 
-    def __reduce__(self) -> tuple[Callable[..., Enhancement], tuple[Any, ...]]:
-        """Return what is pickled: the parameters follow from the function, and their ranges cannot be pickled."""
-        return _with_values, (self.name, self.spec, self.function, self.values)
+    def __reduce__(self) -> tuple[Any, ...]:
+        # What is read of the function cannot all be pickled; it is read again.
+        return _rebuilt, (self.name, self.spec, self.function, dict(self.values))
 
     @property
     def what(self) -> str:
@@ -320,8 +320,8 @@ def _described(name: str, spec: str, function: Callable[..., Any], where: str) -
     )
 
 
-def _with_values(name: str, spec: str, function: Callable[..., Any], values: Mapping[str, Any]) -> Enhancement:
-    return replace(_described(name, spec, function, f"enhance {spec!r}"), values=values)
+def _rebuilt(name: str, spec: str, function: Callable[..., Any], values: Mapping[str, Any]) -> Enhancement:
+    return replace(_described(name, spec, function, spec), values=values)
 
 
 def _kind_of(default: object) -> Any:

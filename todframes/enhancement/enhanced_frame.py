@@ -21,7 +21,6 @@ from todframes.frames.contrast import (
     LuminanceFound,
     Patch,
     check_contrast,
-    check_sha256,
     displayed_contrast,
     luminance_at_triangle,
     row_bands,
@@ -389,8 +388,7 @@ class TrialReader:
         """
         frames, n_rows = [], []
         for frame in trial.frames:
-            check_sha256(dataset, frame)
-            with dataset.open(frame) as file:
+            with dataset.open(frame, verify=True) as file:
                 place = place_grid(dataset, trial, file, observer, grid, displacement_samples)
                 decoded = DecodedFrame(file, self.screen)
             n_rows.append(file.header.height)

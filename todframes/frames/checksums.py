@@ -14,6 +14,7 @@ from todframes.frames.dataset import Dataset, DatasetWarning
 from todframes.frames.files import has_own_checksums
 from todframes.frames.memory import MemoryDataset
 from todframes.frames.trials import Trial
+from todframes.locations import RemotePath
 from todframes.output import write_file
 
 COLUMN = "sha256"
@@ -53,16 +54,18 @@ def dataset_warnings(dataset: Dataset, trials: Sequence[Trial]) -> list[DatasetW
             unverified += frame.sha256 is None and not has_own_checksums(dataset.frame_path(frame))
     if not unverified:
         return []
+    is_remote = isinstance(dataset.path, RemotePath)
+    folder = "FOLDER" if is_remote else shlex.quote(str(dataset.path))
     message = (
         f"{unverified} of {n_frames} frames are EXR without a sha256 in manifest.csv: nothing checks these "
         "files, and damage to them would change thresholds unseen; add checksums with "
-        f"`todframes validate {shlex.quote(str(dataset.path))} --add-sha256`"
+        f"`todframes validate {folder} --add-sha256`" + (" on a local copy, and upload it" if is_remote else "")
     )
     return [DatasetWarning("unverified_frames", {}, message, found=unverified, expected=0)]
 
 
 def check_writable(dataset: Dataset) -> None:
-    """Raise OutputError if the manifest cannot be replaced because its folder is not writable."""
+    """Raise OutputError if the manifest cannot be replaced: it is behind a URL, or its folder is not writable."""
     path = _manifest(dataset)
     if not os.access(path.parent, os.W_OK | os.X_OK):
         raise OutputError(f"{path}: cannot be written (its folder is not writable)")
@@ -102,7 +105,12 @@ def write_sha256(dataset: Dataset, sha256_of: Mapping[str, str]) -> None:
 
 
 def _manifest(dataset: Dataset) -> Path:
-    """Return the path of the manifest, with symbolic links resolved."""
+    """Return the path of the manifest, with symbolic links resolved; OutputError if it is behind a URL."""
+    if isinstance(dataset.path, RemotePath):
+        raise OutputError(
+            f"{dataset.path / 'manifest.csv'}: cannot be written, it is behind a URL; add the checksums to the "
+            "manifest of a local copy, and upload that"
+        )
     return Path(os.path.realpath(dataset.path / "manifest.csv"))
 
 

@@ -15,7 +15,7 @@ from todframes._typing import FloatArray
 from todframes.errors import DataError, FrameError
 from todframes.frames.dataset import Dataset, Skipped
 from todframes.frames.display import BackgroundRule, Display, border_values, weber_contrast
-from todframes.frames.files import BAND_VALUES, FrameFile, FrameSource, code_values, frame_sha256
+from todframes.frames.files import BAND_VALUES, FrameFile, FrameSource, code_values
 from todframes.frames.position import centroid_position, check_on_frame, size_in_px
 from todframes.frames.surround import Surface, SurroundSums, TrianglePlace, surround_window
 from todframes.frames.trials import FrameReference, Trial
@@ -66,15 +66,6 @@ def row_bands(values: NDArray[Any]) -> Iterator[NDArray[Any]]:
     n_rows = max(BAND_VALUES // max(values[:1].size, 1), 1)
     for begin in range(0, len(values) if values.size else 0, n_rows):
         yield values[begin : begin + n_rows]
-
-
-def check_sha256(dataset: Dataset, frame: FrameReference) -> None:
-    """Raise FrameError if the file does not have the checksum that the manifest gives."""
-    if frame.sha256 is not None:
-        path = dataset.frame_path(frame)
-        found = frame_sha256(path)
-        if found != frame.sha256:
-            raise FrameError(path, f"sha256 is {found}, the manifest says {frame.sha256}")
 
 
 def skipped_frames(dataset: Dataset, trial: Trial, error: FrameError | str) -> list[Skipped]:
@@ -283,8 +274,7 @@ def frame_problems(dataset: Dataset, trial: Trial) -> Iterator[FrameError]:
     for frame in trial.frames:
         path = dataset.frame_path(frame)
         try:
-            check_sha256(dataset, frame)
-            with dataset.open(frame) as file:
+            with dataset.open(frame, verify=True) as file:
                 pitch_mrad = dataset.display.pitch_mrad
                 x, y = centroid_position(trial, file.header, "centroid", pitch_mrad)
                 check_on_frame(path, trial, file.header, x, y, pitch_mrad)

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
+import threading
 from array import array
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal, NamedTuple
 
@@ -19,13 +21,16 @@ from todframes.config import (
     path_inside,
     read_csv,
     read_toml,
+    resolved,
     spelling_hint,
 )
-from todframes.errors import DataError, SettingsError
+from todframes.errors import DataError, FrameError, SettingsError
 from todframes.frames.display import Display
 from todframes.frames.display_files import display_of_table, find_display
 from todframes.frames.files import FrameFile, FrameSource, frame_sha256
 from todframes.frames.trials import FrameReference, Trial, Trials, TrialsBuilder
+from todframes.locations import Location, RemotePath
+from todframes.remote import entity_tag, list_folder, location, read_content
 from todframes.stimulus import ORIENTATIONS, Stimulus
 
 SCHEMA = 1
@@ -38,6 +43,10 @@ BACKGROUND_COLUMN = "background_luminance_cd_m2"
 
 REFERENCE_COLUMN = "reference_frame"
 """Name of the manifest column with the path of the same frame without noise."""
+
+
+MOST_REMEMBERED = 1024
+"""Number of files behind URLs of which a thread remembers what it read."""
 
 
 ORIENTATION_OF = {one.value: one for one in ORIENTATIONS}
@@ -121,7 +130,7 @@ class Dataset:
     `manifest_sha256` is the checksum of `manifest.csv`; None for frames in memory.
     """
 
-    path: Path
+    path: Location
     display: Display
     experiment: Experiment
     trials: Trials
@@ -137,31 +146,151 @@ class Dataset:
         """Number of frames in the manifest, those in bad rows included."""
         return self.trials.n_frames + len(self.bad_rows)
 
-    def frame_path(self, frame: FrameReference) -> Path:
-        """Return the path of the frame on disk."""
+    def frame_path(self, frame: FrameReference) -> Location:
+        """Return the path or URL of the frame."""
         return self.path / frame.path
 
     def has_frame(self, frame: FrameReference) -> bool:
         """Tell whether the frame's file exists."""
         # A million paths take seconds; as Path objects, half a minute.
-        return os.path.exists(os.path.join(self.path, frame.path))  # noqa: PTH110, PTH118
+        return os.path.exists(os.path.join(str(self.path), frame.path))  # noqa: PTH110, PTH118
 
-    def open(self, frame: FrameReference) -> FrameSource:
-        """Open a frame; raise FrameError if it cannot be used."""
-        return FrameFile(self.frame_path(frame))
+    def content_id(self, frame: FrameReference, *, is_read: bool = False) -> str:
+        """Return a text that changes whenever the bytes of the frame do: the SHA-256 of its file.
 
-    def reference_path(self, frame: FrameReference) -> Path | None:
-        """Return the path of the same frame without noise; None if there is none."""
+        `is_read` tells whether this thread has just opened the frame with `verify`.
+
+        Raises
+        ------
+        FrameError
+            If the file cannot be read.
+        """
+        if is_read and frame.sha256 is not None:  # it was compared with that of the file
+            return frame.sha256
+        return frame_sha256(self.frame_path(frame))
+
+    def open(self, frame: FrameReference, *, verify: bool = False) -> FrameSource:
+        """Open a frame; raise FrameError if it cannot be used.
+
+        With `verify`, it must have the checksum that the manifest gives, if it gives one.
+        """
+        return FrameFile(self.frame_path(frame), sha256=frame.sha256 if verify else None)
+
+    def reference_path(self, frame: FrameReference) -> Location | None:
+        """Return the path or URL of the same frame without noise; None if there is none."""
         return None if frame.reference is None else self.path / frame.reference
 
 
-def load_dataset(path: Path | str) -> Dataset:
+class RemoteContents:
+    """What a process knows of the contents of files behind URLs: listings of folders, and what threads have read.
+
+    Each folder is listed once, when a file of it is first asked about. A copy that is pickled is empty, so that a
+    dataset that goes to another process stays small.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._listed: dict[RemotePath, dict[str, str | None] | None] = {}
+        self._of_thread = threading.local()
+
+    def __reduce__(self) -> tuple[type[RemoteContents], tuple[()]]:
+        return RemoteContents, ()
+
+    def listed(self, folder: RemotePath) -> dict[str, str | None] | None:
+        """Return the entity tags of the files of a folder by name; None if it cannot be listed."""
+        with self._lock:
+            if folder not in self._listed:
+                self._listed[folder] = list_folder(folder)
+            return self._listed[folder]
+
+    def read(self, path: RemotePath) -> bytes:
+        """Return the bytes of a file, and remember which they were for `take_id`.
+
+        Raises
+        ------
+        FrameError, RemoteError
+            If it cannot be read.
+        """
+        try:
+            content = read_content(path)
+        except FileNotFoundError as error:
+            raise FrameError(path, f"cannot be opened: {error.strerror}") from None
+        ids = self._ids
+        while len(ids) >= MOST_REMEMBERED:
+            del ids[next(iter(ids))]
+        ids[path] = _id_of_tag(path, content.tag) or hashlib.sha256(content.data).hexdigest()
+        return content.data
+
+    def take_id(self, path: RemotePath) -> str | None:
+        """Return, once, the id of the bytes that this thread last read of a file; None if it is not remembered."""
+        return self._ids.pop(path, None)
+
+    @property
+    def _ids(self) -> dict[RemotePath, str]:
+        if not hasattr(self._of_thread, "ids"):
+            self._of_thread.ids = {}
+        ids: dict[RemotePath, str] = self._of_thread.ids
+        return ids
+
+
+@dataclass(frozen=True, slots=True)
+class RemoteDataset(Dataset):
+    """A dataset behind a URL: each opening of a frame is one request; no frame is kept, or written to a disk."""
+
+    path: RemotePath
+    contents: RemoteContents = field(default_factory=RemoteContents, compare=False, repr=False)
+
+    def has_frame(self, frame: FrameReference) -> bool:
+        """Tell whether the frame's file exists; True if its folder cannot be listed."""
+        path = self.path / frame.path
+        listed = self.contents.listed(path.parent)
+        return listed is None or path.name in listed
+
+    def content_id(self, frame: FrameReference, *, is_read: bool = False) -> str:
+        """Return a text that changes whenever the bytes of the frame do.
+
+        Of files on S3 and web servers it is made of the URL and the entity tag that the server gives the bytes:
+        of a frame that was just read, the tag that came with them; else the tag in the folder's listing, which is
+        made once, or that of the file. Without a tag it is the SHA-256 of the bytes.
+
+        Raises
+        ------
+        FrameError
+            If the file cannot be read, or was not read by this thread.
+        RemoteError
+            If the server cannot be reached, or the file may not be read.
+        """
+        path = self.path / frame.path
+        if is_read:
+            found = self.contents.take_id(path)
+            if found is None:
+                raise FrameError(path, "was not read by this thread, so its content is not known")
+            return found
+        listed = self.contents.listed(path.parent) or {}
+        try:
+            tag = listed[path.name] if path.name in listed else entity_tag(path)
+        except FileNotFoundError as error:
+            raise FrameError(path, f"cannot be read: {error.strerror}") from None
+        return _id_of_tag(path, tag) or frame_sha256(path)
+
+    def open(self, frame: FrameReference, *, verify: bool = False) -> FrameSource:
+        """Open a frame; raise FrameError if it cannot be used."""
+        path = self.path / frame.path
+        return FrameFile(path, content=self.contents.read(path), sha256=frame.sha256 if verify else None)
+
+
+def _id_of_tag(path: RemotePath, tag: str | None) -> str | None:
+    """Return the id of the bytes of a file; None without a tag. Servers may give two files the same tag."""
+    return None if tag is None else f"{path} {tag}"
+
+
+def load_dataset(path: Location | str) -> Dataset:
     """Read and check `dataset.toml` and `manifest.csv`; no frame is opened.
 
     Parameters
     ----------
-    path : path
-        The dataset's folder.
+    path : path or str
+        The dataset's folder, or its URL: "s3://lab/archive".
 
     Returns
     -------
@@ -174,16 +303,19 @@ def load_dataset(path: Path | str) -> Dataset:
     DataError
         If the manifest is missing or unreadable, a column is missing, or there is no frame at all. A wrong row
         raises nothing: it goes to `bad_rows`.
+    RemoteError
+        If the URL cannot be reached, or may not be read.
     """
-    path = Path(path)
-    if not os.path.isdir(path):  # noqa: PTH112 - Path.is_dir raises for a name that is too long
+    path = location(path)
+    if isinstance(path, Path) and not os.path.isdir(path):  # noqa: PTH112 - Path.is_dir raises for a name that is too long
         raise DataError(f"{path}: not a folder; expected a dataset with dataset.toml and manifest.csv")
     display, experiment = _read_settings(path / "dataset.toml")
     manifest = _Manifest(path, display, experiment)
     trials = manifest.trials()
     if not trials and not manifest.bad_rows:
         raise DataError(f"{manifest.path}: no frames; expected a row a frame below the header")
-    return Dataset(
+    kind: type[Dataset] = RemoteDataset if isinstance(path, RemotePath) else Dataset
+    return kind(
         path=path,
         display=display,
         experiment=experiment,
@@ -194,9 +326,9 @@ def load_dataset(path: Path | str) -> Dataset:
     )
 
 
-def _read_settings(path: Path) -> tuple[Display, Experiment]:
+def _read_settings(path: Location) -> tuple[Display, Experiment]:
     try:
-        path_inside(os.path.realpath(path.parent), path.name, f"{path}:")
+        path_inside(resolved(path.parent), path.name, f"{path}:")
     except DataError as error:
         raise SettingsError(str(error)) from None
     content = read_toml(path)
@@ -220,8 +352,8 @@ def _read_settings(path: Path) -> tuple[Display, Experiment]:
 class _Manifest:
     """Reader of the manifest: it checks the rows, gathers frames into trials and records the bad rows."""
 
-    def __init__(self, folder: Path, display: Display, experiment: Experiment) -> None:
-        self.folder = os.path.realpath(folder)
+    def __init__(self, folder: Location, display: Display, experiment: Experiment) -> None:
+        self.folder = resolved(folder)
         self.path = folder / "manifest.csv"
         self.experiment = experiment
         self.needs_background = display.background_luminance_cd_m2 == "column"
@@ -310,7 +442,7 @@ class _Manifest:
         )
 
     def _frame_path(self, frame: str, where: str) -> str:
-        if os.sep == "/" and "\\" in frame and not os.path.lexists(os.path.join(self.folder, frame)):  # noqa: PTH118
+        if os.sep == "/" and "\\" in frame and not self._is_there(frame):
             written = frame.replace("\\", "/")
             raise DataError(f"{where}: frame: found {frame} with backslashes, expected slashes: {written}")
         n_paths = len(self.real_paths)
@@ -319,6 +451,10 @@ class _Manifest:
         if first < n_paths:
             raise DataError(f"{where}: frame {frame} is there already, in line {self.lines[first]}")
         return frame
+
+    def _is_there(self, frame: str) -> bool:
+        """Tell whether there is a local file of this name."""
+        return isinstance(self.folder, str) and os.path.lexists(os.path.join(self.folder, frame))  # noqa: PTH118
 
     def _real_path(self, number_of_path: int) -> str:
         """Return a path in `real_paths`, made again from the manifest's."""

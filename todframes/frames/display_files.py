@@ -14,7 +14,6 @@ The background that contrast refers to is the surround of the triangle unless th
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -22,9 +21,10 @@ from typing import Any
 
 import numpy as np
 
-from todframes.config import check_keys, from_table, path_inside, read_numbers, read_toml, spelling_hint
+from todframes.config import check_keys, from_table, path_inside, read_numbers, read_toml, resolved, spelling_hint
 from todframes.errors import DataError, SettingsError
 from todframes.frames.display import Display, LuminanceTable
+from todframes.locations import Location
 
 SCHEMA = 1
 """Version of the format of display files that this package reads."""
@@ -55,7 +55,7 @@ def display_names() -> tuple[str, ...]:
     return tuple(sorted(path.stem for path in FOLDER.glob(f"*{SUFFIX}")))
 
 
-def find_display(name: str, *, where: str = "display", folder: Path | None = None) -> DisplayDescription:
+def find_display(name: str, *, where: str = "display", folder: Location | None = None) -> DisplayDescription:
     """Return the display of this package with a name, or that of a file.
 
     Parameters
@@ -64,7 +64,7 @@ def find_display(name: str, *, where: str = "display", folder: Path | None = Non
         A name of `display_names`, or the path of a file that ends with ".toml".
     where : str
         Start of messages about the name: the option, or the file and key.
-    folder : Path or None
+    folder : Path, RemotePath or None
         Folder that a file's path is relative to and may not leave: that of a dataset. None: any file, relative to
         the working folder.
 
@@ -77,7 +77,7 @@ def find_display(name: str, *, where: str = "display", folder: Path | None = Non
         if folder is None:
             return read_display(Path(name))
         try:
-            path_inside(os.path.realpath(folder), name, f"{where}:")
+            path_inside(resolved(folder), name, f"{where}:")
         except DataError as error:
             raise SettingsError(str(error)) from None
         return read_display(folder / name)
@@ -91,7 +91,7 @@ def find_display(name: str, *, where: str = "display", folder: Path | None = Non
     return read_display(FOLDER / f"{name}{SUFFIX}")
 
 
-def read_display(path: Path) -> DisplayDescription:
+def read_display(path: Location) -> DisplayDescription:
     """Return the display that a TOML file describes; the path of its LUT is relative to the file's folder.
 
     Raises
@@ -115,7 +115,7 @@ def read_display(path: Path) -> DisplayDescription:
     return DisplayDescription(display=display, **texts)
 
 
-def display_of_table(table: Mapping[str, Any], where: str, folder: Path) -> Display:
+def display_of_table(table: Mapping[str, Any], where: str, folder: Location) -> Display:
     """Return the display that a table [display] describes.
 
     Parameters
@@ -124,7 +124,7 @@ def display_of_table(table: Mapping[str, Any], where: str, folder: Path) -> Disp
         Values by key.
     where : str
         File and table; every message begins with it.
-    folder : Path
+    folder : Path or RemotePath
         Folder that the path of a LUT is relative to and may not leave.
 
     Raises
@@ -178,10 +178,10 @@ def table_of_display(display: Display, folder: Path, *, title: str = "") -> str:
     return "\n".join([*comment, "[display]", *lines, ""])
 
 
-def _read_lut(folder: Path, name: str, named: str) -> LuminanceTable:
+def _read_lut(folder: Location, name: str, named: str) -> LuminanceTable:
     path, columns = folder / name, ("code_value", "luminance_cd_m2")
     try:
-        path_inside(os.path.realpath(folder), name, named)
+        path_inside(resolved(folder), name, named)
         values = read_numbers(path, columns)
     except DataError as error:
         raise SettingsError(str(error)) from None

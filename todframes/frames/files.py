@@ -8,6 +8,7 @@ import re
 import stat
 import zlib
 from collections.abc import Iterator, Mapping
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO, Literal, Protocol, Self, get_args
@@ -16,7 +17,9 @@ import numpy as np
 import OpenImageIO as oiio
 from numpy.typing import ArrayLike, NDArray
 
-from todframes.errors import FrameError, OutputError, SettingsError
+from todframes.errors import FrameError, OutputError, RemoteError, SettingsError
+from todframes.locations import Location, RemotePath
+from todframes.remote import location, read_content
 
 PathLike = str | os.PathLike[str]
 
@@ -163,7 +166,7 @@ class FrameSource(Protocol):
     `path` names the frame in messages. `FrameFile` and `ArrayFrame` implement this protocol.
     """
 
-    path: Path
+    path: Location
     header: FrameHeader
 
     def __enter__(self) -> Self: ...
@@ -188,42 +191,58 @@ class FrameFile:
     """An open frame file: its `header` is read at once, its pixels are read on request.
 
     Use it in a `with` statement and in one thread; each thread opens the file itself. The format is recognised
-    from the content, not from the extension.
+    from the content, not from the extension. A file behind a URL is read once, into memory, and decoded there.
 
     Parameters
     ----------
-    path : path
+    path : path, RemotePath or URL
         An EXR or PNG file.
+    content : bytes, optional
+        The bytes of the file, if they are in memory already; `path` then only names it.
+    sha256 : str, optional
+        Checksum that the file must have.
 
     Raises
     ------
     FrameError
         If the file is missing, unreadable, neither EXR nor PNG, damaged, beyond the limits of this module, deep,
-        or without channels to use.
+        or without channels to use, or has another checksum.
+    RemoteError
+        If the file is behind a URL that cannot be reached or may not be read.
     """
 
-    def __init__(self, path: PathLike) -> None:
-        self.path = Path(path)
-        try:
-            str(self.path).encode()  # OpenImageIO accepts only names that UTF-8 can encode
-            format_name = _recognise(self.path)
-            # Options make an EXR three times as slow to open and have no effect on it.
-            options = (_OPEN_OPTIONS,) if format_name == "png" else ()
-            self._image: Any = oiio.ImageInput.open(str(self.path), *options)
-            if self._image is None or self._image.format_name() != format_name:
-                raise FrameError(self.path, f"cannot be opened: {openimageio_reason(self._image)}")
-            self.header = self._read_header()
-        except FrameError:
-            raise
-        except (OSError, ValueError) as error:
-            problem = getattr(error, "strerror", None) or error
-            raise FrameError(self.path, f"cannot be opened: {problem}") from None
+    def __init__(
+        self, path: PathLike | RemotePath, *, content: bytes | None = None, sha256: str | None = None
+    ) -> None:
+        self.path = location(path)
+        with ExitStack() as stack:
+            try:
+                self._opened = local = _local(self.path, content, stack)
+                str(local).encode()  # OpenImageIO accepts only names that UTF-8 can encode
+                if sha256 is not None and (found := frame_sha256(local)) != sha256:
+                    raise FrameError(self.path, f"sha256 is {found}, the manifest says {sha256}")
+                format_name = _recognise(local)
+                # Options make an EXR three times as slow to open and have no effect on it.
+                options = (_OPEN_OPTIONS,) if format_name == "png" else ()
+                self._image: Any = oiio.ImageInput.open(str(local), *options)
+                if self._image is None or self._image.format_name() != format_name:
+                    raise FrameError(self.path, f"cannot be opened: {self._reason()}")
+                stack.callback(self._image.close)
+                self.header = self._read_header()
+            except RemoteError:
+                raise
+            except FrameError as error:
+                raise FrameError(self.path, error.problem) from None
+            except (OSError, ValueError) as error:
+                problem = getattr(error, "strerror", None) or error
+                raise FrameError(self.path, f"cannot be opened: {problem}") from None
+            self._resources = stack.pop_all()
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._image.close()
+        self._resources.close()
 
     @property
     def stored_type(self) -> np.dtype[Any]:
@@ -351,25 +370,28 @@ class FrameFile:
             x, y = 0, y_begin
             stored = self._image.read_scanlines(self._part, 0, y_begin + spec.y, y_end + spec.y, spec.z, *what)
         if stored is None or self._image.has_error:
-            reason = openimageio_reason(self._image)
-            raise FrameError(self.path, f"rows {top} to {bottom - 1} cannot be decoded: {reason}")
+            raise FrameError(self.path, f"rows {top} to {bottom - 1} cannot be decoded: {self._reason()}")
         stored = stored[y_begin - y : y_end - y, x_begin - x : x_end - x]
         picks = [channel - first_channel for channel in self._channels]
         return np.asarray(stored if picks == list(range(stored.shape[2])) else stored[..., picks])
 
+    def _reason(self) -> str:
+        """Return OpenImageIO's error message; it names a file in memory by a path of this process."""
+        return openimageio_reason(self._image).replace(str(self._opened), str(self.path))
 
-def read_header(path: PathLike) -> FrameHeader:
+
+def read_header(path: PathLike | RemotePath) -> FrameHeader:
     """Read the header of a frame file without decoding pixels. Raises FrameError as FrameFile does."""
     with FrameFile(path) as file:
         return file.header
 
 
-def read_frame(path: PathLike, *, rows: Range | None = None, columns: Range | None = None) -> Frame:
+def read_frame(path: PathLike | RemotePath, *, rows: Range | None = None, columns: Range | None = None) -> Frame:
     """Read a frame file, or a rectangle of it.
 
     Parameters
     ----------
-    path : path
+    path : path, RemotePath or URL
         An EXR or PNG file.
     rows, columns : (int, int), optional
         Half-open ranges in frame coordinates, clipped to the pixels that the file has. Default: all.
@@ -387,22 +409,28 @@ def read_frame(path: PathLike, *, rows: Range | None = None, columns: Range | No
         return file.read(rows=rows, columns=columns)
 
 
-def frame_sha256(path: PathLike) -> str:
+def frame_sha256(path: PathLike | RemotePath) -> str:
     """Compute the SHA-256 of a file, as 64 hexadecimal digits. Raises FrameError if it cannot be read."""
-    path = Path(path)
+    path = location(path)
     try:
+        if isinstance(path, RemotePath):
+            return hashlib.sha256(read_content(path).data).hexdigest()
         _check_is_file(path)
         with path.open("rb") as file:
             return hashlib.file_digest(file, "sha256").hexdigest()
+    except RemoteError:
+        raise
     except OSError as error:
         raise FrameError(path, f"cannot be read: {error.strerror}") from None
 
 
-def has_own_checksums(path: PathLike) -> bool:
+def has_own_checksums(path: PathLike | RemotePath) -> bool:
     """Tell whether a frame file contains checksums of all of its content: a PNG does, an EXR does not.
 
-    Raises FrameError if the file cannot be read.
+    Raises FrameError if the file cannot be read. Of a file behind a URL only the name is looked at.
     """
+    if isinstance(path, RemotePath):
+        return path.name.lower().endswith(".png")
     path = Path(path)
     try:
         _check_is_file(path)
@@ -410,6 +438,21 @@ def has_own_checksums(path: PathLike) -> bool:
             return file.read(len(PNG_SIGNATURE)) == PNG_SIGNATURE
     except OSError as error:
         raise FrameError(path, f"cannot be read: {error.strerror}") from None
+
+
+def _local(path: Location, content: bytes | None, stack: ExitStack) -> Path:
+    """Return a local path of a file. A file behind a URL, or whose content is given, is in memory.
+
+    The memory is given back when `stack` is closed.
+    """
+    if content is None:
+        if not isinstance(path, RemotePath):
+            return path
+        content = read_content(path).data
+    memory = stack.enter_context(os.fdopen(os.memfd_create("frame"), "wb"))
+    memory.write(content)
+    memory.flush()
+    return Path(f"/proc/self/fd/{memory.fileno()}")
 
 
 def _check_is_file(path: Path) -> int:

@@ -13,7 +13,7 @@ import numpy as np
 from todframes._typing import ComplexArray, FloatArray
 from todframes.errors import FrameError
 from todframes.frames.arrangement import ARRANGEMENTS, Arrangement
-from todframes.frames.contrast import Patch, check_sha256, read_contrast
+from todframes.frames.contrast import Patch, read_contrast
 from todframes.frames.dataset import Dataset
 from todframes.frames.trials import FrameReference, Trial
 from todframes.stimulus import ORIENTATIONS, Centre, Orientation, Stimulus, coverage
@@ -124,8 +124,7 @@ class MeanFrames:
 
     def _contrast(self, frame: FrameReference, stimulus: Stimulus) -> FloatArray:
         path = self.dataset.frame_path(frame)
-        check_sha256(self.dataset, frame)
-        with self.dataset.open(frame) as file:
+        with self.dataset.open(frame, verify=True) as file:
             patch = read_contrast(file, self.dataset.display, frame)
             header = file.header
         shape = patch.values.shape[:2]

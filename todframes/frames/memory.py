@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -16,6 +17,7 @@ from todframes.frames.dataset import Dataset, Experiment
 from todframes.frames.display import Display
 from todframes.frames.files import Frame, FrameHeader, FrameSource, Range, clip_rectangle
 from todframes.frames.trials import FrameReference, Trial, Trials
+from todframes.locations import Location
 from todframes.stimulus import ORIENTATIONS, Orientation, Stimulus
 
 PIXEL_TYPES: dict[str, Any] = {"uint8": "uint8", "uint16": "uint16", "float16": "half"}
@@ -32,7 +34,13 @@ class MemoryDataset(Dataset):
         """Tell whether the frame exists."""
         return frame.path in self.arrays
 
-    def open(self, frame: FrameReference) -> FrameSource:
+    def content_id(self, frame: FrameReference, *, is_read: bool = False) -> str:  # noqa: ARG002
+        """Return a text that changes whenever the frame's values do: the SHA-256 of its array."""
+        array = self.arrays[frame.path]
+        described = f"{array.dtype.str} {array.shape} ".encode()
+        return hashlib.sha256(described + array.tobytes()).hexdigest()
+
+    def open(self, frame: FrameReference, *, verify: bool = False) -> FrameSource:  # noqa: ARG002 - no checksums
         """Open a frame; raise FrameError if it cannot be used."""
         return ArrayFrame(self.frame_path(frame), self.arrays[frame.path])
 
@@ -42,7 +50,7 @@ class ArrayFrame:
 
     Parameters
     ----------
-    path : Path
+    path : Path or RemotePath
         Name of the frame in messages.
     stored : ndarray, shape (rows, columns) or (rows, columns, 1 or 3)
 
@@ -52,7 +60,7 @@ class ArrayFrame:
         If the array has another shape or holds neither integers of 8 or 16 bits nor floating-point numbers.
     """
 
-    def __init__(self, path: Path, stored: NDArray[Any]) -> None:
+    def __init__(self, path: Location, stored: NDArray[Any]) -> None:
         self.path = path
         if stored.dtype.kind == "f" and stored.dtype != np.float16:
             stored = stored.astype(np.float32, copy=False)

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import lru_cache
-from pathlib import Path
 
 from todframes.errors import FrameError
 from todframes.frames.dataset import Dataset
 from todframes.frames.files import FrameHeader
 from todframes.frames.trials import Trial
+from todframes.locations import Location
 from todframes.stimulus import Centre, Orientation, Stimulus, bounding_box_offset, vertices
 
 
@@ -75,7 +75,7 @@ def size_in_px(trial: Trial, pixel_pitch_mrad: float) -> float:
 
 
 def check_on_frame(
-    path: Path, trial: Trial, header: FrameHeader, x: float, y: float, pixel_pitch_mrad: float
+    path: Location, trial: Trial, header: FrameHeader, x: float, y: float, pixel_pitch_mrad: float
 ) -> None:
     """Raise FrameError if any part of the triangle lies outside the pixels that the file has."""
     size_px = size_in_px(trial, pixel_pitch_mrad)

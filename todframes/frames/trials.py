@@ -217,24 +217,28 @@ class TrialsBuilder:
 
     def append(self, trial: Trial) -> None:
         """Add a trial with its frames."""
-        self._name.append(b"" if trial.name == trial.frames[0].path else _encoded(f"={trial.name}"))
-        self._number.append(trial.number)
-        self._orientation.append(ORIENTATIONS.index(trial.orientation))
-        self._stimulus.append(self._stimuli.code(trial.stimulus))
-        self._level.append(trial.level)
-        self._group.append(self._groups.code(trial.group))
-        self._position_px.extend((_number(trial.x_px), _number(trial.y_px)))
-        self._first_frame.append(self.n_frames)
-        for frame in trial.frames:
-            self.append_frame(len(self) - 1, frame)
+        number, name, frames, orientation, stimulus, level, group, x_px, y_px = trial
+        index = len(self._number)
+        self._name.append(b"" if name == frames[0].path else _encoded(f"={name}"))
+        self._number.append(number)
+        self._orientation.append(ORIENTATIONS.index(orientation))
+        self._stimulus.append(self._stimuli.code(stimulus))
+        self._level.append(level)
+        self._group.append(self._groups.code(group))
+        self._position_px.append(np.nan if x_px is None else x_px)
+        self._position_px.append(np.nan if y_px is None else y_px)
+        self._first_frame.append(len(self._trial_of_frame))
+        for frame in frames:
+            self.append_frame(index, frame)
 
     def append_frame(self, index: int, frame: FrameReference) -> None:
         """Add a frame to the trial at an index."""
+        path, sha256, background_cd_m2, reference = frame
         self._trial_of_frame.append(index)
-        self._path.append(_encoded(frame.path))
-        self._sha256.append(_packed_sha256(frame.sha256))
-        self._background.append(_number(frame.background_luminance_cd_m2))
-        self._reference.append(_encoded(frame.reference or ""))
+        self._path.append(_encoded(path))
+        self._sha256.append(b"" if sha256 is None else _packed_sha256(sha256))
+        self._background.append(np.nan if background_cd_m2 is None else background_cd_m2)
+        self._reference.append(b"" if reference is None else _encoded(reference))
 
     def path(self, frame: int) -> str:
         """Return the path of a frame, by its number in the order in which frames were added."""
@@ -414,8 +418,9 @@ class _Codes(Generic[V]):
 
     def code(self, value: V) -> int:
         """Return the number of a value, which is new or was there before."""
-        code = self._codes.setdefault(value, len(self.values))
-        if code == len(self.values):
+        code = self._codes.get(value)
+        if code is None:
+            code = self._codes[value] = len(self.values)
             self.values.append(value)
         return code
 
@@ -464,11 +469,6 @@ def _unless_missing(column: FloatArray) -> FloatArray | None:
     return None if np.isnan(column).all() else column
 
 
-def _number(value: float | None) -> float:
-    """Return a number, NaN for None."""
-    return np.nan if value is None else value
-
-
 def _or_none(value: float | None) -> float | None:
     """Return a number, None for NaN."""
     return None if value is None or value != value else value
@@ -486,10 +486,8 @@ NO_SHA256 = bytes(33)
 """Bytes in front of a text that is given as a checksum but is none: no checksum is as long."""
 
 
-def _packed_sha256(text: str | None) -> bytes:
-    """Return the 32 bytes of a checksum, and nothing for None."""
-    if text is None:
-        return b""
+def _packed_sha256(text: str) -> bytes:
+    """Return the 32 bytes of a checksum."""
     try:
         packed = bytes.fromhex(text)
     except ValueError:

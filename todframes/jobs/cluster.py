@@ -417,20 +417,20 @@ async def _connected(cluster: str) -> AsyncIterator[Client]:
 async def _client(address: str) -> AsyncIterator[Client]:
     client = Client(address, asynchronous=True, timeout=CONNECT_S, set_as_default=False, direct_to_workers=False)
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", VersionMismatchWarning)  # `_check` looks at the versions
-            await client
-    except OSError:
-        raise ClusterError(
-            f"{address}: no Dask scheduler has answered within {CONNECT_S:g} s; is the address right, and "
-            "`dask scheduler` running there?"
-        ) from None
-    except Exception as error:
-        raise ClusterError(
-            f"{address}: cannot talk to what listens there ({in_words(error)}); expected a Dask scheduler of "
-            f"version {distributed.__version__}"
-        ) from None
-    try:
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", VersionMismatchWarning)  # `_check` looks at the versions
+                await client
+        except OSError:
+            raise ClusterError(
+                f"{address}: no Dask scheduler has answered within {CONNECT_S:g} s; is the address right, and "
+                "`dask scheduler` running there?"
+            ) from None
+        except Exception as error:
+            raise ClusterError(
+                f"{address}: cannot talk to what listens there ({in_words(error)}); expected a Dask scheduler of "
+                f"version {distributed.__version__}"
+            ) from None
         yield client
     finally:
         with suppress(TimeoutError):  # it waits for a lost scheduler
@@ -445,6 +445,8 @@ async def _local_cluster(n_workers: int) -> AsyncIterator[str]:
     settings = {
         "distributed.worker.multiprocessing-method": "spawn",
         "distributed.nanny.pre-spawn-environ": environment,
+        # Samples of the stack, a hundred each second, and nobody who looks at them.
+        "distributed.worker.profile.enabled": False,
         # A process that dies is started again, without end; Dask gives one up that happens to be down after this.
         "distributed.deploy.lost-worker-timeout": "1000 days",
     }
@@ -460,10 +462,17 @@ async def _local_cluster(n_workers: int) -> AsyncIterator[str]:
             silence_logs=logging.CRITICAL,
         )
         try:
-            await cluster
+            try:
+                await cluster
+            except Exception as error:
+                raise ClusterError(
+                    f"local:{n_workers}: the processes could not start ({in_words(error)}); a script must call "
+                    'this below `if __name__ == "__main__":`'
+                ) from None
             yield cluster.scheduler_address
         finally:
-            await asyncio.gather(*(nanny.close(timeout=KILL_S) for nanny in cluster.workers.values()))
+            closing = (nanny.close(timeout=KILL_S) for nanny in cluster.workers.values())
+            await asyncio.gather(*closing, return_exceptions=True)
             await cluster.close()
 
 

@@ -127,23 +127,21 @@ class PyramidObserver:
         check_keys(changes, [field.name for field in fields(self.settings_type)], "settings")
         self.settings = replace(settings if settings is not None else self.settings_type(), **changes)
         self._more_levels = more_levels
-        self._start_caches()
+        self._make_caches()
 
-    def _start_caches(self) -> None:
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in vars(self).items() if not hasattr(value, "cache_info")}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self._make_caches()
+        vars(self).update(state)
+
+    def _make_caches(self) -> None:
         # Per observer, not per class: a cache on the method would keep every observer alive.
         self.templates = lru_cache(maxsize=4)(self._templates)
         self.readout = lru_cache(maxsize=4)(self._readout)
         self.with_extra_level = lru_cache(maxsize=1)(self._with_extra_level)
         self.with_fewer_levels = lru_cache(maxsize=4)(self._with_fewer_levels)
-
-    def __getstate__(self) -> dict[str, Any]:
-        """Return what is pickled: the caches are empty at first in another process."""
-        return {name: value for name, value in vars(self).items() if not hasattr(value, "cache_info")}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        """Restore what was pickled."""
-        self._start_caches()
-        vars(self).update(state)
 
     @property
     def centre(self) -> Centre:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from todframes._typing import FloatArray
 from todframes.enhancement.compare import AlgorithmResult
 from todframes.enhancement.enhanced_frame import Screen, TrialReader
-from todframes.frames.contrast import Patch, check_sha256, read_contrast
+from todframes.frames.contrast import Patch, read_contrast
 from todframes.frames.dataset import Dataset
 from todframes.frames.matching import block_means
 from todframes.frames.position import centroid_position, size_in_px
@@ -185,8 +185,7 @@ def _shown(dataset: Dataset, trial: Trial, observer: Observer) -> list[FramePart
     reach_px = _reach_px(observer, trial.stimulus, pitch_mrad)
     found = []
     for frame in trial.frames:
-        check_sha256(dataset, frame)
-        with dataset.open(frame) as file:
+        with dataset.open(frame, verify=True) as file:
             x, y = centroid_position(trial, file.header, observer.centre, pitch_mrad)
             rows, columns = ((round(place) - reach_px, round(place) + reach_px + 1) for place in (y, x))
             triangle = TrianglePlace(x, y, size_in_px(trial, pitch_mrad))

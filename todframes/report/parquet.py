@@ -34,7 +34,7 @@ def parquet_parts(table: Table) -> Iterator[bytes]:
 
     records = table.records
     assert isinstance(records, LongRecords)
-    types = {str: pa.string(), int: pa.int64(), float: pa.float64()}
+    types = {str: pa.string(), bool: pa.bool_(), int: pa.int64(), float: pa.float64()}
     schema = pa.schema([(name, types[kind]) for name, kind in records.kinds.items()])
     sink = _Sink()
     with ParquetWriter(sink, schema) as writer:

@@ -125,7 +125,7 @@ class LongRecords(Sequence[Mapping[str, Any]]):
     Parameters
     ----------
     kinds : mapping of str to type
-        Type of the values of each column: str, int or float.
+        Type of the values of each column: str, bool, int or float.
     n : int
         Number of records.
     blocks : function

@@ -11,7 +11,6 @@ import numpy as np
 from todframes._typing import FloatArray
 from todframes.frames.contrast import (
     Patch,
-    check_sha256,
     read_contrast,
 )
 from todframes.frames.dataset import Dataset
@@ -158,8 +157,7 @@ def read_trial(
     """
     patches, places, n_rows = [], [], []
     for frame in trial.frames:
-        check_sha256(dataset, frame)
-        with dataset.open(frame) as file:
+        with dataset.open(frame, verify=True) as file:
             place = place_grid(dataset, trial, file, observer, grid, displacement_samples)
             part = (None, None) if whole else (place.rows, place.columns)
             patches.append(read_contrast(file, dataset.display, frame, *part, triangle=place.triangle))

@@ -259,7 +259,7 @@ def usable_trials(dataset: Dataset, *, skip_bad_frames: bool) -> tuple[Trials, l
     """
     if dataset.bad_rows and not skip_bad_frames:
         raise DataError(dataset.bad_rows[0].error)
-    skipped, usable = list(dataset.bad_rows), Trials.of(dataset.trials)
+    skipped, usable = list(dataset.bad_rows), dataset.trials
     if dataset.spoilt:
         is_spoilt = np.array([name in dataset.spoilt for name in usable.names()], bool)
         for trial in usable.select(is_spoilt):

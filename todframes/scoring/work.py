@@ -24,6 +24,7 @@ from todframes.jobs.local import LocalEngine
 from todframes.jobs.run import run_stored
 from todframes.jobs.store import Store
 from todframes.jobs.work import Engine, Lost
+from todframes.locations import Location
 from todframes.observers.interface import Readout
 from todframes.scoring.trials import Scoring
 from todframes.stimulus import Stimulus
@@ -156,7 +157,9 @@ class TrialWork(Generic[T]):
 
     def stamp(self, item: Trial) -> object:
         """Return what changes when a frame of the trial is written, without reading it."""
-        return [_stamp(path) for frame in item.frames for path in self._paths(frame)]
+        # The content of a file behind a URL is known by what came with it when it was read.
+        paths = [path for frame in item.frames for path in self._paths(frame)]
+        return [_stamp(path) for path in paths if isinstance(path, Path)]
 
     def encode(self, result: T | Unusable) -> bytes | None:
         """Return a result as bytes; None for a frame that cannot be used: it may be mended."""
@@ -175,17 +178,22 @@ class TrialWork(Generic[T]):
         self.identity  # noqa: B018 - to be the same in all processes
         return {name: value for name, value in vars(self).items() if name != "_decoder"}
 
-    def _paths(self, frame: FrameReference) -> list[Path]:
+    def _paths(self, frame: FrameReference) -> list[Location]:
         dataset = self.scoring.dataset
         reference = dataset.reference_path(frame) if self.with_references else None
         return [dataset.frame_path(frame)] + ([] if reference is None else [reference])
 
     def _contents(self, frame: FrameReference, is_done: bool) -> tuple[object, ...]:
         """Return the checksums of the files of a frame and the luminance that the manifest gives with it."""
-        path, *others = self._paths(frame)
-        # The frame of a trial that was just seen has the checksum that the manifest has for it.
-        own = frame.sha256 if frame.sha256 is not None and is_done else frame_sha256(path)
-        return own, frame.background_luminance_cd_m2, *(_sha256_of(*_stamp(one)) for one in others)
+        dataset = self.scoring.dataset
+        _, *others = self._paths(frame)
+        references = [
+            _sha256_of(*_stamp(path))
+            if isinstance(path, Path)
+            else dataset.content_id(frame._replace(path=frame.reference or ""))
+            for path in others
+        ]
+        return dataset.content_id(frame, is_read=is_done), frame.background_luminance_cd_m2, *references
 
 
 def see_trials(

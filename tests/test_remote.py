@@ -1,0 +1,427 @@
+"""Datasets behind URLs, on the memory file system of fsspec; test_remote_servers.py has S3 and web servers.
+
+The oracle is the same dataset in a folder: numbers are equal to the last digit.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import pickle
+import re
+import shutil
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from dataclasses import replace
+from itertools import count
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import todframes as tod
+from todframes import remote
+from todframes.cli.main import cli
+from todframes.errors import DataError, FrameError, OutputError, RemoteError, SettingsError
+from todframes.frames.checksums import dataset_warnings, write_sha256
+from todframes.frames.dataset import FrameReference, load_dataset
+from todframes.frames.files import FrameFile, frame_sha256, write_frame
+from todframes.locations import RemotePath
+from todframes.remote import location
+
+fsspec = pytest.importorskip("fsspec", reason="URLs are read by fsspec")
+pytestmark = pytest.mark.skipif(not hasattr(os, "memfd_create"), reason="frames behind URLs need memfd_create")
+NUMBERS = count()
+SECRET = "topsecret"
+
+
+@pytest.fixture
+def upload() -> Iterator[Callable[[Path], str]]:
+    """Function that copies a folder to the memory file system and returns its URL."""
+    memory, uploaded = fsspec.filesystem("memory"), []
+
+    def copy(folder: Path) -> str:
+        name = f"/lab/archive {next(NUMBERS)}"
+        for path in filter(Path.is_file, folder.rglob("*")):
+            memory.pipe(f"{name}/{path.relative_to(folder)}", path.read_bytes())
+        uploaded.append(name)
+        return f"memory:/{name}"
+
+    yield copy
+    for name in uploaded:
+        memory.rm(name, recursive=True)
+
+
+@pytest.fixture
+def run(capsys: pytest.CaptureFixture[str]) -> Callable[..., tuple[int, str, str]]:
+    """Function that runs a command and returns its exit status, standard output and standard error."""
+    from todframes.cli.console import run as run_command
+
+    def run_it(*arguments: object) -> tuple[int, str, str]:
+        status = run_command(cli, [str(one) for one in arguments])
+        return (status, *capsys.readouterr())
+
+    return run_it
+
+
+def numbers(result: tod.Result) -> object:
+    """All that a result holds but the place of its dataset and the times that it took."""
+
+    left_out = ("run_time_s", "cpu_s", "saves_s", "path")
+
+    def timeless(value: object) -> object:
+        if isinstance(value, dict):
+            return {name: timeless(one) for name, one in value.items() if name not in left_out}
+        return [timeless(one) for one in value] if isinstance(value, list) else value
+
+    rows = [] if result.trials is None else result.trials.records
+    return timeless(json.loads(result.to_json())), timeless([dict(row) for row in rows])
+
+
+def with_references(made):
+    """The dataset with a display file, a LUT, and the same frame without noise for every row."""
+    (made.path / "lut.csv").write_text("code_value,luminance_cd_m2\n0,0\n0.5,50\n1,100\n")
+    table = {name: value for name, value in made.toml.pop("display").items() if name != "white_luminance_cd_m2"}
+    table |= {"eotf": "lut", "lut": "lut.csv"}
+    lines = [f"{name} = {json.dumps(value)}" for name, value in table.items()]
+    (made.path / "monitor.toml").write_text("\n".join(["schema = 1", "[display]", *lines, ""]))
+    made.toml = {"schema": 1, "display": "monitor.toml", **made.toml}
+    for row in made.rows:
+        row["reference_frame"] = row["frame"]
+    made.save()
+    return made
+
+
+@pytest.mark.parametrize("suffix", [".exr", ".png"])
+def test_a_score_has_the_numbers_of_the_folder(make_dataset, upload, suffix) -> None:
+    made = make_dataset(suffix=suffix, contrasts=(0.01, 0.05, 0.2))
+    for row in made.rows:
+        row["sha256"] = frame_sha256(made.path / row["frame"])
+    made.save()
+    here, there = (tod.score(place, examples=False, locate=True) for place in (made.path, upload(made.path)))
+    assert numbers(here) == numbers(there)
+    assert there.dataset_path is not None and there.dataset_path.startswith("memory://lab/archive")
+
+
+def test_displays_luts_and_reference_frames_are_read_there(make_dataset, upload) -> None:
+    made = with_references(make_dataset(suffix=".png"))
+    fit = tod.FitSettings(resamples=80)
+    here, there = (
+        tod.compare(place, ["gamma"], fit=fit, examples=False) for place in (made.path, upload(made.path))
+    )
+    assert numbers(here) == numbers(there)
+    assert there.algorithms[1].psnr_db is not None
+
+
+@pytest.mark.parametrize(("name", "pixel_type"), [("a.exr", "half"), ("a.exr", "float"), ("a.png", "uint16")])
+def test_a_frame_in_memory_is_decoded_as_its_file(tmp_path, name, pixel_type) -> None:
+    """In many threads at once, bands and rectangles too; a path that would be wrong is never opened."""
+    values = np.random.default_rng(1).random((300, 200, 3)).astype(np.float32)
+    write_frame(tmp_path / name, values, pixel_type=pixel_type, attributes={"todframes:seed": "7"})
+    content = (tmp_path / name).read_bytes()
+
+    def decoded(**kwargs: object) -> tuple[object, ...]:
+        with FrameFile(tmp_path / name, **kwargs) as file:
+            part = file.read(rows=(20, 31), columns=(3, 9))
+            return file.header, file.read().stored.tobytes(), part.stored.tobytes()
+
+    expected = decoded()
+    (tmp_path / name).unlink()
+    with ThreadPoolExecutor(8) as pool:
+        assert all(found == expected for found in pool.map(lambda _: decoded(content=content), range(24)))
+
+
+@pytest.mark.parametrize("damage", ["none", "half", "text", "checksum"])
+def test_memory_is_given_back(tmp_path, damage) -> None:
+    """A frame in memory is an open file of no folder; none is left open, whether it could be decoded or not."""
+    write_frame(tmp_path / "a.exr", np.full((64, 64), 0.5))
+    content = {"half": (tmp_path / "a.exr").read_bytes()[:150], "text": b"no frame"}.get(
+        damage, (tmp_path / "a.exr").read_bytes()
+    )
+    path = RemotePath("memory://lab/a.exr")
+    if damage == "none":
+        with FrameFile(path, content=content):
+            assert any("/memfd:frame" in one for one in open_files())
+    else:
+        with pytest.raises(FrameError, match=r"^memory://lab/a\.exr: ") as caught:
+            FrameFile(path, content=content, sha256="0" * 64 if damage == "checksum" else None)
+        assert "/proc" not in str(caught.value)
+        assert caught.value.path == path
+    assert not any("/memfd:frame" in one for one in open_files())
+
+
+def open_files() -> list[str]:
+    found = []
+    for link in Path("/proc/self/fd").iterdir():
+        with suppress(FileNotFoundError):  # that of the listing itself
+            found.append(str(link.readlink()))
+    return found
+
+
+def test_damaged_pixels_are_told_by_the_url(make_dataset, upload) -> None:
+    made = make_dataset(contrasts=(0.2,))
+    content = bytearray(made.frame(2).read_bytes())
+    content[-len(content) // 2 :] = bytes(len(content) - len(content) // 2)
+    made.frame(2).write_bytes(content)
+    url = upload(made.path)
+    with pytest.raises(FrameError, match="cannot be decoded") as caught:
+        tod.score(url)
+    assert str(caught.value).startswith(f"{url}/{made.rows[2]['frame']}: ")
+    assert "/proc" not in str(caught.value)
+    skipped = tod.score(url, on_error="skip", examples=False).skipped
+    assert [one["frame"] for one in skipped] == [made.rows[2]["frame"]]
+
+
+@pytest.mark.parametrize(
+    "url",
+    [
+        f"s3://key:{SECRET}@lab/archive",
+        f"s3://key:{SECRET}/with+slash@lab/archive",
+        f"https://user:{SECRET}@host:8080/archive",
+        f"sftp://user:{SECRET}@host/archive",
+        f"https://host/archive?X-Amz-Signature={SECRET}",
+        f"https://host/archive#{SECRET}",
+        f"simplecache::s3://key:{SECRET}@lab/archive",
+        f"S3://key:{SECRET}@lab/archive",
+    ],
+)
+def test_a_url_with_a_secret_is_refused_unseen(run, url) -> None:
+    for command in ("score", "validate"):
+        status, out, err = run(command, url)
+        assert (status, out) == (1, "")
+        assert err.startswith("error: dataset: found a URL of ") and err.count("\n") == 1
+        assert SECRET not in err
+    with pytest.raises(DataError, match="found a URL of") as caught:
+        tod.score(url)
+    assert SECRET not in str(caught.value)
+    with pytest.raises(DataError, match=r"found (a URL of|a Path made from a URL)") as caught:
+        tod.score(Path(url))
+    assert SECRET not in str(caught.value)
+    status, out, err = run("naked-eye", "--contrast", 1, "-o", url)
+    assert (status, out) == (2, "") and "found a URL" in err and SECRET not in err
+
+
+def test_what_is_a_url() -> None:
+    assert location("s3://lab/archive/") == RemotePath("s3://lab/archive")
+    assert location("HTTP://host:8080/a@b") == RemotePath("http://host:8080/a@b")
+    assert location("abfs://box@account.dfs.core.windows.net/x").name == "x"
+    assert location("file:///data/a%20b") == Path("/data/a b")
+    assert location("data/a:b") == Path("data/a:b")
+    assert location(Path("data")) == Path("data")
+    with pytest.raises(DataError, match="found a URL of nothing"):
+        location("s3:///")
+
+
+def test_names_are_joined_as_the_scheme_writes_them() -> None:
+    folder = RemotePath("s3://lab/archive")
+    assert str(folder / "./frames//a b?.exr") == "s3://lab/archive/frames/a b?.exr"
+    assert (folder / "frames/a.exr").parent == folder / "frames"
+    assert str(RemotePath("https://host/x") / "frames/a b?%2e.exr") == "https://host/x/frames/a%20b%3F%252e.exr"
+
+
+@pytest.mark.parametrize("name", ["../x.png", "/etc/passwd", "s3://other/x", "frames/../../x", "a::b", "."])
+def test_nothing_leads_out_of_the_dataset(make_dataset, upload, name) -> None:
+    made = make_dataset(suffix=".png")
+    made.rows[1]["frame"] = name
+    made.rows[2]["reference_frame"] = name
+    made.save()
+    bad = load_dataset(upload(made.path)).bad_rows
+    assert len(bad) == 2
+    assert all(f"{name} lies outside of the dataset" in one.error for one in bad)
+    made.toml["display"] |= {"eotf": "lut", "lut": name, "white_luminance_cd_m2": None}
+    del made.toml["display"]["white_luminance_cd_m2"]
+    made.save()
+    with pytest.raises(SettingsError, match="lies outside of the dataset"):
+        load_dataset(upload(made.path))
+
+
+def test_rows_are_told_apart_by_where_they_lead(make_dataset, upload) -> None:
+    made = make_dataset()
+    made.rows[1]["frame"] = "./" + made.rows[0]["frame"]
+    made.rows[2]["frame"] = made.rows[2]["frame"].replace("/", "\\")
+    made.save()
+    twice, backslashes = (one.error for one in load_dataset(upload(made.path)).bad_rows)
+    assert "is there already, in line 2" in twice
+    assert "expected slashes" in backslashes
+
+
+def test_a_dataset_travels_without_connections_or_listings(make_dataset, upload) -> None:
+    made = make_dataset()
+    data = load_dataset(upload(made.path))
+    before = len(pickle.dumps(data))
+    assert all(data.has_frame(frame) for trial in data.trials for frame in trial.frames)
+    copied = pickle.loads(pickle.dumps(replace(data, trials=data.trials)))
+    assert len(pickle.dumps(data)) == before
+    assert copied == data
+    with copied.open(copied.trials[0].frames[0]) as file:
+        assert file.header.height == 48
+
+
+def test_content_ids_change_with_the_bytes(make_dataset, upload) -> None:
+    """The same text before a frame is read and after, for files, in memory and behind URLs."""
+    made = make_dataset()
+    url = upload(made.path)
+    for place in (made.path, url):
+        data = load_dataset(place)
+        first, second = (data.trials[k].frames[0] for k in (0, 1))
+        ids = [data.content_id(first), data.content_id(second)]
+        assert ids[0] != ids[1]
+        with data.open(first, verify=True), data.open(second, verify=True):
+            assert [data.content_id(one, is_read=True) for one in (first, second)] == ids
+    assert ids[0] == frame_sha256(made.frame(0))
+    with pytest.raises(FrameError, match="was not read by this thread"):
+        data.content_id(first, is_read=True)
+    fsspec.filesystem("memory").pipe(f"{url}/{first.path}", made.frame(1).read_bytes())
+    assert load_dataset(url).content_id(first) == ids[1]
+    with pytest.raises(FrameError, match="cannot be read: No such file"):
+        data.content_id(FrameReference("frames/none.exr", None, None))
+
+
+def test_ids_of_arrays() -> None:
+    shown = {"orientation": "up", "level": 0.5, "size_mrad": 1.0}
+    display = tod.Display(
+        eotf="linear", white_luminance_cd_m2=1.0, pixel_pitch_mrad=0.3, background_luminance_cd_m2=1.0
+    )
+    from todframes.frames.memory import memory_dataset
+
+    frames = [np.zeros((8, 8)), np.zeros((4, 16)), np.zeros((8, 8), np.float32), np.ones((8, 8)), np.zeros((8, 8))]
+    data = memory_dataset(frames, display=display, **shown)
+    ids = [data.content_id(trial.frames[0]) for trial in data.trials]
+    assert len(set(ids)) == 4 and ids[0] == ids[4]
+
+
+def test_a_frame_that_vanishes_is_skipped_or_named(make_dataset, upload) -> None:
+    made = make_dataset(contrasts=(0.02, 0.2))
+    url = upload(made.path)
+    data = load_dataset(url)
+    gone = data.trials[3].frames[0]
+    assert data.has_frame(gone)
+    fsspec.filesystem("memory").rm(f"{url}/{gone.path}")
+    message = f"{url}/{gone.path}: cannot be opened: No such file or directory"
+    with pytest.raises(FrameError, match=re.escape(message)):
+        tod.score(data)
+    assert not load_dataset(url).has_frame(gone)
+    skipped = tod.score(data, on_error="skip", examples=False).skipped
+    assert skipped == ({"frame": gone.path, "error": message},)
+
+
+def test_a_lost_connection_ends_the_run_even_if_bad_frames_are_skipped(make_dataset, upload, monkeypatch) -> None:
+    made = make_dataset()
+    data = load_dataset(upload(made.path))
+    read, calls = remote._read, []
+
+    def failing(path: RemotePath) -> object:
+        if path.url.endswith(made.rows[5]["frame"]):
+            calls.append(path)
+            raise ConnectionResetError(SECRET)
+        return read(path)
+
+    monkeypatch.setattr(remote, "_read", failing)
+    monkeypatch.setattr(remote, "WAIT_S", 0.0)
+    with pytest.raises(RemoteError, match="cannot connect to the server") as caught:
+        tod.score(data, on_error="skip")
+    assert str(caught.value).startswith(f"{data.path}/{made.rows[5]['frame']}: ")
+    assert SECRET not in str(caught.value)
+    assert len(calls) == remote.ATTEMPTS
+
+
+def test_checksums_are_verified_and_cannot_be_added(make_dataset, upload, run) -> None:
+    made = make_dataset()
+    url = upload(made.path)
+    status, out, err = run("validate", url)
+    assert status == 0 and "8 of 8 frames are EXR without a sha256" in err
+    assert "validate FOLDER --add-sha256` on a local copy" in err
+    status, out, err = run("validate", url, "--add-sha256")
+    assert (status, out) == (2, "")
+    assert (
+        err.startswith(f"error: {url}/manifest.csv: cannot be written, it is behind a URL")
+        and err.count("\n") == 1
+    )
+    with pytest.raises(OutputError, match="cannot be written, it is behind a URL"):
+        write_sha256(load_dataset(url), {"frames/x.exr": "0" * 64})
+    assert run("validate", made.path, "--add-sha256")[0] == 0
+    shutil.copy(made.frame(0), made.frame(1))
+    status, out, err = run("validate", upload(made.path))
+    assert status == 1 and err.count("error: ") == 2
+    assert re.search(rf"{re.escape(made.rows[1]['frame'])}: sha256 is \w+, the manifest says", err)
+
+
+def test_only_names_tell_which_frames_have_checksums(make_dataset, upload, monkeypatch) -> None:
+    """No frame is opened for the warning: with a million frames that would be a million requests."""
+    exr, png = (load_dataset(upload(make_dataset(s, suffix=s).path)) for s in (".exr", ".png"))
+    monkeypatch.setattr(remote, "_read", None)
+    assert [one.found for one in dataset_warnings(exr, exr.trials)] == [8]
+    assert dataset_warnings(png, png.trials) == []
+
+
+def test_a_folder_is_listed_once_by_all_threads(make_dataset, upload, monkeypatch) -> None:
+    data = load_dataset(upload(make_dataset().path))
+    memory, listed, together = fsspec.filesystem("memory"), [], threading.Barrier(4)
+    ls = memory.ls
+    monkeypatch.setattr(memory, "ls", lambda path, **more: listed.append(path) or ls(path, **more))
+    monkeypatch.setattr(remote, "_file_system", lambda _: memory)
+
+    def look(_: int) -> bool:
+        together.wait()
+        return all(data.has_frame(frame) for trial in data.trials for frame in trial.frames)
+
+    with ThreadPoolExecutor(4) as pool:
+        assert list(pool.map(look, range(4))) == [True] * 4
+    assert listed == [f"{data.path}/frames"]
+
+
+@pytest.mark.parametrize(
+    ("url", "problem"),
+    [
+        ("nosuch://lab/archive", "no file system is known as nosuch://"),
+        ("memory://lab/none", "no such file"),
+    ],
+)
+def test_what_cannot_be_reached_is_one_line(run, url, problem) -> None:
+    status, out, err = run("score", url)
+    assert status > 0 and out == "" and err.count("\n") == 1
+    assert err.startswith(f"error: {url}/dataset.toml: {problem}")
+
+
+@pytest.mark.parametrize(
+    ("scheme", "remedy"),
+    [
+        ("s3", "pip install 'todframes[remote]'"),
+        ("https", "pip install 'todframes[remote]'"),
+        ("gs", "Please install gcsfs to access Google Storage"),
+    ],
+)
+def test_a_package_that_is_missing_is_named(run, monkeypatch, scheme, remedy) -> None:
+    def missing(_: str) -> object:
+        raise ImportError("Please install gcsfs to access Google Storage")
+
+    monkeypatch.setattr(fsspec, "get_filesystem_class", missing)
+    status, out, err = run("score", f"{scheme}://lab/archive")
+    assert (status, out) == (1, "")
+    where = f"{scheme}://lab/archive/dataset.toml"
+    assert err == f"error: {where}: needs a package for {scheme}:// that is not installed: {remedy}\n"
+
+
+def test_without_fsspec_there_is_one_line_too(run, monkeypatch) -> None:
+    monkeypatch.setitem(sys.modules, "fsspec", None)
+    status, _, err = run("validate", "s3://lab/archive")
+    assert status == 1 and err.endswith("that is not installed: pip install 'todframes[remote]'\n")
+
+
+def test_other_systems_than_linux_are_told_so(monkeypatch) -> None:
+    monkeypatch.delattr(os, "memfd_create")
+    with pytest.raises(RemoteError, match=r"memory://lab/x/dataset\.toml: a dataset behind a URL needs Linux"):
+        load_dataset("memory://lab/x")
+
+
+def test_a_folder_is_scored_without_fsspec(make_dataset) -> None:
+    """Start-up of a usual run does not pay for URLs."""
+    code = (
+        "import sys, todframes as tod; tod.score(sys.argv[1], examples=False); "
+        "sys.exit(any(name in sys.modules for name in ('fsspec', 's3fs', 'aiohttp')))"
+    )
+    assert subprocess.run([sys.executable, "-c", code, make_dataset().path], check=False).returncode == 0

@@ -1,0 +1,411 @@
+"""Datasets on S3 (the server of moto) and on web servers: numbers, requests, failures, and unseen secrets."""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+import os
+import subprocess
+import sys
+import threading
+from collections import Counter
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from itertools import count
+from pathlib import Path
+from urllib.parse import unquote
+
+import pytest
+
+import todframes as tod
+from todframes import remote
+from todframes.errors import FrameError, RemoteError
+from todframes.frames.dataset import Dataset, load_dataset
+from todframes.frames.files import read_header
+from todframes.jobs.store import Store
+
+pytestmark = [
+    pytest.mark.oracle,
+    pytest.mark.skipif(not hasattr(os, "memfd_create"), reason="frames behind URLs need memfd_create"),
+]
+s3fs = pytest.importorskip("s3fs", reason="s3:// needs the extra remote")
+pytest.importorskip("aiohttp", reason="http:// needs the extra remote")
+
+KEY, SECRET = "AKIA0TESTKEY00000001", "very/secret+words0123456789"
+NUMBERS = count()
+
+
+class Web(ThreadingHTTPServer):
+    """A web server of a folder that counts its requests, and that can be told to fail."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.asked: Counter[tuple[str, str]] = Counter()
+        self.tag = '"{}"'
+        self.failing: dict[str, list[int | str]] = {}
+        """What happens to the next requests for a file: a status, "cut" or "silent"."""
+        self.released = threading.Event()
+        super().__init__(("127.0.0.1", 0), _Handler)
+
+    @property
+    def url(self) -> str:
+        return f"http://127.0.0.1:{self.server_port}"
+
+
+class _Handler(BaseHTTPRequestHandler):
+    server: Web
+    protocol_version = "HTTP/1.1"
+
+    def do_HEAD(self) -> None:
+        self.do_GET()
+
+    def do_GET(self) -> None:
+        server, name = self.server, unquote(self.path).lstrip("/")
+        server.asked[self.command, name] += 1
+        path, todo = server.folder / name, server.failing.get(name)
+        failure = todo.pop(0) if todo else None
+        if failure == "silent":
+            server.released.wait()
+            self.close_connection = True
+            return
+        status = failure if isinstance(failure, int) else 200 if path.is_file() else 404
+        content = path.read_bytes() if status == 200 else self._error(status)
+        self.send_response(status)
+        self.send_header("Content-Length", str(len(content)))
+        if status == 200 and server.tag:
+            self.send_header("ETag", server.tag.format(hash(content)))
+        self.end_headers()
+        if self.command == "GET":
+            self.wfile.write(content[: len(content) // 2] if failure == "cut" else content)
+        self.close_connection = failure == "cut"
+
+    def _error(self, status: int) -> bytes:
+        """An error as S3 words it; its message repeats what the client said of itself."""
+        code = {403: "AccessDenied", 404: "NoSuchKey", 500: "InternalError"}[status]
+        said = self.headers.get("Authorization", "nobody")
+        return f"<Error><Code>{code}</Code><Message>denied to {said} {SECRET}</Message></Error>".encode()
+
+    def log_message(self, *_: object) -> None:
+        pass
+
+
+@pytest.fixture
+def web(tmp_path: Path) -> Iterator[Web]:
+    """A web server of `tmp_path`."""
+    server = Web(tmp_path)
+    thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01})
+    thread.start()
+    yield server
+    server.released.set()
+    server.shutdown()
+    thread.join()
+    server.server_close()
+
+
+@pytest.fixture(scope="module")
+def s3_server() -> Iterator[str]:
+    """The URL of a server of S3, and credentials for it in the environment."""
+    server_module = pytest.importorskip("moto.server", reason="tests of s3:// need moto of the dev extra")
+    server = server_module.ThreadedMotoServer(port=0, verbose=False)
+    server.start()
+    host, port = server.get_host_and_port()
+    yield f"http://{host}:{port}"
+    server.stop()
+
+
+@pytest.fixture
+def s3_environment(s3_server: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """An environment with credentials for the server of S3."""
+    for name in [name for name in os.environ if name.startswith("AWS_")]:
+        monkeypatch.delenv(name)
+    environment = {"AWS_ACCESS_KEY_ID": KEY, "AWS_SECRET_ACCESS_KEY": SECRET, "AWS_ENDPOINT_URL": s3_server}
+    environment |= {"AWS_EC2_METADATA_DISABLED": "true", "AWS_CONFIG_FILE": str(tmp_path / "none")}
+    for name, value in environment.items():
+        monkeypatch.setenv(name, value)
+    forget_connections()
+    yield
+    forget_connections()
+
+
+def forget_connections() -> None:
+    """Let the next request read the environment again."""
+    remote._connected.cache_clear()
+    s3fs.S3FileSystem.clear_instance_cache()
+
+
+@pytest.fixture
+def upload(s3_environment: None) -> Callable[[Path], str]:  # noqa: ARG001 - it needs credentials
+    """Function that copies a folder to S3 and returns its URL."""
+    s3 = s3fs.S3FileSystem(use_listings_cache=False)
+
+    def copy(folder: Path) -> str:
+        bucket = f"lab-{next(NUMBERS)}"
+        s3.mkdir(bucket)
+        for path in filter(Path.is_file, folder.rglob("*")):
+            s3.pipe(f"{bucket}/archive/{path.relative_to(folder)}", path.read_bytes())
+        return f"s3://{bucket}/archive"
+
+    return copy
+
+
+def todframes(*arguments: object, **environment: str) -> tuple[int, str, str]:
+    """Run a command in a process of its own. Returns its exit status, standard output and standard error."""
+    done = subprocess.run(
+        [sys.executable, "-m", "todframes", *map(str, arguments)],
+        env=os.environ | environment,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=60,
+    )
+    return done.returncode, done.stdout, done.stderr
+
+
+def thresholds_and_scores(result: tod.Result) -> object:
+    """The thresholds, and all numbers of each trial; not the times that they took."""
+    fits = [(fit.group, fit.threshold, fit.threshold_ci95) for fit in result.thresholds]
+    return fits, [{k: v for k, v in row.items() if k != "run_time_s"} for row in result.trials.records]
+
+
+def test_scores_on_servers_are_those_of_the_folder(make_dataset, upload, web) -> None:
+    """With any number of threads; nothing is printed when the connections are closed."""
+    made = make_dataset(contrasts=(0.01, 0.05, 0.2), side_px=64)
+    here = tod.score(made.path, examples=False)
+    for url in (upload(made.path), f"{web.url}/dataset"):
+        for workers in (1, 8):
+            there = tod.score(url, examples=False, workers=workers)
+            assert thresholds_and_scores(there) == thresholds_and_scores(here)
+            assert there.dataset_path == url
+
+
+def test_secrets_are_in_no_output(make_dataset, upload, tmp_path) -> None:
+    url, out = upload(make_dataset(contrasts=(0.01, 0.05, 0.2)).path), tmp_path / "out"
+    status, printed, remarks = todframes("score", url, "--json", "-o", out)
+    assert status == 0
+    assert json.loads(printed)["dataset"]["path"] == url
+    assert "warning: " in remarks and remarks.count("\n") == 1
+    written = b"".join(path.read_bytes() for path in out.iterdir())
+    assert url.encode() in written
+    for secret in (KEY, SECRET):
+        assert secret not in printed + remarks
+        assert secret.encode() not in written
+
+
+@pytest.mark.parametrize(
+    ("url", "environment", "problem"),
+    [
+        ("s3://no-such-bucket/archive", {}, "the bucket does not exist"),
+        ("s3://{bucket}/archive", {"AWS_ENDPOINT_URL": "http://127.0.0.1:9"}, "cannot connect to the server"),
+        ("s3://{bucket}/archive", {"AWS_ACCESS_KEY_ID": "", "AWS_SECRET_ACCESS_KEY": ""}, "found no credentials"),
+        ("s3://{bucket}/archive", {"AWS_PROFILE": "nobody"}, "AWS_PROFILE names a profile that does not exist"),
+        ("s3://Not_A_Bucket!/archive", {}, "the name of the bucket is not valid"),
+        ("http://127.0.0.1:9/archive", {}, "cannot connect to the server"),
+    ],
+)
+def test_a_failure_is_one_line(make_dataset, upload, url, environment, problem) -> None:
+    bucket = upload(make_dataset().path).split("/")[2]
+    url = url.format(bucket=bucket)
+    status, out, err = todframes("score", url, **environment)
+    assert (status, out) == (1, "")
+    assert err.startswith(f"error: {url}/dataset.toml: {problem}")
+    assert err.count("\n") == 1 and KEY not in err and SECRET not in err
+
+
+@pytest.mark.parametrize(
+    ("failures", "problem"),
+    [
+        ([403], "access denied"),
+        ([500] * 9, "cannot be read (OSError, InternalError)"),
+        (["silent"] * 9, "the server did not answer in time"),
+    ],
+)
+@pytest.mark.usefixtures("s3_environment")
+def test_s3_that_fails_is_one_line_without_its_words(make_dataset, web, monkeypatch, failures, problem) -> None:
+    monkeypatch.setenv("AWS_ENDPOINT_URL", web.url)
+    monkeypatch.setattr(remote, "READ_S", 0.2)
+    make_dataset()
+    web.failing["dataset/dataset.toml"] = failures
+    url = "s3://dataset/dataset.toml"
+    with pytest.raises(RemoteError) as caught:
+        remote.read_content(remote.RemotePath(url))
+    assert str(caught.value).startswith(f"{url}: {problem}")
+    assert KEY not in str(caught.value) and SECRET not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("failures", "problem"),
+    [
+        ([403], "access denied"),
+        ([500], "cannot be read (ClientResponseError, 500)"),
+        (["silent"] * 3, "the server did not answer in time"),
+        (["cut"] * 3, "the server closed the connection"),
+    ],
+)
+def test_a_web_server_that_fails_is_one_line(make_dataset, web, monkeypatch, failures, problem) -> None:
+    monkeypatch.setattr(remote, "READ_S", 0.2)
+    monkeypatch.setattr(remote, "WAIT_S", 0.01)
+    forget_connections()
+    data = load_dataset(f"{web.url}/{make_dataset().path.name}")
+    frame = data.trials[0].frames[0]
+    web.failing[f"dataset/{frame.path}"] = failures
+    with pytest.raises(RemoteError) as caught:
+        data.open(frame)
+    assert str(caught.value).startswith(f"{data.path}/{frame.path}: {problem}")
+
+
+@pytest.mark.usefixtures("s3_environment")
+@pytest.mark.parametrize("scheme", ["http", "s3"])
+def test_a_connection_that_breaks_is_tried_again(make_dataset, web, monkeypatch, scheme) -> None:
+    monkeypatch.setenv("AWS_ENDPOINT_URL", web.url)
+    monkeypatch.setattr(remote, "WAIT_S", 0.01)
+    made = make_dataset()
+    path = remote.RemotePath("s3://dataset" if scheme == "s3" else f"{web.url}/dataset") / "manifest.csv"
+    web.failing["dataset/manifest.csv"] = ["cut", "cut"]
+    assert remote.read_content(path).data == made.manifest_file.read_bytes()
+    assert web.asked["GET", "dataset/manifest.csv"] == 3
+
+
+def test_an_opening_is_one_request_and_connections_are_kept(make_dataset, web) -> None:
+    """Header, checksum and pixels come from the same bytes."""
+    made = make_dataset()
+    made.rows[0]["sha256"] = tod.frames.files.frame_sha256(made.frame(0))
+    made.save()
+    data = load_dataset(f"{web.url}/dataset")
+    frame, connections = data.trials[0].frames[0], set()
+    web.process_request, process = (lambda *one: connections.add(one[1]) or process(*one)), web.process_request
+    for _ in range(5):
+        with data.open(frame, verify=True) as file:
+            assert file.read().stored.shape == (file.header.height, file.header.width, 1)
+    assert web.asked["GET", f"dataset/{frame.path}"] == 5
+    assert {method for method, _ in web.asked} == {"GET"}
+    assert len(connections) <= 1
+    assert data.has_frame(frame)  # no request: a web server does not list folders
+
+
+def test_names_are_quoted_on_the_web(make_dataset, web) -> None:
+    made = make_dataset()
+    name = "frames/a b?c#%2e é.exr"
+    made.frame(0).rename(made.path / name)
+    made.rows[0]["frame"] = name
+    made.save()
+    data = load_dataset(f"{web.url}/dataset")
+    with data.open(data.trials[0].frames[0]) as file:
+        assert file.header == read_header(made.path / name)
+
+
+def test_s3_asks_once_for_each_frame_and_once_for_its_folder(make_dataset, upload, monkeypatch) -> None:
+    asked: Counter[str] = Counter()
+    call = s3fs.S3FileSystem._call_s3
+
+    async def counted(self: object, method: str, *arguments: object, **more: object) -> object:
+        asked[f"{method} {more.get('Key', more.get('Prefix'))}"] += 1
+        return await call(self, method, *arguments, **more)
+
+    data = load_dataset(upload(make_dataset().path))
+    monkeypatch.setattr(s3fs.S3FileSystem, "_call_s3", counted)
+    frames = [frame for trial in data.trials for frame in trial.frames]
+    assert all(data.has_frame(frame) for frame in frames)
+    assert len({data.content_id(frame) for frame in frames}) == len(frames)
+    for frame in frames:
+        data.open(frame).__exit__()
+    expected = {f"get_object archive/{frame.path}": 1 for frame in frames}
+    assert asked == Counter(expected | {"list_objects_v2 archive/frames/": 1})
+
+
+def test_folders_are_listed_in_pages(make_dataset, upload, monkeypatch) -> None:
+    data = load_dataset(upload(make_dataset().path))
+    call, pages = s3fs.S3FileSystem._call_s3, []
+
+    async def few(self: object, method: str, *arguments: object, **more: object) -> object:
+        pages.append(method)
+        return await call(self, method, *arguments, **more, **({"MaxKeys": 3} if "list" in method else {}))
+
+    monkeypatch.setattr(s3fs.S3FileSystem, "_call_s3", few)
+    listed = remote.list_folder(data.path / "frames")
+    assert len(pages) == 3  # of 3, 3 and 2 files
+    assert {f"frames/{name}" for name in listed} == {trial.frames[0].path for trial in data.trials}
+    assert listed == {name: remote.entity_tag(data.path / "frames" / name) for name in listed}
+    assert set(remote.list_folder(data.path)) == {"dataset.toml", "manifest.csv"}
+    assert remote.list_folder(data.path / "none") == {}
+
+
+@pytest.mark.parametrize("tag", ['"{}"', 'W/"{}"', ""])
+def test_ids_on_the_web_are_of_strong_tags_or_of_bytes(make_dataset, web, tag) -> None:
+    made = make_dataset()
+    web.tag = tag
+    data = load_dataset(f"{web.url}/dataset")
+    first = data.trials[0].frames[0]
+    expected = data.content_id(first)
+    assert ("dataset/frames" in expected) == (tag == '"{}"')
+    assert web.asked["GET", f"dataset/{first.path}"] == (0 if tag == '"{}"' else 1)
+    with data.open(first):
+        assert data.content_id(first, is_read=True) == expected
+    made.frame(0).write_bytes(made.frame(1).read_bytes())
+    assert data.content_id(first) != expected
+
+
+def test_ids_on_s3_change_with_the_bytes(make_dataset, upload) -> None:
+    made = make_dataset()
+    data = load_dataset(upload(made.path))
+    first, second = (data.trials[k].frames[0] for k in (0, 1))
+    ids = [data.content_id(one) for one in (first, second)]
+    with data.open(first), data.open(second):
+        assert [data.content_id(one, is_read=True) for one in (first, second)] == ids
+    s3fs.S3FileSystem().pipe(f"{data.path}/{first.path}", made.frame(1).read_bytes())
+    with data.open(first):
+        changed = data.content_id(first, is_read=True)
+    assert changed != ids[0]
+    assert load_dataset(str(data.path)).content_id(first) == changed
+
+
+def test_a_frame_that_vanishes_from_s3_is_named(make_dataset, upload) -> None:
+    data = load_dataset(upload(make_dataset().path))
+    gone = data.trials[2].frames[0]
+    s3fs.S3FileSystem().rm(f"{data.path}/{gone.path}")
+    with pytest.raises(FrameError, match=f"{gone.path}: cannot be opened: No such file"):
+        tod.score(data)
+    skipped = tod.score(data, on_error="skip", examples=False).skipped
+    assert [one["frame"] for one in skipped] == [gone.path]
+
+
+def test_threads_share_a_file_system_and_processes_do_not(make_dataset, upload) -> None:
+    """A dataset goes to a spawned process without connections, as it does to a worker of a cluster."""
+    data = load_dataset(upload(make_dataset().path))
+    frames = [frame for trial in data.trials for frame in trial.frames] * 20
+    with ThreadPoolExecutor(16) as pool:
+        here = list(pool.map(partial(pixels, data), range(len(frames))))
+    assert remote._connected.cache_info().currsize == 1
+    with multiprocessing.get_context("spawn").Pool(1) as processes:
+        assert processes.map(partial(pixels, data), range(8)) == here[:8]
+
+
+def pixels(data: Dataset, number: int) -> bytes:
+    """The decoded values of a frame."""
+    with data.open(data.trials[number % len(data.trials)].frames[0]) as file:
+        return file.read().stored.tobytes()
+
+
+def test_a_run_goes_on_without_scoring_frames_again(make_dataset, web, tmp_path) -> None:
+    """Frames are known by their tags alone, and each is read once less; one whose bytes have changed is scored."""
+
+    def scored() -> object:
+        store = Store(tmp_path / "store", "OUT")
+        store.begin()
+        return thresholds_and_scores(tod.score(url, examples=False, store=store))
+
+    made, url = make_dataset(contrasts=(0.01, 0.05, 0.2)), f"{web.url}/dataset"
+    frames = [f"dataset/{row['frame']}" for row in made.rows]
+    asked, results = [], []
+    for _ in range(2):
+        results.append(scored())
+        asked.append(web.asked.copy())
+        web.asked.clear()
+    # The first frame of a stimulus is read once more, for its size.
+    assert [asked[0]["GET", name] - asked[1]["GET", name] for name in frames] == [2, *[1] * (len(frames) - 1)]
+    assert [(asked[0]["HEAD", name], asked[1]["HEAD", name]) for name in frames] == [(1, 1)] * len(frames)
+    made.frame(5).write_bytes(made.frame(1).read_bytes())
+    results.append(scored())
+    assert results[0] == results[1] != results[2]
+    assert results[2] == thresholds_and_scores(tod.score(made.path, examples=False))

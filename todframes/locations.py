@@ -1,0 +1,47 @@
+"""Locations of the files of a dataset: a local path, or a URL. Nothing is read here."""
+
+from __future__ import annotations
+
+import posixpath
+from dataclasses import dataclass
+from pathlib import Path
+from urllib.parse import quote
+
+WEB = ("http", "https")
+"""Schemes whose URLs are written with percent signs."""
+
+
+@dataclass(frozen=True, slots=True)
+class RemotePath:
+    """A file or folder behind a URL, with as much of the interface of `Path` as readers of datasets need.
+
+    The URL has no password and no query (`todframes.remote.location` refuses them), so messages and results may
+    show it. It can be pickled and holds no connection.
+    """
+
+    url: str
+
+    def __str__(self) -> str:
+        return self.url
+
+    def __truediv__(self, name: str) -> RemotePath:
+        name = posixpath.normpath(name)
+        return RemotePath(f"{self.url}/{quote(name) if self.scheme in WEB else name}")
+
+    @property
+    def scheme(self) -> str:
+        """Name of the file system: "s3" of `s3://lab/archive`."""
+        return self.url.partition("://")[0]
+
+    @property
+    def parent(self) -> RemotePath:
+        """Folder that the file is in."""
+        return RemotePath(self.url.rpartition("/")[0])
+
+    @property
+    def name(self) -> str:
+        """Last part of the URL."""
+        return self.url.rpartition("/")[2]
+
+
+Location = Path | RemotePath
