@@ -495,11 +495,11 @@ def campaign(n: int, *, seed: int, only: str = "") -> list[Tally]:
     return tallies
 
 
-def long_run(n_frames: int, n_kills: int, *, seed: int, item_s: float = 0.01) -> Tally:
+def long_run(n_frames: int, n_kills: int, *, seed: int, item_s: float = 0.008) -> Tally:
     """Kill a run of many frames again and again; the frames are links to some files.
 
     Each frame takes `item_s` in addition, long enough for all kills to be those of one run. One kill in ten comes
-    at any moment after the start, the others up to 4 s after the first frame that was scored in this run.
+    at any moment after the start, the others up to 2 s after the first frame that was scored in this run.
     """
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -515,7 +515,7 @@ def long_run(n_frames: int, n_kills: int, *, seed: int, item_s: float = 0.01) ->
             command,
             ["client"] * n_kills,
             folder / "runs",
-            moments_s=(0.0, 4.0),
+            moments_s=(0.0, 2.0),
             seed=seed,
             in_flight=16,
             at_start=0.1,
