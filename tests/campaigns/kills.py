@@ -382,7 +382,8 @@ class _Run:
             lost = 0 if is_import else len(set(keyed) - stored)
             self.costs += 1
         self._tally.most_in_flight = max(self._tally.most_in_flight, twice + lost)
-        if twice + lost > self._in_flight * max(self.costs, 0):
+        # What was in flight for a client that was killed may be done by workers while the next one runs.
+        if twice + lost > self._in_flight * (self.costs + 1):
             self._tally.faults.append(f"{twice} items done twice and {lost} lost, at {self.costs} kills")
 
     def whole(self) -> None:
