@@ -201,7 +201,7 @@ def small_disk(path: Path, size_kb: int) -> Iterator[Callable[[str], None]]:
 # Full disks and places that cannot be written ------------------------------------------------------------------
 
 
-SIZES_KB = (16, 48, 96, 160, 256, 384, 512)
+SIZES_KB = (16, 48, 96, 160, 256, 384, 512, 2000, 3000)
 
 
 def full_disk(lab: Lab, kind: str) -> None:
