@@ -172,6 +172,7 @@ def compare_dataset(
         run=run or Run(),
         depends_on=([(one.spec, one.function) for one in algorithms], screen, strongest),
         with_references=True,
+        with_levels=True,
     )
     seen = check_seen(dataset, columns.seen(), skipped)
     fit = partial(fit_groups, plan, seed=seed, fit_settings=fit_settings, curve=curve, expected=expected)

@@ -83,6 +83,8 @@ class TrialWork(Generic[T]):
         What results depend on besides the scoring and the frames.
     with_references : bool
         Whether the frames without noise are read too.
+    with_levels : bool
+        Whether a result also depends on the level and the group of its trial.
     """
 
     scoring: Scoring
@@ -90,6 +92,7 @@ class TrialWork(Generic[T]):
     kind: type[T]
     depends_on: object = None
     with_references: bool = False
+    with_levels: bool = False
 
     def function(self) -> Callable[[Trial], T | Unusable]:
         """Return the function that shows a trial; a frame that cannot be used is a result."""
@@ -152,6 +155,7 @@ class TrialWork(Generic[T]):
             item.stimulus.size_mrad,
             item.stimulus.polarity,
             (item.x_px, item.y_px),
+            (item.level, item.group) if self.with_levels else None,
             contents,
         )
 
@@ -207,6 +211,7 @@ def see_trials(
     run: Run,
     depends_on: object = None,
     with_references: bool = False,
+    with_levels: bool = False,
 ) -> list[Skipped]:
     """Show trials to the observer; return the frames that were skipped.
 
@@ -214,7 +219,7 @@ def see_trials(
     ----------
     scoring : Scoring
     trials : Trials
-    show, kind, depends_on, with_references
+    show, kind, depends_on, with_references, with_levels
         As in `TrialWork`.
     collect : callable
         Called with the place of each trial that was seen, in any order, and its result.
@@ -228,7 +233,7 @@ def see_trials(
         If a frame cannot be used, unless bad frames are skipped.
     """
     bare = replace(scoring, dataset=replace(scoring.dataset, trials=Trials.of(())))
-    work = TrialWork(bare, show, kind, depends_on, with_references)
+    work = TrialWork(bare, show, kind, depends_on, with_references, with_levels)
     order = by_stimulus(trials)
     store = None if isinstance(scoring.dataset, MemoryDataset) else run.store
     unusable: dict[int, FrameError] = {}
