@@ -43,7 +43,7 @@ def test_a_long_run() -> None:
     assert "kills: 2 of the client" in campaign("long-run", "2", "--frames", "320")
 
 
-@pytest.mark.parametrize("fault", ["frame deleted before it was seen, with", "store between runs: cut"])
+@pytest.mark.parametrize("fault", ["frame deleted before it was seen, with sha256", "store between runs: cut"])
 def test_faults(fault: str) -> None:
     assert "1 cases, 0 faults" in campaign("faults", "--only", fault)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import json
 import os
 import signal
 import subprocess
@@ -393,6 +394,23 @@ def test_older_results_come_back_if_one_cannot_be_replaced(
     with pytest.raises(OutputError, match=r"cannot be written \(Permission denied\)"):
         score(path, {"report.html": "new", "result.json": "{}", "scores.csv": "new"})
     assert contents(path) == old
+
+
+@pytest.mark.parametrize("is_reversed", [False, True])
+def test_the_mark_does_not_depend_on_the_file_system(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, is_reversed: bool
+) -> None:
+    """Folders list their files in any order; the same dataset has the same bytes everywhere."""
+    walk = os.walk
+
+    def listed(*arguments: Any, **options: Any) -> Iterator[tuple[str, list[str], list[str]]]:
+        for parent, folders, files in walk(*arguments, **options):
+            yield parent, folders, sorted(files, reverse=is_reversed)
+
+    monkeypatch.setattr(os, "walk", listed)
+    simulate(tmp_path / "new", NEW)
+    mark = json.loads((tmp_path / "new" / MARK).read_bytes())
+    assert list(mark["files"]) == sorted(NEW)
 
 
 def test_a_cluster_that_is_gone_is_no_place_that_cannot_be_written(tmp_path: Path) -> None:

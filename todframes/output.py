@@ -485,7 +485,8 @@ def _foreign(folder: Path, found: Inventory) -> list[str]:
 
 
 def _write_mark(folder: Path) -> None:
-    files = {name: _sha256(folder / name) for name, kind in _inventory(folder).items() if kind != FOLDER}
+    names = sorted(name for name, kind in _inventory(folder).items() if kind != FOLDER)
+    files = {name: _sha256(folder / name) for name in names}  # in an order that is that of no file system
     mark = msgspec.json.encode(_Mark(__version__, files))
     write_files(folder, {MARK: msgspec.json.format(mark, indent=1) + b"\n"})
 

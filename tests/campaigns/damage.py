@@ -274,7 +274,7 @@ class Child:
         try:
             if how < 0.15:
                 ran = self._runner.run("todframes", "validate", str(path))
-                judged = _judge_validate(ran, frame)
+                judged = _judge_validate(ran, frame, may_pass=not is_checked or mutated == whole)
             else:
                 skips = ("--on-error", "skip") if how < 0.35 else ()
                 ran = self._runner.run("todframes", *_score(path), *skips)
@@ -341,10 +341,10 @@ def _judge_frame(ran: Ran, frame: Path, right: Any, *, is_same: bool, is_checked
     return "another picture, whose own checksums are right", False, ran.err
 
 
-def _judge_validate(ran: Ran, frame: Path) -> tuple[str, bool, str]:
+def _judge_validate(ran: Ran, frame: Path, *, may_pass: bool) -> tuple[str, bool, str]:
     errors = [line for line in ran.err.splitlines() if line.startswith("error: ")]
     if ran.status == 0:
-        return "validate found no error", bool(errors), ran.err
+        return "validate found no error", bool(errors) or not may_pass, ran.err
     is_told = ran.status == 1 and any(str(frame) in line for line in errors) and "Traceback" not in ran.err
     return "validate named it", not is_told, ran.err
 

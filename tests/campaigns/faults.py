@@ -115,7 +115,7 @@ class Lab:
         return {
             "score": self.scored(),
             "compare": ["todframes", "compare", str(self.dataset), *enhanced],
-            "simulate": ["sensor_sim", "simulate", sensor, *sizes, "--trials", str(2 * self.n_repeats)],
+            "simulate": ["sensor_sim", "simulate", sensor, *sizes, "--trials", str(8 * self.n_repeats)],
             "import": ["todframes", "import", str(recording / "frames.npy"), *imported],
             "sweep": ["sensor_sim", "sweep", sensor, *varied],
         }
@@ -201,7 +201,7 @@ def small_disk(path: Path, size_kb: int) -> Iterator[Callable[[str], None]]:
 # Full disks and places that cannot be written ------------------------------------------------------------------
 
 
-SIZES_KB = (16, 48, 96, 160, 256, 384, 512)
+SIZES_KB = (16, 48, 96, 160, 256, 384, 512, 2000, 3000)
 
 
 def full_disk(lab: Lab, kind: str) -> None:
@@ -484,7 +484,7 @@ def staged_frames_spoilt(lab: Lab, kind: str) -> None:
     command = lab.commands[kind]
     wanted = lab.undisturbed(command)
     command = [*command, "-o", str(lab.out)]
-    lab.half_done(command, item_s=0.05)
+    lab.half_done(command, item_s=0.15 if kind == "simulate" else 0.05)
     frames = [path for path in lab.out.glob(".todframes-staging/new/frames/**/*") if path.is_file()]
     expect(frames, "no frames were staged")
     frames[0].unlink()
