@@ -34,18 +34,17 @@ def test_mutated_files() -> None:
 
 @pytest.mark.skipif(find_spec("distributed") is None, reason="needs the extra `cluster`")
 def test_kills() -> None:
-    local, cluster = campaign("kills", "4", "--only", "score", "--seed", "3").splitlines()[-2:]
+    local, cluster = campaign("kills", "2", "--only", "score", "--seed", "3").splitlines()[-2:]
     assert local.startswith("score")
     assert cluster.startswith("score --cluster: kills: ")
 
 
 def test_a_long_run() -> None:
-    assert "kills: 2 of the client" in campaign("long-run", "2", "--frames", "320")
+    assert "kills: 1 of the client" in campaign("long-run", "1", "--frames", "160")
 
 
-@pytest.mark.parametrize("fault", ["frame deleted before it was seen, with sha256", "store between runs: cut"])
-def test_faults(fault: str) -> None:
-    assert "1 cases, 0 faults" in campaign("faults", "--only", fault)
+def test_faults() -> None:
+    assert "1 cases, 0 faults" in campaign("faults", "--only", "store between runs: cut")
 
 
 @pytest.mark.skipif(getattr(os, "geteuid", lambda: 1)() != 0, reason="only root may mount a disk")
