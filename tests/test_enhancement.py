@@ -279,7 +279,6 @@ def own(tmp_path, monkeypatch):
     sys.modules.pop("own_algorithms", None)
 
 
-@pytest.mark.usefixtures("own")
 def test_a_pickled_algorithm_is_the_same() -> None:
     """As it is sent to the workers of a cluster."""
     for spec in ("none", "gaussian:sigma=1.5", "clahe:clip_limit=2"):
@@ -287,6 +286,7 @@ def test_a_pickled_algorithm_is_the_same() -> None:
         assert pickle.loads(pickle.dumps(algorithm)) == algorithm
 
 
+@pytest.mark.usefixtures("own")
 def test_own_functions() -> None:
     image = picture()
     algorithm = find_enhancement("own_algorithms:stretched")

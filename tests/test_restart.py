@@ -121,6 +121,7 @@ def test_a_run_that_failed_goes_on(todframes, make_dataset, tmp_path: Path, monk
     assert not (out / STAGING).exists()
 
 
+@pytest.mark.slow
 def test_restart_and_keep_store(todframes, make_dataset, tmp_path: Path) -> None:
     path, out = make_dataset(contrasts=(0.05, 0.1, 0.2), repeats=4).path, tmp_path / "out"
     assert todframes("score", path, "-o", out, "--keep-store")[0] == 0
@@ -197,6 +198,7 @@ def until_begun(out: Path) -> None:
         time.sleep(0.01)
 
 
+@pytest.mark.slow
 def test_a_second_run_into_one_folder_is_told(make_dataset, tmp_path: Path, todframes) -> None:
     path, out = make_dataset(contrasts=(0.05, 0.1, 0.2, 0.4), repeats=60).path, tmp_path / "out"
     process = started("todframes", "score", path, "-o", out)
