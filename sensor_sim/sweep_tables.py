@@ -215,7 +215,7 @@ class SweepData:
 
     @cached_property
     def on_front(self) -> NDArray[np.bool_]:
-        """Which designs are on the trade-off front at each size: (designs, sizes)."""
+        """Mask of the designs on the trade-off front at each size: (designs, sizes)."""
         columns = []
         for size in range(len(self.swept.size_detectors)):
             costs = np.stack([one.sign * self.column(one.column, size) for one in self.objectives], axis=1)

@@ -90,8 +90,8 @@ class _Result(msgspec.Struct):
 
 @dataclass(frozen=True, slots=True)
 class Going:
-    """What becomes of the finished results of a run: those of an earlier one are used unless it is to `restart`,
-    and they are removed when the run has ended well unless it is to `keep` them."""
+    """Treatment of the finished results of a run: those of an earlier one are used unless it is to `restart`, and
+    they are removed when the run has ended well unless it is to `keep` them."""
 
     restart: bool = False
     keep: bool = False

@@ -182,7 +182,7 @@ class Dataset:
 
 
 class RemoteContents:
-    """What a process knows of the contents of files behind URLs: listings of folders, and what threads have read.
+    """Knowledge of a process about the contents of files behind URLs: listings of folders, and what was read.
 
     Each folder is listed once, when a file of it is first asked about. A copy that is pickled is empty, so that a
     dataset that goes to another process stays small.

@@ -37,7 +37,7 @@ class Work(Protocol[Item, Result]):
 
 
 class Engine(Protocol):
-    """Where the work of a run is done: `n_workers` threads of this process if `is_local`, or processes elsewhere.
+    """Protocol of what does the work of a run: `n_workers` threads of this process if `is_local`, or processes.
 
     `dashboard` is the address of a page that shows the work; None if there is none.
     """

@@ -46,7 +46,7 @@ class Show(Protocol[T_co]):
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """How the work of a run is done: where, and what is kept of it.
+    """Engine and store of a run, and whom to tell of its progress.
 
     Attributes
     ----------
