@@ -84,7 +84,7 @@ def run_stored(
             for batch in batches:
                 yield from batch
         return
-    if store.is_begun:
+    if len(store):
         left = yield from _found(work, items, engine, store)
         if len(left) < len(items):
             store.tell(

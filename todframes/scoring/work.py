@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
@@ -24,7 +26,6 @@ from todframes.jobs.local import LocalEngine
 from todframes.jobs.run import run_stored
 from todframes.jobs.store import Store
 from todframes.jobs.work import Engine, Lost
-from todframes.locations import Location
 from todframes.observers.interface import Readout
 from todframes.scoring.trials import Scoring
 from todframes.stimulus import Stimulus
@@ -146,8 +147,7 @@ class TrialWork(Generic[T]):
         except FrameError:
             return None
         plan = self.scoring.plan.stimuli[item.stimulus]
-        return fingerprint(
-            self.identity,
+        parts = (
             plan.half_width,
             plan.full_observer,
             item.number,
@@ -158,12 +158,17 @@ class TrialWork(Generic[T]):
             (item.level, item.group) if self.with_levels else None,
             contents,
         )
+        # All are numbers and texts, which their representations tell apart; a fingerprint takes far longer.
+        return hashlib.sha256(self.identity + repr(parts).encode(errors="surrogatepass")).digest()
 
     def stamp(self, item: Trial) -> object:
         """Return what changes when a frame of the trial is written, without reading it."""
         # The content of a file behind a URL is known by what came with it when it was read.
-        paths = [path for frame in item.frames for path in self._paths(frame)]
-        return [_stamp(path) for path in paths if isinstance(path, Path)]
+        folder = self.scoring.dataset.path
+        if not isinstance(folder, Path):
+            return None
+        names = [name for frame in item.frames for name in (frame.path, frame.reference) if name is not None]
+        return [_stamp(os.path.join(folder, name)) for name in names]  # noqa: PTH118 - pathlib is slow
 
     def encode(self, result: T | Unusable) -> bytes | None:
         """Return a result as bytes; None for a frame that cannot be used: it may be mended."""
@@ -182,21 +187,15 @@ class TrialWork(Generic[T]):
         self.identity  # noqa: B018 - to be the same in all processes
         return {name: value for name, value in vars(self).items() if name != "_decoder"}
 
-    def _paths(self, frame: FrameReference) -> list[Location]:
-        dataset = self.scoring.dataset
-        reference = dataset.reference_path(frame) if self.with_references else None
-        return [dataset.frame_path(frame)] + ([] if reference is None else [reference])
-
     def _contents(self, frame: FrameReference, is_done: bool) -> tuple[object, ...]:
         """Return the checksums of the files of a frame and the luminance that the manifest gives with it."""
         dataset = self.scoring.dataset
-        _, *others = self._paths(frame)
-        references = [
-            _sha256_of(*_stamp(path))
-            if isinstance(path, Path)
-            else dataset.content_id(frame._replace(path=frame.reference or ""))
-            for path in others
-        ]
+        references = []
+        if self.with_references and frame.reference is not None:
+            path = dataset.path / frame.reference
+            is_local = isinstance(path, Path)
+            of_reference = frame._replace(path=frame.reference)
+            references = [_sha256_of(*_stamp(str(path))) if is_local else dataset.content_id(of_reference)]
         return dataset.content_id(frame, is_read=is_done), frame.background_luminance_cd_m2, *references
 
 
@@ -263,17 +262,17 @@ def by_stimulus(trials: Trials) -> NDArray[np.intp]:
     return np.lexsort((polarities[codes], sizes[codes]))
 
 
-def _stamp(path: Path) -> tuple[Path, int, int, int, int]:
+def _stamp(path: str) -> tuple[str, int, int, int, int]:
     """Return the path of a file with what the file system changes when it is written."""
     try:
-        status = path.stat()
+        status = os.stat(path)  # noqa: PTH116 - pathlib is slow
     except OSError:
         return path, 0, 0, 0, 0
     return path, status.st_size, status.st_mtime_ns, status.st_ctime_ns, status.st_ino
 
 
 @lru_cache(maxsize=1024)
-def _sha256_of(path: Path, *_: int) -> str:
+def _sha256_of(path: str, *_: int) -> str:
     """Return the SHA-256 of a file with this stamp; many trials share a frame without noise."""
     return frame_sha256(path)
 
