@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -30,13 +29,6 @@ def campaign(*arguments: str) -> str:
 def test_mutated_files() -> None:
     out = campaign("mutations", "40", "--seed", "3")
     assert "40  in all, 0 faults" in out
-
-
-@pytest.mark.skipif(find_spec("distributed") is None, reason="needs the extra `cluster`")
-def test_kills() -> None:
-    local, cluster = campaign("kills", "2", "--only", "score", "--seed", "3").splitlines()[-2:]
-    assert local.startswith("score")
-    assert cluster.startswith("score --cluster: kills: ")
 
 
 def test_a_long_run() -> None:
