@@ -152,10 +152,9 @@ class SensorMtf(msgspec.Struct, frozen=True, kw_only=True):
         OutputError
             If the place cannot be written.
         """
-        from todframes.output import output_folder, write_files
+        from todframes.output import write_folder
 
-        with output_folder(str(folder)) as staging:
-            write_files(staging, self.files())
+        write_folder(folder, self.files())
 
 
 def sensor_mtf(sensor: Sensor) -> SensorMtf:

@@ -211,6 +211,18 @@ def write_file(path: Path, content: bytes, *, not_over: Path | None = None) -> N
                 signals.written.append(str(path))
 
 
+def write_folder(folder: Path | str, files: Mapping[str, bytes | Iterable[bytes]]) -> None:
+    """Write files into a result folder, all of them or none; see `output_folder` and `write_files`.
+
+    Raises
+    ------
+    OutputError
+        If the place cannot be written, or another run is writing there.
+    """
+    with output_folder(str(folder)) as staged:
+        write_files(staged, files)
+
+
 def write_files(folder: Path, files: Mapping[str, bytes | Iterable[bytes]]) -> None:
     """Write files, whole or part by part, into a folder; each is flushed to disk before the next is written."""
     for name, content in files.items():

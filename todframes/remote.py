@@ -95,7 +95,7 @@ PROBLEMS = {
     "ClientPayloadError": CLOSED,
     "IncompleteReadError": CLOSED,
 }
-"""What is said of an exception, by the name of its class or a base class of it, most specific first."""
+"""Words for an exception, by the name of its class or of a base class, most specific first."""
 
 
 DENIED_STATUS, MISSING_STATUS = (401, 403), (404, 410)

@@ -212,10 +212,9 @@ class NoiseResult:
         OutputError
             If the place cannot be written.
         """
-        from todframes.output import output_folder, write_files
+        from todframes.output import write_folder
 
-        with output_folder(str(folder)) as staging:
-            write_files(staging, self.files())
+        write_folder(folder, self.files())
 
     def _mk(self, sd: float) -> float | None:
         per_unit = 1000.0 if self.measured.unit == "celsius" else self.mk_per_unit

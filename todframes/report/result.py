@@ -205,10 +205,9 @@ class Result(ResultData, frozen=True, kw_only=True, dict=True):
         OutputError
             If the place cannot be written.
         """
-        from todframes.output import output_folder, write_files
+        from todframes.output import write_folder
 
-        with output_folder(str(folder)) as staging:
-            write_files(staging, self.files())
+        write_folder(folder, self.files())
 
 
 def _score_files(trials: Table) -> dict[str, Iterable[bytes]]:
