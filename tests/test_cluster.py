@@ -215,6 +215,33 @@ def test_an_error_of_an_item_ends_the_run_and_arrives_whole(local: ClusterEngine
 
 
 @dask
+def test_a_run_that_ends_while_results_are_fetched_leaves_the_cluster_as_it_was(local: ClusterEngine) -> None:
+    client = local._client
+    permits = client._gather_semaphore._value
+
+    async def hold_back_results() -> None:
+        for _ in range(permits):
+            await client._gather_semaphore.acquire()
+
+    async def fetch_results() -> None:
+        for _ in range(permits):
+            client._gather_semaphore.release()
+
+    def items() -> Iterator[int]:
+        yield from range(4)
+        deadline = time.monotonic() + 10
+        while client._gather_future is None and time.monotonic() < deadline:
+            time.sleep(0.01)
+        raise FrameError("frames/4.exr", "the file is empty")
+
+    local._background.result(hold_back_results())
+    with pytest.raises(FrameError, match="the file is empty"):
+        results_of(local, Squares(), items())
+    local._background.result(fetch_results())
+    assert results_of(local, Squares(), range(10)) == squares(10)
+
+
+@dask
 def test_a_defect_says_where_it_was_raised(local: ClusterEngine) -> None:
     def call(item: int) -> float:
         return 1 / item

@@ -307,7 +307,9 @@ class _Works:
         name = (f"{self._client.id}-{key[:8]}", next(self._numbers))
         future = self._client.submit(worker.do_batch, key, items, worker.versions(), key=name)
         try:
-            outcome: Done | worker.Unfit = await future
+            # Dask fetches the results of several futures together. If the first task that waits for them were
+            # cancelled, so would be all others, for as long as the client lives.
+            outcome: Done | worker.Unfit = await asyncio.shield(future)
         except KilledWorker as error:
             return _Killed(error.allowed_failures + 1)
         except (distributed.CancelledError, OSError):
