@@ -71,6 +71,7 @@ function axis(label, splits, side) {
 const COMMON = {
   legend: { show: false },
   cursor: { show: false },
+  pxAlign: 0,
   padding: [14, 14, 0, 0],
 };
 
@@ -182,7 +183,7 @@ export class MtfChart {
       axes: [axis("Spatial frequency (cycles/mrad)", linearTicks, "bottom"), axis("MTF", linearTicks, "left")],
       scales: {
         x: { time: false, range: () => [0, shownFrequency(this.#transfer)] },
-        y: { range: () => [0, 1] },
+        y: { range: (_, low) => [low < -0.005 ? Math.floor(10 * low) / 10 : 0, 1] },
       },
       hooks: { drawSeries: [(plot, index) => index === 2 && this.#drawNyquist(plot)] },
     };

@@ -20,8 +20,8 @@ export const TEST_FIELDS = [
   {
     key: "p_correct",
     group: "Test",
-    label: "Threshold at",
-    unit: "share correct",
+    label: "Share correct",
+    unit: "",
     kind: "number",
     scale: "linear",
     min: 0.3,
@@ -83,7 +83,7 @@ class Field {
     const label = element("label", { htmlFor: id, id: `${id}-label` }, field.label);
     if (field.unit) label.append(" ", element("span", { className: "unit" }, field.unit));
     const described = [this.#error.id];
-    this.row = element("div", { className: `field ${field.kind}` }, label);
+    this.row = element("div", { className: `field of-${field.kind}` }, label);
     if (Number.isFinite(field.min) && field.kind !== "choice") this.row.append(this.#range(label.id));
     this.row.append(this.input, this.#error);
     if (field.help) {

@@ -1,18 +1,26 @@
 // Numbers as text, and ticks of axes.
 
-/** Return a number with up to four significant digits and no exponent within 1e-5 to 1e7. */
+/** Return a number with up to four significant digits and no exponent within 1e-5 to 1e7, with a minus sign. */
 export function plain(value) {
   if (value === null || value === undefined) return "";
   const size = Math.abs(value);
-  if (size !== 0 && (size < 1e-5 || size >= 1e7)) return String(Number(value.toPrecision(4)));
-  return Number(value.toPrecision(4)).toLocaleString("en", { maximumFractionDigits: 20, useGrouping: false });
+  if (size !== 0 && (size < 1e-5 || size >= 1e7)) return withMinus(String(Number(value.toPrecision(4))));
+  return withMinus(Number(value.toPrecision(4)).toLocaleString("en", { maximumFractionDigits: 20, useGrouping: false }));
 }
 
-/** Return a value with as many decimals as two digits of its error have. */
+const withMinus = (text) => text.replaceAll("-", "−");
+
+/** Return two numbers as "low to high", with the decimals that three digits of their distance have. */
+export function fromTo(low, high) {
+  const decimals = Math.min(Math.max(2 - Math.floor(Math.log10(high - low || 1)), 0), 12);
+  return withMinus(`${low.toFixed(decimals)} to ${high.toFixed(decimals)}`);
+}
+
+/** Return a value with as many decimals as the first digit of its error has. */
 export function withError(value, error) {
   if (value === null || value === undefined) return "–";
   if (!(error > 0)) return plain(value);
-  const decimals = Math.min(Math.max(1 - Math.floor(Math.log10(error)), 0), 12);
+  const decimals = Math.min(Math.max(-Math.floor(Math.log10(error)), 0), 12);
   return `${value.toFixed(decimals)} ± ${error.toFixed(decimals)}`;
 }
 
@@ -44,7 +52,7 @@ export function roundUp(value) {
 /** Return ticks of a logarithmic axis: 1, 2 and 5 of each decade, more of them over less than a decade. */
 export function logTicks(low, high) {
   const span = high / low;
-  const steps = span > 200 ? [1] : span > 8 ? [1, 2, 5] : span > 2.5 ? STEPS : null;
+  const steps = span > 200 ? [1] : span > 30 ? [1, 2, 5] : span > 5 ? [1, 2, 3, 5] : span > 2.5 ? STEPS : null;
   if (steps === null) return linearTicks(low, high);
   const ticks = [];
   for (let decade = Math.floor(Math.log10(low)) - 1; decade <= Math.log10(high) + 1; decade += 1) {
@@ -56,9 +64,9 @@ export function logTicks(low, high) {
   return ticks;
 }
 
-/** Return four to eight round ticks of a linear axis. */
+/** Return three to seven round ticks of a linear axis. */
 export function linearTicks(low, high) {
-  const raw = (high - low) / 5;
+  const raw = (high - low) / 6;
   const decade = 10 ** Math.floor(Math.log10(raw));
   const step = decade * [1, 2, 5, 10].find((one) => one * decade >= raw * 0.999);
   const first = Math.ceil(low / step - 1e-9);

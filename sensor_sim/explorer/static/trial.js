@@ -2,7 +2,7 @@
 
 import { byId, element, fillTable } from "./elements.js";
 import { Newest } from "./live.js";
-import { parsed, plain } from "./numbers.js";
+import { fromTo, parsed, plain } from "./numbers.js";
 import { post } from "./server.js";
 
 /** Stage that is shown before the answer: the display's picture, which is all that an observer has. */
@@ -115,7 +115,7 @@ export class Trial {
     const rows = shown.map(({ caption, width, height, low, high, unit }) => [
       caption,
       `${width} × ${height}`,
-      `${plain(low)} to ${plain(high)} ${unit}`,
+      `${fromTo(low, high)} ${unit}`,
     ]);
     fillTable(byId("stages-table"), "Stages of the trial", ["Stage", "Pixels", "Black to white"], rows);
   }
@@ -130,6 +130,6 @@ function figure({ name, caption, width, height, pixels, low, high, unit }) {
   const image = new ImageData(width, height);
   codes.forEach((code, index) => image.data.set([code, code, code, 255], 4 * index));
   canvas.getContext("2d").putImageData(image, 0, 0);
-  const range = element("span", { className: "range" }, `${plain(low)} to ${plain(high)} ${unit}`);
+  const range = element("span", { className: "range" }, `${fromTo(low, high)} ${unit}`);
   return element("figure", {}, canvas, element("figcaption", {}, caption, " ", range));
 }
