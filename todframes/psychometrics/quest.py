@@ -1,6 +1,6 @@
 """QUEST+: the adaptive choice of the next level, the one that is expected to leave the least entropy.
 
-Watson 2017, "QUEST+: a general multidimensional Bayesian adaptive psychometric method", Journal of Vision 17(3):10.
+Watson 2017, "QUEST+: a general multidimensional Bayesian adaptive psychometric method", J. Vision 17(3):10.
 The posterior of threshold, slope and lapse rate is held on a grid. The psychometric function is Weibull's, with
 the parameters of Hogervorst et al. 2001, eq. 3. Trials are independent, so the posterior follows from the counts
 of right and wrong answers at each level, in whatever order they came.
