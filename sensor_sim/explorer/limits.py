@@ -5,12 +5,12 @@ others are positive. At threshold, over trials, each D varies for three reasons:
 
 - **internal**: the noise on the observer's neurons;
 - **detector**: the noise of the detectors, at the threshold SNR;
-- **sampling**: the place of the triangle on the detectors, and of the retina on the display, moves the *mean* of D.
+- **sampling**: the place of the triangle on the detectors, and of the retina on the display, moves the mean of D.
 
-By the law of total variance, Var D = E[Var(D | place)] + Var(E[D | place]); the first term is the sum of internal and
-detector noise, which are independent. So the three are shares of one variance, sum to 1 and need no further
-computation: they are the mean over the three differences, each with its own variance. A sensor that never reaches
-its threshold has no detector noise left to take away: its shares are those without it.
+By the law of total variance, Var D = E[Var(D | place)] + Var(E[D | place]); the first term is the sum of internal
+and detector noise, which are independent. So the three are shares of one variance, with the sum 1, and follow from
+the trials that gave the threshold: they are the mean over the three differences, each with its own variance. A
+sensor that never reaches its threshold does not without detector noise either: its shares are those without it.
 
 Shares say what makes answers uncertain, not what makes the signal small: the transfer of optics and display lowers
 the mean of D, and so raises all three.
@@ -47,7 +47,7 @@ class Limits(NamedTuple):
     sentence: str
 
 
-NAMES = Shares("the observer's internal noise", "detector noise", "sampling")  # type: ignore[arg-type]
+NAMES = ("the observer's internal noise", "detector noise", "sampling")
 
 
 def decision_shares(phases: Sequence[Phases], internal: FloatArray, snr: float | None) -> Shares:
@@ -87,14 +87,10 @@ def what_limits(sizes_detectors: Sequence[float], shares: Sequence[Shares], reac
     """
     chosen = [share for share, has_threshold in zip(shares, reached, strict=True) if has_threshold] or list(shares)
     mean = Shares(*np.mean(chosen, axis=0).tolist())
-    largest = max(range(3), key=mean.__getitem__)
-    rest = ", ".join(
-        f"{name} {share:.0%}" for k, (name, share) in enumerate(zip(NAMES, mean, strict=True)) if k != largest
-    )
-    verb = "limits" if mean[largest] >= LEADS else "weighs most"
-    head = f"{NAMES[largest]} {verb}: {mean[largest]:.0%} of what makes answers vary at threshold ({rest})"
-    missing = [
-        f"{size:g}" for size, has_threshold in zip(sizes_detectors, reached, strict=True) if not has_threshold
-    ]
-    tail = f"; no threshold at {', '.join(missing)} detectors, even without detector noise" if missing else ""
-    return Limits(*mean, f"{head[0].upper()}{head[1:]}{tail}.")
+    (most, first), *others = sorted(zip(mean, NAMES, strict=True), reverse=True)
+    rest = ", ".join(f"{name} {share:.0%}" for share, name in others)
+    verb = "limits" if most >= LEADS else "weighs most"
+    at = [f"{size:g}" for size, has_threshold in zip(sizes_detectors, reached, strict=True) if not has_threshold]
+    tail = f"; no threshold at {', '.join(at)} detectors, even without detector noise" if at else ""
+    sentence = f"{first} {verb}: {most:.0%} of what makes answers vary at threshold ({rest}){tail}."
+    return Limits(*mean, sentence[0].upper() + sentence[1:])

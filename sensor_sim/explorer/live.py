@@ -1,13 +1,12 @@
 """Thresholds of a sensor while its parameters move: an estimate first, refined while nothing moves.
 
-Sizes are divided among processes, which stay and keep what they have computed. A number in shared memory says which
-request is wanted; a process that works on another one notices within milliseconds and waits for the next.
+Sizes are divided among processes, which stay and keep what they have computed. A number in shared memory says
+which request is wanted; a process that works on another one notices within milliseconds and waits for the next.
 """
 
 from __future__ import annotations
 
 import multiprocessing
-import os
 import signal
 import threading
 import time
@@ -220,7 +219,7 @@ class _Worker:
     def __init__(self, wanted: Any) -> None:
         context = multiprocessing.get_context("spawn")
         self.connection, other = context.Pipe()
-        self._process = context.Process(target=_serve, args=(other, wanted, os.getpid()), daemon=True)
+        self._process = context.Process(target=_serve, args=(other, wanted), daemon=True)
         self._process.start()
         other.close()
 
@@ -239,11 +238,11 @@ class _Worker:
         self._process.close()
 
 
-class _Unwanted(Exception):
+class _UnwantedError(Exception):
     """The request is no longer wanted."""
 
 
-def _serve(connection: Connection, wanted: Any, parent: int) -> None:
+def _serve(connection: Connection, wanted: Any) -> None:
     """Answer requests until the pipe is closed: (number, answer or exception), and (number, None) in the end."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the other end deals with it
     from sensor_sim.explorer.engine import Engine
@@ -252,7 +251,7 @@ def _serve(connection: Connection, wanted: Any, parent: int) -> None:
 
     def check() -> None:
         if wanted.value != number:
-            raise _Unwanted
+            raise _UnwantedError
 
     engine = Engine(check)
     with suppress(EOFError, OSError):
@@ -263,7 +262,7 @@ def _serve(connection: Connection, wanted: Any, parent: int) -> None:
                 for answer in engine.answers(request):
                     connection.send((number, answer))
                 connection.send((number, None))
-            except _Unwanted:
+            except _UnwantedError:
                 continue
             except Exception as error:  # raised at the other end
                 connection.send((number, error))
