@@ -186,6 +186,18 @@ class ScoringCommand(click.Command):
         return super().parse_args(ctx, given)
 
 
+launch_options = options(
+    click.option(
+        "--host", default="127.0.0.1", show_default=True, help="Address or name of this machine to listen at."
+    ),
+    click.option(
+        "--port", type=click.IntRange(0, 65535), default=0, help="Port to listen at.  [default: a free one]"
+    ),
+    click.option("--no-browser", is_flag=True, help="Print the address only; open no browser."),
+)
+"""Options of the commands that serve a page."""
+
+
 strict_option = click.option(
     "--strict", is_flag=True, help="End with status 1 if there is a warning; the output is whole all the same."
 )
