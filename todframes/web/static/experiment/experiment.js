@@ -85,12 +85,15 @@ async function send(state, answer) {
 async function begin() {
   const state = await ask("/api/state");
   const kept = JSON.parse(sessionStorage.getItem(KEPT));
+  if (kept?.subject === state.subject && ["practice", "main"].includes(state.step)) {
+    try {
+      return await send(state, kept.answer);
+    } catch (error) {
+      if (error.status !== 409) throw error; // its trial is not the next one
+    }
+  }
   sessionStorage.removeItem(KEPT);
-  if (kept?.subject !== state.subject || !["practice", "main"].includes(state.step)) return state;
-  try {
-    await ask("/api/answer", kept.answer);
-  } catch { /* The trial is another one by now. */ }
-  return ask("/api/state");
+  return state;
 }
 
 /** Show trials until the server says that something else comes. */
@@ -143,7 +146,7 @@ async function consent(state) {
 
 async function monitor(state) {
   const next = await measureMonitor(state.dataset, show, (monitor) => ask("/api/monitor", monitor));
-  measured.ratio = next.device_pixel_ratio;
+  measured.ratio = next.monitor.device_pixel_ratio;
   return next;
 }
 
@@ -209,7 +212,7 @@ async function run() {
   });
   watchPixels(refresh);
   let state = await begin(), before;
-  measured = { ratio: state.device_pixel_ratio, width: state.dataset.width_px, height: state.dataset.height_px };
+  measured = { ratio: state.monitor?.device_pixel_ratio ?? null, width: state.dataset.width_px, height: state.dataset.height_px };
   while (state !== null) {
     const { step } = state;
     state = await steps[step](state, before);
