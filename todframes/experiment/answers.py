@@ -10,14 +10,15 @@ off when the session goes on.
 from __future__ import annotations
 
 import csv
+import errno
 import os
 import re
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Literal, Self
 
 import msgspec
 
@@ -26,6 +27,7 @@ from todframes.errors import DataError, OutputError, SettingsError
 from todframes.experiment.monitor import Monitor
 from todframes.frames.trials import Group
 from todframes.output import write_file
+from todframes.psychometrics.counts import COLUMNS as COUNT_COLUMNS
 from todframes.safe_text import FORMULA_STARTS, csv_text
 from todframes.stimulus import Orientation
 
@@ -56,6 +58,10 @@ BEFORE_LEVEL = (*("trial", "phase", "frame", "sha256", "orientation", "response"
 
 AFTER_GROUPS = ("size_mrad", "dither_seed", "clipped_px", "shown_at")
 """Columns behind them; `size_mrad` is not repeated if it is the level or in `group_by`."""
+
+
+SAME_PITCH = 0.005
+"""Relative difference of two pitches of a pixel in mrad that a ruler cannot tell."""
 
 
 SHARED = ("frame", "orientation", "size_mrad")
@@ -186,7 +192,8 @@ def columns(level: str, group_by: tuple[str, ...]) -> tuple[str, ...]:
     """
     varied = (level, *group_by)
     for name in varied:
-        if name in (*BEFORE_LEVEL, *AFTER_GROUPS) and name not in SHARED:
+        is_count = name in COUNT_COLUMNS and name in group_by
+        if is_count or (name in (*BEFORE_LEVEL, *AFTER_GROUPS) and name not in SHARED):
             raise SettingsError(
                 f"level, group_by: found {name!r}, which is a column of the answers; rename it in the manifest"
             )
@@ -207,7 +214,7 @@ def sidecar_path(data: Path) -> Path:
 
 
 def read_answers(folder: Path | str) -> list[Session]:
-    """Read the sessions of a folder of answers, ordered by their names, those that have begun.
+    """Read the sessions of a folder of answers that have a row, ordered by their names.
 
     Raises
     ------
@@ -216,9 +223,8 @@ def read_answers(folder: Path | str) -> list[Session]:
     """
     folder = Path(folder)
     sessions = []
-    for path in sorted((folder / "data").glob("subject-*_session-*_data.csv")):
-        record = read_sidecar(sidecar_path(path))
-        rows = read_rows(path, record)
+    for path, record in read_records(folder):
+        rows = read_rows(path, record.dataset)
         if record.monitor is not None and rows:
             sessions.append(Session(path, record, record.monitor, rows))
     if not sessions:
@@ -226,6 +232,18 @@ def read_answers(folder: Path | str) -> list[Session]:
             f"{folder}: no answers; expected data/subject-*_session-*_data.csv of todframes experiment"
         )
     return sessions
+
+
+def read_records(folder: Path) -> list[tuple[Path, SessionRecord]]:
+    """Read the sidecars of a folder of answers, ordered by their names, each with the path of its data file.
+
+    Raises
+    ------
+    DataError
+        If one cannot be read.
+    """
+    sidecars = sorted((folder / "data").glob("subject-*_session-*_data.json"))
+    return [(path.with_suffix(".csv"), read_sidecar(path)) for path in sidecars]
 
 
 def read_sidecar(path: Path) -> SessionRecord:
@@ -246,7 +264,7 @@ def read_sidecar(path: Path) -> SessionRecord:
     return record
 
 
-def read_rows(path: Path, record: SessionRecord) -> tuple[TrialRow, ...]:
+def read_rows(path: Path, dataset: ShownDataset) -> tuple[TrialRow, ...]:
     """Read the rows of a data file; a last line that was torn is left out.
 
     Raises
@@ -254,7 +272,7 @@ def read_rows(path: Path, record: SessionRecord) -> tuple[TrialRow, ...]:
     DataError
         If the file cannot be read or a row is not a trial; the message names the line and the column.
     """
-    level, group_by = record.dataset.level, record.dataset.group_by
+    level, group_by = dataset.level, dataset.group_by
     expected = columns(level, group_by)
     whole_lines = read_file(path, most_mb=MAX_CSV_MB).rpartition(b"\n")[0]
     try:
@@ -342,39 +360,50 @@ def write_sidecar(path: Path, record: SessionRecord) -> None:
 class AnswerFile:
     """The data file of a session, open for appending and locked: no other process can write it.
 
-    Use it in a `with` statement. `rows` are those that are on the disk.
+    Use it in a `with` statement; `begin` it before the first row. `rows` are those that are on the disk.
 
     Raises
     ------
     OutputError
         If the file cannot be written, or another process is writing it.
-    DataError
-        If it holds a row that is not a trial.
     """
 
-    def __init__(self, path: Path, record: SessionRecord) -> None:
-        self.path, self.record = path, record
-        self._columns = columns(record.dataset.level, record.dataset.group_by)
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.rows: list[TrialRow] = []
         try:
-            self._file = os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o666)
+            flags = os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0)
+            self._file = os.open(path, flags, 0o666)
         except OSError as error:
             raise OutputError(f"{path}: cannot be written ({error.strerror})") from None
         try:
             self._lock()
-            self.rows = list(read_rows(path, record))
-            self._size = self._cut()
-            if self._size == 0:
-                self._append(csv_text([self._columns]).encode())
-                _sync_folder(path.parent)
         except BaseException:
             os.close(self._file)
             raise
 
-    def __enter__(self) -> AnswerFile:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
         os.close(self._file)
+
+    def begin(self, dataset: ShownDataset) -> None:
+        """Read the rows, cut a line that was torn, and write the header of a new file.
+
+        Raises
+        ------
+        OutputError
+            If the file cannot be written.
+        DataError
+            If it holds a row that is not a trial.
+        """
+        self._dataset, self._columns = dataset, columns(dataset.level, dataset.group_by)
+        self.rows = list(read_rows(self.path, dataset))
+        self._size = self._cut()
+        if self._size == 0:
+            self._append(csv_text([self._columns]).encode())
+            _sync_folder(self.path.parent)
 
     def append(self, row: TrialRow) -> None:
         """Write a row to the disk; when this returns it is there, when it raises the file is as before.
@@ -384,7 +413,7 @@ class AnswerFile:
         OutputError
             If it cannot be written.
         """
-        values = _values(row, self.record.dataset)
+        values = _values(row, self._dataset)
         self._append(csv_text([[values[name] for name in self._columns]]).encode())
         self.rows.append(row)
 
@@ -414,12 +443,13 @@ class AnswerFile:
 
     def _append(self, line: bytes) -> None:
         try:
-            written = os.pwrite(self._file, line, self._size)
-            if written < len(line):  # the disk is full; writing the rest says so
-                written += os.pwrite(self._file, line[written:], self._size + written)
-            if written < len(line):
-                raise OSError(28, os.strerror(28))
+            os.lseek(self._file, self._size, os.SEEK_SET)
+            left = line
+            while left:  # a disk that is filled up takes a part, and fails at the next
+                left = left[os.write(self._file, left) :]
             os.fsync(self._file)
+            if os.fstat(self._file).st_nlink == 0:
+                raise FileNotFoundError(errno.ENOENT, "the file was removed")
         except OSError as error:
             with suppress(OSError):
                 os.ftruncate(self._file, self._size)
@@ -456,13 +486,40 @@ def _sync_folder(folder: Path) -> None:
             os.close(opened)
 
 
-def counts(rows: tuple[TrialRow, ...]) -> Iterator[tuple[float, int, int, Group]]:
-    """Yield the level, the number of right responses, that of trials and the group, ordered by group and level."""
+def count_file(folder: Path, subject: str) -> Path:
+    """Return the file of the counts of a subject, for `todframes fit`."""
+    return folder / "counts" / f"subject-{subject}_counts.csv"
+
+
+def write_counts(path: Path, record: SessionRecord, rows: Sequence[TrialRow]) -> None:
+    """Write how often a person was right at each level of each group, for `todframes fit`.
+
+    Trials of the main phase count that have a response. Where a pixel had another visual angle than at the
+    dataset's display, by more than `SAME_PITCH`, `size_mrad` is that at the eye.
+
+    Raises
+    ------
+    OutputError
+        If it cannot be written.
+    """
+    level, group_by = record.dataset.level, record.dataset.group_by
+    ratio = 1.0 if record.monitor is None else record.monitor.pixel_pitch_mrad / record.dataset.pixel_pitch_mrad
+    at_eye = 1.0 if abs(ratio - 1.0) <= SAME_PITCH else ratio
+
+    def scaled(name: str, value: float | str) -> float | str:
+        if name != "size_mrad" or isinstance(value, str) or at_eye == 1.0:
+            return value
+        return float(f"{value * at_eye:.6g}")
+
     found: dict[tuple[Group, float], list[bool]] = {}
     for row in rows:
-        found.setdefault((row.group, row.level), []).append(row.is_correct)
-    for (group, level), answers in sorted(found.items(), key=lambda item: (_order(item[0][0]), item[0][1])):
-        yield level, sum(answers), len(answers), group
+        if row.phase == "main" and row.response is not None:
+            found.setdefault((row.group, row.level), []).append(row.is_correct)
+    lines: list[list[object]] = [[*COUNT_COLUMNS, *group_by]]
+    for (group, x), answers in sorted(found.items(), key=lambda item: (_order(item[0][0]), item[0][1])):
+        of_group = [scaled(name, value) for name, value in zip(group_by, group, strict=True)]
+        lines.append([scaled(level, x), sum(answers), len(answers), *of_group])
+    write_file(path, csv_text(lines).encode())
 
 
 def _order(group: Group) -> tuple[tuple[bool, float, str], ...]:

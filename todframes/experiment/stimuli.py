@@ -9,13 +9,14 @@ from numpy.typing import NDArray
 
 from todframes._typing import FloatArray
 from todframes.errors import FrameError, TodframesError
-from todframes.experiment.monitor import Monitor
+from todframes.experiment.monitor import ContrastRange, Monitor
 from todframes.frames.contrast import read_contrast
 from todframes.frames.dataset import Dataset
 from todframes.frames.position import centroid_position, check_on_frame, size_in_px
 from todframes.frames.surround import TrianglePlace
 from todframes.frames.trials import Trial
 from todframes.recordings.dither import TILE, dithered
+from todframes.stimulus import coverage
 
 
 class TrialImage(NamedTuple):
@@ -77,6 +78,15 @@ def trial_image(dataset: Dataset, trial: Trial) -> TrialImage:
     return TrialImage(total / len(trial.frames), triangle)
 
 
+def contrast_range(trial: Trial, image: TrialImage) -> ContrastRange:
+    """Return the range of the contrasts of a trial, for `monitor.check_shows`."""
+    contrast, (x, y, size_px) = image
+    covered = coverage(contrast.shape, size_px=size_px, x_px=x, y_px=y, orientation=trial.orientation) > 0.0
+    inside = contrast[covered]
+    low, high = np.quantile(contrast, [0.005, 0.995]).tolist()
+    return ContrastRange(trial.frames[0].path, low, high, float(inside.min()), float(inside.max()))
+
+
 def shown_codes(contrast: FloatArray, monitor: Monitor, seed: int) -> NDArray[np.uint8]:
     """Return the code values that show contrast on a monitor.
 
@@ -111,8 +121,7 @@ def shown_contrast(codes: NDArray[np.uint8], monitor: Monitor) -> FloatArray:
 
 def clipped(contrast: FloatArray, monitor: Monitor) -> NDArray[np.bool_]:
     """Tell which contrasts a monitor cannot show: beyond its white or black by more than half of a code step."""
-    of_code = monitor.contrast_of_code()
-    low, high = 1.5 * of_code[0] - 0.5 * of_code[1], 1.5 * of_code[-1] - 0.5 * of_code[-2]
+    low, high = monitor.contrast_limits()
     return np.asarray((contrast < low) | (contrast > high))
 
 
