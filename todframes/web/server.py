@@ -15,6 +15,7 @@ from contextlib import asynccontextmanager
 from dataclasses import dataclass
 
 import uvicorn
+from starlette.applications import Starlette
 from starlette.types import ASGIApp
 from uvicorn.protocols.http.h11_impl import H11Protocol, RequestResponseCycle
 from uvicorn.server import ServerState
@@ -62,14 +63,14 @@ class Launch:
 
 
 def serve(
-    app: ASGIApp, launch: Launch, *, tell: Callable[[str], None], warn: Callable[[str], None] | None = None
+    app: Starlette, launch: Launch, *, tell: Callable[[str], None], warn: Callable[[str], None] | None = None
 ) -> None:
     """Serve a page to this machine's browser until Ctrl-C, a request to terminate, or the end of the terminal.
 
     Parameters
     ----------
-    app : ASGI app
-        The page; it is put behind `guarded`.
+    app : Starlette
+        The page; it is put behind `guarded`. Its lifespan is the time in which the server listens.
     launch : Launch
     tell : function of a text
         Called once with the address, token included, when the server listens.
@@ -96,7 +97,8 @@ def serve(
                 loop.call_soon_threadsafe(ended.set)
 
             with signals.handled(end):
-                async with listening(guarded(app, origin=origin, token=token), listener):
+                guard = guarded(app, origin=origin, token=token)
+                async with app.router.lifespan_context(app), listening(guard, listener):
                     tell(url)
                     if launch.open_browser:
                         threading.Thread(target=_open_browser, args=[url], daemon=True).start()
