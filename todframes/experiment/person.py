@@ -460,9 +460,7 @@ def calibrate_persons(
         table = joined([tables[k] for k in members])
         is_correct = np.concatenate([answered[k].is_correct for k in members])
         trials = [answered[k].trials for k in members]
-        cells = _codes(
-            [(k, *key) for k, of in zip(members, trials, strict=True) for key in _groups_and_levels(of)]
-        )
+        cells = cells_of([answered[k] for k in members])
         fit = fit_noise(table, is_correct, cells, lapse_rates=lapse_rates, rng=rng)
         curves = () if subject is None else _curves(table, is_correct, trials, fit, fit_settings, rng)
         return PersonFit(subject, len(is_correct), int(is_correct.sum()), fit, curves)
@@ -487,13 +485,14 @@ def _equal_noise(persons: Sequence[PersonFit], pooled: PersonFit, n_parameters: 
     return float(chi2.sf(max(ratio, 0.0), n_parameters * (len(persons) - 1)))
 
 
-def _groups_and_levels(trials: Trials) -> list[tuple[object, ...]]:
-    return list(zip(trials.group_codes.tolist(), trials.levels.tolist(), strict=True))
-
-
-def _codes(keys: Sequence[tuple[object, ...]]) -> NDArray[np.intp]:
-    """Return a number for each key, the same for equal ones."""
-    numbers: dict[tuple[object, ...], int] = {}
+def cells_of(answered: Sequence[AnsweredTrials]) -> NDArray[np.intp]:
+    """Return a number for each trial, the same for those of the same session, group and level."""
+    keys = [
+        (number, *key)
+        for number, one in enumerate(answered)
+        for key in zip(one.trials.group_codes.tolist(), one.trials.levels.tolist(), strict=True)
+    ]
+    numbers: dict[tuple[float, ...], int] = {}
     return np.array([numbers.setdefault(key, len(numbers)) for key in keys], np.intp)
 
 
