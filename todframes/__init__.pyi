@@ -13,6 +13,7 @@ from .errors import OutputError as OutputError
 from .errors import RemoteError as RemoteError
 from .errors import SettingsError as SettingsError
 from .errors import TodframesError as TodframesError
+from .experiment.session import Design as Design
 from .frames.dataset import Dataset as Dataset
 from .frames.dataset import load_dataset as load_dataset
 from .frames.display import Display as Display
@@ -36,5 +37,6 @@ from .stimulus import ORIENTATIONS as ORIENTATIONS
 from .stimulus import Orientation as Orientation
 from .stimulus import Stimulus as Stimulus
 from .stimulus import coverage as coverage
+from .web.api import run_experiment as run_experiment
 
 __version__: str

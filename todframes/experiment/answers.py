@@ -10,6 +10,7 @@ off when the session goes on.
 from __future__ import annotations
 
 import csv
+import errno
 import os
 import re
 import sys
@@ -371,7 +372,8 @@ class AnswerFile:
         self.path = path
         self.rows: list[TrialRow] = []
         try:
-            self._file = os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o666)
+            flags = os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0)
+            self._file = os.open(path, flags, 0o666)
         except OSError as error:
             raise OutputError(f"{path}: cannot be written ({error.strerror})") from None
         try:
@@ -441,12 +443,13 @@ class AnswerFile:
 
     def _append(self, line: bytes) -> None:
         try:
-            written = os.pwrite(self._file, line, self._size)
-            if written < len(line):  # the disk is full; writing the rest says so
-                written += os.pwrite(self._file, line[written:], self._size + written)
-            if written < len(line):
-                raise OSError(28, os.strerror(28))
+            os.lseek(self._file, self._size, os.SEEK_SET)
+            left = line
+            while left:  # a disk that is filled up takes a part, and fails at the next
+                left = left[os.write(self._file, left) :]
             os.fsync(self._file)
+            if os.fstat(self._file).st_nlink == 0:
+                raise FileNotFoundError(errno.ENOENT, "the file was removed")
         except OSError as error:
             with suppress(OSError):
                 os.ftruncate(self._file, self._size)

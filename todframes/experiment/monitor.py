@@ -31,7 +31,7 @@ PITCH_RATIOS = (0.5, 2.0)
 """Range of the visual angle of a pixel over that of the dataset's display; beyond it the test is another one."""
 
 
-RANGES = {"pixel_pitch_mm": (0.02, 2.0), "viewing_distance_mm": (100.0, 50_000.0)}
+RANGES = {"pixel_pitch_mm": (0.02, 2.0), "viewing_distance_mm": (50.0, 50_000.0)}
 """Pixel pitches of real monitors, and distances that people sit at; others are slips of the pen."""
 
 

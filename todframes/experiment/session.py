@@ -60,12 +60,13 @@ from todframes.frames.dataset import Dataset
 from todframes.frames.files import frame_sha256
 from todframes.frames.trials import Trial, Trials
 from todframes.psychometrics.quest import QuestGrid
+from todframes.recordings.dither import blue_noise
 from todframes.stimulus import Orientation
 
 CONSENT = """\
 You will see a triangle on a grey field, again and again, and say where it points: up, right, down or left. Some
-are easy, some cannot be seen; then guess. It takes 10 to 30 minutes, and there are breaks. You may stop at any time
-by closing the page.
+are easy, some cannot be seen; then guess. It takes 10 to 30 minutes, and there are breaks. You may stop at any
+time by closing the page.
 
 Your answers, the times they took and the calibration of this monitor are kept in a folder of this computer under a
 random name. Nothing is sent anywhere.
@@ -159,6 +160,14 @@ class TrialOrder:
         """Return the number of trials of a phase."""
         return len(self._practice) if phase == "practice" else self._record.trials
 
+    def check(self, file: AnswerFile) -> None:
+        """Raise DataError if a row names a frame that is not the first of a trial."""
+        for line, row in enumerate(file.rows, 2):
+            if row.frame not in self._row_of_frame:
+                raise DataError(
+                    f"{file.path}, line {line}: frame: found {row.frame!r}, which no trial begins with"
+                )
+
     def next(self, rows: Sequence[TrialRow]) -> NextTrial | None:
         """Return the next trial after some rows; None after the last."""
         dither_seed = int(_stream(self._record.seed, DITHER, len(rows)).integers(4096))
@@ -173,7 +182,7 @@ class TrialOrder:
     def _adaptive(self, rows: Sequence[TrialRow]) -> int:
         """Return the trial that QUEST+ chooses: of the group whose turn it is, one that was not shown yet."""
         main = rows[len(self._practice) :]
-        shown = np.array([self._index_of_frame[row.frame] for row in main], np.intp)
+        shown = np.array([self._row_of_frame[row.frame] for row in main], np.intp)
         is_left = np.ones(len(self._trials), np.bool_)
         is_left[shown] = False
         codes, n_groups = self._trials.group_codes, len(self._trials.groups)
@@ -197,8 +206,8 @@ class TrialOrder:
         return int(_stream(self._record.seed, FRAMES, len(main)).choice(choice))
 
     @cached_property
-    def _index_of_frame(self) -> dict[str, int]:
-        return {trial.frames[0].path: index for index, trial in enumerate(self._trials)}
+    def _row_of_frame(self) -> dict[str, int]:
+        return {trial.frames[0].path: number for number, trial in enumerate(self._trials)}
 
     def _grid(self, code: int) -> QuestGrid:
         if code not in self._grids:
@@ -286,7 +295,6 @@ class Sitting:
         self._lock = threading.Lock()
         self._prepared: Prepared | None = None
         self._is_break = False
-        self._is_waiting = True
 
     @property
     def rows(self) -> tuple[TrialRow, ...]:
@@ -315,7 +323,7 @@ class Sitting:
                 self._write(replace(self.record, consent=agreed))
             return self._state()
 
-    def calibrate(self, found: Calibration, *, browser: str = "") -> Json:
+    def calibrate(self, found: Calibration) -> Json:
         """Keep the calibration of the monitor.
 
         Raises
@@ -337,9 +345,8 @@ class Sitting:
                 pixel_pitch_mrad=self._dataset.display.pitch_mrad,
                 ranges=self._material.contrasts,
             )
-            software = {**self.record.software, **({"browser": browser} if browser else {})}
-            self._write(replace(self.record, monitor=monitor, software=software))
-            self._prepared, self._is_waiting = None, True
+            self._write(replace(self.record, monitor=monitor))
+            self._prepared = None
             return self._state()
 
     def trial(self) -> Json:
@@ -378,7 +385,9 @@ class Sitting:
             return self._prepared.picture
 
     def answer(self, number: int, response: Orientation | None, response_time_ms: float) -> Json:
-        """Save an answer to the disk, once: an answer to an earlier trial is not saved again.
+        """Save an answer to the disk, once: a trial that has an answer keeps it.
+
+        The trial may have been shown by a server before this one, as its order is the same.
 
         Raises
         ------
@@ -390,9 +399,9 @@ class Sitting:
         with self._lock:
             if 1 <= number <= len(self._file.rows):
                 return self._answered(self._file.rows[number - 1])
-            shown = self._prepared
-            if shown is None or shown.number != number:
-                raise StepError(f"trial {number} is not shown; reload the page")
+            shown = self._prepare()  # that of an earlier server, if this one has not shown it
+            if shown.number != number:
+                raise StepError(f"trial {number} is not shown, but {shown.number}; reload the page")
             if response is None and self.record.time_limit_ms is None:
                 raise StepError(
                     "response: found none, which only a time limit gives; expected up, right, down, left"
@@ -418,9 +427,9 @@ class Sitting:
             return self._answered(row)
 
     def go_on(self) -> Json:
-        """End a break, or the reading of instructions."""
+        """End a break; at other steps nothing changes."""
         with self._lock:
-            self._is_break = self._is_waiting = False
+            self._is_break = False
             return self._state()
 
     def close(self) -> None:
@@ -460,7 +469,6 @@ class Sitting:
         display, material = self._dataset.display, self._material
         return {
             "step": step,
-            "waiting": self._is_waiting and step in ("practice", "main"),
             "subject": self.record.subject,
             "done": sum(row.phase == phase for row in rows),
             "total": self._order.total(phase),
@@ -474,17 +482,17 @@ class Sitting:
                 "smallest_contrast": min(one.low for one in material.contrasts),
                 "largest_contrast": max(one.high for one in material.contrasts),
             },
-            "monitor": None
-            if self.record.monitor is None
-            else {
-                "background_code": self._monitor.background_code,
-                "device_pixel_ratio": self._monitor.device_pixel_ratio,
-                "pixel_pitch_mm": self._monitor.pixel_pitch_mm,
-                "viewing_distance_mm": self._monitor.viewing_distance_mm,
-            },
+            "device_pixel_ratio": None if self.record.monitor is None else self._monitor.device_pixel_ratio,
             "time_limit_ms": self.record.time_limit_ms,
             "feedback": phase == "practice",
+            "files": str(self._folder),
+            "summary": self._summary() if step == "done" else [],
         }
+
+    def _summary(self) -> list[tuple[str, str]]:
+        """Return what is told at the end: labels and texts."""
+        answers = [row for row in self._file.rows if row.phase == "main"]
+        return [("Correct", f"{sum(row.is_correct for row in answers)} of {len(answers)}")]
 
     def _answered(self, row: TrialRow) -> Json:
         return {**self._state(), "correct": row.is_correct if row.phase == "practice" else None}
@@ -507,11 +515,10 @@ class Sitting:
         return self._prepared
 
     def _after(self, row: TrialRow) -> None:
-        """Begin a break or the next phase after an answer, and write the counts at such times."""
+        """Begin a break after an answer if it is time, and write the counts then and at the end."""
         n_main, every = sum(one.phase == "main" for one in self._file.rows), self.record.break_every
         following = self._order.next(self._file.rows)
         self._is_break = bool(every) and row.phase == "main" and n_main % every == 0 and following is not None
-        self._is_waiting = following is not None and following.phase != row.phase
         if self._is_break or following is None:
             with suppress(OutputError):  # the answer is safe; `close` writes them again
                 self._write_counts()
@@ -593,6 +600,7 @@ def open_sitting(
         elif differs:
             raise SettingsError(f"--{differs}, but subject {subject} has answered trials; take another --subject")
         order = TrialOrder(dataset.trials, record)
+        order.check(file)
         if order.next(file.rows) is None:
             raise SettingsError(f"--subject: {subject} has finished; leave it out, or take another one")
         text = consent_text or CONSENT if record.consent is None else record.consent.text
@@ -713,6 +721,7 @@ def _material(
     dataset: Dataset, indices: Sequence[int], consent_text: str, progress: Callable[[int], None] | None
 ) -> Material:
     """Read all frames that a session may show."""
+    blue_noise()  # takes a quarter of a second, which the first trial shall not take
     contrasts, sides = [], [(0, 0)]
     for index in indices:
         trial = dataset.trials[index]

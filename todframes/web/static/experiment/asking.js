@@ -1,6 +1,6 @@
 // The server, asked until it answers: what was asked is kept and sent again while it cannot be reached.
 
-import { ServerError, post } from "/static/server.js";
+import { ServerError, post } from "./server.js";
 import { pause } from "./stage.js";
 
 const RETRY_MS = 1000;

@@ -18,7 +18,7 @@ const KEPT = "answer";
 const element = (id) => document.getElementById(id);
 const places = [...document.querySelectorAll("main > section"), element("stage")];
 
-/** The screen that is wanted, the device pixel ratio of the monitor as measured, and the size of a frame. */
+/** The screen that is wanted; the device pixel ratio of the monitor as measured, null before; and the size of a frame. */
 let wanted = null;
 let measured = { ratio: null, width: 0, height: 0 };
 let isExact = true;
@@ -42,7 +42,7 @@ function refresh() {
   document.body.classList.toggle("staged", now === "stage");
   if (now !== before) {
     window.scrollTo(0, 0);
-    element(now).querySelector("h1[tabindex]")?.focus();
+    element(now)?.querySelector("[data-first]")?.focus();
   }
 }
 
@@ -67,7 +67,7 @@ async function read(id) {
   await pressed(element(id).querySelector(".next"));
 }
 
-async function pauseAt(title, text) {
+async function readPause(title, text) {
   element("pause-title").textContent = title;
   element("pause-text").textContent = text;
   await read("pause");
@@ -76,21 +76,24 @@ async function pauseAt(title, text) {
 /** Send an answer; it is kept until the server has saved it, also over a reload of this page. */
 async function send(state, answer) {
   sessionStorage.setItem(KEPT, JSON.stringify({ subject: state.subject, answer }));
-  const next = await ask("api/answer", answer);
+  const next = await ask("/api/answer", answer);
   sessionStorage.removeItem(KEPT);
   return next;
 }
 
 /** Send the answer that a page before this one could not, and return the state. */
 async function begin() {
-  const state = await ask("api/state");
+  const state = await ask("/api/state");
   const kept = JSON.parse(sessionStorage.getItem(KEPT));
+  if (kept?.subject === state.subject && ["practice", "main"].includes(state.step)) {
+    try {
+      return await send(state, kept.answer);
+    } catch (error) {
+      if (error.status !== 409) throw error; // its trial is not the next one
+    }
+  }
   sessionStorage.removeItem(KEPT);
-  if (kept?.subject !== state.subject || !["practice", "main"].includes(state.step)) return state;
-  try {
-    await ask("api/answer", kept.answer);
-  } catch { /* The trial is another one by now. */ }
-  return ask("api/state");
+  return state;
 }
 
 /** Show trials until the server says that something else comes. */
@@ -99,7 +102,7 @@ async function trials(state) {
   const title = phase === "practice" ? "Practice: " : "";
   let next = state;
   while (next.step === phase) {
-    const trial = await ask("api/trial");
+    const trial = await ask("/api/trial");
     measured = { ...measured, width: trial.width, height: trial.height };
     adapt(trial.background_code);
     clear(`${title}${next.done + 1} of ${next.total}`);
@@ -117,7 +120,9 @@ async function answered(trial, bitmap) {
     while (!isExact) await new Promise((done) => document.addEventListener("exact", done, { once: true }));
     const { signal } = shown;
     try {
-      return await present(trial, bitmap, signal);
+      const answer = await present(trial, bitmap, signal);
+      refresh();
+      if (isExact) return answer;
     } catch (error) {
       if (!signal.aborted) throw error;
     }
@@ -133,47 +138,68 @@ async function consent(state) {
   element("consent-subject").textContent = state.subject;
   show("consent");
   const isAgreed = await pressed(element("agree"), element("decline")) === "agree";
-  const next = await ask("api/consent", { agreed: isAgreed });
+  const next = await ask("/api/consent", { agreed: isAgreed });
   if (isAgreed) return next;
   show("declined");
   return null;
 }
 
 async function monitor(state) {
-  const next = await measureMonitor(state.dataset, show, (monitor) => ask("api/monitor", monitor));
-  measured.ratio = window.devicePixelRatio;
+  const next = await measureMonitor(state.dataset, show, (monitor) => ask("/api/monitor", monitor));
+  measured.ratio = next.monitor.device_pixel_ratio;
   return next;
 }
 
 async function practice(state) {
-  element("pace").textContent = state.time_limit_ms === null ? "Take the time that you need."
-    : `You have ${state.time_limit_ms / 1000} seconds for each.`;
-  element("instructions-practice").textContent = `First ${state.total} to practise, with triangles that you can see: the page says whether ` +
-    "you are correct. Then it says so no more.";
-  await read("instructions");
+  await instruct(state);
   return trials(state);
 }
 
+/** Say what to do, before the first trial. */
+async function instruct(state) {
+  element("pace").textContent = state.time_limit_ms === null ? "Take the time that you need."
+    : `You have ${state.time_limit_ms / 1000} seconds for each.`;
+  element("instructions-practice").textContent = state.step === "practice"
+    ? `First come ${state.total} to practise, with triangles that are easy to see: the page says whether you are correct.`
+    : `There are ${state.total} triangles, with breaks on the way.`;
+  await read("instructions");
+}
+
 async function main(state, before) {
-  if (before === undefined) {
-    await pauseAt("Welcome back", `${state.done} of ${state.total} are done and saved. The next one comes when you go on.`);
+  if (before === "monitor") {
+    await instruct(state);
+  } else if (before === "practice") {
+    await tellPracticeIsOver(state);
+  } else if (before === undefined) {
+    await readPause("Welcome back", `${state.done} of ${state.total} are done and saved. The next one comes when you go on.`);
   }
   return trials(state);
 }
 
 async function rest(state, before) {
   if (before === "practice") {
-    await pauseAt("That was the practice", `Now ${state.total} triangles, and the page does not say whether you are correct. There are breaks on the way.`);
+    await tellPracticeIsOver(state);
   } else {
-    await pauseAt("A break", `${state.done} of ${state.total} are done. Look away from the screen and rest your eyes. Sit as far away as before ` +
-      "when you go on.");
+    await readPause("A break", `${state.done} of ${state.total} are done. Look away from the screen and rest your eyes. Sit as far away as ` +
+      "before when you go on.");
   }
-  return ask("api/continue");
+  return ask("/api/continue");
+}
+
+function tellPracticeIsOver(state) {
+  return readPause("That was the practice", `Now come ${state.total} triangles, most of them hard to see, and the page no longer says whether ` +
+    "you are correct. There are breaks on the way.");
 }
 
 async function done(state) {
   restore();
-  element("done-text").textContent = `That was the last of ${state.total} triangles.`;
+  element("done-text").textContent = `That was the last of ${state.total} triangles. The answers are in ${state.files}.`;
+  element("summary").replaceChildren(...(state.summary ?? []).flatMap(([label, text]) => {
+    const term = document.createElement("dt"), description = document.createElement("dd");
+    term.textContent = label;
+    description.textContent = text;
+    return [term, description];
+  }));
   show("done");
   return null;
 }
@@ -186,6 +212,7 @@ async function run() {
   });
   watchPixels(refresh);
   let state = await begin(), before;
+  measured = { ratio: state.monitor?.device_pixel_ratio ?? null, width: state.dataset.width_px, height: state.dataset.height_px };
   while (state !== null) {
     const { step } = state;
     state = await steps[step](state, before);

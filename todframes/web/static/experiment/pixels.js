@@ -1,5 +1,8 @@
 // Device pixels: whether the browser shows each pixel as it is, and canvases whose pixels are the monitor's.
 
+/** Interval at which the device pixel ratio is looked at. */
+const LOOK_MS = 250;
+
 /**
  * Return why frames cannot be shown pixel by pixel and what to do, or null if they can.
  *
@@ -35,15 +38,13 @@ export function trouble({ ratio, width, height }) {
   return null;
 }
 
-/** Call a function whenever the window, its zoom or its monitor changes. */
+/** Call a function when the window, its zoom or its monitor changes; not every browser has an event for each. */
 export function watchPixels(changed) {
-  window.addEventListener("resize", changed);
-  window.visualViewport?.addEventListener("resize", changed);
-  const watchRatio = () => {
-    const query = window.matchMedia(`(resolution: ${window.devicePixelRatio}dppx)`);
-    query.addEventListener("change", () => { watchRatio(); changed(); }, { once: true });
-  };
-  watchRatio();
+  let ratio = window.devicePixelRatio;
+  const look = () => { ratio = window.devicePixelRatio; changed(); };
+  window.addEventListener("resize", look);
+  window.visualViewport?.addEventListener("resize", look);
+  setInterval(() => { if (window.devicePixelRatio !== ratio) look(); }, LOOK_MS);
 }
 
 /**
