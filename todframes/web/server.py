@@ -218,7 +218,7 @@ def open_listener(launch: Launch) -> socket.socket:
         else:
             problem = f"--port: cannot listen on {host}, port {port} ({error.strerror})"
         raise SettingsError(problem) from None
-    # Or each answer waits 40 ms for the acknowledgement of its headers; connections inherit it. asyncio sets it only
-    # on sockets that name their protocol.
+    # Or each answer waits 40 ms for the acknowledgement of its headers. Connections inherit it; asyncio sets it
+    # only where the socket names its protocol.
     listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     return listener
