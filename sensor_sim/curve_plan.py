@@ -239,8 +239,13 @@ def linear_readout(sensor: Sensor, observer: Observer, size_detectors: float) ->
     """
     readout = observer.readout(Stimulus(size_detectors * sensor.display.detector_pitch_mrad))
     if readout is None:
-        raise SettingsError("observer: it is not linear; no curve can be computed, simulate frames instead")
+        raise not_linear()
     return readout
+
+
+def not_linear() -> SettingsError:
+    """Return the error that an observer without readout causes."""
+    return SettingsError("observer: it is not linear; no curve can be computed, simulate frames instead")
 
 
 def centre_offset(observer: Observer, orientation: Orientation, size_detectors: float) -> FloatArray:

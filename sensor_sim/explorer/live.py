@@ -1,18 +1,39 @@
-"""Thresholds of a sensor while its parameters move: an estimate first, refined while nothing moves."""
+"""Thresholds of a sensor while its parameters move: an estimate first, refined while nothing moves.
+
+Sizes are divided among processes, which stay and keep what they have computed. A number in shared memory says
+which request is wanted; a process that works on another one notices within milliseconds and waits for the next.
+"""
 
 from __future__ import annotations
 
+import multiprocessing
+import signal
+import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
+from multiprocessing.connection import Connection, wait
+from typing import Any
 
-from sensor_sim.curve_plan import plan_curve
-from sensor_sim.predict import FoldedChain, PredictedThreshold, predict_threshold
+from sensor_sim.explorer.limits import Limits, Shares, what_limits
+from sensor_sim.predict import PredictedThreshold
 from sensor_sim.sensor import Sensor
+from todframes.errors import TodframesError
 from todframes.observers.interface import Observer
 
 TOLERANCES = (0.03, 0.002)
 """Relative errors of the estimate and of the refined thresholds."""
+
+PROCESSES = 2
+
+POLL_S = 0.004
+"""Longest time between two questions whether the curve is still wanted."""
+
+END_S = 1.0
+"""Time that a process has to end by itself."""
+
+NOTHING_WANTED = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,6 +44,8 @@ class LiveCurve:
     ----------
     thresholds : tuple of PredictedThreshold
         In the order of the sizes asked for.
+    shares : tuple of Shares
+        What limits each of them.
     tolerance : float
         Relative half-width of the 95 % intervals that was aimed at; each threshold states its own.
     seconds : float
@@ -32,13 +55,36 @@ class LiveCurve:
     """
 
     thresholds: tuple[PredictedThreshold, ...]
+    shares: tuple[Shares, ...]
     tolerance: float
     seconds: float
     is_last: bool
 
+    @property
+    def limits(self) -> Limits:
+        """What limits the curve."""
+        reached = [one.threshold is not None for one in self.thresholds]
+        return what_limits([one.size_detectors for one in self.thresholds], self.shares, reached)
+
 
 class LiveCurves:
-    """Curves of sensors that differ in some parameters from one call to the next."""
+    """Curves of sensors that differ in some parameters from one call to the next.
+
+    The processes import the script that runs: it makes this object below `if __name__ == "__main__":`, and calls
+    `close` in the end.
+
+    Parameters
+    ----------
+    n_processes : int
+        Number of processes to compute in.
+    """
+
+    def __init__(self, n_processes: int = PROCESSES) -> None:
+        context = multiprocessing.get_context("spawn")  # a fork would copy the locks of threads
+        self._wanted: Any = context.RawValue("q", NOTHING_WANTED)
+        self._workers = [_Worker(self._wanted) for _ in range(n_processes)]
+        self._turn = threading.Lock()
+        self._number = NOTHING_WANTED
 
     def curves(
         self,
@@ -50,7 +96,9 @@ class LiveCurves:
         tolerances: Sequence[float] = TOLERANCES,
         is_wanted: Callable[[], bool],
     ) -> Iterator[LiveCurve]:
-        """Yield a curve for each tolerance, and stop as soon as no more is wanted.
+        """Yield an estimate and then the refined curve; stop as soon as no more is wanted.
+
+        One curve is computed at a time; another thread waits until it is done or no longer wanted.
 
         Parameters
         ----------
@@ -62,25 +110,159 @@ class LiveCurves:
         p_correct : float
             Raw proportion correct at threshold.
         tolerances : sequence of float
-            Relative errors to reach, one after the other.
+            Relative errors: the last is that of the refined thresholds, an estimate comes for each before.
         is_wanted : function of no arguments
-            Asked often; when it returns False the computation ends without a further curve.
+            Asked every few milliseconds; when it returns False the computation ends without a further curve.
 
         Raises
         ------
         SettingsError
             If the observer is not linear, or a size or field is out of range.
+        TodframesError
+            If a process dies twice.
         """
+        from sensor_sim.explorer.engine import Request
+        from sensor_sim.explorer.scaled import unit_of
+
         started = time.perf_counter()
-        for number, tolerance in enumerate(tolerances, 1):
-            found = []
-            for size in sizes_detectors:
-                if not is_wanted():
-                    return
-                plan = plan_curve(sensor, observer, size, tolerance=tolerance, p_correct=p_correct)
-                chain = FoldedChain(sensor, observer, size, plan)
-                found.append(predict_threshold(chain, p_correct=p_correct, tolerance=tolerance))
-            yield LiveCurve(tuple(found), tolerance, time.perf_counter() - started, number == len(tolerances))
+        while not self._turn.acquire(timeout=POLL_S):
+            if not is_wanted():
+                return
+        try:
+            self._number += 1
+            self._wanted.value = self._number
+            sizes = [float(size) for size in sizes_detectors]
+            unit = unit_of(observer)
+            requests = [
+                Request(self._number, sensor, unit, part, p_correct, tuple(tolerances))
+                for part in _divided(sizes, len(self._workers))
+            ]
+            found: list[dict[int, Any]] = [{} for _ in tolerances]
+            for answer in self._answers(requests, is_wanted):
+                for stage in range(answer.stage, len(tolerances) if answer.is_refined else answer.stage + 1):
+                    found[stage][answer.index] = answer
+                if len(found[answer.stage]) == len(sizes):
+                    curve = [found[answer.stage][index] for index in range(len(sizes))]
+                    is_last = all(one.is_refined for one in curve)
+                    yield LiveCurve(
+                        tuple(one.threshold for one in curve),
+                        tuple(one.shares for one in curve),
+                        tolerances[answer.stage],
+                        time.perf_counter() - started,
+                        is_last,
+                    )
+                    if is_last:
+                        return
+        finally:
+            self._wanted.value = NOTHING_WANTED
+            self._turn.release()
+
+    def _answers(self, requests: Sequence[Any], is_wanted: Callable[[], bool]) -> Iterator[Any]:
+        """Yield the answers to requests of one number, a request for each process, until none is wanted."""
+        working = {}
+        for worker, request in zip(self._workers, requests, strict=True):
+            if request.sizes:
+                worker.begin(request)
+                working[worker] = request
+        tried = set()
+        while working:
+            ready = wait([worker.connection for worker in working], timeout=POLL_S)
+            if not is_wanted():
+                return
+            for worker in [one for one in working if one.connection in ready]:
+                try:
+                    number, answer = worker.connection.recv()
+                except (EOFError, OSError):
+                    request = working.pop(worker)
+                    worker.end()
+                    fresh = _Worker(self._wanted)
+                    self._workers[self._workers.index(worker)] = fresh
+                    if request in tried:
+                        raise TodframesError(
+                            "live curves: a process that computes has died twice; a script must make LiveCurves "
+                            'below `if __name__ == "__main__":`, and a sensor may need more memory than there is'
+                        ) from None
+                    tried.add(request)
+                    fresh.begin(request)
+                    working[fresh] = request
+                    continue
+                if number != working[worker].number:
+                    continue  # of a request that is no longer wanted
+                if isinstance(answer, BaseException):
+                    raise answer
+                if answer is None:
+                    del working[worker]
+                else:
+                    yield answer
 
     def close(self) -> None:
-        """End what works for this object."""
+        """End the processes, and a computation that another thread still waits for."""
+        self._wanted.value = NOTHING_WANTED
+        for worker in self._workers:
+            worker.end()
+
+
+def _divided(sizes: Sequence[float], n_parts: int) -> list[tuple[tuple[int, float], ...]]:
+    """Divide sizes, with their places, into parts of about the same work, the same for the same sizes."""
+    parts: list[list[tuple[int, float]]] = [[] for _ in range(n_parts)]
+    work = [0.0] * n_parts
+    for index, size in sorted(enumerate(sizes), key=lambda item: -item[1]):
+        least = work.index(min(work))
+        parts[least].append((index, size))
+        work[least] += 1.0 + size
+    return [tuple(part) for part in parts]
+
+
+class _Worker:
+    """A process at the other end of a pipe."""
+
+    def __init__(self, wanted: Any) -> None:
+        context = multiprocessing.get_context("spawn")
+        self.connection, other = context.Pipe()
+        self._process = context.Process(target=_serve, args=(other, wanted), daemon=True)
+        self._process.start()
+        other.close()
+
+    def begin(self, request: Any) -> None:
+        """Send a request; if the process has died, the answer tells."""
+        with suppress(OSError):
+            self.connection.send(request)
+
+    def end(self) -> None:
+        """End the process, at once if it does not end by itself."""
+        self.connection.close()
+        self._process.join(END_S)
+        if self._process.is_alive():
+            self._process.kill()
+            self._process.join()
+        self._process.close()
+
+
+class _UnwantedError(Exception):
+    """The request is no longer wanted."""
+
+
+def _serve(connection: Connection, wanted: Any) -> None:
+    """Answer requests until the pipe is closed: (number, answer or exception), and (number, None) in the end."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the other end deals with it
+    from sensor_sim.explorer.engine import Engine
+
+    number = NOTHING_WANTED
+
+    def check() -> None:
+        if wanted.value != number:
+            raise _UnwantedError
+
+    engine = Engine(check)
+    with suppress(EOFError, OSError):
+        while True:
+            request = connection.recv()
+            number = request.number
+            try:
+                for answer in engine.answers(request):
+                    connection.send((number, answer))
+                connection.send((number, None))
+            except _UnwantedError:
+                continue
+            except Exception as error:  # raised at the other end
+                connection.send((number, error))

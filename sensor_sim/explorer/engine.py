@@ -1,0 +1,238 @@
+"""Thresholds of one sensor after the other, computed with all that the sensors before have left.
+
+Parts are found by keys that hold all that they depend on: samples by optics and detector, weights by display and
+observer, trials by both. Gain and internal noise act as their ratio, and only where trials become answers.
+Background and NETD do not change a threshold SNR.
+"""
+
+from __future__ import annotations
+
+import math
+import pickle
+from collections import OrderedDict
+from collections.abc import Callable, Hashable, Iterator
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any, Generic, NamedTuple, TypeVar, cast
+
+import numpy as np
+
+from sensor_sim.curve_plan import CurvePlan, plan_curve
+from sensor_sim.explorer.estimate import Estimate, Reference, estimate, lattice_phases, quick_plan
+from sensor_sim.explorer.limits import Shares, decision_shares
+from sensor_sim.explorer.scaled import ScaledObserver, Unit, scaled
+from sensor_sim.predict import FoldedChain, Phases, PredictedThreshold, predict_threshold
+from sensor_sim.sensor import Sensor
+from sensor_sim.sharing import Kept, Shared
+from sensor_sim.sweep_work import as_computed
+from todframes._typing import FloatArray
+from todframes.observers.decision import answer_probability
+from todframes.observers.interface import Observer
+from todframes.stimulus import Stimulus
+
+T = TypeVar("T")
+
+KEPT_MB = {"readouts": 40, "samplers": 10, "samples": 30, "weights": 40, "trials": 30}
+"""Largest size of what is kept, by kind, in units of 2**20 bytes."""
+
+THRESHOLDS_KEPT = 2000
+
+REFINED_NODES, PLACES_AT_ONCE = 12, 256
+"""Number of quadrature nodes, which gives 1e-7, and of places between two checks."""
+
+
+class Request(NamedTuple):
+    """Thresholds to compute.
+
+    Attributes
+    ----------
+    number : int
+        Number of the request.
+    sensor : Sensor
+    observer : Unit
+    sizes : tuple of (int, float)
+        Places in the curve, and sizes in detectors.
+    p_correct : float
+    tolerances : tuple of float
+        The last is that of the refined thresholds; an estimate comes first for each of the others.
+    """
+
+    number: int
+    sensor: Sensor
+    observer: Unit
+    sizes: tuple[tuple[int, float], ...]
+    p_correct: float
+    tolerances: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """A threshold at the place `index` of the curve, for the tolerance number `stage`."""
+
+    stage: int
+    index: int
+    threshold: PredictedThreshold
+    shares: Shares
+    is_refined: bool
+
+
+class Engine:
+    """Computer of thresholds that keeps what the next sensor may need.
+
+    Parameters
+    ----------
+    check : function of no arguments
+        Called every few milliseconds; it raises an exception when the computation is no longer wanted. What is
+        kept stays right.
+    """
+
+    def __init__(self, check: Callable[[], None]) -> None:
+        self._check = check
+        self._kept: dict[str, Kept[Any]] = {name: _Checked(size * 2**20, check) for name, size in KEPT_MB.items()}
+        self._shared = Shared(*(self._kept[name] for name in ("samplers", "samples", "weights")))
+        self._known: OrderedDict[Hashable, tuple[PredictedThreshold, Shares]] = OrderedDict()
+        self._near: dict[float, tuple[float, float]] = {}
+        self._references: dict[float, Reference] = {}
+
+    def answers(self, request: Request) -> Iterator[Answer]:
+        """Yield the thresholds of all sizes for each tolerance; a refined one that is known comes at once.
+
+        Raises
+        ------
+        SettingsError
+            If the observer is not linear, or a size or field is out of range.
+        """
+        sensor = as_computed(request.sensor)
+        pickled, noise_sd = request.observer
+        scale = noise_sd / sensor.display.gain
+        sensor = replace(sensor, display=replace(sensor.display, gain=1.0))
+        observer = scaled(partial(pickle.loads, pickled), pickled, scale, self._kept["readouts"])
+        todo = dict(request.sizes)
+        for stage, _ in enumerate(request.tolerances):
+            for index, size in list(todo.items()):
+                self._check()
+                task = _Task(sensor, observer, size, request.p_correct)
+                key = (sensor, pickled, scale, size, request.p_correct, request.tolerances[-1])
+                if key not in self._known and stage == len(request.tolerances) - 1:
+                    self._known[key] = self._refined(task, request.tolerances[-1])
+                    if len(self._known) > THRESHOLDS_KEPT:
+                        self._known.popitem(last=False)
+                is_refined = key in self._known
+                if is_refined:
+                    del todo[index]
+                found = self._known[key] if is_refined else self._estimated(task)
+                yield Answer(stage, index, *found, is_refined)
+
+    def _estimated(self, task: _Task) -> tuple[PredictedThreshold, Shares]:
+        found, phases, internal = self._on_lattices(task)
+        threshold = error = None
+        if found.status == "ok":
+            threshold, error = found.corrected(self._references.get(task.size))
+        n_phases = sum(part.signal[..., 0].size for part in phases)
+        of_size = PredictedThreshold(task.size, found.status, threshold, error, n_phases, ())
+        return of_size, decision_shares(phases, internal, threshold)
+
+    def _on_lattices(self, task: _Task) -> tuple[Estimate, list[Phases], FloatArray]:
+        """Return the estimate without correction, its trials, and the covariance of the internal noise."""
+        sensor, observer, size, p_correct = task
+        judge = cast("Observer", observer)
+        stimulus = Stimulus(size * sensor.display.detector_pitch_mrad)
+
+        def make() -> _Trials:
+            look = observer.look(stimulus)
+            plan = quick_plan(sensor, judge, size, symmetric=look.is_symmetric, shared=self._shared)
+            phases = lattice_phases(
+                sensor,
+                judge,
+                size,
+                plan,
+                grid=look.grid,
+                name=(observer.name, stimulus),
+                images=partial(observer.weights, stimulus),
+            )
+            return _Trials(phases)
+
+        phases = self._kept["trials"].get((sensor, observer.name, size), make).phases
+        internal = observer.internal(stimulus)
+        near, slope = self._near.get(size, (None, math.nan))
+        found = estimate(phases, internal, p_correct, near=near, slope=slope)
+        if found.status == "ok":
+            self._near[size] = found.threshold, found.slope
+        return found, phases, internal
+
+    def _refined(self, task: _Task, tolerance: float) -> tuple[PredictedThreshold, Shares]:
+        sensor, observer, size, p_correct = task
+        judge = cast("Observer", observer)
+        plan = plan_curve(sensor, judge, size, tolerance=tolerance, p_correct=p_correct, shared=self._shared)
+        chain = _KeptChain(sensor, judge, size, plan, trials=self._kept["trials"], check=self._check)
+        found = predict_threshold(chain, p_correct=p_correct, tolerance=tolerance, n_points=0)
+        estimated, phases, internal = self._on_lattices(task)
+        if found.threshold is not None and found.numerical_error is not None and estimated.status == "ok":
+            self._references[size] = estimated.as_reference(found.threshold, found.numerical_error)
+        return found, decision_shares(phases, internal, found.threshold)
+
+
+class _Task(NamedTuple):
+    sensor: Sensor
+    observer: ScaledObserver
+    size: float
+    p_correct: float
+
+
+class _Checked(Kept[T], Generic[T]):
+    """Parts that are made only while the computation is wanted."""
+
+    def __init__(self, most_bytes: int, check: Callable[[], None]) -> None:
+        super().__init__(most_bytes)
+        self._check = check
+
+    def get(self, key: Hashable, make: Callable[[], T]) -> T:
+        self._check()
+        return super().get(key, make)
+
+
+class _Trials(NamedTuple):
+    """Trials of each orientation."""
+
+    phases: list[Phases]
+
+    @property
+    def nbytes(self) -> int:
+        return sum(part.signal.nbytes + part.noise.nbytes for part in self.phases)
+
+
+class _KeptChain(FoldedChain):
+    """A folded chain whose trials are kept for sensors of other gain and noise."""
+
+    def __init__(
+        self,
+        sensor: Sensor,
+        observer: Observer,
+        size_detectors: float,
+        plan: CurvePlan,
+        *,
+        trials: Kept[list[_Trials]],
+        check: Callable[[], None],
+    ) -> None:
+        super().__init__(sensor, observer, size_detectors, plan)
+        self._trials_kept, self._check = trials, check
+
+    def replicates(self, places: int, seed: int) -> list[list[Phases]]:
+        key = (self.plan.sampler.key, self.folding.key, self.orientations, places, seed)
+        make = super().replicates
+        kept = self._trials_kept.get(key, lambda: [_Trials(phases) for phases in make(places, seed)])
+        return [trials.phases for trials in kept]
+
+    def phases(self, places: int, rng: np.random.Generator) -> list[Phases]:
+        self._check()
+        return super().phases(places, rng)
+
+    def _p_correct(self, phases: Phases, snr: float, contrast: float = 1.0) -> FloatArray:
+        found = []
+        for start in range(0, len(phases.signal), PLACES_AT_ONCE):
+            self._check()
+            part = slice(start, start + PLACES_AT_ONCE)
+            covariance = self.noise_covariance + phases.noise[part, None] * (contrast / snr) ** 2
+            scores = contrast * phases.signal[part]
+            found.append(answer_probability(scores, covariance, phases.correct, nodes=REFINED_NODES))
+        return np.concatenate(found)

@@ -1,0 +1,242 @@
+"""Estimate of a threshold within milliseconds, and its error, from a few lattices of places.
+
+The mean over the place of the triangle on the detectors is taken on `REPLICATES` lattices, displaced against each
+other such that all together are one finer lattice. What one of them gets wrong is mostly what the others get wrong
+the other way: the spread between them, taken as if they were independent, overstates the error of their mean.
+
+The places are the same for every sensor. So two sensors that are nearly alike have nearly the same error, and the
+threshold of one that is known better corrects the estimate of the other: the spread of their ratios says how well.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Hashable
+from dataclasses import dataclass
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sensor_sim.curve_plan import CurvePlan, centre_offset
+from sensor_sim.folding import Folding, is_unblurred
+from sensor_sim.predict import KRONECKER_STEPS, Phases
+from sensor_sim.sampling import TriangleSampler, field_detectors, smallest_field
+from sensor_sim.sensor import Sensor
+from sensor_sim.sharing import Shared
+from todframes._typing import FloatArray
+from todframes.observers.decision import answer_probability
+from todframes.observers.interface import Observer
+from todframes.observers.retina import RetinaGrid
+from todframes.psychometrics.threshold_search import crossing
+from todframes.stimulus import ORIENTATIONS
+
+PLACES, REPLICATES = 4, 5
+"""Places along each axis of a lattice, and number of lattices."""
+
+SHIFTS = (np.arange(REPLICATES)[:, None] * [1.0, 2.0] + [0.41, 0.73]) / (PLACES * REPLICATES) % (1.0 / PLACES)
+"""Displacements of the lattices along x and y. All together have 20 places along each axis, evenly spaced; none
+lies on a line of symmetry, on which a place would count for two."""
+
+STANDARD_ERRORS_95 = 2.776
+"""Half-width of a 95 % interval in standard errors: Student's t with one degree of freedom less than lattices."""
+
+NODES = 8
+"""Number of quadrature nodes; it gives 1e-5."""
+
+FIELD_IN_SIZES = 2.5
+
+LEFT_OUT = 0.003
+"""Relative change of a threshold that `quick_plan` may cause: it leaves out what `plan_curve` nearly always does,
+without a trial. Over sensors at random it is below 0.001."""
+
+STEP = 0.05
+"""Distance in ln SNR between the two points from which the slope is taken."""
+
+
+class Reference(NamedTuple):
+    """A sensor whose threshold is known better than the lattices give it.
+
+    Attributes
+    ----------
+    deviations : ndarray, shape (REPLICATES,)
+        As of `Estimate`.
+    correction : float
+        ln of the known threshold over the estimate.
+    error : float
+        Relative error of the known threshold, half-width of a 95 % interval.
+    """
+
+    deviations: FloatArray
+    correction: float
+    error: float
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """An estimate of a threshold SNR.
+
+    Attributes
+    ----------
+    status : str
+        As of `PredictedThreshold`; if it is not "ok", the others are NaN.
+    threshold : float
+        Without correction by a reference.
+    deviations : ndarray, shape (REPLICATES,)
+        ln of each lattice's threshold over that of all.
+    slope : float
+        dP/d ln SNR at the threshold.
+    """
+
+    status: Literal["ok", "never_reached", "always_exceeded"]
+    threshold: float
+    deviations: FloatArray
+    slope: float
+
+    def corrected(self, reference: Reference | None) -> tuple[float, float]:
+        """Return the threshold and the half-width of its 95 % interval, by the reference if that is narrower."""
+        half_width, correction = _half_width(self.deviations), 0.0
+        if reference is not None:
+            by_ratio = _half_width(self.deviations - reference.deviations) + reference.error
+            if by_ratio < half_width:
+                half_width, correction = by_ratio, reference.correction
+        threshold = self.threshold * math.exp(correction)
+        return threshold, (half_width + LEFT_OUT) * threshold
+
+    def as_reference(self, threshold: float, error: float) -> Reference:
+        """Return the reference that this sensor is with a threshold that is known better."""
+        return Reference(self.deviations, math.log(threshold / self.threshold), error / threshold)
+
+
+def _half_width(deviations: FloatArray) -> float:
+    return STANDARD_ERRORS_95 * float(deviations.std(ddof=1)) / math.sqrt(REPLICATES)
+
+
+def quick_plan(
+    sensor: Sensor, observer: Observer, size_detectors: float, *, symmetric: bool, shared: Shared
+) -> CurvePlan:
+    """Return a plan that leaves out, untried, what most plans do: the far field, double precision."""
+    blur = 6.0 * sensor.optics.blur_sigma_mrad / sensor.detector.pitch_mrad
+    blur += (
+        4.0
+        * math.hypot(sensor.display.blur_sigma_px, sensor.electronics.blur_sigma_px)
+        / (sensor.display.pixels_per_detector)
+    )
+    full = field_detectors(sensor, size_detectors)
+    needed = max(math.ceil(FIELD_IN_SIZES * size_detectors + blur) + 2, smallest_field(size_detectors))
+    field = min(needed + (full - needed) % 2, full)
+    sampler = shared.samplers.get(
+        ("quick", sensor.optics, sensor.detector, size_detectors, field),
+        lambda: TriangleSampler(
+            optics=sensor.optics,
+            detector=sensor.detector,
+            size_detectors=size_detectors,
+            field_detectors=field,
+            period_detectors=2 * field,
+        ),
+    )
+    return CurvePlan(
+        observer=observer,
+        field=field,
+        sampler=sampler,
+        dtype=np.float32,
+        orientations=ORIENTATIONS[:1] if symmetric else ORIENTATIONS,
+        three_templates=True,
+        merge_pixels=is_unblurred(sensor),
+        shared=shared,
+    )
+
+
+def lattice_phases(
+    sensor: Sensor,
+    observer: Observer,
+    size_detectors: float,
+    plan: CurvePlan,
+    *,
+    grid: RetinaGrid,
+    name: Hashable,
+    images: Callable[[], NDArray[Any]],
+) -> list[Phases]:
+    """Return the trials of each orientation on all lattices, one lattice after the other.
+
+    Parameters
+    ----------
+    sensor : Sensor
+    observer : Observer
+    size_detectors : float
+    plan : CurvePlan
+    grid : RetinaGrid
+        That of the readout.
+    name : hashable
+        All that the weights on the retina depend on.
+    images : function of no arguments
+        Returns these weights, (4, side, side); called if they are not folded yet.
+    """
+    along = np.arange(PLACES) / PLACES - 0.5
+    middle_x, middle_y = along + SHIFTS.T[..., None]
+    row, column = np.divmod(np.arange(PLACES**2)[:, None], PLACES)
+    evenly = row * KRONECKER_STEPS[0] + column * KRONECKER_STEPS[1]
+    evenly = (evenly + np.arange(REPLICATES)[:, None, None] * KRONECKER_STEPS.sum(axis=0)) % 1.0
+    jitter = observer.position_jitter_samples * grid.pitch_mrad / sensor.display.detector_pitch_mrad
+    displacement = jitter * (2.0 * evenly - 1.0).reshape(-1, 1, 2) * np.array([[1.0], [-1.0]])
+    place = np.empty((REPLICATES, PLACES, PLACES, 1, 2))
+    place[..., 0, 0], place[..., 0, 1] = middle_x[:, None, :], middle_y[:, :, None]
+    x, y = np.ascontiguousarray((place.reshape(-1, 1, 2) - displacement).reshape(-1, 2).T)
+    trials = []
+    for orientation in plan.orientations:
+        dx, dy = centre_offset(observer, orientation, size_detectors)
+        key = (name, sensor.display, sensor.electronics, plan.field, dx, dy)
+
+        def fold(dx: float = dx, dy: float = dy) -> FloatArray:
+            folding = Folding(
+                sensor,
+                grid,
+                images(),
+                n=3,
+                field=plan.field,
+                reach_detectors=0.5 + max(abs(dx), abs(dy)),
+                dtype=plan.dtype,
+                merge_pixels=plan.merge_pixels,
+            )
+            rows = [folding.weights_by_row(x + dx, y + dy) for x, y in zip(middle_x, middle_y, strict=True)]
+            return np.concatenate([row for rows_of_lattice in rows for row in rows_of_lattice])
+
+        weights = plan.all_four(plan.shared.weights.get(key, fold).astype(np.float64)) * sensor.display.gain
+        samples = plan.samples(x, y, orientation).reshape(len(weights), -1, plan.field**2)
+        trials.append(Phases(samples @ weights.swapaxes(1, 2), plan.noise(weights), orientation.quarter_turns))
+    return trials
+
+
+def estimate(
+    phases: list[Phases], internal: FloatArray, p_correct: float, *, near: float | None, slope: float
+) -> Estimate:
+    """Estimate the threshold SNR from the trials on all lattices.
+
+    Parameters
+    ----------
+    phases : list of Phases
+        Of each orientation, from `lattice_phases`.
+    internal : ndarray, shape (4, 4)
+        Covariance of the internal noise on the scores.
+    p_correct : float
+        Raw proportion correct at threshold.
+    near, slope : float
+        Threshold of a similar sensor, to begin with, and the slope dP/d ln SNR there; None if there is none.
+    """
+
+    def of_each(snr: float) -> FloatArray:
+        proportions = [
+            answer_probability(part.signal, internal + part.noise[:, None] / snr**2, part.correct, nodes=NODES)
+            .reshape(REPLICATES, -1)
+            .mean(axis=1)
+            for part in phases
+        ]
+        return np.asarray(np.mean(proportions, axis=0))
+
+    status, threshold = crossing(lambda snr: float(of_each(snr).mean()), p_correct, near=near, slope=slope)
+    if threshold is None:
+        return Estimate(status, math.nan, np.full(REPLICATES, math.nan), math.nan)
+    low, high = of_each(threshold * math.exp(-STEP / 2.0)), of_each(threshold * math.exp(STEP / 2.0))
+    slope = max(float((high - low).mean()) / STEP, 1e-12)
+    middle = (low + high) / 2.0
+    return Estimate(status, threshold, (middle.mean() - middle) / slope, slope)

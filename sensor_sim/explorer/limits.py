@@ -1,0 +1,96 @@
+"""What limits a sensor at its threshold: the observer's internal noise, the detectors' noise or the sampling.
+
+The decision is a comparison of scores: the right answer wins while the three differences D of its score from the
+others are positive. At threshold, over trials, each D varies for three reasons:
+
+- **internal**: the noise on the observer's neurons;
+- **detector**: the noise of the detectors, at the threshold SNR;
+- **sampling**: the place of the triangle on the detectors, and of the retina on the display, moves the mean of D.
+
+By the law of total variance, Var D = E[Var(D | place)] + Var(E[D | place]); the first term is the sum of internal
+and detector noise, which are independent. So the three are shares of one variance, with the sum 1, and follow from
+the trials that gave the threshold: they are the mean over the three differences, each with its own variance. A
+sensor that never reaches its threshold does not without detector noise either: its shares are those without it.
+
+Shares say what makes answers uncertain, not what makes the signal small: the transfer of optics and display lowers
+the mean of D, and so raises all three.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from sensor_sim.predict import Phases
+from todframes._typing import FloatArray
+
+LEADS = 0.5
+"""Share from which one of the three limits by itself."""
+
+
+class Shares(NamedTuple):
+    """Shares of the variance of the decision at threshold; their sum is 1."""
+
+    internal: float
+    detector: float
+    sampling: float
+
+
+class Limits(NamedTuple):
+    """What limits a curve: the mean shares of its sizes, and a sentence."""
+
+    internal: float
+    detector: float
+    sampling: float
+    sentence: str
+
+
+NAMES = ("the observer's internal noise", "detector noise", "sampling")
+
+
+def decision_shares(phases: Sequence[Phases], internal: FloatArray, snr: float | None) -> Shares:
+    """Return the shares of the variance of the score differences that decide.
+
+    Parameters
+    ----------
+    phases : sequence of Phases
+        Trials of each orientation.
+    internal : ndarray, shape (4, 4)
+        Covariance of the internal noise on the scores.
+    snr : float or None
+        Threshold; None if it is never reached.
+    """
+    per_detector_noise = 0.0 if snr is None else 1.0 / snr**2
+    shares = []
+    for part in phases:
+        others = np.delete(np.eye(4)[part.correct] - np.eye(4), part.correct, axis=0)
+        by_internal = np.einsum("ik,kl,il->i", others, internal, others)
+        by_detector = np.einsum("ik,kl,il->i", others, part.noise.mean(axis=0), others) * per_detector_noise
+        by_sampling = (part.signal.reshape(-1, 4) @ others.T).var(axis=0)
+        of_each = np.stack([by_internal, by_detector, by_sampling])
+        shares.append((of_each / np.maximum(of_each.sum(axis=0), np.finfo(float).tiny)).mean(axis=1))
+    return Shares(*np.mean(shares, axis=0).tolist())
+
+
+def what_limits(sizes_detectors: Sequence[float], shares: Sequence[Shares], reached: Sequence[bool]) -> Limits:
+    """Return what limits a curve in one sentence, with the mean shares of the sizes that reach their threshold.
+
+    Parameters
+    ----------
+    sizes_detectors : sequence of float
+    shares : sequence of Shares
+        At each size.
+    reached : sequence of bool
+        Whether the size has a threshold. If none has, the means are over all sizes.
+    """
+    chosen = [share for share, has_threshold in zip(shares, reached, strict=True) if has_threshold] or list(shares)
+    mean = Shares(*np.mean(chosen, axis=0).tolist())
+    (most, first), *others = sorted(zip(mean, NAMES, strict=True), reverse=True)
+    rest = ", ".join(f"{name} {share:.0%}" for share, name in others)
+    verb = "limits" if most >= LEADS else "weighs most"
+    at = [f"{size:g}" for size, has_threshold in zip(sizes_detectors, reached, strict=True) if not has_threshold]
+    tail = f"; no threshold at {', '.join(at)} detectors, even without detector noise" if at else ""
+    sentence = f"{first} {verb}: {most:.0%} of what makes answers vary at threshold ({rest}){tail}."
+    return Limits(*mean, sentence[0].upper() + sentence[1:])

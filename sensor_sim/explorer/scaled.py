@@ -1,0 +1,171 @@
+"""Observers whose internal noise is a number, and whose readouts are kept for all its values."""
+
+from __future__ import annotations
+
+import pickle
+from collections.abc import Callable, Hashable
+from dataclasses import replace
+from typing import Any, NamedTuple, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sensor_sim.curve_plan import is_symmetric, not_linear
+from sensor_sim.sharing import Kept
+from todframes._typing import FloatArray
+from todframes.observers.interface import Observer, OmittedWeights, Readout, TruncatedObserver
+from todframes.observers.oriented import OrientedObserver
+from todframes.observers.pyramid import PyramidObserver
+from todframes.observers.retina import RetinaGrid
+from todframes.stimulus import Centre, Stimulus
+
+
+class Unit(NamedTuple):
+    """An observer, pickled, and the factor that its internal noise is to be scaled with."""
+
+    pickled: bytes
+    noise_sd: float
+
+
+def unit_of(observer: Observer) -> Unit:
+    """Return the observer with internal noise of standard deviation 1, and its own as a factor.
+
+    Observers whose noise may shape their weights stay as they are, with the factor 1.
+    """
+    if type(observer) in {PyramidObserver, OrientedObserver}:
+        settings = cast("PyramidObserver", observer).settings
+        of_unit_noise: Any = type(observer)(replace(settings, internal_noise=0.0, internal_noise_sd=1.0))
+        return Unit(pickle.dumps(of_unit_noise), settings.noise_sd)
+    return Unit(pickle.dumps(observer), 1.0)
+
+
+class Look(NamedTuple):
+    """All of a readout but its weights; the noise is that of the observer itself, not scaled."""
+
+    grid: RetinaGrid
+    noise_covariance: FloatArray
+    is_symmetric: bool
+    nbytes: int = 0
+
+
+class KeptWeights(NamedTuple):
+    """Weights of a readout in single precision; of a symmetric one the first, whose turns are the others."""
+
+    images: NDArray[np.float32]
+
+    @property
+    def nbytes(self) -> int:
+        """Size in bytes."""
+        return self.images.nbytes
+
+    def all_four(self) -> NDArray[np.float32]:
+        """Return the weights of the four scores, (4, side, side)."""
+        if len(self.images) == 4:
+            return self.images
+        return np.stack([np.rot90(self.images[0], -k) for k in range(4)])
+
+
+class ScaledObserver:
+    """A linear observer as a curve needs it, with its internal noise scaled.
+
+    Parameters
+    ----------
+    make : function of no arguments
+        Makes the observer anew.
+    name : hashable
+        All that tells this observer from others.
+    scale : float
+        Factor of the standard deviation of the internal noise.
+    kept : Kept
+        Looks and weights of readouts, for all scales.
+    """
+
+    def __init__(self, make: Callable[[], Observer], name: Hashable, scale: float, kept: Kept[Any]) -> None:
+        self.name, self._make, self._scale, self._kept = name, make, scale, kept
+        base = make()
+        self.centre: Centre = base.centre
+        self.position_jitter_samples = base.position_jitter_samples
+
+    def readout(self, stimulus: Stimulus) -> Readout | None:
+        """Return the readout with its noise scaled; None if the observer is not linear."""
+        readout = self._readout(stimulus)
+        if readout is None:
+            return None
+        readout = replace(readout, noise_covariance=self._scale**2 * readout.noise_covariance)
+        # Instead of a hash of the weights, which takes longer than the weights of a place.
+        vars(readout)["weights_key"] = (self.name, stimulus)
+        return readout
+
+    def look(self, stimulus: Stimulus) -> Look:
+        """Return what a readout has besides weights.
+
+        Raises
+        ------
+        SettingsError
+            If the observer is not linear.
+        """
+        look: Look = self._kept.get((self.name, stimulus, "look"), lambda: self._parts(stimulus)[0])
+        return look
+
+    def internal(self, stimulus: Stimulus) -> FloatArray:
+        """Return the covariance of the internal noise on the scores, (4, 4)."""
+        return np.asarray(self._scale**2 * self.look(stimulus).noise_covariance)
+
+    def weights(self, stimulus: Stimulus) -> NDArray[np.float32]:
+        """Return the weights of a readout, (4, side, side), in single precision."""
+        kept: KeptWeights = self._kept.get((self.name, stimulus, "weights"), lambda: self._parts(stimulus)[1])
+        return kept.all_four()
+
+    def _parts(self, stimulus: Stimulus) -> tuple[Look, KeptWeights]:
+        """Return the parts of a readout that are kept, and keep both."""
+        readout = self._readout(stimulus)
+        if readout is None:
+            raise not_linear()
+        symmetric = is_symmetric(readout)
+        weights = KeptWeights(readout.deviations[: 1 if symmetric else 4].astype(np.float32))
+        look = Look(readout.grid, readout.noise_covariance, symmetric)
+        self._kept.get((self.name, stimulus, "look"), lambda: look)
+        self._kept.get((self.name, stimulus, "weights"), lambda: weights)
+        return look, weights
+
+    def _readout(self, stimulus: Stimulus) -> Readout | None:
+        base = self._make()
+        readout = base.readout(stimulus)
+        if hasattr(base.readout, "cache_clear"):
+            base.readout.cache_clear()  # the observer refers to itself through it, and would live on for a while
+        return readout
+
+
+class ScaledTruncatedObserver(ScaledObserver):
+    """The same of a `TruncatedObserver`."""
+
+    def with_extra_level(self) -> ScaledObserver:
+        """Return the observer with a level more."""
+        return self._variant("more", lambda base: base.with_extra_level())
+
+    def with_fewer_levels(self, stimulus: Stimulus) -> ScaledObserver | None:
+        """Return the observer with a level less; None where that is not possible."""
+        if cast("TruncatedObserver", self._make()).with_fewer_levels(stimulus) is None:
+            return None
+        return self._variant("fewer", lambda base: base.with_fewer_levels(stimulus))
+
+    def _variant(self, name: str, change: Callable[[TruncatedObserver], Observer | None]) -> ScaledObserver:
+        make = self._make
+
+        def make_variant() -> Observer:
+            return cast("Observer", change(cast("TruncatedObserver", make())))
+
+        return scaled(make_variant, (self.name, name), self._scale, self._kept)
+
+    def omitted_bands(self, stimulus: Stimulus) -> OmittedWeights | None:
+        """Estimate what the readout omits."""
+        omitted = cast("TruncatedObserver", self._make()).omitted_bands(stimulus)
+        if omitted is None:
+            return None
+        return omitted._replace(noise_covariance=self._scale**2 * omitted.noise_covariance)
+
+
+def scaled(make: Callable[[], Observer], name: Hashable, scale: float, kept: Kept[Any]) -> ScaledObserver:
+    """Return a `ScaledObserver`, truncated if the observer is."""
+    kind = ScaledTruncatedObserver if isinstance(make(), TruncatedObserver) else ScaledObserver
+    return kind(make, name, scale, kept)
