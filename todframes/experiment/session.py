@@ -18,7 +18,7 @@ from datetime import UTC, datetime
 from functools import cached_property
 from itertools import chain
 from pathlib import Path
-from typing import Annotated, Literal, NamedTuple
+from typing import Annotated, Literal, NamedTuple, get_args
 
 import numpy as np
 from msgspec import Meta
@@ -31,6 +31,7 @@ from todframes.errors import DataError, OutputError, SettingsError
 from todframes.experiment.answers import (
     AnswerFile,
     Consent,
+    Method,
     Phase,
     SessionRecord,
     ShownDataset,
@@ -109,7 +110,7 @@ class Design:
         Seed of the order. Default: a random one.
     """
 
-    method: Literal["constant", "quest"] | None = None
+    method: Method | None = None
     trials: Annotated[int | None, Meta(ge=1, le=1_000_000)] = None
     practice: Annotated[int | None, Meta(ge=0, le=1000)] = None
     break_every: Annotated[int | None, Meta(ge=0, le=1_000_000)] = None
@@ -120,6 +121,8 @@ class Design:
 
     def __post_init__(self) -> None:
         check_values(self)
+        if self.method not in (None, *get_args(Method)):
+            raise SettingsError(f"method: found {self.method!r}, expected one of {', '.join(get_args(Method))}")
 
 
 class NextTrial(NamedTuple):
