@@ -1,3 +1,4 @@
+from .api import calibrate as calibrate
 from .api import compare as compare
 from .api import fit_counts as fit_counts
 from .api import naked_eye as naked_eye
