@@ -19,6 +19,8 @@ import pytest
 from browser import OpenPage, serving
 
 import todframes as tod
+from todframes.cli.console import run
+from todframes.cli.main import cli
 from todframes.observers.retina import resample
 
 pytestmark = pytest.mark.slow
@@ -102,9 +104,9 @@ def shown_on_screen(page: Any) -> np.ndarray:
 class Person:
     """The observer with internal noise 0.35, which looks at the canvas."""
 
-    def __init__(self, page: Any, *, size_mrad: float, pixel_pitch_mrad: float) -> None:
+    def __init__(self, page: Any, *, size_px: float, pixel_pitch_mrad: float) -> None:
         self.observer = tod.PyramidObserver(internal_noise=INTERNAL_NOISE)
-        self.stimulus = tod.Stimulus(size_mrad)
+        self.stimulus = tod.Stimulus(size_px * pixel_pitch_mrad)
         self.grid = self.observer.grid(self.stimulus)
         self.pixel_pitch_mrad = pixel_pitch_mrad
         self.page = page
@@ -127,8 +129,10 @@ def free_port() -> int:
         return listener.getsockname()[1]
 
 
-def test_person_whose_server_is_killed_twice(make_dataset: Any, open_page: OpenPage, tmp_path: Path) -> None:
-    """240 trials: none is lost, and none is twice."""
+def test_person_whose_server_is_killed_twice(
+    make_dataset: Any, open_page: OpenPage, tmp_path: Path, capsys: Any
+) -> None:
+    """240 trials: none is lost, none is twice, and what is calibrated from them is the person's internal noise."""
     # Levels from a half to three times the threshold of this noise, 0.043.
     levels = (0.02, 0.03, 0.045, 0.065, 0.09, 0.13)
     dataset = make_dataset(sizes_mrad=(3.0,), contrasts=levels, repeats=10, side_px=72)
@@ -149,7 +153,7 @@ def test_person_whose_server_is_killed_twice(make_dataset: Any, open_page: OpenP
         assert monitor["pixel_pitch_mm"] == pytest.approx(85.6 / (324 + 10 - 1))
         assert monitor["gamma"] == pytest.approx(GAMMA)
         assert monitor["background_code"] == CODE
-        person = Person(page, size_mrad=3.0, pixel_pitch_mrad=monitor["pixel_pitch_mrad"])
+        person = Person(page, size_px=3.0 / 0.25, pixel_pitch_mrad=monitor["pixel_pitch_mrad"])
         for expected in range(1, 100):
             assert trial_shown(page) == expected
             page.keyboard.press(person.key(expected))
@@ -179,6 +183,11 @@ def test_person_whose_server_is_killed_twice(make_dataset: Any, open_page: OpenP
     assert [row["phase"] for row in rows] == ["practice"] * 8 + ["main"] * 240
     assert sorted(row["frame"] for row in rows[8:]) == sorted(row["frame"] for row in dataset.rows)
     assert {int(row["trial"]): row["response"] for row in rows} == person.answers
+
+    assert run(cli, ["calibrate", str(answers), str(dataset.path), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    low, high = found["persons"][0]["internal_noise_ci95"]
+    assert low < INTERNAL_NOISE < high
 
 
 def test_pixels_on_the_screen_are_those_of_the_frame(
