@@ -489,7 +489,7 @@ def calibrate(
         A linear observer with a setting `internal_noise`, whose value is not used.
     free : sequence of {"lapse", "blur"}
         Parameters that are fitted besides: the rate δ of lapses, up to `lapse_rate_max` of `fit`, and the
-        observer's `template_blur_samples`, from a quarter to four times its value.
+        observer's `template_blur_samples`, from a quarter to twice its value.
     subjects : sequence of str
         Ids of the persons. Default: all.
     p_correct : float, optional
@@ -531,9 +531,7 @@ def calibrate(
     known = {one.subject for one in sessions}
     for subject in subjects:
         if subject not in known:
-            raise DataError(
-                f"{answers}: subject: found no {subject!r}, expected one of {', '.join(sorted(known))}"
-            )
+            raise DataError(f"{answers}: found no subject {subject!r}, expected one of {', '.join(sorted(known))}")
     sessions = [one for one in sessions if not subjects or one.subject in subjects]
     data = _loaded(dataset)
     with _run(workers, None, None, progress) as run:

@@ -139,7 +139,7 @@ def validate(*, dataset: Location, add_sha256: bool, strict: bool, as_json: bool
 
 
 for command in (
-    *(score, compare, naked_eye, fit, experiment, calibrate, chart, import_command, new, noise),
+    *(score, compare, naked_eye, fit, chart, import_command, new, noise, experiment, calibrate),
     *(report_command, enhancements, accuracy, stability),
 ):
     cli.add_command(command)

@@ -46,8 +46,9 @@ NOISE, NOISE_SD, BLUR = "internal_noise", "internal_noise_sd", "template_blur_sa
 DISPLACEMENTS = 1
 """Number of displacements of the retina in each of the `REPLICATES` sets that P(correct) of a trial averages."""
 
-BLUR_FACTORS = 2.0 ** (np.arange(-4, 5) / 2.0)
-"""Template blurs that are tried, over that of the observer: a quarter to four times."""
+BLUR_FACTORS = 2.0 ** (np.arange(-4, 3) / 2.0)
+"""Template blurs that are tried, over that of the observer: a quarter to twice. With more blur, next to nothing of
+the templates of small triangles is left in the bands."""
 
 NOISE_GRID_STEP = 0.25
 """Distance of the values of ln noise for which answers are computed; those between are interpolated."""
@@ -241,7 +242,7 @@ def answered_trials(
     Parameters
     ----------
     observers : sequence of Observer
-        The same observer with an internal noise of 1 and one template blur each.
+        The same observer with an internal noise of 1 and one template blur each, rising.
 
     Raises
     ------
@@ -249,7 +250,8 @@ def answered_trials(
         If the answers are to another dataset, or a frame cannot be used or has changed since.
     """
     seen = seen_dataset(dataset, session)
-    planned = plan_score(seen, seen.trials, _changed(observers[0], {NOISE: PLANNED_NOISE}))
+    # The widest blur needs the widest field and the coarsest bands.
+    planned = plan_score(seen, seen.trials, _changed(observers[-1], {NOISE: PLANNED_NOISE}))
     plans = [replace(planned, observer=observer) for observer in observers]
     scoring = Scoring(seen, plans[0], "expected", seed, displacements=DISPLACEMENTS)
     found: dict[int, FloatArray] = {}
