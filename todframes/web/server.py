@@ -211,7 +211,7 @@ def open_listener(launch: Launch) -> socket.socket:
             "give the address by which the browser's machine reaches this one"
         )
     try:
-        return socket.create_server(address[:2], family=family)
+        listener = socket.create_server(address[:2], family=family)
     except OSError as error:
         if error.errno == errno.EADDRINUSE:
             problem = (
@@ -222,3 +222,7 @@ def open_listener(launch: Launch) -> socket.socket:
         else:
             problem = f"--port: cannot listen on {host}, port {port} ({error.strerror})"
         raise SettingsError(problem) from None
+    # Or each answer waits 40 ms for the acknowledgement of its headers. Connections inherit it; asyncio sets it
+    # only where the socket names its protocol.
+    listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    return listener
