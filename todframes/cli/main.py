@@ -13,6 +13,7 @@ from pathlib import Path
 import click
 
 from todframes import __version__
+from todframes.cli.calibrate import calibrate
 from todframes.cli.chart import chart
 from todframes.cli.compare import compare, enhancements
 from todframes.cli.console import (
@@ -138,7 +139,7 @@ def validate(*, dataset: Location, add_sha256: bool, strict: bool, as_json: bool
 
 
 for command in (
-    *(score, compare, naked_eye, fit, chart, import_command, new, noise, experiment),
+    *(score, compare, naked_eye, fit, chart, import_command, new, noise, experiment, calibrate),
     *(report_command, enhancements, accuracy, stability),
 ):
     cli.add_command(command)

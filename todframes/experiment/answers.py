@@ -504,22 +504,22 @@ def write_counts(path: Path, record: SessionRecord, rows: Sequence[TrialRow]) ->
     """
     level, group_by = record.dataset.level, record.dataset.group_by
     ratio = 1.0 if record.monitor is None else record.monitor.pixel_pitch_mrad / record.dataset.pixel_pitch_mrad
-    at_eye = 1.0 if abs(ratio - 1.0) <= SAME_PITCH else ratio
-
-    def scaled(name: str, value: float | str) -> float | str:
-        if name != "size_mrad" or isinstance(value, str) or at_eye == 1.0:
-            return value
-        return float(f"{value * at_eye:.6g}")
-
     found: dict[tuple[Group, float], list[bool]] = {}
     for row in rows:
         if row.phase == "main" and row.response is not None:
             found.setdefault((row.group, row.level), []).append(row.is_correct)
     lines: list[list[object]] = [[*COUNT_COLUMNS, *group_by]]
     for (group, x), answers in sorted(found.items(), key=lambda item: (_order(item[0][0]), item[0][1])):
-        of_group = [scaled(name, value) for name, value in zip(group_by, group, strict=True)]
-        lines.append([scaled(level, x), sum(answers), len(answers), *of_group])
+        of_group = [at_eye(name, value, ratio) for name, value in zip(group_by, group, strict=True)]
+        lines.append([at_eye(level, x, ratio), sum(answers), len(answers), *of_group])
     write_file(path, csv_text(lines).encode())
+
+
+def at_eye(name: str, value: float | str, ratio: float) -> float | str:
+    """Return a value of a column as it is at the eye: `size_mrad` grows with the ratio of the pixels' pitches."""
+    if name != "size_mrad" or isinstance(value, str) or abs(ratio - 1.0) <= SAME_PITCH:
+        return value
+    return float(f"{value * ratio:.6g}")
 
 
 def _order(group: Group) -> tuple[tuple[bool, float, str], ...]:

@@ -20,7 +20,7 @@ from starlette.responses import Response
 from starlette.routing import Route
 from starlette.types import Lifespan, Receive, Scope, Send
 
-from todframes.errors import TodframesError
+from todframes.errors import SettingsError, TodframesError
 from todframes.safe_text import visible
 
 SHARED_FILES = ("base.css", "server.js", "icon.svg", "uplot/uPlot.iife.min.js", "uplot/uPlot.min.css")
@@ -60,7 +60,7 @@ def page(folder: Traversable, calls: Sequence[Route], lifespan: Lifespan[Starlet
     app = Starlette(
         routes=[*routes, *calls],
         lifespan=lifespan,
-        exception_handlers={TodframesError: error_answer, msgspec.MsgspecError: error_answer},
+        exception_handlers={TodframesError: error_answer},
     )
     app.router.redirect_slashes = False
     return app
@@ -84,7 +84,7 @@ def call(path: str, kind: type[T], function: Callable[[T], object]) -> Route:
     decoder = msgspec.json.Decoder(kind)
 
     async def endpoint(request: Request) -> Response:
-        asked = decoder.decode(await request.body())
+        asked = _decoded(decoder, await request.body())
         found = await run_in_threadpool(function, asked)
         return Response(found if isinstance(found, bytes) else json_bytes(found), media_type=JSON)
 
@@ -115,7 +115,7 @@ def stream(
         """An ASGI app, as the response begins only with the first line, and the client may leave before."""
 
         async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-            asked = decoder.decode(await Request(scope, receive).body())
+            asked = _decoded(decoder, await Request(scope, receive).body())
             is_gone = threading.Event()
             watch = asyncio.create_task(_set_when_gone(receive, is_gone))
             try:
@@ -126,6 +126,16 @@ def stream(
                 watch.cancel()
 
     return Route(path, Stream(), methods=["POST"])
+
+
+def _decoded(decoder: msgspec.json.Decoder[T], body: bytes) -> T:
+    """Return what the body of a request holds; raise SettingsError if it is not of the decoder's type."""
+    try:
+        return decoder.decode(body)
+    except (msgspec.MsgspecError, UnicodeDecodeError) as error:
+        raise SettingsError(f"the request is not valid: {error}") from None
+    except RecursionError:
+        raise SettingsError("the request is not valid: nested too deep") from None
 
 
 async def _set_when_gone(receive: Receive, is_gone: threading.Event) -> None:
@@ -174,8 +184,8 @@ def json_bytes(value: object) -> bytes:
 
 def error_of(error: Exception) -> dict[str, str | None]:
     """Return the line of an error, and the key of SENSOR.toml that it names, such as "optics.aperture_mm"."""
-    line = visible(str(error)) if isinstance(error, TodframesError) else f"the request is not valid: {error}"
-    found = re.search(r"\[(\w+)\]: (\w+)", line)
+    line = visible(str(error))
+    found = re.search(r"\[(\w+)\]: (\w+)(?:: | is missing)", line)
     return {"error": line, "key": f"{found[1]}.{found[2]}" if found else None}
 
 
