@@ -1,4 +1,5 @@
 from .api import curve as curve
+from .api import explore as explore
 from .api import mtf as mtf
 from .api import simulate as simulate
 from .api import sweep as sweep

@@ -26,6 +26,7 @@ from todframes.cli.console import (
 )
 from todframes.cli.options import (
     json_option,
+    launch_options,
     make_observer,
     numbers,
     observer_options,
@@ -271,6 +272,19 @@ def mtf(*, sensor: Path, out: str | None, as_json: bool) -> None:
     print_table(transfer.table(TABLE_STEP))
     if out is not None:
         echo(f"written: {out}")
+
+
+@cli.command()
+@sensor_argument
+@launch_options
+def explore(*, sensor: Path, host: str, port: int, no_browser: bool) -> None:
+    """Open a page in the browser on which the sensor's parameters move, and its TOD curve with them.
+
+    A server on this machine computes the numbers, and sends nothing elsewhere. Ctrl-C ends it.
+    """
+    from sensor_sim import api
+
+    api.explore(sensor, host=host, port=port, open_browser=not no_browser, tell=echo, warn=say)
 
 
 def main(arguments: list[str] | None = None) -> None:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from msgspec import Meta
 
-from todframes.config import check_keys, check_values, from_table, read_toml
+from todframes.config import check_keys, check_values, from_table, read_toml, toml_literal
 from todframes.errors import SettingsError
 
 SCHEMA = 1
@@ -228,21 +229,40 @@ def load_sensor(path: Path | str) -> Sensor:
         If it cannot be read or is not TOML, or a table or key is unknown, missing or out of its range; the
         message names the file, table and key, the value found and the values expected.
     """
-    content = read_toml(Path(path))
-    check_keys(content, ["schema", "name", *TABLES], str(path))
+    return sensor_from(read_toml(Path(path)), str(path))
+
+
+def sensor_from(content: Mapping[str, Any], where: str) -> Sensor:
+    """Return the checked settings of the tables of a `SENSOR.toml`.
+
+    Raises
+    ------
+    SettingsError
+        If a table or key is unknown, missing or out of its range; the message begins with `where`.
+    """
+    check_keys(content, ["schema", "name", *TABLES], where)
     schema = content.get("schema")
     if schema != SCHEMA or isinstance(schema, bool):
         found = "nothing" if schema is None else repr(schema)
-        raise SettingsError(f"{path}: schema: found {found}, expected {SCHEMA}")
+        raise SettingsError(f"{where}: schema: found {found}, expected {SCHEMA}")
     name = content.get("name", "unnamed")
     if not isinstance(name, str):
-        raise SettingsError(f"{path}: name: found {name!r}, expected a text")
+        raise SettingsError(f"{where}: name: found {name!r}, expected a text")
     parts: dict[str, Any] = {}
     for table, kind in TABLES.items():
         if table in content:
             if not isinstance(content[table], dict):
-                raise SettingsError(f"{path}: {table}: found {content[table]!r}, expected a table [{table}]")
-            parts[table] = from_table(content[table], kind, f"{path}: [{table}]")
+                raise SettingsError(f"{where}: {table}: found {content[table]!r}, expected a table [{table}]")
+            parts[table] = from_table(content[table], kind, f"{where}: [{table}]")
         elif table in _REQUIRED_TABLES:
-            raise SettingsError(f"{path}: table [{table}] is missing")
+            raise SettingsError(f"{where}: table [{table}] is missing")
     return Sensor(name=name, **parts)
+
+
+def sensor_toml(sensor: Sensor) -> str:
+    """Return the text of a `SENSOR.toml` with all keys; every number keeps all its digits."""
+    lines = [f"schema = {SCHEMA}", f"name = {toml_literal(sensor.name)}"]
+    for table in TABLES:
+        values = asdict(getattr(sensor, table)).items()
+        lines += [f"[{table}]", *(f"{key} = {toml_literal(value)}" for key, value in values if value is not None)]
+    return "\n".join([*lines, ""])

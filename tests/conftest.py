@@ -27,6 +27,8 @@ keep_libraries_to_one_thread()  # as the commands do, and before NumPy is import
 from todframes.frames.files import write_frame  # noqa: E402
 from todframes.stimulus import ORIENTATIONS, Orientation, coverage  # noqa: E402
 
+pytest_plugins = ["browser"]
+
 PITCH_MRAD = 0.25
 WHITE, BACKGROUND = 100.0, 50.0  # cd/m²
 # A grey PNG of one pixel, in base64.

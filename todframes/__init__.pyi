@@ -1,3 +1,4 @@
+from .api import calibrate as calibrate
 from .api import compare as compare
 from .api import fit_counts as fit_counts
 from .api import naked_eye as naked_eye
@@ -35,5 +36,6 @@ from .stimulus import ORIENTATIONS as ORIENTATIONS
 from .stimulus import Orientation as Orientation
 from .stimulus import Stimulus as Stimulus
 from .stimulus import coverage as coverage
+from .web.api import run_experiment as run_experiment
 
 __version__: str

@@ -163,11 +163,36 @@ def read_toml(path: Location) -> dict[str, Any]:
         If it cannot be read or is not TOML.
     """
     try:
-        return _parsed_toml(read_text(path, most_mb=MAX_TOML_MB))
-    except tomllib.TOMLDecodeError as error:
-        raise SettingsError(f"{path}: not valid TOML: {error}") from None
+        text = read_text(path, most_mb=MAX_TOML_MB)
     except DataError as error:
         raise SettingsError(str(error)) from None
+    return parse_toml(text, str(path))
+
+
+def parse_toml(text: str, where: str) -> dict[str, Any]:
+    """Return the content of a TOML text.
+
+    Raises
+    ------
+    SettingsError
+        If it is not TOML; the message begins with `where`.
+    """
+    try:
+        return _parsed_toml(text)
+    except tomllib.TOMLDecodeError as error:
+        raise SettingsError(f"{where}: not valid TOML: {error}") from None
+
+
+def toml_literal(value: str | bool | int | float) -> str:
+    """Return a value as it is written in TOML; a number keeps all its digits."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):
+        import json
+
+        # A JSON string is a TOML string but for DEL, which TOML wants escaped.
+        return json.dumps(str(value), ensure_ascii=False).replace("\x7f", "\\u007f")
+    return repr(value)
 
 
 def toml_value(text: str) -> Any:

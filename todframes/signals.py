@@ -73,13 +73,11 @@ def raised() -> Iterator[None]:
         retries -= 1
         threading.Timer(RETRY_S, _send, [number, threading.get_ident()]).start()
 
-    before = _handle(interrupt)
     try:
-        yield
+        with handled(interrupt):
+            yield
     finally:
         _raised.clear()
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 def raise_again() -> None:
@@ -114,6 +112,17 @@ def held_back() -> Iterator[Callable[[], None]]:
         for number, handler in handlers.items():
             signal.signal(number, handler)
         act()
+
+
+@contextmanager
+def handled(handler: Callable[..., None]) -> Iterator[None]:
+    """Let a function handle the signals in the block. No effect outside the main thread, or on ignored signals."""
+    before = _handle(handler)
+    try:
+        yield
+    finally:
+        for number, earlier in before.items():
+            signal.signal(number, earlier)
 
 
 def _end(*_: object) -> None:

@@ -1,1 +1,1 @@
-"""The explorer: a page on which a sensor's parameters move and its TOD curve follows."""
+"""A page on which a sensor's parameters move, and its TOD curve with them."""

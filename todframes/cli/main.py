@@ -13,6 +13,7 @@ from pathlib import Path
 import click
 
 from todframes import __version__
+from todframes.cli.calibrate import calibrate
 from todframes.cli.chart import chart
 from todframes.cli.compare import compare, enhancements
 from todframes.cli.console import (
@@ -26,6 +27,7 @@ from todframes.cli.console import (
     say,
     warning_lines,
 )
+from todframes.cli.experiment import experiment
 from todframes.cli.new import new
 from todframes.cli.noise import noise
 from todframes.cli.options import dataset_argument, json_option, strict_option
@@ -137,7 +139,7 @@ def validate(*, dataset: Location, add_sha256: bool, strict: bool, as_json: bool
 
 
 for command in (
-    *(score, compare, naked_eye, fit, chart, import_command, new, noise),
+    *(score, compare, naked_eye, fit, chart, import_command, new, noise, experiment, calibrate),
     *(report_command, enhancements, accuracy, stability),
 ):
     cli.add_command(command)

@@ -119,6 +119,20 @@ explain_option = click.option(
 quiet_option = click.option("--quiet", is_flag=True, help="No progress and no remarks on standard error.")
 
 
+on_error_option = click.option(
+    "--on-error",
+    type=click.Choice(["stop", "skip"]),
+    default="stop",
+    show_default=True,
+    help="At a frame or row that cannot be used: end, or go on and list it.",
+)
+
+
+workers_option = click.option(
+    "--workers", type=click.IntRange(1), default=1, show_default=True, help="Threads that read and score."
+)
+
+
 scoring_options = options(
     click.option(
         "--decisions",
@@ -141,16 +155,8 @@ scoring_options = options(
         help="Find the triangle's position where the manifest has none: one for each group (also if alone), or "
         "one for each trial, for recordings by hand.",
     ),
-    click.option(
-        "--on-error",
-        type=click.Choice(["stop", "skip"]),
-        default="stop",
-        show_default=True,
-        help="At a frame or row that cannot be used: end, or go on and list it.",
-    ),
-    click.option(
-        "--workers", type=click.IntRange(1), default=1, show_default=True, help="Threads that read and score."
-    ),
+    on_error_option,
+    workers_option,
 )
 """Options of the commands that score frames, named like the parameters of the Python calls."""
 
@@ -184,6 +190,18 @@ class ScoringCommand(click.Command):
         }
         given = [f"--locate={LOCATE[0]}" if k in bare else one for k, one in enumerate(args)]
         return super().parse_args(ctx, given)
+
+
+launch_options = options(
+    click.option(
+        "--host", default="127.0.0.1", show_default=True, help="Address or name of this machine to listen at."
+    ),
+    click.option(
+        "--port", type=click.IntRange(0, 65535), default=0, help="Port to listen at.  [default: a free one]"
+    ),
+    click.option("--no-browser", is_flag=True, help="Print the address only; open no browser."),
+)
+"""Options of the commands that serve a page."""
 
 
 strict_option = click.option(

@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 
 from todframes._typing import FloatArray
 from todframes.normal import normal_cdf
-from todframes.psychometrics.likelihood import CurveModel, binomial_loglik
+from todframes.psychometrics.likelihood import CHI2_95, CurveModel, binomial_loglik
 
-_CHI2_95 = 3.841458820694124
 CURVE_TRIALS = 5
 PLUS_TRIALS = 4
 ANSWER_TOLERANCE, PROBABILITY_TOLERANCE = 1e-4, 1e-8
@@ -136,7 +135,7 @@ def threshold_interval(
     if 0 < after < len(model.z):
         step = np.where(np.arange(len(model.z)) < after, model.guess_rate, model.ceiling(theta))
         step_loglik = (model.n_trials * binomial_loglik(observed.p_correct, step)).sum()
-        if 2 * (loglik - step_loglik) <= _CHI2_95 * observed.dispersion(right):
+        if 2 * (loglik - step_loglik) <= CHI2_95 * observed.dispersion(right):
             low, high = min(low, model.z[after - 1]), max(high, model.z[after])
     return float(low), float(high)
 

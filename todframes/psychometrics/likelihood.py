@@ -18,6 +18,9 @@ from todframes._typing import FloatArray
 
 SLOPE_RANGE = (1e-2, 1e3)
 
+CHI2_95 = 3.841458820694124
+"""95 % point of χ² with one degree of freedom."""
+
 _BATCH_ELEMENTS = 1 << 20
 
 # OpenBLAS starts threads for larger products; on a busy machine their waiting costs more than they save.

@@ -18,7 +18,14 @@ from todframes.psychometrics.likelihood import CurveModel
 _LN_LN2 = math.log(math.log(2.0))
 
 
-def weibull(level: ArrayLike, *, alpha: float, beta: float, guess_rate: float, lapse_rate: float) -> FloatArray:
+def weibull(
+    level: ArrayLike,
+    *,
+    alpha: float | FloatArray,
+    beta: float | FloatArray,
+    guess_rate: float,
+    lapse_rate: float | FloatArray,
+) -> FloatArray:
     """Compute the proportion correct at levels >= 0, of any shape, in the unit of `alpha`.
 
     `alpha` > 0 is the level at 1 − δ − (1 − δ − γ)/2, `beta` > 0 the slope, `guess_rate` γ and `lapse_rate` δ the

@@ -17,7 +17,7 @@ import numpy as np
 from msgspec import Meta
 
 from todframes._typing import FloatArray
-from todframes.config import MAX_TOML_MB, check_keys, check_values, from_table, read_toml
+from todframes.config import MAX_TOML_MB, check_keys, check_values, from_table, read_toml, toml_literal
 from todframes.errors import SettingsError
 from todframes.frames.display import Display, Eotf, LuminanceTable
 from todframes.recordings.markers import CORNERS, MODULES, MOST_PAGES, N_DIGITS
@@ -508,17 +508,10 @@ def _lines(settings: object, names: tuple[str, ...] | list[str]) -> list[str]:
 
 def _toml(value: Any) -> str:
     match value:
-        case bool():
-            return "true" if value else "false"
-        case str():
-            # A JSON string is a TOML string but for DEL, which TOML wants escaped.
-            import json
-
-            return json.dumps(str(value), ensure_ascii=False).replace("\x7f", "\\u007f")
         case LuminanceTable():
             pairs = zip(value.code_value.tolist(), value.luminance_cd_m2.tolist(), strict=True)
             return f"[{', '.join(f'[{code!r}, {luminance!r}]' for code, luminance in pairs)}]"
-        case int() | float():
-            return repr(value)
+        case str() | bool() | int() | float():
+            return toml_literal(value)
     shown = ((field.name, getattr(value, field.name), field.default) for field in fields(value))
     return "{" + ", ".join(f"{name} = {_toml(one)}" for name, one, default in shown if one != default) + "}"

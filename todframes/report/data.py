@@ -42,6 +42,7 @@ CONTENT = {
     "curve": "fits",
     "compare": "algorithms",
     "accuracy": "scenes",
+    "calibrate": "persons",
 }
 """Commands with a report, and the key that the result of each must have."""
 
@@ -401,6 +402,51 @@ class SceneResult(Struct, frozen=True, kw_only=True):
         return title[:1].upper() + title[1:]
 
 
+class PersonResult(Struct, frozen=True, kw_only=True):
+    """The internal noise that explains the answers of a person, or those of several persons together.
+
+    Attributes
+    ----------
+    subject : str or None
+        Anonymous id of the person; None for all together.
+    status : str
+        "ok", or why there is no noise: "noise_free" (without noise the model would answer no worse), "at_chance"
+        (the answers are not told from guesses), "too_few_trials" (neither is).
+    internal_noise : float or None
+        Full width of each neuron's noise.
+    internal_noise_ci95 : (float or None, float or None)
+        95 % interval; an end is None if the answers leave it open.
+    lapse_rate, template_blur_samples : float or None
+        Error rate δ of lapses and blur of the templates, in retina samples; fitted if they have an interval.
+    n_trials, n_correct : int
+        Number of main trials, and of correct answers.
+    log_likelihood : float
+        Sum of the ln probabilities of the answers.
+    deviance, deviance_p_value : float
+        Deviance of the proportions correct of the `n_cells` groups and levels, and the share of experiments with
+        the fitted model that have as large a one.
+    predicted : tuple of Fit
+        Thresholds of the fitted model, a record for each of the person's own in `fits`, in the same order; their
+        intervals are those of the noise.
+    """
+
+    subject: str | None
+    status: str
+    internal_noise: Positive | None = NULL
+    internal_noise_ci95: Interval
+    lapse_rate: Proportion | None = NULL
+    lapse_rate_ci95: tuple[Proportion, Proportion] | None = NULL
+    template_blur_samples: float | None = NULL
+    template_blur_samples_ci95: Interval | None = NULL
+    n_trials: int
+    n_correct: int
+    log_likelihood: float
+    deviance: float
+    deviance_p_value: Proportion | None = NULL
+    n_cells: int
+    predicted: tuple[Fit, ...] = EMPTY
+
+
 class Thumbnail(Struct, frozen=True):
     """A PNG of an example. `scale` is the value of white; black is `black`, or minus white if zero is mid-grey."""
 
@@ -500,6 +546,9 @@ class ResultData(Struct, frozen=True, kw_only=True, omit_defaults=True):
     algorithms: tuple[Algorithm, ...] = ()
     scenes: tuple[SceneResult, ...] = ()
     cases: tuple[Record, ...] = ()
+    persons: tuple[PersonResult, ...] = ()
+    pooled: PersonResult | None = None
+    equal_noise_p_value: Proportion | None = None
     noise: Record | None = None
     data_range_cd_m2: float | None = None
     verdict: tuple[Any, ...] | str = ()

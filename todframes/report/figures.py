@@ -13,6 +13,7 @@ import numpy as np
 from todframes._typing import FloatArray, Json
 from todframes.psychometrics.observer_curve import observer_curve
 from todframes.psychometrics.weibull import weibull
+from todframes.report.calibration import SUBJECT, own_and_model, with_model_curves
 from todframes.report.data import Algorithm, Fit, Ratio, ResultData, SceneResult
 from todframes.report.figure_style import (
     INK,
@@ -67,15 +68,31 @@ class Picture(NamedTuple):
             figure.axes[0].set_title(label_text(self.title))
             return save_png(figure, self.note)
 
+    def svg(self) -> bytes:
+        """Return the picture as an SVG file with its title above and its note below."""
+        import matplotlib as mpl
+
+        buffer = io.BytesIO()
+        with style(), mpl.rc_context({"svg.hashsalt": self.file}):
+            figure = self.figure()
+            figure.axes[0].set_title(label_text(self.title))
+            _add_note(figure, self.note)
+            figure.savefig(buffer, format="svg", metadata={"Date": None})
+        return buffer.getvalue()
+
 
 def save_png(figure: Figure, note: str = "") -> bytes:
     """Return the PNG of a figure with a note below it, inside `style`; the same figure gives the same bytes."""
-    if note:
-        figure.supxlabel(textwrap.fill(note, 95), fontsize="x-small", x=0.02, ha="left")
+    _add_note(figure, note)
     buffer = io.BytesIO()
     # The metadata has no software version, so the same figure always gives the same bytes.
     figure.savefig(buffer, format="png", dpi=160, metadata={"Software": None})
     return buffer.getvalue()
+
+
+def _add_note(figure: Figure, note: str) -> None:
+    if note:
+        figure.supxlabel(textwrap.fill(note, 95), fontsize="x-small", x=0.02, ha="left")
 
 
 def drawn(draw: Callable[[Axes], None], ax: Axes | None) -> Axes:
@@ -91,6 +108,8 @@ def drawn(draw: Callable[[Axes], None], ax: Axes | None) -> Axes:
 
 def pictures(result: ResultData) -> list[Picture]:
     """List the figures of a result, the most important first."""
+    if result.persons:
+        return _of_persons(result)
     found = []
     if any(one.ratios for one in result.algorithms):
         note = (
@@ -123,6 +142,20 @@ def pictures(result: ResultData) -> list[Picture]:
     return found
 
 
+def _of_persons(result: ResultData) -> list[Picture]:
+    """List the figures of people's curves and those of the models that were fitted to them."""
+    found = []
+    if has_tod_curve(result.fits):
+        note = _tod_note(result.fits) + " Symbols: the person, by the counts alone; lines: the fitted model."
+        found.append(Picture("Person and model", note, partial(draw_persons, result=result)))
+    for one in result.persons:
+        fits = with_model_curves(result, one.subject)
+        if fits:
+            note = f"Proportion correct against {level_name(fits[0].level)}; curves: the fitted model."
+            found.append(Picture(f"Answers of {one.subject}", note, partial(draw_psychometric, fits=fits)))
+    return [found[0]._replace(file="calibration.png"), *found[1:]] if found else []
+
+
 def _tod_note(fits: Sequence[Fit]) -> str:
     first = fits[0]
     note = f"Threshold {level_name(first.level)} at {100 * first.p_correct:g} % correct against 1 / size."
@@ -146,12 +179,7 @@ def draw_tod(axes: Axes, fits: Sequence[Fit]) -> None:
     assert name is not None
     size, unit = quantity(name), unit_of(name)
     curves = list(by_curve([fit for fit in fits if fit.threshold is not None]).items())[:MOST_CURVES]
-    axes.set(
-        xscale="log",
-        yscale="log",
-        xlabel=label_text(f"1 / {size} ({unit}⁻¹)"),
-        ylabel=label_text(f"threshold {level_heading(fits[0].level)}"),
-    )
+    _label_tod_axes(axes, name, fits[0].level)
     drawn = [
         place
         for number, (label, curve) in enumerate(curves)
@@ -179,7 +207,45 @@ class _Place(NamedTuple):
     fit: Fit
 
 
-def _draw_tod_curve(axes: Axes, fits: Sequence[Fit], name: str, label: str, look: Look) -> list[_Place]:
+def draw_persons(axes: Axes, result: ResultData) -> None:
+    """Draw the thresholds of each person against size, with intervals; lines are those of the fitted model."""
+    size = size_column(result.fits)
+    assert size is not None
+    shown, places, inverse, thresholds = own_and_model(result), [], [], []
+    for number, one in enumerate(result.persons[:MOST_CURVES]):
+        look = look_of(number, min(len(result.persons), MOST_CURVES))
+        of_person = [pair for pair in shown if pair[0].group[SUBJECT] == one.subject]
+        own = [fit for fit, _ in of_person]
+        places += _draw_tod_curve(axes, own, size, str(one.subject), look, line="")
+        curve = sorted(
+            (1.0 / within(float(model.group[size])), within(model.threshold))
+            for _, model in of_person
+            if model is not None and model.threshold is not None
+        )
+        if curve:
+            axes.plot(*zip(*curve, strict=True), color=look.colour, zorder=2)
+        inverse += [place.x for place in places] + [x for x, _ in curve]
+        thresholds += [place.threshold for place in places] + [threshold for _, threshold in curve]
+    _label_tod_axes(axes, size, result.fits[0].level)
+    plain_ticks(axes.xaxis, inverse)
+    plain_ticks(axes.yaxis, thresholds)
+    _draw_open_ends(axes, places)
+    if 1 < len(result.persons) <= MOST_IN_LEGEND:
+        add_legend(axes)
+
+
+def _label_tod_axes(axes: Axes, name: str, level: str) -> None:
+    axes.set(
+        xscale="log",
+        yscale="log",
+        xlabel=label_text(f"1 / {quantity(name)} ({unit_of(name)}⁻¹)"),
+        ylabel=label_text(f"threshold {level_heading(level)}"),
+    )
+
+
+def _draw_tod_curve(
+    axes: Axes, fits: Sequence[Fit], name: str, label: str, look: Look, *, line: str = "-"
+) -> list[_Place]:
     places = [
         _Place(1.0 / within(float(fit.group[name])), within(fit.threshold), fit)
         for fit in fits
@@ -187,7 +253,7 @@ def _draw_tod_curve(axes: Axes, fits: Sequence[Fit], name: str, label: str, look
     ]
     style_of_points: Json = {"color": look.colour, "marker": look.marker}
     x, thresholds = [place.x for place in places], [place.threshold for place in places]
-    axes.plot(x, thresholds, label=label_text(label), zorder=2, **style_of_points)
+    axes.plot(x, thresholds, label=label_text(label), zorder=2, ls=line, **style_of_points)
     for place in places:
         low, high = place.fit.threshold_ci95 or (None, None)
         if low is not None or high is not None:

@@ -16,7 +16,7 @@ from urllib.parse import quote
 import msgspec
 
 from todframes._typing import Json
-from todframes.report import tables
+from todframes.report import calibration, tables
 from todframes.report.data import DatasetRecord, Example, Record, ResultData, Thumbnail
 from todframes.report.figure_style import style
 from todframes.report.figures import Picture, pictures
@@ -39,6 +39,7 @@ TITLES = {
     "fit": "Fitted psychometric functions",
     "compare": "Enhancements compared",
     "accuracy": "Error against run time",
+    "calibrate": "Internal noise of people",
 }
 
 
@@ -108,6 +109,10 @@ def figure_items(drawn: Sequence[Picture]) -> list[Json]:
 
 def _tables(result: ResultData) -> list[Json]:
     """List the tables under the figures; the reader opens those that are `folded`."""
+    if result.persons:
+        folded = tables.points(result)
+        told = [table_item(calibration.noise_table(result)), table_item(calibration.curves_table(result))]
+        return [*told, *([] if folded is None else [table_item(folded, folded=True)])]
     found = []
     if result.algorithms:
         found += [table_item(tables.ratios(result)), table_item(tables.measures(result.algorithms))]

@@ -185,6 +185,7 @@ class Result(ResultData, frozen=True, kw_only=True, dict=True):
 
         trials = self.trials
         return {
+            **(_calibration_files(self) if self.persons else {}),
             **({} if trials is None else _score_files(trials)),
             **({"compare.csv": ratios(self).csv().encode()} if self.algorithms else {}),
             **{one.file: one.png() for one in pictures(self) if one.file},
@@ -208,6 +209,16 @@ class Result(ResultData, frozen=True, kw_only=True, dict=True):
         from todframes.output import write_folder
 
         write_folder(folder, self.files())
+
+
+def _calibration_files(result: Result) -> dict[str, bytes]:
+    """Return the tables of a calibration, its figure as SVG and the observers' settings."""
+    from todframes.report.calibration import curves_table, noise_table, settings_files
+    from todframes.report.figures import pictures
+
+    tables = {one.file: one.csv().encode() for one in (noise_table(result), curves_table(result))}
+    drawn = {one.file.replace(".png", ".svg"): one.svg() for one in pictures(result) if one.file}
+    return {**tables, **drawn, **settings_files(result)}
 
 
 def _score_files(trials: Table) -> dict[str, Iterable[bytes]]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from todframes.report.calibration import sentences
 from todframes.report.data import NO_DIFFERENCE, Algorithm, Fit, Group, Ratio, ResultData, SceneResult
 from todframes.report.wording import (
     count,
@@ -73,6 +74,8 @@ def verdict(result: ResultData) -> list[str]:
 def _told(result: ResultData) -> list[str]:
     if result.command == "accuracy":
         return timed(result.scenes)
+    if result.persons:
+        return sentences(result)
     computed = result.command in ("curve", "naked-eye")
     curves = by_curve(result.thresholds)
     told = [

@@ -1,0 +1,293 @@
+"""The server's side of the explorer: its files, and the calls by which the page gets numbers."""
+
+from __future__ import annotations
+
+import base64
+import re
+import shlex
+from collections import OrderedDict
+from collections.abc import AsyncIterator, Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import asynccontextmanager, closing
+from dataclasses import asdict
+from importlib.resources import files
+from typing import Annotated, Any
+
+import msgspec
+import numpy as np
+from msgspec import Meta
+from starlette.applications import Starlette
+
+from sensor_sim.explorer.live import LiveCurve, LiveCurves
+from sensor_sim.explorer.parameters import PARAMETERS
+from sensor_sim.noise import delta_t_mk
+from sensor_sim.predict import PredictedThreshold
+from sensor_sim.sensor import SCHEMA, Sensor, sensor_from, sensor_toml
+from sensor_sim.simulation import SimulatedTrial
+from todframes import __version__
+from todframes.config import from_table, parse_toml, toml_literal
+from todframes.errors import SettingsError
+from todframes.observers.pyramid import PyramidObserver, PyramidSettings
+from todframes.psychometrics.fit import FitSettings
+from todframes.stimulus import ORIENTATIONS
+from todframes.web.pages import call, page, stream
+
+SIZES_DETECTORS = (2.0, 3.0, 4.0, 6.0, 8.0)
+"""Sizes of the first curve."""
+
+MOST_CLIENTS = 64
+"""Number of pages whose latest request is remembered."""
+
+MOST_PICTURE_PIXELS = 2**21
+
+ORIENTATION_STREAM = 2
+"""First element of the spawn key of the orientation; the streams of the noise have others."""
+
+Tables = dict[str, Any]
+Size = Annotated[float, Meta(gt=0.0)]
+Sizes = Annotated[list[Size], Meta(min_length=1, max_length=12)]
+
+
+class SensorAsked(msgspec.Struct):
+    """A request about a sensor, given as the tables of SENSOR.toml."""
+
+    sensor: Tables
+
+    def made(self) -> Sensor:
+        """Return the sensor; see `sensor_from` for the errors."""
+        return sensor_from({"schema": SCHEMA, **self.sensor}, "SENSOR.toml")
+
+
+class CurveAsked(SensorAsked):
+    """A request for a curve; `client` is a name that a page gives itself, and `sequence` counts its requests."""
+
+    sizes_detectors: Sizes
+    client: Annotated[str, Meta(max_length=64)]
+    sequence: int
+    observer: Tables = {}
+    p_correct: float = 0.75
+
+
+class TrialAsked(SensorAsked):
+    """A request about one trial."""
+
+    size_detectors: Size
+    snr: Annotated[float, Meta(gt=0.0, le=1e12)]
+    seed: Annotated[int, Meta(ge=0)]
+
+    def trial(self) -> SimulatedTrial:
+        """Return the trial; its orientation comes from the seed."""
+        chance = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(ORIENTATION_STREAM,)))
+        return SimulatedTrial((0, 0, 0), self.size_detectors, self.snr, ORIENTATIONS[chance.integers(4)])
+
+
+class TomlAsked(SensorAsked):
+    """A request for the file of a sensor, and for the commands that compute its curve."""
+
+    observer: Tables = {}
+    sizes_detectors: Sizes = msgspec.field(default_factory=lambda: list(SIZES_DETECTORS))
+    p_correct: float = 0.75
+
+
+class TextAsked(msgspec.Struct):
+    """A request about the text of a SENSOR.toml; `name` is that of the file."""
+
+    text: str
+    name: str = "SENSOR.toml"
+
+
+class Nothing(msgspec.Struct):
+    """A request that asks for no more than its path says."""
+
+
+class Latest:
+    """The latest request of each page; those before it are not wanted any more."""
+
+    def __init__(self) -> None:
+        self._sequences: OrderedDict[str, int] = OrderedDict()
+
+    def note(self, client: str, sequence: int) -> None:
+        """Remember a request, unless a later one of this client is known."""
+        self._sequences[client] = max(sequence, self._sequences.get(client, sequence))
+        self._sequences.move_to_end(client)
+        while len(self._sequences) > MOST_CLIENTS:
+            self._sequences.popitem(last=False)
+
+    def is_newest(self, client: str, sequence: int) -> bool:
+        """Return whether no later request of this client is known."""
+        return self._sequences.get(client, sequence) <= sequence
+
+
+class Explorer:
+    """The calls of the page that compute curves, and what works for them while the server runs."""
+
+    def __init__(self, sensor: Sensor) -> None:
+        self.sensor = sensor
+        self._latest = Latest()
+        # One thread, as `LiveCurves` computes one curve at a time. A request ends the one before it of the same
+        # page; one of another page it waits for.
+        self._thread = ThreadPoolExecutor(1, "curves")
+        self._live: LiveCurves
+
+    @asynccontextmanager
+    async def running(self, _: Starlette) -> AsyncIterator[None]:
+        """Keep the processes that compute for the time of a `with` statement."""
+        with closing(LiveCurves()) as self._live, self._thread:
+            yield
+
+    def app(self) -> Starlette:
+        """Return the app of the page."""
+        calls = [
+            call("/api/start", Nothing, lambda _: self.start()),
+            stream("/api/curve", CurveAsked, self.curve, self._thread),
+            call("/api/mtf", SensorAsked, transfer),
+            call("/api/stages", TrialAsked, trial_pictures),
+            call("/api/orientation", TrialAsked, lambda asked: {"orientation": asked.trial().orientation.value}),
+            call("/api/toml", TomlAsked, written),
+            call("/api/parse", TextAsked, read),
+        ]
+        return page(files("sensor_sim.explorer") / "static", calls, self.running)
+
+    def start(self) -> dict[str, Any]:
+        """Return all that the page begins with."""
+        return {
+            "version": __version__,
+            "sensor": asdict(self.sensor),
+            "observer": {"internal_noise": PyramidSettings().internal_noise},
+            "p_correct": FitSettings().p_correct,
+            "sizes_detectors": SIZES_DETECTORS,
+            "fields": PARAMETERS,
+            "presets": [{"name": one.name, "sensor": asdict(one)} for one in presets()],
+        }
+
+    def curve(self, asked: CurveAsked, is_connected: Callable[[], bool]) -> Iterator[dict[str, Any]]:
+        """Return the lines of the answer for a curve, one for each `LiveCurve`; none if a newer request is known.
+
+        Raises
+        ------
+        SettingsError
+            If a setting is invalid; others may only be found when the lines are computed.
+        """
+        self._latest.note(asked.client, asked.sequence)
+        sensor, observer = asked.made(), PyramidObserver(_settings(asked.observer))
+        sizes, p_correct = asked.sizes_detectors, FitSettings(p_correct=asked.p_correct).p_correct
+        if len(set(sizes)) < len(sizes):
+            raise SettingsError("sizes_detectors: found a value twice, expected each once")
+
+        def is_wanted() -> bool:
+            return is_connected() and self._latest.is_newest(asked.client, asked.sequence)
+
+        found = self._live.curves(sensor, observer, sizes, p_correct=p_correct, is_wanted=is_wanted)
+        return (_line(asked.sequence, sensor, curve) for curve in found)
+
+
+def presets() -> list[Sensor]:
+    """Return the sample sensors."""
+    folder = files("sensor_sim.explorer").joinpath("presets")
+    found = sorted(folder.iterdir(), key=lambda file: file.name)
+    return [sensor_from(parse_toml(file.read_text(encoding="utf-8"), file.name), file.name) for file in found]
+
+
+def _line(sequence: int, sensor: Sensor, curve: LiveCurve) -> dict[str, Any]:
+    return {
+        "sequence": sequence,
+        "stage": "refined" if curve.is_last else "estimate",
+        "is_last": curve.is_last,
+        "tolerance": curve.tolerance,
+        "seconds": round(curve.seconds, 4),
+        "thresholds": [_threshold(sensor, one) for one in curve.thresholds],
+        "limits": curve.limits._asdict(),
+    }
+
+
+def _threshold(sensor: Sensor, found: PredictedThreshold) -> dict[str, Any]:
+    """Return a threshold in all its units; errors are half-widths of 95 % intervals."""
+    size, snr = found.size_detectors, found.threshold
+    in_mk = 0.0 if sensor.noise.netd_mk is None else float(delta_t_mk(1.0, noise=sensor.noise))
+    error = found.numerical_error
+    return {
+        "size_detectors": size,
+        "size_mrad": size * sensor.detector.pitch_mrad,
+        "size_mrad_eye": size * sensor.display.detector_pitch_mrad,
+        "status": found.status,
+        "snr": snr,
+        "snr_error": error,
+        "delta_t_mk": snr * in_mk if snr is not None and in_mk else None,
+        "delta_t_error_mk": error * in_mk if error is not None and in_mk else None,
+    }
+
+
+def _settings(observer: Tables) -> PyramidSettings:
+    return from_table(observer, PyramidSettings, "[observer]")
+
+
+def transfer(asked: SensorAsked) -> dict[str, Any]:
+    """Return the transfer before and after sampling, as `sensor-sim mtf` computes it."""
+    from sensor_sim.mtf_report import sensor_mtf
+
+    found = sensor_mtf(asked.made())
+    return {
+        "frequency_cyc_per_mrad": found.frequency_cyc_per_mrad,
+        "presample": [round(value, 6) for value in found.mtf["pre_sample"]],
+        "postsample": [round(value, 6) for value in found.mtf["post_sample"]],
+        "nyquist_cyc_per_mrad": found.nyquist_cyc_per_mrad,
+        "cut_off_cyc_per_mrad": found.cut_off_cyc_per_mrad,
+    }
+
+
+def trial_pictures(asked: TrialAsked) -> dict[str, Any]:
+    """Return one trial at each stage as pictures of 8-bit grey; the orientation is not told.
+
+    Raises
+    ------
+    SettingsError
+        If the sensor is invalid, or a picture would have more than `MOST_PICTURE_PIXELS`.
+    """
+    from sensor_sim.pictures import BLACK, FINE_PIXELS_PER_DETECTOR, STAGE_TITLES, WHITE, trial_stages
+    from sensor_sim.sampling import field_detectors
+
+    sensor = asked.made()
+    per_detector = max(FINE_PIXELS_PER_DETECTOR, sensor.display.pixels_per_detector)
+    side = field_detectors(sensor, asked.size_detectors) * per_detector
+    if side**2 > MOST_PICTURE_PIXELS:
+        raise SettingsError(f"found a trial of {side} × {side} pixels, too many to show; choose a smaller triangle")
+    pictures = []
+    for name, image in trial_stages(sensor, asked.trial(), seed=asked.seed).items():
+        grey = np.rint(np.clip((image - BLACK) / (WHITE - BLACK), 0.0, 1.0) * 255.0).astype(np.uint8)
+        height, width = grey.shape
+        pictures.append(
+            {
+                "name": name,
+                "caption": STAGE_TITLES[name],
+                "width": width,
+                "height": height,
+                "pixels": base64.b64encode(grey.tobytes()).decode(),
+                "low": BLACK,
+                "high": WHITE,
+                "unit": "signal of a large triangle",
+            }
+        )
+    return {"stages": pictures}
+
+
+def written(asked: TomlAsked) -> dict[str, Any]:
+    """Return the text of the SENSOR.toml, a name for the file, and the commands that compute the same."""
+    sensor = asked.made()
+    name = re.sub(r"[^\w-]+", "_", sensor.name).strip("_")[:60] or "sensor"
+    file = f"{name}.toml"
+    sizes = ",".join(f"{size!r}".removesuffix(".0") for size in asked.sizes_detectors)
+    settings = asdict(_settings(asked.observer))
+    others = [f"--set {key}={toml_literal(settings[key])}" for key in asked.observer if settings[key] is not None]
+    curve = ["sensor-sim curve", shlex.quote(file), "--size-detectors", sizes, *others]
+    if asked.p_correct != FitSettings().p_correct:
+        curve.append(f"--p-correct {asked.p_correct!r}")
+    return {
+        "file": file,
+        "text": sensor_toml(sensor),
+        "command": {"curve": " ".join(curve), "mtf": f"sensor-sim mtf {shlex.quote(file)}"},
+    }
+
+
+def read(asked: TextAsked) -> dict[str, Any]:
+    """Return the tables of a SENSOR.toml; see `load_sensor` for the errors."""
+    return {"sensor": asdict(sensor_from(parse_toml(asked.text, asked.name), asked.name))}

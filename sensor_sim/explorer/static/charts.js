@@ -1,0 +1,217 @@
+// The two charts: thresholds over size, and MTFs over frequency. Their colours are those of the style sheet.
+
+import { linearTicks, logTicks, plain, roundDown, roundUp } from "./numbers.js";
+
+/** Widest band of an axis' labels, and the space above the highest one, in CSS pixels. */
+const LABELS_PX = 56;
+const LETTERS_PX = 12;
+
+const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
+
+/** A chart that fills its element, follows its width and takes new colours when the scheme changes. */
+class Chart {
+  #host;
+  #plot = null;
+  #made = "";
+  #data = null;
+  #options = null;
+
+  constructor(host) {
+    this.#host = host;
+    new ResizeObserver(() => this.#resize()).observe(host);
+    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.#rebuild());
+  }
+
+  /** Draw data. The chart is made anew only if `kind`, a text, differs from that of the last call. */
+  draw(kind, options, data) {
+    this.#options = options;
+    this.#data = data;
+    if (this.#plot !== null && kind === this.#made) {
+      this.#plot.setData(data);
+      return;
+    }
+    this.#made = kind;
+    this.#rebuild();
+  }
+
+  #rebuild() {
+    if (this.#options === null) return;
+    this.#plot?.destroy();
+    const { clientWidth: width, clientHeight: height } = this.#host;
+    this.#plot = new uPlot({ ...this.#options(), width, height }, this.#data, this.#host);
+  }
+
+  #resize() {
+    const { clientWidth: width, clientHeight: height } = this.#host;
+    if (width && height) this.#plot?.setSize({ width, height });
+  }
+}
+
+function axis(label, splits, side) {
+  const ink = colour("--muted");
+  const thin = { stroke: colour("--line"), width: 1 };
+  const isLeft = side === "left";
+  return {
+    label,
+    labelFont: `${LETTERS_PX + 1}px system-ui, sans-serif`,
+    labelSize: 22,
+    font: `${LETTERS_PX}px system-ui, sans-serif`,
+    size: isLeft ? LABELS_PX : 34,
+    gap: 4,
+    stroke: ink,
+    grid: thin,
+    ticks: { ...thin, size: 4 },
+    splits: (plot, _, low, high) => splits(low, high),
+    filter: (_, ticks) => ticks,
+    values: (_, ticks) => ticks.map(plain),
+    scale: isLeft ? "y" : "x",
+    side: isLeft ? 3 : 2,
+  };
+}
+
+const COMMON = {
+  legend: { show: false },
+  cursor: { show: false },
+  pxAlign: 0,
+  padding: [14, 14, 0, 0],
+};
+
+/** What a threshold may be given as: title, key of its error, and why it is not there. */
+export const STRENGTHS = {
+  snr: { header: "SNR", error: "snr_error", lacks: "There is no threshold." },
+  delta_t_mk: { header: "ΔT (mK)", error: "delta_t_error_mk", lacks: "Temperatures need the NETD." },
+  contrast: { header: "Contrast", error: "contrast_error", lacks: "There is no contrast for this sensor." },
+};
+const SIZES = { detectors: "size_detectors", mrad: "size_mrad" };
+const ABSCISSAE = {
+  inverse: { detectors: "1 / size (1 / detectors)", mrad: "1 / size (1 / mrad)" },
+  size: { detectors: "Size √area (detectors)", mrad: "Size √area (mrad)" },
+};
+
+/** Return the columns of one curve, ordered by abscissa: abscissa, threshold, and the ends of its interval. */
+function columns(thresholds, view) {
+  const rows = thresholds.map((one) => {
+    const size = one[SIZES[view.unit]];
+    const value = one[view.strength] ?? null;
+    const error = value === null ? null : (one[STRENGTHS[view.strength].error] ?? 0);
+    const ends = value === null ? [null, null] : [Math.max(value - error, value / 10), value + error];
+    return [view.abscissa === "size" ? size : 1 / size, value, ...ends];
+  });
+  rows.sort((a, b) => a[0] - b[0]);
+  return [0, 1, 2, 3].map((column) => rows.map((row) => row[column]));
+}
+
+/** Curves of thresholds: pinned ones behind, the present one with its error band in front. */
+export class CurveChart {
+  #chart;
+
+  constructor(host) {
+    this.#chart = new Chart(host);
+  }
+
+  /**
+   * @param {object[]|null} thresholds Of the present curve.
+   * @param {{number: number, thresholds: object[]}[]} pinned
+   * @param {{strength: string, abscissa: string, unit: string}} view
+   */
+  draw(thresholds, pinned, view) {
+    const curves = [...pinned.map((pin) => columns(pin.thresholds, view)), columns(thresholds ?? [], view)];
+    const data = curves.length > 1 ? uPlot.join(curves) : curves[0];
+    const kind = JSON.stringify([view, pinned.map((pin) => pin.number)]);
+    this.#chart.draw(kind, () => this.#options(pinned, view), data);
+  }
+
+  #options(pinned, view) {
+    const series = [{}];
+    const bands = [];
+    const add = (stroke, fill, width, dash) => {
+      const at = series.length;
+      const points = { show: true, size: width > 2 ? 8 : 5, fill: width > 2 ? stroke : colour("--paper"), stroke };
+      series.push({ stroke, width, dash, points });
+      for (const _ of ["low", "high"]) series.push({ stroke: "transparent", width: 0, points: { show: false } });
+      bands.push({ series: [at + 2, at + 1], fill });
+    };
+    for (const { number } of pinned) {
+      const stroke = colour(`--pin-${number}`);
+      add(stroke, `${stroke}22`, 1.4, [6, 4]);
+    }
+    const accent = colour("--accent");
+    add(accent, `${accent}3d`, 2.2);
+    return {
+      ...COMMON,
+      series,
+      bands,
+      axes: [
+        axis(ABSCISSAE[view.abscissa][view.unit], linearTicks, "bottom"),
+        axis(`Threshold ${STRENGTHS[view.strength].header}`, logTicks, "left"),
+      ],
+      scales: {
+        x: { time: false, range: (_, low, high) => (high > 0 ? [0, 1.04 * high] : [0, 1]) },
+        y: { distr: 3, range: (_, low, high) => logRange(low, high) },
+      },
+    };
+  }
+}
+
+/** Return round ends of a logarithmic axis, so that it stands still while a curve moves a little. */
+function logRange(low, high) {
+  if (!(low > 0)) return [1, 10];
+  const ends = [roundDown(low / 1.05), roundUp(high * 1.05)];
+  return ends[1] / ends[0] < 2 ? [ends[0] / 1.5, ends[1] * 1.5] : ends;
+}
+
+/** MTFs before and after sampling, with the Nyquist frequency. */
+export class MtfChart {
+  #chart;
+  #transfer = null;
+
+  constructor(host) {
+    this.#chart = new Chart(host);
+  }
+
+  /** @param {object} transfer Answer of `/api/mtf`. */
+  draw(transfer) {
+    this.#transfer = transfer;
+    const { frequency_cyc_per_mrad: frequency, presample, postsample } = transfer;
+    this.#chart.draw("mtf", () => this.#options(), [frequency, presample, postsample]);
+  }
+
+  #options() {
+    const ink = colour("--ink");
+    return {
+      ...COMMON,
+      series: [
+        {},
+        { stroke: colour("--accent"), width: 2.2, points: { show: false } },
+        { stroke: ink, width: 1.6, dash: [6, 4], points: { show: false } },
+      ],
+      axes: [axis("Spatial frequency (cycles/mrad)", linearTicks, "bottom"), axis("MTF", linearTicks, "left")],
+      scales: {
+        x: { time: false, range: () => [0, shownFrequency(this.#transfer)] },
+        y: { range: (_, low) => [low < -0.005 ? Math.floor(10 * low) / 10 : 0, 1] },
+      },
+      hooks: { drawSeries: [(plot, index) => index === 2 && this.#drawNyquist(plot)] },
+    };
+  }
+
+  #drawNyquist(plot) {
+    const x = Math.round(plot.valToPos(this.#transfer.nyquist_cyc_per_mrad, "x", true)) + 0.5;
+    const { ctx, bbox } = plot;
+    ctx.save();
+    ctx.strokeStyle = colour("--pin-3");
+    ctx.lineWidth = devicePixelRatio;
+    ctx.setLineDash([2 * devicePixelRatio, 3 * devicePixelRatio]);
+    ctx.beginPath();
+    ctx.moveTo(x, bbox.top);
+    ctx.lineTo(x, bbox.top + bbox.height);
+    ctx.stroke();
+    ctx.restore();
+  }
+}
+
+const SHOWN_NYQUISTS = 3;
+
+/** Return the highest frequency that is shown: three times Nyquist's, as in the report, or less if nothing is there. */
+export function shownFrequency({ frequency_cyc_per_mrad: frequency, nyquist_cyc_per_mrad: nyquist }) {
+  return Math.min(SHOWN_NYQUISTS * nyquist, Math.max(frequency.at(-1), 1.2 * nyquist));
+}

@@ -1,0 +1,254 @@
+// Sliders and number fields of the parameters.
+
+import { element } from "./elements.js";
+import { parsed } from "./numbers.js";
+import { valueOf } from "./state.js";
+
+/** Positions of a slider without steps of its own. */
+const POSITIONS = 300;
+
+/** Pause in typing after which a number is taken, so that 150 is not first 1 and then 15. */
+const PAUSE_MS = 350;
+
+/** What the page itself asks for besides the parameters of the server. */
+export const TEST_FIELDS = [
+  {
+    key: "sizes_detectors",
+    group: "Test",
+    label: "Sizes",
+    unit: "detectors",
+    kind: "sizes",
+    help: "Sizes √area of the triangles in detector pitches, separated by spaces or commas.",
+  },
+  {
+    key: "p_correct",
+    group: "Test",
+    label: "Share correct",
+    unit: "",
+    kind: "number",
+    scale: "linear",
+    min: 0.3,
+    max: 0.98,
+    step: 0.01,
+    help: "Proportion of correct answers at the threshold; guessing gives 0.25.",
+  },
+];
+const MOST_SIZES = 12;
+
+/** The slider of a field: whole positions from 0 on, and the values at them. A logarithmic one has steps in log10. */
+class Scale {
+  constructor({ min, max, step, scale, kind }) {
+    this.min = min;
+    this.max = max;
+    this.isLog = scale === "log" && min > 0;
+    this.isWhole = kind === "integer";
+    const span = this.isLog ? Math.log10(max / min) : max - min;
+    this.last = step > 0 ? Math.round(span / step) : POSITIONS;
+  }
+
+  value(position) {
+    if (position <= 0) return this.min;
+    if (position >= this.last) return this.max;
+    const share = position / this.last;
+    const value = this.isLog ? this.min * (this.max / this.min) ** share : this.min + share * (this.max - this.min);
+    return this.isWhole ? Math.round(value) : Number(value.toPrecision(3));
+  }
+
+  position(value) {
+    const share = this.isLog
+      ? Math.log(value / this.min) / Math.log(this.max / this.min)
+      : (value - this.min) / (this.max - this.min);
+    return Math.min(Math.max(Math.round(share * this.last), 0), this.last) || 0;
+  }
+
+  /** Return the value one position on, for whole numbers on a logarithmic slider the next one at least. */
+  next(value, by) {
+    const moved = this.value(this.position(value) + by);
+    return this.isWhole && moved === value ? Math.min(Math.max(value + Math.sign(by), this.min), this.max) : moved;
+  }
+}
+
+/** One parameter: its label, slider, number field and line for an error. */
+class Field {
+  #field;
+  #scale = null;
+  #slider = null;
+  #error;
+  #change;
+  #value;
+  #isUnread = false;
+
+  constructor(field, change) {
+    this.#field = field;
+    this.#change = change;
+    const id = `field-${field.key.replaceAll(".", "-")}`;
+    this.#error = element("p", { className: "error", id: `${id}-error`, hidden: true });
+    this.input = field.kind === "choice" ? this.#choice() : this.#text();
+    this.input.id = id;
+    const label = element("label", { htmlFor: id, id: `${id}-label` }, field.label);
+    if (field.unit) label.append(" ", element("span", { className: "unit" }, field.unit));
+    const described = [this.#error.id];
+    this.row = element("div", { className: `field of-${field.kind}` }, label);
+    if (Number.isFinite(field.min) && field.kind !== "choice") this.row.append(this.#range(label.id));
+    this.row.append(this.input, this.#error);
+    if (field.help) {
+      label.title = field.help;
+      this.row.append(element("span", { id: `${id}-help`, className: "hidden-visually" }, field.help));
+      described.push(`${id}-help`);
+    }
+    this.input.setAttribute("aria-describedby", described.join(" "));
+  }
+
+  #choice() {
+    const options = this.#field.choices.map((name) => element("option", { value: name }, name));
+    const select = element("select", {}, ...options);
+    select.addEventListener("change", () => this.#change(this.#field.key, select.value, true));
+    return select;
+  }
+
+  #text() {
+    const mode = this.#field.kind === "integer" ? "numeric" : "decimal";
+    const input = element("input", { type: "text", inputMode: this.#field.kind === "sizes" ? "text" : mode });
+    input.autocomplete = "off";
+    if (this.#field.optional) input.placeholder = "none";
+    const read = (isFinal) => {
+      try {
+        const value = this.#read(input.value);
+        // A line of the server stays until the value is another one.
+        if (this.#isUnread || !isSame(value, this.#value)) this.showError(null);
+        this.show(value);
+        this.#change(this.#field.key, value, isFinal);
+      } catch (error) {
+        this.showError(error.message);
+        this.#isUnread = true;
+      }
+    };
+    let pause = null;
+    input.addEventListener("input", () => {
+      clearTimeout(pause);
+      pause = setTimeout(read, PAUSE_MS, false);
+    });
+    input.addEventListener("change", () => {
+      clearTimeout(pause);
+      read(true);
+    });
+    return input;
+  }
+
+  #read(text) {
+    if (this.#field.kind === "sizes") return readSizes(text);
+    if (this.#field.optional && text.trim() === "") return null;
+    const value = parsed(text);
+    if (Number.isNaN(value)) throw new Error(`Found “${text}”, expected a number.`);
+    if (this.#field.kind === "integer" && !Number.isInteger(value)) {
+      throw new Error(`Found ${text}, expected a whole number.`);
+    }
+    return value;
+  }
+
+  #range(labelId) {
+    const scale = (this.#scale = new Scale(this.#field));
+    const slider = (this.#slider = element("input", { type: "range", min: 0, max: scale.last, step: 1 }));
+    slider.setAttribute("aria-labelledby", labelId);
+    slider.addEventListener("input", () => {
+      const value = scale.value(slider.valueAsNumber);
+      this.showError(null);
+      this.#showText(value);
+      this.#change(this.#field.key, value, false);
+    });
+    slider.addEventListener("change", () => this.#change(this.#field.key, undefined, true, true));
+    slider.addEventListener("keydown", (event) => {
+      // A whole number on a logarithmic scale has several positions; an arrow key goes to the next number.
+      const by = { ArrowRight: 1, ArrowUp: 1, ArrowLeft: -1, ArrowDown: -1 }[event.key];
+      if (!by || !(scale.isWhole && scale.isLog)) return;
+      event.preventDefault();
+      const value = scale.next(parsed(this.input.value) || scale.min, by);
+      this.show(value);
+      this.#change(this.#field.key, value, true, true);
+    });
+    return slider;
+  }
+
+  /** Show a value, except in a number field that is being edited and has this value already. */
+  show(value) {
+    this.#value = value;
+    this.#showText(value);
+    if (this.#slider === null) return;
+    this.#slider.classList.toggle("unset", value === null);
+    const position = value === null ? 0 : this.#scale.position(value);
+    // Several positions may stand for one value: the slider stays where the hand has put it.
+    const isThere = value !== null && this.#scale.value(this.#slider.valueAsNumber) === value;
+    if (!isThere) this.#slider.value = position;
+  }
+
+  #showText(value) {
+    const text = value === null ? "" : Array.isArray(value) ? value.join(", ") : String(value);
+    if (!(document.activeElement === this.input && this.#has(value))) this.input.value = text;
+    this.#slider?.setAttribute("aria-valuetext", value === null ? "none" : `${text} ${this.#field.unit ?? ""}`.trim());
+  }
+
+  #has(value) {
+    if (this.#field.kind === "choice") return this.input.value === value;
+    try {
+      return isSame(this.#read(this.input.value), value);
+    } catch {
+      return false;
+    }
+  }
+
+  /** Show the line of an error, or with null none. */
+  showError(line) {
+    this.#isUnread = false;
+    this.#error.textContent = line ?? "";
+    this.#error.hidden = line === null;
+    this.input.setAttribute("aria-invalid", String(line !== null));
+  }
+}
+
+const isSame = (one, other) => JSON.stringify(one) === JSON.stringify(other);
+
+function readSizes(text) {
+  const sizes = text.split(/[\s,;]+/).filter((part) => part !== "").map(parsed);
+  if (!sizes.length || sizes.length > MOST_SIZES || !sizes.every((size) => size > 0)) {
+    throw new Error(`Expected 1 to ${MOST_SIZES} sizes above 0, such as 2, 3, 4.`);
+  }
+  return [...new Set(sizes)].sort((a, b) => a - b);
+}
+
+/** All parameters, in groups. */
+export class Controls {
+  #fields = new Map();
+
+  /**
+   * @param {HTMLFormElement} form
+   * @param {object[]} fields Of `/api/start`, and `TEST_FIELDS`.
+   * @param {(key: string, value: any, isFinal: boolean, isSlider?: boolean) => void} change Called for each move.
+   *   `isFinal` means that it was let go of; the value is then undefined if it is the one before.
+   */
+  constructor(form, fields, change) {
+    form.addEventListener("submit", (event) => event.preventDefault());
+    for (const [group, members] of Map.groupBy(fields, (field) => field.group)) {
+      const made = members.map((field) => new Field(field, change));
+      members.forEach((field, index) => this.#fields.set(field.key, made[index]));
+      form.append(element("fieldset", {}, element("legend", {}, group), ...made.map((field) => field.row)));
+    }
+  }
+
+  /** Show the values of a state and no errors. */
+  show(state) {
+    for (const [key, field] of this.#fields) {
+      field.show(valueOf(state, key) ?? null);
+      field.showError(null);
+    }
+  }
+
+  /** Show an error at the field of a key. Returns whether there is one. */
+  showError(key, line) {
+    this.#fields.get(key)?.showError(line);
+    return this.#fields.has(key);
+  }
+
+  clearErrors() {
+    for (const field of this.#fields.values()) field.showError(null);
+  }
+}

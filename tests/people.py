@@ -1,0 +1,134 @@
+"""People that are models: they sit an experiment without a browser and answer by the literal model.
+
+Every answer is made as the paper says: the picture on the monitor falls on a displaced retina, each neuron gets
+its own noise, the largest of four correlations answers. Nothing is folded and no probability is computed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from todframes.experiment.answers import (
+    AnswerFile,
+    Consent,
+    Method,
+    SessionRecord,
+    ShownDataset,
+    TrialRow,
+    data_path,
+    sidecar_path,
+    write_sidecar,
+)
+from todframes.experiment.monitor import Monitor, luminance_of_gamma, viewing_distance_mm
+from todframes.experiment.session import TrialOrder, frames_sha256
+from todframes.experiment.stimuli import shown_codes, shown_contrast, trial_image
+from todframes.frames.contrast import Patch
+from todframes.frames.dataset import Dataset
+from todframes.frames.trials import Trial
+from todframes.observers.pyramid import PyramidObserver
+from todframes.scoring.retina_view import Shown, retina_image
+from todframes.stimulus import ORIENTATIONS, Orientation, Stimulus
+
+Answer = Callable[[Trial, int], Orientation]
+"""Function that answers a trial with a seed of its dither."""
+
+
+def a_monitor(
+    pitch_mrad: float, *, dither: bool = True, gamma: float = 2.2, background_code: int = 186
+) -> Monitor:
+    """A monitor with pixels of a quarter millimetre, at the distance from which they have a visual angle."""
+    return Monitor(
+        pixel_pitch_mm=0.25,
+        viewing_distance_mm=viewing_distance_mm(pixel_pitch_mm=0.25, pixel_pitch_mrad=pitch_mrad),
+        pixel_pitch_mrad=pitch_mrad,
+        background_code=background_code,
+        background_relative=float(luminance_of_gamma(gamma)[background_code]),
+        gamma=gamma,
+        dither=dither,
+    )
+
+
+def model_person(
+    dataset: Dataset, monitor: Monitor, *, noise: float, rng: np.random.Generator, lapses: float = 0.0
+) -> Answer:
+    """A person whose neurons have this internal noise, and who guesses with the probability `lapses`."""
+    observer = PyramidObserver(internal_noise=noise)
+    ratio = monitor.pixel_pitch_mrad / dataset.display.pitch_mrad
+
+    def answer(trial: Trial, dither_seed: int) -> Orientation:
+        if rng.random() < lapses:
+            return ORIENTATIONS[rng.integers(4)]
+        image = trial_image(dataset, trial)
+        contrast = shown_contrast(shown_codes(image.contrast, monitor, dither_seed), monitor)
+        place = image.triangle
+        shown = Shown((Patch(contrast, 0, 0, 0),), (place.x_px,), (place.y_px,), monitor.pixel_pitch_mrad, 0)
+        stimulus = Stimulus(trial.stimulus.size_mrad * ratio, trial.stimulus.polarity)
+        dx, dy = rng.uniform(-0.5, 0.5, 2)
+        return observer.respond(retina_image(shown, observer.grid(stimulus), (dx, dy)), stimulus, rng)
+
+    return answer
+
+
+def sit(
+    dataset: Dataset,
+    folder: Path,
+    answer: Answer,
+    monitor: Monitor,
+    *,
+    subject: str = "a1",
+    method: Method = "constant",
+    n_trials: int | None = None,
+    practice: int = 0,
+    seed: int = 1,
+) -> Path:
+    """Answer the trials of a session in the order that a page would show them; return its data file."""
+    record = SessionRecord(
+        subject=subject,
+        started="2026-11-22T10:00:00+00:00",
+        software={"todframes": "test"},
+        consent=Consent(text="yes", agreed_at="2026-11-22T10:00:00+00:00"),
+        dataset=ShownDataset(
+            path=str(dataset.path),
+            manifest_sha256=str(dataset.manifest_sha256),
+            pixel_pitch_mrad=dataset.display.pitch_mrad,
+            level=dataset.experiment.level,
+            group_by=dataset.experiment.group_by,
+        ),
+        method=method,
+        seed=seed,
+        trials=len(dataset.trials) if n_trials is None else n_trials,
+        practice=practice,
+        break_every=0,
+        background=0.5,
+        dither=monitor.dither,
+        monitor=monitor,
+    )
+    path = data_path(folder, subject)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_sidecar(sidecar_path(path), record)
+    order = TrialOrder(dataset.trials, record)
+    with AnswerFile(path) as file:
+        file.begin(record.dataset)
+        while (following := order.next(file.rows)) is not None:
+            trial = dataset.trials[following.row]
+            file.append(
+                TrialRow(
+                    number=len(file.rows) + 1,
+                    phase=following.phase,
+                    frame=trial.frames[0].path,
+                    sha256=frames_sha256(dataset, trial),
+                    orientation=trial.orientation,
+                    response=answer(trial, following.dither_seed),
+                    response_time_ms=500.0,
+                    level=trial.level,
+                    group=trial.group,
+                    size_mrad=trial.stimulus.size_mrad,
+                    dither_seed=following.dither_seed,
+                    clipped_px=0,
+                    shown_at="2026-11-22T10:00:00+00:00",
+                )
+            )
+    return path

@@ -1,0 +1,453 @@
+"""The internal noise of a person: its likelihood, the frames as they were seen, and the command."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from people import a_monitor, model_person, sit
+
+import todframes as tod
+from todframes.cli.console import run
+from todframes.cli.main import cli
+from todframes.errors import DataError, FrameError, SettingsError
+from todframes.experiment.answers import read_answers, sidecar_path
+from todframes.experiment.person import answered_trials, noise_grid, noise_observers, seen_dataset
+from todframes.experiment.stimuli import shown_codes, shown_contrast, trial_image
+from todframes.frames.contrast import Patch
+from todframes.frames.dataset import load_dataset
+from todframes.observers.oriented import OrientedObserver
+from todframes.psychometrics.likelihood import CHI2_95
+from todframes.psychometrics.noise_fit import AnswerTable, NoiseFit, fit_noise, joined, with_lapses
+from todframes.scoring.retina_view import Shown, retina_image
+from todframes.stimulus import Orientation, Stimulus
+
+LN_NOISE = np.linspace(math.log(0.01), math.log(10.0), 29)
+ONE_BLUR = np.zeros(1)
+
+
+def logistic_table(*strengths: float, each: int = 1) -> AnswerTable:
+    """Trials whose odds are those of guesses and a power of strength ÷ noise: logit P = ln(1/3 + (s/σ)⁴)."""
+    strength = np.repeat(strengths, each)[:, None]
+    return AnswerTable(LN_NOISE, ONE_BLUR, np.log(1.0 / 3.0 + (strength / np.exp(LN_NOISE)) ** 4)[:, None])
+
+
+def noise_of(p: float, strength: float = 1.0) -> float:
+    """The noise with which a trial of `logistic_table` has a probability: closed form."""
+    return strength / (p / (1.0 - p) - 1.0 / 3.0) ** 0.25
+
+
+def answers(n_right: int, n: int) -> np.ndarray:
+    return np.arange(n) < n_right
+
+
+def fitted(table: AnswerTable, is_correct: np.ndarray, cell: np.ndarray | None = None, **settings) -> NoiseFit:
+    cell = np.zeros(len(is_correct), np.intp) if cell is None else cell
+    return fit_noise(table, is_correct, cell, rng=np.random.default_rng(0), **{"resamples": 0, **settings})
+
+
+# The likelihood ------------------------------------------------------------------------------------------------
+
+
+def test_equal_trials_have_a_closed_form() -> None:
+    """With n equal trials the most likely P is k/n, and the interval that of a binomial likelihood ratio."""
+    n, k = 200, 150
+    fit = fitted(logistic_table(1.0, each=n), answers(k, n))
+    # The spline of ln odds, 0.25 apart in ln σ, is off by 4e-4 · 4⁴ · h⁴ or less; so is ln σ by a quarter of it.
+    assert fit.status == "ok"
+    assert fit.noise == pytest.approx(noise_of(k / n), rel=1e-3)
+
+    def drop(p: float) -> float:
+        return 2.0 * (k * math.log(k / n / p) + (n - k) * math.log((1.0 - k / n) / (1.0 - p)))
+
+    low, high = fit.noise_ci95
+    for end, side in ((low, 1.0), (high, -1.0)):
+        p_in, p_out = k / n, 0.251 if side < 0 else 0.999
+        for _ in range(60):
+            middle = (p_in + p_out) / 2.0
+            p_in, p_out = (middle, p_out) if drop(middle) < CHI2_95 else (p_in, middle)
+        assert end == pytest.approx(noise_of(p_in), rel=1e-3)
+    assert fit.deviance == pytest.approx(0.0, abs=1e-6)
+    assert fit.log_likelihood == pytest.approx(k * math.log(k / n) + (n - k) * math.log(1.0 - k / n), abs=1e-6)
+
+
+def test_lapses_are_the_errors_of_certain_trials() -> None:
+    """Two kinds of trials, two parameters: both proportions are met exactly."""
+    strong, weak = 1000.0, 1.0
+    table = logistic_table(strong, weak, each=300)
+    is_correct = np.concatenate([answers(294, 300), answers(200, 300)])
+    cell = np.repeat([0, 1], 300)
+    fit = fitted(table, is_correct, cell, lapse_rates=(0.0, 0.05))
+    # δ is the error rate where the model makes none; L-BFGS-B ends where the gain is 1e-9 of the likelihood.
+    assert fit.lapse_rate == pytest.approx(6 / 300, abs=1e-4)
+    p_weak = (200 / 300 - 0.02 / 3.0) / (1.0 - 0.02 * 4.0 / 3.0)
+    assert fit.noise == pytest.approx(noise_of(p_weak), rel=1e-3)
+    assert fit.deviance == pytest.approx(0.0, abs=1e-4)
+    low, high = fit.lapse_rate_ci95
+    assert 0.0 < low < 0.02 < high < 0.05
+    fixed = fitted(table, is_correct, cell, lapse_rates=(0.02, 0.02))
+    assert fixed.lapse_rate_ci95 is None and fixed.noise == pytest.approx(fit.noise, rel=1e-3)
+    # Without lapses the errors in certain trials count as noise, and are hardly possible.
+    without = fitted(table, is_correct, cell)
+    assert without.noise > fit.noise and without.deviance > 100.0
+
+
+def test_lapses_lower_the_ceiling_alone() -> None:
+    p = with_lapses(np.array([0.25, 1.0]), 0.03)
+    assert np.allclose(p, [0.25, 0.97], rtol=0.0, atol=1e-15)
+
+
+@pytest.mark.parametrize("lapse_rates", [(0.0, 0.0), (0.0, 0.05)])
+def test_answers_without_a_noise_have_a_status(lapse_rates: tuple[float, float]) -> None:
+    table = logistic_table(0.5, 1.0, 2.0, each=40)
+    all_right = fitted(table, answers(120, 120), lapse_rates=lapse_rates)
+    assert all_right.status == "noise_free"
+    assert all_right.noise is None and all_right.noise_ci95.low is None
+    assert 0.05 < all_right.noise_ci95.high < 1.0
+    guesses = fitted(table, np.arange(120) % 4 == 0, lapse_rates=lapse_rates)
+    assert guesses.status == "at_chance"
+    assert guesses.noise is None and guesses.noise_ci95.high is None
+    assert guesses.noise_ci95.low > 1.0
+    assert fitted(logistic_table(1.0), answers(1, 1), lapse_rates=lapse_rates).status == "too_few_trials"
+
+
+def test_the_bound_of_a_person_without_errors() -> None:
+    """All of n equal trials right: the noise at which that has the likelihood e^(−χ²/2)."""
+    fit = fitted(logistic_table(1.0, each=50), answers(50, 50))
+    # P = 1 is no noise of the table; that at its end lacks 3e-8 of it, 1e-6 in all trials.
+    assert fit.noise_ci95.high == pytest.approx(noise_of(math.exp(-CHI2_95 / 2.0 / 50)), rel=1e-3)
+
+
+def test_persons_together_are_one_experiment() -> None:
+    tables = [logistic_table(1.0, each=40), logistic_table(1.0, each=60)]
+    fit = fitted(joined(tables), np.concatenate([answers(20, 40), answers(50, 60)]))
+    assert fit.noise == pytest.approx(noise_of(0.7), rel=1e-3)
+
+
+def test_the_deviance_tells_a_model_that_does_not_fit() -> None:
+    """Weak trials answered better than strong ones."""
+    table, cell = logistic_table(0.8, 1.2, each=100), np.repeat([0, 1], 100)
+    unlike = fitted(table, np.concatenate([answers(95, 100), answers(45, 100)]), cell, resamples=200)
+    assert unlike.deviance_p_value == pytest.approx(1 / 201)
+    p = fitted(table, answers(150, 200), cell).p_correct
+    like = fitted(table, np.concatenate([answers(round(100 * q), 100) for q in p[[0, -1]]]), cell, resamples=200)
+    assert like.deviance_p_value > 0.5
+
+
+@pytest.mark.slow
+def test_p_values_are_uniform() -> None:
+    table, cell = logistic_table(0.5, 0.8, 1.2, 1.8, each=20), np.repeat([0, 1, 2, 3], 20)
+    p = table.at(np.log([1.0]))[:, 0, 0]
+    rng = np.random.default_rng(3)
+    found = np.array([fitted(table, rng.random(80) < p, cell, resamples=99).deviance_p_value for _ in range(400)])
+    # Shares of 400: ± 4 standard deviations of a binomial.
+    for level in (0.1, 0.5):
+        assert abs(np.mean(found <= level) - level) < 4.0 * math.sqrt(level * (1 - level) / 400)
+
+
+# The frames as they were seen ----------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def small(make_dataset) -> Path:
+    return make_dataset(sizes_mrad=(1.0, 2.0), contrasts=(0.05, 0.1, 0.4), repeats=2).path
+
+
+def up(*_: object) -> Orientation:
+    return Orientation.UP
+
+
+def seen_session(path: Path, folder: Path, *, ratio: float = 1.0, dither: bool = True):
+    dataset = load_dataset(path)
+    sit(dataset, folder, up, a_monitor(dataset.display.pitch_mrad * ratio, dither=dither))
+    (session,) = read_answers(folder)
+    return dataset, session
+
+
+@pytest.mark.parametrize("dither", [True, False])
+def test_frames_are_what_the_monitor_showed(small: Path, tmp_path: Path, dither: bool) -> None:
+    dataset, session = seen_session(small, tmp_path / "answers", dither=dither)
+    seen = seen_dataset(dataset, session)
+    of_code = session.monitor.contrast_of_code()
+    for trial, row in list(zip(seen.trials, session.main_rows(), strict=True))[:6]:
+        with seen.open(trial.frames[0], verify=True) as file:
+            luminance = file.read().values[..., 0]
+        (original,) = (one for one in dataset.trials if one.frames[0].path == row.frame)
+        codes = shown_codes(trial_image(dataset, original).contrast, session.monitor, row.dither_seed)
+        # Frames in memory are floats of 32 bits.
+        assert np.allclose(luminance - 1.0, of_code[codes], rtol=0.0, atol=2e-7)
+        assert trial.orientation is row.orientation
+        assert (trial.x_px, trial.y_px) == (original.x_px, original.y_px)
+
+
+def test_sizes_are_those_at_the_eye(small: Path, tmp_path: Path) -> None:
+    """Seen from nearer, a triangle is larger; the same pixels cover it."""
+    dataset, session = seen_session(small, tmp_path / "near", ratio=1.5)
+    seen = seen_dataset(dataset, session)
+    assert {group for (group,) in seen.trials.groups} == {1.5, 3.0}
+    assert seen.display.pitch_mrad == pytest.approx(1.5 * dataset.display.pitch_mrad)
+    assert {one.size_mrad for one in seen.trials.stimuli} == {1.5, 3.0}
+    # A ruler does not tell 0.3 %: the group keeps its name, the triangle has its size.
+    dataset, session = seen_session(small, tmp_path / "almost", ratio=1.003)
+    seen = seen_dataset(dataset, session)
+    assert {group for (group,) in seen.trials.groups} == {1.0, 2.0}
+    assert min(one.size_mrad for one in seen.trials.stimuli) == pytest.approx(1.003)
+
+
+def answers_table(path: Path, folder: Path):
+    dataset, session = seen_session(path, folder)
+    observers, blurs = noise_observers(tod.PyramidObserver(), dataset.trials[0].stimulus, blur_is_free=False)
+    answered = answered_trials(dataset, session, observers)
+    return dataset, session, answered, answered.table(noise_grid([answered]), blurs)
+
+
+@pytest.mark.slow
+def test_noises_between_those_of_the_table(small: Path, tmp_path: Path) -> None:
+    _, _, answered, table = answers_table(small, tmp_path / "answers")
+    between = table.ln_noise[:-1] + np.diff(table.ln_noise) * np.random.default_rng(1).random(
+        len(table.ln_noise) - 1
+    )
+    exact = 1.0 / (1.0 + np.exp(-answered.table(between, np.ones(1)).logit))
+    # A cubic spline is off by h⁴/384 of the fourth derivative of ln odds: 16 · ln odds while errors fall as those
+    # of a Gaussian. Odds of 20 or less change P; at h = 0.25 that is 5e-4 of ln odds 3, times P(1 − P) ≤ 1/4.
+    assert np.abs(table.at(between) - exact).max() < 4e-4
+
+
+@pytest.mark.slow
+def test_probabilities_are_those_of_the_literal_model(small: Path, tmp_path: Path) -> None:
+    """Noise drawn on every neuron and a displacement for each look: nothing of the folded path."""
+    dataset, session, _, table = answers_table(small, tmp_path / "answers")
+    rng, n, noise = np.random.default_rng(4), 3000, 0.35
+    observer = tod.PyramidObserver(internal_noise=noise)
+    p = table.at(np.log([noise]))[:, 0, 0]
+    rows = session.main_rows()
+    of_frame = {trial.frames[0].path: trial for trial in dataset.trials}
+    middling = np.argsort(np.abs(p - 0.7))[[0, 3, 6]]
+    for place in middling.tolist():
+        row = rows[place]
+        trial = of_frame[row.frame]
+        image = trial_image(dataset, trial)
+        contrast = shown_contrast(shown_codes(image.contrast, session.monitor, row.dither_seed), session.monitor)
+        shown = Shown(
+            (Patch(contrast, 0, 0, 0),),
+            (image.triangle.x_px,),
+            (image.triangle.y_px,),
+            dataset.display.pitch_mrad,
+            0,
+        )
+        stimulus = Stimulus(trial.stimulus.size_mrad)
+        grid = observer.grid(stimulus)
+        right = sum(
+            observer.respond(retina_image(shown, grid, tuple(rng.uniform(-0.5, 0.5, 2))), stimulus, rng)
+            is trial.orientation
+            for _ in range(n)
+        )
+        # Four standard deviations of the draws; the mean over eight displacements is closer than 1e-3.
+        assert abs(right / n - p[place]) < 4.0 * math.sqrt(p[place] * (1.0 - p[place]) / n) + 1e-3
+
+
+def test_frames_that_have_changed_are_told(small: Path, tmp_path: Path) -> None:
+    dataset, session = seen_session(small, tmp_path / "answers")
+    row = session.main_rows()[0]
+    frames = [small / trial.frames[0].path for trial in dataset.trials]
+    (small / row.frame).write_bytes(
+        next(one.read_bytes() for one in frames if one.read_bytes() != (small / row.frame).read_bytes())
+    )
+    observers, _ = noise_observers(tod.PyramidObserver(), dataset.trials[0].stimulus, blur_is_free=False)
+    with pytest.raises(FrameError, match=rf"{row.frame}: has changed since trial 1 showed it: found the SHA-256"):
+        answered_trials(dataset, session, observers)
+    left = answered_trials(dataset, session, observers, skip_bad_frames=True)
+    assert len(left.trials) == len(session.main_rows()) - 1
+    (skipped,) = left.skipped
+    assert row.frame in skipped.frame and "has changed" in skipped.error
+
+
+# Observers -----------------------------------------------------------------------------------------------------
+
+
+class Unreadable:
+    """An observer without settings."""
+
+
+@pytest.mark.parametrize(
+    ("observer", "blur_is_free", "message"),
+    [
+        (OrientedObserver(complex_cells=True), False, "observer: found one that is not linear"),
+        (tod.HotellingObserver(sample_noise_sd=0.1), False, "observer: its weights depend on its internal noise"),
+        (Unreadable(), False, "observer: Unreadable has no setting internal_noise"),
+        (tod.PyramidObserver(template_blur_samples=0.0), True, "template_blur_samples: found 0, expected > 0"),
+    ],
+)
+def test_observers_whose_noise_cannot_be_fitted(observer, blur_is_free: bool, message: str) -> None:
+    with pytest.raises(SettingsError, match=message):
+        noise_observers(observer, Stimulus(1.0), blur_is_free=blur_is_free)
+
+
+@pytest.mark.parametrize("observer", [OrientedObserver(orientations=4), tod.HotellingObserver()])
+def test_other_linear_observers(observer) -> None:
+    (one,), _ = noise_observers(observer, Stimulus(1.0), blur_is_free=False)
+    assert one.settings.internal_noise == 1.0
+
+
+# The command ---------------------------------------------------------------------------------------------------
+
+
+def todframes(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, str, str]:
+    status = run(cli, [*map(str, arguments)])
+    return status, *capsys.readouterr()
+
+
+@pytest.fixture(scope="module")
+def two_people(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """Answers of two models of the same noise but for chance, on frames of contrasts about their thresholds."""
+    frames = Path(__file__).parents[1] / "sample_frames" / "naked_eye"
+    dataset, folder = load_dataset(frames), tmp_path_factory.mktemp("people") / "answers"
+    for number, subject in enumerate(("a1", "b2")):
+        monitor = a_monitor(dataset.display.pitch_mrad)
+        answer = model_person(dataset, monitor, noise=0.35, rng=np.random.default_rng(number))
+        sit(dataset, folder, answer, monitor, subject=subject, n_trials=120, practice=4, seed=number)
+    return folder, frames
+
+
+@pytest.mark.slow
+def test_a_person_is_calibrated_and_scored(two_people, tmp_path: Path, capsys) -> None:
+    folder, frames = two_people
+    out = tmp_path / "out"
+    status, text, err = todframes(
+        capsys, "calibrate", folder, frames, "--json", "-o", out, "--set", "resamples=100"
+    )
+    assert (status, err) == (0, "")
+    made = json.loads(text)
+    assert made["command"] == "calibrate" and (out / "result.json").read_text() == text
+    for one in (*made["persons"], made["pooled"]):
+        low, high = one["internal_noise_ci95"]
+        # The seed decides; of 100 seeds, five would fail in one of the persons.
+        assert low < 0.35 < high
+        assert low < one["internal_noise"] < high
+        assert one["n_trials"] == (240 if one["subject"] is None else 120)
+    assert [fit["group"] for fit in made["fits"][:4]] == [
+        {"subject": "a1", "size_mrad": size} for size in (0.6, 0.9, 1.4, 2.4)
+    ]
+    for name in ("report.html", "calibration.png", "calibration.svg", "internal_noise.csv", "calibration.csv"):
+        assert (out / name).stat().st_size > 100
+    with (out / "internal_noise.csv").open(encoding="utf-8", newline="") as file:
+        assert [row["subject"] for row in csv.DictReader(file)] == ["a1", "b2", "all together"]
+
+    # The settings of an observer that scores: with the person's noise, and the thresholds that were predicted.
+    person = made["persons"][0]
+    status, text, err = todframes(
+        capsys, "score", frames, "--observer-settings", out / "observer_a1.toml", "--json", "--set", "resamples=0"
+    )
+    assert (status, err) == (0, "")
+    scored = json.loads(text)
+    assert scored["settings"]["internal_noise"] == person["internal_noise"]
+    for fit, predicted in zip(scored["fits"], person["predicted"], strict=True):
+        # Half of the frames, on a monitor of 8 bits: 10 % is four times what their positions and codes change.
+        assert fit["threshold"] == pytest.approx(predicted["threshold"], rel=0.1)
+    assert tod.load_result(out).persons[0].internal_noise == person["internal_noise"]
+    status, _, err = todframes(capsys, "report", out / "result.json", "-o", tmp_path / "again.html")
+    assert (status, err) == (0, "")
+    assert (tmp_path / "again.html").read_bytes() == (out / "report.html").read_bytes()
+
+
+@pytest.mark.slow
+def test_a_free_blur(two_people) -> None:
+    """The templates of the people are blurred by 1.2 samples."""
+    folder, frames = two_people
+    result = tod.calibrate(
+        folder, frames, free=["blur", "lapse"], subjects=["a1"], fit=tod.FitSettings(resamples=0)
+    )
+    (person,) = result.persons
+    low, high = person.template_blur_samples_ci95
+    assert (low or 0.0) < 1.2 < (high or math.inf)
+    assert person.lapse_rate < 0.05
+    assert result.pooled is None
+
+
+@pytest.mark.slow
+def test_intervals_of_simulated_people(two_people) -> None:
+    """A thousand people answer 240 of the frames; the whole campaign is tests/campaigns/coverage.py."""
+    folder, frames = two_people
+    dataset = load_dataset(frames)
+    sit(dataset, folder.parent / "all", up, a_monitor(dataset.display.pitch_mrad))
+    (session,) = read_answers(folder.parent / "all")
+    observers, blurs = noise_observers(tod.PyramidObserver(), dataset.trials[0].stimulus, blur_is_free=False)
+    answered = answered_trials(dataset, session, observers)
+    table = answered.table(noise_grid([answered]), blurs)
+    p, rng = table.at(np.log([0.35]))[:, 0, 0], np.random.default_rng(5)
+    fits = []
+    for _ in range(1000):
+        rows = rng.permutation(len(p))[:240]
+        fits.append(fitted(table.select(rows), rng.random(240) < p[rows]))
+    covered = np.mean([fit.noise_ci95.low <= 0.35 <= fit.noise_ci95.high for fit in fits])
+    # Four standard deviations of a share of 0.95 in 1000.
+    assert abs(covered - 0.95) < 4.0 * math.sqrt(0.95 * 0.05 / 1000)
+    assert abs(np.mean([math.log(fit.noise / 0.35) for fit in fits])) < 0.02
+
+
+def test_answers_to_another_dataset(small: Path, tmp_path: Path, make_dataset, capsys) -> None:
+    seen_session(small, tmp_path / "answers")
+    other = make_dataset("other", sizes_mrad=(1.0,)).path
+    status, out, err = todframes(capsys, "calibrate", tmp_path / "answers", other)
+    assert (status, out) == (1, "")
+    assert err.startswith("error: ") and err.count("\n") == 1
+    assert "the answers are to another dataset" in err and "manifest.csv" in err
+
+
+def test_a_display_that_has_changed(small: Path, tmp_path: Path) -> None:
+    _, session = seen_session(small, tmp_path / "answers")
+    settings = small / "dataset.toml"
+    settings.write_text(settings.read_text().replace("pixel_pitch_mrad = 0.25", "pixel_pitch_mrad = 0.5"))
+    with pytest.raises(DataError, match=r"pixel pitch of .*: found 0.5 mrad, expected 0.25 mrad as was shown"):
+        seen_dataset(load_dataset(small), session)
+
+
+def cut_to_practice(path: Path) -> None:
+    path.write_text(path.read_text().replace(",main,", ",practice,"))
+
+
+def damage_a_row(path: Path) -> None:
+    lines = path.read_text().splitlines()
+    lines[3] = lines[3].replace(",up,", ",upp,", 1)
+    path.write_text("\n".join(lines) + "\n")
+
+
+def rename_a_frame(path: Path) -> None:
+    lines = path.read_text().splitlines()
+    lines[1] = lines[1].replace("frames/", "frames/x", 1)
+    path.write_text("\n".join(lines) + "\n")
+
+
+def damage_the_sidecar(path: Path) -> None:
+    sidecar_path(path).write_text("{")
+
+
+@pytest.mark.parametrize(
+    ("damage", "arguments", "status", "message"),
+    [
+        (cut_to_practice, [], 1, "found no answers of the main trials"),
+        (damage_a_row, [], 1, "line 4: "),
+        (rename_a_frame, [], 1, "trial 1: frame: found 'frames/x"),
+        (damage_the_sidecar, [], 1, "not the sidecar of a session"),
+        (None, ["--subject", "zz"], 1, "found no subject 'zz', expected one of a1"),
+        (None, ["--internal-noise", "0.5"], 2, "--internal-noise: found a value, but calibrate fits it"),
+        (None, ["--free", "everything"], 2, "'everything' is not one of 'lapse', 'blur'"),
+    ],
+)
+def test_bad_input_is_one_line(small: Path, tmp_path: Path, capsys, damage, arguments, status, message) -> None:
+    _, session = seen_session(small, tmp_path / "answers")
+    if damage is not None:
+        damage(session.path)
+    found, out, err = todframes(capsys, "calibrate", tmp_path / "answers", small, *arguments)
+    assert (found, out) == (status, "")
+    assert err.startswith("error: ") and err.count("\n") == 1 and message in err
+
+
+def test_no_answers(tmp_path: Path, small: Path, capsys) -> None:
+    status, out, err = todframes(capsys, "calibrate", tmp_path / "nothing", small)
+    assert (status, out) == (1, "")
+    assert "no answers" in err and err.count("\n") == 1

@@ -1,0 +1,319 @@
+"""Calibration of a person's monitor, and the code values that show a trial on it."""
+
+from __future__ import annotations
+
+import math
+import struct
+from dataclasses import replace
+from io import BytesIO
+
+import numpy as np
+import pytest
+
+from todframes.errors import FrameError, SettingsError
+from todframes.experiment.monitor import (
+    Calibration,
+    ContrastRange,
+    Monitor,
+    MonitorError,
+    calibrated,
+    check_shows,
+    pixel_pitch_mrad,
+    viewing_distance_mm,
+)
+from todframes.experiment.stimuli import clipped, contrast_range, png, shown_codes, shown_contrast, trial_image
+from todframes.frames.dataset import load_dataset
+from todframes.frames.files import FrameFile, read_frame, write_frame
+from todframes.stimulus import ORIENTATIONS, Orientation, coverage
+
+MEASURES = Calibration(
+    device_pixel_ratio=1.0,
+    pixel_pitch_mm=0.25,
+    viewing_distance_mm=1000.0,
+    gamma=2.2,
+    screen_px=(1920, 1080),
+    viewport_px=(1900, 1000),
+)
+
+
+def made(*, background: float = 0.5, dither: bool = True, **changes: object) -> Monitor:
+    return calibrated(replace(MEASURES, **changes), background=background, dither=dither)
+
+
+MONITOR = made()
+
+
+# Calibration ---------------------------------------------------------------------------------------------------
+
+
+def test_card_distance_and_half_tone_give_pitch_angle_and_gamma():
+    found = made(pixel_pitch_mm=None, pixels_per_card=342.4, gamma=None, half_tone_code=255.0 / math.sqrt(2.0))
+    # 85.6 mm over 342.4 pixels is 0.25 mm, at 1 m 0.25 mrad; 2^(-1/2) to the power 2 is 1/2.
+    assert math.isclose(found.pixel_pitch_mm, 0.25, rel_tol=1e-12)
+    assert math.isclose(found.pixel_pitch_mrad, 0.25, rel_tol=1e-8)
+    assert found.gamma is not None
+    assert math.isclose(found.gamma, 2.0, rel_tol=1e-12)
+
+
+def test_distance_and_angle_are_each_others_inverse():
+    angle = pixel_pitch_mrad(pixel_pitch_mm=0.3, viewing_distance_mm=600.0)
+    assert math.isclose(viewing_distance_mm(pixel_pitch_mm=0.3, pixel_pitch_mrad=angle), 600.0, rel_tol=1e-12)
+
+
+def test_background_is_the_code_at_or_below_what_was_asked():
+    luminance = MONITOR.luminance_of_code()
+    code = MONITOR.background_code
+    assert luminance[code] <= 0.5 < luminance[code + 1]
+    assert MONITOR.background_relative == luminance[code]
+    assert MONITOR.contrast_of_code()[code] == 0.0
+
+
+def test_background_that_a_code_has_is_that_code():
+    # Gamma 1 has the luminance code / 255.
+    assert made(gamma=1.0, background=51 / 255).background_code == 51
+
+
+def test_readings_are_met_and_between_them_a_power_law_is():
+    readings = tuple((code, 0.4 + 180.0 * (code / 255) ** 2.2) for code in (0.0, 32.0, 96.0, 160.0, 255.0))
+    found = made(photometer=readings)
+    assert found.gamma is None
+    white = readings[-1][1]
+    for code, cd_m2 in readings:
+        assert math.isclose(found.luminance_of_code()[int(code)], cd_m2 / white, rel_tol=1e-12)
+    assert math.isclose(found.black_relative, 0.4 / white, rel_tol=1e-12)
+    assert found.background_luminance_cd_m2 == pytest.approx(found.background_relative * white, rel=1e-12)
+    without_black = tuple((code, 180.0 * (code / 255) ** 2.2) for code, _ in readings)
+    assert made(photometer=without_black).luminance_of_code() == pytest.approx(
+        MONITOR.luminance_of_code(), rel=1e-9
+    )
+
+
+def test_luminance_rises_with_the_code_whatever_the_readings():
+    rng = np.random.default_rng(1)
+    for _ in range(20):
+        codes = np.unique([0, 255, *rng.integers(1, 255, 6)])
+        cd_m2 = np.cumsum(rng.uniform(0.01, 50.0, codes.size))
+        found = made(photometer=tuple(zip(codes.tolist(), cd_m2.tolist(), strict=True)), background=0.7)
+        assert (np.diff(found.luminance_of_code()) > 0).all()
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason", "message"),
+    [
+        ({"device_pixel_ratio": 1.25}, "scaling", "resample the frames; set the zoom of the page to 100 %"),
+        ({"device_pixel_ratio": 0.5}, "scaling", "0.5 pixels of the monitor"),
+        ({"pixel_pitch_mm": None}, "calibration", "pixels_per_card, pixel_pitch_mm: found none"),
+        ({"pixel_pitch_mm": None, "pixels_per_card": 0.0}, "calibration", "pixels_per_card, pixel_pitch_mm"),
+        ({"pixel_pitch_mm": None, "pixels_per_card": 1e-300}, "calibration", "pixel_pitch_mm: found 8.56e"),
+        ({"pixel_pitch_mm": 25.0}, "calibration", "pixel_pitch_mm: found 25 mm, expected 0.02 to 2 mm"),
+        ({"viewing_distance_mm": 60_000.0}, "calibration", "viewing_distance_mm: found 6e.04 mm"),
+        ({"viewing_distance_mm": -1.0}, "calibration", "viewing_distance_mm: found -1 mm"),
+        ({"gamma": None}, "calibration", "gamma, half_tone_code, photometer: found none of them"),
+        ({"gamma": 9.0}, "calibration", "gamma: found 9.0, expected 1 to 4; match the half-tone again"),
+        ({"gamma": None, "half_tone_code": 255.0}, "calibration", "half_tone_code: found 255.0"),
+        ({"photometer": ((0, 1.0), (255, 90.0))}, "calibration", "lut: found 2 readings"),
+        ({"photometer": ((0, 1.0), (9, 2.0), (8, 4.0), (255, 90.0))}, "calibration", "read these codes again"),
+        ({"photometer": ((0, 1.0), (9, 2.0), (9, 4.0), (255, 90.0))}, "calibration", "to rise with the code"),
+        ({"photometer": ((0, -1.0), (9, 2.0), (99, 4.0), (255, 90.0))}, "calibration", "negative or no number"),
+        ({"photometer": ((0, 60.0), (9, 70.0), (99, 80.0), (255, 90.0))}, "range", "take another --background"),
+    ],
+)
+def test_refusals_have_a_reason(changes, reason, message):
+    with pytest.raises(MonitorError, match=message) as caught:
+        made(**changes)
+    assert caught.value.reason == reason
+
+
+def test_whole_device_pixels_are_accepted():
+    assert made(device_pixel_ratio=2.0).device_pixel_ratio == 2.0
+
+
+RANGE = ContrastRange("frames/a.exr", -0.1, 0.2, -0.05, 0.3)
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason", "message"),
+    [
+        ({"frame_px": (1901, 10)}, "viewport", "has 1901 × 10 pixels, the page has room for 1900 × 1000"),
+        ({"pixel_pitch_mrad": 0.1}, "pitch", "2.5 times that of the dataset .0.1 mrad.* sit 2500 mm from"),
+        ({"pixel_pitch_mrad": 0.6}, "pitch", "0.417 times"),
+        (
+            {"ranges": [RANGE, RANGE._replace(high=1.5)]},
+            "range",
+            "contrast 1.5 of frames/a.exr.*--background 0.39",
+        ),
+        ({"ranges": [RANGE._replace(triangle_low=-1.2)]}, "range", "contrast -1.2 .*less contrast or noise"),
+    ],
+)
+def test_monitors_that_cannot_show_the_trials_are_refused(changes, reason, message):
+    asked = {"frame_px": (1900, 1000), "pixel_pitch_mrad": 0.25, "ranges": [RANGE]}
+    check_shows(MONITOR, **asked)
+    with pytest.raises(MonitorError, match=message) as caught:
+        check_shows(MONITOR, **(asked | changes))
+    assert caught.value.reason == reason
+
+
+def test_the_background_that_a_refusal_proposes_is_accepted():
+    asked = {"frame_px": (1, 1), "pixel_pitch_mrad": 0.25}
+    for high in (1.1, 1.5, 3.0, 20.0):
+        with pytest.raises(MonitorError, match="--background") as caught:
+            check_shows(MONITOR, ranges=[RANGE._replace(high=high)], **asked)
+        proposed = float(str(caught.value).rpartition(" ")[2])
+        check_shows(made(background=proposed), ranges=[RANGE._replace(high=high)], **asked)
+
+
+def test_without_dither_a_contrast_below_half_a_code_step_is_refused():
+    faint = ContrastRange("frames/a.exr", 0.0, 0.001, 0.0, 0.001)
+    asked = {"frame_px": (1, 1), "pixel_pitch_mrad": 0.25, "ranges": [faint]}
+    check_shows(MONITOR, **asked)
+    with pytest.raises(MonitorError, match=r"below half of a code step, 0\.0059: .*leave out --no-dither"):
+        check_shows(made(dither=False), **asked)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"pixel_pitch_mrad": 0.0}, "pixel_pitch_mrad: found 0.0"),
+        ({"bits": 10}, "bits: found 10, expected 8"),
+        ({"background_code": 0}, "background_code: found 0"),
+        ({"background_relative": 0.6}, "background_relative: found 0.6, expected 0.499"),
+        ({"gamma": None}, "gamma, lut: found both or none"),
+    ],
+)
+def test_a_monitor_that_contradicts_itself_is_no_monitor(changes, message):
+    with pytest.raises(SettingsError, match=message):
+        replace(MONITOR, **changes)
+
+
+# Pixels --------------------------------------------------------------------------------------------------------
+
+
+def test_a_monitor_like_the_display_shows_the_codes_of_the_frame(make_dataset):
+    # A display with the monitor's gamma, its background the luminance of one code: codes are those of the file.
+    background = 100.0 * (186 / 255) ** 2.2
+    dataset = make_dataset(
+        suffix=".png",
+        contrasts=(0.3,),
+        display={"eotf": "gamma", "gamma": 2.2, "background_luminance_cd_m2": background},
+    )
+    codes = np.random.default_rng(2).integers(0, 256, (48, 48))
+    write_frame(dataset.frame(0), codes / 255.0, pixel_type="uint8")
+    data = load_dataset(dataset.path)
+    image = trial_image(data, data.trials[0])
+    for monitor in (MONITOR, made(dither=False)):
+        assert monitor.background_code == 186
+        np.testing.assert_array_equal(shown_codes(image.contrast, monitor, seed=5), codes)
+
+
+@pytest.mark.parametrize("suffix", [".exr", ".png"])
+@pytest.mark.parametrize("rule", [50.0, "surround", "border"])
+def test_without_dither_each_pixel_is_the_frames_within_half_a_code_step(make_dataset, suffix, rule):
+    dataset = make_dataset(suffix=suffix, contrasts=(0.3,), display={"background_luminance_cd_m2": rule})
+    data = load_dataset(dataset.path)
+    monitor = made(dither=False, background=0.6)
+    for trial in data.trials:
+        stored = np.array(read_frame(data.frame_path(trial.frames[0])).values[..., 0], np.float64)
+        wanted = stored * data.display.white_luminance_cd_m2 / 50.0 - 1.0
+        found = shown_contrast(shown_codes(trial_image(data, trial).contrast, monitor, 0), monitor)
+        step = np.diff(monitor.contrast_of_code()).max()
+        # 1e-3: half precision of an EXR, and rounding of a 16-bit PNG, of the background itself.
+        assert np.abs(found - wanted).max() <= step / 2.0 + 1e-3
+
+
+def test_background_is_one_code_and_not_dithered():
+    codes = shown_codes(np.zeros((64, 64)), MONITOR, seed=3)
+    assert (codes == MONITOR.background_code).all()
+
+
+def test_darker_triangles_are_darker(make_dataset):
+    dataset = make_dataset(contrasts=(0.3,), row_changes={0: {"polarity": "-1"}})
+    frame = 50.0 * (1.0 - 0.3 * coverage((48, 48), size_px=8, x_px=23.5, y_px=23.5, orientation=Orientation.UP))
+    write_frame(dataset.frame(0), frame)
+    data = load_dataset(dataset.path)
+    found = shown_contrast(shown_codes(trial_image(data, data.trials[0]).contrast, MONITOR, 1), MONITOR)
+    # The middle of the triangle: two code values about the contrast.
+    assert -0.3 - 0.012 <= found[23, 23] <= -0.3 + 0.012
+
+
+def test_frames_of_a_trial_are_averaged_in_contrast_each_with_its_own_background(make_dataset):
+    dataset = make_dataset(
+        contrasts=(0.2, 0.4),
+        display={"background_luminance_cd_m2": "column"},
+        experiment={"level": "strength"},
+        row_changes={
+            row: {"trial": f"t{row % 4}", "strength": "0.3", "background_luminance_cd_m2": "50"}
+            for row in range(8)
+        },
+    )
+    data = load_dataset(dataset.path)
+    assert [len(trial.frames) for trial in data.trials] == [2] * 4
+    for trial in data.trials:
+        triangle = coverage((48, 48), size_px=8, x_px=23.5, y_px=23.5, orientation=trial.orientation)
+        # 2e-3: half precision of the EXR, 2^-11, of values up to 70 over a background of 50.
+        np.testing.assert_allclose(trial_image(data, trial).contrast, 0.3 * triangle, atol=2e-3)
+
+
+def test_frames_of_different_sizes_in_a_trial_are_refused(make_dataset):
+    dataset = make_dataset(
+        contrasts=(0.2,), row_changes={0: {"trial": "a"}, 1: {"trial": "a", "orientation": "up"}}
+    )
+    write_frame(dataset.frame(1), np.full((50, 48), 50.0))
+    data = load_dataset(dataset.path)
+    with pytest.raises(FrameError, match="has 48 × 50 pixels, expected 48 × 48 as in the first frame of trial a"):
+        trial_image(data, data.trials[0])
+
+
+@pytest.mark.parametrize("size_px", [10, 16, 40])
+def test_with_dither_the_mean_over_a_triangle_is_right_down_to_a_contrast_of_a_thousandth(size_px):
+    # Code steps are 1.2 % of the background. The mean over the area, each pixel weighted with the share of it that
+    # the triangle covers, is right within 0.05 % contrast.
+    rng = np.random.default_rng(4)
+    for contrast in (0.001, -0.001, 0.003, 0.01, 0.1):
+        for orientation in ORIENTATIONS:
+            x, y = 63.5 + rng.uniform(-0.5, 0.5, 2)
+            covered = coverage((128, 128), size_px=size_px, x_px=x, y_px=y, orientation=orientation)
+            seed = int(rng.integers(4096))
+            shown = shown_contrast(shown_codes(contrast * covered, MONITOR, seed), MONITOR)
+            area = covered.sum()
+            assert abs(np.sum(covered * (shown - contrast * covered)) / area) < 5e-4
+            # The sum over the whole picture is off by half of a code step of one pixel at most.
+            assert abs(np.sum(shown - contrast * covered)) < 0.0121 / 2
+
+
+def test_dither_patterns_of_different_seeds_lie_at_different_places_and_of_the_same_seed_at_one():
+    grey = np.full((64, 64), 0.005)
+    first, second = shown_codes(grey, MONITOR, 1), shown_codes(grey, MONITOR, 2)
+    assert (first != second).any()
+    np.testing.assert_array_equal(first, shown_codes(grey, MONITOR, 1))
+
+
+def test_what_the_monitor_cannot_show_is_counted_and_becomes_its_ends():
+    contrast = np.array([[-1.5, -1.0, 0.0, 1.0, 2.0]])
+    np.testing.assert_array_equal(clipped(contrast, MONITOR), [[True, False, False, False, True]])
+    codes = shown_codes(contrast, MONITOR, 0)
+    assert codes[0, 0] == 0
+    assert codes[0, -1] == 255
+
+
+def test_range_of_a_trial_has_its_triangle(make_dataset):
+    data = load_dataset(make_dataset(contrasts=(0.5,)).path)
+    trial = data.trials[0]
+    found = contrast_range(trial, trial_image(data, trial))
+    assert found.frame == trial.frames[0].path
+    assert found.triangle_high == pytest.approx(0.5, abs=2e-3)
+    assert found.low == pytest.approx(0.0, abs=2e-3)
+
+
+def test_png_is_grey_of_8_bits_and_says_nothing_about_colour():
+    codes = np.random.default_rng(6).integers(0, 256, (30, 41)).astype(np.uint8)
+    content = png(codes)
+    stream = BytesIO(content)
+    assert stream.read(8) == b"\x89PNG\r\n\x1a\n"
+    chunks = []
+    while header := stream.read(8):
+        length, name = struct.unpack(">I4s", header)
+        chunks.append((name, stream.read(length + 4)))
+    assert {name for name, _ in chunks} == {b"IHDR", b"IDAT", b"IEND"}
+    assert struct.unpack(">IIBBBBB", chunks[0][1][:13]) == (41, 30, 8, 0, 0, 0, 0)
+    with FrameFile("memory.png", content=content) as file:  # OpenImageIO; another library wrote it
+        np.testing.assert_array_equal(file.read().stored[..., 0], codes)

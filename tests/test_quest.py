@@ -1,0 +1,139 @@
+"""QUEST+: the posterior and its expected entropy against literal loops; simulated people."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import time
+
+import numpy as np
+import pytest
+
+from todframes.psychometrics.quest import QuestGrid
+from todframes.psychometrics.weibull import weibull
+
+LEVELS = np.geomspace(0.02, 0.4, 9)
+
+
+def literal_posterior(grid: QuestGrid, answers: list[tuple[int, bool]]) -> list[float]:
+    """Bayes' rule answer by answer, each likelihood from eq. 3 itself."""
+    belief = [1.0] * grid.alpha.size
+    for level, is_right in answers:
+        for k, (alpha, beta, lapse) in enumerate(zip(grid.alpha, grid.beta, grid.lapse_rate, strict=True)):
+            right = (1 - lapse) - (1 - lapse - 0.25) * 2.0 ** (-((grid.levels[level] / alpha) ** beta))
+            belief[k] *= right if is_right else 1.0 - right
+        total = sum(belief)
+        belief = [one / total for one in belief]
+    return belief
+
+
+def counts(answers: list[tuple[int, bool]], n_levels: int) -> tuple[np.ndarray, np.ndarray]:
+    found = np.zeros((2, n_levels))
+    for level, is_right in answers:
+        found[int(is_right), level] += 1
+    return found[0], found[1]
+
+
+ANSWERS = [(4, True), (2, False), (3, True), (3, False), (8, True), (0, False)]
+
+
+def test_posterior_is_the_product_of_the_likelihoods_in_any_order():
+    grid = QuestGrid.of_levels(LEVELS)
+    found = grid.posterior(*counts(ANSWERS, 9))
+    # Both are exact up to the rounding of six products and a sum of 3294 terms.
+    np.testing.assert_allclose(found, literal_posterior(grid, ANSWERS), rtol=1e-10, atol=1e-15)
+    assert math.isclose(found.sum(), 1.0, rel_tol=1e-12)
+
+
+def test_without_answers_all_functions_are_equally_probable():
+    grid = QuestGrid.of_levels(LEVELS)
+    np.testing.assert_allclose(grid.posterior(np.zeros(9), np.zeros(9)), 1.0 / grid.alpha.size, rtol=1e-12)
+
+
+def test_expected_entropy_is_that_of_a_loop_over_answers():
+    grid = QuestGrid.of_levels(LEVELS)
+    found = grid.expected_entropy(grid.posterior(*counts(ANSWERS, 9)))
+    before = literal_posterior(grid, ANSWERS)
+    for level in (3, 8):
+        expected = 0.0
+        for is_right in (True, False):
+            after = literal_posterior(grid, [*ANSWERS, (level, is_right)])
+            p_right = sum(
+                p * float(weibull(LEVELS[level], alpha=a, beta=b, guess_rate=0.25, lapse_rate=d))
+                for p, a, b, d in zip(before, grid.alpha, grid.beta, grid.lapse_rate, strict=True)
+            )
+            entropy = -sum(p * math.log(p) for p in after if p > 0)
+            expected += entropy * (p_right if is_right else 1.0 - p_right)
+        # Cancellation of terms near ln 3294 = 8: a few of their roundings.
+        assert math.isclose(found[level], expected, rel_tol=1e-11)
+
+
+def test_a_trial_never_adds_entropy_on_average():
+    grid = QuestGrid.of_levels(LEVELS)
+    posterior = grid.posterior(*counts(ANSWERS, 9))
+    possible = posterior[posterior > 0]
+    assert (grid.expected_entropy(posterior) < -np.sum(possible * np.log(possible))).all()
+
+
+def test_many_people_at_once_are_each_as_alone():
+    grid = QuestGrid.of_levels(LEVELS)
+    rng = np.random.default_rng(3)
+    wrong, right = rng.integers(0, 5, (2, 4, 9))
+    together = grid.expected_entropy(grid.posterior(wrong, right))
+    for k in range(4):
+        alone = grid.expected_entropy(grid.posterior(wrong[k], right[k]))
+        np.testing.assert_allclose(together[k], alone, rtol=1e-10)
+
+
+def test_the_next_trial_takes_less_than_30_ms():
+    grids = [QuestGrid.of_levels(LEVELS * size) for size in (1, 2, 4, 8, 16)]
+    seconds = []
+    for grid, _ in itertools.product(grids, range(3)):
+        started = time.perf_counter()
+        np.argmin(grid.expected_entropy(grid.posterior(*counts(ANSWERS, 9))))
+        seconds.append(time.perf_counter() - started)
+    assert min(seconds) < 0.030  # the least of 15: other work on the machine only adds to it
+
+
+def sit(grid: QuestGrid, people: np.ndarray, choice: str, *, n_trials: int, seed: int) -> np.ndarray:
+    """Return the posteriors of people who answer as functions of the grid, given by their indices."""
+    rng = np.random.default_rng(seed)
+    wrong, right = np.zeros((2, people.size, LEVELS.size))
+    for _ in range(n_trials):
+        if choice == "quest":
+            at = np.argmin(grid.expected_entropy(grid.posterior(wrong, right)), axis=1)
+        else:
+            at = rng.integers(LEVELS.size, size=people.size)
+        is_right = rng.random(people.size) < grid.p_answer[1, at, people]
+        right[np.arange(people.size), at] += is_right
+        wrong[np.arange(people.size), at] += ~is_right
+    return grid.posterior(wrong, right)
+
+
+@pytest.mark.slow
+def test_thresholds_of_simulated_people_are_unbiased_with_the_error_that_is_stated():
+    grid = QuestGrid.of_levels(LEVELS)
+    people = np.random.default_rng(5).integers(grid.alpha.size, size=500)
+    posterior = sit(grid, people, "quest", n_trials=60, seed=6)
+    for truth in (np.log(grid.alpha), np.log(grid.beta), grid.lapse_rate):
+        # For people drawn from the prior, whatever levels they saw, the mean error of the posterior's mean is 0,
+        # and the mean of its square is that of the posterior's variance: four standard errors of each.
+        mean = posterior @ truth
+        variance = posterior @ truth**2 - mean**2
+        error = mean - truth[people]
+        assert abs(error.mean()) < 4 * error.std() / math.sqrt(people.size)
+        off = error**2 - variance
+        assert abs(off.mean()) < 4 * off.std() / math.sqrt(people.size)
+
+
+@pytest.mark.slow
+def test_adaptive_levels_need_fewer_trials_than_levels_at_random():
+    grid = QuestGrid.of_levels(LEVELS)
+    is_usual = (grid.alpha > 0.04) & (grid.alpha < 0.2) & (grid.beta > 1.2) & (grid.beta < 3.5)
+    people = np.random.default_rng(7).choice(np.flatnonzero(is_usual), 400)
+    errors = {
+        choice: sit(grid, people, choice, n_trials=60, seed=8) @ np.log(grid.alpha) - np.log(grid.alpha[people])
+        for choice in ("quest", "random")
+    }
+    # Variances of 400 errors are known to 7 % each, √(2/400): a ratio of 2 is above 1.5 by three errors.
+    assert np.mean(errors["random"] ** 2) > 1.5 * np.mean(errors["quest"] ** 2)

@@ -1,0 +1,107 @@
+"""The command `calibrate`: the internal noise that explains the answers of people."""
+
+from __future__ import annotations
+
+import textwrap
+from pathlib import Path
+from typing import Any
+
+import click
+
+from todframes.cli.console import (
+    check_strict,
+    echo,
+    print_table,
+    progress,
+    say,
+    staged,
+    terminal_width,
+    warning_lines,
+)
+from todframes.cli.options import (
+    dataset_argument,
+    json_option,
+    make_observer,
+    observer_options,
+    on_error_option,
+    quiet_option,
+    seed_option,
+    strict_option,
+    workers_option,
+)
+from todframes.errors import SettingsError
+from todframes.locations import Location
+from todframes.safe_text import visible
+
+
+@click.command()
+@click.argument("answers", type=click.Path(path_type=Path))
+@dataset_argument
+@click.option(
+    "-o",
+    "--out",
+    metavar="OUT",
+    help="Folder for result.json, report.html, tables, a figure and observer.toml, the settings for score.",
+)
+@click.option(
+    "--free",
+    multiple=True,
+    type=click.Choice(["lapse", "blur"]),
+    help="Fit the rate of lapses or the blur of the templates, too; repeatable.",
+)
+@click.option("--subject", "subjects", multiple=True, metavar="ID", help="A person; repeatable.  [default: all]")
+@observer_options
+@seed_option
+@on_error_option
+@workers_option
+@strict_option
+@json_option
+@quiet_option
+def calibrate(
+    *,
+    answers: Path,
+    dataset: Location,
+    out: str | None,
+    strict: bool,
+    as_json: bool,
+    quiet: bool,
+    **asked: Any,
+) -> None:
+    """Fit the observer's internal noise to the ANSWERS of people to the frames of DATASET.
+
+    ANSWERS is a folder of todframes experiment. Without -o nothing is written.
+    """
+    if asked["internal_noise"] is not None:
+        raise SettingsError("--internal-noise: found a value, but calibrate fits it; leave the option out")
+    observer, fit = make_observer(asked)
+    from todframes import api
+    from todframes.experiment.answers import read_answers
+    from todframes.report import calibration
+    from todframes.report.summary import verdict
+
+    sessions = read_answers(answers)
+    n_trials = sum(
+        len(one.main_rows()) for one in sessions if not asked["subjects"] or one.subject in asked["subjects"]
+    )
+    with staged(out) as place:
+        with progress("scoring", n_trials, quiet=quiet) as advance:
+            result = api.calibrate(answers, dataset, observer=observer, fit=fit, progress=advance, **asked)
+        place.write(result.files)
+    if not quiet:
+        for one in result.skipped:
+            say(f"skipped: {one['error']}")
+    if as_json:
+        if not quiet:
+            for line in warning_lines(result.warnings):
+                say(line)
+        click.echo(result.to_json(), nl=False)
+        check_strict(result.warnings, strict)
+        return
+    print_table(calibration.noise_table(result))
+    print_table(calibration.curves_table(result))
+    for line in [*verdict(result), *warning_lines(result.warnings)]:
+        echo(*textwrap.wrap(visible(line), terminal_width()))
+    echo(f"{result.run_time_s:.2f} s")
+    if out is not None:
+        echo(f"written: {out}")
+    check_strict(result.warnings, strict)

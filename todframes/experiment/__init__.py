@@ -1,0 +1,4 @@
+"""The experiment: a person answers the trials of a dataset on a calibrated monitor.
+
+Settings, files and the order of trials are here; the page is served by `todframes.web.experiment`.
+"""

@@ -1,0 +1,527 @@
+"""The files of people's answers: trials that are appended one by one, and the sidecar of each session.
+
+    ANSWERS/data/subject-ID_session-1_data.csv     a row a trial
+    ANSWERS/data/subject-ID_session-1_data.json    the session: monitor, consent, dataset, design, software
+
+A row is on the disk before the next trial is shown. A line that was torn by a killed server or a full disk is cut
+off when the session goes on.
+"""
+
+from __future__ import annotations
+
+import csv
+import errno
+import os
+import re
+import sys
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, Self
+
+import msgspec
+
+from todframes.config import MAX_CSV_MB, number, number_or_text, read_file
+from todframes.errors import DataError, OutputError, SettingsError
+from todframes.experiment.monitor import Monitor
+from todframes.frames.trials import Group
+from todframes.output import write_file
+from todframes.psychometrics.counts import COLUMNS as COUNT_COLUMNS
+from todframes.safe_text import FORMULA_STARTS, csv_text
+from todframes.stimulus import Orientation
+
+if sys.platform != "win32":
+    import fcntl
+
+SCHEMA = 1
+"""Version of the format of the sidecar."""
+
+
+MAX_SIDECAR_MB = 4
+"""Largest size of a sidecar that is read, in units of 2**20 bytes."""
+
+
+Method = Literal["constant", "quest"]
+
+
+Phase = Literal["practice", "main"]
+
+
+NO_RESPONSE = "none"
+"""Response of a trial whose time limit passed."""
+
+
+BEFORE_LEVEL = (*("trial", "phase", "frame", "sha256", "orientation", "response", "correct", "response_time_ms"),)
+"""Columns in front of the level and the columns of `group_by`."""
+
+
+AFTER_GROUPS = ("size_mrad", "dither_seed", "clipped_px", "shown_at")
+"""Columns behind them; `size_mrad` is not repeated if it is the level or in `group_by`."""
+
+
+SAME_PITCH = 0.005
+"""Relative difference of two pitches of a pixel in mrad that a ruler cannot tell."""
+
+
+SHARED = ("frame", "orientation", "size_mrad")
+"""Columns whose values are those of the manifest, so that the level or `group_by` may name them."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Consent:
+    """The text that a person agreed to, and the time, ISO 8601."""
+
+    text: str
+    agreed_at: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ShownDataset:
+    """The dataset that a session shows: its place, and what of it a session depends on."""
+
+    path: str
+    manifest_sha256: str
+    pixel_pitch_mrad: float
+    level: str
+    group_by: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SessionRecord:
+    """The sidecar of a session.
+
+    `trials` is the number of main trials, `practice` that of the practice trials before, `break_every` the number
+    of main trials between breaks; `background` is the asked luminance of the background over that of white.
+    """
+
+    schema: int = SCHEMA
+    subject: str
+    session: int = 1
+    started: str
+    software: Mapping[str, str]
+    consent: Consent | None = None
+    dataset: ShownDataset
+    method: Method
+    seed: int
+    trials: int
+    practice: int
+    break_every: int
+    time_limit_ms: float | None = None
+    background: float
+    dither: bool
+    monitor: Monitor | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrialRow:
+    """A trial that a person has answered: a row of the data file.
+
+    Attributes
+    ----------
+    number : int
+        1 for the first trial of the session; practice trials count.
+    phase : {"practice", "main"}
+    frame : str
+        Path of the trial's first frame, as in the manifest.
+    sha256 : str
+        Checksum of its file; with several frames, that of the lines of all their checksums (`frames_sha256`).
+    orientation : Orientation
+    response : Orientation or None
+        None: the time limit passed.
+    response_time_ms : float
+    level : float
+    group : tuple of float or str
+        One value for each column of `group_by`.
+    size_mrad : float
+        Size in the manifest. At the eye it is larger by the ratio of the monitor's pixel pitch to the dataset's.
+    dither_seed : int
+        Seed for `stimuli.shown_codes`.
+    clipped_px : int
+        Number of pixels that the monitor could not show.
+    shown_at : str
+        Time at which the page asked for the picture, ISO 8601.
+    """
+
+    number: int
+    phase: Phase
+    frame: str
+    sha256: str
+    orientation: Orientation
+    response: Orientation | None
+    response_time_ms: float
+    level: float
+    group: Group
+    size_mrad: float
+    dither_seed: int
+    clipped_px: int
+    shown_at: str
+
+    @property
+    def is_correct(self) -> bool:
+        """Whether the response was right."""
+        return self.response is self.orientation
+
+
+@dataclass(frozen=True, slots=True)
+class Session:
+    """A session that has begun: its monitor is calibrated. `path` is its data file, `rows` are in order."""
+
+    path: Path
+    record: SessionRecord
+    monitor: Monitor
+    rows: tuple[TrialRow, ...]
+
+    @property
+    def subject(self) -> str:
+        """Anonymous id of the person."""
+        return self.record.subject
+
+    def main_rows(self) -> tuple[TrialRow, ...]:
+        """Return the rows that count: those of the main phase with a response."""
+        return tuple(row for row in self.rows if row.phase == "main" and row.response is not None)
+
+
+def columns(level: str, group_by: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the columns of a data file.
+
+    Raises
+    ------
+    SettingsError
+        If the level or a column of `group_by` has the name of another column of the file.
+    """
+    varied = (level, *group_by)
+    for name in varied:
+        is_count = name in COUNT_COLUMNS and name in group_by
+        if is_count or (name in (*BEFORE_LEVEL, *AFTER_GROUPS) and name not in SHARED):
+            raise SettingsError(
+                f"level, group_by: found {name!r}, which is a column of the answers; rename it in the manifest"
+            )
+    return tuple(dict.fromkeys([*BEFORE_LEVEL, *varied, *AFTER_GROUPS]))
+
+
+def data_path(folder: Path, subject: str) -> Path:
+    """Return the data file of a subject's session."""
+    return folder / "data" / f"subject-{subject}_session-1_data.csv"
+
+
+def sidecar_path(data: Path) -> Path:
+    """Return the sidecar of a data file."""
+    return data.with_suffix(".json")
+
+
+# Reading -------------------------------------------------------------------------------------------------------
+
+
+def read_answers(folder: Path | str) -> list[Session]:
+    """Read the sessions of a folder of answers that have a row, ordered by their names.
+
+    Raises
+    ------
+    DataError
+        If there is none, or a file cannot be read; the message names the file and the row.
+    """
+    folder = Path(folder)
+    sessions = []
+    for path, record in read_records(folder):
+        rows = read_rows(path, record.dataset)
+        if record.monitor is not None and rows:
+            sessions.append(Session(path, record, record.monitor, rows))
+    if not sessions:
+        raise DataError(
+            f"{folder}: no answers; expected data/subject-*_session-*_data.csv of todframes experiment"
+        )
+    return sessions
+
+
+def read_records(folder: Path) -> list[tuple[Path, SessionRecord]]:
+    """Read the sidecars of a folder of answers, ordered by their names, each with the path of its data file.
+
+    Raises
+    ------
+    DataError
+        If one cannot be read.
+    """
+    sidecars = sorted((folder / "data").glob("subject-*_session-*_data.json"))
+    return [(path.with_suffix(".csv"), read_sidecar(path)) for path in sidecars]
+
+
+def read_sidecar(path: Path) -> SessionRecord:
+    """Read the sidecar of a session.
+
+    Raises
+    ------
+    DataError
+        If it cannot be read, or is not a sidecar.
+    """
+    content = read_file(path, most_mb=MAX_SIDECAR_MB)
+    try:
+        record = msgspec.json.decode(content, type=SessionRecord)
+    except (msgspec.DecodeError, SettingsError, UnicodeDecodeError) as error:
+        raise DataError(f"{path}: not the sidecar of a session ({error})") from None
+    if record.schema != SCHEMA:
+        raise DataError(f"{path}: schema: found {record.schema}, expected {SCHEMA}")
+    return record
+
+
+def read_rows(path: Path, dataset: ShownDataset) -> tuple[TrialRow, ...]:
+    """Read the rows of a data file; a last line that was torn is left out.
+
+    Raises
+    ------
+    DataError
+        If the file cannot be read or a row is not a trial; the message names the line and the column.
+    """
+    level, group_by = dataset.level, dataset.group_by
+    expected = columns(level, group_by)
+    whole_lines = read_file(path, most_mb=MAX_CSV_MB).rpartition(b"\n")[0]
+    try:
+        # No field has a line break in it: `check_text` refuses them before a session begins.
+        lines = list(csv.reader(whole_lines.decode().split("\n"), strict=True)) if whole_lines else []
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise DataError(f"{path}: not CSV of UTF-8 ({error})") from None
+    if not lines:
+        return ()
+    found = tuple(_without_quote(name) for name in lines[0])
+    if found != expected:
+        raise DataError(f"{path}: found the columns {', '.join(found)}, expected {', '.join(expected)}")
+    made: list[TrialRow] = []
+    for line, fields in enumerate(lines[1:], 2):
+        where = f"{path}, line {line}"
+        if len(fields) != len(expected):
+            raise DataError(f"{where}: found {len(fields)} fields, expected {len(expected)} as in the header")
+        made.append(_row(dict(zip(expected, fields, strict=True)), level, group_by, where))
+        if made[-1].number != len(made):
+            raise DataError(f"{where}: trial: found {made[-1].number}, expected {len(made)}, one more in each row")
+    return tuple(made)
+
+
+def check_text(text: str, where: str) -> None:
+    """Raise DataError for a text of the manifest that a line of the data file cannot hold."""
+    if len(text.splitlines()) > 1 or text.strip() != text:
+        raise DataError(f"{where}: found {text!r}, expected a text without line breaks, or spaces at its ends")
+
+
+def _row(row: dict[str, str], level: str, group_by: tuple[str, ...], where: str) -> TrialRow:
+    def whole(name: str) -> int:
+        if not re.fullmatch("[0-9]{1,18}", row[name]):
+            raise DataError(f"{where}: {name}: found {row[name]!r}, expected a whole number >= 0")
+        return int(row[name])
+
+    def one_of(name: str, *choices: str) -> str:
+        if row[name] not in choices:
+            raise DataError(f"{where}: {name}: found {row[name]!r}, expected one of {', '.join(choices)}")
+        return row[name]
+
+    orientation = Orientation(one_of("orientation", *Orientation))
+    response = one_of("response", *Orientation, NO_RESPONSE)
+    phase: Phase = "main" if one_of("phase", "practice", "main") == "main" else "practice"
+    made = TrialRow(
+        number=whole("trial"),
+        phase=phase,
+        frame=_without_quote(row["frame"]),
+        sha256=row["sha256"],
+        orientation=orientation,
+        response=None if response == NO_RESPONSE else Orientation(response),
+        response_time_ms=number(row["response_time_ms"], f"{where}: response_time_ms"),
+        level=number(row[level], f"{where}: {level}", positive=True),
+        group=tuple(number_or_text(_without_quote(row[name])) for name in group_by),
+        size_mrad=number(row["size_mrad"], f"{where}: size_mrad", positive=True),
+        dither_seed=whole("dither_seed"),
+        clipped_px=whole("clipped_px"),
+        shown_at=row["shown_at"],
+    )
+    if one_of("correct", "0", "1") != str(int(made.is_correct)):
+        raise DataError(
+            f"{where}: correct: found {row['correct']}, but the response was {response} to {orientation}"
+        )
+    return made
+
+
+def _without_quote(text: str) -> str:
+    """Return a text without the mark that `csv_text` puts in front of what a spreadsheet would compute."""
+    return text[1:] if text.startswith("'") and text[1:].startswith(FORMULA_STARTS) else text
+
+
+# Writing -------------------------------------------------------------------------------------------------------
+
+
+def write_sidecar(path: Path, record: SessionRecord) -> None:
+    """Write the sidecar of a session, whole or not at all.
+
+    Raises
+    ------
+    OutputError
+        If it cannot be written.
+    """
+    write_file(path, msgspec.json.format(msgspec.json.encode(record), indent=2) + b"\n")
+
+
+class AnswerFile:
+    """The data file of a session, open for appending and locked: no other process can write it.
+
+    Use it in a `with` statement; `begin` it before the first row. `rows` are those that are on the disk.
+
+    Raises
+    ------
+    OutputError
+        If the file cannot be written, or another process is writing it.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.rows: list[TrialRow] = []
+        try:
+            flags = os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0)
+            self._file = os.open(path, flags, 0o666)
+        except OSError as error:
+            raise OutputError(f"{path}: cannot be written ({error.strerror})") from None
+        try:
+            self._lock()
+        except BaseException:
+            os.close(self._file)
+            raise
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        os.close(self._file)
+
+    def begin(self, dataset: ShownDataset) -> None:
+        """Read the rows, cut a line that was torn, and write the header of a new file.
+
+        Raises
+        ------
+        OutputError
+            If the file cannot be written.
+        DataError
+            If it holds a row that is not a trial.
+        """
+        self._dataset, self._columns = dataset, columns(dataset.level, dataset.group_by)
+        self.rows = list(read_rows(self.path, dataset))
+        self._size = self._cut()
+        if self._size == 0:
+            self._append(csv_text([self._columns]).encode())
+            _sync_folder(self.path.parent)
+
+    def append(self, row: TrialRow) -> None:
+        """Write a row to the disk; when this returns it is there, when it raises the file is as before.
+
+        Raises
+        ------
+        OutputError
+            If it cannot be written.
+        """
+        values = _values(row, self._dataset)
+        self._append(csv_text([[values[name] for name in self._columns]]).encode())
+        self.rows.append(row)
+
+    def _lock(self) -> None:
+        if sys.platform == "win32":
+            return
+        try:
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise OutputError(
+                f"{self.path}: another server is writing this session; end it, or take another --subject"
+            ) from None
+        except OSError:
+            pass  # a file system without locks
+
+    def _cut(self) -> int:
+        """Cut a last line that was torn off; return the number of bytes that stay."""
+        content = self.path.read_bytes()
+        size = content.rfind(b"\n") + 1
+        if size < len(content):
+            try:
+                os.ftruncate(self._file, size)
+                os.fsync(self._file)
+            except OSError as error:
+                raise OutputError(f"{self.path}: cannot be written ({error.strerror})") from None
+        return size
+
+    def _append(self, line: bytes) -> None:
+        try:
+            os.lseek(self._file, self._size, os.SEEK_SET)
+            left = line
+            while left:  # a disk that is filled up takes a part, and fails at the next
+                left = left[os.write(self._file, left) :]
+            os.fsync(self._file)
+            if os.fstat(self._file).st_nlink == 0:
+                raise FileNotFoundError(errno.ENOENT, "the file was removed")
+        except OSError as error:
+            with suppress(OSError):
+                os.ftruncate(self._file, self._size)
+            raise OutputError(f"{self.path}: cannot be written ({error.strerror})") from None
+        self._size += len(line)
+
+
+def _values(row: TrialRow, dataset: ShownDataset) -> dict[str, object]:
+    return {
+        **dict(zip(dataset.group_by, row.group, strict=True)),
+        dataset.level: row.level,
+        "trial": row.number,
+        "phase": row.phase,
+        "frame": row.frame,
+        "sha256": row.sha256,
+        "orientation": row.orientation.value,
+        "response": NO_RESPONSE if row.response is None else row.response.value,
+        "correct": int(row.is_correct),
+        "response_time_ms": round(row.response_time_ms, 3),
+        "size_mrad": row.size_mrad,
+        "dither_seed": row.dither_seed,
+        "clipped_px": row.clipped_px,
+        "shown_at": row.shown_at,
+    }
+
+
+def _sync_folder(folder: Path) -> None:
+    """Flush the names in a folder to the disk, where the system can."""
+    with suppress(OSError):
+        opened = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(opened)
+        finally:
+            os.close(opened)
+
+
+def count_file(folder: Path, subject: str) -> Path:
+    """Return the file of the counts of a subject, for `todframes fit`."""
+    return folder / "counts" / f"subject-{subject}_counts.csv"
+
+
+def write_counts(path: Path, record: SessionRecord, rows: Sequence[TrialRow]) -> None:
+    """Write how often a person was right at each level of each group, for `todframes fit`.
+
+    Trials of the main phase count that have a response. Where a pixel had another visual angle than at the
+    dataset's display, by more than `SAME_PITCH`, `size_mrad` is that at the eye.
+
+    Raises
+    ------
+    OutputError
+        If it cannot be written.
+    """
+    level, group_by = record.dataset.level, record.dataset.group_by
+    ratio = 1.0 if record.monitor is None else record.monitor.pixel_pitch_mrad / record.dataset.pixel_pitch_mrad
+    found: dict[tuple[Group, float], list[bool]] = {}
+    for row in rows:
+        if row.phase == "main" and row.response is not None:
+            found.setdefault((row.group, row.level), []).append(row.is_correct)
+    lines: list[list[object]] = [[*COUNT_COLUMNS, *group_by]]
+    for (group, x), answers in sorted(found.items(), key=lambda item: (_order(item[0][0]), item[0][1])):
+        of_group = [at_eye(name, value, ratio) for name, value in zip(group_by, group, strict=True)]
+        lines.append([at_eye(level, x, ratio), sum(answers), len(answers), *of_group])
+    write_file(path, csv_text(lines).encode())
+
+
+def at_eye(name: str, value: float | str, ratio: float) -> float | str:
+    """Return a value of a column as it is at the eye: `size_mrad` grows with the ratio of the pixels' pitches."""
+    if name != "size_mrad" or isinstance(value, str) or abs(ratio - 1.0) <= SAME_PITCH:
+        return value
+    return float(f"{value * ratio:.6g}")
+
+
+def _order(group: Group) -> tuple[tuple[bool, float, str], ...]:
+    """Return a key that orders numbers before texts."""
+    return tuple((True, 0.0, one) if isinstance(one, str) else (False, one, "") for one in group)

@@ -1,0 +1,399 @@
+"""Monitors that show trials to people: the luminance of their codes, and the visual angle of a pixel."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from todframes._typing import FloatArray
+from todframes.errors import SettingsError
+
+N_CODES = 256
+"""Number of code values of a monitor: 8 bits a channel."""
+
+
+READING_EXPONENT = 2.2
+"""Exponent of the scale in which luminance is interpolated between readings: there it is almost straight."""
+
+
+CARD_WIDTH_MM = 85.60
+"""Width of a bank card: ID-1 of ISO/IEC 7810."""
+
+
+HALF_TONE = 0.5
+"""Luminance over that of white of a pattern whose rows are white and black by turns."""
+
+
+PITCH_RATIOS = (0.5, 2.0)
+"""Range of the visual angle of a pixel over that of the dataset's display; beyond it the test is another one."""
+
+
+RANGES = {"pixel_pitch_mm": (0.02, 2.0), "viewing_distance_mm": (50.0, 50_000.0)}
+"""Pixel pitches of real monitors, and distances that people sit at; others are slips of the pen."""
+
+
+Reason = Literal["calibration", "scaling", "viewport", "pitch", "range"]
+
+
+class MonitorError(SettingsError):
+    """Error for a monitor that cannot show the trials as they are; `reason` is for programs."""
+
+    def __init__(self, reason: Reason, message: str) -> None:
+        super().__init__(message)
+        self.reason: Reason = reason
+
+    def __reduce__(self) -> tuple[type, tuple[Reason, str]]:
+        return type(self), (self.reason, str(self))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Calibration:
+    """Measures of a monitor, as a person made them at the page. All pixels are those of the device.
+
+    Attributes
+    ----------
+    device_pixel_ratio : float
+        Device pixels per pixel of the page.
+    pixels_per_card : float or None
+        Number of pixels along the long side of a bank card; or `pixel_pitch_mm`, from a ruler or a data sheet.
+    viewing_distance_mm : float
+    gamma : float or None
+        Exponent of the monitor; or `half_tone_code`, the code value of a uniform field that looks as bright as
+        rows of white and black by turns; or `photometer`, pairs of code value and luminance in cd/m², which count
+        if they are given.
+    screen_px, viewport_px : (int, int)
+        Width and height of the screen and of the page.
+    """
+
+    device_pixel_ratio: float
+    pixels_per_card: float | None = None
+    pixel_pitch_mm: float | None = None
+    viewing_distance_mm: float
+    gamma: float | None = None
+    half_tone_code: float | None = None
+    photometer: tuple[tuple[float, float], ...] | None = None
+    screen_px: tuple[int, int]
+    viewport_px: tuple[int, int]
+
+
+class ContrastRange(NamedTuple):
+    """The contrasts of a trial: of its triangle's area, and those between which 99 % of its pixels lie."""
+
+    frame: str
+    low: float
+    high: float
+    triangle_low: float
+    triangle_high: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Monitor:
+    """A monitor as a person sat at it; the sidecar of the answers holds it.
+
+    Attributes
+    ----------
+    pixel_pitch_mm, viewing_distance_mm : float
+        Distance of neighbouring pixels, and of the eye from the screen.
+    pixel_pitch_mrad : float
+        Visual angle of one pixel at the eye.
+    background_code : int
+        Code value of the background: that of the page, and of contrast 0.
+    background_relative, black_relative : float
+        Luminance of the background and of code 0 over that of white.
+    background_luminance_cd_m2 : float or None
+        Luminance of the background; None if no photometer was read.
+    gamma : float or None
+        Exponent from the half-tone match; None with `lut`.
+    lut : tuple of (float, float), or None
+        Readings of a photometer: code value, 0 to 255, and luminance in cd/m².
+    bits : int
+        Number of bits of a code value.
+    dither : bool
+        Whether luminances between two codes are shown by pixels of both.
+    device_pixel_ratio : float
+        Device pixels per pixel of the page, as the browser said.
+    screen_px, viewport_px : (int, int)
+        Width and height of the screen and of the page, in device pixels.
+
+    Raises
+    ------
+    SettingsError
+        If a value contradicts another or is out of range.
+    """
+
+    pixel_pitch_mm: float
+    viewing_distance_mm: float
+    pixel_pitch_mrad: float
+    background_code: int
+    background_relative: float
+    background_luminance_cd_m2: float | None = None
+    gamma: float | None = None
+    lut: tuple[tuple[float, float], ...] | None = None
+    black_relative: float = 0.0
+    bits: int = 8
+    dither: bool = True
+    device_pixel_ratio: float = 1.0
+    screen_px: tuple[int, int] = (0, 0)
+    viewport_px: tuple[int, int] = (0, 0)
+
+    def __post_init__(self) -> None:
+        for name in ("pixel_pitch_mm", "viewing_distance_mm", "pixel_pitch_mrad"):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value > 0):
+                raise SettingsError(f"{name}: found {value!r}, expected a finite number > 0")
+        if self.bits != 8:
+            raise SettingsError(f"bits: found {self.bits!r}, expected 8")
+        if not 0 < self.background_code < N_CODES:
+            raise SettingsError(f"background_code: found {self.background_code!r}, expected 1 to {N_CODES - 1}")
+        # The luminance of the code is what counts; 1e-6 is what a file written with fewer digits may differ by.
+        found = float(self.luminance_of_code()[self.background_code])
+        if not math.isclose(found, self.background_relative, rel_tol=1e-6):
+            raise SettingsError(
+                f"background_relative: found {self.background_relative!r}, expected {found!r}, the luminance of "
+                f"background_code {self.background_code}"
+            )
+
+    def luminance_of_code(self) -> FloatArray:
+        """Return the luminance of the code values 0 to 255 over that of white, rising: shape (256,).
+
+        Raises
+        ------
+        SettingsError
+            If neither or both of `gamma` and `lut` are given, or they do not describe a monitor.
+        """
+        if self.lut is not None and self.gamma is None:
+            return luminance_of_readings(self.lut)
+        if self.gamma is not None and self.lut is None:
+            return luminance_of_gamma(self.gamma)
+        raise SettingsError("gamma, lut: found both or none of them, expected one")
+
+    def contrast_of_code(self) -> FloatArray:
+        """Return the Weber contrast of the code values 0 to 255 against the background, rising: shape (256,)."""
+        luminance = self.luminance_of_code()
+        return np.asarray(luminance / luminance[self.background_code] - 1.0)
+
+    def contrast_limits(self) -> tuple[float, float]:
+        """Return the contrasts half of a code step beyond black and white; those between can be shown."""
+        of_code = self.contrast_of_code()
+        return float(1.5 * of_code[0] - 0.5 * of_code[1]), float(1.5 * of_code[-1] - 0.5 * of_code[-2])
+
+
+def luminance_of_gamma(gamma: float) -> FloatArray:
+    """Return (code / 255)^gamma for the code values 0 to 255.
+
+    Raises
+    ------
+    SettingsError
+        If the exponent is not that of a monitor.
+    """
+    if not 1.0 <= gamma <= 4.0:
+        raise SettingsError(f"gamma: found {gamma!r}, expected 1 to 4; match the half-tone again")
+    return np.asarray((np.arange(N_CODES) / (N_CODES - 1)) ** gamma)
+
+
+def luminance_of_readings(lut: tuple[tuple[float, float], ...]) -> FloatArray:
+    """Return the luminance of the code values 0 to 255 over that of white, from readings of a photometer.
+
+    Between readings, luminance^(1/2.2) is interpolated linearly; readings are met exactly.
+
+    Raises
+    ------
+    SettingsError
+        If the readings do not begin at code 0 and end at 255, are fewer than 4, or do not rise.
+    """
+    codes, luminance_cd_m2 = np.array(sorted(lut), np.float64).reshape(-1, 2).T
+    if codes.size < 4 or codes[0] != 0 or codes[-1] != N_CODES - 1:
+        raise SettingsError(
+            f"lut: found {codes.size} readings of the codes {', '.join(f'{code:g}' for code in codes[:4])} …, "
+            f"expected at least 4, with those of 0 and {N_CODES - 1}"
+        )
+    if not np.isfinite(luminance_cd_m2).all() or luminance_cd_m2[0] < 0:
+        raise SettingsError("lut: found a luminance that is negative or no number, expected cd/m² >= 0")
+    rise = (np.diff(codes) > 0) & (np.diff(luminance_cd_m2) > 0)
+    if not rise.all():
+        at = int(np.argmin(rise))
+        raise SettingsError(
+            f"lut: found {luminance_cd_m2[at + 1]:g} cd/m² at code {codes[at + 1]:g} after "
+            f"{luminance_cd_m2[at]:g} cd/m² at code {codes[at]:g}, expected luminance to rise with the code; read "
+            "these codes again"
+        )
+    root = np.interp(np.arange(N_CODES), codes, luminance_cd_m2 ** (1.0 / READING_EXPONENT))
+    return np.asarray((root / root[-1]) ** READING_EXPONENT)
+
+
+# Calibration ---------------------------------------------------------------------------------------------------
+
+
+def pixel_pitch_mrad(*, pixel_pitch_mm: float, viewing_distance_mm: float) -> float:
+    """Return the visual angle of a pixel in mrad, seen straight on: 2 atan(pitch / 2 distance)."""
+    return 2000.0 * math.atan(pixel_pitch_mm / viewing_distance_mm / 2.0)
+
+
+def viewing_distance_mm(*, pixel_pitch_mm: float, pixel_pitch_mrad: float) -> float:
+    """Return the distance from which a pixel has a visual angle; the inverse of `pixel_pitch_mrad`."""
+    return pixel_pitch_mm / (2.0 * math.tan(pixel_pitch_mrad / 2000.0))
+
+
+def gamma_of_half_tone(code: float) -> float:
+    """Return the exponent of a monitor on which code (0 to 255) looks as bright as rows of white and black.
+
+    (code / 255)^gamma = 1/2, the mean luminance of the rows.
+
+    Raises
+    ------
+    MonitorError
+        If the code is not between black and white.
+    """
+    if not 0.0 < code < N_CODES - 1:
+        raise MonitorError("calibration", f"half_tone_code: found {code!r}, expected 0 to 255, without these two")
+    return math.log(HALF_TONE) / math.log(code / (N_CODES - 1))
+
+
+def calibrated(found: Calibration, *, background: float, dither: bool) -> Monitor:
+    """Make the monitor of a person's measures.
+
+    Parameters
+    ----------
+    found : Calibration
+    background : float
+        Largest luminance of the background over that of white: it becomes that of the next code below.
+    dither : bool
+
+    Returns
+    -------
+    Monitor
+
+    Raises
+    ------
+    MonitorError
+        If the browser resamples what it shows, or a measure is missing or cannot be right.
+    """
+    _check_scaling(found.device_pixel_ratio)
+    pitch = found.pixel_pitch_mm
+    if pitch is None and found.pixels_per_card is not None and found.pixels_per_card > 0:
+        pitch = CARD_WIDTH_MM / found.pixels_per_card
+    if pitch is None:
+        raise MonitorError("calibration", "pixels_per_card, pixel_pitch_mm: found none of them, expected one > 0")
+    for name, value in (("pixel_pitch_mm", pitch), ("viewing_distance_mm", found.viewing_distance_mm)):
+        low, high = RANGES[name]
+        if not low <= value <= high:
+            raise MonitorError(
+                "calibration", f"{name}: found {value:.4g} mm, expected {low:g} to {high:g} mm; measure again"
+            )
+    gamma = found.gamma
+    if gamma is None and found.half_tone_code is not None:
+        gamma = gamma_of_half_tone(found.half_tone_code)
+    try:
+        if found.photometer:
+            gamma, luminance = None, luminance_of_readings(found.photometer)
+        elif gamma is not None:
+            luminance = luminance_of_gamma(gamma)
+        else:
+            raise SettingsError("gamma, half_tone_code, photometer: found none of them, expected one")
+    except SettingsError as error:
+        raise MonitorError("calibration", str(error)) from None
+    code = int(np.searchsorted(luminance, background * (1.0 + 1e-9), side="right")) - 1
+    if not 0 < code < N_CODES - 1:
+        raise MonitorError(
+            "range",
+            f"the background of {background:g} × white is not between the monitor's black ({luminance[0]:.2g} × "
+            "white) and white; take another --background",
+        )
+    relative = float(luminance[code])
+    white_cd_m2 = max(cd_m2 for _, cd_m2 in found.photometer) if found.photometer else None
+    return Monitor(
+        pixel_pitch_mm=pitch,
+        viewing_distance_mm=found.viewing_distance_mm,
+        pixel_pitch_mrad=pixel_pitch_mrad(pixel_pitch_mm=pitch, viewing_distance_mm=found.viewing_distance_mm),
+        background_code=code,
+        background_relative=relative,
+        background_luminance_cd_m2=None if white_cd_m2 is None else relative * white_cd_m2,
+        gamma=gamma,
+        lut=tuple(sorted(found.photometer)) if found.photometer else None,
+        black_relative=float(luminance[0]),
+        dither=dither,
+        device_pixel_ratio=found.device_pixel_ratio,
+        screen_px=found.screen_px,
+        viewport_px=found.viewport_px,
+    )
+
+
+def _check_scaling(device_pixel_ratio: float) -> None:
+    """Raise MonitorError if pixels of the page are not whole device pixels: browsers resample pictures then."""
+    if device_pixel_ratio not in (1.0, 2.0, 3.0, 4.0):
+        raise MonitorError(
+            "scaling",
+            f"a pixel of the page is {device_pixel_ratio:.4g} pixels of the monitor, so the browser would "
+            "resample the frames; set the zoom of the page to 100 % (Ctrl and 0), and the scale of the display to "
+            "a whole number",
+        )
+
+
+def check_shows(
+    monitor: Monitor, *, frame_px: tuple[int, int], pixel_pitch_mrad: float, ranges: list[ContrastRange]
+) -> None:
+    """Check that a monitor can show trials.
+
+    Parameters
+    ----------
+    monitor : Monitor
+    frame_px : (int, int)
+        Largest width and height of a frame.
+    pixel_pitch_mrad : float
+        Visual angle of a pixel of the dataset's display.
+    ranges : list of ContrastRange
+        The contrasts of each trial.
+
+    Raises
+    ------
+    MonitorError
+        If frames are larger than the page, pixels much larger or smaller at the eye than the dataset's, or a
+        contrast of a triangle, or more than 1 % of the pixels of a trial, beyond the monitor's range.
+    """
+    if any(frame > page for frame, page in zip(frame_px, monitor.viewport_px, strict=True)):
+        raise MonitorError(
+            "viewport",
+            "a frame has {} × {} pixels, the page has room for {} × {}; show the page on the full screen (F11), "
+            "or take a larger monitor".format(*frame_px, *monitor.viewport_px),
+        )
+    ratio = monitor.pixel_pitch_mrad / pixel_pitch_mrad
+    if not PITCH_RATIOS[0] <= ratio <= PITCH_RATIOS[1]:
+        distance = viewing_distance_mm(pixel_pitch_mm=monitor.pixel_pitch_mm, pixel_pitch_mrad=pixel_pitch_mrad)
+        raise MonitorError(
+            "pitch",
+            f"a pixel has {monitor.pixel_pitch_mrad:.4g} mrad at the eye, {ratio:.3g} times that of the dataset "
+            f"({pixel_pitch_mrad:.4g} mrad), expected {PITCH_RATIOS[0]:g} to {PITCH_RATIOS[1]:g} times; sit "
+            f"{distance:.0f} mm from the screen",
+        )
+    of_code, (black, white) = monitor.contrast_of_code(), monitor.contrast_limits()
+    for one in ranges:
+        low, high = min(one.low, one.triangle_low), max(one.high, one.triangle_high)
+        shown = f"it shows {of_code[0]:.3g} to {of_code[-1]:.3g}"
+        if low < black:
+            raise MonitorError(
+                "range",
+                f"the monitor cannot show the contrast {low:.3g} of {one.frame}: {shown}; take frames with less "
+                "contrast or noise",
+            )
+        if high > white:
+            raise MonitorError(
+                "range",
+                f"the monitor cannot show the contrast {high:.3g} of {one.frame}: {shown} on this background; "
+                f"take --background {_below(1.0 / (1.0 + high)):g}",
+            )
+        step = of_code[monitor.background_code + 1] / 2.0
+        if not monitor.dither and max(-low, high) < step:
+            raise MonitorError(
+                "range",
+                f"the contrast {max(-low, high):.2g} of {one.frame} is below half of a code step, {step:.2g}: it "
+                "would not be seen at all; leave out --no-dither",
+            )
+
+
+def _below(value: float) -> float:
+    """Return a number of two digits at or below a number from 0 to 1, less 1 % for the step of the background."""
+    digits = 1 - math.floor(math.log10(value * 0.99))
+    return float(np.floor(value * 0.99 * 10.0**digits) / 10.0**digits)

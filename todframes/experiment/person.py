@@ -1,0 +1,539 @@
+"""The internal noise of people: that with which a model observer answers their trials as they did.
+
+Each trial is shown to the observer as the person saw it: the code values of the monitor, their dither included, at
+the visual angle of its pixels. The scores of a trial are computed once; any internal noise then costs little.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields, is_dataclass, replace
+from functools import partial
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from todframes._typing import FloatArray
+from todframes.errors import DataError, FrameError, SettingsError
+from todframes.experiment.answers import Session, TrialRow, at_eye
+from todframes.experiment.monitor import Monitor
+from todframes.experiment.session import frames_sha256
+from todframes.experiment.stimuli import shown_codes, shown_contrast, trial_image
+from todframes.frames.dataset import Dataset, Skipped
+from todframes.frames.display import Display
+from todframes.frames.files import FrameSource
+from todframes.frames.memory import ArrayFrame
+from todframes.frames.trials import FrameReference, Group, Trial, Trials, indices_by
+from todframes.locations import Location
+from todframes.observers.interface import Observer, Readout
+from todframes.psychometrics.fit import FitSettings, PsychometricFit, fit_counts, fit_trials
+from todframes.psychometrics.noise_fit import MOST_CERTAIN, AnswerTable, NoiseFit, fit_noise, joined
+from todframes.psychometrics.observer_curve import GUESS_RATE
+from todframes.scoring.plan import ScorePlan, plan_score
+from todframes.scoring.retina_view import read_trial
+from todframes.scoring.score import check_seen, groups_of, settings_of_level
+from todframes.scoring.trials import Scoring, look_at, see
+from todframes.scoring.work import Run, see_trials
+from todframes.stimulus import Stimulus
+
+Free = Literal["lapse", "blur"]
+
+NOISE, NOISE_SD, BLUR = "internal_noise", "internal_noise_sd", "template_blur_samples"
+"""Settings of an observer that are fitted, or contradict one that is."""
+
+DISPLACEMENTS = 1
+"""Number of displacements of the retina in each of the `REPLICATES` sets that P(correct) of a trial averages."""
+
+BLUR_FACTORS = 2.0 ** (np.arange(-4, 3) / 2.0)
+"""Template blurs that are tried, over that of the observer: a quarter to twice. With more blur, next to nothing of
+the templates of small triangles is left in the bands."""
+
+NOISE_GRID_STEP = 0.25
+"""Distance of the values of ln noise for which answers are computed; those between are interpolated."""
+
+WEAKEST_D_PRIME, STRONGEST_D_PRIME = 0.05, 20.0
+"""d′ of the strongest trials with the largest noise that is tried, and of weak ones with the smallest."""
+
+PLANNED_NOISE = 0.1
+"""Internal noise, over that of the observer, for which the plan leaves out what does not matter."""
+
+
+@dataclass(frozen=True, slots=True)
+class SeenDataset(Dataset):
+    """The main trials of a session as a dataset of the frames that the person saw: luminance over the background.
+
+    Attributes
+    ----------
+    shown : Dataset
+        The dataset that the session showed.
+    monitor : Monitor
+    originals : mapping of str to (Trial, TrialRow)
+        Trial of `shown` and answer of each frame, by its path here.
+    """
+
+    shown: Dataset
+    monitor: Monitor
+    originals: Mapping[str, tuple[Trial, TrialRow]]
+
+    def frame_path(self, frame: FrameReference) -> Location:
+        """Return the path or URL of the frame that was shown."""
+        trial, _ = self.originals[frame.path]
+        return self.shown.frame_path(trial.frames[0])
+
+    def has_frame(self, frame: FrameReference) -> bool:
+        """Tell whether the files of the frame exist."""
+        trial, _ = self.originals[frame.path]
+        return all(self.shown.has_frame(one) for one in trial.frames)
+
+    def open(self, frame: FrameReference, *, verify: bool = False) -> FrameSource:
+        """Show the frame on the monitor again; raise FrameError if it has changed or cannot be used."""
+        trial, row = self.originals[frame.path]
+        if verify and (found := frames_sha256(self.shown, trial)) != row.sha256:
+            raise FrameError(
+                self.frame_path(frame),
+                f"has changed since trial {row.number} showed it: found the SHA-256 {found[:12]}…, expected "
+                f"{row.sha256[:12]}…; restore it, or leave its trials out with --on-error skip",
+            )
+        codes = shown_codes(trial_image(self.shown, trial).contrast, self.monitor, row.dither_seed)
+        return ArrayFrame(self.frame_path(frame), 1.0 + shown_contrast(codes, self.monitor))
+
+
+def seen_dataset(dataset: Dataset, session: Session) -> SeenDataset:
+    """Return the trials that a person answered in the main phase of a session, as the person saw them.
+
+    Sizes are those at the eye, in the group and the level too if these are the column `size_mrad`.
+
+    Raises
+    ------
+    DataError
+        If the answers are to another dataset, or there are none.
+    """
+    asked, where = session.record.dataset, session.path
+    if asked.manifest_sha256 != dataset.manifest_sha256:
+        raise DataError(
+            f"{where}: the answers are to another dataset, {asked.path}, or its manifest has changed since: found "
+            f"the SHA-256 {str(dataset.manifest_sha256)[:12]}… of {dataset.path / 'manifest.csv'}, expected "
+            f"{asked.manifest_sha256[:12]}…"
+        )
+    experiment = dataset.experiment
+    for name, found, expected in (
+        ("level", experiment.level, asked.level),
+        ("group_by", ", ".join(experiment.group_by), ", ".join(asked.group_by)),
+        ("pixel pitch", f"{dataset.display.pitch_mrad:g} mrad", f"{asked.pixel_pitch_mrad:g} mrad"),
+    ):
+        if found != expected:
+            raise DataError(f"{where}: {name} of {dataset.path}: found {found}, expected {expected} as was shown")
+    rows = session.main_rows()
+    if not rows:
+        raise DataError(f"{where}: found no answers of the main trials, expected at least one")
+    of_frame = {trial.frames[0].path: trial for trial in dataset.trials}
+    ratio = session.monitor.pixel_pitch_mrad / dataset.display.pitch_mrad
+    originals, trials = {}, []
+    for number, row in enumerate(rows):
+        trial = of_frame.get(row.frame)
+        if trial is None:
+            raise DataError(f"{where}, trial {row.number}: frame: found {row.frame!r}, which the dataset lacks")
+        name = f"{row.frame} (trial {row.number})"
+        originals[name] = trial, row
+        group = zip(experiment.group_by, trial.group, strict=True)
+        trials.append(
+            trial._replace(
+                number=number,
+                name=name,
+                frames=(FrameReference(name, None, None),),
+                stimulus=Stimulus(trial.stimulus.size_mrad * ratio, trial.stimulus.polarity),
+                level=float(at_eye(experiment.level, trial.level, ratio)),
+                group=tuple(at_eye(column, value, ratio) for column, value in group),
+            )
+        )
+    display = Display(
+        eotf="linear", background_luminance_cd_m2=1.0, pixel_pitch_mrad=dataset.display.pitch_mrad * ratio
+    )
+    return SeenDataset(
+        path=dataset.path,
+        display=display,
+        experiment=experiment,
+        trials=Trials.of(trials),
+        bad_rows=(),
+        spoilt=frozenset(),
+        manifest_sha256=dataset.manifest_sha256,
+        shown=dataset,
+        monitor=session.monitor,
+        originals=originals,
+    )
+
+
+# The model's answers -------------------------------------------------------------------------------------------
+
+
+class _Seen(NamedTuple):
+    """Score deviations of a trial, (blur, displacement, 4)."""
+
+    deviations: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AnsweredTrials:
+    """The answers of a person and the model's scores of the same trials.
+
+    Attributes
+    ----------
+    subject : str
+    trials : Trials
+        Trials that could be read, at the eye.
+    is_correct : ndarray of bool, shape (trial,)
+    deviations : ndarray, shape (trial, blur, displacement, 4)
+        Score deviations.
+    readouts : mapping
+        For each stimulus, the readout at each blur with an internal noise of 1.
+    skipped : tuple of Skipped
+    """
+
+    subject: str
+    trials: Trials
+    is_correct: NDArray[np.bool_]
+    deviations: FloatArray
+    readouts: Mapping[Stimulus, Sequence[Readout]]
+    skipped: tuple[Skipped, ...]
+
+    def strengths(self) -> FloatArray:
+        """Compute the largest d′ between two answers of each trial, with an internal noise of 1: (trial,)."""
+        found = np.empty(len(self.trials))
+        for rows, readouts in self._by_stimulus():
+            variance = np.diagonal(readouts[0].noise_covariance)
+            sd = np.sqrt(variance + variance[[1, 2, 3, 0]] - 2.0 * readouts[0].noise_covariance[0, [1]])
+            found[rows] = np.ptp(self.deviations[rows, 0], axis=-1).mean(axis=-1) / sd.min()
+        return found
+
+    def table(self, ln_noise: FloatArray, blurs: FloatArray) -> AnswerTable:
+        """Compute P(correct) of each trial for some internal noises, averaged over displacements."""
+        logit = np.empty((len(self.trials), len(blurs), len(ln_noise)))
+        turns = self.trials.quarter_turns
+        for rows, readouts in self._by_stimulus():
+            for blur, readout in enumerate(readouts):
+                # Scores of half the size are to the decision what noise of twice the width is.
+                scaled = self.deviations[rows, blur][..., None, :] / np.exp(ln_noise)[:, None]
+                p = readout.answer_probabilities(scaled).mean(axis=1)
+                is_right = (np.arange(4) == turns[rows, None])[:, None]
+                # The sum of the wrong answers keeps the digits that 1 − P(right) has lost.
+                right, wrong = ((p * which).sum(axis=-1) for which in (is_right, ~is_right))
+                least = math.exp(-MOST_CERTAIN)
+                logit[rows, blur] = np.log(np.maximum(right, least)) - np.log(np.maximum(wrong, least))
+        return AnswerTable(ln_noise, np.log(blurs), logit)
+
+    def _by_stimulus(self) -> list[tuple[NDArray[np.intp], Sequence[Readout]]]:
+        codes = self.trials.stimulus_codes
+        return [(rows, self.readouts[self.trials.stimuli[codes[rows[0]]]]) for rows in indices_by(codes)]
+
+
+def answered_trials(
+    dataset: Dataset,
+    session: Session,
+    observers: Sequence[Observer],
+    *,
+    skip_bad_frames: bool = False,
+    seed: int = 1,
+    run: Run | None = None,
+) -> AnsweredTrials:
+    """Show the main trials of a session to an observer, with each template blur, as the person saw them.
+
+    Parameters
+    ----------
+    observers : sequence of Observer
+        The same observer with an internal noise of 1 and one template blur each, rising.
+
+    Raises
+    ------
+    DataError, FrameError
+        If the answers are to another dataset, or a frame cannot be used or has changed since.
+    """
+    seen = seen_dataset(dataset, session)
+    # The widest blur needs the widest field and the coarsest bands.
+    planned = plan_score(seen, seen.trials, _changed(observers[-1], {NOISE: PLANNED_NOISE}))
+    plans = [replace(planned, observer=observer) for observer in observers]
+    scoring = Scoring(seen, plans[0], "expected", seed, displacements=DISPLACEMENTS)
+    found: dict[int, FloatArray] = {}
+
+    def collect(place: int, one: _Seen) -> None:
+        found[place] = one.deviations
+
+    skipped = see_trials(
+        scoring,
+        seen.trials,
+        partial(_show, plans),
+        kind=_Seen,
+        collect=collect,
+        skip_bad_frames=skip_bad_frames,
+        run=run or Run(),
+    )
+    rows = np.array(sorted(found), np.intp)
+    trials = check_seen(dataset, seen.trials.select(rows), skipped)
+    answers = session.main_rows()
+    stimuli = {trials.stimuli[code] for code in set(trials.stimulus_codes.tolist())}
+    return AnsweredTrials(
+        subject=session.subject,
+        trials=trials,
+        is_correct=np.array([answers[row].is_correct for row in rows]),
+        deviations=np.array([found[row] for row in rows]),
+        readouts={stimulus: [_readout(plan, stimulus) for plan in plans] for stimulus in stimuli},
+        skipped=tuple(skipped),
+    )
+
+
+def _show(plans: Sequence[ScorePlan], scoring: Scoring, trial: Trial, readout: Readout | None) -> _Seen:
+    """Show a trial to the observer of each plan, with the same displacements."""
+    look = look_at(scoring, trial, readout)
+    displaced, whole = look.displacement_samples, scoring.plan.whole_frames
+    shown = read_trial(scoring.dataset, trial, look.observer, look.grid, displaced, whole=whole)
+    looks = [look, *(look._replace(readout=plan.readout(trial.stimulus)) for plan in plans[1:])]
+    return _Seen(np.stack([see(scoring, trial, one, [shown], 0.0)[0].deviations for one in looks]))
+
+
+def _readout(plan: ScorePlan, stimulus: Stimulus) -> Readout:
+    readout = plan.observer_of(stimulus).readout(stimulus)
+    assert readout is not None  # `noise_observers` refuses observers without
+    return readout
+
+
+def noise_observers(
+    observer: Observer, stimulus: Stimulus, *, blur_is_free: bool
+) -> tuple[list[Observer], FloatArray]:
+    """Return an observer with an internal noise of 1 and each template blur that is tried, and these blurs.
+
+    Raises
+    ------
+    SettingsError
+        If the observer is not linear, has no such settings, or reads neurons out according to their noise.
+    """
+    settings = getattr(observer, "settings", None)
+    names = [field.name for field in fields(settings)] if is_dataclass(settings) else []
+    for name in (NOISE, *([BLUR] * blur_is_free)):
+        if name not in names:
+            raise SettingsError(
+                f"observer: {type(observer).__name__} has no setting {name}, which is to be fitted"
+            )
+    one, two = (_changed(observer, {NOISE: noise}) for noise in (1.0, 2.0))
+    first, second = one.readout(stimulus), two.readout(stimulus)
+    if first is None or second is None:
+        raise SettingsError(
+            "observer: found one that is not linear, so the probability of its answers is not known; expected a "
+            "linear one, such as pyramid"
+        )
+    is_same = first.weights_key == second.weights_key
+    if not (is_same and np.allclose(second.noise_covariance, 4.0 * first.noise_covariance, rtol=1e-9, atol=0.0)):
+        raise SettingsError(
+            "observer: its weights depend on its internal noise, which is to be fitted; expected fixed weights "
+            "(informative: sample_noise_sd = 0)"
+        )
+    blur = float(getattr(settings, BLUR, 1.0))
+    if not blur_is_free:
+        return [one], np.array([blur or 1.0])
+    if blur <= 0.0:
+        raise SettingsError(f"{BLUR}: found {blur:g}, expected > 0 if it is free: other blurs are multiples of it")
+    blurs = blur * BLUR_FACTORS
+    return [_changed(one, {BLUR: each}) for each in blurs.tolist()], blurs
+
+
+def _changed(observer: Observer, changes: dict[str, Any]) -> Observer:
+    """Return the observer with other settings; `internal_noise` replaces `internal_noise_sd`."""
+    settings = observer.settings  # type: ignore[attr-defined] # `noise_observers` has checked it
+    if NOISE in changes and hasattr(settings, NOISE_SD):
+        changes = {NOISE_SD: None, **changes}
+    return type(observer)(replace(settings, **changes))
+
+
+def noise_grid(answered: Sequence[AnsweredTrials]) -> FloatArray:
+    """Return the ln of the internal noises to try: from hardly any wrong answer to guesses in all trials."""
+    strengths = np.concatenate([one.strengths() for one in answered])
+    most = float(strengths.max())
+    if not most > 0.0:
+        raise DataError("the model sees no difference between the four triangles in any trial; look at the frames")
+    weak = max(float(np.quantile(strengths, 0.1)), 1e-3 * most)
+    low, high = math.log(weak / STRONGEST_D_PRIME), math.log(most / WEAKEST_D_PRIME)
+    return np.linspace(low, high, math.ceil((high - low) / NOISE_GRID_STEP) + 1)
+
+
+# The fit -------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class GroupCurve:
+    """The person's curve in one group, by the counts alone, and that of the fitted model.
+
+    `predicted` is None where no noise is known. `predicted_ci95` has the model's thresholds at the ends of the
+    noise's interval; None where there is none.
+    """
+
+    group: Group
+    own: PsychometricFit
+    predicted: PsychometricFit | None
+    predicted_ci95: tuple[float | None, float | None] | None
+
+
+@dataclass(frozen=True, slots=True)
+class PersonFit:
+    """The internal noise of a person, and the curves of each group.
+
+    `subject` is None for several persons together, who have no curves.
+    """
+
+    subject: str | None
+    n_trials: int
+    n_correct: int
+    fit: NoiseFit
+    groups: tuple[GroupCurve, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Calibrated:
+    """The fits of all persons.
+
+    Attributes
+    ----------
+    persons : tuple of PersonFit
+    pooled : PersonFit or None
+        All answers together, with one noise for all; None for a single person.
+    equal_noise_p_value : float or None
+        p-value of the likelihood-ratio test that all persons have the pooled parameters.
+    skipped : tuple of Skipped
+    """
+
+    persons: tuple[PersonFit, ...]
+    pooled: PersonFit | None
+    equal_noise_p_value: float | None
+    skipped: tuple[Skipped, ...]
+
+
+def calibrate_persons(
+    dataset: Dataset,
+    sessions: Sequence[Session],
+    observer: Observer,
+    *,
+    free: Sequence[Free] = (),
+    fit_settings: FitSettings | None = None,
+    seed: int = 1,
+    skip_bad_frames: bool = False,
+    run: Run | None = None,
+) -> Calibrated:
+    """Fit the internal noise of an observer to the answers of each person, and to all of them together.
+
+    Parameters
+    ----------
+    dataset : Dataset
+        The dataset that the sessions showed.
+    sessions : sequence of Session
+    observer : Observer
+        Its internal noise is not used.
+    free : sequence of {"lapse", "blur"}
+        Parameters that are fitted besides: the lapse rate δ, up to `lapse_rate_max`, and the template blur.
+    fit_settings : FitSettings, optional
+        Of the persons' own curves; its criterion is that of the predicted thresholds too, and its `lapse_rate`
+        that of the model unless free; 0 without one.
+    seed : int
+        Seed of the displacements of the retina and of repeated experiments.
+    skip_bad_frames : bool
+        Leave out trials whose frames cannot be used or have changed, instead of raising.
+    run : Run, optional
+        Engine of the scoring, and whom to tell of its progress.
+
+    Raises
+    ------
+    DataError, FrameError
+        If the answers are to another dataset, or a frame cannot be used or has changed since.
+    SettingsError
+        If the observer's noise cannot be fitted.
+    """
+    fit_settings = settings_of_level(fit_settings, dataset.experiment.level)
+    stimulus = dataset.trials[0].stimulus
+    observers, blurs = noise_observers(observer, stimulus, blur_is_free="blur" in free)
+    answered = [
+        answered_trials(dataset, session, observers, skip_bad_frames=skip_bad_frames, seed=seed, run=run)
+        for session in sessions
+    ]
+    ln_noise = noise_grid(answered)
+    tables = [one.table(ln_noise, blurs) for one in answered]
+    fixed = fit_settings.lapse_rate or 0.0
+    lapse_rates = (0.0, fit_settings.lapse_rate_max) if "lapse" in free else (fixed, fixed)
+
+    def fitted(subject: str | None, members: Sequence[int], number: int) -> PersonFit:
+        rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number,)))
+        table = joined([tables[k] for k in members])
+        is_correct = np.concatenate([answered[k].is_correct for k in members])
+        trials = [answered[k].trials for k in members]
+        cells = cells_of([answered[k] for k in members])
+        fit = fit_noise(table, is_correct, cells, lapse_rates=lapse_rates, rng=rng)
+        curves = () if subject is None else _curves(table, is_correct, trials, fit, fit_settings, rng)
+        return PersonFit(subject, len(is_correct), int(is_correct.sum()), fit, curves)
+
+    subjects = list(dict.fromkeys(one.subject for one in answered))
+    persons = tuple(
+        fitted(subject, [k for k, one in enumerate(answered) if one.subject == subject], number)
+        for number, subject in enumerate(subjects, 1)
+    )
+    pooled = p_value = None
+    if len(persons) > 1:
+        pooled = fitted(None, range(len(answered)), 0)
+        p_value = _equal_noise(persons, pooled, 1 + len(set(free)))
+    skipped = tuple(skipped for one in answered for skipped in one.skipped)
+    return Calibrated(persons, pooled, p_value, skipped)
+
+
+def _equal_noise(persons: Sequence[PersonFit], pooled: PersonFit, n_parameters: int) -> float:
+    from scipy.stats import chi2
+
+    ratio = 2.0 * (sum(one.fit.log_likelihood for one in persons) - pooled.fit.log_likelihood)
+    return float(chi2.sf(max(ratio, 0.0), n_parameters * (len(persons) - 1)))
+
+
+def cells_of(answered: Sequence[AnsweredTrials]) -> NDArray[np.intp]:
+    """Return a number for each trial, the same for those of the same session, group and level."""
+    keys = [
+        (number, *key)
+        for number, one in enumerate(answered)
+        for key in zip(one.trials.group_codes.tolist(), one.trials.levels.tolist(), strict=True)
+    ]
+    numbers: dict[tuple[float, ...], int] = {}
+    return np.array([numbers.setdefault(key, len(numbers)) for key in keys], np.intp)
+
+
+def _curves(
+    table: AnswerTable,
+    is_correct: NDArray[np.bool_],
+    trials: Sequence[Trials],
+    fit: NoiseFit,
+    settings: FitSettings,
+    rng: np.random.Generator,
+) -> tuple[GroupCurve, ...]:
+    """Fit the curve of each group to the answers, and to the model's probabilities."""
+    together = Trials.of(trial for of in trials for trial in of)
+    criterion = settings.p_correct
+    predict: Callable[[float, NDArray[np.intp]], PsychometricFit] | None = None
+    if fit.noise is not None:
+        # The level at which the person is right with the criterion's probability, lapses included.
+        share = fit.lapse_rate / (1.0 - GUESS_RATE)
+        without_lapses = replace(
+            settings,
+            p_correct=(criterion - share * GUESS_RATE) / (1.0 - share),
+            guess_rate=GUESS_RATE,
+            lapse_rate=0.0,
+            resamples=0,
+        )
+
+        def predict(noise: float, rows: NDArray[np.intp]) -> PsychometricFit:
+            p = table.select(rows).at(np.log([noise]), np.log([fit.blur]))[:, 0, 0]
+            found = fit_trials(together.levels[rows], p, curve="observer", settings=without_lapses, rng=rng)
+            return replace(found, p_correct=criterion)
+
+    curves = []
+    for group, rows in groups_of(together):
+        right = is_correct[rows].astype(np.float64)
+        own = fit_counts(together.levels[rows], right, np.ones(len(rows)), settings=settings, rng=rng)
+        predicted, interval = None, None
+        if predict is not None and fit.noise is not None:
+            predicted = predict(fit.noise, rows)
+            low, high = (None if end is None else predict(end, rows).threshold for end in fit.noise_ci95)
+            interval = low, high
+        curves.append(GroupCurve(group, own, predicted, interval))
+    return tuple(curves)

@@ -1,0 +1,133 @@
+"""The stimuli of a trial: its frames averaged in contrast, and the code values that show them on a monitor."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from todframes._typing import FloatArray
+from todframes.errors import FrameError, TodframesError
+from todframes.experiment.monitor import ContrastRange, Monitor
+from todframes.frames.contrast import read_contrast
+from todframes.frames.dataset import Dataset
+from todframes.frames.position import centroid_position, check_on_frame, size_in_px
+from todframes.frames.surround import TrianglePlace
+from todframes.frames.trials import Trial
+from todframes.recordings.dither import TILE, dithered
+from todframes.stimulus import coverage
+
+
+class TrialImage(NamedTuple):
+    """The contrast of all pixels of a trial, and the place of its triangle.
+
+    `contrast` has shape (rows, columns).
+    """
+
+    contrast: FloatArray
+    triangle: TrianglePlace
+
+
+def trial_image(dataset: Dataset, trial: Trial) -> TrialImage:
+    """Read the frames of a trial and average them in contrast, all pixels of them.
+
+    The luminance that contrast refers to is that of the dataset's rule at the triangle, one number a frame: a
+    slope or a border of the background is shown as it is. Pixels that a file leaves out of its frame have the
+    contrast 0.
+
+    Raises
+    ------
+    FrameError
+        If a frame cannot be used, differs in size from the first of its trial, or the triangle does not lie on it.
+    """
+    display = dataset.display
+    total: FloatArray | None = None
+    for frame in trial.frames:
+        with dataset.open(frame, verify=True) as file:
+            header = file.header
+            x, y = centroid_position(trial, header, "centroid", display.pitch_mrad)
+            check_on_frame(file.path, trial, header, x, y, display.pitch_mrad)
+            triangle = TrianglePlace(x, y, size_in_px(trial, display.pitch_mrad))
+            row, column = round(y), round(x)
+            patch = read_contrast(file, display, frame, (row, row + 1), (column, column + 1), triangle=triangle)
+            background = patch.background_luminance_cd_m2
+            assert background is not None  # it was read from a frame
+            contrast = np.zeros((header.height, header.width))
+            try:
+                for band in file.bands():
+                    rows, columns = (
+                        slice(first, first + size)
+                        for first, size in zip(
+                            (band.first_row, band.first_column), band.stored.shape[:2], strict=True
+                        )
+                    )
+                    contrast[rows, columns] = display.luminance(band.values) / background - 1.0
+            except FrameError:
+                raise
+            except TodframesError as error:
+                raise FrameError(file.path, str(error)) from None
+        if total is not None and total.shape != contrast.shape:
+            raise FrameError(
+                file.path,
+                f"has {contrast.shape[1]} × {contrast.shape[0]} pixels, expected {total.shape[1]} × "
+                f"{total.shape[0]} as in the first frame of trial {trial.name}",
+            )
+        total = contrast if total is None else total + contrast
+    assert total is not None  # a trial has a frame
+    return TrialImage(total / len(trial.frames), triangle)
+
+
+def contrast_range(trial: Trial, image: TrialImage) -> ContrastRange:
+    """Return the range of the contrasts of a trial, for `monitor.check_shows`."""
+    contrast, (x, y, size_px) = image
+    covered = coverage(contrast.shape, size_px=size_px, x_px=x, y_px=y, orientation=trial.orientation) > 0.0
+    inside = contrast[covered]
+    low, high = np.quantile(contrast, [0.005, 0.995]).tolist()
+    return ContrastRange(trial.frames[0].path, low, high, float(inside.min()), float(inside.max()))
+
+
+def shown_codes(contrast: FloatArray, monitor: Monitor, seed: int) -> NDArray[np.uint8]:
+    """Return the code values that show contrast on a monitor.
+
+    Parameters
+    ----------
+    contrast : ndarray, shape (rows, columns)
+        Weber contrast; what the monitor cannot show becomes its white or black (`clipped`).
+    monitor : Monitor
+    seed : int
+        Place of the dither pattern: 4096 of them. Without dither each pixel has the code nearest in luminance.
+
+    Returns
+    -------
+    ndarray of uint8, shape (rows, columns)
+        With dither, the sum of the contrasts of all pixels is off by at most half of a code step of one pixel.
+    """
+    of_code = monitor.contrast_of_code()
+    # The scale of relative luminance, in which 0 is black, suits the relative tolerance of `dithered`.
+    luminance, of_code = np.clip(contrast, of_code[0], of_code[-1]) + 1.0, of_code + 1.0
+    if not monitor.dither:
+        middles = (of_code[1:] + of_code[:-1]) / 2.0
+        return np.searchsorted(middles, luminance).astype(np.uint8)
+    shift = divmod(seed % TILE**2, TILE)
+    codes = dithered(np.roll(luminance, shift, (0, 1)), of_code)
+    return np.roll(codes, [-one for one in shift], (0, 1)).astype(np.uint8)
+
+
+def shown_contrast(codes: NDArray[np.uint8], monitor: Monitor) -> FloatArray:
+    """Return the contrast of code values on a monitor, as the person saw it, of the shape of `codes`."""
+    return monitor.contrast_of_code()[codes]
+
+
+def clipped(contrast: FloatArray, monitor: Monitor) -> NDArray[np.bool_]:
+    """Tell which contrasts a monitor cannot show: beyond its white or black by more than half of a code step."""
+    low, high = monitor.contrast_limits()
+    return np.asarray((contrast < low) | (contrast > high))
+
+
+def png(codes: NDArray[np.uint8]) -> bytes:
+    """Return code values as a grey PNG of 8 bits without any chunk about colour: browsers show it as it is."""
+    import cv2
+
+    _, encoded = cv2.imencode(".png", codes)
+    return encoded.tobytes()

@@ -1,0 +1,251 @@
+"""The internal noise of people as tables, sentences, a figure and settings of an observer."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import fields
+
+import msgspec
+
+from todframes.psychometrics.fit import FitSettings
+from todframes.report.data import Fit, PersonResult, Record, ResultData, ResultWarning
+from todframes.report.table import EXACT, Column, Table
+from todframes.report.wording import (
+    count,
+    interval_phrase,
+    level_heading,
+    plain,
+    quantity,
+    unit_of,
+)
+
+SUBJECT = "subject"
+"""Column of the groups of `fits` that names the person."""
+
+
+TOGETHER = "all together"
+
+
+NOISE_COLUMNS = (
+    Column(key=SUBJECT, header="person", is_name=True),
+    Column(key="internal_noise", header="internal noise", digits=3),
+    Column(key="internal_noise_ci95", header="95 % interval", interval="internal_noise_ci95", digits=3),
+    Column(key="lapse_rate", header="lapses δ", digits=2, rank=3),
+    Column(key="lapse_rate_ci95", interval="lapse_rate_ci95", in_file_only=True),
+    Column(key="template_blur_samples", header="template blur", digits=3, rank=3),
+    Column(key="template_blur_samples_ci95", interval="template_blur_samples_ci95", in_file_only=True),
+    Column(key="n_trials", header="trials", rank=1),
+    Column(key="n_correct", header="correct", rank=4),
+    Column(key="log_likelihood", in_file_only=True),
+    Column(key="deviance", digits=3, rank=2),
+    Column(key="n_cells", header="cells", rank=2),
+    Column(key="deviance_p_value", header="p", digits=2),
+    Column(key="status"),
+)
+
+
+SURPRISING = 0.01
+"""Largest p-value that is a warning."""
+
+
+MOST_TOLD = 6
+"""Largest number of persons that are described one by one; if there are more, the table shows them."""
+
+
+NO_NOISE = {
+    "noise_free": "without any noise the model would answer no worse; show weaker or smaller triangles",
+    "at_chance": "the answers are not told from guesses; show stronger or larger triangles",
+    "too_few_trials": "the answers are too few",
+}
+"""Reasons for a missing noise, by status."""
+
+
+NOT_OF_OBSERVER = {
+    "observer",
+    "free",
+    "internal_noise",
+    "internal_noise_sd",
+    *(f.name for f in fields(FitSettings)),
+}
+"""Settings of a calibration that do not go into the settings of an observer."""
+
+
+def all_persons(result: ResultData) -> tuple[PersonResult, ...]:
+    """Return the persons of a result, that of all persons together last."""
+    return (*result.persons, *([] if result.pooled is None else [result.pooled]))
+
+
+def noise_table(result: ResultData) -> Table:
+    """Make the table of internal noises, a row for each person and one for all together."""
+    names = [one.key for one in NOISE_COLUMNS]
+    records = [
+        {name: getattr(one, name) for name in names} | {SUBJECT: one.subject or TOGETHER}
+        for one in all_persons(result)
+    ]
+    for key in ("lapse_rate", "template_blur_samples"):
+        if not any(record[f"{key}_ci95"] for record in records):  # it was not fitted
+            for record in records:
+                record[key] = None
+    return Table.of("Internal noise", "internal_noise.csv", NOISE_COLUMNS, records).without_empty_columns(
+        "internal_noise", "internal_noise_ci95"
+    )
+
+
+def own_and_model(result: ResultData) -> list[tuple[Fit, Fit | None]]:
+    """Return each threshold of a person with that of the fitted model; None where no noise is known."""
+    predicted = {_key(fit): fit for one in result.persons for fit in one.predicted}
+    return [(fit, predicted.get(_key(fit))) for fit in result.fits]
+
+
+def _key(fit: Fit) -> tuple[float | str, ...]:
+    return tuple(fit.group.values())
+
+
+def curves_table(result: ResultData) -> Table:
+    """Make the table of thresholds: of each person, by the counts alone, and of the fitted model."""
+    records: list[Record] = []
+    for own, model in own_and_model(result):
+        record: Record = dict(own.group)
+        record |= {"threshold": own.threshold, "threshold_ci95": own.threshold_ci95, "status": own.status}
+        record |= {"n_trials": own.n_trials, "predicted": None, "predicted_ci95": None, "ratio": None}
+        if model is not None:
+            record |= {"predicted": model.threshold, "predicted_ci95": model.threshold_ci95}
+            if own.threshold is not None and model.threshold is not None:
+                record["ratio"] = own.threshold / model.threshold
+        records.append(record)
+    first = result.fits[0]
+    columns = [
+        Column(
+            key=name,
+            header="person"
+            if name == SUBJECT
+            else f"{quantity(name)} ({unit_of(name)})"
+            if unit_of(name)
+            else name,
+            digits=EXACT,
+            is_name=True,
+        )
+        for name in first.group
+    ]
+    columns += [
+        Column(key="threshold", header=f"threshold {level_heading(first.level)}", digits=3),
+        Column(key="threshold_ci95", header="95 % interval", interval="threshold_ci95", digits=3, rank=2),
+        Column(key="predicted", header="of the model", digits=3),
+        Column(key="predicted_ci95", header="its 95 % interval", interval="predicted_ci95", digits=3, rank=2),
+        Column(key="ratio", header="person ÷ model", digits=3, rank=1),
+        Column(key="n_trials", header="trials", rank=4),
+        Column(key="status", rank=3),
+    ]
+    title = f"Thresholds at {100 * first.p_correct:g} % correct"
+    return Table.of(title, "calibration.csv", columns, records)
+
+
+def sentences(result: ResultData) -> list[str]:
+    """Return the findings in words, a sentence for each person; of many persons, for the first."""
+    told = [_sentence(one) for one in result.persons[:MOST_TOLD]]
+    if (more := len(result.persons) - MOST_TOLD) > 0:
+        told.append(f"{count(more, 'more person')} {'is' if more == 1 else 'are'} in the table.")
+    return told if result.pooled is None else [*told, _sentence(result.pooled)]
+
+
+def _sentence(one: PersonResult) -> str:
+    who = TOGETHER.capitalize() if one.subject is None else f"Person {_printable(one.subject)}"
+    interval = interval_phrase(one.internal_noise_ci95)
+    if one.internal_noise is None:
+        known = "" if interval == "open" else f" (95 % interval {interval})"
+        return f"{who}: no internal noise{known}: {NO_NOISE.get(one.status, one.status)}."
+    text = f"{who}: internal noise {plain(one.internal_noise)} (95 % interval {interval})"
+    if one.lapse_rate_ci95 is not None:
+        text += f", lapses {plain(one.lapse_rate, 2)} ({interval_phrase(one.lapse_rate_ci95, 2)})"
+    if one.template_blur_samples_ci95 is not None:
+        blur = interval_phrase(one.template_blur_samples_ci95)
+        text += f", template blur {plain(one.template_blur_samples)} samples ({blur})"
+    return f"{text}, from {count(one.n_trials, 'trial')}."
+
+
+def calibration_warnings(
+    persons: Sequence[PersonResult], equal_noise_p_value: float | None
+) -> tuple[ResultWarning, ...]:
+    """Return warnings about persons whom the model does not describe, and persons who differ."""
+    found = [
+        ResultWarning(
+            code="poor_fit",
+            group={SUBJECT: str(one.subject)},
+            message=(
+                "the model with one internal noise does not describe these answers (deviance "
+                f"{plain(one.deviance)} in {one.n_cells} cells, p = {plain(one.deviance_p_value, 2)}); compare "
+                "the thresholds of each group with those of the model"
+            ),
+            found=one.deviance_p_value,
+            expected=SURPRISING,
+        )
+        for one in persons
+        if one.deviance_p_value is not None and one.deviance_p_value < SURPRISING
+    ]
+    if equal_noise_p_value is not None and equal_noise_p_value < SURPRISING:
+        found.append(
+            ResultWarning(
+                code="persons_differ",
+                message=(
+                    f"the persons do not have the same internal noise (p = {plain(equal_noise_p_value, 2)}); "
+                    "that of all together is a mean of them, and its interval does not tell how they differ"
+                ),
+                found=equal_noise_p_value,
+                expected=SURPRISING,
+            )
+        )
+    return tuple(found)
+
+
+def _printable(subject: str) -> str:
+    """Return an id that may stand in a comment of one line."""
+    return "".join(letter if letter.isprintable() else "?" for letter in subject)
+
+
+def with_model_curves(result: ResultData, subject: str | None) -> list[Fit]:
+    """Return the points of a person, each group with the curve of the fitted model."""
+    return [
+        msgspec.structs.replace(
+            own,
+            group={name: value for name, value in own.group.items() if name != SUBJECT},
+            curve="observer",
+            observer_curve=None if model is None else model.observer_curve,
+        )
+        for own, model in own_and_model(result)
+        if own.group[SUBJECT] == subject and own.points
+    ]
+
+
+def settings_files(result: ResultData) -> dict[str, bytes]:
+    """Return the files of settings for `todframes score --observer-settings`, by name.
+
+    `observer.toml` is that of the only person, or of all together; with several persons each has another.
+    """
+    common = result.persons[0] if result.pooled is None else result.pooled
+    names = {"observer.toml": common}
+    for one in result.persons if len(result.persons) > 1 else ():
+        name = re.sub("[^A-Za-z0-9-]", "-", str(one.subject))
+        while f"observer_{name}.toml" in names:
+            name += "-"
+        names[f"observer_{name}.toml"] = one
+    return {name: _toml(result, one).encode() for name, one in names.items() if one.internal_noise is not None}
+
+
+def _toml(result: ResultData, one: PersonResult) -> str:
+    values = {name: value for name, value in result.settings.items() if name not in NOT_OF_OBSERVER}
+    values["internal_noise"] = one.internal_noise
+    if one.template_blur_samples_ci95 is not None:
+        values["template_blur_samples"] = one.template_blur_samples
+    return "".join(
+        [
+            f"# {_sentence(one)}\n",
+            f"# todframes score DATASET --observer {result.settings.get('observer')} --observer-settings FILE\n",
+            # Numbers, texts and lists in JSON are TOML too.
+            *(
+                f"{name} = {msgspec.json.encode(value).decode()}\n"
+                for name, value in values.items()
+                if value is not None
+            ),
+        ]
+    )

@@ -1,0 +1,49 @@
+// The server, asked until it answers: what was asked is kept and sent again while it cannot be reached.
+
+import { ServerError, post } from "./server.js";
+import { pause } from "./stage.js";
+
+const RETRY_MS = 1000;
+const UNREACHABLE = "The server does not answer. It may have been stopped: start the same command again, and open the address that it prints. " +
+  "Your answers are kept.";
+const UNKNOWN = "The server was started again. Open the address that it printed: the test goes on where it was.";
+
+/** Show one line about the connection, or none. */
+function tell(line) {
+  const place = document.getElementById("connection");
+  if (place.textContent !== line) place.textContent = line;
+  place.hidden = line === "";
+}
+
+/** Do something that needs the server, again and again until the server can be reached. */
+async function persist(request) {
+  for (;;) {
+    try {
+      const answer = await request();
+      tell("");
+      return answer;
+    } catch (error) {
+      const isKnown = error instanceof ServerError;
+      if (!isKnown || (error.status !== 0 && error.status !== 403 && error.status < 500)) {
+        tell("");
+        throw error;
+      }
+      tell(error.status === 403 ? UNKNOWN : error.status === 0 ? UNREACHABLE : error.message);
+      await pause(RETRY_MS);
+    }
+  }
+}
+
+/** Ask the server; rejects with a ServerError where it refuses what was asked. */
+export function ask(path, body = {}) {
+  return persist(() => post(path, body));
+}
+
+/** Fetch an image, its code values unchanged. */
+export function askImage(path) {
+  return persist(async () => {
+    const response = await fetch(path).catch(() => { throw new ServerError(UNREACHABLE, 0, null); });
+    if (!response.ok) throw new ServerError(await response.text(), response.status, null);
+    return createImageBitmap(await response.blob(), { colorSpaceConversion: "none", premultiplyAlpha: "none" });
+  });
+}

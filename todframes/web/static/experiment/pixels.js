@@ -1,0 +1,80 @@
+// Device pixels: whether the browser shows each pixel as it is, and canvases whose pixels are the monitor's.
+
+/** Interval at which the device pixel ratio is looked at. */
+const LOOK_MS = 250;
+
+/**
+ * Return why frames cannot be shown pixel by pixel and what to do, or null if they can.
+ *
+ * @param {{ratio: ?number, width: number, height: number}} asked - the device pixel ratio that the monitor was measured
+ *   with, if it was, and the size of a frame in device pixels.
+ * @returns {?{reason: string, remedy: string}}
+ */
+export function trouble({ ratio, width, height }) {
+  const now = window.devicePixelRatio;
+  const reset = "Set the browser's zoom to 100 % (Ctrl and 0; on a Mac ⌘ and 0), and the system's scaling of the display to 100 % or 200 %.";
+  if (!Number.isInteger(now)) {
+    return {
+      reason: `A pixel of this page takes ${Number(now.toFixed(3))} pixels of the monitor, so the browser would resample the frames.`,
+      remedy: reset,
+    };
+  }
+  if (Math.abs((window.visualViewport?.scale ?? 1) - 1) > 1e-3) {
+    return { reason: "The page is magnified, so the browser would resample the frames.", remedy: "Pinch it back to its own size." };
+  }
+  if (ratio !== null && now !== ratio) {
+    return {
+      reason: `A pixel of this page took ${ratio} pixels of the monitor when you measured it, and takes ${now} now. Sizes would be others.`,
+      remedy: "Set the browser's zoom back, and bring the window back to the monitor that you measured.",
+    };
+  }
+  const room = [window.innerWidth * now, window.innerHeight * now];
+  if (width > room[0] || height > room[1]) {
+    return {
+      reason: `A frame has ${width} × ${height} pixels, and this window has room for ${room[0]} × ${room[1]}.`,
+      remedy: "Make the window larger, or show the browser full-screen (F11; on a Mac Ctrl, ⌘ and F).",
+    };
+  }
+  return null;
+}
+
+/** Call a function when the window, its zoom or its monitor changes; not every browser has an event for each. */
+export function watchPixels(changed) {
+  let ratio = window.devicePixelRatio;
+  const look = () => { ratio = window.devicePixelRatio; changed(); };
+  window.addEventListener("resize", look);
+  window.visualViewport?.addEventListener("resize", look);
+  setInterval(() => { if (window.devicePixelRatio !== ratio) look(); }, LOOK_MS);
+}
+
+/**
+ * Give a canvas a size in device pixels, and return its context. Code values are drawn as they are: without
+ * transparency or smoothing, in the colour space of the page.
+ */
+export function exactCanvas(canvas, width, height) {
+  canvas.width = width;
+  canvas.height = height;
+  canvas.style.width = `${width / window.devicePixelRatio}px`;
+  canvas.style.height = `${height / window.devicePixelRatio}px`;
+  const context = canvas.getContext("2d", { alpha: false, colorSpace: "srgb" });
+  context.imageSmoothingEnabled = false;
+  return context;
+}
+
+/** Shift a canvas in the flow of a page by less than a pixel, so that its pixels lie on the monitor's. */
+export function snap(canvas) {
+  canvas.style.transform = "none";
+  const ratio = window.devicePixelRatio, { left, top } = canvas.getBoundingClientRect();
+  const x = Math.round(left * ratio) / ratio - left, y = Math.round(top * ratio) / ratio - top;
+  canvas.style.transform = `translate(${x}px, ${y}px)`;
+}
+
+/** Return a code value, 0 to 255, as a grey of CSS. */
+export function grey(code) {
+  return `rgb(${code}, ${code}, ${code})`;
+}
+
+/** Wait until what was drawn before is on the screen, and return that time as `performance.now()` counts. */
+export function painted() {
+  return new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)));
+}

@@ -1,0 +1,109 @@
+// The stage: the whole window in the background's code value, a frame in its middle, and the answer's time.
+
+import { exactCanvas, grey, painted } from "./pixels.js";
+
+/** Time without a frame before each one, so that nobody takes two for one. */
+const BLANK_MS = 300;
+
+const DIRECTIONS = { ArrowUp: "up", ArrowRight: "right", ArrowDown: "down", ArrowLeft: "left" };
+
+const element = (id) => document.getElementById(id);
+const stage = element("stage"), canvas = element("stimulus"), controls = element("controls");
+
+let blankSince = 0;
+let code = null;
+
+export const pause = (milliseconds) => new Promise((done) => setTimeout(done, milliseconds));
+
+/** Return the linear luminance of a grey as sRGB has it, relative to white; for legible text alone. */
+const relative = (value) => ((value / 255 + 0.055) / 1.055) ** 2.4;
+
+/** Set the page's colours to the background of the frames, with text that is legible on it and does not glare. */
+export function adapt(backgroundCode) {
+  if (backgroundCode === code) return;
+  code = backgroundCode;
+  const light = relative(code);
+  const away = light > 0.18 ? (light + 0.05) / 4.6 - 0.05 : (light + 0.05) * 4.6 - 0.05;
+  const ink = grey(Math.round(255 * (1.055 * Math.min(Math.max(away, 0), 1) ** (1 / 2.4) - 0.055)));
+  for (const [name, value] of [["paper", grey(code)], ["raised", grey(code)], ["on-accent", grey(code)],
+    ...["ink", "muted", "line", "edge", "accent"].map((one) => [one, ink])]) {
+    document.documentElement.style.setProperty(`--${name}`, value);
+  }
+}
+
+/** Give the page its own colours back. */
+export function restore() {
+  code = null;
+  document.documentElement.removeAttribute("style");
+}
+
+/** Show the stage without a frame. */
+export function clear(progress) {
+  canvas.hidden = true;
+  blankSince = performance.now();
+  element("progress").textContent = progress;
+}
+
+/** Put the frame in the middle, on whole device pixels, and the arrows below it where there is room. */
+function place(width, height) {
+  const ratio = window.devicePixelRatio;
+  const room = [window.innerWidth * ratio, window.innerHeight * ratio];
+  stage.classList.toggle("keys-only", controls.offsetHeight * ratio + height > room[1]);
+  const below = (stage.classList.contains("keys-only") ? 0 : controls.offsetHeight) * ratio;
+  const top = Math.min(Math.floor((room[1] - height) / 2), room[1] - below - height);
+  canvas.style.left = `${Math.floor((room[0] - width) / 2) / ratio}px`;
+  canvas.style.top = `${Math.floor(top) / ratio}px`;
+}
+
+/**
+ * Show a frame, and return the answer and its time since the frame was painted.
+ *
+ * @param {{number: number, width: number, height: number, time_limit_ms: ?number}} trial
+ * @param {ImageBitmap} bitmap
+ * @param {AbortSignal} signal - takes the frame away; the promise then rejects.
+ * @returns {Promise<{response: string, response_time_ms: number}>}
+ */
+export async function present(trial, bitmap, signal) {
+  await pause(BLANK_MS - (performance.now() - blankSince));
+  signal.throwIfAborted();
+  exactCanvas(canvas, trial.width, trial.height).drawImage(bitmap, 0, 0);
+  place(trial.width, trial.height);
+  canvas.hidden = false;
+  const begin = await painted();
+  signal.throwIfAborted();
+  stage.dataset.trial = trial.number;
+  return new Promise((resolve, reject) => {
+    const ending = new AbortController(), listening = { signal: ending.signal };
+    const end = () => {
+      ending.abort();
+      clearTimeout(limit);
+      delete stage.dataset.trial;
+      canvas.hidden = true;
+      blankSince = performance.now();
+    };
+    const answer = (response, time) => {
+      end();
+      resolve({ response, response_time_ms: Math.max(time - begin, 0) });
+    };
+    const limit = trial.time_limit_ms === null ? undefined
+      : setTimeout(() => answer("none", begin + trial.time_limit_ms), begin + trial.time_limit_ms - performance.now());
+    window.addEventListener("keydown", (event) => {
+      if (!(event.key in DIRECTIONS) || event.ctrlKey || event.altKey || event.metaKey || event.shiftKey) return;
+      event.preventDefault();
+      if (!event.repeat) answer(DIRECTIONS[event.key], event.timeStamp);
+    }, listening);
+    element("arrows").addEventListener("click", (event) => {
+      const { response } = event.target.dataset;
+      if (response) answer(response, event.timeStamp);
+    }, listening);
+    window.addEventListener("resize", () => place(trial.width, trial.height), listening);
+    signal.addEventListener("abort", () => { end(); reject(signal.reason); }, listening);
+  });
+}
+
+/** Say whether the answer was right, for as long as it takes to read. */
+export async function feedback(isCorrect) {
+  element("feedback").textContent = isCorrect ? "Correct" : "Not correct";
+  await pause(700);
+  element("feedback").textContent = "";
+}
