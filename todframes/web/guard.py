@@ -15,6 +15,9 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 MOST_BODY_BYTES = 2**20
 """Largest body of a request."""
 
+MOST_READ_BYTES = 8 * MOST_BODY_BYTES
+"""Largest body that is read to its end, and then refused: a browser that still sends would not see the answer."""
+
 LONGEST_BODY_S = 10.0
 """Longest time in which the body of a request must have arrived."""
 
@@ -138,23 +141,26 @@ async def _body(headers: Headers, receive: Receive) -> bytes:
     Raises
     ------
     Refusal
-        If it takes too long or is too large; a body in chunks is refused as soon as it is.
+        If it takes too long or is too large.
     """
     too_large = Refusal(413, f"The body is too large; expected at most {MOST_BODY_BYTES} bytes.")
     length = headers.get("content-length", "0")
-    if not length.isdecimal() or int(length[:20]) > MOST_BODY_BYTES:
+    if not length.isdecimal() or int(length[:20]) > MOST_READ_BYTES:
         raise too_large
-    body = bytearray()
+    body, n_read = bytearray(), 0
     try:
         async with asyncio.timeout(LONGEST_BODY_S):
             while True:
                 message = await receive()
                 if message["type"] == "http.disconnect":
                     raise Refusal(400, "The connection ended before the request did.")
-                body += message.get("body", b"")
-                if len(body) > MOST_BODY_BYTES:
+                part, is_last = message.get("body", b""), not message.get("more_body", False)
+                n_read += len(part)
+                if n_read <= MOST_BODY_BYTES:
+                    body += part
+                elif is_last or n_read > MOST_READ_BYTES:
                     raise too_large
-                if not message.get("more_body", False):
+                if is_last:
                     return bytes(body)
     except TimeoutError:
         raise Refusal(408, f"The request took longer than {LONGEST_BODY_S:g} s.") from None
