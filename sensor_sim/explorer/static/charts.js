@@ -80,7 +80,6 @@ const COMMON = {
 export const STRENGTHS = {
   snr: { header: "SNR", error: "snr_error", lacks: "There is no threshold." },
   delta_t_mk: { header: "ΔT (mK)", error: "delta_t_error_mk", lacks: "Temperatures need the NETD." },
-  contrast: { header: "Contrast", error: "contrast_error", lacks: "There is no contrast for this sensor." },
 };
 const SIZES = { detectors: "size_detectors", mrad: "size_mrad" };
 const ABSCISSAE = {

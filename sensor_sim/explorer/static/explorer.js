@@ -192,7 +192,6 @@ class Explorer {
       input.checked = input.value === view[input.name];
       if (input.name !== "strength") continue;
       input.disabled = input.value !== "snr" && !known.includes(input.value);
-      input.parentElement.hidden = !curve.thresholds.some((one) => input.value in one);
       input.parentElement.title = input.disabled ? STRENGTHS[input.value].lacks : "";
     }
     this.#curveChart.draw(curve.thresholds, this.#pins, view);
