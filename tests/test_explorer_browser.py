@@ -280,6 +280,10 @@ def test_a_link_holds_the_state(explore, server: Server) -> None:
     assert [value_of(other, key) for key in keys] == ["0.7", "gaussian", "", "220"]
     assert other.locator("[name=unit][value=mrad]").is_checked()
     assert other.locator("[name=strength][value=delta_t_mk]").is_disabled()  # there is no NETD
+    painted(other, lambda: type_value(other, "display.gain", "2"))
+    wait_until(other, "(link) => location.href !== link", link)
+    painted(other, lambda: other.evaluate("(link) => { location.href = link; }", link))
+    assert value_of(other, "display.gain") == "0.7"
 
 
 def test_a_damaged_link_is_reported(explore) -> None:
@@ -316,6 +320,16 @@ def test_a_dropped_file_is_opened_and_saved_again(explore, tmp_path: Path) -> No
     page.set_input_files("#file", tmp_path / "dropped.toml")
     wait_until(page, "document.querySelector('#message').textContent === 'dropped.toml opened.'")
     assert value_of(page, "optics.aperture_mm") == "90.125"
+
+
+def test_a_preset_can_be_undone(explore) -> None:
+    page = explore()
+    names = page.locator("#presets option").all_inner_texts()
+    assert "star-like" in names
+    painted(page, lambda: page.locator("#presets").select_option(label="star-like, display gain 0.7"))
+    assert [value_of(page, "display.gain"), page.locator("#name").input_value()] == ["0.7", names[-1]]
+    page.click("#undo")
+    assert [value_of(page, "display.gain"), page.locator("#name").input_value()] == ["1", "star-like"]
 
 
 def test_a_file_that_is_no_sensor_leaves_the_state(explore) -> None:
