@@ -428,8 +428,8 @@ def explore(
 
     sensor = sensor if isinstance(sensor, Sensor) else load_sensor(sensor)
     check_installed("explore")
-    from sensor_sim.explorer.routes import explorer
+    from sensor_sim.explorer.routes import Explorer
     from todframes.web.server import Launch, serve
 
-    with explorer(sensor) as app:
-        serve(app, Launch(host=host, port=port, open_browser=open_browser), tell=tell, warn=warn)
+    launch = Launch(host=host, port=port, open_browser=open_browser)
+    serve(Explorer(sensor).app(), launch, tell=tell, warn=warn)

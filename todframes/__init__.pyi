@@ -13,7 +13,6 @@ from .errors import OutputError as OutputError
 from .errors import RemoteError as RemoteError
 from .errors import SettingsError as SettingsError
 from .errors import TodframesError as TodframesError
-from .experiment.session import Design as Design
 from .frames.dataset import Dataset as Dataset
 from .frames.dataset import load_dataset as load_dataset
 from .frames.display import Display as Display

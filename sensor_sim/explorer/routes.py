@@ -6,11 +6,10 @@ import base64
 import re
 import shlex
 from collections import OrderedDict
-from collections.abc import Callable, Iterator
+from collections.abc import AsyncIterator, Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import closing, contextmanager
+from contextlib import asynccontextmanager, closing
 from dataclasses import asdict
-from functools import partial
 from importlib.resources import files
 from typing import Annotated, Any
 
@@ -31,7 +30,7 @@ from todframes.errors import SettingsError
 from todframes.observers.pyramid import PyramidObserver, PyramidSettings
 from todframes.psychometrics.fit import FitSettings
 from todframes.stimulus import ORIENTATIONS
-from todframes.web.pages import call, json_bytes, page, stream
+from todframes.web.pages import call, page, stream
 
 SIZES_DETECTORS = (2.0, 3.0, 4.0, 6.0, 8.0)
 """Sizes of the first curve."""
@@ -56,7 +55,7 @@ class SensorAsked(msgspec.Struct):
 
     def made(self) -> Sensor:
         """Return the sensor; see `sensor_from` for the errors."""
-        return sensor_from({"schema": SCHEMA, **self.sensor}, "sensor")
+        return sensor_from({"schema": SCHEMA, **self.sensor}, "SENSOR.toml")
 
 
 class CurveAsked(SensorAsked):
@@ -119,37 +118,67 @@ class Latest:
         return self._sequences.get(client, sequence) <= sequence
 
 
-@contextmanager
-def explorer(sensor: Sensor) -> Iterator[Starlette]:
-    """Make the app of the page for the time of a `with` statement; `sensor` is the one that it begins with."""
-    start = json_bytes(
-        {
+class Explorer:
+    """The calls of the page that compute curves, and what works for them while the server runs."""
+
+    def __init__(self, sensor: Sensor) -> None:
+        self.sensor = sensor
+        self._latest = Latest()
+        # One thread, as `LiveCurves` computes one curve at a time. A request ends the one before it of the same
+        # page; one of another page it waits for.
+        self._thread = ThreadPoolExecutor(1, "curves")
+        self._live: LiveCurves
+
+    @asynccontextmanager
+    async def running(self, _: Starlette) -> AsyncIterator[None]:
+        """Keep the processes that compute for the time of a `with` statement."""
+        with closing(LiveCurves()) as self._live, self._thread:
+            yield
+
+    def app(self) -> Starlette:
+        """Return the app of the page."""
+        calls = [
+            call("/api/start", Nothing, lambda _: self.start()),
+            stream("/api/curve", CurveAsked, self.curve, self._thread),
+            call("/api/mtf", SensorAsked, transfer),
+            call("/api/stages", TrialAsked, trial_pictures),
+            call("/api/orientation", TrialAsked, lambda asked: {"orientation": asked.trial().orientation.value}),
+            call("/api/toml", TomlAsked, written),
+            call("/api/parse", TextAsked, read),
+        ]
+        return page(files("sensor_sim.explorer") / "static", calls, self.running)
+
+    def start(self) -> dict[str, Any]:
+        """Return all that the page begins with."""
+        return {
             "version": __version__,
-            "sensor": asdict(sensor),
+            "sensor": asdict(self.sensor),
             "observer": {"internal_noise": PyramidSettings().internal_noise},
             "p_correct": FitSettings().p_correct,
             "sizes_detectors": SIZES_DETECTORS,
             "fields": PARAMETERS,
             "presets": [{"name": one.name, "sensor": asdict(one)} for one in presets()],
         }
-    )
-    latest = Latest()
-    # One thread computes all curves, in turns: a new request ends the one before it, and does not wait for long.
-    with closing(LiveCurves()) as live, ThreadPoolExecutor(1, "curves") as curves:
-        yield page(
-            files("sensor_sim.explorer") / "static",
-            [
-                call("/api/start", Nothing, lambda _: start),
-                stream("/api/curve", CurveAsked, partial(curve_lines, live, latest), curves),
-                call("/api/mtf", SensorAsked, transfer),
-                call("/api/stages", TrialAsked, trial_pictures),
-                call(
-                    "/api/orientation", TrialAsked, lambda asked: {"orientation": asked.trial().orientation.value}
-                ),
-                call("/api/toml", TomlAsked, written),
-                call("/api/parse", TextAsked, read),
-            ],
-        )
+
+    def curve(self, asked: CurveAsked, is_connected: Callable[[], bool]) -> Iterator[dict[str, Any]]:
+        """Return the lines of the answer for a curve, one for each `LiveCurve`; none if a newer request is known.
+
+        Raises
+        ------
+        SettingsError
+            If a setting is invalid; others may only be found when the lines are computed.
+        """
+        self._latest.note(asked.client, asked.sequence)
+        sensor, observer = asked.made(), PyramidObserver(_settings(asked.observer))
+        sizes, p_correct = asked.sizes_detectors, FitSettings(p_correct=asked.p_correct).p_correct
+        if len(set(sizes)) < len(sizes):
+            raise SettingsError("sizes_detectors: found a value twice, expected each once")
+
+        def is_wanted() -> bool:
+            return is_connected() and self._latest.is_newest(asked.client, asked.sequence)
+
+        found = self._live.curves(sensor, observer, sizes, p_correct=p_correct, is_wanted=is_wanted)
+        return (_line(asked.sequence, sensor, curve) for curve in found)
 
 
 def presets() -> list[Sensor]:
@@ -157,29 +186,6 @@ def presets() -> list[Sensor]:
     folder = files("sensor_sim.explorer").joinpath("presets")
     found = sorted(folder.iterdir(), key=lambda file: file.name)
     return [sensor_from(parse_toml(file.read_text(encoding="utf-8"), file.name), file.name) for file in found]
-
-
-def curve_lines(
-    live: LiveCurves, latest: Latest, asked: CurveAsked, is_connected: Callable[[], bool]
-) -> Iterator[dict[str, Any]]:
-    """Return the lines of the answer for a curve, one for each `LiveCurve`; none if a newer request is known.
-
-    Raises
-    ------
-    SettingsError
-        If a setting is invalid; others may only be found when the lines are computed.
-    """
-    latest.note(asked.client, asked.sequence)
-    sensor, observer = asked.made(), PyramidObserver(_settings(asked.observer))
-    FitSettings(p_correct=asked.p_correct)  # checks it
-
-    def is_wanted() -> bool:
-        return is_connected() and latest.is_newest(asked.client, asked.sequence)
-
-    if len(set(asked.sizes_detectors)) < len(asked.sizes_detectors):
-        raise SettingsError("sizes_detectors: found a value twice, expected each once")
-    found = live.curves(sensor, observer, asked.sizes_detectors, p_correct=asked.p_correct, is_wanted=is_wanted)
-    return (_line(asked.sequence, sensor, curve) for curve in found)
 
 
 def _line(sequence: int, sensor: Sensor, curve: LiveCurve) -> dict[str, Any]:
@@ -190,7 +196,7 @@ def _line(sequence: int, sensor: Sensor, curve: LiveCurve) -> dict[str, Any]:
         "tolerance": curve.tolerance,
         "seconds": round(curve.seconds, 4),
         "thresholds": [_threshold(sensor, one) for one in curve.thresholds],
-        "limits": None,
+        "limits": curve.limits._asdict(),
     }
 
 
@@ -244,7 +250,7 @@ def trial_pictures(asked: TrialAsked) -> dict[str, Any]:
     per_detector = max(FINE_PIXELS_PER_DETECTOR, sensor.display.pixels_per_detector)
     side = field_detectors(sensor, asked.size_detectors) * per_detector
     if side**2 > MOST_PICTURE_PIXELS:
-        raise SettingsError(f"found a trial of {side} × {side} pixels, which is more than this page shows")
+        raise SettingsError(f"found a trial of {side} × {side} pixels, too many to show; choose a smaller triangle")
     pictures = []
     for name, image in trial_stages(sensor, asked.trial(), seed=asked.seed).items():
         grey = np.rint(np.clip((image - BLACK) / (WHITE - BLACK), 0.0, 1.0) * 255.0).astype(np.uint8)

@@ -66,7 +66,6 @@ def experiment(
     Each answer is on the disk before the next triangle is shown. The same command goes on with a session that is
     not finished. Ctrl-C ends the server.
     """
-    from todframes.experiment.session import Design
     from todframes.frames.dataset import load_dataset
     from todframes.web import api
 
@@ -82,7 +81,7 @@ def experiment(
             data,
             answers,
             subject=subject,
-            design=Design(**asked),
+            **asked,
             consent=consent,
             host=host,
             port=port,

@@ -15,10 +15,9 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, fields, replace
 from datetime import UTC, datetime
-from functools import cached_property
 from itertools import chain
 from pathlib import Path
-from typing import Annotated, Literal, NamedTuple
+from typing import Annotated, Literal, NamedTuple, get_args
 
 import numpy as np
 from msgspec import Meta
@@ -31,6 +30,7 @@ from todframes.errors import DataError, OutputError, SettingsError
 from todframes.experiment.answers import (
     AnswerFile,
     Consent,
+    Method,
     Phase,
     SessionRecord,
     ShownDataset,
@@ -109,7 +109,7 @@ class Design:
         Seed of the order. Default: a random one.
     """
 
-    method: Literal["constant", "quest"] | None = None
+    method: Method | None = None
     trials: Annotated[int | None, Meta(ge=1, le=1_000_000)] = None
     practice: Annotated[int | None, Meta(ge=0, le=1000)] = None
     break_every: Annotated[int | None, Meta(ge=0, le=1_000_000)] = None
@@ -120,6 +120,8 @@ class Design:
 
     def __post_init__(self) -> None:
         check_values(self)
+        if self.method not in (None, *get_args(Method)):
+            raise SettingsError(f"method: found {self.method!r}, expected one of {', '.join(get_args(Method))}")
 
 
 class NextTrial(NamedTuple):
@@ -146,9 +148,14 @@ class TrialOrder:
     def __init__(self, trials: Trials, record: SessionRecord) -> None:
         self._trials, self._record = trials, record
         self._practice = practice_trials(trials, record.practice, _stream(record.seed, PRACTICE))
+        self._row_of_frame = {trial.frames[0].path: row for row, trial in enumerate(trials)}
         self._main: NDArray[np.intp] | None = None
+        self._grids: list[QuestGrid] = []
         if record.method == "constant":
             self._main = spread_trials(trials, record.trials, _stream(record.seed, ORDER))
+        else:
+            of_group = [trials.levels[trials.group_codes == code] for code in range(len(trials.groups))]
+            self._grids = [QuestGrid.of_levels(levels) for levels in of_group]
 
     @property
     def candidates(self) -> list[int]:
@@ -193,7 +200,7 @@ class TrialOrder:
             for number in (block, block + 1)
         )
         code = next(one for one in list(turns)[turn:] if is_left[codes == one].any())
-        grid = self._grid(code)
+        grid = self._grids[code]
         levels = self._trials.levels
         answers = np.zeros((2, grid.levels.size))
         for index, row in zip(shown, main, strict=True):
@@ -204,19 +211,6 @@ class TrialOrder:
         level = grid.levels[np.argmin(entropy)]
         choice = np.flatnonzero(is_left & (codes == code) & (levels == level))
         return int(_stream(self._record.seed, FRAMES, len(main)).choice(choice))
-
-    @cached_property
-    def _row_of_frame(self) -> dict[str, int]:
-        return {trial.frames[0].path: number for number, trial in enumerate(self._trials)}
-
-    def _grid(self, code: int) -> QuestGrid:
-        if code not in self._grids:
-            self._grids[code] = QuestGrid.of_levels(self._trials.levels[self._trials.group_codes == code])
-        return self._grids[code]
-
-    @cached_property
-    def _grids(self) -> dict[int, QuestGrid]:
-        return {}
 
 
 def spread_trials(trials: Trials, n_trials: int, rng: np.random.Generator) -> NDArray[np.intp]:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from todframes.config import read_text
+from todframes.experiment.answers import Method
 from todframes.experiment.session import Design, open_sitting
 from todframes.frames.dataset import Dataset, load_dataset
 from todframes.locations import Location
@@ -29,7 +30,14 @@ def run_experiment(
     answers: Path | str,
     *,
     subject: str | None = None,
-    design: Design | None = None,
+    method: Method | None = None,
+    trials: int | None = None,
+    practice: int | None = None,
+    break_every: int | None = None,
+    time_limit_s: float | None = None,
+    background: float | None = None,
+    dither: bool | None = None,
+    seed: int | None = None,
     consent: Path | str | None = None,
     host: str = "127.0.0.1",
     port: int = 0,
@@ -51,8 +59,20 @@ def run_experiment(
         Folder for the answers, of this and other people; made if it does not exist.
     subject : str, optional
         Anonymous id, letters and digits. Default: that of the only session that is not finished, or a random one.
-    design : Design, optional
-        Method, numbers of trials, background and so on.
+    method : {"constant", "quest"}, optional
+        Show trials of the dataset in random order (default), or let QUEST+ choose the level.
+    trials : int, optional
+        Number of trials that count. Default: all of the dataset; for quest 60 a group.
+    practice, break_every : int, optional
+        Number of trials with feedback before, default 8, and of trials between breaks, default 60; 0 for none.
+    time_limit_s : float, optional
+        Time in which to answer. Default: no limit.
+    background : float, optional
+        Luminance of the background over that of white. Default: 0.5.
+    dither : bool, optional
+        Show luminances between two code values by pixels of both. Default: True.
+    seed : int, optional
+        Seed of the order. Default: a random one.
     consent : path, optional
         File of the text that the person is to agree to. Default: a text of this package.
     host, port : str, int
@@ -81,6 +101,16 @@ def run_experiment(
         If the answers cannot be written, or another server is in the session.
     """
     check_installed("experiment")
+    design = Design(
+        method=method,
+        trials=trials,
+        practice=practice,
+        break_every=break_every,
+        time_limit_s=time_limit_s,
+        background=background,
+        dither=dither,
+        seed=seed,
+    )
     from todframes.web.experiment import experiment_app
     from todframes.web.server import Launch, serve
 

@@ -73,9 +73,10 @@ def guarded(app: ASGIApp, *, origin: str, token: str) -> ASGIApp:
                 visit = {"Location": "/", "Set-Cookie": f"{cookie}={token}; HttpOnly; SameSite=Strict; Path=/"}
                 await _answer(send, 303, "", visit)
                 return
-            _check_token([*headers.getlist("x-token"), *_cookies(headers, cookie)], token)
+            by_header = headers.getlist("x-token")
+            _check_token(by_header or _cookies(headers, cookie), token)
             if scope["method"] not in ("GET", "HEAD"):
-                _check_sender(headers)
+                _check_sender(headers, is_known=bool(by_header))
             body = await _body(headers, receive)
         except Refusal as refusal:
             # The rest of the request, if there is any, is not read.
@@ -103,11 +104,11 @@ def _check_token(given: Iterable[str], token: str) -> None:
         raise Refusal(403, "The token is missing or wrong; open the address that the command has printed.")
 
 
-def _check_sender(headers: Headers) -> None:
+def _check_sender(headers: Headers, *, is_known: bool) -> None:
     """Raise Refusal unless the body is JSON, and the sender is known: a form of another site can do neither."""
     if headers.get("content-type", "").partition(";")[0].strip().lower() != "application/json":
         raise Refusal(415, "Expected a body of the type application/json.")
-    if not any(name in headers for name in ("origin", "sec-fetch-site", "x-token")):
+    if not (is_known or "origin" in headers or "sec-fetch-site" in headers):
         raise Refusal(403, "The request does not name its origin.")
 
 

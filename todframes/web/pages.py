@@ -7,6 +7,7 @@ import re
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor
+from contextlib import suppress
 from importlib.resources import files
 from importlib.resources.abc import Traversable
 from typing import TypeVar
@@ -17,9 +18,9 @@ from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import Response
 from starlette.routing import Route
-from starlette.types import Receive, Scope, Send
+from starlette.types import Lifespan, Receive, Scope, Send
 
-from todframes.errors import TodframesError
+from todframes.errors import SettingsError, TodframesError
 from todframes.safe_text import visible
 
 SHARED_FILES = ("base.css", "server.js", "icon.svg", "uplot/uPlot.iife.min.js", "uplot/uPlot.min.css")
@@ -37,7 +38,7 @@ JSON = "application/json"
 T = TypeVar("T")
 
 
-def page(folder: Traversable, calls: Sequence[Route]) -> Starlette:
+def page(folder: Traversable, calls: Sequence[Route], lifespan: Lifespan[Starlette] | None = None) -> Starlette:
     """Return an app that serves the files of a folder and answers calls.
 
     The files are read now: the path of a request is compared with their names, and never looked up on the disk.
@@ -48,6 +49,8 @@ def page(folder: Traversable, calls: Sequence[Route]) -> Starlette:
         Folder of a package. Its `index.html` is `/`, and the other files are `/static/NAME`.
     calls : sequence of Route
         Usually of `call`.
+    lifespan : function, optional
+        Makes the context in which the server runs.
     """
     shared = files("todframes.web") / "static"
     routes = [_file(f"/static/{name.rpartition('/')[2]}", shared / name) for name in SHARED_FILES]
@@ -56,7 +59,8 @@ def page(folder: Traversable, calls: Sequence[Route]) -> Starlette:
             routes.append(_file("/" if file.name == "index.html" else f"/static/{file.name}", file))
     app = Starlette(
         routes=[*routes, *calls],
-        exception_handlers={TodframesError: error_answer, msgspec.MsgspecError: error_answer},
+        lifespan=lifespan,
+        exception_handlers={TodframesError: error_answer},
     )
     app.router.redirect_slashes = False
     return app
@@ -80,7 +84,7 @@ def call(path: str, kind: type[T], function: Callable[[T], object]) -> Route:
     decoder = msgspec.json.Decoder(kind)
 
     async def endpoint(request: Request) -> Response:
-        asked = decoder.decode(await request.body())
+        asked = _decoded(decoder, await request.body())
         found = await run_in_threadpool(function, asked)
         return Response(found if isinstance(found, bytes) else json_bytes(found), media_type=JSON)
 
@@ -101,7 +105,7 @@ def stream(
         Takes the body and a function that returns whether the client is still connected; returns the iterator. It
         is called in the event loop, and must not take long.
     executor : Executor
-        Computes the items. Those of two requests take turns.
+        Computes the items of a request one after the other, in one thread.
 
     Errors before the first item are answered as by `call`; one that comes later is a line of its own.
     """
@@ -111,7 +115,7 @@ def stream(
         """An ASGI app, as the response begins only with the first line, and the client may leave before."""
 
         async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-            asked = decoder.decode(await Request(scope, receive).body())
+            asked = _decoded(decoder, await Request(scope, receive).body())
             is_gone = threading.Event()
             watch = asyncio.create_task(_set_when_gone(receive, is_gone))
             try:
@@ -124,6 +128,16 @@ def stream(
     return Route(path, Stream(), methods=["POST"])
 
 
+def _decoded(decoder: msgspec.json.Decoder[T], body: bytes) -> T:
+    """Return what the body of a request holds; raise SettingsError if it is not of the decoder's type."""
+    try:
+        return decoder.decode(body)
+    except (msgspec.MsgspecError, UnicodeDecodeError) as error:
+        raise SettingsError(f"the request is not valid: {error}") from None
+    except RecursionError:
+        raise SettingsError("the request is not valid: nested too deep") from None
+
+
 async def _set_when_gone(receive: Receive, is_gone: threading.Event) -> None:
     while (await receive())["type"] != "http.disconnect":
         pass
@@ -131,23 +145,36 @@ async def _set_when_gone(receive: Receive, is_gone: threading.Event) -> None:
 
 
 async def _send_lines(items: Iterator[object], executor: Executor, send: Send) -> None:
-    loop, end = asyncio.get_running_loop(), object()
-    headers = [(b"content-type", b"application/x-ndjson")]
-    is_started = False
-    while True:
+    loop, found = asyncio.get_running_loop(), asyncio.Queue[bytes | None]()
+
+    def work() -> None:
         try:
-            item = await loop.run_in_executor(executor, next, items, end)
-        except TodframesError as error:
-            if not is_started:
-                raise
-            item, items = error_of(error), iter(())
-        if not is_started:
-            await send({"type": "http.response.start", "status": 200, "headers": headers})
-            is_started = True
-        if item is end:
-            break
-        await send({"type": "http.response.body", "body": json_bytes(item) + b"\n", "more_body": True})
-    await send({"type": "http.response.body", "body": b""})
+            for item in items:
+                put(json_bytes(item) + b"\n")
+        finally:
+            put(None)
+
+    def put(line: bytes | None) -> None:
+        with suppress(RuntimeError):  # the loop has ended
+            loop.call_soon_threadsafe(found.put_nowait, line)
+
+    async def send_line(line: bytes, *, more: bool = True) -> None:
+        await send({"type": "http.response.body", "body": line, "more_body": more})
+
+    computed = loop.run_in_executor(executor, work)
+    line = await found.get()
+    if line is None:
+        await computed  # raises what came before the first line
+    headers = [(b"content-type", b"application/x-ndjson")]
+    await send({"type": "http.response.start", "status": 200, "headers": headers})
+    while line is not None:
+        await send_line(line)
+        line = await found.get()
+    try:
+        await computed
+    except TodframesError as error:
+        await send_line(json_bytes(error_of(error)) + b"\n")
+    await send_line(b"", more=False)
 
 
 def json_bytes(value: object) -> bytes:
@@ -157,8 +184,8 @@ def json_bytes(value: object) -> bytes:
 
 def error_of(error: Exception) -> dict[str, str | None]:
     """Return the line of an error, and the key of SENSOR.toml that it names, such as "optics.aperture_mm"."""
-    line = visible(str(error)) if isinstance(error, TodframesError) else f"the request is not valid: {error}"
-    found = re.search(r"\[(\w+)\]: (\w+)", line)
+    line = visible(str(error))
+    found = re.search(r"\[(\w+)\]: (\w+)(?:: | is missing)", line)
     return {"error": line, "key": f"{found[1]}.{found[2]}" if found else None}
 
 

@@ -15,6 +15,7 @@ from contextlib import asynccontextmanager
 from dataclasses import dataclass
 
 import uvicorn
+from starlette.applications import Starlette
 from starlette.types import ASGIApp
 from uvicorn.protocols.http.h11_impl import H11Protocol, RequestResponseCycle
 from uvicorn.server import ServerState
@@ -62,14 +63,14 @@ class Launch:
 
 
 def serve(
-    app: ASGIApp, launch: Launch, *, tell: Callable[[str], None], warn: Callable[[str], None] | None = None
+    app: Starlette, launch: Launch, *, tell: Callable[[str], None], warn: Callable[[str], None] | None = None
 ) -> None:
     """Serve a page to this machine's browser until Ctrl-C, a request to terminate, or the end of the terminal.
 
     Parameters
     ----------
-    app : ASGI app
-        The page; it is put behind `guarded`.
+    app : Starlette
+        The page; it is put behind `guarded`. Its lifespan is the time in which the server listens.
     launch : Launch
     tell : function of a text
         Called once with the address, token included, when the server listens.
@@ -96,7 +97,8 @@ def serve(
                 loop.call_soon_threadsafe(ended.set)
 
             with signals.handled(end):
-                async with listening(guarded(app, origin=origin, token=token), listener):
+                guard = guarded(app, origin=origin, token=token)
+                async with app.router.lifespan_context(app), listening(guard, listener):
                     tell(url)
                     if launch.open_browser:
                         threading.Thread(target=_open_browser, args=[url], daemon=True).start()
@@ -134,6 +136,7 @@ async def listening(app: ASGIApp, listener: socket.socket) -> AsyncIterator[None
         await _finished(state.tasks)
         for connection in list(state.connections):
             connection.transport.abort()
+        await asyncio.sleep(0)  # in which they are closed
         await _finished(state.tasks)
 
 
@@ -149,8 +152,9 @@ class _Connection(H11Protocol):
         super().connection_made(transport)
         self._waiting_since, self._answered = self.loop.time(), self.cycle
         self._look_again()
-        waiting = [one for one in self.connections if isinstance(one, _Connection) and one.waits]
-        if len(self.connections) > MOST_CONNECTIONS and len(waiting) > 1:
+        others = [one for one in self.connections if isinstance(one, _Connection) and one is not self]
+        others = [one for one in others if not one.transport.is_closing()]
+        if len(others) >= MOST_CONNECTIONS and (waiting := [one for one in others if one.waits]):
             min(waiting, key=lambda one: one._waiting_since).transport.abort()
 
     def connection_lost(self, exc: Exception | None) -> None:
@@ -201,13 +205,13 @@ def open_listener(launch: Launch) -> socket.socket:
         family, *_, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
     except (OSError, UnicodeError):
         raise SettingsError(f"--host: found {host!r}, expected the address or name of this machine") from None
-    if not host or ipaddress.ip_address(address[0]).is_unspecified:
+    if ipaddress.ip_address(address[0]).is_unspecified:
         raise SettingsError(
             f"--host: found {host!r}, expected one address: requests that name another host are refused; "
             "give the address by which the browser's machine reaches this one"
         )
     try:
-        return socket.create_server(address[:2], family=family)
+        listener = socket.create_server(address[:2], family=family)
     except OSError as error:
         if error.errno == errno.EADDRINUSE:
             problem = (
@@ -218,3 +222,7 @@ def open_listener(launch: Launch) -> socket.socket:
         else:
             problem = f"--port: cannot listen on {host}, port {port} ({error.strerror})"
         raise SettingsError(problem) from None
+    # Or each answer waits 40 ms for the acknowledgement of its headers. Connections inherit it; asyncio sets it
+    # only where the socket names its protocol.
+    listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    return listener

@@ -146,7 +146,7 @@ async function consent(state) {
 
 async function monitor(state) {
   const next = await measureMonitor(state.dataset, show, (monitor) => ask("/api/monitor", monitor));
-  measured.ratio = next.monitor.device_pixel_ratio;
+  measured.ratio = next.device_pixel_ratio;
   return next;
 }
 
@@ -194,7 +194,7 @@ function tellPracticeIsOver(state) {
 async function done(state) {
   restore();
   element("done-text").textContent = `That was the last of ${state.total} triangles. The answers are in ${state.files}.`;
-  element("summary").replaceChildren(...(state.summary ?? []).flatMap(([label, text]) => {
+  element("summary").replaceChildren(...state.summary.flatMap(([label, text]) => {
     const term = document.createElement("dt"), description = document.createElement("dd");
     term.textContent = label;
     description.textContent = text;
@@ -212,7 +212,7 @@ async function run() {
   });
   watchPixels(refresh);
   let state = await begin(), before;
-  measured = { ratio: state.monitor?.device_pixel_ratio ?? null, width: state.dataset.width_px, height: state.dataset.height_px };
+  measured = { ratio: state.device_pixel_ratio, width: state.dataset.width_px, height: state.dataset.height_px };
   while (state !== null) {
     const { step } = state;
     state = await steps[step](state, before);

@@ -1,0 +1,775 @@
+"""Sessions of an experiment: the order of trials, the steps, what survives, and the server's side of the page."""
+
+from __future__ import annotations
+
+import asyncio
+import errno
+import hashlib
+import http.client
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+from collections import Counter
+from contextlib import contextmanager
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+import numpy as np
+import pytest
+
+from todframes.cli.console import run
+from todframes.cli.main import cli
+from todframes.errors import DataError, FrameError, OutputError, SettingsError
+from todframes.experiment.answers import TrialRow, count_file, data_path, read_answers, read_sidecar, sidecar_path
+from todframes.experiment.monitor import Calibration, MonitorError
+from todframes.experiment.session import Design, StepError, TrialOrder, frames_sha256, open_sitting
+from todframes.experiment.stimuli import shown_codes, trial_image
+from todframes.frames.dataset import load_dataset
+from todframes.frames.files import FrameFile
+from todframes.psychometrics.counts import read_counts
+from todframes.psychometrics.quest import QuestGrid
+from todframes.stimulus import Orientation
+from todframes.web.experiment import experiment_app
+
+MEASURES = Calibration(
+    device_pixel_ratio=1.0,
+    pixel_pitch_mm=0.25,
+    viewing_distance_mm=1000.0,
+    gamma=2.2,
+    screen_px=(1920, 1080),
+    viewport_px=(1900, 1000),
+)
+
+SHORT = Design(trials=8, practice=2, break_every=3, seed=5)
+
+
+@pytest.fixture
+def dataset(make_dataset):
+    """Two sizes, three contrasts, four orientations."""
+    return load_dataset(make_dataset(sizes_mrad=(2.0, 3.0), contrasts=(0.02, 0.1, 0.5)).path)
+
+
+@pytest.fixture
+def out(tmp_path: Path) -> Path:
+    return tmp_path / "answers"
+
+
+def begin(sitting) -> None:
+    sitting.consent(True)
+    sitting.calibrate(MEASURES)
+
+
+def answer_rightly(sitting) -> TrialRow:
+    """Answer the next trial as the manifest has it, and return its row."""
+    asked = sitting.trial()
+    orientation = sitting._prepare().trial.orientation
+    sitting.answer(asked["number"], orientation, 250.0)
+    return sitting.rows[-1]
+
+
+def finish(sitting) -> None:
+    while (step := sitting.state()["step"]) != "done":
+        if step == "break":
+            sitting.go_on()
+        answer_rightly(sitting)
+
+
+# The order -----------------------------------------------------------------------------------------------------
+
+
+def order(dataset, out, **design: Any) -> tuple[TrialOrder, Any]:
+    with open_sitting(dataset, out, design=Design(**({"seed": 5} | design))) as sitting:
+        return TrialOrder(dataset.trials, sitting.record), sitting.record
+
+
+def row_of(dataset, following, number: int, *, is_right: bool = True) -> TrialRow:
+    trial = dataset.trials[following.row]
+    wrong = Orientation.UP if trial.orientation is not Orientation.UP else Orientation.DOWN
+    return TrialRow(
+        number=number,
+        phase=following.phase,
+        frame=trial.frames[0].path,
+        sha256="",
+        orientation=trial.orientation,
+        response=trial.orientation if is_right else wrong,
+        response_time_ms=1.0,
+        level=trial.level,
+        group=trial.group,
+        size_mrad=trial.stimulus.size_mrad,
+        dither_seed=following.dither_seed,
+        clipped_px=0,
+        shown_at="",
+    )
+
+
+def sit_through(dataset, found: TrialOrder, answers=lambda _: True) -> list[TrialRow]:
+    rows: list[TrialRow] = []
+    while (following := found.next(rows)) is not None:
+        rows.append(row_of(dataset, following, len(rows) + 1, is_right=answers(following)))
+    return rows
+
+
+@pytest.mark.parametrize("method", ["constant", "quest"])
+def test_each_trial_of_the_dataset_is_shown_once(dataset, out, method):
+    found, _ = order(dataset, out, method=method, trials=24, practice=3)
+    rows = sit_through(dataset, found)
+    assert [row.phase for row in rows] == ["practice"] * 3 + ["main"] * 24
+    assert len({row.frame for row in rows[3:]}) == 24
+
+
+def test_some_of_the_trials_are_spread_evenly(make_dataset, out):
+    data = load_dataset(make_dataset(sizes_mrad=(2.0, 3.0), contrasts=(0.02, 0.1, 0.5), repeats=2).path)
+    rows = sit_through(data, order(data, out, trials=24, practice=0)[0])
+    assert set(Counter((row.group, row.level, row.orientation) for row in rows).values()) == {1}
+    # Not one cell after the other: the levels change more often than in 24 trials sorted by cell.
+    assert sum(a.level != b.level for a, b in pairwise(rows)) > 6
+
+
+def test_practice_has_the_highest_level_of_each_group(dataset, out):
+    found, _ = order(dataset, out, trials=1, practice=6)
+    rows = sit_through(dataset, found)[:6]
+    assert {row.level for row in rows} == {0.5}
+    assert [row.group for row in rows] == [(2.0,), (3.0,)] * 3
+
+
+def test_other_seeds_give_other_orders_and_the_same_seed_the_same(dataset, out):
+    orders = [sit_through(dataset, order(dataset, out, trials=12, seed=seed)[0]) for seed in (5, 5, 6)]
+    assert orders[0] == orders[1]
+    assert [row.frame for row in orders[0]] != [row.frame for row in orders[2]]
+
+
+def test_quest_has_each_group_once_in_a_block_in_random_order(dataset, out):
+    found, _ = order(dataset, out, method="quest", trials=24, practice=0)
+    groups = [row.group for row in sit_through(dataset, found)]
+    blocks = [tuple(groups[k : k + 2]) for k in range(0, 24, 2)]
+    assert all(len(set(block)) == 2 for block in blocks)
+    assert len(set(blocks)) == 2
+
+
+def test_quest_shows_the_level_of_least_expected_entropy(dataset, out):
+    found, _ = order(dataset, out, method="quest", trials=16, practice=0)
+    rng = np.random.default_rng(8)
+    rows = sit_through(dataset, found, lambda _: bool(rng.integers(2)))
+    grid = QuestGrid.of_levels([0.02, 0.1, 0.5])
+    for k, row in enumerate(rows):
+        counts = np.zeros((2, 3))
+        left = Counter(trial.level for trial in dataset.trials if trial.group == row.group)
+        for before in rows[:k]:
+            if before.group == row.group:
+                counts[int(before.is_correct), [0.02, 0.1, 0.5].index(before.level)] += 1
+                left[before.level] -= 1
+        entropy = grid.expected_entropy(grid.posterior(*counts))
+        possible = [entropy[i] if left[level] else np.inf for i, level in enumerate((0.02, 0.1, 0.5))]
+        assert row.level == (0.02, 0.1, 0.5)[int(np.argmin(possible))]
+
+
+def test_the_order_does_not_depend_on_where_a_session_was_ended(dataset, out):
+    found, record = order(dataset, out, method="quest", trials=18, practice=2)
+    rows = sit_through(dataset, found)
+    again = TrialOrder(dataset.trials, record)
+    for k in (0, 1, 2, 7, 19):
+        assert row_of(dataset, again.next(rows[:k]), k + 1) == rows[k]
+
+
+def test_a_level_with_one_group_only_is_enough(make_dataset, out):
+    data = load_dataset(make_dataset(contrasts=(0.3,), experiment={"group_by": []}).path)
+    assert len(sit_through(data, order(data, out, method="quest", trials=4, practice=1)[0])) == 5
+
+
+# The steps -----------------------------------------------------------------------------------------------------
+
+
+def test_a_session_from_consent_to_the_last_answer(dataset, out):
+    with open_sitting(dataset, out, subject="P1", design=SHORT) as sitting:
+        steps = [sitting.state()["step"]]
+        sitting.consent(False)
+        steps.append(sitting.consent(True)["step"])
+        steps.append(sitting.calibrate(MEASURES)["step"])
+        while steps[-1] != "done":
+            if steps[-1] == "break":
+                sitting.go_on()
+            answer_rightly(sitting)
+            steps.append(sitting.state()["step"])
+    main = ["main"] * 3 + ["break"] + ["main"] * 2 + ["break"] + ["main"] + ["done"]
+    assert steps == ["consent", "monitor", "practice", "practice", *main]
+    (session,) = read_answers(out)
+    assert session.record.consent is not None
+    assert "Nothing is sent anywhere" in session.record.consent.text
+    assert session.subject == "P1"
+    assert [row.number for row in session.rows] == list(range(1, 11))
+    assert all(row.is_correct for row in session.rows)
+    ((group, counts), *_) = read_counts(count_file(out, "P1"))
+    assert list(group) == ["size_mrad"]
+    assert (counts[:, 1] == counts[:, 2]).all()
+
+
+def test_feedback_is_given_in_practice_only(dataset, out):
+    with open_sitting(dataset, out, design=SHORT) as sitting:
+        begin(sitting)
+        for expected in (True, False, None):
+            asked, state = sitting.trial(), sitting.state()
+            assert state["feedback"] == (expected is not None)
+            right = sitting._prepare().trial.orientation
+            wrong = Orientation.UP if right is not Orientation.UP else Orientation.DOWN
+            said = sitting.answer(asked["number"], wrong if expected is False else right, 1.0)
+            assert said["correct"] is expected
+
+
+def test_each_row_says_which_pixels_were_shown(dataset, out):
+    with open_sitting(dataset, out, design=SHORT) as sitting:
+        begin(sitting)
+        while sitting.state()["step"] != "break":
+            asked = sitting.trial()
+            with FrameFile("memory.png", content=sitting.picture(asked["number"])) as file:
+                shown = file.read().stored[..., 0]
+            row, monitor = answer_rightly(sitting), sitting.record.monitor
+            trial = next(one for one in dataset.trials if one.frames[0].path == row.frame)
+            np.testing.assert_array_equal(
+                shown, shown_codes(trial_image(dataset, trial).contrast, monitor, row.dither_seed)
+            )
+            assert row.sha256 == hashlib.sha256((dataset.path / row.frame).read_bytes()).hexdigest()
+            assert (asked["height"], asked["width"]) == shown.shape
+            assert asked["background_code"] == monitor.background_code == shown[0, 0]
+
+
+def test_a_trial_of_several_frames_is_one_answer(make_dataset, out):
+    changes = {row: {"trial": f"t{row // 2}"} for row in range(8)}
+    data = load_dataset(make_dataset(contrasts=(0.1,), repeats=2, row_changes=changes).path)
+    with open_sitting(data, out, design=Design(practice=0)) as sitting:
+        begin(sitting)
+        assert sitting.state()["total"] == 4
+        row = answer_rightly(sitting)
+    trial = next(one for one in data.trials if one.frames[0].path == row.frame)
+    lines = [f"{hashlib.sha256((data.path / one.path).read_bytes()).hexdigest()}\n" for one in trial.frames]
+    assert row.sha256 == hashlib.sha256("".join(lines).encode()).hexdigest() == frames_sha256(data, trial)
+
+
+def test_an_answer_given_twice_is_saved_once(dataset, out):
+    with open_sitting(dataset, out, design=SHORT) as sitting:
+        begin(sitting)
+        asked = sitting.trial()
+        right = sitting._prepare().trial.orientation
+        first = sitting.answer(asked["number"], right, 1.0)
+        again = sitting.answer(asked["number"], None, 2.0)
+        assert again == first
+        assert len(sitting.rows) == 1
+        assert sitting.rows[0].response is right
+
+
+def test_the_same_trial_is_shown_until_it_is_answered(dataset, out):
+    with open_sitting(dataset, out, design=SHORT) as sitting:
+        begin(sitting)
+        assert sitting.trial() == sitting.trial()
+
+
+def test_requests_out_of_step_are_refused(dataset, out):
+    with open_sitting(dataset, out, design=SHORT) as sitting:
+        with pytest.raises(StepError, match="at the step consent, which has no trial"):
+            sitting.trial()
+        with pytest.raises(StepError, match="at the step consent, expected monitor"):
+            sitting.calibrate(MEASURES)
+        begin(sitting)
+        with pytest.raises(StepError, match="at the step practice, expected consent"):
+            sitting.consent(True)
+        with pytest.raises(StepError, match="trial 1 is not shown"):
+            sitting.picture(1)
+        with pytest.raises(StepError, match="trial 2 is not shown, but 1"):
+            sitting.answer(2, Orientation.UP, 1.0)
+        with pytest.raises(StepError, match="trial 0 is not shown, but 1"):
+            sitting.answer(0, Orientation.UP, 1.0)
+        with pytest.raises(StepError, match="found none, which only a time limit gives"):
+            sitting.answer(1, None, 1.0)
+        sitting.calibrate(replace(MEASURES, viewing_distance_mm=990.0))  # before the first answer
+        answer_rightly(sitting)
+        with pytest.raises(StepError, match="at the step practice, expected monitor"):
+            sitting.calibrate(MEASURES)
+
+
+def test_a_time_limit_that_passed_is_a_trial_without_response(dataset, out):
+    design = Design(trials=4, practice=0, time_limit_s=1.5)
+    with open_sitting(dataset, out, subject="P1", design=design) as sitting:
+        begin(sitting)
+        assert sitting.trial()["time_limit_ms"] == 1500.0
+        sitting.answer(1, None, 1500.0)
+        for _ in range(3):
+            answer_rightly(sitting)
+        assert sitting.state()["step"] == "done"
+    (session,) = read_answers(out)
+    assert session.rows[0].response is None
+    assert len(session.main_rows()) == 3
+    assert sum(counts[:, 2].sum() for _, counts in read_counts(count_file(out, "P1"))) == 3
+
+
+def test_a_monitor_that_cannot_show_the_frames_is_refused_with_a_reason(make_dataset, out):
+    data = load_dataset(make_dataset(contrasts=(0.1, 2.0)).path)
+    with open_sitting(data, out, design=Design(practice=0)) as sitting:
+        sitting.consent(True)
+        for changes, reason in (
+            ({}, "range"),
+            ({"viewport_px": (47, 400)}, "viewport"),
+            ({"viewing_distance_mm": 300.0}, "pitch"),
+            ({"device_pixel_ratio": 1.1}, "scaling"),
+        ):
+            with pytest.raises(MonitorError, match=" ") as caught:
+                sitting.calibrate(replace(MEASURES, **changes))
+            assert caught.value.reason == reason
+        assert sitting.state()["step"] == "monitor"
+    with open_sitting(data, out, design=Design(practice=0, background=0.3)) as sitting:
+        begin(sitting)
+
+
+def test_a_frame_that_is_damaged_meanwhile_is_told(dataset, out):
+    with open_sitting(dataset, out, design=SHORT) as sitting:
+        begin(sitting)
+        frame = (
+            dataset.path / dataset.trials[TrialOrder(dataset.trials, sitting.record).next([]).row].frames[0].path
+        )
+        content = frame.read_bytes()
+        frame.write_bytes(content[:100])
+        with pytest.raises(FrameError, match=re.escape(str(frame))):
+            sitting.trial()
+        frame.write_bytes(content)
+        answer_rightly(sitting)
+
+
+# Going on ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("method", ["constant", "quest"])
+def test_a_session_that_was_ended_after_each_answer_is_as_one_in_one_go(dataset, tmp_path, method):
+    design = Design(method=method, trials=4, practice=2, break_every=2, seed=5)
+    with open_sitting(dataset, tmp_path / "one", subject="P1", design=design) as sitting:
+        begin(sitting)
+        finish(sitting)
+        expected = [replace(row, shown_at="") for row in sitting.rows]
+    with open_sitting(dataset, tmp_path / "many", subject="P1", design=design) as sitting:
+        begin(sitting)
+    for _ in range(6):
+        with open_sitting(dataset, tmp_path / "many") as sitting:
+            answer_rightly(sitting)
+            found = [replace(row, shown_at="") for row in sitting.rows]
+    assert found == expected
+
+
+def test_an_answer_to_a_trial_that_the_server_before_had_shown_is_taken(dataset, out):
+    with open_sitting(dataset, out, subject="P1", design=SHORT) as sitting:
+        begin(sitting)
+        asked, right = sitting.trial(), sitting._prepare().trial.orientation
+    with open_sitting(dataset, out) as sitting:
+        assert sitting.answer(asked["number"], right, 800.0)["correct"]
+        assert sitting.rows[0].is_correct
+
+
+def test_a_second_server_into_a_session_is_told(dataset, out):
+    with open_sitting(dataset, out, design=SHORT):  # noqa: SIM117 - the first is not to raise
+        with pytest.raises(OutputError, match="another server is writing"), open_sitting(dataset, out):
+            pass
+    with open_sitting(dataset, out, subject="P1"), open_sitting(dataset, out, subject="P2"):
+        pass
+
+
+def test_which_of_several_unfinished_sessions_is_asked(dataset, out):
+    for subject in ("P1", "P2"):
+        with open_sitting(dataset, out, subject=subject, design=SHORT):
+            pass
+    with (
+        pytest.raises(SettingsError, match="the sessions of P1, P2 are not finished; say which with --subject"),
+        open_sitting(dataset, out),
+    ):
+        pass
+
+
+def test_a_finished_session_is_followed_by_a_new_one(dataset, out):
+    with open_sitting(dataset, out, design=Design(trials=1, practice=0)) as sitting:
+        begin(sitting)
+        finish(sitting)
+        first = sitting.record.subject
+    with (
+        pytest.raises(SettingsError, match=f"--subject: {first} has finished; leave it out"),
+        open_sitting(dataset, out, subject=first),
+    ):
+        pass
+    with open_sitting(dataset, out) as sitting:
+        assert sitting.record.subject != first
+
+
+@pytest.mark.parametrize(
+    ("design", "message"),
+    [
+        (Design(method="quest"), "--method: found quest, the session has constant, but subject P1 has answered"),
+        (Design(trials=9), "--trials: found 9, the session has 8"),
+        (Design(time_limit_s=2.0), "--time-limit-s: found 2.0, the session has None"),
+        (Design(dither=False), "--dither: found False, the session has True"),
+    ],
+)
+def test_settings_of_a_session_that_has_begun_stay(dataset, out, design, message):
+    with open_sitting(dataset, out, subject="P1", design=SHORT) as sitting:
+        begin(sitting)
+        answer_rightly(sitting)
+    with pytest.raises(SettingsError, match=message), open_sitting(dataset, out, design=design):
+        pass
+    with open_sitting(dataset, out, design=SHORT) as sitting:  # the same settings are no others
+        assert len(sitting.rows) == 1
+
+
+def test_settings_may_change_before_the_first_answer(dataset, out):
+    with open_sitting(dataset, out, subject="P1", design=SHORT) as sitting:
+        begin(sitting)
+    with open_sitting(dataset, out, design=Design(background=0.4)) as sitting:
+        assert sitting.state()["step"] == "consent"
+        assert sitting.record.background == 0.4
+
+
+def test_consent_and_calibration_survive(dataset, out):
+    with open_sitting(dataset, out, subject="P1", design=SHORT) as sitting:
+        begin(sitting)
+    with open_sitting(dataset, out, consent_text="another") as sitting:
+        assert sitting.state()["step"] == "practice"
+        assert "Nothing is sent" in sitting.state()["consent_text"]
+
+
+def test_answers_to_another_dataset_are_not_mixed(make_dataset, dataset, out):
+    with open_sitting(dataset, out, design=SHORT):
+        pass
+    other = load_dataset(make_dataset("other").path)
+    with pytest.raises(SettingsError, match="has answers to another dataset"), open_sitting(other, out):
+        pass
+
+
+def test_other_folders_are_left_alone(dataset, tmp_path):
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "thesis.txt").write_text("…")
+    with (
+        pytest.raises(OutputError, match="mine: holds other files, expected a folder of answers"),
+        open_sitting(dataset, tmp_path / "mine"),
+    ):
+        pass
+    with (
+        pytest.raises(OutputError, match="is a file, expected a folder for answers"),
+        open_sitting(dataset, tmp_path / "mine" / "thesis.txt"),
+    ):
+        pass
+    assert [one.name for one in (tmp_path / "mine").iterdir()] == ["thesis.txt"]
+
+
+@pytest.mark.parametrize("subject", ["", "Jane Doe", "../x", "<script>", "a_b", "ü", "a" * 65, "a\n"])
+def test_ids_are_letters_and_digits(dataset, out, subject):
+    with (
+        pytest.raises(SettingsError, match="expected letters and digits, at most 64, and no name"),
+        open_sitting(dataset, out, subject=subject),
+    ):
+        pass
+    assert not out.exists()
+
+
+def test_random_ids_are_letters_and_digits(dataset, out):
+    with open_sitting(dataset, out) as sitting:
+        assert re.fullmatch("[a-z0-9]{8}", sitting.record.subject)
+
+
+@pytest.mark.parametrize(
+    ("design", "message"),
+    [
+        ({"trials": 0}, "trials: found 0, expected a whole number from 1"),
+        ({"practice": -1}, "practice: found -1"),
+        ({"time_limit_s": 0.0}, "time_limit_s: found 0.0, expected a number from 0.1 to 3600"),
+        ({"background": 1.5}, "background: found 1.5"),
+        ({"method": "guess"}, "method: found 'guess', expected one of constant, quest"),
+        ({"seed": -1}, "seed: found -1"),
+    ],
+)
+def test_settings_are_checked(design, message):
+    with pytest.raises(SettingsError, match=message):
+        Design(**design)
+
+
+def test_more_trials_than_there_are_is_told(dataset, out):
+    with (
+        pytest.raises(SettingsError, match="--trials: found 25, expected at most 24, the trials of the dataset"),
+        open_sitting(dataset, out, design=Design(trials=25)),
+    ):
+        pass
+
+
+@pytest.mark.parametrize(
+    ("change", "error", "message"),
+    [
+        ({"size_mrad": "-1"}, DataError, "size_mrad"),
+        ({"lamp": " warm"}, None, ""),
+        ({"lamp": "warm\nlight"}, DataError, "expected a text without line breaks"),
+    ],
+)
+def test_datasets_that_the_files_cannot_hold_are_refused(make_dataset, out, change, error, message):
+    changes = {row: {"lamp": "warm"} for row in range(8)} | {3: {"lamp": "warm"} | change}
+    data = load_dataset(make_dataset(row_changes=changes, experiment={"group_by": ["lamp"]}).path)
+    if error is None:
+        with open_sitting(data, out):
+            return
+    with pytest.raises(error, match=message), open_sitting(data, out):
+        pass
+
+
+def test_rows_of_other_frames_are_told(dataset, out):
+    with open_sitting(dataset, out, subject="P1", design=SHORT) as sitting:
+        begin(sitting)
+        row = answer_rightly(sitting)
+    path = data_path(out, "P1")
+    path.write_text(path.read_text().replace(row.frame, "frames/other.exr"))
+    with pytest.raises(DataError, match=r"line 2: frame: found .*, which no trial"), open_sitting(dataset, out):
+        pass
+
+
+def test_a_folder_that_cannot_be_made_is_told(dataset, tmp_path):
+    with pytest.raises(OutputError, match="cannot be written"), open_sitting(dataset, tmp_path / "no" / "such"):
+        pass
+
+
+# The server's side ---------------------------------------------------------------------------------------------
+
+
+class Page:
+    """The page's requests, straight into the app."""
+
+    def __init__(self, app) -> None:
+        self.app = app
+
+    def request(self, method: str, path: str, body: bytes = b"") -> tuple[int, dict[str, str], bytes]:
+        sent: list[dict[str, Any]] = []
+
+        async def receive() -> dict[str, Any]:
+            return {"type": "http.request", "body": body}
+
+        async def send(message: dict[str, Any]) -> None:
+            sent.append(message)
+
+        scope = {
+            "type": "http",
+            "http_version": "1.1",
+            "method": method,
+            "path": path,
+            "raw_path": path.encode(),
+            "query_string": b"",
+            "headers": [],
+            "client": ("127.0.0.1", 1),
+            "server": ("127.0.0.1", 80),
+            "scheme": "http",
+            "root_path": "",
+        }
+        asyncio.run(self.app(scope, receive, send))
+        headers = {name.decode(): value.decode() for name, value in sent[0]["headers"]}
+        return sent[0]["status"], headers, b"".join(one.get("body", b"") for one in sent[1:])
+
+    def post(self, path: str, **body: Any) -> tuple[int, Any]:
+        status, _, content = self.request("POST", path, json.dumps(body).encode())
+        return status, json.loads(content)
+
+
+@contextmanager
+def opened(dataset, out, **more: Any):
+    with open_sitting(dataset, out, **({"design": SHORT} | more)) as sitting:
+        yield Page(experiment_app(sitting)), sitting
+
+
+BODY = {
+    "device_pixel_ratio": 1,
+    "pixel_pitch_mm": 0.25,
+    "viewing_distance_mm": 1000,
+    "gamma": 2.2,
+    "photometer": None,
+    "screen_px": [1920, 1080],
+    "viewport_px": [1900, 1000],
+}
+
+
+def test_the_calls_of_the_page(dataset, out):
+    with opened(dataset, out) as (page, sitting):
+        assert page.post("/api/state")[1]["step"] == "consent"
+        assert page.post("/api/consent", agreed=True)[1]["step"] == "monitor"
+        status, refused = page.post("/api/monitor", **(BODY | {"device_pixel_ratio": 1.5}))
+        assert (status, refused["reason"]) == (422, "scaling")
+        assert page.post("/api/monitor", **BODY)[1]["step"] == "practice"
+        status, trial = page.post("/api/trial")
+        assert (status, trial["number"], trial["image"]) == (200, 1, "/stimulus/1.png")
+        status, headers, content = page.request("GET", trial["image"])
+        assert (status, headers["content-type"], content) == (200, "image/png", sitting.picture(1))
+        status, state = page.post("/api/answer", number=1, response="up", response_time_ms=312.5)
+        assert status == 200
+        assert state["correct"] == sitting.rows[0].is_correct
+        assert sitting.rows[0].response_time_ms == 312.5
+        assert page.post("/api/continue")[1]["step"] == "practice"
+        assert page.post("/api/answer", number=5, response="up", response_time_ms=1)[0] == 409
+        assert page.request("GET", "/stimulus/1.png")[0] == 409
+
+
+@pytest.mark.parametrize(
+    ("path", "body"),
+    [
+        ("/api/answer", b""),
+        ("/api/answer", b"[]"),
+        ("/api/answer", b'{"number": 1, "response": "up"}'),
+        ("/api/answer", b'{"number": 1, "response": "UP", "response_time_ms": 1}'),
+        ("/api/answer", b'{"number": 1.5, "response": "up", "response_time_ms": 1}'),
+        ("/api/answer", b'{"number": -1, "response": "up", "response_time_ms": 1}'),
+        ("/api/answer", b'{"number": 1e400, "response": "up", "response_time_ms": 1}'),
+        ("/api/answer", b'{"number": true, "response": "up", "response_time_ms": 1}'),
+        ("/api/answer", b'{"number": 1, "response": "up", "response_time_ms": NaN}'),
+        ("/api/answer", b'{"number": 1, "response": "up", "response_time_ms": -1}'),
+        ("/api/answer", b'{"number": 1, "response": "up", "response_time_ms": "1"}'),
+        ("/api/answer", b'{"number": 1, "response": {"a": 1}, "response_time_ms": 1}'),
+        ("/api/answer", b"[" * 100_000),
+        ("/api/answer", b"\xff\xfe"),
+        ("/api/consent", b'{"agreed": "yes"}'),
+        ("/api/monitor", b"{}"),
+        ("/api/monitor", b'{"device_pixel_ratio": 1, "viewing_distance_mm": "near"}'),
+        ("/api/monitor", json.dumps(BODY | {"photometer": [[1]]}).encode()),
+        ("/api/monitor", json.dumps(BODY | {"photometer": [[0, 1], [255, 1e308]]}).encode()),
+        ("/api/monitor", json.dumps(BODY | {"photometer": [[k, k] for k in range(100)]}).encode()),
+        ("/api/monitor", json.dumps(BODY | {"screen_px": [1, 2, 3]}).encode()),
+        ("/api/monitor", json.dumps(BODY | {"viewing_distance_mm": 1e-320}).encode()),
+        ("/api/monitor", json.dumps(BODY | {"gamma": -2}).encode()),
+    ],
+)
+def test_bodies_that_are_none_of_the_page_get_one_line_and_change_nothing(dataset, out, path, body):
+    with opened(dataset, out) as (page, sitting):
+        sitting.consent(True)
+        if path == "/api/answer":
+            sitting.calibrate(MEASURES)
+            sitting.trial()
+        before = sitting.state(), sidecar_path(data_path(out, sitting.record.subject)).read_bytes()
+        status, _, content = page.request("POST", path, body)
+        if path == "/api/consent":
+            assert status == 422
+        assert status in (409, 422)
+        line = json.loads(content)["error"]
+        assert line
+        assert len(line.splitlines()) == 1
+        after = sitting.state(), sidecar_path(data_path(out, sitting.record.subject)).read_bytes()
+        assert after == before
+
+
+@pytest.mark.parametrize(
+    "path",
+    ["/stimulus/0.png", "/stimulus/-1.png", "/stimulus/99999999999999999999999.png", "/stimulus/../1.png"],
+)
+def test_other_pictures_are_not_there(dataset, out, path):
+    with opened(dataset, out) as (page, _):
+        assert page.request("GET", path)[0] in (404, 409)
+
+
+def test_a_full_disk_is_told_and_the_answer_is_taken_when_there_is_room(dataset, out, monkeypatch):
+    with opened(dataset, out) as (page, sitting):
+        begin(sitting)
+        page.post("/api/trial")
+        answer = {"number": 1, "response": "left", "response_time_ms": 400.0}
+        with monkeypatch.context() as patched:
+
+            def write(*_: object) -> int:
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+            patched.setattr(os, "write", write)
+            for _ in range(2):
+                status, said = page.post("/api/answer", **answer)
+                assert status == 507
+                assert re.fullmatch(r".*_data\.csv: cannot be written \(No space left on device\)", said["error"])
+        status, said = page.post("/api/answer", **answer)
+        assert status == 200
+        assert [row.response for row in sitting.rows] == [Orientation.LEFT]
+
+
+def test_a_folder_that_is_gone_is_told(dataset, out):
+    with opened(dataset, out) as (page, sitting):
+        (out / "data").rename(out / "elsewhere")
+        status, said = page.post("/api/consent", agreed=True)
+        assert status == 507
+        assert "cannot be written" in said["error"]
+        assert sitting.state()["step"] == "consent"
+        (out / "elsewhere").rename(out / "data")
+        assert page.post("/api/consent", agreed=True)[1]["step"] == "monitor"
+
+
+def test_a_script_in_a_datasets_name_stays_text(make_dataset, out):
+    data = load_dataset(make_dataset("<script>alert(1)").path)
+    with opened(data, out, consent_text="<img onerror=alert(1)>") as (page, _):
+        _, headers, content = page.request("POST", "/api/state", b"{}")
+        assert headers["content-type"] == "application/json"  # with nosniff no browser takes it for a page
+        assert json.loads(content)["dataset"]["name"] == "<script>alert(1)"
+        for path in ("/", "/static/experiment.js"):
+            assert b"alert(1)" not in page.request("GET", path)[2]
+
+
+# The command ---------------------------------------------------------------------------------------------------
+
+
+def test_the_command_tells_what_is_wrong_in_one_line(dataset, out, capsys):
+    for options, status, message in (
+        (["--trials", "0"], 2, "trials: found 0"),
+        (["--trials", "1000"], 2, "--trials: found 1000, expected at most 24"),
+        (["--subject", "Jane Doe"], 2, "--subject: found 'Jane Doe'"),
+        (["--consent", "nowhere.txt"], 1, "nowhere.txt: no such file"),
+        (["--host", "example.invalid"], 2, "--host: found 'example.invalid'"),
+    ):
+        assert run(cli, ["experiment", str(dataset.path), "-o", str(out), *options]) == status
+        lines = capsys.readouterr().err.splitlines()
+        assert len(lines) == 1
+        assert message in lines[0]
+
+
+def launched(dataset, out, *options: str) -> tuple[subprocess.Popen[str], http.client.HTTPConnection, str]:
+    command = [sys.executable, "-m", "todframes", "experiment", str(dataset.path), "-o", str(out), "--no-browser"]
+    process = subprocess.Popen([*command, *options], stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    url = urlsplit(process.stdout.readline().strip())
+    assert url.hostname == "127.0.0.1"
+    return process, http.client.HTTPConnection(url.hostname, url.port or 0), url.query.removeprefix("token=")
+
+
+def posted(connection: http.client.HTTPConnection, token: str, path: str, **body: Any) -> Any:
+    headers = {"X-Token": token, "Content-Type": "application/json"}
+    connection.request("POST", path, json.dumps(body), headers)
+    return json.loads(connection.getresponse().read())
+
+
+@pytest.mark.slow
+def test_a_server_killed_between_answers_and_during_one_loses_none(dataset, out):
+    options = ("--trials", "6", "--practice", "1", "--seed", "4", "--break-every", "0", "--subject", "P1")
+    saved = 0
+    for kill_after in (3, 2, 9):
+        process, connection, token = launched(dataset, out, *options)
+        state = posted(connection, token, "/api/state")
+        if state["step"] == "consent":
+            posted(connection, token, "/api/consent", agreed=True)
+            state = posted(connection, token, "/api/monitor", **BODY)
+        for _ in range(kill_after):
+            if state["step"] == "done":
+                break
+            number = posted(connection, token, "/api/trial")["number"]
+            assert number == saved + 1
+            state = posted(connection, token, "/api/answer", number=number, response="up", response_time_ms=1)
+            saved += 1
+        if state["step"] != "done":
+            # One more answer is on its way when the server dies: it is there, or it is not.
+            number = posted(connection, token, "/api/trial")["number"]
+            headers = {"X-Token": token, "Content-Type": "application/json"}
+            body = json.dumps({"number": number, "response": "up", "response_time_ms": 1})
+            connection.request("POST", "/api/answer", body, headers)
+            process.send_signal(signal.SIGKILL)
+            process.wait()
+            (session,) = read_answers(out)
+            assert len(session.rows) in (saved, saved + 1)
+            saved = len(session.rows)
+        else:
+            process.send_signal(signal.SIGINT)
+            assert process.wait() == 0
+            assert "P1, 6 of 6 trials" in process.stdout.read()
+        process.stdout.close()
+        connection.close()
+    (session,) = read_answers(out)
+    assert [row.number for row in session.rows] == list(range(1, 8))
+    assert len({row.frame for row in session.rows[1:]}) == 6
+    assert read_sidecar(sidecar_path(session.path)).seed == 4

@@ -1,0 +1,261 @@
+"""The experiment in a browser: a simulated person answers every trial, pixels are exact, scaling is refused.
+
+Skipped where there is no Chromium. The person is the paper's observer, run literally on the pixels of
+the page: noise on every neuron, which `todframes calibrate` does not draw.
+"""
+
+from __future__ import annotations
+
+import base64
+import csv
+import json
+import socket
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from browser import OpenPage, serving
+
+import todframes as tod
+from todframes.cli.console import run
+from todframes.cli.main import cli
+from todframes.observers.retina import resample
+
+pytestmark = pytest.mark.slow
+
+INTERNAL_NOISE = 0.35
+CODE = 186
+"""Code value that the person matches with the half-tone: as bright as half of white."""
+GAMMA = np.log(0.5) / np.log(CODE / 255)
+LUMINANCE = (np.arange(256) / 255) ** GAMMA
+"""Luminance of each code value of the person's monitor, over that of white."""
+CONTRAST = LUMINANCE / LUMINANCE[CODE] - 1.0
+KEYS = {"up": "ArrowUp", "right": "ArrowRight", "down": "ArrowDown", "left": "ArrowLeft"}
+UNREACHABLE = r"net::ERR_"
+SHOWN = "#stage[data-trial], #pause:not([hidden]), #done:not([hidden])"
+# A person needs the pauses between trials, and the time to read "Correct"; this one does not.
+HURRY = "const wait = setTimeout; window.setTimeout = (call, time) => wait(call, time < 1000 ? 0 : time);"
+
+
+def experiment(dataset: Path, answers: Path, *options: object) -> Any:
+    return serving("todframes", "experiment", dataset, "-o", answers, "--no-browser", *map(str, options))
+
+
+def measure_monitor(page: Any, *, drag_px: int | None = None) -> None:
+    """Go through the four screens of the monitor, by keyboard or with a pointer, and the instructions."""
+    page.wait_for_selector("#size:not([hidden])")
+    edge = page.locator("#card-edge")
+    if drag_px is None:
+        edge.focus()
+        page.keyboard.press("PageUp")
+        page.keyboard.press("ArrowLeft")
+    else:
+        box = edge.bounding_box()
+        page.mouse.move(box["x"] + box["width"] - 1, box["y"] + 20)
+        page.mouse.down()
+        page.mouse.move(page.locator("#card").bounding_box()["x"] + drag_px, box["y"] + 40)
+        page.mouse.up()
+    for screen in ("size", "distance", "gamma", "photometer", "instructions"):
+        page.wait_for_selector(f"#{screen}:not([hidden])")
+        assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+        if screen == "gamma":
+            page.fill("#gamma-code", str(CODE))
+        page.click(f"#{screen} .next")
+
+
+def trial_shown(page: Any) -> int:
+    """Wait for a trial, past pauses; return its number, or 0 at the end."""
+    while True:
+        found = page.wait_for_selector(SHOWN)
+        if number := found.get_attribute("data-trial"):
+            return int(number)
+        if found.get_attribute("id") == "done":
+            return 0
+        page.keyboard.press("Enter")
+        page.wait_for_selector("#pause", state="hidden")
+
+
+def saved_rows(answers: Path) -> list[dict[str, str]]:
+    (path,) = (answers / "data").glob("*.csv")
+    with path.open(encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def sidecar(answers: Path) -> dict[str, Any]:
+    (path,) = (answers / "data").glob("*.json")
+    return json.loads(path.read_text(encoding="utf-8"))
+
+
+def shown_on_screen(page: Any) -> np.ndarray:
+    """Return the grey values of the stimulus in a screenshot; around it the window is of the background's code."""
+    pixels = cv2.imdecode(np.frombuffer(page.screenshot(), np.uint8), cv2.IMREAD_COLOR)
+    assert (pixels == pixels[..., :1]).all()
+    box = page.locator("#stimulus").bounding_box()
+    assert all(value == int(value) for value in box.values())
+    rows, columns = (slice(int(box[at]), int(box[at] + box[n])) for at, n in (("y", "height"), ("x", "width")))
+    stimulus = pixels[rows, columns, 0].copy()
+    pixels[rows, columns] = CODE
+    assert (pixels[: int(page.locator("#progress").bounding_box()["y"])] == CODE).all()
+    return stimulus
+
+
+class Person:
+    """The observer with internal noise 0.35, which looks at the canvas."""
+
+    def __init__(self, page: Any, *, size_px: float, pixel_pitch_mrad: float) -> None:
+        self.observer = tod.PyramidObserver(internal_noise=INTERNAL_NOISE)
+        self.stimulus = tod.Stimulus(size_px * pixel_pitch_mrad)
+        self.grid = self.observer.grid(self.stimulus)
+        self.pixel_pitch_mrad = pixel_pitch_mrad
+        self.page = page
+        self.answers: dict[int, str] = {}
+
+    def key(self, number: int) -> str:
+        """Return the key that the person presses at a trial; the same one if it is shown again."""
+        url = self.page.evaluate("document.getElementById('stimulus').toDataURL()")
+        png = np.frombuffer(base64.b64decode(url.partition(",")[2]), np.uint8)
+        codes = cv2.imdecode(png, cv2.IMREAD_GRAYSCALE)
+        y, x = ((side - 1) / 2 for side in codes.shape)
+        retina = resample(CONTRAST[codes], self.grid, x_px=x, y_px=y, pixel_pitch_mrad=self.pixel_pitch_mrad)
+        answer = self.observer.respond(retina, self.stimulus, np.random.default_rng([15, number]))
+        self.answers[number] = answer.value
+        return KEYS[answer.value]
+
+
+def free_port() -> int:
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        return listener.getsockname()[1]
+
+
+def test_person_whose_server_is_killed_twice(
+    make_dataset: Any, open_page: OpenPage, tmp_path: Path, capsys: Any
+) -> None:
+    """240 trials: none is lost, none is twice, and what is calibrated from them is the person's internal noise."""
+    # Levels from a half to three times the threshold of this noise, 0.043.
+    levels = (0.02, 0.03, 0.045, 0.065, 0.09, 0.13)
+    dataset = make_dataset(sizes_mrad=(3.0,), contrasts=levels, repeats=10, side_px=72)
+    answers, port = tmp_path / "answers", free_port()
+    (tmp_path / "consent.txt").write_text("I <b>agree</b>.\n\n<script>alert(1)</script>", encoding="utf-8")
+    options = ("--subject", "p1", "--seed", 15, "--consent", tmp_path / "consent.txt", "--port", port)
+
+    with experiment(dataset.path, answers, *options) as server:
+        page = open_page(server.url, expected_console=[UNREACHABLE])
+        page.add_init_script(HURRY)
+        page.reload()
+        assert page.inner_text("#consent-text").split("\n\n") == ["I <b>agree</b>.", "<script>alert(1)</script>"]
+        assert page.inner_text("#consent-subject") == "p1"
+        page.click("#agree")
+        measure_monitor(page)
+        monitor = sidecar(answers)["monitor"]
+        # A bank card is 85.6 mm wide; the page begins with 96 pixels to the inch, which are 324 for it.
+        assert monitor["pixel_pitch_mm"] == pytest.approx(85.6 / (324 + 10 - 1))
+        assert monitor["gamma"] == pytest.approx(GAMMA)
+        assert monitor["background_code"] == CODE
+        person = Person(page, size_px=3.0 / 0.25, pixel_pitch_mrad=monitor["pixel_pitch_mrad"])
+        for expected in range(1, 100):
+            assert trial_shown(page) == expected
+            page.keyboard.press(person.key(expected))
+        number = trial_shown(page)
+        server.process.kill()
+        server.process.wait()
+        page.keyboard.press(person.key(number))
+        page.wait_for_selector("#connection:has-text('does not answer')")
+
+    with experiment(dataset.path, answers, *options) as server:
+        # The page kept the answer that it could not send: the trial does not come again.
+        page.goto(server.url)
+        for expected in range(number + 1, 200):
+            assert trial_shown(page) == expected
+            page.keyboard.press(person.key(expected))
+        page.keyboard.press(person.key(trial_shown(page)))
+        server.process.kill()  # before or after this answer is saved
+
+    with experiment(dataset.path, answers, *options) as server:
+        page.goto(server.url)
+        while number := trial_shown(page):
+            page.keyboard.press(person.key(number))
+        assert str(answers) in page.inner_text("#done")
+
+    rows = saved_rows(answers)
+    assert [int(row["trial"]) for row in rows] == list(range(1, 249))
+    assert [row["phase"] for row in rows] == ["practice"] * 8 + ["main"] * 240
+    assert sorted(row["frame"] for row in rows[8:]) == sorted(row["frame"] for row in dataset.rows)
+    assert {int(row["trial"]): row["response"] for row in rows} == person.answers
+
+    assert run(cli, ["calibrate", str(answers), str(dataset.path), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    low, high = found["persons"][0]["internal_noise_ci95"]
+    assert low < INTERNAL_NOISE < high
+
+
+def test_pixels_on_the_screen_are_those_of_the_frame(
+    make_dataset: Any, open_page: OpenPage, tmp_path: Path
+) -> None:
+    """Without dither, each pixel has the code value whose luminance is nearest to that of the frame."""
+    dataset = make_dataset(sizes_mrad=(6.0,), contrasts=(0.3, 0.7), side_px=101)
+    answers = tmp_path / "answers"
+    with experiment(dataset.path, answers, "--no-dither", "--practice", 0, "--trials", 2) as server:
+        page = open_page(server.url)
+        page.click("#agree")
+        measure_monitor(page, drag_px=300)
+        assert sidecar(answers)["monitor"]["pixel_pitch_mm"] == pytest.approx(85.6 / 300)
+        assert trial_shown(page) == 1
+        screens = [shown_on_screen(page)]
+
+        # The zoom changes: the trial is taken away, and shown again when the zoom is back.
+        zoom(page, 1.5)
+        page.wait_for_selector("#stopped:not([hidden])")
+        assert "takes 1.5 pixels of the monitor" in page.inner_text("#stopped-reason")
+        page.keyboard.press("ArrowUp")
+        zoom(page, 1.0)
+        assert trial_shown(page) == 1
+        assert saved_rows(answers) == []
+        page.click("[data-response=left]")
+
+        assert trial_shown(page) == 2
+        screens.append(shown_on_screen(page))
+        page.keyboard.press("ArrowUp")
+        page.wait_for_selector("#done:not([hidden])")
+    rows = saved_rows(answers)
+    assert [row["response"] for row in rows] == ["left", "up"]
+    for row, stimulus in zip(rows, screens, strict=True):
+        luminance = tod.read_frame(dataset.path / row["frame"]).stored[..., 0].astype(float)
+        expected = np.abs(CONTRAST - (luminance / 50.0 - 1.0)[..., None]).argmin(axis=-1)
+        assert len(np.unique(expected)) > 20
+        assert np.array_equal(stimulus, expected)
+
+
+def test_contrast_below_a_code_step_on_a_narrow_page(
+    make_dataset: Any, open_page: OpenPage, tmp_path: Path
+) -> None:
+    """With dither the mean contrast of a triangle is right. A browser that scales is refused."""
+    dataset = make_dataset(sizes_mrad=(6.0,), contrasts=(0.004,), side_px=101)
+    answers = tmp_path / "answers"
+    phone = {"width": 390, "height": 844, "color_scheme": "dark"}
+    with experiment(dataset.path, answers, "--practice", 0, "--trials", 1, "--time-limit", 2.5) as server:
+        page = open_page(server.url, device_scale_factor=1.25, **phone)
+        page.click("#agree")
+        page.wait_for_selector("#stopped:not([hidden])")
+        assert "takes 1.25 pixels of the monitor" in page.inner_text("#stopped-reason")
+        assert "100 %" in page.inner_text("#stopped-remedy")
+
+        page = open_page(server.url, **phone)
+        measure_monitor(page)
+        assert trial_shown(page) == 1
+        stimulus = shown_on_screen(page)
+        page.wait_for_selector("#done:not([hidden])")  # nobody answers
+    (row,) = saved_rows(answers)
+    assert (row["response"], row["correct"], float(row["response_time_ms"])) == ("none", "0", 2500.0)
+    triangle = tod.coverage(
+        (101, 101), size_px=24.0, x_px=50.0, y_px=50.0, orientation=tod.Orientation(row["orientation"])
+    )
+    assert set(np.unique(stimulus)) == {CODE, CODE + 1}
+    assert np.average(CONTRAST[stimulus], weights=triangle) == pytest.approx(0.004, abs=5e-4)
+
+
+def zoom(page: Any, ratio: float) -> None:
+    """Change the device pixel ratio of an open page."""
+    metrics = {"width": 1280, "height": 900, "deviceScaleFactor": ratio, "mobile": False}
+    page.context.new_cdp_session(page).send("Emulation.setDeviceMetricsOverride", metrics)

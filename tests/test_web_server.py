@@ -1,0 +1,412 @@
+"""The local server refuses what does not come from its own page, and stays there for those that do."""
+
+from __future__ import annotations
+
+import asyncio
+import http.client
+import json
+import re
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass, field
+from importlib.resources import files
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from todframes.errors import DataError, SettingsError
+from todframes.web import check_installed, guard, server
+from todframes.web.guard import HEADERS, MOST_BODY_BYTES, guarded
+from todframes.web.pages import SHARED_FILES, call, page, stream
+from todframes.web.server import MOST_CONNECTIONS, Launch, listening, open_listener
+
+TOKEN = "the-token-of-this-run"
+JSON = {"Content-Type": "application/json"}
+PATIENCE_S = 5.0
+
+
+class Named(msgspec.Struct):
+    name: str
+
+
+@dataclass
+class Running:
+    """A server of this process, and the events by which a test follows what it computes."""
+
+    port: int
+    begun: threading.Event = field(default_factory=threading.Event)
+    left: threading.Event = field(default_factory=threading.Event)
+
+    @property
+    def host(self) -> str:
+        return f"127.0.0.1:{self.port}"
+
+    @property
+    def origin(self) -> str:
+        return f"http://{self.host}"
+
+    def ask(
+        self, method: str, path: str, body: bytes | None = None, headers: Mapping[str, str] | None = None
+    ) -> tuple[int, http.client.HTTPMessage, bytes]:
+        """Return status, headers and body of an answer; with the token unless headers are given."""
+        connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=PATIENCE_S)
+        connection.putrequest(method, path, skip_host=headers is not None and "Host" in headers)
+        for name, value in ({"X-Token": TOKEN} | JSON if headers is None else headers).items():
+            connection.putheader(name, value)
+        if body is not None:
+            connection.putheader("Content-Length", str(len(body)))
+        connection.endheaders(body)
+        with connection.getresponse() as answer:
+            found = answer.status, answer.headers, answer.read()
+        connection.close()
+        return found
+
+    def raw(self, request: bytes) -> bytes:
+        """Return all that the server sends for some bytes, until it closes the connection."""
+        with socket.create_connection(("127.0.0.1", self.port), PATIENCE_S) as plug:
+            plug.sendall(request)
+            return b"".join(iter(lambda: plug.recv(65536), b""))
+
+
+def app_of(running: Running) -> object:
+    def greet(asked: Named) -> dict[str, str]:
+        if asked.name == "nobody":
+            raise DataError("[greeting]: name: found 'nobody', expected \x1b[31msomebody")
+        return {"hello": asked.name}
+
+    def count(asked: Named, is_connected: Callable[[], bool]) -> Iterator[int]:
+        if asked.name == "nobody":
+            raise DataError("found nobody")
+
+        def numbers() -> Iterator[int]:
+            yield 1
+            running.begun.set()
+            if asked.name == "error":
+                raise DataError("found no more")
+            while asked.name == "endless" and is_connected():
+                time.sleep(0.002)
+            running.left.set()
+            yield 2
+
+        return numbers()
+
+    executor = ThreadPoolExecutor(2)
+    calls = [call("/api/greet", Named, greet), stream("/api/count", Named, count, executor)]
+    return page(files("todframes.web") / "static", calls)
+
+
+@contextmanager
+def running_server() -> Iterator[Running]:
+    with open_listener(Launch()) as listener:
+        running = Running(listener.getsockname()[1])
+        app = guarded(app_of(running), origin=running.origin, token=TOKEN)
+        loop, ended, listens = asyncio.new_event_loop(), asyncio.Event(), threading.Event()
+
+        async def run() -> None:
+            async with listening(app, listener):
+                listens.set()
+                await ended.wait()
+
+        thread = threading.Thread(target=loop.run_until_complete, args=[run()])
+        thread.start()
+        try:
+            assert listens.wait(PATIENCE_S)
+            yield running
+        finally:
+            loop.call_soon_threadsafe(ended.set)
+            thread.join(PATIENCE_S)
+            loop.close()
+
+
+@pytest.fixture(scope="module")
+def running() -> Iterator[Running]:
+    with running_server() as one:
+        yield one
+
+
+def body_of(name: str) -> bytes:
+    return json.dumps({"name": name}).encode()
+
+
+REFUSED = {
+    "another host": ({"Host": "evil.example"}, 403),
+    "a name that leads to this machine": ({"Host": "127.0.0.1.evil.example"}, 403),
+    "another port": ({"Host": "127.0.0.1:1"}, 403),
+    "another origin": ({"Origin": "http://evil.example"}, 403),
+    "an origin without a name": ({"Origin": "null"}, 403),
+    "the same host as an origin of another scheme": ({"Origin": "https://127.0.0.1:{port}"}, 403),
+    "the other name of the host as the origin": ({"Origin": "http://localhost:{port}"}, 403),
+    "another site": ({"Sec-Fetch-Site": "cross-site"}, 403),
+    "another port of this machine": ({"Sec-Fetch-Site": "same-site"}, 403),
+    "no token": ({"X-Token": None}, 403),
+    "an empty token": ({"X-Token": ""}, 403),
+    "a wrong token": ({"X-Token": TOKEN[:-1] + "x"}, 403),
+    "a part of the token": ({"X-Token": TOKEN[:-1]}, 403),
+    "a token with letters beyond ASCII": ({"X-Token": "\xe9"}, 403),
+    "a cookie of another page": ({"X-Token": None, "Cookie": f"todframes-1={TOKEN}"}, 403),
+    "a broken cookie": ({"X-Token": None, "Cookie": '="; todframes'}, 403),
+    "a form": ({"Content-Type": "application/x-www-form-urlencoded"}, 415),
+    "plain text, which another site may send unasked": ({"Content-Type": "text/plain"}, 415),
+    "a cookie without an origin": ({"X-Token": None, "Cookie": "todframes-{port}=" + TOKEN}, 403),
+}
+
+
+@pytest.mark.parametrize(("changed", "status"), REFUSED.values(), ids=REFUSED)
+def test_requests_that_do_not_come_from_the_page_are_refused(running, changed, status):
+    headers = {"Host": running.host, "X-Token": TOKEN, **JSON}
+    assert running.ask("POST", "/api/greet", body_of("you"), headers)[0] == 200
+    for name, value in changed.items():
+        headers[name] = value and value.replace("{port}", str(running.port))
+    headers = {name: value for name, value in headers.items() if value is not None}
+    found, answer, body = running.ask("POST", "/api/greet", body_of("you"), headers)
+    assert found == status
+    assert body.count(b"\n") == 1 and b"you" not in body
+    assert "access-control-allow-origin" not in answer
+
+
+def test_two_hosts_and_none_are_refused(running):
+    for hosts in (f"Host: {running.host}\r\nHost: evil.example\r\n", ""):
+        answer = running.raw(f"GET / HTTP/1.1\r\n{hosts}X-Token: {TOKEN}\r\nConnection: close\r\n\r\n".encode())
+        assert answer.startswith(b"HTTP/1.1 400")
+    answer = running.raw(f"GET / HTTP/1.0\r\nX-Token: {TOKEN}\r\n\r\n".encode())
+    assert answer.startswith(b"HTTP/1.1 403")
+
+
+def test_a_first_visit_gets_a_cookie_that_only_this_page_has(running):
+    status, answer, body = running.ask("GET", f"/?token={TOKEN}", headers={"Host": running.host})
+    assert (status, answer["location"], body) == (303, "/", b"")
+    cookie, *attributes = answer["set-cookie"].split("; ")
+    assert {"HttpOnly", "SameSite=Strict"} <= set(attributes)
+    of_page = {"Host": running.host, "Cookie": f"other=1; {cookie}"}
+    assert running.ask("GET", "/static/server.js", headers=of_page)[0] == 200
+    posted = {**of_page, **JSON, "Origin": running.origin}
+    assert running.ask("POST", "/api/greet", body_of("you"), posted)[2] == b'{"hello":"you"}'
+    localhost = of_page | {"Host": f"localhost:{running.port}"}
+    assert running.ask("GET", "/static/server.js", headers=localhost)[0] == 200
+
+
+@pytest.mark.parametrize("token", ["", "wrong", TOKEN + "x", "%00", f"wrong&token={TOKEN}x"])
+def test_a_first_visit_with_a_wrong_token_gets_no_cookie(running, token):
+    status, answer, _ = running.ask("GET", f"/?token={token}", headers={"Host": running.host})
+    assert (status, answer["set-cookie"]) == (403, None)
+
+
+PATHS = [
+    "/../pyproject.toml",
+    "/static/../guard.py",
+    "/static/../../__init__.py",
+    "/static/%2e%2e/guard.py",
+    "/static/..%2fguard.py",
+    "/static/%252e%252e/guard.py",
+    "/static/..%5cguard.py",
+    "/static/....//guard.py",
+    "/static//base.css",
+    "//etc/passwd",
+    "/static//etc/passwd",
+    "/static/%2fetc%2fpasswd",
+    "/static/uplot/LICENSE",
+    "/static/base.css%00.html",
+    "/static/",
+    "/static",
+    "/%c0%ae%c0%ae/guard.py",
+]
+
+
+@pytest.mark.parametrize("path", PATHS)
+def test_only_listed_files_are_served(running, path):
+    request = f"GET {path} HTTP/1.1\r\nHost: {running.host}\r\nX-Token: {TOKEN}\r\nConnection: close\r\n\r\n"
+    assert running.raw(request.encode()).startswith(b"HTTP/1.1 404")
+
+
+def test_the_listed_files_are_those_of_the_package(running):
+    folder = Path(guard.__file__).parent / "static"
+    for name in SHARED_FILES:
+        status, answer, body = running.ask("GET", f"/static/{name.rpartition('/')[2]}")
+        assert (status, body) == (200, (folder / name).read_bytes())
+        assert answer["content-type"].startswith(("text/css", "text/javascript", "image/svg+xml"))
+
+
+def test_every_answer_is_fenced_in(running):
+    asked = {
+        200: ("POST", "/api/greet", body_of("you"), None),
+        303: ("GET", f"/?token={TOKEN}", None, {"Host": running.host}),
+        403: ("GET", "/", None, {"Host": running.host}),
+        404: ("GET", "/nothing", None, None),
+        405: ("GET", "/api/greet", None, None),
+        422: ("POST", "/api/greet", body_of("nobody"), None),
+    }
+    for status, request in asked.items():
+        found, answer, _ = running.ask(*request)
+        assert found == status
+        assert {name: answer[name] for name in HEADERS} == HEADERS
+        assert answer["server"] is None
+    policy = dict(part.strip().split(" ", 1) for part in HEADERS["Content-Security-Policy"].split(";"))
+    assert policy["default-src"] == "'none'" and policy["script-src"] == "'self'"
+    assert "unsafe" not in HEADERS["Content-Security-Policy"] and "*" not in HEADERS["Content-Security-Policy"]
+
+
+def test_a_body_may_be_large_but_not_too_large(running):
+    room = MOST_BODY_BYTES - len(body_of(""))
+    status, _, body = running.ask("POST", "/api/greet", body_of("x" * room))
+    assert (status, len(body)) == (200, MOST_BODY_BYTES - len(b'{"name": ""}') + len(b'{"hello":""}'))
+    assert running.ask("POST", "/api/greet", body_of("x" * (room + 1)))[0] == 413
+
+
+HEAD = "POST /api/greet HTTP/1.1\r\nHost: {host}\r\nX-Token: {token}\r\nContent-Type: application/json\r\n"
+
+
+def test_a_body_that_is_announced_as_too_large_is_not_read(running):
+    head = HEAD.format(host=running.host, token=TOKEN)
+    for length in (MOST_BODY_BYTES + 1, 10**30):
+        answer = running.raw(f"{head}Content-Length: {length}\r\n\r\n".encode())
+        assert re.match(rb"HTTP/1.1 4(13|00)", answer)
+
+
+def test_a_body_in_chunks_is_refused_as_soon_as_it_is_too_large(running):
+    head = HEAD.format(host=running.host, token=TOKEN).encode() + b"Transfer-Encoding: chunked\r\n\r\n"
+    chunk = b"10000\r\n" + b" " * 2**16 + b"\r\n"
+    with socket.create_connection(("127.0.0.1", running.port), PATIENCE_S) as plug:
+        plug.sendall(head + chunk * (MOST_BODY_BYTES // 2**16))
+        plug.setblocking(False)
+        with pytest.raises(BlockingIOError):
+            plug.recv(1)  # so far it may go on
+        plug.settimeout(PATIENCE_S)
+        plug.sendall(b"1\r\n \r\n")  # there is no end, so nothing but the size can be the reason
+        assert plug.recv(12) == b"HTTP/1.1 413"
+
+
+def test_a_slow_body_is_given_up(running, monkeypatch):
+    monkeypatch.setattr(guard, "LONGEST_BODY_S", 0.05)
+    answer = running.raw((HEAD.format(host=running.host, token=TOKEN) + "Content-Length: 10\r\n\r\n{").encode())
+    assert answer.startswith(b"HTTP/1.1 408")
+
+
+@pytest.mark.parametrize(
+    "name", ["</script><script>alert(1)</script>", "\u202e\x1b[31m", '"><img src=x onerror=a>']
+)
+def test_a_script_in_a_name_stays_a_text(running, name):
+    status, answer, body = running.ask("POST", "/api/greet", body_of(name))
+    assert (status, json.loads(body)) == (200, {"hello": name})
+    assert answer["content-type"] == "application/json" and answer["x-content-type-options"] == "nosniff"
+
+
+def test_errors_are_one_line_with_the_key(running):
+    status, _, body = running.ask("POST", "/api/greet", body_of("nobody"))
+    line = "[greeting]: name: found 'nobody', expected \\x1b[31msomebody"
+    assert (status, json.loads(body)) == (422, {"error": line, "key": "greeting.name"})
+    for wrong in (b"", b"{", b'{"name": 1}', b"[" * 10**5, b'{"name": "\xff"}'):
+        status, _, body = running.ask("POST", "/api/greet", wrong)
+        assert status == 422
+        assert json.loads(body)["error"].startswith("the request is not valid: ")
+
+
+def is_open(plug: socket.socket) -> bool:
+    """Return whether the server still waits for what comes through a socket, to which it has sent nothing."""
+    try:
+        return plug.recv(1) != b""
+    except TimeoutError:
+        return True
+    except ConnectionError:
+        return False
+
+
+def test_slow_headers_end_the_connection(monkeypatch):
+    monkeypatch.setattr(server, "LONGEST_WAIT_S", 0.1)
+    monkeypatch.setattr(server, "LOOK_S", 0.02)
+    with running_server() as one, socket.create_connection(("127.0.0.1", one.port), PATIENCE_S) as plug:
+        started = time.monotonic()
+        plug.sendall(b"GET / HTTP/1.1\r\nHost: ")
+        plug.settimeout(0.01)
+        while is_open(plug):
+            with suppress(ConnectionError):
+                plug.sendall(b"x")
+        assert 0.1 <= time.monotonic() - started < PATIENCE_S
+
+
+def test_headers_without_end_are_refused(running):
+    with socket.create_connection(("127.0.0.1", running.port), PATIENCE_S) as plug:
+        plug.sendall(b"GET / HTTP/1.1\r\nX: " + b"x" * server.LONGEST_HEADERS_BYTES)
+        assert plug.recv(12) == b"HTTP/1.1 400"
+
+
+@pytest.mark.parametrize("request_begun", [b"", b"GET / HTTP/1.1\r\nHost:"], ids=["silent", "half a request"])
+def test_a_hundred_connections_held_open_keep_nobody_out(request_begun):
+    with running_server() as one, ExitStack() as held:
+        plugs = []
+        for _ in range(100):
+            plugs.append(held.enter_context(socket.create_connection(("127.0.0.1", one.port), PATIENCE_S)))
+            plugs[-1].sendall(request_begun)
+            plugs[-1].settimeout(0.001)
+        for _ in range(3):
+            assert one.ask("POST", "/api/greet", body_of("you"))[0] == 200
+        assert sum(map(is_open, plugs)) <= MOST_CONNECTIONS
+
+
+def lines_of(running: Running, name: str) -> tuple[int, list[object]]:
+    status, _, body = running.ask("POST", "/api/count", body_of(name))
+    return status, [json.loads(line) for line in body.splitlines()]
+
+
+def test_lines_are_sent_one_by_one_and_errors_among_them(running):
+    assert lines_of(running, "two") == (200, [1, 2])
+    assert lines_of(running, "nobody") == (422, [{"error": "found nobody", "key": None}])
+    assert lines_of(running, "error") == (200, [1, {"error": "found no more", "key": None}])
+
+
+def test_who_leaves_ends_the_computing_and_others_are_answered_meanwhile(running):
+    running.begun.clear()
+    running.left.clear()
+    connection = http.client.HTTPConnection("127.0.0.1", running.port, timeout=PATIENCE_S)
+    connection.request("POST", "/api/count", body_of("endless"), {"X-Token": TOKEN, **JSON})
+    answer = connection.getresponse()
+    assert answer.readline() == b"1\n"  # sent, though the computing goes on
+    assert running.begun.wait(PATIENCE_S)
+    assert running.ask("POST", "/api/greet", body_of("you"))[0] == 200
+    assert not running.left.is_set()
+    answer.close()
+    connection.close()
+    assert running.left.wait(PATIENCE_S)
+
+
+def test_the_end_does_not_wait_for_who_listens(monkeypatch):
+    monkeypatch.setattr(server, "FAREWELL_S", 0.05)
+    with running_server() as one:
+        connection = http.client.HTTPConnection("127.0.0.1", one.port, timeout=PATIENCE_S)
+        connection.request("POST", "/api/count", body_of("endless"), {"X-Token": TOKEN, **JSON})
+        answer = connection.getresponse()
+        assert one.begun.wait(PATIENCE_S)
+    assert one.left.wait(PATIENCE_S)
+    with pytest.raises((ConnectionError, http.client.IncompleteRead)):
+        answer.read()
+    connection.close()
+
+
+def test_a_port_in_use_and_hosts_that_are_no_address_of_this_machine_are_refused():
+    with open_listener(Launch()) as other:
+        port = other.getsockname()[1]
+        with pytest.raises(SettingsError, match=rf"^--port: found {port}, which is in use on 127.0.0.1"):
+            open_listener(Launch(port=port))
+    for host, problem in {
+        "no-such-host.invalid": "expected the address or name of this machine",
+        "0.0.0.0": "expected one address",
+        "::": "expected one address",
+        "192.0.2.1": "expected an address of this machine",
+    }.items():
+        with pytest.raises(SettingsError, match=rf"^--host: found '{re.escape(host)}'.*{problem}"):
+            open_listener(Launch(host=host))
+    with pytest.raises(SettingsError, match=r"^--port: found 65536, expected a whole number"):
+        Launch(port=65536)
+
+
+def test_without_the_extra_there_is_one_line(monkeypatch):
+    check_installed("explore")
+    monkeypatch.setattr("todframes.web.find_spec", lambda name: None if name == "uvicorn" else name)
+    with pytest.raises(
+        SettingsError, match=r"^explore: needs the package uvicorn.*pip install 'todframes\[web\]'$"
+    ):
+        check_installed("explore")
