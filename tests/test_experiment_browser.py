@@ -62,6 +62,9 @@ def measure_monitor(page: Any, *, drag_px: int | None = None) -> None:
         assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
         if screen == "gamma":
             page.fill("#gamma-code", str(CODE))
+            half_tone = pixels_of(page, "#half-tone", screenshot(page))
+            assert (half_tone[::2, 0] == 0).all() and (half_tone[1::2, 0] == 255).all()
+            assert half_tone[120, 120] == CODE
         page.click(f"#{screen} .next")
 
 
@@ -88,17 +91,26 @@ def sidecar(answers: Path) -> dict[str, Any]:
     return json.loads(path.read_text(encoding="utf-8"))
 
 
+def screenshot(page: Any) -> np.ndarray:
+    """Return the grey values of the window as it is on the screen; of coloured pixels, the green ones."""
+    return cv2.imdecode(np.frombuffer(page.screenshot(), np.uint8), cv2.IMREAD_COLOR)[..., 1]
+
+
+def pixels_of(page: Any, selector: str, screen: np.ndarray) -> np.ndarray:
+    """Return the part of a screenshot that an element covers; a view."""
+    box = page.locator(selector).bounding_box()
+    rows, columns = (slice(round(box[at]), round(box[at] + box[n])) for at, n in (("y", "height"), ("x", "width")))
+    return screen[rows, columns]
+
+
 def shown_on_screen(page: Any) -> np.ndarray:
-    """Return the grey values of the stimulus in a screenshot; around it the window is of the background's code."""
-    pixels = cv2.imdecode(np.frombuffer(page.screenshot(), np.uint8), cv2.IMREAD_COLOR)
-    assert (pixels == pixels[..., :1]).all()
-    box = page.locator("#stimulus").bounding_box()
-    assert all(value == int(value) for value in box.values())
-    rows, columns = (slice(int(box[at]), int(box[at] + box[n])) for at, n in (("y", "height"), ("x", "width")))
-    stimulus = pixels[rows, columns, 0].copy()
-    pixels[rows, columns] = CODE
-    assert (pixels[: int(page.locator("#progress").bounding_box()["y"])] == CODE).all()
-    return stimulus
+    """Return the pixels of the stimulus; around it the window is of the background's code."""
+    screen = screenshot(page)
+    stimulus = pixels_of(page, "#stimulus", screen)
+    found = stimulus.copy()
+    stimulus[:] = CODE
+    assert (screen[: int(page.locator("#progress").bounding_box()["y"])] == CODE).all()
+    return found
 
 
 class Person:
