@@ -1,7 +1,7 @@
 """Fixtures for pages in a real browser: Chromium driven by Playwright, and commands that serve pages.
 
 `conftest.py` loads this module as a plugin, so that `browser` and `open_page` are there for every test;
-`serving` and `watched` are imported from `browser`. Tests are skipped where there is no Playwright or no Chromium.
+`serving`, `watched` and `wait_until` are imported from `browser`. Tests skip without Playwright or Chromium.
 
 Playwright's event loop runs in the main thread as long as the browser does, that is for one module: a test of
 such a module cannot call `asyncio.run`.
@@ -15,6 +15,7 @@ import subprocess
 import sys
 import tempfile
 import threading
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
@@ -153,6 +154,18 @@ def watched(
         visit.close()
     assert not console, f"the console shows {console}"
     assert not elsewhere, f"the page asked elsewhere: {elsewhere}"
+
+
+def wait_until(page: Page, expression: str, arg: Any = None, *, seconds: float = 60.0) -> Any:
+    """Wait until a JavaScript expression or function is true, and return its value.
+
+    `Page.wait_for_function` evaluates texts within the page, which a strict Content-Security-Policy forbids.
+    """
+    end = time.monotonic() + seconds
+    while not (found := page.evaluate(expression, arg)):
+        assert time.monotonic() < end, f"{seconds:g} s have passed, and it is not true: {expression}"
+        page.wait_for_timeout(10)
+    return found
 
 
 @pytest.fixture(scope="module")

@@ -18,7 +18,7 @@ from typing import Any, Generic, NamedTuple, TypeVar, cast
 import numpy as np
 
 from sensor_sim.curve_plan import CurvePlan, plan_curve
-from sensor_sim.explorer.estimate import Estimate, Reference, estimate, lattice_phases, quick_plan
+from sensor_sim.explorer.estimate import Estimate, Reference, estimate, lattice_phases, quick_plan, seen_samples
 from sensor_sim.explorer.limits import Shares, decision_shares
 from sensor_sim.explorer.scaled import ScaledObserver, Unit, scaled
 from sensor_sim.predict import FoldedChain, Phases, PredictedThreshold, predict_threshold
@@ -138,27 +138,27 @@ class Engine:
         judge = cast("Observer", observer)
         stimulus = Stimulus(size * sensor.display.detector_pitch_mrad)
 
+        grid = judge.grid(stimulus)
+        half_width = seen_samples(sensor, judge, size, grid)
+        look = observer.look(stimulus, half_width)
+
         def make() -> _Trials:
-            look = observer.look(stimulus)
             plan = quick_plan(sensor, judge, size, symmetric=look.is_symmetric, shared=self._shared)
-            phases = lattice_phases(
-                sensor,
-                judge,
-                size,
-                plan,
-                grid=look.grid,
-                name=(observer.name, stimulus),
-                images=partial(observer.weights, stimulus),
+            images = partial(observer.weights, stimulus, half_width)
+            name = (observer.name, stimulus)
+            jitter = observer.position_jitter_samples * grid.pitch_mrad / sensor.display.detector_pitch_mrad
+            return _Trials(
+                lattice_phases(
+                    sensor, judge, size, plan, jitter=jitter, name=name, pitch_mrad=grid.pitch_mrad, images=images
+                )
             )
-            return _Trials(phases)
 
         phases = self._kept["trials"].get((sensor, observer.name, size), make).phases
-        internal = observer.internal(stimulus)
         near, slope = self._near.get(size, (None, math.nan))
-        found = estimate(phases, internal, p_correct, near=near, slope=slope)
+        found = estimate(phases, look.noise_covariance, p_correct, near=near, slope=slope)
         if found.status == "ok":
             self._near[size] = found.threshold, found.slope
-        return found, phases, internal
+        return found, phases, look.noise_covariance
 
     def _refined(self, task: _Task, tolerance: float) -> tuple[PredictedThreshold, Shares]:
         sensor, observer, size, p_correct = task

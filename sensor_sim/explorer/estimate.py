@@ -34,9 +34,10 @@ from todframes.stimulus import ORIENTATIONS
 PLACES, REPLICATES = 4, 5
 """Places along each axis of a lattice, and number of lattices."""
 
-SHIFTS = (np.arange(REPLICATES)[:, None] * [1.0, 2.0] + [0.41, 0.73]) / (PLACES * REPLICATES) % (1.0 / PLACES)
-"""Displacements of the lattices along x and y. All together have 20 places along each axis, evenly spaced; none
-lies on a line of symmetry, on which a place would count for two."""
+SHIFTS = (
+    np.arange(REPLICATES)[:, None] * [1, 2] % REPLICATES + np.random.default_rng(3).random((REPLICATES, 2))
+) / (PLACES * REPLICATES)
+"""Displacements of the lattices along x and y: one in each fifth of a lattice's step, at random within it."""
 
 STANDARD_ERRORS_95 = 2.776
 """Half-width of a 95 % interval in standard errors: Student's t with one degree of freedom less than lattices."""
@@ -44,7 +45,10 @@ STANDARD_ERRORS_95 = 2.776
 NODES = 8
 """Number of quadrature nodes; it gives 1e-5."""
 
-FIELD_IN_SIZES = 2.5
+FIELD_IN_SIZES = 2.0
+
+SMALL_JITTER = 0.03
+"""Displacement of the retina, in detectors, that is left out: the hold of a detector blurs 300 times as much."""
 
 LEFT_OUT = 0.003
 """Relative change of a threshold that `quick_plan` may cause: it leaves out what `plan_curve` nearly always does,
@@ -112,19 +116,33 @@ def _half_width(deviations: FloatArray) -> float:
     return STANDARD_ERRORS_95 * float(deviations.std(ddof=1)) / math.sqrt(REPLICATES)
 
 
+def quick_field(sensor: Sensor, size_detectors: float) -> int:
+    """Return the detectors along each side of the field of an estimate."""
+    blur = 6.0 * sensor.optics.blur_sigma_mrad / sensor.detector.pitch_mrad
+    post_sample_px = math.hypot(sensor.display.blur_sigma_px, sensor.electronics.blur_sigma_px)
+    blur += 4.0 * post_sample_px / sensor.display.pixels_per_detector
+    full = field_detectors(sensor, size_detectors)
+    needed = max(math.ceil(FIELD_IN_SIZES * size_detectors + blur) + 2, smallest_field(size_detectors))
+    return min(needed + (full - needed) % 2, full)
+
+
+def seen_samples(sensor: Sensor, observer: Observer, size_detectors: float, grid: RetinaGrid) -> int:
+    """Return how many retina samples on each side of the middle see the field.
+
+    It is rounded up to an eighth of the size, so that sensors whose fields differ by a detector share weights.
+    """
+    per_detector = sensor.display.detector_pitch_mrad / grid.pitch_mrad
+    offset = np.abs([centre_offset(observer, orientation, size_detectors) for orientation in ORIENTATIONS]).max()
+    needed = (quick_field(sensor, size_detectors) / 2.0 + 0.5 + float(offset)) * per_detector + 1.0
+    step = max(size_detectors * per_detector / 8.0, 4.0)
+    return min(math.ceil(math.ceil(needed / step) * step), grid.side // 2)
+
+
 def quick_plan(
     sensor: Sensor, observer: Observer, size_detectors: float, *, symmetric: bool, shared: Shared
 ) -> CurvePlan:
     """Return a plan that leaves out, untried, what most plans do: the far field, double precision."""
-    blur = 6.0 * sensor.optics.blur_sigma_mrad / sensor.detector.pitch_mrad
-    blur += (
-        4.0
-        * math.hypot(sensor.display.blur_sigma_px, sensor.electronics.blur_sigma_px)
-        / (sensor.display.pixels_per_detector)
-    )
-    full = field_detectors(sensor, size_detectors)
-    needed = max(math.ceil(FIELD_IN_SIZES * size_detectors + blur) + 2, smallest_field(size_detectors))
-    field = min(needed + (full - needed) % 2, full)
+    field = quick_field(sensor, size_detectors)
     sampler = shared.samplers.get(
         ("quick", sensor.optics, sensor.detector, size_detectors, field),
         lambda: TriangleSampler(
@@ -153,8 +171,9 @@ def lattice_phases(
     size_detectors: float,
     plan: CurvePlan,
     *,
-    grid: RetinaGrid,
+    jitter: float,
     name: Hashable,
+    pitch_mrad: float,
     images: Callable[[], NDArray[Any]],
 ) -> list[Phases]:
     """Return the trials of each orientation on all lattices, one lattice after the other.
@@ -165,20 +184,22 @@ def lattice_phases(
     observer : Observer
     size_detectors : float
     plan : CurvePlan
-    grid : RetinaGrid
-        That of the readout.
+    jitter : float
+        Largest displacement of the retina along each axis, in detectors.
     name : hashable
         All that the weights on the retina depend on.
+    pitch_mrad : float
+        Visual angle from one of these weights to the next.
     images : function of no arguments
-        Returns these weights, (4, side, side); called if they are not folded yet.
+        Returns them, (4, side, side); called if they are not folded yet.
     """
     along = np.arange(PLACES) / PLACES - 0.5
     middle_x, middle_y = along + SHIFTS.T[..., None]
     row, column = np.divmod(np.arange(PLACES**2)[:, None], PLACES)
     evenly = row * KRONECKER_STEPS[0] + column * KRONECKER_STEPS[1]
     evenly = (evenly + np.arange(REPLICATES)[:, None, None] * KRONECKER_STEPS.sum(axis=0)) % 1.0
-    jitter = observer.position_jitter_samples * grid.pitch_mrad / sensor.display.detector_pitch_mrad
-    displacement = jitter * (2.0 * evenly - 1.0).reshape(-1, 1, 2) * np.array([[1.0], [-1.0]])
+    signs = np.array([[1.0], [-1.0]]) if jitter > SMALL_JITTER else np.zeros((1, 1))
+    displacement = jitter * (2.0 * evenly - 1.0).reshape(-1, 1, 2) * signs
     place = np.empty((REPLICATES, PLACES, PLACES, 1, 2))
     place[..., 0, 0], place[..., 0, 1] = middle_x[:, None, :], middle_y[:, :, None]
     x, y = np.ascontiguousarray((place.reshape(-1, 1, 2) - displacement).reshape(-1, 2).T)
@@ -188,10 +209,11 @@ def lattice_phases(
         key = (name, sensor.display, sensor.electronics, plan.field, dx, dy)
 
         def fold(dx: float = dx, dy: float = dy) -> FloatArray:
+            of_scores = images()
             folding = Folding(
                 sensor,
-                grid,
-                images(),
+                RetinaGrid(of_scores.shape[-1], pitch_mrad),
+                of_scores,
                 n=3,
                 field=plan.field,
                 reach_detectors=0.5 + max(abs(dx), abs(dy)),

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sensor_sim.curve_plan import is_symmetric, not_linear
+from sensor_sim.explorer.quick_readout import quick_readout
 from sensor_sim.sharing import Kept
 from todframes._typing import FloatArray
 from todframes.observers.interface import Observer, OmittedWeights, Readout, TruncatedObserver
@@ -42,13 +43,12 @@ def unit_of(observer: Observer) -> Unit:
 class Look(NamedTuple):
     """All of a readout but its weights; the noise is that of the observer itself, not scaled."""
 
-    grid: RetinaGrid
     noise_covariance: FloatArray
     is_symmetric: bool
     nbytes: int = 0
 
 
-class KeptWeights(NamedTuple):
+class Weights(NamedTuple):
     """Weights of a readout in single precision; of a symmetric one the first, whose turns are the others."""
 
     images: NDArray[np.float32]
@@ -82,13 +82,20 @@ class ScaledObserver:
 
     def __init__(self, make: Callable[[], Observer], name: Hashable, scale: float, kept: Kept[Any]) -> None:
         self.name, self._make, self._scale, self._kept = name, make, scale, kept
-        base = make()
-        self.centre: Centre = base.centre
-        self.position_jitter_samples = base.position_jitter_samples
+        self._base = make()
+        self.centre: Centre = self._base.centre
+        self.position_jitter_samples = self._base.position_jitter_samples
+
+    def grid(self, stimulus: Stimulus) -> RetinaGrid:
+        """Return the retina samples that the observer looks at."""
+        return self._base.grid(stimulus)
 
     def readout(self, stimulus: Stimulus) -> Readout | None:
         """Return the readout with its noise scaled; None if the observer is not linear."""
-        readout = self._readout(stimulus)
+        base = self._make()
+        readout = base.readout(stimulus)
+        if hasattr(base.readout, "cache_clear"):
+            base.readout.cache_clear()  # the observer refers to itself through it, and would live on for a while
         if readout is None:
             return None
         readout = replace(readout, noise_covariance=self._scale**2 * readout.noise_covariance)
@@ -96,44 +103,39 @@ class ScaledObserver:
         vars(readout)["weights_key"] = (self.name, stimulus)
         return readout
 
-    def look(self, stimulus: Stimulus) -> Look:
-        """Return what a readout has besides weights.
+    def look(self, stimulus: Stimulus, half_width: int) -> Look:
+        """Return what a readout has besides weights, and keep its weights within `half_width` samples as well.
 
         Raises
         ------
         SettingsError
             If the observer is not linear.
         """
-        look: Look = self._kept.get((self.name, stimulus, "look"), lambda: self._parts(stimulus)[0])
-        return look
+        look: Look = self._kept.get((self.name, stimulus), lambda: self._parts(stimulus, half_width)[0])
+        return look._replace(noise_covariance=self._scale**2 * look.noise_covariance)
 
-    def internal(self, stimulus: Stimulus) -> FloatArray:
-        """Return the covariance of the internal noise on the scores, (4, 4)."""
-        return np.asarray(self._scale**2 * self.look(stimulus).noise_covariance)
-
-    def weights(self, stimulus: Stimulus) -> NDArray[np.float32]:
-        """Return the weights of a readout, (4, side, side), in single precision."""
-        kept: KeptWeights = self._kept.get((self.name, stimulus, "weights"), lambda: self._parts(stimulus)[1])
+    def weights(self, stimulus: Stimulus, half_width: int) -> NDArray[np.float32]:
+        """Return the weights of a readout within at least `half_width` samples of the middle, (4, side, side)."""
+        kept: Weights = self._kept.get(
+            (self.name, stimulus, half_width), lambda: self._parts(stimulus, half_width)[1]
+        )
         return kept.all_four()
 
-    def _parts(self, stimulus: Stimulus) -> tuple[Look, KeptWeights]:
-        """Return the parts of a readout that are kept, and keep both."""
-        readout = self._readout(stimulus)
-        if readout is None:
-            raise not_linear()
-        symmetric = is_symmetric(readout)
-        weights = KeptWeights(readout.deviations[: 1 if symmetric else 4].astype(np.float32))
-        look = Look(readout.grid, readout.noise_covariance, symmetric)
-        self._kept.get((self.name, stimulus, "look"), lambda: look)
-        self._kept.get((self.name, stimulus, "weights"), lambda: weights)
+    def _parts(self, stimulus: Stimulus, half_width: int) -> tuple[Look, Weights]:
+        """Compute the parts of a readout that are kept, and keep both."""
+        if type(self._base) is PyramidObserver:
+            quick = quick_readout(self._base, stimulus, half_width)
+            look, weights = Look(quick.noise_covariance, is_symmetric=True), Weights(quick.upright[None])
+        else:
+            readout = self._make().readout(stimulus)
+            if readout is None:
+                raise not_linear()
+            symmetric = is_symmetric(readout)
+            look = Look(readout.noise_covariance, symmetric)
+            weights = Weights(readout.deviations[: 1 if symmetric else 4].astype(np.float32))
+        self._kept.get((self.name, stimulus), lambda: look)
+        self._kept.get((self.name, stimulus, half_width), lambda: weights)
         return look, weights
-
-    def _readout(self, stimulus: Stimulus) -> Readout | None:
-        base = self._make()
-        readout = base.readout(stimulus)
-        if hasattr(base.readout, "cache_clear"):
-            base.readout.cache_clear()  # the observer refers to itself through it, and would live on for a while
-        return readout
 
 
 class ScaledTruncatedObserver(ScaledObserver):

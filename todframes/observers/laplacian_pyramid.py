@@ -61,7 +61,7 @@ class LaplacianPyramid:
         """Return the image Lᵀy with ⟨y, Lx⟩ = ⟨Lᵀy, x⟩ for every image x, L being `build`."""
         image = bands[-1]
         for band in reversed(bands[:-1]):
-            image = band + self.reduce_adjoint(image - self._expand_adjoint(band), band.shape)
+            image = band + self.reduce_adjoint(image - self.expand_adjoint(band), band.shape)
         return np.array(image)
 
     def reduce(self, image: FloatArray) -> FloatArray:
@@ -87,7 +87,7 @@ class LaplacianPyramid:
         expanded /= _expand_gain(shape)
         return _weigh_border(expanded, 0.5, shape, every=1)
 
-    def _expand_adjoint(self, image: FloatArray) -> FloatArray:
+    def expand_adjoint(self, image: FloatArray) -> FloatArray:
         """Apply the adjoint of `expand` to the image's shape: (F Sᵀ)ᵀ = (S D Sᵀ) (S F) D⁻¹, times the gain."""
         reduced = self.reduce(_weigh_border(image, 2.0, image.shape, every=1))
         reduced = _weigh_border(reduced, 0.5, image.shape)

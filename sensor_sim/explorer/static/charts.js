@@ -62,6 +62,7 @@ function axis(label, splits, side) {
     grid: thin,
     ticks: { ...thin, size: 4 },
     splits: (plot, _, low, high) => splits(low, high),
+    filter: (_, ticks) => ticks,
     values: (_, ticks) => ticks.map(plain),
     scale: isLeft ? "y" : "x",
     side: isLeft ? 3 : 2,
@@ -75,8 +76,12 @@ const COMMON = {
   padding: [14, 14, 0, 0],
 };
 
-const STRENGTHS = { snr: "Threshold SNR", delta_t_mk: "Threshold ΔT (mK)", contrast: "Threshold contrast" };
-const ERRORS = { snr: "snr_error", delta_t_mk: "delta_t_error_mk", contrast: "contrast_error" };
+/** What a threshold may be given as: title, key of its error, and why it is not there. */
+export const STRENGTHS = {
+  snr: { header: "SNR", error: "snr_error", lacks: "There is no threshold." },
+  delta_t_mk: { header: "ΔT (mK)", error: "delta_t_error_mk", lacks: "Temperatures need the NETD." },
+  contrast: { header: "Contrast", error: "contrast_error", lacks: "There is no contrast for this sensor." },
+};
 const SIZES = { detectors: "size_detectors", mrad: "size_mrad" };
 const ABSCISSAE = {
   inverse: { detectors: "1 / size (1 / detectors)", mrad: "1 / size (1 / mrad)" },
@@ -88,7 +93,7 @@ function columns(thresholds, view) {
   const rows = thresholds.map((one) => {
     const size = one[SIZES[view.unit]];
     const value = one[view.strength] ?? null;
-    const error = value === null ? null : (one[ERRORS[view.strength]] ?? 0);
+    const error = value === null ? null : (one[STRENGTHS[view.strength].error] ?? 0);
     const ends = value === null ? [null, null] : [Math.max(value - error, value / 10), value + error];
     return [view.abscissa === "size" ? size : 1 / size, value, ...ends];
   });
@@ -138,7 +143,7 @@ export class CurveChart {
       bands,
       axes: [
         axis(ABSCISSAE[view.abscissa][view.unit], linearTicks, "bottom"),
-        axis(STRENGTHS[view.strength], logTicks, "left"),
+        axis(`Threshold ${STRENGTHS[view.strength].header}`, logTicks, "left"),
       ],
       scales: {
         x: { time: false, range: (_, low, high) => (high > 0 ? [0, 1.04 * high] : [0, 1]) },

@@ -7,6 +7,9 @@ import { valueOf } from "./state.js";
 /** Positions of a slider without steps of its own. */
 const POSITIONS = 300;
 
+/** Pause in typing after which a number is taken, so that 150 is not first 1 and then 15. */
+const PAUSE_MS = 350;
+
 /** What the page itself asks for besides the parameters of the server. */
 export const TEST_FIELDS = [
   {
@@ -32,15 +35,15 @@ export const TEST_FIELDS = [
 ];
 const MOST_SIZES = 12;
 
-/** The slider of a field: whole positions from 0 on, and the values at them. */
+/** The slider of a field: whole positions from 0 on, and the values at them. A logarithmic one has steps in log10. */
 class Scale {
   constructor({ min, max, step, scale, kind }) {
     this.min = min;
     this.max = max;
     this.isLog = scale === "log" && min > 0;
     this.isWhole = kind === "integer";
-    const inSteps = !this.isLog && step > 0 ? Math.round((max - min) / step) : POSITIONS;
-    this.last = this.isWhole && !this.isLog ? max - min : inSteps;
+    const span = this.isLog ? Math.log10(max / min) : max - min;
+    this.last = step > 0 ? Math.round(span / step) : POSITIONS;
   }
 
   value(position) {
@@ -72,6 +75,8 @@ class Field {
   #slider = null;
   #error;
   #change;
+  #value;
+  #isUnread = false;
 
   constructor(field, change) {
     this.#field = field;
@@ -109,14 +114,24 @@ class Field {
     const read = (isFinal) => {
       try {
         const value = this.#read(input.value);
-        this.showError(null);
+        // A line of the server stays until the value is another one.
+        if (this.#isUnread || !isSame(value, this.#value)) this.showError(null);
+        this.show(value);
         this.#change(this.#field.key, value, isFinal);
       } catch (error) {
         this.showError(error.message);
+        this.#isUnread = true;
       }
     };
-    input.addEventListener("input", () => read(false));
-    input.addEventListener("change", () => read(true));
+    let pause = null;
+    input.addEventListener("input", () => {
+      clearTimeout(pause);
+      pause = setTimeout(read, PAUSE_MS, false);
+    });
+    input.addEventListener("change", () => {
+      clearTimeout(pause);
+      read(true);
+    });
     return input;
   }
 
@@ -141,7 +156,7 @@ class Field {
       this.#showText(value);
       this.#change(this.#field.key, value, false);
     });
-    slider.addEventListener("change", () => this.#change(this.#field.key, undefined, true));
+    slider.addEventListener("change", () => this.#change(this.#field.key, undefined, true, true));
     slider.addEventListener("keydown", (event) => {
       // A whole number on a logarithmic scale has several positions; an arrow key goes to the next number.
       const by = { ArrowRight: 1, ArrowUp: 1, ArrowLeft: -1, ArrowDown: -1 }[event.key];
@@ -149,13 +164,14 @@ class Field {
       event.preventDefault();
       const value = scale.next(parsed(this.input.value) || scale.min, by);
       this.show(value);
-      this.#change(this.#field.key, value, true);
+      this.#change(this.#field.key, value, true, true);
     });
     return slider;
   }
 
   /** Show a value, except in a number field that is being edited and has this value already. */
   show(value) {
+    this.#value = value;
     this.#showText(value);
     if (this.#slider === null) return;
     this.#slider.classList.toggle("unset", value === null);
@@ -174,7 +190,7 @@ class Field {
   #has(value) {
     if (this.#field.kind === "choice") return this.input.value === value;
     try {
-      return JSON.stringify(this.#read(this.input.value)) === JSON.stringify(value);
+      return isSame(this.#read(this.input.value), value);
     } catch {
       return false;
     }
@@ -182,11 +198,14 @@ class Field {
 
   /** Show the line of an error, or with null none. */
   showError(line) {
+    this.#isUnread = false;
     this.#error.textContent = line ?? "";
     this.#error.hidden = line === null;
     this.input.setAttribute("aria-invalid", String(line !== null));
   }
 }
+
+const isSame = (one, other) => JSON.stringify(one) === JSON.stringify(other);
 
 function readSizes(text) {
   const sizes = text.split(/[\s,;]+/).filter((part) => part !== "").map(parsed);
@@ -203,8 +222,8 @@ export class Controls {
   /**
    * @param {HTMLFormElement} form
    * @param {object[]} fields Of `/api/start`, and `TEST_FIELDS`.
-   * @param {(key: string, value: any, isFinal: boolean) => void} change Called for each move. `isFinal` means that
-   *   it was let go of; the value is then undefined if it is the one before.
+   * @param {(key: string, value: any, isFinal: boolean, isSlider?: boolean) => void} change Called for each move.
+   *   `isFinal` means that it was let go of; the value is then undefined if it is the one before.
    */
   constructor(form, fields, change) {
     form.addEventListener("submit", (event) => event.preventDefault());

@@ -1,14 +1,15 @@
 // The explorer: parameters on one side, the curve, the MTFs and a trial of the sensor on the other.
 
-import { CurveChart, MtfChart, shownFrequency } from "./charts.js";
+import { CurveChart, MtfChart, shownFrequency, STRENGTHS } from "./charts.js";
 import { Controls, TEST_FIELDS } from "./controls.js";
 import { byId, element, fillTable } from "./elements.js";
 import { LiveCurve, Newest } from "./live.js";
-import { percent, plain, withError } from "./numbers.js";
+import { percentAtMost, plain, withError } from "./numbers.js";
 import { post } from "./server.js";
 import { fromHash, History, toHash, valueOf, withValue } from "./state.js";
 import { Trial } from "./trial.js";
 
+const BUSY_DELAY_MS = 400;
 const HASH_DELAY_MS = 400;
 const MTF_DELAY_MS = 60;
 const TRIAL_DELAY_MS = 250;
@@ -49,10 +50,11 @@ class Explorer {
     this.#first = { sensor, observer, sizes_detectors, p_correct };
     this.#history = new History(this.#first);
     this.#controls = new Controls(byId("controls"), this.#fields, (...change) => this.#move(...change));
-    for (const { name } of start.presets) byId("presets").append(element("option", { value: name }, name));
+    start.presets.forEach(({ name }, index) => byId("presets").append(element("option", { value: index }, name)));
     this.#listen(start.presets);
-    this.#readHash();
+    const message = this.#readHash();
     this.#go(this.#history.state);
+    this.#tell(message);
   }
 
   #listen(presets) {
@@ -61,12 +63,11 @@ class Explorer {
     on("redo", "click", () => this.#go(this.#history.redo()));
     on("reset", "click", () => this.#open(this.#first, "Reset to the sensor at the start."));
     on("presets", "change", ({ target }) => {
-      const { name, sensor } = presets.find((preset) => preset.name === target.value);
+      const { name, sensor } = presets[Number(target.value)];
       target.value = "";
       this.#open({ ...this.#state, sensor }, `Preset ${name}.`);
     });
-    on("name", "input", ({ target }) => this.#move("name", target.value, false));
-    on("name", "change", ({ target }) => this.#move("name", target.value, true));
+    on("name", "change", ({ target }) => this.#move("sensor.name", target.value, true));
     on("open", "click", () => byId("file").click());
     on("file", "change", ({ target }) => {
       this.#read(target.files[0]);
@@ -87,7 +88,9 @@ class Explorer {
       });
     }
     addEventListener("hashchange", () => {
-      if (this.#readHash()) this.#go(this.#history.state);
+      const message = this.#readHash();
+      this.#go(this.#history.state);
+      this.#tell(message);
     });
     addEventListener("keydown", (event) => this.#shortcut(event));
     this.#listenToDrops();
@@ -120,15 +123,21 @@ class Explorer {
     this.#go(key === "y" || event.shiftKey ? this.#history.redo() : this.#history.undo());
   }
 
-  /** A field has moved. Its name in the state is that of the sensor for "name". */
-  #move(key, value, isFinal) {
-    if (value !== undefined) {
-      this.#state =
-        key === "name" ? { ...this.#state, sensor: { ...this.#state.sensor, name: value } } : withValue(this.#state, key, value);
-      if (key !== "name") this.#live.ask(this.#state);
+  /** A field has moved to a value, or with `undefined` stays where it is. */
+  #move(key, value, isFinal, isSlider = false) {
+    if (value !== undefined && JSON.stringify(value) !== JSON.stringify(valueOf(this.#state, key))) {
+      this.#state = withValue(this.#state, key, value);
+      this.#ask();
     }
-    if (isFinal) this.#record(key);
+    if (isFinal) this.#record(isSlider ? key : null);
     this.#later("hash", HASH_DELAY_MS, () => this.#writeHash());
+  }
+
+  #ask() {
+    this.#live.ask(this.#state);
+    this.#timers.busy ??= setTimeout(() => {
+      byId("status").textContent = "Computing…";
+    }, BUSY_DELAY_MS);
   }
 
   #record(key) {
@@ -155,17 +164,18 @@ class Explorer {
     byId("name").value = state.sensor.name;
     this.#showHistory();
     this.#tell("");
-    this.#live.ask(state);
+    this.#ask();
     this.#later("hash", HASH_DELAY_MS, () => this.#writeHash());
   }
 
   #showCurve(curve, state) {
     this.#curve = { ...curve, state };
+    this.#idle();
     byId("curve").classList.remove("stale");
     if (state === this.#state) this.#controls.clearErrors();
     this.#drawCurve();
     this.#showLimits(curve.limits);
-    const error = percent(Math.max(...relativeErrors(curve.thresholds), 0) || curve.tolerance);
+    const error = percentAtMost(Math.max(...relativeErrors(curve.thresholds), 0) || curve.tolerance);
     byId("status").textContent = curve.is_last
       ? `Refined: within ${error}, in ${plain(Number(curve.seconds.toPrecision(2)))} s`
       : `${curve.stage === "estimate" ? "Estimate" : "Refining"}: within ${error}`;
@@ -178,39 +188,40 @@ class Explorer {
   #drawCurve() {
     const curve = this.#curve;
     if (curve === null) return;
-    const hasTemperatures = curve.state.sensor.noise?.netd_mk != null;
-    const [temperature] = document.getElementsByName("strength").values().filter((input) => input.value === "delta_t_mk");
-    temperature.disabled = !hasTemperatures;
-    temperature.parentElement.title = hasTemperatures ? "" : "Temperatures need the NETD.";
-    const strength = hasTemperatures || this.#view.strength !== "delta_t_mk" ? this.#view.strength : "snr";
+    const known = Object.keys(STRENGTHS).filter((name) => curve.thresholds.some((one) => one[name] != null));
+    const strength = known.includes(this.#view.strength) ? this.#view.strength : "snr";
+    const view = { ...this.#view, strength };
     for (const input of document.querySelectorAll(".axes input")) {
-      input.checked = input.value === { ...this.#view, strength }[input.name];
+      input.checked = input.value === view[input.name];
+      if (input.name !== "strength") continue;
+      input.disabled = input.value !== "snr" && !known.includes(input.value);
+      input.parentElement.title = input.disabled ? STRENGTHS[input.value].lacks : "";
     }
-    this.#curveChart.draw(curve.thresholds, this.#pins, { ...this.#view, strength });
+    this.#curveChart.draw(curve.thresholds, this.#pins, view);
     // Tests and benchmarks read which request is on the screen.
     Object.assign(byId("curve").dataset, { stage: curve.is_last ? "refined" : curve.stage, sequence: curve.sequence });
-    this.#showNumbers(hasTemperatures);
+    this.#showNumbers(known);
     this.#showPins();
   }
 
-  #showNumbers(hasTemperatures) {
-    const headers = ["Size (detectors)", "Size (mrad)", "At the eye (mrad)", "SNR", "Contrast"];
-    if (hasTemperatures) headers.splice(4, 0, "ΔT (mK)");
+  #showNumbers(known) {
+    const strengths = known.map((name) => [name, STRENGTHS[name]]);
+    const sizes = ["Size (detectors)", "Size (mrad)", "At the eye (mrad)"];
+    const headers = [...sizes, ...strengths.map(([, { header }]) => header)];
     const rows = this.#curve.thresholds.map((one) => [
       plain(one.size_detectors),
       plain(one.size_mrad),
       plain(one.size_mrad_eye),
-      withError(one.snr, one.snr_error),
-      ...(hasTemperatures ? [withError(one.delta_t_mk, one.delta_t_error_mk)] : []),
-      withError(one.contrast, one.contrast_error),
+      ...strengths.map(([name, { error }]) => (one.status === "ok" ? withError(one[name], one[error]) : one.status)),
     ]);
-    const error = this.#curve.is_last ? "refined" : "estimated";
-    const caption = `Thresholds, ${error}; ± is half of the 95 % interval of the computation`;
+    const stage = this.#curve.is_last ? "refined" : "estimated";
+    const caption = `Thresholds, ${stage}; ± is half of the 95 % interval of the computation`;
     fillTable(byId("curve-table"), caption, headers, rows);
     const missing = this.#curve.thresholds.filter((one) => one.snr === null);
-    byId("missing").textContent = missing
-      .map((one) => `No threshold at ${plain(one.size_detectors)} detectors: ${MISSING[one.status] ?? one.status}.`)
-      .join(" ");
+    byId("missing").textContent = Array.from(Map.groupBy(missing, (one) => one.status), ([status, those]) => {
+      const sizes = those.map((one) => plain(one.size_detectors)).join(", ");
+      return `No threshold at ${sizes} detectors: ${MISSING[status] ?? status}.`;
+    }).join(" ");
   }
 
   #showLimits(limits) {
@@ -233,7 +244,11 @@ class Explorer {
 
   #fail(error) {
     byId("curve").classList.add("stale");
-    const isShown = this.#controls.showError(error.key, error.message);
+    const key = error.key ?? this.#fields.find((field) => error.message.startsWith(`${field.key}:`))?.key;
+    // The field says of what it is; the line of a file also names the table and the key.
+    const line = error.message.replace(/^.*?\w+: (?=found )/, "");
+    const isShown = this.#controls.showError(key, line[0].toUpperCase() + line.slice(1));
+    this.#idle();
     byId("status").textContent = isShown
       ? `Not possible. The curve is that of the last possible sensor.`
       : error.message;
@@ -319,9 +334,9 @@ class Explorer {
 
   async #save() {
     try {
-      const { text } = await post("/api/toml", this.#state);
+      const { text, file } = await post("/api/toml", this.#state);
       const address = URL.createObjectURL(new Blob([text], { type: "application/toml" }));
-      element("a", { href: address, download: `${fileName(this.#state.sensor.name)}.toml` }).click();
+      element("a", { href: address, download: file }).click();
       setTimeout(() => URL.revokeObjectURL(address), 10_000);
     } catch (error) {
       this.#tell(error.message);
@@ -330,8 +345,8 @@ class Explorer {
 
   async #copyCommand() {
     try {
-      const { command } = await post("/api/toml", this.#state);
-      await this.#copy(command.curve, "Command copied; it wants the saved SENSOR.toml.");
+      const { command, file } = await post("/api/toml", this.#state);
+      await this.#copy(command.curve, `Command copied. It reads ${file}, which Save SENSOR.toml writes.`);
     } catch (error) {
       this.#tell(error.message);
     }
@@ -347,23 +362,28 @@ class Explorer {
     }
   }
 
+  /** Take the state of the link, if there is one. Returns a message about it. */
   #readHash() {
-    if (location.hash.length < 2) return false;
+    if (location.hash.length < 2) return "";
     try {
       const { state, view } = fromHash(location.hash, this.#fields, this.#first);
       for (const input of document.querySelectorAll(".axes input")) {
         if (view[input.name] === input.value) this.#view = { ...this.#view, [input.name]: input.value };
       }
       this.#history.record(state);
-      return true;
+      return "";
     } catch {
-      this.#tell("The link is damaged: it holds no sensor. This is the sensor of the command.");
-      return false;
+      return "The link is damaged: it holds no sensor. The sensor stays as it is.";
     }
   }
 
   #writeHash() {
     history.replaceState(null, "", `#${toHash(this.#state, this.#view)}`);
+  }
+
+  #idle() {
+    clearTimeout(this.#timers.busy);
+    this.#timers.busy = null;
   }
 
   /** Run an action after a time without another call of this name. */
@@ -383,11 +403,6 @@ class Explorer {
 
 function relativeErrors(thresholds) {
   return thresholds.filter((one) => one.snr > 0).map((one) => one.snr_error / one.snr);
-}
-
-function fileName(name) {
-  const plainName = name.normalize("NFKD").replace(/[^\w.-]+/g, "_").replace(/^[_.]+|[_.]+$/g, "");
-  return plainName.slice(0, 60) || "SENSOR";
 }
 
 try {

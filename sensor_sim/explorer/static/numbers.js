@@ -24,9 +24,10 @@ export function withError(value, error) {
   return `${value.toFixed(decimals)} ± ${error.toFixed(decimals)}`;
 }
 
-/** Return a share as a percentage with the digits of an error: 3 %, 0.2 %. */
-export function percent(share) {
-  return `${Number((100 * share).toPrecision(1))} %`;
+/** Return a share as a percentage that is rounded up to one digit: 3 %, 0.2 %. */
+export function percentAtMost(share) {
+  const decade = 10 ** Math.floor(Math.log10(100 * share));
+  return `${plain(Math.ceil((100 * share) / decade - 1e-9) * decade)} %`;
 }
 
 /** Return the number in a text with a point or a comma; NaN if there is another thing in it. */

@@ -8,11 +8,11 @@
  * @property {number} p_correct
  */
 
-/** Time in which changes of one field count as one step of undo, such as those of an arrow key held down. */
+/** Time in which moves of one slider count as one step of undo, such as those of an arrow key held down. */
 const ONE_STEP_MS = 800;
 const MOST_STEPS = 200;
 
-/** Return the value of a key such as "optics.aperture_mm", "observer.internal_noise" or "p_correct". */
+/** Return the value of a key: "optics.aperture_mm", "sensor.name", "observer.internal_noise" or "p_correct". */
 export function valueOf(state, key) {
   return place(key).reduce((part, name) => part?.[name], state);
 }
@@ -25,7 +25,7 @@ export function withValue(state, key, value) {
 
 function place(key) {
   const path = key.split(".");
-  return path.length > 1 && path[0] !== "observer" ? ["sensor", ...path] : path;
+  return path.length > 1 && !["observer", "sensor"].includes(path[0]) ? ["sensor", ...path] : path;
 }
 
 /** States that were settled, in order, and the one that is shown. */
@@ -50,7 +50,7 @@ export class History {
     return this.#at < this.#states.length - 1;
   }
 
-  /** Add a state after the present one. `key` names the field that was changed, null if it was none. */
+  /** Add a state after the present one. `key` names the slider that was moved, null if it was none. */
   record(state, key = null, time = performance.now()) {
     if (JSON.stringify(state) === JSON.stringify(this.state)) return;
     const isOneStep = key !== null && key === this.#last.key && time - this.#last.time < ONE_STEP_MS;
@@ -96,7 +96,7 @@ export function fromHash(hash, fields, first) {
     const value = valueOf(found, key);
     if (isPlain(value)) state = withValue(state, key, value);
   }
-  if (typeof found.sensor.name === "string") state = { ...state, sensor: { ...state.sensor, name: found.sensor.name } };
+  if (typeof found.sensor.name === "string") state = withValue(state, "sensor.name", found.sensor.name);
   return { state, view: found.view ?? {} };
 }
 

@@ -94,7 +94,6 @@ export class Trial {
 
   async #answer(guess) {
     const asked = this.#asked;
-    if (asked === null) return;
     try {
       const { orientation } = await post("/api/orientation", asked);
       if (asked !== this.#asked) return;
@@ -121,7 +120,7 @@ export class Trial {
   }
 }
 
-function figure({ name, caption, width, height, pixels, low, high, unit }) {
+function figure({ name, caption, width, height, pixels }) {
   const canvas = element("canvas", { width, height });
   canvas.dataset.stage = name;
   canvas.setAttribute("role", "img");
@@ -130,6 +129,5 @@ function figure({ name, caption, width, height, pixels, low, high, unit }) {
   const image = new ImageData(width, height);
   codes.forEach((code, index) => image.data.set([code, code, code, 255], 4 * index));
   canvas.getContext("2d").putImageData(image, 0, 0);
-  const range = element("span", { className: "range" }, `${fromTo(low, high)} ${unit}`);
-  return element("figure", {}, canvas, element("figcaption", {}, caption, " ", range));
+  return element("figure", {}, canvas, element("figcaption", {}, caption));
 }

@@ -1,0 +1,361 @@
+"""The explorer's server: its parameters are those of SENSOR.toml, its numbers those of the commands."""
+
+from __future__ import annotations
+
+import base64
+import http.client
+import json
+import re
+import shlex
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from dataclasses import asdict, fields, replace
+from pathlib import Path
+from typing import Any, get_args, get_type_hints
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import sensor_sim as ss
+from sensor_sim.cli import cli
+from sensor_sim.designs import numeric_keys
+from sensor_sim.explorer import routes
+from sensor_sim.explorer.limits import Shares
+from sensor_sim.explorer.live import LiveCurve
+from sensor_sim.explorer.parameters import PARAMETERS
+from sensor_sim.explorer.routes import CurveAsked, Explorer, SensorAsked, TextAsked, TomlAsked, TrialAsked
+from sensor_sim.pictures import trial_stages
+from sensor_sim.predict import PredictedThreshold
+from sensor_sim.sensor import TABLES, Distribution, sensor_toml
+from sensor_sim.simulation import SimulatedTrial
+from todframes.cli.console import run
+from todframes.errors import SettingsError
+from todframes.observers.pyramid import PyramidSettings
+from todframes.stimulus import ORIENTATIONS
+from todframes.web import server
+from todframes.web.pages import error_of
+from todframes.web.server import Launch, open_listener
+
+SAMPLES = Path(__file__).parent.parent / "sample_frames"
+CAMERA = SAMPLES / "star_like.toml"
+SENSOR = ss.load_sensor(CAMERA)
+TABLES_SENT = asdict(SENSOR)
+SIGNALS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
+
+
+def test_every_parameter_of_a_sensor_is_there_once():
+    of_sensor = [f"{table}.{field.name}" for table, kind in TABLES.items() for field in fields(kind)]
+    assert Counter(one.key for one in PARAMETERS) == Counter([*of_sensor, "observer.internal_noise"])
+
+
+@pytest.mark.parametrize("parameter", PARAMETERS, ids=lambda one: one.key)
+def test_a_parameter_takes_what_its_setting_takes(parameter):
+    table, name = parameter.key.split(".")
+    kind = PyramidSettings if table == "observer" else TABLES[table]
+    hint = get_type_hints(kind)[name]
+    assert parameter.label and parameter.help.endswith(".")
+    assert parameter.optional == (type(None) in get_args(hint))
+    if parameter.kind == "choice":
+        assert parameter.choices == get_args(Distribution)
+        return
+    assert (parameter.kind == "integer") == numeric_keys(PyramidSettings)[parameter.key]
+    assert (parameter.unit == "mm") == name.endswith("_mm") and (parameter.unit == "mrad") == name.endswith(
+        "_mrad"
+    )
+    assert parameter.scale == "linear" or parameter.min > 0.0
+    values = {} if table == "observer" else asdict(getattr(SENSOR, table))
+    for value in (parameter.min, parameter.max):
+        settings = values | {name: value}
+        if name == "pitch_mrad":
+            settings["width_mrad"] = value
+        if name != "width_mrad" or value <= settings["pitch_mrad"]:
+            kind(**settings)
+    for sensor in routes.presets():
+        value = 0.5 if table == "observer" else getattr(getattr(sensor, table), name)
+        assert parameter.min <= value <= parameter.max
+
+
+def test_the_presets_are_the_sample_sensors():
+    assert routes.presets() == [ss.load_sensor(path) for path in sorted(SAMPLES.glob("*.toml"))]
+
+
+NAMES = st.text(st.characters(exclude_categories=["Cs"]), max_size=20)
+
+
+@settings(max_examples=25)
+@given(name=NAMES, netd_mk=st.none() | st.floats(1e-12, 1e12), aperture_mm=st.floats(1e-12, 1e12))
+def test_the_file_of_a_sensor_gives_the_same_sensor(name, netd_mk, aperture_mm):
+    sensor = replace(
+        SENSOR,
+        name=name,
+        noise=replace(SENSOR.noise, netd_mk=netd_mk, distribution="gaussian"),
+        optics=replace(SENSOR.optics, aperture_mm=aperture_mm),
+    )
+    text = sensor_toml(sensor)
+    assert routes.read(TextAsked(text)) == {"sensor": asdict(sensor)}
+    assert SensorAsked(asdict(sensor)).made() == sensor
+
+
+@pytest.mark.parametrize(
+    "name", ["</script><script>alert(1)</script>", "../../etc/passwd", "a; rm -rf ~", "$(reboot)", "", "é 波"]
+)
+def test_a_strange_name_is_harmless_in_files_and_commands(name):
+    made = routes.written(TomlAsked(asdict(replace(SENSOR, name=name))))
+    assert re.fullmatch(r"[\w-]+\.toml", made["file"])
+    for command in made["command"].values():
+        program, _, file, *_ = shlex.split(command)
+        assert (program, file) == ("sensor-sim", made["file"])
+        assert not re.search(r"[;$`&|<>]", command)
+
+
+def test_the_command_computes_what_the_page_shows(tmp_path, monkeypatch):
+    shown = TomlAsked(TABLES_SENT, {"internal_noise": 0.35}, [2.5, 4.0], p_correct=0.8)
+    made = routes.written(shown)
+    (tmp_path / made["file"]).write_text(made["text"], encoding="utf-8")
+    asked: dict[str, Any] = {}
+
+    def curve(sensor: ss.Sensor, **settings: Any) -> None:
+        asked.update(settings, sensor=sensor)
+        raise SettingsError("enough")
+
+    monkeypatch.setattr("sensor_sim.api.curve", curve)
+    monkeypatch.chdir(tmp_path)
+    assert run(cli, shlex.split(made["command"]["curve"])[1:]) == 2
+    assert asked["sensor"] == SENSOR
+    assert (asked["size_detectors"], asked["p_correct"]) == ([2.5, 4.0], 0.8)
+    assert asked["observer"].settings == PyramidSettings(internal_noise=0.35)
+
+
+def test_a_broken_file_gives_the_line_that_the_command_gives(tmp_path):
+    for text in ("schema = 1", "schema = ", CAMERA.read_text(encoding="utf-8").replace("220.0", "-1.0")):
+        (tmp_path / "mine.toml").write_text(text, encoding="utf-8")
+        with pytest.raises(SettingsError, match=r"mine\.toml: ") as by_command:
+            ss.load_sensor(tmp_path / "mine.toml")
+        with pytest.raises(SettingsError, match=r"^mine\.toml: ") as by_page:
+            routes.read(TextAsked(text, "mine.toml"))
+        assert str(by_command.value) == str(tmp_path / str(by_page.value))
+
+
+def nested(depth: int) -> Any:
+    return [] if depth == 0 else [nested(depth - 1)]
+
+
+@pytest.mark.parametrize(
+    ("tables", "key"),
+    [
+        ({"optics": {**TABLES_SENT["optics"], "aperture_mm": -1}}, "optics.aperture_mm"),
+        ({"optics": {**TABLES_SENT["optics"], "aperture_mm": None}}, "optics.aperture_mm"),
+        ({"optics": {**TABLES_SENT["optics"], "aperture_mm": "<b>"}}, "optics.aperture_mm"),
+        ({"detector": {"pitch_mrad": 0.1, "width_mrad": 0.2}}, "detector.width_mrad"),
+        ({"display": {**TABLES_SENT["display"], "pixels_per_detector": 1.5}}, "display.pixels_per_detector"),
+        ({"optics": nested(200)}, None),
+        ({"other": 1}, None),
+    ],
+)
+def test_the_line_about_an_impossible_sensor_names_the_key(tables, key):
+    with pytest.raises(SettingsError, match=r"^SENSOR\.toml: ") as found:
+        SensorAsked({**TABLES_SENT, **tables}).made()
+    assert error_of(found.value)["key"] == key
+
+
+def test_the_transfer_is_that_of_the_command():
+    found, command = routes.transfer(SensorAsked(TABLES_SENT)), ss.mtf(SENSOR)
+    assert found["frequency_cyc_per_mrad"] == command.frequency_cyc_per_mrad
+    assert found["nyquist_cyc_per_mrad"] == command.nyquist_cyc_per_mrad
+    for name, key in {"presample": "pre_sample", "postsample": "post_sample"}.items():
+        np.testing.assert_allclose(found[name], command.mtf[key], rtol=0.0, atol=5.1e-7)  # six decimals are sent
+
+
+def test_the_pictures_are_the_seven_stages_of_one_trial():
+    asked = TrialAsked(TABLES_SENT, 3.0, 4.0, 7)
+    orientation = asked.trial().orientation
+    made = trial_stages(SENSOR, SimulatedTrial((0, 0, 0), 3.0, 4.0, orientation), seed=7)
+    found = routes.trial_pictures(asked)
+    assert [one["name"] for one in found["stages"]] == list(made)
+    assert len(made) == 7 and orientation.value not in json.dumps(
+        [one | {"pixels": ""} for one in found["stages"]]
+    )
+    for one, image in zip(found["stages"], made.values(), strict=True):
+        grey = np.frombuffer(base64.b64decode(one["pixels"]), np.uint8).reshape(one["height"], one["width"])
+        signal = one["low"] + (one["high"] - one["low"]) * grey / 255.0
+        step = (one["high"] - one["low"]) / 255.0
+        np.testing.assert_allclose(signal, np.clip(image, one["low"], one["high"]), rtol=0.0, atol=step / 2 + 1e-9)
+
+
+def test_orientations_are_equally_frequent():
+    n = 400
+    found = Counter(TrialAsked(TABLES_SENT, 3.0, 4.0, seed).trial().orientation for seed in range(n))
+    # Binomial with p = 1/4: five standard deviations; the seeds are fixed.
+    assert all(abs(found[one] - n / 4) < 5.0 * np.sqrt(n * 3 / 16) for one in ORIENTATIONS)
+
+
+def test_a_picture_that_is_too_large_is_refused():
+    with pytest.raises(
+        SettingsError, match=r"^found a trial of \d+ × \d+ pixels, too many to show; choose a smaller"
+    ):
+        routes.trial_pictures(TrialAsked(TABLES_SENT, 200.0, 4.0, 7))
+
+
+class FakeCurves:
+    """Curves that come without computing; a test sees whether they are still wanted."""
+
+    def __init__(self) -> None:
+        self.is_wanted: list[Callable[[], bool]] = []
+
+    def curves(
+        self, *sensor_observer_sizes: Any, p_correct: float, is_wanted: Callable[[], bool]
+    ) -> Iterator[LiveCurve]:
+        self.is_wanted.append(is_wanted)
+        sizes = sensor_observer_sizes[2]
+        reached = PredictedThreshold(sizes[0], "ok", 2.0, 0.04, 8, ())
+        never = PredictedThreshold(sizes[1], "never_reached", None, None, 8, ())
+        shares = Shares(0.25, 0.5, 0.25)
+        yield LiveCurve((reached, never), (shares, shares), 0.03, p_correct, True)
+
+
+@pytest.fixture
+def explorer() -> Explorer:
+    made = Explorer(SENSOR)
+    made._live = FakeCurves()
+    return made
+
+
+def asked(sequence: int = 1, client: str = "page", **changed: Any) -> CurveAsked:
+    settings = {"sensor": TABLES_SENT, "sizes_detectors": [2.0, 4.0], "client": client, "sequence": sequence}
+    return CurveAsked(**settings | changed)
+
+
+def test_a_newer_request_of_the_same_page_ends_the_one_before(explorer):
+    connected = True
+
+    def start(sequence: int, client: str) -> Callable[[], bool]:
+        list(explorer.curve(asked(sequence, client), lambda: connected))
+        return explorer._live.is_wanted[-1]
+
+    first, other = start(1, "page"), start(1, "other")
+    assert first() and other()
+    third = start(3, "page")
+    late = start(2, "page")
+    assert [one() for one in (first, late, third, other)] == [False, False, True, True]
+    with pytest.raises(SettingsError, match=r"p_correct: found 2\.0"):
+        explorer.curve(asked(4, p_correct=2.0), lambda: True)
+    assert not third()
+    connected = False
+    assert not other()
+
+
+def test_pages_that_are_long_gone_are_forgotten():
+    latest = routes.Latest()
+    for number in range(2 * routes.MOST_CLIENTS):
+        latest.note("kept", 5)
+        latest.note(str(number), 1)
+    assert len(latest._sequences) == routes.MOST_CLIENTS
+    assert not latest.is_newest("kept", 4)
+
+
+def test_a_line_has_each_threshold_in_its_units(explorer):
+    (line,) = explorer.curve(asked(7), lambda: True)
+    assert (line["sequence"], line["stage"], line["is_last"]) == (7, "refined", True)
+    reached, never = line["thresholds"]
+    # Hogervorst et al. 2001, section 8.2: σ_dyn/σ_tot = 1.7496 for ratio 0.4 and 6 frames.
+    mk = 2.0 * 16.0 / 1.7496
+    assert reached["delta_t_mk"] == pytest.approx(mk, rel=1e-4)
+    assert reached["delta_t_error_mk"] / reached["delta_t_mk"] == pytest.approx(0.02)
+    assert reached["size_mrad"] == pytest.approx(2.0 * 0.0681)
+    # Six pixels of 0.25 mm at 350 mm; the angle of a pixel is that of its tangent to 1e-7.
+    assert reached["size_mrad_eye"] == pytest.approx(2.0 * 6.0 * 250.0 / 350.0, rel=1e-6)
+    assert never["status"] == "never_reached"
+    assert [never[name] for name in ("snr", "snr_error", "delta_t_mk", "delta_t_error_mk")] == [None] * 4
+    assert line["limits"]["detector"] == 0.5 and line["limits"]["sentence"].startswith("Detector noise limits")
+
+
+def test_what_cannot_be_asked_is_refused_with_its_key(explorer):
+    for wrong, key in (
+        ({"sizes_detectors": [2.0, 2.0]}, None),
+        ({"observer": {"internal_noise": -1.0}}, "observer.internal_noise"),
+        ({"observer": {"noise": 1.0}}, None),
+    ):
+        with pytest.raises(SettingsError, match=r"found|unknown key") as found:
+            explorer.curve(asked(**wrong), lambda: True)
+        assert error_of(found.value)["key"] == key
+
+
+def lines(capsys: pytest.CaptureFixture[str]) -> list[str]:
+    out, err = capsys.readouterr()
+    assert out == ""
+    return err.splitlines()
+
+
+def test_a_place_where_the_server_cannot_listen_is_one_line(capsys, tmp_path):
+    with open_listener(Launch()) as other:
+        port = other.getsockname()[1]
+        assert run(cli, ["explore", str(CAMERA), "--port", str(port), "--no-browser"]) == 2
+    (line,) = lines(capsys)
+    assert line.startswith(f"error: --port: found {port}, which is in use")
+    assert run(cli, ["explore", str(CAMERA), "--host", "no-such-host.invalid", "--no-browser"]) == 2
+    assert lines(capsys) == [
+        "error: --host: found 'no-such-host.invalid', expected the address or name of this machine"
+    ]
+    assert run(cli, ["explore", str(tmp_path / "no.toml"), "--no-browser"]) == 2
+    assert lines(capsys) == [f"error: {tmp_path / 'no.toml'}: no such file"]
+
+
+def test_without_the_extra_the_command_is_one_line(capsys, monkeypatch):
+    monkeypatch.setattr("todframes.web.find_spec", lambda _: None)
+    assert run(cli, ["explore", str(CAMERA), "--no-browser"]) == 2
+    (line,) = lines(capsys)
+    assert line.endswith("needs the package starlette, which is not installed: pip install 'todframes[web]'")
+
+
+@pytest.mark.slow
+def test_the_packages_of_the_page_are_not_imported_without_it():
+    code = "import sys, todframes, sensor_sim, sensor_sim.cli, sensor_sim.api, todframes.web\n"
+    code += "sys.exit(bool({'starlette', 'uvicorn', 'anyio'} & set(sys.modules)))"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_a_server_that_others_can_reach_says_so(monkeypatch):
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as plug:
+        try:
+            plug.connect(("192.0.2.1", 9))  # sends nothing
+        except OSError:
+            pytest.skip("this machine has no network")
+        host = plug.getsockname()[0]
+    monkeypatch.setattr(server.asyncio, "run", lambda coroutine: coroutine.close())
+    said: list[str] = []
+    for where in (host, "127.0.0.1"):
+        ss.explore(SENSOR, host=where, open_browser=False, tell=print, warn=said.append)
+    (line,) = said
+    assert line.startswith(f"note: other machines can reach http://{host}:")
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such signals")
+@pytest.mark.parametrize("number", SIGNALS, ids=lambda one: one.name)
+def test_the_server_ends_with_its_terminal(number):
+    command = [sys.executable, "-m", "sensor_sim", "explore", str(CAMERA), "--no-browser"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        found = re.fullmatch(r"http://(127\.0\.0\.1:\d+)/\?token=([\w-]{43})\n", process.stdout.readline())
+        address, token = found.groups()
+        connection = http.client.HTTPConnection(address, timeout=30.0)
+        body = {"sensor": TABLES_SENT, "sizes_detectors": [2, 3, 4, 6, 8, 12, 16], "client": "a", "sequence": 1}
+        headers = {"X-Token": token, "Content-Type": "application/json"}
+        connection.request("POST", "/api/curve", json.dumps(body), headers)
+        time.sleep(0.3)  # the curve is being computed
+        started = time.monotonic()
+        process.send_signal(number)
+        out, err = process.communicate(timeout=30.0)
+        # Half a second for answers under way, and one for processes that are busy, on a machine that others use.
+        assert time.monotonic() - started < 10.0
+        with suppress(ConnectionError, http.client.HTTPException):
+            connection.getresponse().read()
+        connection.close()
+    assert (process.returncode, out, err) == (0, "", "")
