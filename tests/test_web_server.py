@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import gzip
 import http.client
 import json
 import re
@@ -55,7 +56,8 @@ class Running:
     ) -> tuple[int, http.client.HTTPMessage, bytes]:
         """Return status, headers and body of an answer; with the token unless headers are given."""
         connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=PATIENCE_S)
-        connection.putrequest(method, path, skip_host=headers is not None and "Host" in headers)
+        has_host = headers is not None and "Host" in headers
+        connection.putrequest(method, path, skip_host=has_host, skip_accept_encoding=True)
         for name, value in ({"X-Token": TOKEN} | JSON if headers is None else headers).items():
             connection.putheader(name, value)
         if body is not None:
@@ -177,9 +179,10 @@ def test_two_hosts_and_none_are_refused(running):
     assert answer.startswith(b"HTTP/1.1 403")
 
 
-def test_a_first_visit_gets_a_cookie_that_only_this_page_has(running):
+def test_a_first_visit_gets_a_cookie_that_only_this_page_has(running, caplog):
     status, answer, body = running.ask("GET", f"/?token={TOKEN}", headers={"Host": running.host})
     assert (status, answer["location"], body) == (303, "/", b"")
+    assert TOKEN not in caplog.text
     cookie, *attributes = answer["set-cookie"].split("; ")
     assert {"HttpOnly", "SameSite=Strict"} <= set(attributes)
     of_page = {"Host": running.host, "Cookie": f"other=1; {cookie}"}
@@ -229,6 +232,15 @@ def test_the_listed_files_are_those_of_the_package(running):
         status, answer, body = running.ask("GET", f"/static/{name.rpartition('/')[2]}")
         assert (status, body) == (200, (folder / name).read_bytes())
         assert answer["content-type"].startswith(("text/css", "text/javascript", "image/svg+xml"))
+
+
+def test_long_answers_are_compressed_where_the_browser_takes_them_so(running):
+    body, headers = body_of("x" * 10**5), {"X-Token": TOKEN, **JSON}
+    _, answer, long = running.ask("POST", "/api/greet", body, headers)
+    assert answer["content-encoding"] is None
+    _, answer, short = running.ask("POST", "/api/greet", body, headers | {"Accept-Encoding": "br, gzip"})
+    assert answer["content-encoding"] == "gzip" and len(short) < 1000
+    assert gzip.decompress(short) == long == b'{"hello":"' + b"x" * 10**5 + b'"}'
 
 
 def test_every_answer_is_fenced_in(running):

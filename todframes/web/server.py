@@ -119,7 +119,6 @@ async def listening(app: ASGIApp, listener: socket.socket) -> AsyncIterator[None
         lifespan="off",
         interface="asgi3",
         log_config=None,
-        access_log=False,
         timeout_keep_alive=LONGEST_WAIT_S,
         h11_max_incomplete_event_size=LONGEST_HEADERS_BYTES,
     )
@@ -150,6 +149,7 @@ class _Connection(H11Protocol):
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         super().connection_made(transport)
+        self.access_log = False  # it would hold the token
         self._waiting_since, self._answered = self.loop.time(), self.cycle
         self._look_again()
         others = [one for one in self.connections if isinstance(one, _Connection) and one is not self]
