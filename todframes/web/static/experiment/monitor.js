@@ -26,6 +26,7 @@ export async function measureMonitor(dataset, show, submit) {
     show(screen);
     const isNext = await measures[step](measured, dataset, element(screen));
     step += isNext ? 1 : -1;
+    element("monitor-error").hidden = true;
     if (step < measures.length) continue;
     try {
       return await submit({

@@ -15,14 +15,14 @@ let code = null;
 
 export const pause = (milliseconds) => new Promise((done) => setTimeout(done, milliseconds));
 
-/** Return the linear luminance of a grey as sRGB has it, relative to white; for legible text alone. */
-const relative = (value) => ((value / 255 + 0.055) / 1.055) ** 2.4;
+/** Return the luminance of a grey as sRGB has it, relative to white; for legible text alone. */
+const linear = (value) => ((value / 255 + 0.055) / 1.055) ** 2.4;
 
 /** Set the page's colours to the background of the frames, with text that is legible on it and does not glare. */
 export function adapt(backgroundCode) {
   if (backgroundCode === code) return;
   code = backgroundCode;
-  const light = relative(code);
+  const light = linear(code);
   const away = light > 0.18 ? (light + 0.05) / 4.6 - 0.05 : (light + 0.05) * 4.6 - 0.05;
   const ink = grey(Math.round(255 * (1.055 * Math.min(Math.max(away, 0), 1) ** (1 / 2.4) - 0.055)));
   for (const [name, value] of [["paper", grey(code)], ["raised", grey(code)], ["on-accent", grey(code)],
