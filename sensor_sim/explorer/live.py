@@ -245,6 +245,8 @@ class _UnwantedError(Exception):
 def _serve(connection: Connection, wanted: Any) -> None:
     """Answer requests until the pipe is closed: (number, answer or exception), and (number, None) in the end."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the other end deals with it
+    import scipy.sparse  # noqa: F401 # now, not in the first curve
+
     from sensor_sim.explorer.engine import Engine
 
     number = NOTHING_WANTED
