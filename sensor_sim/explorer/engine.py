@@ -31,17 +31,19 @@ from sensor_sim.explorer.estimate import (
 from sensor_sim.explorer.limits import Shares, decision_shares
 from sensor_sim.explorer.scaled import ScaledObserver, Unit, scaled
 from sensor_sim.predict import FoldedChain, Phases, PredictedThreshold, predict_threshold
+from sensor_sim.sampling import field_detectors
 from sensor_sim.sensor import Sensor
 from sensor_sim.sharing import Kept, Shared
 from sensor_sim.sweep_work import as_computed
 from todframes._typing import FloatArray
 from todframes.observers.decision import answer_probability
 from todframes.observers.interface import Observer
+from todframes.psychometrics.fit import FitSettings
 from todframes.stimulus import Stimulus
 
 T = TypeVar("T")
 
-KEPT_MB = {"readouts": 64, "samplers": 10, "samples": 30, "weights": 40, "trials": 30}
+KEPT_MB = {"readouts": 56, "samplers": 8, "samples": 20, "weights": 24, "trials": 20}
 """Largest size of what is kept, by kind, in units of 2**20 bytes."""
 
 THRESHOLDS_KEPT = 2000
@@ -109,8 +111,11 @@ class Engine:
         Raises
         ------
         SettingsError
-            If the observer is not linear, or a size or field is out of range.
+            If the observer is not linear, or the proportion, a size or a field is out of range.
         """
+        FitSettings(p_correct=request.p_correct)  # checks it
+        for _, size in request.sizes:
+            field_detectors(request.sensor, size)  # checks it
         sensor = as_computed(request.sensor)
         pickled, noise_sd = request.observer
         scale = noise_sd / sensor.display.gain

@@ -185,15 +185,15 @@ class Explorer {
   #drawCurve() {
     const curve = this.#curve;
     if (curve === null) return;
-    const known = Object.keys(STRENGTHS).filter((name) => curve.thresholds.some((one) => one[name] != null));
-    const strength = known.includes(this.#view.strength) ? this.#view.strength : "snr";
+    const isKnown = (name) => name === "snr" || curve.thresholds.some((one) => one[name] !== null);
+    const known = Object.keys(STRENGTHS).filter(isKnown);
+    const strength = isKnown(this.#view.strength) ? this.#view.strength : "snr";
     const view = { ...this.#view, strength };
     for (const input of document.querySelectorAll(".axes input")) {
       input.checked = input.value === view[input.name];
       if (input.name !== "strength") continue;
-      input.disabled = input.value !== "snr" && !known.includes(input.value);
-      input.parentElement.hidden = !curve.thresholds.some((one) => input.value in one);
-      input.parentElement.title = input.disabled ? STRENGTHS[input.value].lacks : "";
+      input.disabled = !isKnown(input.value);
+      input.parentElement.title = input.disabled ? "Temperatures need the NETD, and a threshold." : "";
     }
     this.#curveChart.draw(curve.thresholds, this.#pins, view);
     // Tests and benchmarks read which request is on the screen.
@@ -211,7 +211,7 @@ class Explorer {
       plain(one.size_mrad),
       plain(one.size_mrad_eye),
       ...strengths.map(([name, { error }]) =>
-        one[name] == null ? (MISSING[one.status] ?? one.status) : withError(one[name], one[error]),
+        one[name] === null ? MISSING[one.status] : withError(one[name], one[error]),
       ),
     ]);
     const stage = this.#curve.is_last ? "refined" : "estimated";
@@ -220,11 +220,10 @@ class Explorer {
   }
 
   #showLimits(limits) {
-    byId("sentence").textContent = limits?.sentence ?? "";
-    const shares = Object.entries(SHARES).filter(([name]) => Number.isFinite(limits?.[name]));
-    const parts = shares.map(([name, label]) => {
+    byId("sentence").textContent = limits.sentence;
+    const parts = Object.entries(SHARES).map(([name, label]) => {
       const part = element("span", { className: name }, `${label} ${Math.round(100 * limits[name])} %`);
-      part.style.flexGrow = Math.max(limits[name], 0);
+      part.style.flexGrow = limits[name];
       return part;
     });
     byId("shares").replaceChildren(...parts);
