@@ -525,6 +525,26 @@ def test_rows_of_other_frames_are_told(dataset, out):
         pass
 
 
+def test_a_line_that_was_torn_is_answered_again(dataset, out):
+    with open_sitting(dataset, out, subject="P1", design=SHORT) as sitting:
+        begin(sitting)
+        expected = [answer_rightly(sitting) for _ in range(3)]
+    path = data_path(out, "P1")
+    path.write_bytes(path.read_bytes()[:-20])
+    with open_sitting(dataset, out) as sitting:
+        assert list(sitting.rows) == expected[:2]
+        assert replace(answer_rightly(sitting), shown_at="") == replace(expected[2], shown_at="")
+
+
+def test_a_session_of_more_trials_than_the_dataset_has_is_told(dataset, out):
+    with open_sitting(dataset, out, subject="P1", design=SHORT):
+        pass
+    sidecar = sidecar_path(data_path(out, "P1"))
+    sidecar.write_text(sidecar.read_text().replace('"trials": 8', '"trials": 800'))
+    with pytest.raises(DataError, match="trials: found 800, the dataset has 24"), open_sitting(dataset, out):
+        pass
+
+
 def test_a_folder_that_cannot_be_made_is_told(dataset, tmp_path):
     with pytest.raises(OutputError, match="cannot be written"), open_sitting(dataset, tmp_path / "no" / "such"):
         pass

@@ -168,7 +168,12 @@ class TrialOrder:
         return len(self._practice) if phase == "practice" else self._record.trials
 
     def check(self, file: AnswerFile) -> None:
-        """Raise DataError if a row names a frame that is not the first of a trial."""
+        """Raise DataError if the dataset has fewer trials, or a row names a frame that no trial begins with."""
+        if self._record.trials > len(self._trials):
+            raise DataError(
+                f"{sidecar_path(file.path)}: trials: found {self._record.trials}, the dataset has "
+                f"{len(self._trials)}"
+            )
         for line, row in enumerate(file.rows, 2):
             if row.frame not in self._row_of_frame:
                 raise DataError(

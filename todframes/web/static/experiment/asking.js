@@ -11,8 +11,8 @@ const UNKNOWN = "The server was started again. Open the address that it printed:
 /** Show one line about the connection, or none. */
 function tell(line) {
   const place = document.getElementById("connection");
-  if (place.textContent !== line) place.textContent = line;
   place.hidden = line === "";
+  if (place.textContent !== line) place.textContent = line;
 }
 
 /** Do something that needs the server, again and again until the server can be reached. */

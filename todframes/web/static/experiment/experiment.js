@@ -161,7 +161,7 @@ async function instruct(state) {
     : `You have ${state.time_limit_ms / 1000} seconds for each.`;
   element("instructions-practice").textContent = state.step === "practice"
     ? `First come ${state.total} to practise, with triangles that are easy to see: the page says whether you are correct.`
-    : `There are ${state.total} triangles, with breaks on the way.`;
+    : `There are ${state.total} triangles.`;
   await read("instructions");
 }
 
@@ -188,7 +188,7 @@ async function rest(state, before) {
 
 function tellPracticeIsOver(state) {
   return readPause("That was the practice", `Now come ${state.total} triangles, most of them hard to see, and the page no longer says whether ` +
-    "you are correct. There are breaks on the way.");
+    "you are correct.");
 }
 
 async function done(state) {
