@@ -213,7 +213,7 @@ def test_kept_parts_stay_within_their_size():
     sizes = [kept._bytes for kept in one._kept.values()]
     limits = [kept._most_bytes for kept in one._kept.values()]
     assert all(0 < size <= limit for size, limit in zip(sizes, limits, strict=True))
-    assert sum(limits) <= 150 * 2**20
+    assert sum(limits) <= 100 * 2**20
 
 
 @pytest.mark.slow

@@ -43,7 +43,7 @@ from todframes.stimulus import Stimulus
 
 T = TypeVar("T")
 
-KEPT_MB = {"readouts": 56, "samplers": 8, "samples": 20, "weights": 24, "trials": 20}
+KEPT_MB = {"readouts": 44, "samplers": 6, "samples": 16, "weights": 20, "trials": 10}
 """Largest size of what is kept, by kind, in units of 2**20 bytes."""
 
 THRESHOLDS_KEPT = 2000
