@@ -587,14 +587,15 @@ def open_sitting(
         subject = _unfinished_subject(folder, records) or secrets.token_hex(4)
     elif not re.fullmatch("[A-Za-z0-9]{1,64}", subject):
         raise SettingsError(f"--subject: found {subject!r}, expected letters and digits, at most 64, and no name")
+    new = _new_record(dataset, shown, subject, software, design)
     _make_folders(folder, shown, software)
     with AnswerFile(data_path(folder, subject)) as file:
         file.begin(shown)
         sidecar = sidecar_path(file.path)
-        record = read_sidecar(sidecar) if sidecar.exists() else None
-        differs = record is not None and _difference(record, design)
-        if record is None or (differs and not file.rows):
-            record = _new_record(dataset, shown, subject, software, design)
+        record = read_sidecar(sidecar) if sidecar.exists() or file.rows else new
+        differs = _difference(record, design)
+        if record is new or (differs and not file.rows):
+            record = new
             write_sidecar(sidecar, record)
         elif differs:
             raise SettingsError(f"--{differs}, but subject {subject} has answered trials; take another --subject")
