@@ -495,6 +495,16 @@ def test_more_trials_than_there_are_is_told(dataset, out):
         open_sitting(dataset, out, design=Design(trials=25)),
     ):
         pass
+    assert not out.exists()
+
+
+def test_answers_without_their_sidecar_are_told(dataset, out):
+    with open_sitting(dataset, out, subject="P1", design=SHORT) as sitting:
+        begin(sitting)
+        answer_rightly(sitting)
+    sidecar_path(data_path(out, "P1")).unlink()
+    with pytest.raises(DataError, match=r"_data\.json: no such file"), open_sitting(dataset, out, subject="P1"):
+        pass
 
 
 @pytest.mark.parametrize(
