@@ -56,6 +56,9 @@ NOISE_GRID_STEP = 0.25
 WEAKEST_D_PRIME, STRONGEST_D_PRIME = 0.05, 20.0
 """d′ of the strongest trials with the largest noise that is tried, and of weak ones with the smallest."""
 
+SURPRISING = 0.01
+"""Smallest p-value that is no warning."""
+
 PLANNED_NOISE = 0.1
 """Internal noise, over that of the observer, for which the plan leaves out what does not matter."""
 
@@ -386,6 +389,19 @@ class PersonFit:
     groups: tuple[GroupCurve, ...]
 
 
+class PersonWarning(NamedTuple):
+    """A warning that an internal noise says less than it seems to: `poor_fit` of a person, or `persons_differ`.
+
+    `found` is the p-value, `expected` the least that is no warning. `group` names the person.
+    """
+
+    code: Literal["poor_fit", "persons_differ"]
+    group: dict[str, float | str]
+    message: str
+    found: float
+    expected: float
+
+
 @dataclass(frozen=True, slots=True)
 class Calibrated:
     """The fits of all persons.
@@ -404,6 +420,30 @@ class Calibrated:
     pooled: PersonFit | None
     equal_noise_p_value: float | None
     skipped: tuple[Skipped, ...]
+
+    def warnings(self) -> tuple[PersonWarning, ...]:
+        """Return warnings about persons whom the model does not describe, and about persons who differ."""
+        found = [
+            PersonWarning(
+                "poor_fit",
+                {"subject": str(one.subject)},
+                "the model with one internal noise does not describe these answers (deviance "
+                f"{one.fit.deviance:.3g} in {one.fit.n_cells} cells, p = {p_value:.2g}); compare the thresholds "
+                "of each group with those of the model",
+                p_value,
+                SURPRISING,
+            )
+            for one in self.persons
+            if (p_value := one.fit.deviance_p_value) is not None and p_value < SURPRISING
+        ]
+        p_value = self.equal_noise_p_value
+        if p_value is not None and p_value < SURPRISING:
+            message = (
+                f"the persons do not have the same internal noise (p = {p_value:.2g}); that of all together is a "
+                "mean of them, and its interval does not tell how they differ"
+            )
+            found.append(PersonWarning("persons_differ", {}, message, p_value, SURPRISING))
+        return tuple(found)
 
 
 def calibrate_persons(
