@@ -223,8 +223,4 @@ export class Controls {
     this.#fields.get(key)?.showError(line);
     return this.#fields.has(key);
   }
-
-  clearErrors() {
-    for (const field of this.#fields.values()) field.showError(null);
-  }
 }
