@@ -37,8 +37,11 @@ REPLICATES = 5
 FEW_PLACES, MORE_PLACES = 4, 7
 """Places along each axis of a lattice, and those to try if the error is too large with the former."""
 
-STRATA = np.arange(REPLICATES)[:, None] * [1, 2] % REPLICATES + np.random.default_rng(3).random((REPLICATES, 2))
-"""Displacements of the lattices along x and y, in fifths of a lattice's step: one in each, at random within it."""
+STRATA = (np.arange(REPLICATES) + np.random.default_rng(3).random(REPLICATES))[
+    [[0, 0], [1, 2], [2, 4], [3, 1], [4, 3]]
+]
+"""Displacements of the lattices along x and y, in fifths of a lattice's step: one in each, at random within it.
+Both axes have the same ones, so that what is computed for a place along one serves the other as well."""
 
 STANDARD_ERRORS_95 = 2.776
 """Half-width of a 95 % interval in standard errors: Student's t with one degree of freedom less than lattices."""
