@@ -33,6 +33,7 @@ class Explorer {
   #curveChart = new CurveChart(byId("curve-chart"));
   #mtfChart = new MtfChart(byId("mtf-chart"));
   #trial = new Trial();
+  #mtfState = null;
   #refused = null;
   #timers = {};
   #live = new LiveCurve({
@@ -177,7 +178,10 @@ class Explorer {
     byId("status").textContent = `${curve.is_last ? "Refined" : "Estimate"}: within ${error}${time}`;
     if (curve.is_last) this.#announce(`${byId("sentence").textContent} ${this.#summary()}`);
     if (state !== this.#state) return;
-    this.#later("mtf", MTF_DELAY_MS, () => this.#mtf.ask(state));
+    if (state !== this.#mtfState) {
+      this.#mtfState = state;
+      this.#later("mtf", MTF_DELAY_MS, () => this.#mtf.ask(state));
+    }
     if (curve.is_last) this.#later("trial", TRIAL_DELAY_MS, () => this.#trial.show(state, curve.thresholds));
   }
 
