@@ -12,6 +12,7 @@ import re
 import secrets
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, fields, replace
 from datetime import UTC, datetime
@@ -61,7 +62,7 @@ from todframes.frames.files import frame_sha256
 from todframes.frames.trials import Trial, Trials
 from todframes.psychometrics.quest import QuestGrid
 from todframes.recordings.dither import blue_noise
-from todframes.stimulus import Orientation
+from todframes.stimulus import ORIENTATIONS, Orientation
 
 CONSENT = """\
 You will see a triangle on a grey field, again and again, and say where it points: up, right, down or left. Some
@@ -261,18 +262,40 @@ class Material(NamedTuple):
     contrasts: list[ContrastRange]
 
 
-class Prepared(NamedTuple):
-    """A trial that is ready to be shown: its picture, and what its row will say."""
+class Picture(NamedTuple):
+    """A trial as the monitor shows it: a PNG and its size, and what the trial's row will say about it."""
 
-    number: int
-    phase: Phase
     trial: Trial
-    picture: bytes
+    content: bytes
     width: int
     height: int
     dither_seed: int
     clipped_px: int
     sha256: str
+
+
+def make_picture(dataset: Dataset, monitor: Monitor, asked: NextTrial) -> Picture:
+    """Read the frames of a trial and compute the code values that show it.
+
+    Raises
+    ------
+    FrameError
+        If its frames cannot be used.
+    """
+    trial = dataset.trials[asked.row]
+    image = trial_image(dataset, trial)
+    codes, dither_seed = dithered_codes(trial, image, monitor, asked.dither_seed)
+    n_clipped = int(np.count_nonzero(clipped(image.contrast, monitor)))
+    height, width = codes.shape
+    return Picture(trial, png(codes), width, height, dither_seed, n_clipped, frames_sha256(dataset, trial))
+
+
+class Prepared(NamedTuple):
+    """The trial that is shown. `shown_at` is the time at which it was asked for, ISO 8601."""
+
+    number: int
+    phase: Phase
+    picture: Picture
     shown_at: str
 
 
@@ -295,6 +318,9 @@ class Sitting:
         self._lock = threading.Lock()
         self._prepared: Prepared | None = None
         self._is_break = False
+        # Pictures that may come next are made while the person looks: a large one takes a second.
+        self._artist = ThreadPoolExecutor(1, "pictures")
+        self._ahead: dict[NextTrial, Future[Picture]] = {}
 
     @property
     def rows(self) -> tuple[TrialRow, ...]:
@@ -346,7 +372,7 @@ class Sitting:
                 ranges=self._material.contrasts,
             )
             self._write(replace(self.record, monitor=monitor))
-            self._prepared = None
+            self._prepared, self._ahead = None, {}
             return self._state()
 
     def trial(self) -> Json:
@@ -361,12 +387,13 @@ class Sitting:
         """
         with self._lock:
             prepared = self._prepare()
+            self._look_ahead(prepared)
             return {
                 "number": prepared.number,
                 "phase": prepared.phase,
                 "image": f"/stimulus/{prepared.number}.png",
-                "width": prepared.width,
-                "height": prepared.height,
+                "width": prepared.picture.width,
+                "height": prepared.picture.height,
                 "background_code": self._monitor.background_code,
                 "time_limit_ms": self.record.time_limit_ms,
             }
@@ -382,7 +409,7 @@ class Sitting:
         with self._lock:
             if self._prepared is None or self._prepared.number != number:
                 raise StepError(f"trial {number} is not shown; expected that of /api/trial")
-            return self._prepared.picture
+            return self._prepared.picture.content
 
     def answer(self, number: int, response: Orientation | None, response_time_ms: float) -> Json:
         """Save an answer to the disk, once: a trial that has an answer keeps it.
@@ -406,21 +433,7 @@ class Sitting:
                 raise StepError(
                     "response: found none, which only a time limit gives; expected up, right, down, left"
                 )
-            row = TrialRow(
-                number=number,
-                phase=shown.phase,
-                frame=shown.trial.frames[0].path,
-                sha256=shown.sha256,
-                orientation=shown.trial.orientation,
-                response=response,
-                response_time_ms=response_time_ms,
-                level=shown.trial.level,
-                group=shown.trial.group,
-                size_mrad=shown.trial.stimulus.size_mrad,
-                dither_seed=shown.dither_seed,
-                clipped_px=shown.clipped_px,
-                shown_at=shown.shown_at,
-            )
+            row = _row(shown, response, response_time_ms)
             self._file.append(row)
             self._prepared = None
             self._after(row)
@@ -433,13 +446,14 @@ class Sitting:
             return self._state()
 
     def close(self) -> None:
-        """Write the counts of what was answered.
+        """Write the counts of what was answered; no picture is made any more.
 
         Raises
         ------
         OutputError
             If they cannot be written.
         """
+        self._artist.shutdown(cancel_futures=True)
         with self._lock:
             self._write_counts()
 
@@ -503,16 +517,26 @@ class Sitting:
             raise StepError(f"the session is at the step {step}, which has no trial; reload the page")
         number = len(self._file.rows) + 1
         if self._prepared is None or self._prepared.number != number:
-            trial = self._dataset.trials[following.row]
-            image = trial_image(self._dataset, trial)
-            codes, dither_seed = dithered_codes(trial, image, self._monitor, following.dither_seed)
-            n_clipped = int(np.count_nonzero(clipped(image.contrast, self._monitor)))
-            height, width = codes.shape
-            sha256 = frames_sha256(self._dataset, trial)
-            self._prepared = Prepared(
-                number, following.phase, trial, png(codes), width, height, dither_seed, n_clipped, sha256, _now()
-            )
+            ahead = self._ahead.pop(following, None)
+            if ahead is None or ahead.exception() is not None:
+                picture = make_picture(self._dataset, self._monitor, following)
+            else:
+                picture = ahead.result()
+            self._prepared = Prepared(number, following.phase, picture, _now())
         return self._prepared
+
+    def _look_ahead(self, shown: Prepared) -> None:
+        """Begin to make the pictures of the trials that follow a right and a wrong answer."""
+        orientation = shown.picture.trial.orientation
+        wrong = next(one for one in ORIENTATIONS if one is not orientation)
+        ahead = {}
+        for response in (orientation, wrong):
+            following = self._order.next([*self._file.rows, _row(shown, response, 0.0)])
+            if following is not None:
+                ahead[following] = self._ahead.get(following) or self._artist.submit(
+                    make_picture, self._dataset, self._monitor, following
+                )
+        self._ahead = ahead
 
     def _after(self, row: TrialRow) -> None:
         """Begin a break after an answer if it is time, and write the counts then and at the end."""
@@ -530,6 +554,26 @@ class Sitting:
     def _write_counts(self) -> None:
         if self.record.monitor is not None and self._file.rows:
             write_counts(count_file(self._folder, self.record.subject), self.record, self.rows)
+
+
+def _row(shown: Prepared, response: Orientation | None, response_time_ms: float) -> TrialRow:
+    """Return the row of a trial that was answered."""
+    trial, picture = shown.picture.trial, shown.picture
+    return TrialRow(
+        number=shown.number,
+        phase=shown.phase,
+        frame=trial.frames[0].path,
+        sha256=picture.sha256,
+        orientation=trial.orientation,
+        response=response,
+        response_time_ms=response_time_ms,
+        level=trial.level,
+        group=trial.group,
+        size_mrad=trial.stimulus.size_mrad,
+        dither_seed=picture.dither_seed,
+        clipped_px=picture.clipped_px,
+        shown_at=shown.shown_at,
+    )
 
 
 def frames_sha256(dataset: Dataset, trial: Trial) -> str:
