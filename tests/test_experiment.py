@@ -29,7 +29,8 @@ from todframes.cli.main import cli
 from todframes.errors import DataError, FrameError, OutputError, SettingsError
 from todframes.experiment.answers import TrialRow, count_file, data_path, read_answers, read_sidecar, sidecar_path
 from todframes.experiment.monitor import Calibration, MonitorError
-from todframes.experiment.session import Design, StepError, TrialOrder, frames_sha256, open_sitting
+from todframes.experiment.order import TrialOrder
+from todframes.experiment.session import Design, StepError, frames_sha256, open_sitting
 from todframes.experiment.stimuli import shown_codes, trial_image
 from todframes.frames.dataset import load_dataset
 from todframes.frames.files import FrameFile
