@@ -125,7 +125,13 @@ def test_luminance_rises_with_the_code_whatever_the_readings():
         ({"photometer": ((0, 1.0), (255, 90.0))}, "calibration", "lut: found 2 readings"),
         ({"photometer": ((0, 1.0), (9, 2.0), (8, 4.0), (255, 90.0))}, "calibration", "read these codes again"),
         ({"photometer": ((0, 1.0), (9, 2.0), (9, 4.0), (255, 90.0))}, "calibration", "to rise with the code"),
-        ({"photometer": ((0, -1.0), (9, 2.0), (99, 4.0), (255, 90.0))}, "calibration", "negative or no number"),
+        (
+            {"photometer": ((0, -1.0), (9, 2.0), (99, 4.0), (255, 90.0))},
+            "calibration",
+            "beyond 0 to 100000 cd/m²; read it again",
+        ),
+        ({"photometer": ((0, 0.0), (1, 1.0), (2, 1e6), (255, 1e7))}, "calibration", "beyond 0 to 100000"),
+        ({"photometer": ((0, 0.0), (1, 1e-320), (2, 1.0), (255, 9.0))}, "calibration", "to rise with the code"),
         ({"photometer": ((0, 60.0), (9, 70.0), (99, 80.0), (255, 90.0))}, "range", "take another --background"),
     ],
 )
