@@ -100,6 +100,7 @@ def watched(
     width: int = 1280,
     height: int = 900,
     expected_console: Sequence[str] = (),
+    script: str = "",
     **context: Any,
 ) -> Iterator[Page]:
     """Open a URL in a context of its own, and check at the end that the page has behaved.
@@ -114,6 +115,8 @@ def watched(
     expected_console : sequence of str
         Patterns of warnings and errors that the console may show, such as "status of 422": Chromium itself
         reports each answer of this kind.
+    script : str
+        JavaScript to run before the page's own.
     **context
         Further options of `Browser.new_context`: `color_scheme="dark"`, `device_scale_factor=1.25`.
 
@@ -145,6 +148,7 @@ def watched(
         visit.on("request", lambda request: asked(request.url))
         visit.on("console", lambda message: heard(message.type, message.text))
         visit.on("weberror", lambda error: heard("error", str(error.error)))
+        visit.add_init_script(script)
         page = visit.new_page()
         page.on("websocket", lambda socket: asked(socket.url.replace("ws://", "http://", 1)))
         page.goto(url)

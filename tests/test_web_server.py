@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import asyncio
+import gzip
 import http.client
 import json
 import re
 import socket
 import threading
 import time
+import webbrowser
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager, suppress
@@ -23,7 +25,7 @@ from todframes.errors import DataError, SettingsError
 from todframes.web import check_installed, guard, server
 from todframes.web.guard import HEADERS, MOST_BODY_BYTES, guarded
 from todframes.web.pages import SHARED_FILES, call, page, stream
-from todframes.web.server import MOST_CONNECTIONS, Launch, listening, open_listener
+from todframes.web.server import MOST_CONNECTIONS, Launch, listening, open_listener, origin_of
 
 TOKEN = "the-token-of-this-run"
 JSON = {"Content-Type": "application/json"}
@@ -39,23 +41,25 @@ class Running:
     """A server of this process, and the events by which a test follows what it computes."""
 
     port: int
+    address: str = "127.0.0.1"
     begun: threading.Event = field(default_factory=threading.Event)
     left: threading.Event = field(default_factory=threading.Event)
 
     @property
-    def host(self) -> str:
-        return f"127.0.0.1:{self.port}"
+    def origin(self) -> str:
+        return origin_of(self.address, self.port)
 
     @property
-    def origin(self) -> str:
-        return f"http://{self.host}"
+    def host(self) -> str:
+        return self.origin.removeprefix("http://")
 
     def ask(
         self, method: str, path: str, body: bytes | None = None, headers: Mapping[str, str] | None = None
     ) -> tuple[int, http.client.HTTPMessage, bytes]:
         """Return status, headers and body of an answer; with the token unless headers are given."""
-        connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=PATIENCE_S)
-        connection.putrequest(method, path, skip_host=headers is not None and "Host" in headers)
+        connection = http.client.HTTPConnection(self.address, self.port, timeout=PATIENCE_S)
+        has_host = headers is not None and "Host" in headers
+        connection.putrequest(method, path, skip_host=has_host, skip_accept_encoding=True)
         for name, value in ({"X-Token": TOKEN} | JSON if headers is None else headers).items():
             connection.putheader(name, value)
         if body is not None:
@@ -101,9 +105,9 @@ def app_of(running: Running) -> object:
 
 
 @contextmanager
-def running_server() -> Iterator[Running]:
-    with open_listener(Launch()) as listener:
-        running = Running(listener.getsockname()[1])
+def running_server(address: str = "127.0.0.1") -> Iterator[Running]:
+    with open_listener(Launch(host=address)) as listener:
+        running = Running(listener.getsockname()[1], address)
         app = guarded(app_of(running), origin=running.origin, token=TOKEN)
         loop, ended, listens = asyncio.new_event_loop(), asyncio.Event(), threading.Event()
 
@@ -177,9 +181,10 @@ def test_two_hosts_and_none_are_refused(running):
     assert answer.startswith(b"HTTP/1.1 403")
 
 
-def test_a_first_visit_gets_a_cookie_that_only_this_page_has(running):
+def test_a_first_visit_gets_a_cookie_that_only_this_page_has(running, caplog):
     status, answer, body = running.ask("GET", f"/?token={TOKEN}", headers={"Host": running.host})
     assert (status, answer["location"], body) == (303, "/", b"")
+    assert TOKEN not in caplog.text
     cookie, *attributes = answer["set-cookie"].split("; ")
     assert {"HttpOnly", "SameSite=Strict"} <= set(attributes)
     of_page = {"Host": running.host, "Cookie": f"other=1; {cookie}"}
@@ -214,6 +219,7 @@ PATHS = [
     "/static/",
     "/static",
     "/%c0%ae%c0%ae/guard.py",
+    "http://127.0.0.1/static/base.css",
 ]
 
 
@@ -229,6 +235,15 @@ def test_the_listed_files_are_those_of_the_package(running):
         status, answer, body = running.ask("GET", f"/static/{name.rpartition('/')[2]}")
         assert (status, body) == (200, (folder / name).read_bytes())
         assert answer["content-type"].startswith(("text/css", "text/javascript", "image/svg+xml"))
+
+
+def test_long_answers_are_compressed_where_the_browser_takes_them_so(running):
+    body, headers = body_of("x" * 10**5), {"X-Token": TOKEN, **JSON}
+    _, answer, long = running.ask("POST", "/api/greet", body, headers)
+    assert answer["content-encoding"] is None
+    _, answer, short = running.ask("POST", "/api/greet", body, headers | {"Accept-Encoding": "br, gzip"})
+    assert answer["content-encoding"] == "gzip" and len(short) < 1000
+    assert gzip.decompress(short) == long == b'{"hello":"' + b"x" * 10**5 + b'"}'
 
 
 def test_every_answer_is_fenced_in(running):
@@ -401,6 +416,48 @@ def test_a_port_in_use_and_hosts_that_are_no_address_of_this_machine_are_refused
             open_listener(Launch(host=host))
     with pytest.raises(SettingsError, match=r"^--port: found 65536, expected a whole number"):
         Launch(port=65536)
+
+
+def test_addresses_of_the_newer_internet_protocol_are_listened_at():
+    try:
+        socket.create_server(("::1", 0), family=socket.AF_INET6).close()
+    except OSError:
+        pytest.skip("this machine has no IPv6")
+    with running_server("::1") as one:
+        assert one.origin == f"http://[::1]:{one.port}"
+        posted = {"Host": one.host, "Origin": one.origin, "X-Token": TOKEN, **JSON}
+        assert one.ask("POST", "/api/greet", body_of("you"), posted)[0] == 200
+        assert one.ask("POST", "/api/greet", body_of("you"), posted | {"Host": "[::1]"})[0] == 403
+
+
+class Browser:
+    """A browser that notes what it is asked to open."""
+
+    def __init__(self) -> None:
+        self.opened: list[str] = []
+
+    def open(self, url: str) -> None:
+        self.opened.append(url)
+
+
+class TerminalBrowser(webbrowser.GenericBrowser):
+    def open(self, *_: object) -> None:
+        raise AssertionError("it takes the terminal")
+
+
+def test_the_browser_is_that_of_the_desktop(monkeypatch):
+    browser = Browser()
+    monkeypatch.setattr(webbrowser, "get", lambda: browser)
+    server.open_browser_at("http://127.0.0.1:1/")
+    assert browser.opened == ["http://127.0.0.1:1/"]
+    monkeypatch.setattr(webbrowser, "get", lambda: TerminalBrowser("lynx"))
+    server.open_browser_at("http://127.0.0.1:1/")
+
+    def no_browser() -> None:
+        raise webbrowser.Error("could not locate runnable browser")
+
+    monkeypatch.setattr(webbrowser, "get", no_browser)
+    server.open_browser_at("http://127.0.0.1:1/")
 
 
 def test_without_the_extra_there_is_one_line(monkeypatch):

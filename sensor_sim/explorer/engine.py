@@ -18,21 +18,32 @@ from typing import Any, Generic, NamedTuple, TypeVar, cast
 import numpy as np
 
 from sensor_sim.curve_plan import CurvePlan, plan_curve
-from sensor_sim.explorer.estimate import Estimate, Reference, estimate, lattice_phases, quick_plan, seen_samples
+from sensor_sim.explorer.estimate import (
+    FEW_PLACES,
+    MORE_PLACES,
+    Estimate,
+    Reference,
+    estimate,
+    lattice_phases,
+    quick_plan,
+    seen_samples,
+)
 from sensor_sim.explorer.limits import Shares, decision_shares
 from sensor_sim.explorer.scaled import ScaledObserver, Unit, scaled
 from sensor_sim.predict import FoldedChain, Phases, PredictedThreshold, predict_threshold
+from sensor_sim.sampling import field_detectors
 from sensor_sim.sensor import Sensor
 from sensor_sim.sharing import Kept, Shared
 from sensor_sim.sweep_work import as_computed
 from todframes._typing import FloatArray
 from todframes.observers.decision import answer_probability
 from todframes.observers.interface import Observer
+from todframes.psychometrics.fit import FitSettings
 from todframes.stimulus import Stimulus
 
 T = TypeVar("T")
 
-KEPT_MB = {"readouts": 40, "samplers": 10, "samples": 30, "weights": 40, "trials": 30}
+KEPT_MB = {"readouts": 44, "samplers": 6, "samples": 16, "weights": 20, "trials": 10}
 """Largest size of what is kept, by kind, in units of 2**20 bytes."""
 
 THRESHOLDS_KEPT = 2000
@@ -53,8 +64,8 @@ class Request(NamedTuple):
     sizes : tuple of (int, float)
         Places in the curve, and sizes in detectors.
     p_correct : float
-    tolerances : tuple of float
-        The last is that of the refined thresholds; an estimate comes first for each of the others.
+    tolerances : (float, float)
+        Relative errors to reach, of estimates and of refined thresholds.
     """
 
     number: int
@@ -62,14 +73,13 @@ class Request(NamedTuple):
     observer: Unit
     sizes: tuple[tuple[int, float], ...]
     p_correct: float
-    tolerances: tuple[float, ...]
+    tolerances: tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """A threshold at the place `index` of the curve, for the tolerance number `stage`."""
+    """A threshold at the place `index` of the curve."""
 
-    stage: int
     index: int
     threshold: PredictedThreshold
     shares: Shares
@@ -95,70 +105,87 @@ class Engine:
         self._references: dict[float, Reference] = {}
 
     def answers(self, request: Request) -> Iterator[Answer]:
-        """Yield the thresholds of all sizes for each tolerance; a refined one that is known comes at once.
+        """Yield estimates of all sizes and then refined thresholds, the easiest first.
+
+        A refined threshold that is known comes at once, instead of the estimate.
 
         Raises
         ------
         SettingsError
-            If the observer is not linear, or a size or field is out of range.
+            If the observer is not linear, or the proportion, a size or a field is out of range.
         """
+        FitSettings(p_correct=request.p_correct)  # checks it
+        for _, size in request.sizes:
+            field_detectors(request.sensor, size)  # checks it
         sensor = as_computed(request.sensor)
         pickled, noise_sd = request.observer
         scale = noise_sd / sensor.display.gain
         sensor = replace(sensor, display=replace(sensor.display, gain=1.0))
         observer = scaled(partial(pickle.loads, pickled), pickled, scale, self._kept["readouts"])
-        todo = dict(request.sizes)
-        for stage, _ in enumerate(request.tolerances):
-            for index, size in list(todo.items()):
-                self._check()
-                task = _Task(sensor, observer, size, request.p_correct)
-                key = (sensor, pickled, scale, size, request.p_correct, request.tolerances[-1])
-                if key not in self._known and stage == len(request.tolerances) - 1:
-                    self._known[key] = self._refined(task, request.tolerances[-1])
-                    if len(self._known) > THRESHOLDS_KEPT:
-                        self._known.popitem(last=False)
-                is_refined = key in self._known
-                if is_refined:
-                    del todo[index]
-                found = self._known[key] if is_refined else self._estimated(task)
-                yield Answer(stage, index, *found, is_refined)
+        rough, fine = request.tolerances
+        todo: list[tuple[float, int, _Task, Hashable]] = []
+        for index, size in request.sizes:
+            task = _Task(sensor, observer, size, request.p_correct)
+            key: Hashable = (sensor, pickled, scale, size, request.p_correct, fine)
+            if key in self._known:
+                yield Answer(index, *self._known[key], is_refined=True)
+                continue
+            self._check()
+            found, shares = self._estimated(task, rough)
+            yield Answer(index, found, shares, is_refined=False)
+            difficulty = (
+                found.numerical_error / found.threshold if found.threshold and found.numerical_error else 0.0
+            )
+            todo.append((difficulty, index, task, key))
+        for _, index, task, name in sorted(todo, key=lambda one: one[0]):
+            self._known[name] = self._refined(task, fine)
+            if len(self._known) > THRESHOLDS_KEPT:
+                self._known.popitem(last=False)
+            yield Answer(index, *self._known[name], is_refined=True)
 
-    def _estimated(self, task: _Task) -> tuple[PredictedThreshold, Shares]:
-        found, phases, internal = self._on_lattices(task)
-        threshold = error = None
-        if found.status == "ok":
-            threshold, error = found.corrected(self._references.get(task.size))
-        n_phases = sum(part.signal[..., 0].size for part in phases)
-        of_size = PredictedThreshold(task.size, found.status, threshold, error, n_phases, ())
-        return of_size, decision_shares(phases, internal, threshold)
+    def _estimated(self, task: _Task, tolerance: float) -> tuple[PredictedThreshold, Shares]:
+        """Return an estimate: on more places if its error is above the tolerance."""
+        for places in (FEW_PLACES, MORE_PLACES):
+            found = self._on_lattices(task, places)
+            threshold = error = None
+            if found.estimate.status != "ok":
+                break
+            reference = self._references.get(task.size) if places == FEW_PLACES else None
+            threshold, error = found.estimate.corrected(reference)
+            if error <= tolerance * threshold:
+                break
+        n_phases = sum(part.signal[..., 0].size for part in found.phases)
+        of_size = PredictedThreshold(task.size, found.estimate.status, threshold, error, n_phases, ())
+        return of_size, decision_shares(found.phases, found.internal, threshold)
 
-    def _on_lattices(self, task: _Task) -> tuple[Estimate, list[Phases], FloatArray]:
-        """Return the estimate without correction, its trials, and the covariance of the internal noise."""
+    def _on_lattices(self, task: _Task, places: int) -> _OnLattices:
         sensor, observer, size, p_correct = task
         judge = cast("Observer", observer)
         stimulus = Stimulus(size * sensor.display.detector_pitch_mrad)
-
         grid = judge.grid(stimulus)
         half_width = seen_samples(sensor, judge, size, grid)
         look = observer.look(stimulus, half_width)
 
         def make() -> _Trials:
-            plan = quick_plan(sensor, judge, size, symmetric=look.is_symmetric, shared=self._shared)
-            images = partial(observer.weights, stimulus, half_width)
-            name = (observer.name, stimulus)
-            jitter = observer.position_jitter_samples * grid.pitch_mrad / sensor.display.detector_pitch_mrad
-            return _Trials(
-                lattice_phases(
-                    sensor, judge, size, plan, jitter=jitter, name=name, pitch_mrad=grid.pitch_mrad, images=images
-                )
+            phases = lattice_phases(
+                sensor,
+                judge,
+                size,
+                quick_plan(sensor, judge, size, symmetric=look.is_symmetric, shared=self._shared),
+                places=places,
+                jitter=observer.position_jitter_samples * grid.pitch_mrad / sensor.display.detector_pitch_mrad,
+                name=(observer.name, stimulus),
+                pitch_mrad=grid.pitch_mrad,
+                images=partial(observer.weights, stimulus, half_width),
             )
+            return _Trials(phases)
 
-        phases = self._kept["trials"].get((sensor, observer.name, size), make).phases
+        phases = self._kept["trials"].get((sensor, observer.name, size, places), make).phases
         near, slope = self._near.get(size, (None, math.nan))
         found = estimate(phases, look.noise_covariance, p_correct, near=near, slope=slope)
         if found.status == "ok":
             self._near[size] = found.threshold, found.slope
-        return found, phases, look.noise_covariance
+        return _OnLattices(found, phases, look.noise_covariance)
 
     def _refined(self, task: _Task, tolerance: float) -> tuple[PredictedThreshold, Shares]:
         sensor, observer, size, p_correct = task
@@ -166,10 +193,23 @@ class Engine:
         plan = plan_curve(sensor, judge, size, tolerance=tolerance, p_correct=p_correct, shared=self._shared)
         chain = _KeptChain(sensor, judge, size, plan, trials=self._kept["trials"], check=self._check)
         found = predict_threshold(chain, p_correct=p_correct, tolerance=tolerance, n_points=0)
-        estimated, phases, internal = self._on_lattices(task)
-        if found.threshold is not None and found.numerical_error is not None and estimated.status == "ok":
-            self._references[size] = estimated.as_reference(found.threshold, found.numerical_error)
-        return found, decision_shares(phases, internal, found.threshold)
+        on_lattices = self._on_lattices(task, FEW_PLACES)
+        if (
+            found.threshold is not None
+            and found.numerical_error is not None
+            and on_lattices.estimate.status == "ok"
+        ):
+            reference = on_lattices.estimate.as_reference(found.threshold, found.numerical_error)
+            self._references[size] = reference
+        return found, decision_shares(on_lattices.phases, on_lattices.internal, found.threshold)
+
+
+class _OnLattices(NamedTuple):
+    """An estimate without correction, its trials, and the covariance of the internal noise."""
+
+    estimate: Estimate
+    phases: list[Phases]
+    internal: FloatArray
 
 
 class _Task(NamedTuple):

@@ -31,13 +31,14 @@ from todframes.observers.retina import RetinaGrid
 from todframes.psychometrics.threshold_search import crossing
 from todframes.stimulus import ORIENTATIONS
 
-PLACES, REPLICATES = 4, 5
-"""Places along each axis of a lattice, and number of lattices."""
+REPLICATES = 5
+"""Number of lattices."""
 
-SHIFTS = (
-    np.arange(REPLICATES)[:, None] * [1, 2] % REPLICATES + np.random.default_rng(3).random((REPLICATES, 2))
-) / (PLACES * REPLICATES)
-"""Displacements of the lattices along x and y: one in each fifth of a lattice's step, at random within it."""
+FEW_PLACES, MORE_PLACES = 4, 7
+"""Places along each axis of a lattice, and those to try if the error is too large with the former."""
+
+STRATA = np.arange(REPLICATES)[:, None] * [1, 2] % REPLICATES + np.random.default_rng(3).random((REPLICATES, 2))
+"""Displacements of the lattices along x and y, in fifths of a lattice's step: one in each, at random within it."""
 
 STANDARD_ERRORS_95 = 2.776
 """Half-width of a 95 % interval in standard errors: Student's t with one degree of freedom less than lattices."""
@@ -50,9 +51,8 @@ FIELD_IN_SIZES = 2.0
 SMALL_JITTER = 0.03
 """Displacement of the retina, in detectors, that is left out: the hold of a detector blurs 300 times as much."""
 
-LEFT_OUT = 0.003
-"""Relative change of a threshold that `quick_plan` may cause: it leaves out what `plan_curve` nearly always does,
-without a trial. Over sensors at random it is below 0.001."""
+LEFT_OUT = 3e-4
+"""Change of P(correct) that `quick_plan` and `SMALL_JITTER` may cause; over sensors at random it is below half."""
 
 STEP = 0.05
 """Distance in ln SNR between the two points from which the slope is taken."""
@@ -105,7 +105,7 @@ class Estimate:
             if by_ratio < half_width:
                 half_width, correction = by_ratio, reference.correction
         threshold = self.threshold * math.exp(correction)
-        return threshold, (half_width + LEFT_OUT) * threshold
+        return threshold, (half_width + LEFT_OUT / self.slope) * threshold
 
     def as_reference(self, threshold: float, error: float) -> Reference:
         """Return the reference that this sensor is with a threshold that is known better."""
@@ -171,6 +171,7 @@ def lattice_phases(
     size_detectors: float,
     plan: CurvePlan,
     *,
+    places: int,
     jitter: float,
     name: Hashable,
     pitch_mrad: float,
@@ -184,6 +185,8 @@ def lattice_phases(
     observer : Observer
     size_detectors : float
     plan : CurvePlan
+    places : int
+        Places along each axis of a lattice.
     jitter : float
         Largest displacement of the retina along each axis, in detectors.
     name : hashable
@@ -193,20 +196,20 @@ def lattice_phases(
     images : function of no arguments
         Returns them, (4, side, side); called if they are not folded yet.
     """
-    along = np.arange(PLACES) / PLACES - 0.5
-    middle_x, middle_y = along + SHIFTS.T[..., None]
-    row, column = np.divmod(np.arange(PLACES**2)[:, None], PLACES)
+    along = np.arange(places) / places - 0.5
+    middle_x, middle_y = along + STRATA.T[..., None] / (places * REPLICATES)
+    row, column = np.divmod(np.arange(places**2)[:, None], places)
     evenly = row * KRONECKER_STEPS[0] + column * KRONECKER_STEPS[1]
     evenly = (evenly + np.arange(REPLICATES)[:, None, None] * KRONECKER_STEPS.sum(axis=0)) % 1.0
     signs = np.array([[1.0], [-1.0]]) if jitter > SMALL_JITTER else np.zeros((1, 1))
     displacement = jitter * (2.0 * evenly - 1.0).reshape(-1, 1, 2) * signs
-    place = np.empty((REPLICATES, PLACES, PLACES, 1, 2))
+    place = np.empty((REPLICATES, places, places, 1, 2))
     place[..., 0, 0], place[..., 0, 1] = middle_x[:, None, :], middle_y[:, :, None]
     x, y = np.ascontiguousarray((place.reshape(-1, 1, 2) - displacement).reshape(-1, 2).T)
     trials = []
     for orientation in plan.orientations:
         dx, dy = centre_offset(observer, orientation, size_detectors)
-        key = (name, sensor.display, sensor.electronics, plan.field, dx, dy)
+        key = (name, sensor.display, sensor.electronics, plan.field, places, dx, dy)
 
         def fold(dx: float = dx, dy: float = dy) -> FloatArray:
             of_scores = images()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import pickle
 from collections.abc import Callable, Hashable
 from dataclasses import replace
@@ -92,12 +93,10 @@ class ScaledObserver:
 
     def readout(self, stimulus: Stimulus) -> Readout | None:
         """Return the readout with its noise scaled; None if the observer is not linear."""
-        base = self._make()
-        readout = base.readout(stimulus)
-        if hasattr(base.readout, "cache_clear"):
-            base.readout.cache_clear()  # the observer refers to itself through it, and would live on for a while
-        if readout is None:
+        kept: list[_Whole] = self._kept.get((self.name, stimulus, "whole"), lambda: self._whole(stimulus))
+        if not kept:
             return None
+        readout = kept[0].readout
         readout = replace(readout, noise_covariance=self._scale**2 * readout.noise_covariance)
         # Instead of a hash of the weights, which takes longer than the weights of a place.
         vars(readout)["weights_key"] = (self.name, stimulus)
@@ -124,18 +123,40 @@ class ScaledObserver:
     def _parts(self, stimulus: Stimulus, half_width: int) -> tuple[Look, Weights]:
         """Compute the parts of a readout that are kept, and keep both."""
         if type(self._base) is PyramidObserver:
-            quick = quick_readout(self._base, stimulus, half_width)
+            quick = quick_readout(self._base, stimulus, half_width, np.float32)
             look, weights = Look(quick.noise_covariance, is_symmetric=True), Weights(quick.upright[None])
         else:
-            readout = self._make().readout(stimulus)
-            if readout is None:
+            whole = self._whole(stimulus)
+            if not whole:
                 raise not_linear()
+            readout = whole[0].readout
             symmetric = is_symmetric(readout)
             look = Look(readout.noise_covariance, symmetric)
             weights = Weights(readout.deviations[: 1 if symmetric else 4].astype(np.float32))
         self._kept.get((self.name, stimulus), lambda: look)
         self._kept.get((self.name, stimulus, half_width), lambda: weights)
         return look, weights
+
+    def _whole(self, stimulus: Stimulus) -> list[_Whole]:
+        """Return the readout on the whole retina, not scaled; none if the observer is not linear."""
+        base = self._make()
+        if type(base) is not PyramidObserver:
+            readout = base.readout(stimulus)
+            if hasattr(base.readout, "cache_clear"):
+                base.readout.cache_clear()  # the observer refers to itself through it, and would live on for long
+            return [] if readout is None else [_Whole(readout)]
+        grid = base.grid(stimulus)
+        upright, covariance = quick_readout(base, stimulus, grid.side // 2, np.float64)
+        deviations = np.stack([np.rot90(upright, -k) for k in range(4)])
+        return [_Whole(Readout(grid, lambda: np.zeros_like(upright), deviations, covariance, math.nan))]
+
+
+class _Whole(NamedTuple):
+    readout: Readout
+
+    @property
+    def nbytes(self) -> int:
+        return self.readout.deviations.nbytes
 
 
 class ScaledTruncatedObserver(ScaledObserver):

@@ -55,7 +55,7 @@ from todframes.experiment.monitor import (
 )
 from todframes.experiment.psych_ds import NAME as DESCRIPTION_NAME
 from todframes.experiment.psych_ds import write_description
-from todframes.experiment.stimuli import clipped, contrast_range, png, shown_codes, trial_image
+from todframes.experiment.stimuli import clipped, contrast_range, dithered_codes, png, trial_image
 from todframes.frames.dataset import Dataset
 from todframes.frames.files import frame_sha256
 from todframes.frames.trials import Trial, Trials
@@ -125,7 +125,7 @@ class Design:
 
 
 class NextTrial(NamedTuple):
-    """The trial that comes next: its phase, its row in the dataset's trials and the seed of its dither."""
+    """The trial that comes next: its phase, its row in the dataset's trials and the first seed of its dither."""
 
     phase: Phase
     row: int
@@ -168,7 +168,12 @@ class TrialOrder:
         return len(self._practice) if phase == "practice" else self._record.trials
 
     def check(self, file: AnswerFile) -> None:
-        """Raise DataError if a row names a frame that is not the first of a trial."""
+        """Raise DataError if the dataset has fewer trials, or a row names a frame that no trial begins with."""
+        if self._record.trials > len(self._trials):
+            raise DataError(
+                f"{sidecar_path(file.path)}: trials: found {self._record.trials}, the dataset has "
+                f"{len(self._trials)}"
+            )
         for line, row in enumerate(file.rows, 2):
             if row.frame not in self._row_of_frame:
                 raise DataError(
@@ -260,11 +265,12 @@ class Prepared(NamedTuple):
     """A trial that is ready to be shown: its picture, and what its row will say."""
 
     number: int
-    next: NextTrial
+    phase: Phase
     trial: Trial
     picture: bytes
     width: int
     height: int
+    dither_seed: int
     clipped_px: int
     sha256: str
     shown_at: str
@@ -357,7 +363,7 @@ class Sitting:
             prepared = self._prepare()
             return {
                 "number": prepared.number,
-                "phase": prepared.next.phase,
+                "phase": prepared.phase,
                 "image": f"/stimulus/{prepared.number}.png",
                 "width": prepared.width,
                 "height": prepared.height,
@@ -402,7 +408,7 @@ class Sitting:
                 )
             row = TrialRow(
                 number=number,
-                phase=shown.next.phase,
+                phase=shown.phase,
                 frame=shown.trial.frames[0].path,
                 sha256=shown.sha256,
                 orientation=shown.trial.orientation,
@@ -411,7 +417,7 @@ class Sitting:
                 level=shown.trial.level,
                 group=shown.trial.group,
                 size_mrad=shown.trial.stimulus.size_mrad,
-                dither_seed=shown.next.dither_seed,
+                dither_seed=shown.dither_seed,
                 clipped_px=shown.clipped_px,
                 shown_at=shown.shown_at,
             )
@@ -499,12 +505,12 @@ class Sitting:
         if self._prepared is None or self._prepared.number != number:
             trial = self._dataset.trials[following.row]
             image = trial_image(self._dataset, trial)
-            codes = shown_codes(image.contrast, self._monitor, following.dither_seed)
+            codes, dither_seed = dithered_codes(trial, image, self._monitor, following.dither_seed)
             n_clipped = int(np.count_nonzero(clipped(image.contrast, self._monitor)))
             height, width = codes.shape
             sha256 = frames_sha256(self._dataset, trial)
             self._prepared = Prepared(
-                number, following, trial, png(codes), width, height, n_clipped, sha256, _now()
+                number, following.phase, trial, png(codes), width, height, dither_seed, n_clipped, sha256, _now()
             )
         return self._prepared
 
@@ -582,14 +588,15 @@ def open_sitting(
         subject = _unfinished_subject(folder, records) or secrets.token_hex(4)
     elif not re.fullmatch("[A-Za-z0-9]{1,64}", subject):
         raise SettingsError(f"--subject: found {subject!r}, expected letters and digits, at most 64, and no name")
+    new = _new_record(dataset, shown, subject, software, design)
     _make_folders(folder, shown, software)
     with AnswerFile(data_path(folder, subject)) as file:
         file.begin(shown)
         sidecar = sidecar_path(file.path)
-        record = read_sidecar(sidecar) if sidecar.exists() else None
-        differs = record is not None and _difference(record, design)
-        if record is None or (differs and not file.rows):
-            record = _new_record(dataset, shown, subject, software, design)
+        record = read_sidecar(sidecar) if sidecar.exists() or file.rows else new
+        differs = _difference(record, design)
+        if record is new or (differs and not file.rows):
+            record = new
             write_sidecar(sidecar, record)
         elif differs:
             raise SettingsError(f"--{differs}, but subject {subject} has answered trials; take another --subject")

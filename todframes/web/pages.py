@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import gzip
 import re
 import threading
 from collections.abc import Callable, Iterator, Sequence
@@ -34,6 +35,8 @@ TYPES = {
 }
 
 JSON = "application/json"
+
+LEAST_COMPRESSED_BYTES = 4096
 
 T = TypeVar("T")
 
@@ -69,24 +72,31 @@ def page(folder: Traversable, calls: Sequence[Route], lifespan: Lifespan[Starlet
 def _file(path: str, file: Traversable) -> Route:
     content, media_type = file.read_bytes(), TYPES[file.name.rpartition(".")[2]]
 
-    async def endpoint(_: Request) -> Response:
-        return Response(content, media_type=media_type)
+    async def endpoint(request: Request) -> Response:
+        return _answer(request, content, media_type)
 
     return Route(path, endpoint)
+
+
+def _answer(request: Request, content: bytes, media_type: str) -> Response:
+    """Return an answer, compressed if it is long and the browser takes it so."""
+    if len(content) < LEAST_COMPRESSED_BYTES or "gzip" not in request.headers.get("accept-encoding", ""):
+        return Response(content, media_type=media_type)
+    small = gzip.compress(content, compresslevel=1, mtime=0)
+    return Response(small, media_type=media_type, headers={"Content-Encoding": "gzip"})
 
 
 def call(path: str, kind: type[T], function: Callable[[T], object]) -> Route:
     """Return the route of a POST whose JSON body is checked against a type, and whose answer is JSON.
 
-    The function runs in a thread. The answer to a `TodframesError` that it raises is that of `error_answer`. What
-    it returns may be bytes of JSON, too.
+    The function runs in a thread. The answer to a `TodframesError` that it raises is that of `error_answer`.
     """
     decoder = msgspec.json.Decoder(kind)
 
     async def endpoint(request: Request) -> Response:
         asked = _decoded(decoder, await request.body())
         found = await run_in_threadpool(function, asked)
-        return Response(found if isinstance(found, bytes) else json_bytes(found), media_type=JSON)
+        return _answer(request, json_bytes(found), JSON)
 
     return Route(path, endpoint, methods=["POST"])
 

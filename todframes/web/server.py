@@ -84,7 +84,7 @@ def serve(
     """
     with open_listener(launch) as listener:
         address, port = listener.getsockname()[:2]
-        origin = f"http://{_in_url(launch.host)}:{port}"
+        origin = origin_of(launch.host, port)
         if warn is not None and not ipaddress.ip_address(address).is_loopback:
             warn(f"note: other machines can reach {origin}, and others in the network can read what is sent")
         token = secrets.token_urlsafe(32)
@@ -101,7 +101,7 @@ def serve(
                 async with app.router.lifespan_context(app), listening(guard, listener):
                     tell(url)
                     if launch.open_browser:
-                        threading.Thread(target=_open_browser, args=[url], daemon=True).start()
+                        threading.Thread(target=open_browser_at, args=[url], daemon=True).start()
                     await ended.wait()
 
         asyncio.run(run())
@@ -119,7 +119,6 @@ async def listening(app: ASGIApp, listener: socket.socket) -> AsyncIterator[None
         lifespan="off",
         interface="asgi3",
         log_config=None,
-        access_log=False,
         timeout_keep_alive=LONGEST_WAIT_S,
         h11_max_incomplete_event_size=LONGEST_HEADERS_BYTES,
     )
@@ -150,6 +149,7 @@ class _Connection(H11Protocol):
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         super().connection_made(transport)
+        self.access_log = False  # it would hold the token
         self._waiting_since, self._answered = self.loop.time(), self.cycle
         self._look_again()
         others = [one for one in self.connections if isinstance(one, _Connection) and one is not self]
@@ -177,19 +177,19 @@ class _Connection(H11Protocol):
         self._next_look = self.loop.call_later(LOOK_S, self._look_again)
 
 
-def _open_browser(url: str) -> None:
+def open_browser_at(url: str) -> None:
     """Open the browser of the desktop; one that runs in the terminal would take the terminal."""
     try:
         browser = webbrowser.get()
     except webbrowser.Error:
         return
-    if type(browser) is not webbrowser.GenericBrowser:
+    if not isinstance(browser, webbrowser.GenericBrowser) or isinstance(browser, webbrowser.BackgroundBrowser):
         browser.open(url)
 
 
-def _in_url(host: str) -> str:
-    """Return a host as it is written in a URL, and in the header `Host`."""
-    return f"[{host}]" if ":" in host else host.lower()
+def origin_of(host: str, port: int) -> str:
+    """Return scheme, host and port as they are written in a URL."""
+    return f"http://{f'[{host}]' if ':' in host else host.lower()}:{port}"
 
 
 def open_listener(launch: Launch) -> socket.socket:

@@ -18,11 +18,8 @@ const MOST_FILE_BYTES = 500_000;
 const SHARES = { internal: "Internal noise", detector: "Detector noise", sampling: "Sampling" };
 const MTF_ROWS = 13;
 
-/** Remark without a threshold, by status. */
-const MISSING = {
-  never_reached: "not reached at any SNR",
-  always_exceeded: "exceeded at every SNR",
-};
+/** What the table has in place of a threshold, by status. */
+const MISSING = { never_reached: "never reached", always_exceeded: "always exceeded" };
 
 class Explorer {
   #fields;
@@ -177,7 +174,7 @@ class Explorer {
     this.#showLimits(curve.limits);
     const error = percentAtMost(Math.max(...relativeErrors(curve.thresholds), 0) || curve.tolerance);
     byId("status").textContent = curve.is_last
-      ? `Refined: within ${error}, in ${plain(Number(curve.seconds.toPrecision(2)))} s`
+      ? `Refined: within ${error}${curve.seconds < 0.1 ? "" : `, in ${curve.seconds.toFixed(1)} s`}`
       : `${curve.stage === "estimate" ? "Estimate" : "Refining"}: within ${error}`;
     if (curve.is_last) this.#announce(`${byId("sentence").textContent} ${this.#summary()}`);
     if (state !== this.#state) return;
@@ -188,14 +185,15 @@ class Explorer {
   #drawCurve() {
     const curve = this.#curve;
     if (curve === null) return;
-    const known = Object.keys(STRENGTHS).filter((name) => curve.thresholds.some((one) => one[name] != null));
-    const strength = known.includes(this.#view.strength) ? this.#view.strength : "snr";
+    const isKnown = (name) => name === "snr" || curve.thresholds.some((one) => one[name] !== null);
+    const known = Object.keys(STRENGTHS).filter(isKnown);
+    const strength = isKnown(this.#view.strength) ? this.#view.strength : "snr";
     const view = { ...this.#view, strength };
     for (const input of document.querySelectorAll(".axes input")) {
       input.checked = input.value === view[input.name];
       if (input.name !== "strength") continue;
-      input.disabled = input.value !== "snr" && !known.includes(input.value);
-      input.parentElement.title = input.disabled ? STRENGTHS[input.value].lacks : "";
+      input.disabled = !isKnown(input.value);
+      input.parentElement.title = input.disabled ? "Temperatures need the NETD, and a threshold." : "";
     }
     this.#curveChart.draw(curve.thresholds, this.#pins, view);
     // Tests and benchmarks read which request is on the screen.
@@ -212,24 +210,20 @@ class Explorer {
       plain(one.size_detectors),
       plain(one.size_mrad),
       plain(one.size_mrad_eye),
-      ...strengths.map(([name, { error }]) => (one.status === "ok" ? withError(one[name], one[error]) : one.status)),
+      ...strengths.map(([name, { error }]) =>
+        one[name] === null ? MISSING[one.status] : withError(one[name], one[error]),
+      ),
     ]);
     const stage = this.#curve.is_last ? "refined" : "estimated";
     const caption = `Thresholds, ${stage}; ± is half of the 95 % interval of the computation`;
     fillTable(byId("curve-table"), caption, headers, rows);
-    const missing = this.#curve.thresholds.filter((one) => one.snr === null);
-    byId("missing").textContent = Array.from(Map.groupBy(missing, (one) => one.status), ([status, those]) => {
-      const sizes = those.map((one) => plain(one.size_detectors)).join(", ");
-      return `No threshold at ${sizes} detectors: ${MISSING[status] ?? status}.`;
-    }).join(" ");
   }
 
   #showLimits(limits) {
-    byId("sentence").textContent = limits?.sentence ?? "";
-    const shares = Object.entries(SHARES).filter(([name]) => Number.isFinite(limits?.[name]));
-    const parts = shares.map(([name, label]) => {
+    byId("sentence").textContent = limits.sentence;
+    const parts = Object.entries(SHARES).map(([name, label]) => {
       const part = element("span", { className: name }, `${label} ${Math.round(100 * limits[name])} %`);
-      part.style.flexGrow = Math.max(limits[name], 0);
+      part.style.flexGrow = limits[name];
       return part;
     });
     byId("shares").replaceChildren(...parts);
@@ -237,7 +231,7 @@ class Explorer {
 
   #summary() {
     const shown = this.#curve.thresholds.map(
-      (one) => `${plain(one.size_detectors)} detectors: ${one.snr === null ? "none" : plain(one.snr)}`,
+      (one) => `${plain(one.size_detectors)} detectors: ${one.snr === null ? MISSING[one.status] : plain(one.snr)}`,
     );
     return `Threshold SNR at ${shown.join("; ")}.`;
   }

@@ -18,7 +18,6 @@ export function fromTo(low, high) {
 
 /** Return a value with as many decimals as the first digit of its error has. */
 export function withError(value, error) {
-  if (value === null || value === undefined) return "–";
   if (!(error > 0)) return plain(value);
   const decimals = Math.min(Math.max(-Math.floor(Math.log10(error)), 0), 12);
   return `${value.toFixed(decimals)} ± ${error.toFixed(decimals)}`;

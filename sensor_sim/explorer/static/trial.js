@@ -51,7 +51,7 @@ export class Trial {
   #draw() {
     if (this.#state === null) return;
     const size = parsed(byId("trial-size").value);
-    if (!this.#isSnrChosen) byId("trial-snr").value = plain(this.#thresholdNear(size));
+    if (!this.#isSnrChosen) byId("trial-snr").value = String(this.#thresholdNear(size));
     const snr = parsed(byId("trial-snr").value);
     if (!(size > 0 && snr > 0)) {
       this.#fail(new Error("Expected a size and an SNR above 0."));
