@@ -209,6 +209,15 @@ def test_sizes_are_those_at_the_eye(small: Path, tmp_path: Path) -> None:
     assert min(one.size_mrad for one in seen.trials.stimuli) == pytest.approx(1.003)
 
 
+def test_levels_that_are_sizes(make_dataset, tmp_path: Path) -> None:
+    experiment = {"level": "size_mrad", "group_by": ["contrast"]}
+    path = make_dataset(sizes_mrad=(1.0, 2.0), contrasts=(0.4,), experiment=experiment).path
+    dataset, session = seen_session(path, tmp_path / "near", ratio=1.5)
+    seen = seen_dataset(dataset, session)
+    assert set(seen.trials.levels.tolist()) == {1.5, 3.0}
+    assert seen.trials.groups == ((0.4,),)
+
+
 def answers_table(path: Path, folder: Path):
     dataset, session = seen_session(path, folder)
     observers, blurs = noise_observers(tod.PyramidObserver(), dataset.trials[0].stimulus, blur_is_free=False)
