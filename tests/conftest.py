@@ -313,6 +313,16 @@ def results_of_commands() -> dict[str, dict[str, Any]]:
     ratio = {"threshold_error": 0.01, "ratio": 464.2, "closed_form": "closed_form"}
     scene["speed_ratios"] = [ratio | {"extrapolated": True, "at_least": False}]
     scene["variants"] = [{"label": "float32", "cpu_ratio": 0.5, "threshold_change": 1e-7}]
+    own = [fit | {"group": {"subject": name} | fit["group"]} for name in ("m1", "p2") for fit in fits]
+    persons = [
+        {"subject": name, "status": status, "internal_noise": noise, "internal_noise_ci95": interval}
+        | {"n_trials": 240, "n_correct": 200, "log_likelihood": -100.0, "deviance": 20.0, "n_cells": 21}
+        | {"deviance_p_value": 0.4, "predicted": predicted}
+        for name, status, noise, interval, predicted in (
+            ("m1", "ok", 0.5, [0.4, 0.6], own[: len(fits)]),
+            ("p2", "noise_free", None, [None, 0.1], []),
+        )
+    ]
     plan = [{"stage": "optics", "kept": False, "why": "no blur", "bound": 1e-7, "saves_s": 0.2}]
     dataset = {"path": "my_camera", "display": {"eotf": "srgb", "pixel_pitch_mrad": 0.42}, "n_frames": 280}
     skipped = [{"frame": "frames/9.exr", "error": "frames/9.exr: the file is empty"}]
@@ -327,6 +337,15 @@ def results_of_commands() -> dict[str, dict[str, Any]]:
         | {"command": "compare", "dataset": dataset, "algorithms": algorithms}
         | {"examples": [example | {"algorithm": name} for name in ("none", "clahe")]},
         "accuracy": common | {"command": "accuracy", "scenes": [scene]},
+        "calibrate": common
+        | {
+            "command": "calibrate",
+            "dataset": dataset,
+            "fits": own,
+            "persons": persons,
+            "equal_noise_p_value": 0.03,
+        }
+        | {"pooled": persons[0] | {"subject": None, "predicted": []}},
     }
 
 

@@ -270,6 +270,9 @@ def test_damaged_rows_are_named(path, old, new, message):
         ({"schema": 9}, "schema: found 9, expected 1"),
         ({"method": "guess"}, "not the sidecar of a session .*guess"),
         ({"monitor": {"gamma": 2.2}}, "not the sidecar of a session"),
+        ({"seed": -1}, "not the sidecar of a session .*seed"),
+        ({"trials": 0}, "not the sidecar of a session .*trials"),
+        ({"subject": "../../P2"}, "subject: found '../../P2', expected that of the file's name"),
     ],
 )
 def test_damaged_sidecars_are_named(path, change, message):

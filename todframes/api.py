@@ -29,7 +29,6 @@ from todframes.observers.interface import ENTRY_POINT_GROUP, Observer, find_obse
 from todframes.psychometrics.fit import CurveName, FitSettings
 from todframes.psychometrics.fit import fit_counts as fit_counts_of_one
 from todframes.report.advice import above_contrast_1, levels_to_add
-from todframes.report.calibration import calibration_warnings
 from todframes.report.data import (
     DatasetRecord,
     Fit,
@@ -553,6 +552,8 @@ def calibrate(
     ]
     persons = [_person_result(data, person) for person in found.persons]
     pooled = None if found.pooled is None else _person_result(data, found.pooled)
+    fitted = ("internal_noise", "internal_noise_sd", *(["template_blur_samples"] * ("blur" in free)))
+    settings = {name: value for name, value in settings.items() if name not in fitted}
     return Result.made(
         "calibrate",
         started,
@@ -564,7 +565,7 @@ def calibrate(
         equal_noise_p_value=found.equal_noise_p_value,
         dataset=DatasetRecord.of(data),
         skipped=tuple(one._asdict() for one in found.skipped),
-        warnings=calibration_warnings(persons, found.equal_noise_p_value),
+        warnings=tuple(ResultWarning(**one._asdict()) for one in found.warnings()),
     )
 
 

@@ -31,17 +31,19 @@ from sensor_sim.explorer.estimate import (
 from sensor_sim.explorer.limits import Shares, decision_shares
 from sensor_sim.explorer.scaled import ScaledObserver, Unit, scaled
 from sensor_sim.predict import FoldedChain, Phases, PredictedThreshold, predict_threshold
+from sensor_sim.sampling import field_detectors
 from sensor_sim.sensor import Sensor
 from sensor_sim.sharing import Kept, Shared
 from sensor_sim.sweep_work import as_computed
 from todframes._typing import FloatArray
 from todframes.observers.decision import answer_probability
 from todframes.observers.interface import Observer
+from todframes.psychometrics.fit import FitSettings
 from todframes.stimulus import Stimulus
 
 T = TypeVar("T")
 
-KEPT_MB = {"readouts": 64, "samplers": 10, "samples": 30, "weights": 40, "trials": 30}
+KEPT_MB = {"readouts": 44, "samplers": 6, "samples": 16, "weights": 20, "trials": 10}
 """Largest size of what is kept, by kind, in units of 2**20 bytes."""
 
 THRESHOLDS_KEPT = 2000
@@ -62,8 +64,8 @@ class Request(NamedTuple):
     sizes : tuple of (int, float)
         Places in the curve, and sizes in detectors.
     p_correct : float
-    tolerances : tuple of float
-        The last is that of the refined thresholds; an estimate comes first for each of the others.
+    tolerances : (float, float)
+        Relative errors to reach, of estimates and of refined thresholds.
     """
 
     number: int
@@ -71,14 +73,13 @@ class Request(NamedTuple):
     observer: Unit
     sizes: tuple[tuple[int, float], ...]
     p_correct: float
-    tolerances: tuple[float, ...]
+    tolerances: tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """A threshold at the place `index` of the curve, for the tolerance number `stage`."""
+    """A threshold at the place `index` of the curve."""
 
-    stage: int
     index: int
     threshold: PredictedThreshold
     shares: Shares
@@ -104,33 +105,43 @@ class Engine:
         self._references: dict[float, Reference] = {}
 
     def answers(self, request: Request) -> Iterator[Answer]:
-        """Yield the thresholds of all sizes for each tolerance; a refined one that is known comes at once.
+        """Yield estimates of all sizes and then refined thresholds, the easiest first.
+
+        A refined threshold that is known comes at once, instead of the estimate.
 
         Raises
         ------
         SettingsError
-            If the observer is not linear, or a size or field is out of range.
+            If the observer is not linear, or the proportion, a size or a field is out of range.
         """
+        FitSettings(p_correct=request.p_correct)  # checks it
+        for _, size in request.sizes:
+            field_detectors(request.sensor, size)  # checks it
         sensor = as_computed(request.sensor)
         pickled, noise_sd = request.observer
         scale = noise_sd / sensor.display.gain
         sensor = replace(sensor, display=replace(sensor.display, gain=1.0))
         observer = scaled(partial(pickle.loads, pickled), pickled, scale, self._kept["readouts"])
-        todo = dict(request.sizes)
-        for stage, _ in enumerate(request.tolerances):
-            for index, size in list(todo.items()):
-                self._check()
-                task = _Task(sensor, observer, size, request.p_correct)
-                key = (sensor, pickled, scale, size, request.p_correct, request.tolerances[-1])
-                if key not in self._known and stage == len(request.tolerances) - 1:
-                    self._known[key] = self._refined(task, request.tolerances[-1])
-                    if len(self._known) > THRESHOLDS_KEPT:
-                        self._known.popitem(last=False)
-                is_refined = key in self._known
-                if is_refined:
-                    del todo[index]
-                found = self._known[key] if is_refined else self._estimated(task, request.tolerances[stage])
-                yield Answer(stage, index, *found, is_refined)
+        rough, fine = request.tolerances
+        todo: list[tuple[float, int, _Task, Hashable]] = []
+        for index, size in request.sizes:
+            task = _Task(sensor, observer, size, request.p_correct)
+            key: Hashable = (sensor, pickled, scale, size, request.p_correct, fine)
+            if key in self._known:
+                yield Answer(index, *self._known[key], is_refined=True)
+                continue
+            self._check()
+            found, shares = self._estimated(task, rough)
+            yield Answer(index, found, shares, is_refined=False)
+            difficulty = (
+                found.numerical_error / found.threshold if found.threshold and found.numerical_error else 0.0
+            )
+            todo.append((difficulty, index, task, key))
+        for _, index, task, name in sorted(todo, key=lambda one: one[0]):
+            self._known[name] = self._refined(task, fine)
+            if len(self._known) > THRESHOLDS_KEPT:
+                self._known.popitem(last=False)
+            yield Answer(index, *self._known[name], is_refined=True)
 
     def _estimated(self, task: _Task, tolerance: float) -> tuple[PredictedThreshold, Shares]:
         """Return an estimate: on more places if its error is above the tolerance."""

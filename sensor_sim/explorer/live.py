@@ -27,6 +27,9 @@ TOLERANCES = (0.03, 0.002)
 
 PROCESSES = 2
 
+BETWEEN_S = 0.25
+"""Shortest time between curves of which more is refined."""
+
 POLL_S = 0.004
 """Longest time between two questions whether the curve is still wanted."""
 
@@ -93,10 +96,10 @@ class LiveCurves:
         sizes_detectors: Sequence[float],
         *,
         p_correct: float = 0.75,
-        tolerances: Sequence[float] = TOLERANCES,
+        tolerances: tuple[float, float] = TOLERANCES,
         is_wanted: Callable[[], bool],
     ) -> Iterator[LiveCurve]:
-        """Yield an estimate and then the refined curve; stop as soon as no more is wanted.
+        """Yield an estimate, and then curves of which more and more is refined; stop as soon as no more is wanted.
 
         One curve is computed at a time; another thread waits until it is done or no longer wanted.
 
@@ -109,15 +112,15 @@ class LiveCurves:
             Sizes √(area) in detector pitches.
         p_correct : float
             Raw proportion correct at threshold.
-        tolerances : sequence of float
-            Relative errors: the last is that of the refined thresholds, an estimate comes for each before.
+        tolerances : (float, float)
+            Relative errors to reach, of the estimate and of the refined thresholds.
         is_wanted : function of no arguments
             Asked every few milliseconds; when it returns False the computation ends without a further curve.
 
         Raises
         ------
         SettingsError
-            If the observer is not linear, or a size or field is out of range.
+            If the observer is not linear, or the proportion, a size or a field is out of range.
         TodframesError
             If a process dies twice.
         """
@@ -134,25 +137,24 @@ class LiveCurves:
             sizes = [float(size) for size in sizes_detectors]
             unit = unit_of(observer)
             requests = [
-                Request(self._number, sensor, unit, part, p_correct, tuple(tolerances))
-                for part in _divided(sizes, len(self._workers))
+                Request(self._number, sensor, unit, part, p_correct, tolerances)
+                for part in divided(sizes, len(self._workers))
             ]
-            found: list[dict[int, Any]] = [{} for _ in tolerances]
+            found: dict[int, Any] = {}
+            next_s = 0.0
             for answer in self._answers(requests, is_wanted):
-                for stage in range(answer.stage, len(tolerances) if answer.is_refined else answer.stage + 1):
-                    found[stage][answer.index] = answer
-                if len(found[answer.stage]) == len(sizes):
-                    curve = [found[answer.stage][index] for index in range(len(sizes))]
-                    is_last = all(one.is_refined for one in curve)
-                    yield LiveCurve(
-                        tuple(one.threshold for one in curve),
-                        tuple(one.shares for one in curve),
-                        tolerances[answer.stage],
-                        time.perf_counter() - started,
-                        is_last,
+                found[answer.index] = answer
+                is_last = len(found) == len(sizes) and all(one.is_refined for one in found.values())
+                seconds = time.perf_counter() - started
+                if is_last or (len(found) == len(sizes) and seconds >= next_s):
+                    in_order = [found[index] for index in range(len(sizes))]
+                    thresholds, shares = (
+                        tuple(getattr(one, name) for one in in_order) for name in ("threshold", "shares")
                     )
-                    if is_last:
-                        return
+                    yield LiveCurve(thresholds, shares, tolerances[is_last], seconds, is_last)
+                    next_s = time.perf_counter() - started + BETWEEN_S
+                if is_last:
+                    return
         finally:
             self._wanted.value = NOTHING_WANTED
             self._turn.release()
@@ -202,7 +204,7 @@ class LiveCurves:
             worker.end()
 
 
-def _divided(sizes: Sequence[float], n_parts: int) -> list[tuple[tuple[int, float], ...]]:
+def divided(sizes: Sequence[float], n_parts: int) -> list[tuple[tuple[int, float], ...]]:
     """Divide sizes, with their places, into parts of about the same work, the same for the same sizes."""
     parts: list[list[tuple[int, float]]] = [[] for _ in range(n_parts)]
     work = [0.0] * n_parts

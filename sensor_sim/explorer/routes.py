@@ -250,7 +250,9 @@ def trial_pictures(asked: TrialAsked) -> dict[str, Any]:
     per_detector = max(FINE_PIXELS_PER_DETECTOR, sensor.display.pixels_per_detector)
     side = field_detectors(sensor, asked.size_detectors) * per_detector
     if side**2 > MOST_PICTURE_PIXELS:
-        raise SettingsError(f"found a trial of {side} × {side} pixels, too many to show; choose a smaller triangle")
+        raise SettingsError(
+            f"found a trial of {side} × {side} pixels, too many to show; choose a smaller triangle"
+        )
     pictures = []
     for name, image in trial_stages(sensor, asked.trial(), seed=asked.seed).items():
         grey = np.rint(np.clip((image - BLACK) / (WHITE - BLACK), 0.0, 1.0) * 255.0).astype(np.uint8)

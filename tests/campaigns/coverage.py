@@ -1,7 +1,7 @@
 """How often the interval of the internal noise covers the true one, over simulated people; minutes to an hour.
 
 python tests/campaigns/coverage.py 200 --method quest            # whole sessions on sample_frames/naked_eye
-python tests/campaigns/coverage.py 2000 --redrawn --free lapse   # one set of frames, answers drawn anew
+python tests/campaigns/coverage.py 1000 --redrawn --free lapse   # one set of frames, answers drawn anew
 
 Each person sits a session without a browser and answers by the literal model, with noise on every neuron; the
 session is then calibrated. With --redrawn the frames of one session are shown once, and each person answers some
@@ -15,6 +15,7 @@ import math
 import sys
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import NamedTuple
@@ -25,12 +26,13 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from people import a_monitor, model_person, sit
 
-from todframes.experiment.answers import Session, read_answers
+from todframes.experiment.answers import Method, Session, read_answers
+from todframes.experiment.order import TrialOrder
 from todframes.experiment.person import AnsweredTrials, answered_trials, cells_of, noise_grid, noise_observers
 from todframes.frames.dataset import Dataset, load_dataset
 from todframes.observers.pyramid import PyramidObserver
 from todframes.psychometrics.noise_fit import AnswerTable, NoiseFit, fit_noise, with_lapses
-from todframes.stimulus import Orientation
+from todframes.stimulus import ORIENTATIONS, Orientation
 
 FRAMES = Path(__file__).parents[2] / "sample_frames" / "naked_eye"
 
@@ -76,7 +78,7 @@ def tabulated(dataset: Dataset, session: Session) -> tuple[AnsweredTrials, Answe
 
 
 def whole_sessions(
-    n: int, *, noise: float, lapses: float, free: bool, method: str, trials: int, seed: int
+    n: int, *, noise: float, lapses: float, free: bool, method: Method, trials: int, seed: int
 ) -> Iterator[NoiseFit]:
     """Yield the fit of each person who sits a whole session."""
     dataset = load_dataset(FRAMES)
@@ -85,8 +87,7 @@ def whole_sessions(
         rng = np.random.default_rng([seed, number])
         with TemporaryDirectory() as folder:
             answer = model_person(dataset, monitor, noise=noise, rng=rng, lapses=lapses)
-            chosen = "quest" if method == "quest" else "constant"
-            sit(dataset, Path(folder), answer, monitor, method=chosen, n_trials=trials, seed=number)
+            sit(dataset, Path(folder), answer, monitor, method=method, n_trials=trials, seed=number)
             (session,) = read_answers(folder)
         answered, table = tabulated(dataset, session)
         yield fit_noise(
@@ -99,8 +100,10 @@ def whole_sessions(
         )
 
 
-def redrawn(n: int, *, noise: float, lapses: float, free: bool, trials: int, seed: int) -> Iterator[NoiseFit]:
-    """Yield the fit of each person who answers some of the frames of one session."""
+def redrawn(
+    n: int, *, noise: float, lapses: float, free: bool, method: Method, trials: int, seed: int
+) -> Iterator[NoiseFit]:
+    """Yield the fit of each person who answers frames of one session, in an order of their own."""
     dataset = load_dataset(FRAMES)
     with TemporaryDirectory() as folder:
         sit(dataset, Path(folder), lambda *_: Orientation.UP, a_monitor(dataset.display.pitch_mrad))
@@ -109,15 +112,24 @@ def redrawn(n: int, *, noise: float, lapses: float, free: bool, trials: int, see
     # A lapse is a guess with probability λ, and δ = λ (1 − γ).
     p_correct = with_lapses(table.at(np.log([noise]))[:, 0, 0], 0.75 * lapses)
     cells = cells_of([answered])
+    shown = {row.frame: (place, row) for place, row in enumerate(session.main_rows())}
+    frames = [trial.frames[0].path for trial in dataset.trials]
     for number in range(n):
         rng = np.random.default_rng([seed, number])
-        rows = rng.permutation(len(p_correct))[:trials]
+        record = replace(session.record, method=method, trials=trials, seed=number)
+        order, rows, places = TrialOrder(dataset.trials, record), [], []
+        while (following := order.next(rows)) is not None:
+            place, row = shown[frames[following.row]]
+            wrong = next(one for one in ORIENTATIONS if one is not row.orientation)
+            response = row.orientation if rng.random() < p_correct[place] else wrong
+            rows.append(replace(row, number=len(rows) + 1, response=response))
+            places.append(place)
         yield fit_noise(
-            table.select(rows),
-            rng.random(trials) < p_correct[rows],
-            np.unique(cells[rows], return_inverse=True)[1],
+            table.select(np.array(places)),
+            np.array([row.is_correct for row in rows]),
+            np.unique(cells[places], return_inverse=True)[1],
             lapse_rates=(0.0, 0.05 if free else 0.0),
-            resamples=0,
+            resamples=0 if free else 200,
             rng=rng,
         )
 
@@ -134,10 +146,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--redrawn", action="store_true")
     asked = vars(parser.parse_args(arguments))
-    n, method, noise = asked.pop("n"), asked.pop("method"), asked["noise"]
+    n, noise, is_redrawn = asked.pop("n"), asked["noise"], asked.pop("redrawn")
     asked["free"] = asked["free"] is not None
-    is_redrawn = asked.pop("redrawn")
-    people = redrawn(n, **asked) if is_redrawn else whole_sessions(n, method=method, **asked)
+    people = (redrawn if is_redrawn else whole_sessions)(n, **asked)
     fits: list[NoiseFit] = []
     for one in people:
         fits.append(one)

@@ -18,9 +18,10 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, Self
+from typing import Annotated, Literal, Self
 
 import msgspec
+from msgspec import Meta
 
 from todframes.config import MAX_CSV_MB, number, number_or_text, read_file
 from todframes.errors import DataError, OutputError, SettingsError
@@ -52,7 +53,7 @@ NO_RESPONSE = "none"
 """Response of a trial whose time limit passed."""
 
 
-BEFORE_LEVEL = (*("trial", "phase", "frame", "sha256", "orientation", "response", "correct", "response_time_ms"),)
+BEFORE_LEVEL = ("trial", "phase", "frame", "sha256", "orientation", "response", "correct", "response_time_ms")
 """Columns in front of the level and the columns of `group_by`."""
 
 
@@ -103,12 +104,12 @@ class SessionRecord:
     consent: Consent | None = None
     dataset: ShownDataset
     method: Method
-    seed: int
-    trials: int
-    practice: int
-    break_every: int
-    time_limit_ms: float | None = None
-    background: float
+    seed: Annotated[int, Meta(ge=0, lt=2**32)]
+    trials: Annotated[int, Meta(ge=1)]
+    practice: Annotated[int, Meta(ge=0, le=1000)]
+    break_every: Annotated[int, Meta(ge=0)]
+    time_limit_ms: Annotated[float, Meta(gt=0.0)] | None = None
+    background: Annotated[float, Meta(gt=0.0, lt=1.0)]
     dither: bool
     monitor: Monitor | None = None
 
@@ -261,6 +262,8 @@ def read_sidecar(path: Path) -> SessionRecord:
         raise DataError(f"{path}: not the sidecar of a session ({error})") from None
     if record.schema != SCHEMA:
         raise DataError(f"{path}: schema: found {record.schema}, expected {SCHEMA}")
+    if sidecar_path(data_path(path.parent.parent, record.subject)) != path:
+        raise DataError(f"{path}: subject: found {record.subject!r}, expected that of the file's name")
     return record
 
 

@@ -66,8 +66,8 @@ def dithered(luminance: FloatArray, luminance_of_code: FloatArray) -> NDArray[np
     rows, columns = luminance.shape
     tiles = np.tile(blue_noise(), (-(-rows // TILE), -(-columns // TILE)))[:rows, :columns]
     # A plain comparison, share > threshold, has the sum only on average; the first pixels by this order have it.
-    order = np.argsort(tiles - share, axis=None, kind="stable")
-    order = order[share.ravel()[order] > ROUNDING]
+    between = np.flatnonzero(share > ROUNDING)
+    order = between[np.argsort((tiles - share).ravel()[between], kind="stable")]
     added = np.concatenate([[0.0], np.cumsum(step.ravel()[order])])
     n_raised = int(np.argmin(np.abs(added - np.sum(share * step))))
     code = below.astype(np.uint16)

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
 from dataclasses import fields
 
 import msgspec
 
 from todframes.psychometrics.fit import FitSettings
-from todframes.report.data import Fit, PersonResult, Record, ResultData, ResultWarning
+from todframes.report.data import Fit, PersonResult, Record, ResultData
 from todframes.report.table import EXACT, Column, Table
 from todframes.report.wording import (
     count,
@@ -43,10 +42,6 @@ NOISE_COLUMNS = (
     Column(key="deviance_p_value", header="p", digits=2),
     Column(key="status"),
 )
-
-
-SURPRISING = 0.01
-"""Largest p-value that is a warning."""
 
 
 MOST_TOLD = 6
@@ -162,40 +157,6 @@ def _sentence(one: PersonResult) -> str:
         blur = interval_phrase(one.template_blur_samples_ci95)
         text += f", template blur {plain(one.template_blur_samples)} samples ({blur})"
     return f"{text}, from {count(one.n_trials, 'trial')}."
-
-
-def calibration_warnings(
-    persons: Sequence[PersonResult], equal_noise_p_value: float | None
-) -> tuple[ResultWarning, ...]:
-    """Return warnings about persons whom the model does not describe, and persons who differ."""
-    found = [
-        ResultWarning(
-            code="poor_fit",
-            group={SUBJECT: str(one.subject)},
-            message=(
-                "the model with one internal noise does not describe these answers (deviance "
-                f"{plain(one.deviance)} in {one.n_cells} cells, p = {plain(one.deviance_p_value, 2)}); compare "
-                "the thresholds of each group with those of the model"
-            ),
-            found=one.deviance_p_value,
-            expected=SURPRISING,
-        )
-        for one in persons
-        if one.deviance_p_value is not None and one.deviance_p_value < SURPRISING
-    ]
-    if equal_noise_p_value is not None and equal_noise_p_value < SURPRISING:
-        found.append(
-            ResultWarning(
-                code="persons_differ",
-                message=(
-                    f"the persons do not have the same internal noise (p = {plain(equal_noise_p_value, 2)}); "
-                    "that of all together is a mean of them, and its interval does not tell how they differ"
-                ),
-                found=equal_noise_p_value,
-                expected=SURPRISING,
-            )
-        )
-    return tuple(found)
 
 
 def _printable(subject: str) -> str:

@@ -76,11 +76,10 @@ const COMMON = {
   padding: [14, 14, 0, 0],
 };
 
-/** What a threshold may be given as: title, key of its error, and why it is not there. */
+/** What a threshold may be given as, and the key of its error. */
 export const STRENGTHS = {
-  snr: { header: "SNR", error: "snr_error", lacks: "There is no threshold." },
-  delta_t_mk: { header: "ΔT (mK)", error: "delta_t_error_mk", lacks: "Temperatures need the NETD." },
-  contrast: { header: "Contrast", error: "contrast_error", lacks: "There is no contrast for this sensor." },
+  snr: { header: "SNR", error: "snr_error" },
+  delta_t_mk: { header: "ΔT (mK)", error: "delta_t_error_mk" },
 };
 const SIZES = { detectors: "size_detectors", mrad: "size_mrad" };
 const ABSCISSAE = {
@@ -92,8 +91,8 @@ const ABSCISSAE = {
 function columns(thresholds, view) {
   const rows = thresholds.map((one) => {
     const size = one[SIZES[view.unit]];
-    const value = one[view.strength] ?? null;
-    const error = value === null ? null : (one[STRENGTHS[view.strength].error] ?? 0);
+    const value = one[view.strength];
+    const error = one[STRENGTHS[view.strength].error];
     const ends = value === null ? [null, null] : [Math.max(value - error, value / 10), value + error];
     return [view.abscissa === "size" ? size : 1 / size, value, ...ends];
   });

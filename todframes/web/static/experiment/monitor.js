@@ -1,6 +1,6 @@
 // The monitor, measured by the person: pixel pitch, distance, gamma, and luminances if there is a photometer.
 
-import { exactCanvas, grey, snap } from "./pixels.js";
+import { exactCanvas, grey } from "./pixels.js";
 
 const CODES = [0, 16, 32, 64, 96, 128, 160, 192, 224, 255];
 const HALF_TONE_PX = 240;
@@ -26,6 +26,7 @@ export async function measureMonitor(dataset, show, submit) {
     show(screen);
     const isNext = await measures[step](measured, dataset, element(screen));
     step += isNext ? 1 : -1;
+    element("monitor-error").hidden = true;
     if (step < measures.length) continue;
     try {
       return await submit({
@@ -99,11 +100,14 @@ function measureDistance(measured, dataset, screen) {
   element("distance-proposal").textContent = `The frames have their own sizes from ${shown(proposed, 3)} mm: a pixel is then ` +
     `${shown(dataset.pixel_pitch_mrad, 3)} mrad. Sit there if you can, and stay there. From elsewhere, triangles are smaller or larger, ` +
     "and the data say so.";
+  // Beyond these, pixels are so much larger or smaller than the dataset's that the server refuses the monitor.
+  field.min = Math.ceil(proposed / 1.99);
+  field.max = Math.floor(proposed * 1.99);
   if (!measured.viewing_distance_mm) field.value = shown(proposed, 3);
   const update = () => {
     measured.viewing_distance_mm = field.valueAsNumber;
     const times = proposed / measured.viewing_distance_mm;
-    element("distance-result").textContent = !field.validity.valid ? "Type the distance in millimetres, at least 50."
+    element("distance-result").textContent = !field.validity.valid ? `Type the distance in millimetres, from ${field.min} to ${field.max}.`
       : Math.abs(times - 1) < 0.01 ? "Triangles have the size that the dataset says."
         : `Triangles are ${shown(times, 3)} times as large as the dataset says.`;
   };
@@ -115,12 +119,9 @@ function measureDistance(measured, dataset, screen) {
 
 function measureGamma(measured, dataset, screen) {
   const canvas = element("half-tone"), slider = element("gamma-code");
-  const context = exactCanvas(canvas, HALF_TONE_PX, HALF_TONE_PX);
-  snap(canvas);
-  for (let row = 0; row < HALF_TONE_PX; row += 1) {
-    context.fillStyle = grey(row % 2 ? 255 : 0);
-    context.fillRect(0, row, HALF_TONE_PX, 1);
-  }
+  const context = exactCanvas(canvas, HALF_TONE_PX, HALF_TONE_PX, 0);
+  context.fillStyle = grey(255);
+  for (let row = 1; row < HALF_TONE_PX; row += 2) context.fillRect(0, row, HALF_TONE_PX, 1);
   const update = () => {
     const corner = (HALF_TONE_PX - SQUARE_PX) / 2, code = slider.valueAsNumber;
     context.fillStyle = grey(code);
@@ -137,9 +138,8 @@ function measureGamma(measured, dataset, screen) {
 
 function measureLuminances(measured, dataset, screen) {
   const table = element("readings"), next = screen.querySelector(".next");
-  const side = Math.min(320, document.documentElement.clientWidth / 2) * window.devicePixelRatio;
-  const patch = exactCanvas(element("patch"), Math.floor(side), Math.floor(side));
-  const fill = (code) => { patch.fillStyle = grey(code); patch.fillRect(0, 0, side, side); };
+  const side = Math.floor(Math.min(320, document.documentElement.clientWidth / 2) * window.devicePixelRatio);
+  const fill = (code) => exactCanvas(element("patch"), side, side, code);
   if (!table.childElementCount) table.append(...CODES.map(readingRow));
   const fields = [...table.querySelectorAll("input")];
   const update = () => {

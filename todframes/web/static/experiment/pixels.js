@@ -1,6 +1,6 @@
 // Device pixels: whether the browser shows each pixel as it is, and canvases whose pixels are the monitor's.
 
-/** Interval at which the device pixel ratio is looked at. */
+/** Interval at which it is looked whether frames can be shown pixel by pixel. */
 const LOOK_MS = 250;
 
 /**
@@ -38,35 +38,30 @@ export function trouble({ ratio, width, height }) {
   return null;
 }
 
-/** Call a function when the window, its zoom or its monitor changes; not every browser has an event for each. */
-export function watchPixels(changed) {
-  let ratio = window.devicePixelRatio;
-  const look = () => { ratio = window.devicePixelRatio; changed(); };
+/** Call a function when the window has changed, and again and again: not every zoom or monitor has an event. */
+export function watchPixels(look) {
   window.addEventListener("resize", look);
   window.visualViewport?.addEventListener("resize", look);
-  setInterval(() => { if (window.devicePixelRatio !== ratio) look(); }, LOOK_MS);
+  setInterval(look, LOOK_MS);
 }
 
 /**
  * Give a canvas a size in device pixels, and return its context. Code values are drawn as they are: without
- * transparency or smoothing, in the colour space of the page.
+ * transparency or smoothing, in the colour space of the page. The canvas is of one code value, and as much larger as
+ * it takes to have whole pixels of the page, which browsers put on whole device pixels.
  */
-export function exactCanvas(canvas, width, height) {
-  canvas.width = width;
-  canvas.height = height;
-  canvas.style.width = `${width / window.devicePixelRatio}px`;
-  canvas.style.height = `${height / window.devicePixelRatio}px`;
+export function exactCanvas(canvas, width, height, code) {
+  const ratio = window.devicePixelRatio;
+  for (const [name, side] of [["width", width], ["height", height]]) {
+    const pagePixels = Math.ceil(side / ratio);
+    canvas[name] = pagePixels * ratio;
+    canvas.style[name] = `${pagePixels}px`;
+  }
   const context = canvas.getContext("2d", { alpha: false, colorSpace: "srgb" });
   context.imageSmoothingEnabled = false;
+  context.fillStyle = grey(code);
+  context.fillRect(0, 0, canvas.width, canvas.height);
   return context;
-}
-
-/** Shift a canvas in the flow of a page by less than a pixel, so that its pixels lie on the monitor's. */
-export function snap(canvas) {
-  canvas.style.transform = "none";
-  const ratio = window.devicePixelRatio, { left, top } = canvas.getBoundingClientRect();
-  const x = Math.round(left * ratio) / ratio - left, y = Math.round(top * ratio) / ratio - top;
-  canvas.style.transform = `translate(${x}px, ${y}px)`;
 }
 
 /** Return a code value, 0 to 255, as a grey of CSS. */

@@ -15,14 +15,14 @@ let code = null;
 
 export const pause = (milliseconds) => new Promise((done) => setTimeout(done, milliseconds));
 
-/** Return the linear luminance of a grey as sRGB has it, relative to white; for legible text alone. */
-const relative = (value) => ((value / 255 + 0.055) / 1.055) ** 2.4;
+/** Return the luminance of a grey as sRGB has it, relative to white; for legible text alone. */
+const linear = (value) => ((value / 255 + 0.055) / 1.055) ** 2.4;
 
 /** Set the page's colours to the background of the frames, with text that is legible on it and does not glare. */
 export function adapt(backgroundCode) {
   if (backgroundCode === code) return;
   code = backgroundCode;
-  const light = relative(code);
+  const light = linear(code);
   const away = light > 0.18 ? (light + 0.05) / 4.6 - 0.05 : (light + 0.05) * 4.6 - 0.05;
   const ink = grey(Math.round(255 * (1.055 * Math.min(Math.max(away, 0), 1) ** (1 / 2.4) - 0.055)));
   for (const [name, value] of [["paper", grey(code)], ["raised", grey(code)], ["on-accent", grey(code)],
@@ -44,15 +44,14 @@ export function clear(progress) {
   element("progress").textContent = progress;
 }
 
-/** Put the frame in the middle, on whole device pixels, and the arrows below it where there is room. */
-function place(width, height) {
-  const ratio = window.devicePixelRatio;
-  const room = [window.innerWidth * ratio, window.innerHeight * ratio];
-  stage.classList.toggle("keys-only", controls.offsetHeight * ratio + height > room[1]);
-  const below = (stage.classList.contains("keys-only") ? 0 : controls.offsetHeight) * ratio;
-  const top = Math.min(Math.floor((room[1] - height) / 2), room[1] - below - height);
-  canvas.style.left = `${Math.floor((room[0] - width) / 2) / ratio}px`;
-  canvas.style.top = `${Math.floor(top) / ratio}px`;
+/** Put the frame in the middle, on whole pixels of the page, and the arrows below it where there is room. */
+function place() {
+  const { offsetWidth: width, offsetHeight: height } = canvas;
+  const isRoom = controls.offsetHeight + height <= window.innerHeight;
+  stage.classList.toggle("keys-only", !isRoom);
+  const lowest = window.innerHeight - height - (isRoom ? controls.offsetHeight : 0);
+  canvas.style.left = `${Math.floor((window.innerWidth - width) / 2)}px`;
+  canvas.style.top = `${Math.floor(Math.min((window.innerHeight - height) / 2, lowest))}px`;
 }
 
 /**
@@ -66,9 +65,9 @@ function place(width, height) {
 export async function present(trial, bitmap, signal) {
   await pause(BLANK_MS - (performance.now() - blankSince));
   signal.throwIfAborted();
-  exactCanvas(canvas, trial.width, trial.height).drawImage(bitmap, 0, 0);
-  place(trial.width, trial.height);
+  exactCanvas(canvas, trial.width, trial.height, code).drawImage(bitmap, 0, 0);
   canvas.hidden = false;
+  place();
   const begin = await painted();
   signal.throwIfAborted();
   stage.dataset.trial = trial.number;
@@ -96,7 +95,7 @@ export async function present(trial, bitmap, signal) {
       const { response } = event.target.dataset;
       if (response) answer(response, event.timeStamp);
     }, listening);
-    window.addEventListener("resize", () => place(trial.width, trial.height), listening);
+    window.addEventListener("resize", place, listening);
     signal.addEventListener("abort", () => { end(); reject(signal.reason); }, listening);
   });
 }

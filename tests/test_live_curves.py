@@ -1,0 +1,398 @@
+"""Live curves: as good as `curve` says, whatever came before, and nothing left behind."""
+
+from __future__ import annotations
+
+import math
+import multiprocessing
+import os
+import pickle
+import signal
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sensor_sim.curve_plan import plan_curve
+from sensor_sim.explorer.engine import Engine, Request
+from sensor_sim.explorer.limits import Shares, decision_shares, what_limits
+from sensor_sim.explorer.live import LiveCurves
+from sensor_sim.explorer.quick_readout import quick_readout
+from sensor_sim.explorer.scaled import Unit, unit_of
+from sensor_sim.noise import delta_t_mk
+from sensor_sim.predict import FoldedChain, Phases, PredictedThreshold, predict_threshold
+from sensor_sim.sensor import Detector, Noise, Optics, Sensor, SensorDisplay
+from todframes.errors import SettingsError
+from todframes.observers.hotelling import HotellingObserver
+from todframes.observers.interface import Observer
+from todframes.observers.oriented import OrientedObserver
+from todframes.observers.pyramid import PyramidObserver
+from todframes.stimulus import Stimulus
+
+SENSOR = Sensor(
+    optics=Optics(aperture_mm=100.0, wavelength_um=10.0),
+    detector=Detector(pitch_mrad=0.2, width_mrad=0.2),
+    noise=Noise(netd_mk=30.0),
+    display=SensorDisplay(
+        pixels_per_detector=4,
+        pixel_pitch_mm=0.25,
+        viewing_distance_mm=1500.0,
+        background_luminance_cd_m2=50.0,
+        blur_sigma_px=1.0,
+    ),
+)
+OBSERVER = PyramidObserver()
+TOLERANCES = (0.03, 0.02)
+
+
+def request(
+    sensor: Sensor = SENSOR,
+    observer: Observer = OBSERVER,
+    sizes: tuple[float, ...] = (4.0,),
+    tolerances: tuple[float, float] = TOLERANCES,
+) -> Request:
+    return Request(1, sensor, unit_of(observer), tuple(enumerate(sizes)), 0.75, tolerances)
+
+
+def computed(engine: Engine, *arguments, **more) -> list[PredictedThreshold]:
+    """Estimates and refined thresholds of one size in turn."""
+    return [answer.threshold for answer in engine.answers(request(*arguments, **more))]
+
+
+def engine() -> Engine:
+    return Engine(lambda: None)
+
+
+def changed(**parts) -> Sensor:
+    """Return the sensor with some values of its tables changed: optics={"aperture_mm": 90.0}."""
+    return replace(SENSOR, **{name: replace(getattr(SENSOR, name), **values) for name, values in parts.items()})
+
+
+MOVES = [
+    changed(optics={"aperture_mm": 92.0}),
+    changed(display={"blur_sigma_px": 1.3}),
+    changed(display={"gain": 1.4}),
+    changed(display={"viewing_distance_mm": 1600.0}),
+    changed(detector={"width_mrad": 0.18}),
+]
+
+
+# Readouts -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("size_mrad", [0.3, 1.0, 3.3, 9.0])
+@pytest.mark.parametrize(
+    "settings",
+    [{}, {"centre": "bounding_box", "band_gain": 1.7}, {"kernel_a": 0.4, "include_residual": True, "levels": 7}],
+    ids=["default", "bounding box", "residual"],
+)
+def test_quick_readout_is_the_readout(settings, size_mrad):
+    observer = PyramidObserver(internal_noise_sd=0.3, **settings)
+    stimulus = Stimulus(size_mrad)
+    exact = observer.readout(stimulus)
+    largest = np.abs(exact.deviations).max()
+    for half_width in (exact.grid.side // 2, math.ceil(1.3 * size_mrad / 0.153) + 8):
+        # Sums of a hundred products at each of ten levels: a thousand roundings at most.
+        for dtype, tolerance in ((np.float64, 1e-12), (np.float32, 2e-4)):
+            quick = quick_readout(observer, stimulus, min(half_width, exact.grid.side // 2), dtype)
+            margin = (exact.grid.side - len(quick.upright)) // 2
+            assert len(quick.upright) // 2 >= min(half_width, exact.grid.side // 2)
+            middle = exact.deviations[0, margin : exact.grid.side - margin, margin : exact.grid.side - margin]
+            np.testing.assert_allclose(quick.upright, middle, rtol=0.0, atol=tolerance * largest)
+            np.testing.assert_allclose(quick.noise_covariance, exact.noise_covariance, rtol=tolerance, atol=0.0)
+
+
+# Numbers ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("sensor", [SENSOR, *MOVES[:3]])
+def test_refined_is_the_curve_and_the_estimate_holds(sensor):
+    estimated, refined = computed(engine(), sensor, tolerances=(0.03, 0.004))
+    plan = plan_curve(sensor, OBSERVER, 4.0, tolerance=0.004)
+    expected = predict_threshold(FoldedChain(sensor, OBSERVER, 4.0, plan), tolerance=0.004)
+    # The same places: 12 nodes of the quadrature instead of 24 change P by 1e-7, and single precision the weights.
+    assert refined.threshold == pytest.approx(expected.threshold, rel=2e-5)
+    assert refined.numerical_error <= 0.004 * refined.threshold
+    assert estimated.numerical_error <= 0.03 * estimated.threshold
+    assert abs(estimated.threshold - refined.threshold) <= estimated.numerical_error
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("observer", [OrientedObserver(), HotellingObserver()], ids=["oriented", "Hotelling"])
+def test_other_observers(observer):
+    estimated, refined = computed(engine(), SENSOR, observer, (3.0,), (0.03, 0.02))
+    chain = FoldedChain(SENSOR, observer, 3.0)
+    expected = predict_threshold(chain, tolerance=0.02)
+    for found in (estimated, refined):
+        both = math.hypot(found.numerical_error, expected.numerical_error)
+        assert abs(found.threshold - expected.threshold) <= both
+
+
+def test_order_of_requests_changes_no_number_beyond_its_error():
+    there, back = engine(), engine()
+    moves = MOVES[2:]
+    forth = [computed(there, sensor) for sensor in moves]
+    reverse = [computed(back, sensor) for sensor in reversed(moves)][::-1]
+    for one, other in zip(forth, reverse, strict=True):
+        # The search for the crossing ends at 1e-5 of its step, wherever it begins.
+        assert one[1].threshold == pytest.approx(other[1].threshold, rel=1e-4)
+        for estimated in (one[0], other[0]):
+            assert abs(estimated.threshold - one[1].threshold) <= estimated.numerical_error
+
+
+def test_what_the_threshold_does_not_depend_on_is_not_computed_again():
+    one = engine()
+    _, refined = computed(one)
+    other = changed(noise={"netd_mk": 60.0, "frames_integrated": 9}, display={"background_luminance_cd_m2": 9.0})
+    answers = list(one.answers(request(other)))
+    assert [answer.is_refined for answer in answers] == [True]
+    assert answers[0].threshold == refined
+    assert delta_t_mk(1.0, noise=other.noise) != delta_t_mk(1.0, noise=SENSOR.noise)
+
+
+def test_gain_and_internal_noise_act_as_their_ratio():
+    one = engine()
+    louder = changed(display={"gain": 1.5})
+    found = [
+        computed(one, louder, PyramidObserver(internal_noise=0.6))[-1],
+        computed(one, SENSOR, PyramidObserver(internal_noise=0.4))[-1],
+    ]
+    assert found[0].threshold == pytest.approx(found[1].threshold, rel=1e-5)  # along other steps to the crossing
+    assert computed(one, SENSOR, PyramidObserver(internal_noise=0.6))[-1].threshold > 1.02 * found[1].threshold
+
+
+def test_without_internal_noise():
+    _, refined = computed(engine(), SENSOR, PyramidObserver(internal_noise=0.0))
+    chain = FoldedChain(SENSOR, PyramidObserver(internal_noise=0.0), 4.0)
+    expected = predict_threshold(chain, tolerance=0.02)
+    assert abs(refined.threshold - expected.threshold) <= refined.numerical_error + expected.numerical_error
+
+
+def test_threshold_that_is_never_reached():
+    answers = list(engine().answers(request(sizes=(1.0,))))
+    assert [answer.threshold.status for answer in answers] == ["never_reached"] * 2
+    assert answers[0].threshold.threshold is None
+    assert answers[0].shares.detector == 0.0
+
+
+class StoppedError(Exception):
+    """The computation is no longer wanted."""
+
+
+def test_cancelled_computations_leave_what_is_kept_right():
+    fresh = [computed(engine(), sensor) for sensor in MOVES[:2]]
+    calls, stop_at = 0, 1
+
+    def check() -> None:
+        nonlocal calls
+        calls += 1
+        if calls == stop_at:
+            raise StoppedError
+
+    interrupted, n_stopped = Engine(check), 0
+    while n_stopped < 30:
+        calls, stop_at = 0, stop_at + 7
+        try:
+            computed(interrupted, MOVES[n_stopped % 2])
+            break  # all of it was computed before the next stop
+        except StoppedError:
+            n_stopped += 1
+    assert n_stopped > 5
+    stop_at = -1
+    for sensor, expected in zip(MOVES[:2], fresh, strict=True):
+        found = computed(interrupted, sensor)[-1]
+        assert found.threshold == pytest.approx(expected[-1].threshold, rel=1e-4)
+
+
+def test_kept_parts_stay_within_their_size():
+    one = engine()
+    for distance in (1200.0, 1500.0, 1800.0):
+        computed(one, changed(display={"viewing_distance_mm": distance}), tolerances=(0.03, 0.05))
+    sizes = [kept._bytes for kept in one._kept.values()]
+    limits = [kept._most_bytes for kept in one._kept.values()]
+    assert all(0 < size <= limit for size, limit in zip(sizes, limits, strict=True))
+    assert sum(limits) <= 100 * 2**20
+
+
+@pytest.mark.slow
+def test_stated_errors_hold_over_many_sensors():
+    """Sensors at random about the one above, each new to the engine; and again with a neighbour known."""
+    rng = np.random.default_rng(5)
+
+    def factor(low: float, high: float) -> float:
+        return float(np.exp(rng.uniform(math.log(low), math.log(high))))
+
+    alone, beside = [], []
+    for _ in range(40):
+        sensor = changed(
+            optics={"aperture_mm": 100.0 * factor(0.6, 1.6), "blur_sigma_mrad": float(rng.uniform(0.0, 0.1))},
+            detector={"width_mrad": float(rng.uniform(0.1, 0.2))},
+            display={
+                "pixels_per_detector": int(rng.integers(2, 8)),
+                "viewing_distance_mm": 1500.0 * factor(0.6, 1.6),
+                "blur_sigma_px": float(rng.uniform(0.6, 2.0)),
+            },
+        )
+        size = float(rng.choice([3.0, 4.0, 6.0]))
+        one = engine()
+        estimated, refined = computed(one, sensor, sizes=(size,), tolerances=(0.03, 0.002))
+        if refined.threshold is None:
+            continue
+        alone.append(
+            (estimated.threshold / refined.threshold - 1.0, estimated.numerical_error / estimated.threshold)
+        )
+        moved = replace(sensor, optics=replace(sensor.optics, aperture_mm=sensor.optics.aperture_mm * 1.1))
+        estimated, refined = computed(one, moved, sizes=(size,), tolerances=(0.03, 0.002))
+        beside.append(
+            (estimated.threshold / refined.threshold - 1.0, estimated.numerical_error / refined.threshold)
+        )
+    for found in (alone, beside):
+        error, stated = np.abs(np.array(found)).T
+        assert len(error) >= 30
+        # With a probability of 95 % each, 4 of 40 beyond happen once in 20 runs, and 6 once in 100.
+        assert np.count_nonzero(error > stated) <= 4
+        assert np.count_nonzero(error > 0.03) <= 2
+    assert np.median(np.array(beside)[:, 1]) < np.median(np.array(alone)[:, 1])
+
+
+# What limits --------------------------------------------------------------------------------------------------
+
+
+def test_shares_are_those_of_drawn_decisions():
+    """Against the variance of score differences of trials with their noise drawn."""
+    rng = np.random.default_rng(1)
+    root = rng.normal(size=(4, 4))
+    internal, snr, places = root @ root.T, 1.7, 30
+    signal = rng.normal([3.0, 0.0, 0.0, 0.0], size=(places, 2, 4))
+    factor = rng.normal(size=(places, 4, 3))
+    phases = Phases(signal, factor @ factor.swapaxes(1, 2), 0)
+    shares = decision_shares([phases], internal, snr)
+    assert sum(shares) == pytest.approx(1.0, rel=1e-12)
+
+    n = 4000
+    own = rng.normal(size=(n, places, 2, 4)) @ root.T
+    detectors = np.einsum("pij,npkj->npki", factor, rng.normal(size=(n, places, 2, 3))) / snr
+    parts = [own, detectors, np.broadcast_to(signal, own.shape)]
+    differences = [(part[..., :1] - part[..., 1:]).reshape(-1, 3) for part in parts]
+    variances = np.array([difference.var(axis=0) for difference in differences])
+    drawn = (variances / sum(differences).var(axis=0)).mean(axis=1)
+    # 240,000 draws: a variance is known to 0.3 %, a share of about a third to 0.1 %; four of these.
+    np.testing.assert_allclose(shares, drawn, atol=0.006)
+
+
+def test_what_limits_follows_the_sensor():
+    """First answers will do."""
+    quiet, loud = (PyramidObserver(internal_noise=noise) for noise in (0.0, 1.5))
+    of_quiet, of_loud, of_large = (
+        next(engine().answers(request(SENSOR, observer, (size,)))).shares
+        for observer, size in ((quiet, 3.0), (loud, 3.0), (quiet, 8.0))
+    )
+    assert of_quiet.internal == 0.0
+    assert of_loud.internal > 0.2
+    assert of_quiet.sampling > 2.0 * of_large.sampling
+
+
+def test_sentence_says_what_limits_and_where_nothing_is_seen():
+    shares = [Shares(0.9, 0.0, 0.1), Shares(0.25, 0.7, 0.05), Shares(0.15, 0.8, 0.05)]
+    limits = what_limits([2.0, 4.0, 8.0], shares, [False, True, True])
+    assert limits.detector == pytest.approx(0.75)
+    assert limits.sentence == (
+        "Detector noise limits: 75% of what makes answers vary at threshold (the observer's internal noise 20%, "
+        "sampling 5%); no threshold at 2 detectors, even without detector noise."
+    )
+    nowhere = what_limits([2.0], shares[:1], [False])
+    assert nowhere.sentence.startswith("The observer's internal noise limits: 90%")
+    balanced = what_limits([2.0], [Shares(0.4, 0.35, 0.25)], [True])
+    assert balanced.sentence.startswith("The observer's internal noise weighs most: 40%")
+
+
+# Processes ----------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def live() -> Iterator[LiveCurves]:
+    curves = LiveCurves()
+    yield curves
+    before = len(multiprocessing.active_children())
+    curves.close()
+    assert len(multiprocessing.active_children()) == before - 2
+
+
+def wanted() -> bool:
+    return True
+
+
+@pytest.mark.slow
+def test_curves_come_in_order_and_are_those_of_one_process(live):
+    sizes = (2.0, 6.0, 3.0, 4.0)
+    first, *between, last = live.curves(SENSOR, OBSERVER, sizes, tolerances=TOLERANCES, is_wanted=wanted)
+    assert [one.is_last for one in (first, *between, last)] == [False] * (1 + len(between)) + [True]
+    assert (first.tolerance, last.tolerance) == TOLERANCES
+    assert first.seconds < last.seconds
+    for curve in (first, last):
+        assert tuple(one.size_detectors for one in curve.thresholds) == sizes
+        assert curve.thresholds[0].status == "never_reached"
+        assert "no threshold at 2 detectors" in curve.limits.sentence
+    for size, found in zip(sizes[1:], last.thresholds[1:], strict=True):
+        assert found.threshold == pytest.approx(computed(engine(), sizes=(size,))[-1].threshold, rel=1e-4)
+    (again,) = live.curves(SENSOR, OBSERVER, sizes, tolerances=TOLERANCES, is_wanted=wanted)
+    assert again.is_last
+    assert again.thresholds == last.thresholds
+
+
+@pytest.mark.slow
+def test_unwanted_curves_end_and_the_next_is_right(live):
+    for k in range(20):
+        moved = changed(optics={"aperture_mm": 80.0 + k})
+        deadline = time.monotonic() + 0.003 * k
+        for _ in live.curves(moved, OBSERVER, (3.0, 6.0), is_wanted=lambda end=deadline: time.monotonic() < end):
+            pass
+    *_, last = live.curves(SENSOR, OBSERVER, (3.0, 6.0), tolerances=TOLERANCES, is_wanted=wanted)
+    for found in last.thresholds:
+        expected = computed(engine(), sizes=(found.size_detectors,))[-1]
+        assert found.threshold == pytest.approx(expected.threshold, rel=1e-4)
+
+
+@pytest.mark.slow
+def test_threads_take_turns(live):
+    found: dict[int, float] = {}
+
+    def ask(k: int) -> None:
+        sensor = changed(optics={"aperture_mm": 110.0 + k})
+        *_, last = live.curves(sensor, OBSERVER, (4.0,), tolerances=TOLERANCES, is_wanted=wanted)
+        found[k] = last.thresholds[0].threshold
+
+    threads = [threading.Thread(target=ask, args=(k,)) for k in range(3)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    for k, threshold in found.items():
+        expected = computed(engine(), changed(optics={"aperture_mm": 110.0 + k}))[-1]
+        assert threshold == pytest.approx(expected.threshold, rel=1e-4)
+    assert len(found) == 3
+
+
+@pytest.mark.slow
+def test_refusals_come_through_and_a_dead_process_is_replaced(live):
+    with pytest.raises(SettingsError, match="size_detectors: found -1"):
+        list(live.curves(SENSOR, OBSERVER, (-1.0, 4.0), is_wanted=wanted))
+    with pytest.raises(SettingsError, match="p_correct: found"):
+        list(live.curves(SENSOR, OBSERVER, (4.0,), p_correct=0.2, is_wanted=wanted))
+    not_linear = OrientedObserver(complex_cells=True)
+    with pytest.raises(SettingsError, match="observer: it is not linear"):
+        list(live.curves(SENSOR, not_linear, (4.0,), is_wanted=wanted))
+    os.kill(multiprocessing.active_children()[0].pid, signal.SIGKILL)
+    *_, last = live.curves(MOVES[0], OBSERVER, (3.0, 4.0), tolerances=TOLERANCES, is_wanted=wanted)
+    assert [one.status for one in last.thresholds] == ["ok", "ok"]
+
+
+def test_observer_of_unit_noise():
+    unit = unit_of(PyramidObserver(internal_noise_sd=0.2, kernel_a=0.4))
+    assert unit.noise_sd == 0.2
+    assert pickle.loads(unit.pickled).settings.noise_sd == 1.0
+    assert pickle.loads(unit.pickled).settings.kernel_a == 0.4
+    # Noise shapes the weights of this one.
+    assert unit_of(HotellingObserver()) == Unit(pickle.dumps(HotellingObserver()), 1.0)
