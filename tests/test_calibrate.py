@@ -5,6 +5,9 @@ from __future__ import annotations
 import csv
 import json
 import math
+import re
+import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,13 +19,21 @@ from todframes.cli.console import run
 from todframes.cli.main import cli
 from todframes.errors import DataError, FrameError, SettingsError
 from todframes.experiment.answers import read_answers, sidecar_path
-from todframes.experiment.person import answered_trials, noise_grid, noise_observers, seen_dataset
+from todframes.experiment.person import (
+    Calibrated,
+    PersonFit,
+    answered_trials,
+    noise_grid,
+    noise_observers,
+    seen_dataset,
+)
 from todframes.experiment.stimuli import shown_codes, shown_contrast, trial_image
 from todframes.frames.contrast import Patch
 from todframes.frames.dataset import load_dataset
 from todframes.observers.oriented import OrientedObserver
 from todframes.psychometrics.likelihood import CHI2_95
 from todframes.psychometrics.noise_fit import AnswerTable, NoiseFit, fit_noise, joined, with_lapses
+from todframes.report.result import read_result
 from todframes.scoring.retina_view import Shown, retina_image
 from todframes.stimulus import Orientation, Stimulus
 
@@ -196,6 +207,15 @@ def test_sizes_are_those_at_the_eye(small: Path, tmp_path: Path) -> None:
     seen = seen_dataset(dataset, session)
     assert {group for (group,) in seen.trials.groups} == {1.0, 2.0}
     assert min(one.size_mrad for one in seen.trials.stimuli) == pytest.approx(1.003)
+
+
+def test_levels_that_are_sizes(make_dataset, tmp_path: Path) -> None:
+    experiment = {"level": "size_mrad", "group_by": ["contrast"]}
+    path = make_dataset(sizes_mrad=(1.0, 2.0), contrasts=(0.4,), experiment=experiment).path
+    dataset, session = seen_session(path, tmp_path / "near", ratio=1.5)
+    seen = seen_dataset(dataset, session)
+    assert set(seen.trials.levels.tolist()) == {1.5, 3.0}
+    assert seen.trials.groups == ((0.4,),)
 
 
 def answers_table(path: Path, folder: Path):
@@ -387,6 +407,36 @@ def test_intervals_of_simulated_people(two_people) -> None:
     # Four standard deviations of a share of 0.95 in 1000.
     assert abs(covered - 0.95) < 4.0 * math.sqrt(0.95 * 0.05 / 1000)
     assert abs(np.mean([math.log(fit.noise / 0.35) for fit in fits])) < 0.02
+
+
+def test_settings_of_a_person_with_a_strange_name(results) -> None:
+    """An id comes from a file of the answers: it is no path, and no line of its own in a comment."""
+    made = results["calibrate"]
+    for one in (*made["persons"], *made["fits"]):
+        group = one.get("group", one)
+        group["subject"] = {"m1": "../x\ninternal_noise = 9", "p2": "..-x-internal-noise---9"}[group["subject"]]
+    made["persons"][1] |= {"status": "ok", "internal_noise": 0.25, "internal_noise_ci95": [0.2, 0.3]}
+    made["settings"] = {"observer": "pyramid", "kernel_a": 0.4, "levels": None, "centre": "centroid", "free": []}
+    result = read_result(json.dumps(made).encode(), "made")
+    files = {name: content for name, content in result.files().items() if name.startswith("observer")}
+    assert len(files) == 3 and all(re.fullmatch(r"observer(_[A-Za-z0-9-]+)?\.toml", name) for name in files)
+    noises = {tomllib.loads(content.decode())["internal_noise"] for content in files.values()}
+    assert noises == {0.5, 0.25}
+    for content in files.values():
+        found = tomllib.loads(content.decode())
+        assert found | {"internal_noise": 1.0} == {"kernel_a": 0.4, "centre": "centroid", "internal_noise": 1.0}
+
+
+def test_warnings() -> None:
+    def person(subject: str | None, p_value: float) -> PersonFit:
+        fit = fitted(logistic_table(1.0, each=40), answers(30, 40))
+        return PersonFit(subject, 40, 30, replace(fit, deviance_p_value=p_value), ())
+
+    people = (person("m1", 0.002), person("p2", 0.5))
+    poor, differ = Calibrated(people, person(None, 0.001), 1e-4, ()).warnings()
+    assert (poor.code, poor.group, poor.found) == ("poor_fit", {"subject": "m1"}, 0.002)
+    assert (differ.code, differ.group, differ.found) == ("persons_differ", {}, 1e-4)
+    assert Calibrated(people[1:], None, None, ()).warnings() == ()
 
 
 def test_answers_to_another_dataset(small: Path, tmp_path: Path, make_dataset, capsys) -> None:

@@ -42,3 +42,14 @@ def test_faults() -> None:
 @pytest.mark.skipif(getattr(os, "geteuid", lambda: 1)() != 0, reason="only root may mount a disk")
 def test_a_full_disk() -> None:
     assert "1 cases, 0 faults" in campaign("faults", "--only", "disk full, score")
+
+
+def test_coverage_of_intervals() -> None:
+    """Two people are too few for a share of 93 to 98 %, which the status tells."""
+    script = RUN.with_name("coverage.py")
+    for arguments in (["2", "--redrawn", "--free", "lapse"], ["1", "--method", "quest", "--trials", "40"]):
+        process = subprocess.run(
+            [sys.executable, script, *arguments], capture_output=True, text=True, timeout=600, check=False
+        )
+        assert (process.returncode, process.stderr) == (1, ""), process.stderr
+        assert f"n={arguments[0]}," in process.stdout and "covered=" in process.stdout

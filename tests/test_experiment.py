@@ -12,6 +12,7 @@ import re
 import signal
 import subprocess
 import sys
+import time
 from collections import Counter
 from contextlib import contextmanager
 from dataclasses import replace
@@ -28,7 +29,8 @@ from todframes.cli.main import cli
 from todframes.errors import DataError, FrameError, OutputError, SettingsError
 from todframes.experiment.answers import TrialRow, count_file, data_path, read_answers, read_sidecar, sidecar_path
 from todframes.experiment.monitor import Calibration, MonitorError
-from todframes.experiment.session import Design, StepError, TrialOrder, frames_sha256, open_sitting
+from todframes.experiment.order import TrialOrder
+from todframes.experiment.session import Design, StepError, frames_sha256, open_sitting
 from todframes.experiment.stimuli import shown_codes, trial_image
 from todframes.frames.dataset import load_dataset
 from todframes.frames.files import FrameFile
@@ -68,7 +70,7 @@ def begin(sitting) -> None:
 def answer_rightly(sitting) -> TrialRow:
     """Answer the next trial as the manifest has it, and return its row."""
     asked = sitting.trial()
-    orientation = sitting._prepare().trial.orientation
+    orientation = sitting._prepare().picture.trial.orientation
     sitting.answer(asked["number"], orientation, 250.0)
     return sitting.rows[-1]
 
@@ -169,6 +171,17 @@ def test_quest_shows_the_level_of_least_expected_entropy(dataset, out):
         assert row.level == (0.02, 0.1, 0.5)[int(np.argmin(possible))]
 
 
+def test_quest_finds_the_next_trial_in_30_ms(dataset, out):
+    found, _ = order(dataset, out, method="quest", trials=24, practice=0)
+    rows = sit_through(dataset, found)
+    seconds = []
+    for k in range(24):
+        started = time.perf_counter()
+        found.next(rows[:k])
+        seconds.append(time.perf_counter() - started)
+    assert np.median(seconds) < 0.030
+
+
 def test_the_order_does_not_depend_on_where_a_session_was_ended(dataset, out):
     found, record = order(dataset, out, method="quest", trials=18, practice=2)
     rows = sit_through(dataset, found)
@@ -215,7 +228,7 @@ def test_feedback_is_given_in_practice_only(dataset, out):
         for expected in (True, False, None):
             asked, state = sitting.trial(), sitting.state()
             assert state["feedback"] == (expected is not None)
-            right = sitting._prepare().trial.orientation
+            right = sitting._prepare().picture.trial.orientation
             wrong = Orientation.UP if right is not Orientation.UP else Orientation.DOWN
             said = sitting.answer(asked["number"], wrong if expected is False else right, 1.0)
             assert said["correct"] is expected
@@ -254,7 +267,7 @@ def test_an_answer_given_twice_is_saved_once(dataset, out):
     with open_sitting(dataset, out, design=SHORT) as sitting:
         begin(sitting)
         asked = sitting.trial()
-        right = sitting._prepare().trial.orientation
+        right = sitting._prepare().picture.trial.orientation
         first = sitting.answer(asked["number"], right, 1.0)
         again = sitting.answer(asked["number"], None, 2.0)
         assert again == first
@@ -327,15 +340,20 @@ def test_a_monitor_that_cannot_show_the_frames_is_refused_with_a_reason(make_dat
 def test_a_frame_that_is_damaged_meanwhile_is_told(dataset, out):
     with open_sitting(dataset, out, design=SHORT) as sitting:
         begin(sitting)
-        frame = (
-            dataset.path / dataset.trials[TrialOrder(dataset.trials, sitting.record).next([]).row].frames[0].path
-        )
-        content = frame.read_bytes()
-        frame.write_bytes(content[:100])
-        with pytest.raises(FrameError, match=re.escape(str(frame))):
-            sitting.trial()
-        frame.write_bytes(content)
-        answer_rightly(sitting)
+        found = TrialOrder(dataset.trials, sitting.record)
+        first = found.next([])
+        second = found.next([row_of(dataset, first, 1)])
+        frames = [dataset.path / dataset.trials[one.row].frames[0].path for one in (first, second)]
+        contents = [frame.read_bytes() for frame in frames]
+        assert frames[0] != frames[1]
+        # The second is read while the first is shown, and again when its turn has come.
+        for frame, content in zip(frames, contents, strict=True):
+            frame.write_bytes(content[:100])
+        for frame, content in zip(frames, contents, strict=True):
+            with pytest.raises(FrameError, match=re.escape(str(frame))):
+                sitting.trial()
+            frame.write_bytes(content)
+            answer_rightly(sitting)
 
 
 # Going on ------------------------------------------------------------------------------------------------------
@@ -360,7 +378,7 @@ def test_a_session_that_was_ended_after_each_answer_is_as_one_in_one_go(dataset,
 def test_an_answer_to_a_trial_that_the_server_before_had_shown_is_taken(dataset, out):
     with open_sitting(dataset, out, subject="P1", design=SHORT) as sitting:
         begin(sitting)
-        asked, right = sitting.trial(), sitting._prepare().trial.orientation
+        asked, right = sitting.trial(), sitting._prepare().picture.trial.orientation
     with open_sitting(dataset, out) as sitting:
         assert sitting.answer(asked["number"], right, 800.0)["correct"]
         assert sitting.rows[0].is_correct
@@ -458,13 +476,13 @@ def test_other_folders_are_left_alone(dataset, tmp_path):
     assert [one.name for one in (tmp_path / "mine").iterdir()] == ["thesis.txt"]
 
 
-@pytest.mark.parametrize("subject", ["", "Jane Doe", "../x", "<script>", "a_b", "ü", "a" * 65, "a\n"])
-def test_ids_are_letters_and_digits(dataset, out, subject):
-    with (
-        pytest.raises(SettingsError, match="expected letters and digits, at most 64, and no name"),
-        open_sitting(dataset, out, subject=subject),
-    ):
-        pass
+def test_ids_are_letters_and_digits(dataset, out):
+    for subject in ("", "Jane Doe", "../x", "<script>", "a_b", "ü", "a" * 65, "a\n"):
+        with (
+            pytest.raises(SettingsError, match="expected letters and digits, at most 64, and no name"),
+            open_sitting(dataset, out, subject=subject),
+        ):
+            pass
     assert not out.exists()
 
 
@@ -494,6 +512,16 @@ def test_more_trials_than_there_are_is_told(dataset, out):
         pytest.raises(SettingsError, match="--trials: found 25, expected at most 24, the trials of the dataset"),
         open_sitting(dataset, out, design=Design(trials=25)),
     ):
+        pass
+    assert not out.exists()
+
+
+def test_answers_without_their_sidecar_are_told(dataset, out):
+    with open_sitting(dataset, out, subject="P1", design=SHORT) as sitting:
+        begin(sitting)
+        answer_rightly(sitting)
+    sidecar_path(data_path(out, "P1")).unlink()
+    with pytest.raises(DataError, match=r"_data\.json: no such file"), open_sitting(dataset, out, subject="P1"):
         pass
 
 
@@ -627,59 +655,65 @@ def test_the_calls_of_the_page(dataset, out):
         assert page.request("GET", "/stimulus/1.png")[0] == 409
 
 
-@pytest.mark.parametrize(
-    ("path", "body"),
-    [
-        ("/api/answer", b""),
-        ("/api/answer", b"[]"),
-        ("/api/answer", b'{"number": 1, "response": "up"}'),
-        ("/api/answer", b'{"number": 1, "response": "UP", "response_time_ms": 1}'),
-        ("/api/answer", b'{"number": 1.5, "response": "up", "response_time_ms": 1}'),
-        ("/api/answer", b'{"number": -1, "response": "up", "response_time_ms": 1}'),
-        ("/api/answer", b'{"number": 1e400, "response": "up", "response_time_ms": 1}'),
-        ("/api/answer", b'{"number": true, "response": "up", "response_time_ms": 1}'),
-        ("/api/answer", b'{"number": 1, "response": "up", "response_time_ms": NaN}'),
-        ("/api/answer", b'{"number": 1, "response": "up", "response_time_ms": -1}'),
-        ("/api/answer", b'{"number": 1, "response": "up", "response_time_ms": "1"}'),
-        ("/api/answer", b'{"number": 1, "response": {"a": 1}, "response_time_ms": 1}'),
-        ("/api/answer", b"[" * 100_000),
-        ("/api/answer", b"\xff\xfe"),
-        ("/api/consent", b'{"agreed": "yes"}'),
-        ("/api/monitor", b"{}"),
-        ("/api/monitor", b'{"device_pixel_ratio": 1, "viewing_distance_mm": "near"}'),
-        ("/api/monitor", json.dumps(BODY | {"photometer": [[1]]}).encode()),
-        ("/api/monitor", json.dumps(BODY | {"photometer": [[0, 1], [255, 1e308]]}).encode()),
-        ("/api/monitor", json.dumps(BODY | {"photometer": [[k, k] for k in range(100)]}).encode()),
-        ("/api/monitor", json.dumps(BODY | {"screen_px": [1, 2, 3]}).encode()),
-        ("/api/monitor", json.dumps(BODY | {"viewing_distance_mm": 1e-320}).encode()),
-        ("/api/monitor", json.dumps(BODY | {"gamma": -2}).encode()),
-    ],
-)
-def test_bodies_that_are_none_of_the_page_get_one_line_and_change_nothing(dataset, out, path, body):
+BAD_ANSWERS = [
+    b"",
+    b"[]",
+    b'{"number": 1, "response": "up"}',
+    b'{"number": 1, "response": "UP", "response_time_ms": 1}',
+    b'{"number": 1.5, "response": "up", "response_time_ms": 1}',
+    b'{"number": -1, "response": "up", "response_time_ms": 1}',
+    b'{"number": 2, "response": "up", "response_time_ms": 1}',
+    b'{"number": 1e400, "response": "up", "response_time_ms": 1}',
+    b'{"number": true, "response": "up", "response_time_ms": 1}',
+    b'{"number": 1, "response": "up", "response_time_ms": NaN}',
+    b'{"number": 1, "response": "up", "response_time_ms": -1}',
+    b'{"number": 1, "response": "up", "response_time_ms": "1"}',
+    b'{"number": 1, "response": {"a": 1}, "response_time_ms": 1}',
+    b"[" * 100_000,
+    b"\xff\xfe",
+]
+
+
+BAD_MONITORS = [
+    b"{}",
+    b'{"device_pixel_ratio": 1, "viewing_distance_mm": "near"}',
+    *(
+        json.dumps(BODY | changes).encode()
+        for changes in (
+            {"photometer": [[1]]},
+            {"photometer": [[0, 1], [255, 1e308]]},
+            {"photometer": [[k, k] for k in range(100)]},
+            {"photometer": [[0, 0], [1, 1e-320], [2, 1e300], [255, 1e308]]},
+            {"screen_px": [1, 2, 3]},
+            {"viewing_distance_mm": 1e-320},
+            {"pixel_pitch_mm": 1e308},
+            {"gamma": -2},
+        )
+    ),
+]
+
+
+@pytest.mark.parametrize(("path", "bodies"), [("/api/answer", BAD_ANSWERS), ("/api/monitor", BAD_MONITORS)])
+def test_bodies_that_are_none_of_the_page_get_one_line_and_change_nothing(dataset, out, path, bodies):
     with opened(dataset, out) as (page, sitting):
         sitting.consent(True)
         if path == "/api/answer":
             sitting.calibrate(MEASURES)
             sitting.trial()
-        before = sitting.state(), sidecar_path(data_path(out, sitting.record.subject)).read_bytes()
-        status, _, content = page.request("POST", path, body)
-        if path == "/api/consent":
-            assert status == 422
-        assert status in (409, 422)
-        line = json.loads(content)["error"]
-        assert line
-        assert len(line.splitlines()) == 1
-        after = sitting.state(), sidecar_path(data_path(out, sitting.record.subject)).read_bytes()
-        assert after == before
+        sidecar = sidecar_path(data_path(out, sitting.record.subject))
+        before = sitting.state(), sidecar.read_bytes()
+        for body in bodies:
+            status, _, content = page.request("POST", path, body)
+            assert status in (409, 422)
+            assert len(json.loads(content)["error"].splitlines()) == 1
+            assert (sitting.state(), sidecar.read_bytes()) == before
+        assert page.request("POST", "/api/consent", b'{"agreed": "yes"}')[0] == 422
 
 
-@pytest.mark.parametrize(
-    "path",
-    ["/stimulus/0.png", "/stimulus/-1.png", "/stimulus/99999999999999999999999.png", "/stimulus/../1.png"],
-)
-def test_other_pictures_are_not_there(dataset, out, path):
+def test_other_pictures_are_not_there(dataset, out):
     with opened(dataset, out) as (page, _):
-        assert page.request("GET", path)[0] in (404, 409)
+        for name in ("0", "-1", "99999999999999999999999", "../1", "1"):
+            assert page.request("GET", f"/stimulus/{name}.png")[0] in (404, 409)
 
 
 def test_a_full_disk_is_told_and_the_answer_is_taken_when_there_is_room(dataset, out, monkeypatch):

@@ -21,10 +21,21 @@ from todframes.experiment.monitor import (
     pixel_pitch_mrad,
     viewing_distance_mm,
 )
-from todframes.experiment.stimuli import clipped, contrast_range, png, shown_codes, shown_contrast, trial_image
+from todframes.experiment.stimuli import (
+    TrialImage,
+    clipped,
+    contrast_range,
+    dithered_codes,
+    png,
+    shown_codes,
+    shown_contrast,
+    trial_image,
+)
 from todframes.frames.dataset import load_dataset
 from todframes.frames.files import FrameFile, read_frame, write_frame
-from todframes.stimulus import ORIENTATIONS, Orientation, coverage
+from todframes.frames.surround import TrianglePlace
+from todframes.frames.trials import FrameReference, Trial
+from todframes.stimulus import ORIENTATIONS, Orientation, Stimulus, coverage
 
 MEASURES = Calibration(
     device_pixel_ratio=1.0,
@@ -114,7 +125,13 @@ def test_luminance_rises_with_the_code_whatever_the_readings():
         ({"photometer": ((0, 1.0), (255, 90.0))}, "calibration", "lut: found 2 readings"),
         ({"photometer": ((0, 1.0), (9, 2.0), (8, 4.0), (255, 90.0))}, "calibration", "read these codes again"),
         ({"photometer": ((0, 1.0), (9, 2.0), (9, 4.0), (255, 90.0))}, "calibration", "to rise with the code"),
-        ({"photometer": ((0, -1.0), (9, 2.0), (99, 4.0), (255, 90.0))}, "calibration", "negative or no number"),
+        (
+            {"photometer": ((0, -1.0), (9, 2.0), (99, 4.0), (255, 90.0))},
+            "calibration",
+            "beyond 0 to 100000 cd/m²; read it again",
+        ),
+        ({"photometer": ((0, 0.0), (1, 1.0), (2, 1e6), (255, 1e7))}, "calibration", "beyond 0 to 100000"),
+        ({"photometer": ((0, 0.0), (1, 1e-320), (2, 1.0), (255, 9.0))}, "calibration", "to rise with the code"),
         ({"photometer": ((0, 60.0), (9, 70.0), (99, 80.0), (255, 90.0))}, "range", "take another --background"),
     ],
 )
@@ -263,21 +280,41 @@ def test_frames_of_different_sizes_in_a_trial_are_refused(make_dataset):
         trial_image(data, data.trials[0])
 
 
-@pytest.mark.parametrize("size_px", [10, 16, 40])
+def trial_of(size_px: float, orientation: Orientation) -> Trial:
+    frame = FrameReference("frames/a.exr", None, None)
+    return Trial(0, "a", (frame,), orientation, Stimulus(size_px), 0.1, (), None, None)
+
+
+@pytest.mark.parametrize("size_px", [4, 5, 7, 10, 16, 40])
 def test_with_dither_the_mean_over_a_triangle_is_right_down_to_a_contrast_of_a_thousandth(size_px):
     # Code steps are 1.2 % of the background. The mean over the area, each pixel weighted with the share of it that
     # the triangle covers, is right within 0.05 % contrast.
     rng = np.random.default_rng(4)
     for contrast in (0.001, -0.001, 0.003, 0.01, 0.1):
         for orientation in ORIENTATIONS:
-            x, y = 63.5 + rng.uniform(-0.5, 0.5, 2)
-            covered = coverage((128, 128), size_px=size_px, x_px=x, y_px=y, orientation=orientation)
-            seed = int(rng.integers(4096))
-            shown = shown_contrast(shown_codes(contrast * covered, MONITOR, seed), MONITOR)
-            area = covered.sum()
-            assert abs(np.sum(covered * (shown - contrast * covered)) / area) < 5e-4
+            x, y = 31.5 + rng.uniform(-0.5, 0.5, 2)
+            covered = coverage((64, 64), size_px=size_px, x_px=x, y_px=y, orientation=orientation)
+            image = TrialImage(contrast * covered, TrianglePlace(x, y, size_px))
+            codes, seed = dithered_codes(trial_of(size_px, orientation), image, MONITOR, int(rng.integers(4096)))
+            np.testing.assert_array_equal(codes, shown_codes(image.contrast, MONITOR, seed))
+            error = shown_contrast(codes, MONITOR) - image.contrast
+            assert abs(np.sum(covered * error) / covered.sum()) <= 5e-4
             # The sum over the whole picture is off by half of a code step of one pixel at most.
-            assert abs(np.sum(shown - contrast * covered)) < 0.0121 / 2
+            assert abs(np.sum(error)) < 0.0121 / 2
+
+
+def test_triangles_of_a_few_pixels_get_the_best_of_the_dither_patterns():
+    # 2 pixels of size are 4 pixels of area: one code step of one pixel is 0.3 % of contrast there.
+    covered = coverage((32, 32), size_px=2, x_px=15.5, y_px=15.5, orientation=Orientation.UP)
+    image = TrialImage(0.002 * covered, TrianglePlace(15.5, 15.5, 2))
+
+    def error(codes: np.ndarray) -> float:
+        return abs(float(np.sum(covered * (shown_contrast(codes, MONITOR) - image.contrast)) / covered.sum()))
+
+    tried = [error(shown_codes(image.contrast, MONITOR, 9 + k)) for k in range(16)]
+    assert min(tried) > 5e-4
+    codes, seed = dithered_codes(trial_of(2, Orientation.UP), image, MONITOR, 9)
+    assert (error(codes), seed) == (min(tried), 9 + int(np.argmin(tried)))
 
 
 def test_dither_patterns_of_different_seeds_lie_at_different_places_and_of_the_same_seed_at_one():

@@ -552,6 +552,8 @@ def calibrate(
     ]
     persons = [_person_result(data, person) for person in found.persons]
     pooled = None if found.pooled is None else _person_result(data, found.pooled)
+    fitted = ("internal_noise", "internal_noise_sd", *(["template_blur_samples"] * ("blur" in free)))
+    settings = {name: value for name, value in settings.items() if name not in fitted}
     return Result.made(
         "calibrate",
         started,

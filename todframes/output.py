@@ -55,6 +55,10 @@ FILES_OF_COMMAND = {
     "score": {"report.html", "scores.csv", "scores.parquet", "psychometric.png", "tod_curve.png"},
     "curve": {"report.html", "psychometric.png", "tod_curve.png"},
     "compare": {"report.html", "scores.csv", "scores.parquet", "compare.csv", "compare.png"},
+    "calibrate": {
+        *("report.html", "internal_noise.csv", "calibration.csv"),
+        *("calibration.png", "calibration.svg", "observer.toml"),
+    },
     "sweep": {
         *("report.html", "sweep.csv", "sweep.parquet"),
         *("front.png", "map.png", "by_key.png", "tod_curves.png"),

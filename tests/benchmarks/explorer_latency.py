@@ -13,7 +13,7 @@ import random
 import shutil
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -32,6 +32,8 @@ if TYPE_CHECKING:
     from playwright.sync_api import Browser
 
 MOVES = 200
+MOVES_OF_ONE = 5
+HIGHEST = 8
 REFINED_EVERY = 10
 LONGEST_PAUSE_MS = 400
 SENSORS = {"star-like": STAR_LIKE, "under-sampled": UNDER_SAMPLED, "low fill factor": LOW_FILL_FACTOR}
@@ -83,6 +85,25 @@ class Latencies(NamedTuple):
         return np.sum([self.asking, self.answering, self.painting], axis=0)
 
 
+def walk(moves: int, chance: random.Random) -> Iterator[tuple[str, int]]:
+    """Yield sliders and steps of ±1: some moves of one, then some of another, and no sensor twice.
+
+    Positions stay within `HIGHEST` steps above those of the file, so that no blur is below 0.
+    """
+    position, known = dict.fromkeys(SLIDERS, 0), {(0,) * len(SLIDERS)}
+    key = SLIDERS[0]
+    while moves:
+        if chance.random() < 1.0 / MOVES_OF_ONE:
+            key = chance.choice(SLIDERS)
+        step = chance.choice((-1, 1))
+        moved = position | {key: position[key] + step}
+        if 0 <= moved[key] <= HIGHEST and (sensor := tuple(moved.values())) not in known:
+            known.add(sensor)
+            position = moved
+            moves -= 1
+            yield key, step
+
+
 def measure(browser: Browser, sensor: Sensor, moves: int) -> Latencies:
     """Move sliders of a sensor and return how long the curves took."""
     chance, found = random.Random(1), Latencies([], [], [], [])
@@ -98,18 +119,16 @@ def measure(browser: Browser, sensor: Sensor, moves: int) -> Latencies:
             watched(browser, server.url, script=WATCH) as page,
         ):
             wait_until(page, "document.querySelector('#curve').dataset.stage === 'refined'")
-            for move in range(moves):
-                key = SLIDERS[move // 2 % len(SLIDERS)]
+            for move, (key, step) in enumerate(walk(moves, chance)):
                 page.focus(f".field:has(#field-{key.replace('.', '-')}) input[type=range]")
                 before = page.evaluate("Number(document.querySelector('#curve').dataset.sequence)")
-                # Up, and down again: the sensor stays near the one of the file, and no blur is below 0.
-                page.keyboard.press("ArrowRight" if move % 2 == 0 else "ArrowLeft")
+                page.keyboard.press("ArrowRight" if step > 0 else "ArrowLeft")
                 first = wait_until(page, "(before) => painted.find((one) => one.sequence > before)", before)
                 pressed, requested, drawn, shown = first["times"]
                 found.asking.append(requested - pressed)
                 found.answering.append(drawn - requested)
                 found.painting.append(shown - drawn)
-                if move % REFINED_EVERY < 2:
+                if move % REFINED_EVERY == 0:
                     last = wait_until(
                         page,
                         "(number) => painted.find((one) => one.sequence === number && one.stage === 'refined')",

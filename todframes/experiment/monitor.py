@@ -19,6 +19,10 @@ READING_EXPONENT = 2.2
 """Exponent of the scale in which luminance is interpolated between readings: there it is almost straight."""
 
 
+LARGEST_CD_M2, SMALLEST_RISE_CD_M2 = 1e5, 1e-6
+"""Largest luminance of a monitor, and smallest difference of two readings that a photometer can tell."""
+
+
 CARD_WIDTH_MM = 85.60
 """Width of a bank card: ID-1 of ISO/IEC 7810."""
 
@@ -210,9 +214,9 @@ def luminance_of_readings(lut: tuple[tuple[float, float], ...]) -> FloatArray:
             f"lut: found {codes.size} readings of the codes {', '.join(f'{code:g}' for code in codes[:4])} …, "
             f"expected at least 4, with those of 0 and {N_CODES - 1}"
         )
-    if not np.isfinite(luminance_cd_m2).all() or luminance_cd_m2[0] < 0:
-        raise SettingsError("lut: found a luminance that is negative or no number, expected cd/m² >= 0")
-    rise = (np.diff(codes) > 0) & (np.diff(luminance_cd_m2) > 0)
+    if not ((luminance_cd_m2 >= 0) & (luminance_cd_m2 <= LARGEST_CD_M2)).all():
+        raise SettingsError(f"lut: found a luminance beyond 0 to {LARGEST_CD_M2:g} cd/m²; read it again")
+    rise = (np.diff(codes) > 0) & (np.diff(luminance_cd_m2) > SMALLEST_RISE_CD_M2)
     if not rise.all():
         at = int(np.argmin(rise))
         raise SettingsError(

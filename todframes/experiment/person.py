@@ -7,7 +7,7 @@ the visual angle of its pixels. The scores of a trial are computed once; any int
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import partial
 from typing import Any, Literal, NamedTuple
@@ -60,7 +60,7 @@ SURPRISING = 0.01
 """Smallest p-value that is no warning."""
 
 PLANNED_NOISE = 0.1
-"""Internal noise, over that of the observer, for which the plan leaves out what does not matter."""
+"""Internal noise for which the plan leaves out what does not matter: less than people have."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -548,32 +548,31 @@ def _curves(
 ) -> tuple[GroupCurve, ...]:
     """Fit the curve of each group to the answers, and to the model's probabilities."""
     together = Trials.of(trial for of in trials for trial in of)
-    criterion = settings.p_correct
-    predict: Callable[[float, NDArray[np.intp]], PsychometricFit] | None = None
-    if fit.noise is not None:
-        # The level at which the person is right with the criterion's probability, lapses included.
-        share = fit.lapse_rate / (1.0 - GUESS_RATE)
-        without_lapses = replace(
-            settings,
-            p_correct=(criterion - share * GUESS_RATE) / (1.0 - share),
-            guess_rate=GUESS_RATE,
-            lapse_rate=0.0,
-            resamples=0,
-        )
-
-        def predict(noise: float, rows: NDArray[np.intp]) -> PsychometricFit:
-            p = table.select(rows).at(np.log([noise]), np.log([fit.blur]))[:, 0, 0]
-            found = fit_trials(together.levels[rows], p, curve="observer", settings=without_lapses, rng=rng)
-            return replace(found, p_correct=criterion)
-
     curves = []
     for group, rows in groups_of(together):
+        levels, part = together.levels[rows], table.select(rows)
         right = is_correct[rows].astype(np.float64)
-        own = fit_counts(together.levels[rows], right, np.ones(len(rows)), settings=settings, rng=rng)
-        predicted, interval = None, None
-        if predict is not None and fit.noise is not None:
-            predicted = predict(fit.noise, rows)
-            low, high = (None if end is None else predict(end, rows).threshold for end in fit.noise_ci95)
-            interval = low, high
-        curves.append(GroupCurve(group, own, predicted, interval))
+        own = fit_counts(levels, right, np.ones(len(rows)), settings=settings, rng=rng)
+        predicted, *ends = (
+            _model_curve(part, levels, noise, fit, settings) for noise in (fit.noise, *fit.noise_ci95)
+        )
+        low, high = (None if one is None else one.threshold for one in ends)
+        curves.append(GroupCurve(group, own, predicted, None if predicted is None else (low, high)))
     return tuple(curves)
+
+
+def _model_curve(
+    table: AnswerTable, levels: FloatArray, noise: float | None, fit: NoiseFit, settings: FitSettings
+) -> PsychometricFit | None:
+    """Fit the observer's curve to the probabilities with an internal noise; None without a noise.
+
+    Its threshold is the level at which the person is right with the criterion's probability, lapses included.
+    """
+    share = fit.lapse_rate / (1.0 - GUESS_RATE)
+    without_lapses = (settings.p_correct - share * GUESS_RATE) / (1.0 - share)
+    if noise is None or without_lapses >= 1.0:
+        return None
+    p = table.at(np.log([noise]), np.log([fit.blur]))[:, 0, 0]
+    of_model = replace(settings, p_correct=without_lapses, guess_rate=GUESS_RATE, lapse_rate=0.0, resamples=0)
+    found = fit_trials(levels, p, curve="observer", settings=of_model, rng=np.random.default_rng(0))
+    return replace(found, p_correct=settings.p_correct)

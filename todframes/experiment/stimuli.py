@@ -18,6 +18,13 @@ from todframes.frames.trials import Trial
 from todframes.recordings.dither import TILE, dithered
 from todframes.stimulus import coverage
 
+MEAN_TOLERANCE = 5e-4
+"""Largest error of the mean contrast over a triangle that dither may leave."""
+
+
+MOST_SEEDS = 16
+"""Number of places of the dither pattern that are tried."""
+
 
 class TrialImage(NamedTuple):
     """The contrast of all pixels of a trial, and the place of its triangle.
@@ -80,11 +87,41 @@ def trial_image(dataset: Dataset, trial: Trial) -> TrialImage:
 
 def contrast_range(trial: Trial, image: TrialImage) -> ContrastRange:
     """Return the range of the contrasts of a trial, for `monitor.check_shows`."""
-    contrast, (x, y, size_px) = image
-    covered = coverage(contrast.shape, size_px=size_px, x_px=x, y_px=y, orientation=trial.orientation) > 0.0
-    inside = contrast[covered]
-    low, high = np.quantile(contrast, [0.005, 0.995]).tolist()
+    inside = image.contrast[_covered(trial, image) > 0.0]
+    low, high = np.quantile(image.contrast, [0.005, 0.995]).tolist()
     return ContrastRange(trial.frames[0].path, low, high, float(inside.min()), float(inside.max()))
+
+
+def _covered(trial: Trial, image: TrialImage) -> FloatArray:
+    """Return the share of each pixel that the triangle of a trial covers, (rows, columns)."""
+    x, y, size_px = image.triangle
+    return coverage(image.contrast.shape, size_px=size_px, x_px=x, y_px=y, orientation=trial.orientation)
+
+
+def dithered_codes(trial: Trial, image: TrialImage, monitor: Monitor, seed: int) -> tuple[NDArray[np.uint8], int]:
+    """Return the code values that show a trial, and the seed of their dither: the next good one from `seed`.
+
+    With a good seed the mean contrast over the triangle, each pixel weighted with the share that is covered, is
+    right within `MEAN_TOLERANCE`. Most seeds are good from ten pixels of size on. If none of `MOST_SEEDS` is, as
+    for triangles of a few pixels, the best one is taken.
+    """
+    codes = shown_codes(image.contrast, monitor, seed)
+    if not monitor.dither:
+        return codes, seed
+    weight = _covered(trial, image)
+    weight /= weight.sum()
+    low, high = monitor.contrast_of_code()[[0, -1]]
+    wanted = np.sum(weight * np.clip(image.contrast, low, high))
+    found = []
+    for _ in range(MOST_SEEDS):
+        error = abs(float(np.sum(weight * shown_contrast(codes, monitor)) - wanted))
+        if error <= MEAN_TOLERANCE:
+            return codes, seed
+        found.append((error, seed))
+        seed += 1
+        codes = shown_codes(image.contrast, monitor, seed)
+    _, seed = min(found)
+    return shown_codes(image.contrast, monitor, seed), seed
 
 
 def shown_codes(contrast: FloatArray, monitor: Monitor, seed: int) -> NDArray[np.uint8]:

@@ -74,7 +74,7 @@ class QuestGrid:
         Returns
         -------
         ndarray, shape (…, g)
-            Their sum over the grid is 1. Watson 2017, eq. 2.
+            Their sum over the grid is 1.
         """
         counts = [np.asarray(n, np.float64) for n in (n_wrong, n_right)]
         ln = sum(n @ np.log(p) for n, p in zip(counts, self.p_answer, strict=True))
@@ -86,7 +86,7 @@ class QuestGrid:
 
         The posterior after answer r at level x is p(r|x, θ)·p(θ)/p(r|x), with p(r|x) = Σ p(r|x, θ)·p(θ). Its
         entropy, weighted by p(r|x), is p(r|x)·ln p(r|x) − Σ p(r|x, θ)·p(θ)·ln(p(r|x, θ)·p(θ)): products of the
-        tables with vectors. Watson 2017, eqs. 5 to 8.
+        tables with vectors.
 
         Parameters
         ----------

@@ -151,7 +151,8 @@ def _of_persons(result: ResultData) -> list[Picture]:
     for one in result.persons:
         fits = with_model_curves(result, one.subject)
         if fits:
-            note = f"Proportion correct against {level_name(fits[0].level)}; curves: the fitted model."
+            lapses = " without lapses" if one.lapse_rate else ""
+            note = f"Proportion correct against {level_name(fits[0].level)}; curves: the fitted model{lapses}."
             found.append(Picture(f"Answers of {one.subject}", note, partial(draw_psychometric, fits=fits)))
     return [found[0]._replace(file="calibration.png"), *found[1:]] if found else []
 
@@ -211,9 +212,12 @@ def draw_persons(axes: Axes, result: ResultData) -> None:
     """Draw the thresholds of each person against size, with intervals; lines are those of the fitted model."""
     size = size_column(result.fits)
     assert size is not None
-    shown, places, inverse, thresholds = own_and_model(result), [], [], []
-    for number, one in enumerate(result.persons[:MOST_CURVES]):
-        look = look_of(number, min(len(result.persons), MOST_CURVES))
+    shown = own_and_model(result)
+    persons = result.persons[:MOST_CURVES]
+    places: list[_Place] = []
+    curves: list[tuple[float, float]] = []
+    for number, one in enumerate(persons):
+        look = look_of(number, len(persons))
         of_person = [pair for pair in shown if pair[0].group[SUBJECT] == one.subject]
         own = [fit for fit, _ in of_person]
         places += _draw_tod_curve(axes, own, size, str(one.subject), look, line="")
@@ -224,13 +228,12 @@ def draw_persons(axes: Axes, result: ResultData) -> None:
         )
         if curve:
             axes.plot(*zip(*curve, strict=True), color=look.colour, zorder=2)
-        inverse += [place.x for place in places] + [x for x, _ in curve]
-        thresholds += [place.threshold for place in places] + [threshold for _, threshold in curve]
+        curves += curve
     _label_tod_axes(axes, size, result.fits[0].level)
-    plain_ticks(axes.xaxis, inverse)
-    plain_ticks(axes.yaxis, thresholds)
+    plain_ticks(axes.xaxis, [place.x for place in places] + [x for x, _ in curves])
+    plain_ticks(axes.yaxis, [place.threshold for place in places] + [threshold for _, threshold in curves])
     _draw_open_ends(axes, places)
-    if 1 < len(result.persons) <= MOST_IN_LEGEND:
+    if 1 < len(persons) <= MOST_IN_LEGEND:
         add_legend(axes)
 
 

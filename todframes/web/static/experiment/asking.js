@@ -8,27 +8,27 @@ const UNREACHABLE = "The server does not answer. It may have been stopped: start
   "Your answers are kept.";
 const UNKNOWN = "The server was started again. Open the address that it printed: the test goes on where it was.";
 
-/** Show one line about the connection, or none. */
-function tell(line) {
-  const place = document.getElementById("connection");
-  place.hidden = line === "";
-  if (place.textContent !== line) place.textContent = line;
+/** Show a text in a place that is read aloud when it changes; the place is hidden without one. */
+export function tell(place, text) {
+  place.hidden = text === "";
+  if (place.textContent !== text) place.textContent = text;
 }
 
 /** Do something that needs the server, again and again until the server can be reached. */
 async function persist(request) {
+  const line = document.getElementById("connection");
   for (;;) {
     try {
       const answer = await request();
-      tell("");
+      tell(line, "");
       return answer;
     } catch (error) {
       const isKnown = error instanceof ServerError;
       if (!isKnown || (error.status !== 0 && error.status !== 403 && error.status < 500)) {
-        tell("");
+        tell(line, "");
         throw error;
       }
-      tell(error.status === 403 ? UNKNOWN : error.status === 0 ? UNREACHABLE : error.message);
+      tell(line, error.status === 403 ? UNKNOWN : error.status === 0 ? UNREACHABLE : error.message);
       await pause(RETRY_MS);
     }
   }

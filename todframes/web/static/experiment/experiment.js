@@ -1,6 +1,6 @@
 // The way through the test, screen by screen; the server says which step comes next.
 
-import { ask, askImage } from "./asking.js";
+import { ask, askImage, tell } from "./asking.js";
 import { measureMonitor } from "./monitor.js";
 import { trouble, watchPixels } from "./pixels.js";
 import { adapt, clear, feedback, present, restore } from "./stage.js";
@@ -24,15 +24,18 @@ let measured = { ratio: null, width: 0, height: 0 };
 let isExact = true;
 let shown = new AbortController();
 
-/** Show one screen, or why none can be shown now. */
+/** Screens that may be of any scale. */
+const FREE = [null, "consent", "declined", "done", "broken"];
+
+/** Show the screen that is wanted, or why it cannot be shown now. */
 function refresh() {
-  const found = ["consent", "declined", "done", "broken"].includes(wanted) ? null : trouble(measured);
+  const found = FREE.includes(wanted) ? null : trouble(measured);
   const before = places.find((place) => !place.hidden)?.id;
   const now = found ? "stopped" : wanted;
   isExact = !found;
   if (found) {
-    element("stopped-reason").textContent = found.reason;
-    element("stopped-remedy").textContent = found.remedy;
+    tell(element("stopped-reason"), found.reason);
+    tell(element("stopped-remedy"), found.remedy);
     shown.abort();
     shown = new AbortController();
   } else {

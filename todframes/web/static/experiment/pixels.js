@@ -1,6 +1,6 @@
 // Device pixels: whether the browser shows each pixel as it is, and canvases whose pixels are the monitor's.
 
-/** Interval at which the device pixel ratio is looked at. */
+/** Interval at which it is looked whether frames can be shown pixel by pixel. */
 const LOOK_MS = 250;
 
 /**
@@ -38,13 +38,11 @@ export function trouble({ ratio, width, height }) {
   return null;
 }
 
-/** Call a function when the window, its zoom or its monitor changes; not every browser has an event for each. */
-export function watchPixels(changed) {
-  let ratio = window.devicePixelRatio;
-  const look = () => { ratio = window.devicePixelRatio; changed(); };
+/** Call a function when the window has changed, and again and again: not every zoom or monitor has an event. */
+export function watchPixels(look) {
   window.addEventListener("resize", look);
   window.visualViewport?.addEventListener("resize", look);
-  setInterval(() => { if (window.devicePixelRatio !== ratio) look(); }, LOOK_MS);
+  setInterval(look, LOOK_MS);
 }
 
 /**
