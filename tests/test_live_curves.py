@@ -225,7 +225,7 @@ def test_stated_errors_hold_over_many_sensors():
         return float(np.exp(rng.uniform(math.log(low), math.log(high))))
 
     alone, beside = [], []
-    for _ in range(40):
+    for _ in range(24):
         sensor = changed(
             optics={"aperture_mm": 100.0 * factor(0.6, 1.6), "blur_sigma_mrad": float(rng.uniform(0.0, 0.1))},
             detector={"width_mrad": float(rng.uniform(0.1, 0.2))},
@@ -237,23 +237,23 @@ def test_stated_errors_hold_over_many_sensors():
         )
         size = float(rng.choice([3.0, 4.0, 6.0]))
         one = engine()
-        estimated, refined = computed(one, sensor, sizes=(size,), tolerances=(0.03, 0.002))
+        estimated, refined = computed(one, sensor, sizes=(size,), tolerances=(0.03, 0.004))
         if refined.threshold is None:
             continue
         alone.append(
             (estimated.threshold / refined.threshold - 1.0, estimated.numerical_error / estimated.threshold)
         )
         moved = replace(sensor, optics=replace(sensor.optics, aperture_mm=sensor.optics.aperture_mm * 1.1))
-        estimated, refined = computed(one, moved, sizes=(size,), tolerances=(0.03, 0.002))
+        estimated, refined = computed(one, moved, sizes=(size,), tolerances=(0.03, 0.004))
         beside.append(
             (estimated.threshold / refined.threshold - 1.0, estimated.numerical_error / refined.threshold)
         )
     for found in (alone, beside):
         error, stated = np.abs(np.array(found)).T
-        assert len(error) >= 30
-        # With a probability of 95 % each, 4 of 40 beyond happen once in 20 runs, and 6 once in 100.
-        assert np.count_nonzero(error > stated) <= 4
-        assert np.count_nonzero(error > 0.03) <= 2
+        assert len(error) >= 18
+        # If each holds with a probability of 95 %, more than 3 of 24 fail once in 30 sets of sensors.
+        assert np.count_nonzero(error > stated) <= 3
+        assert np.count_nonzero(error > 0.03) <= 1
     assert np.median(np.array(beside)[:, 1]) < np.median(np.array(alone)[:, 1])
 
 
@@ -387,6 +387,24 @@ def test_refusals_come_through_and_a_dead_process_is_replaced(live):
     os.kill(multiprocessing.active_children()[0].pid, signal.SIGKILL)
     *_, last = live.curves(MOVES[0], OBSERVER, (3.0, 4.0), tolerances=TOLERANCES, is_wanted=wanted)
     assert [one.status for one in last.thresholds] == ["ok", "ok"]
+
+
+@pytest.mark.slow
+def test_close_ends_what_another_thread_waits_for():
+    before = multiprocessing.active_children()
+    curves, found = LiveCurves(1), []
+    hard = {"sizes_detectors": (8.0, 12.0, 16.0), "tolerances": (0.03, 1e-5), "is_wanted": wanted}
+    thread = threading.Thread(target=lambda: found.extend(curves.curves(SENSOR, OBSERVER, **hard)))
+    thread.start()
+    while not found:  # the estimate is there, and refining goes on for long
+        time.sleep(0.01)
+    started = time.monotonic()
+    curves.close()
+    thread.join(timeout=10.0)
+    assert not thread.is_alive()
+    assert time.monotonic() - started < 5.0
+    assert not any(curve.is_last for curve in found)
+    assert multiprocessing.active_children() == before
 
 
 def test_observer_of_unit_noise():

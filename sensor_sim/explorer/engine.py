@@ -43,8 +43,9 @@ from todframes.stimulus import Stimulus
 
 T = TypeVar("T")
 
-KEPT_MB = {"readouts": 44, "samplers": 6, "samples": 16, "weights": 20, "trials": 10}
-"""Largest size of what is kept, by kind, in units of 2**20 bytes."""
+KEPT_MB = {"readouts": 44, "samplers": 6, "samples": 8, "weights": 8, "refined weights": 24, "trials": 10}
+"""Largest size of what is kept, by kind, in units of 2**20 bytes. The weights at the many places of a refined
+threshold are kept apart: they would drive out those that the next estimate needs."""
 
 THRESHOLDS_KEPT = 2000
 
@@ -100,6 +101,7 @@ class Engine:
         self._check = check
         self._kept: dict[str, Kept[Any]] = {name: _Checked(size * 2**20, check) for name, size in KEPT_MB.items()}
         self._shared = Shared(*(self._kept[name] for name in ("samplers", "samples", "weights")))
+        self._refined_shared = Shared(self._kept["samplers"], _Checked(0, check), self._kept["refined weights"])
         self._known: OrderedDict[Hashable, tuple[PredictedThreshold, Shares]] = OrderedDict()
         self._near: dict[float, tuple[float, float]] = {}
         self._references: dict[float, Reference] = {}
@@ -191,6 +193,7 @@ class Engine:
         sensor, observer, size, p_correct = task
         judge = cast("Observer", observer)
         plan = plan_curve(sensor, judge, size, tolerance=tolerance, p_correct=p_correct, shared=self._shared)
+        plan = replace(plan, shared=self._refined_shared)
         chain = _KeptChain(sensor, judge, size, plan, trials=self._kept["trials"], check=self._check)
         found = predict_threshold(chain, p_correct=p_correct, tolerance=tolerance, n_points=0)
         on_lattices = self._on_lattices(task, FEW_PLACES)

@@ -88,6 +88,7 @@ class LiveCurves:
         self._workers = [_Worker(self._wanted) for _ in range(n_processes)]
         self._turn = threading.Lock()
         self._number = NOTHING_WANTED
+        self._is_closed = False
 
     def curves(
         self,
@@ -129,7 +130,7 @@ class LiveCurves:
 
         started = time.perf_counter()
         while not self._turn.acquire(timeout=POLL_S):
-            if not is_wanted():
+            if self._is_closed or not is_wanted():
                 return
         try:
             self._number += 1
@@ -169,7 +170,7 @@ class LiveCurves:
         tried = set()
         while working:
             ready = wait([worker.connection for worker in working], timeout=POLL_S)
-            if not is_wanted():
+            if self._is_closed or not is_wanted():
                 return
             for worker in [one for one in working if one.connection in ready]:
                 try:
@@ -198,7 +199,9 @@ class LiveCurves:
                     yield answer
 
     def close(self) -> None:
-        """End the processes, and a computation that another thread still waits for."""
+        """End the processes, and before that a computation that another thread waits for."""
+        self._is_closed = True
+        self._turn.acquire(timeout=END_S)  # not for ever: who asked may never ask for the next curve
         self._wanted.value = NOTHING_WANTED
         for worker in self._workers:
             worker.end()
