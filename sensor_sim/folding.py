@@ -10,7 +10,7 @@ Hogervorst et al. 2001, sections 3.4 to 4.1.
 from __future__ import annotations
 
 import math
-from collections.abc import Hashable
+from collections.abc import Hashable, Iterator
 from functools import cached_property
 from typing import Any
 
@@ -20,7 +20,10 @@ from numpy.typing import DTypeLike, NDArray
 from sensor_sim.reconstruction import axis_matrix
 from sensor_sim.sensor import Sensor
 from todframes._typing import FloatArray
-from todframes.observers.retina import RetinaGrid, overlaps
+from todframes.observers.retina import Overlaps, RetinaGrid, overlaps
+
+PLACES_AT_ONCE = 6
+"""Number of places along an axis that are folded at once: enough to hide the cost of a call."""
 
 
 def is_unblurred(sensor: Sensor) -> bool:
@@ -70,6 +73,7 @@ class Folding:
         self.pixels = 1 if merge_pixels and is_unblurred(sensor) else sensor.display.pixels_per_detector
         self.pixel_pitch_mrad = pitch / self.pixels
         self._sensor, self._images = sensor, images
+        self._known_overlaps: dict[float, Overlaps] = {}
         seen = 2 * math.ceil((field / 2.0 + reach_detectors) * pitch / grid.pitch_mrad) + 1
         margin = max((grid.side - seen) // 2, 0)
         self._seen = slice(margin, grid.side - margin)
@@ -96,13 +100,14 @@ class Folding:
         Places are those of the retina's middle, in detectors from the field's middle.
         """
         side, field, places = self.grid.side, self.field, len(places_x)
-        on_columns = np.stack([self._fold(x, self._along_x_first) for x in places_x])
-        on_columns = on_columns.reshape(places, field, self.n, side).transpose(3, 0, 2, 1)
-        on_columns = np.ascontiguousarray(on_columns).reshape(side, places * self.n * field)
+        on_columns = np.empty((side, places, self.n, field), dtype=self.dtype)
+        for start, folded in self._folded(places_x, self._along_x_first):
+            at_once = slice(start, start + len(folded))
+            on_columns[:, at_once] = folded.reshape(-1, field, self.n, side).transpose(3, 0, 2, 1)
         rows = []
-        for y in places_y:
-            folded = self._fold(y, on_columns).reshape(field, places, self.n, field)
-            rows.append(folded.transpose(1, 2, 0, 3).reshape(places, self.n, field**2))
+        for _, folded in self._folded(places_y, on_columns.reshape(side, places * self.n * field)):
+            of_rows = folded.reshape(-1, field, places, self.n, field).transpose(0, 2, 3, 1, 4)
+            rows += list(of_rows.reshape(-1, places, self.n, field**2))
         return rows
 
     def weights(self, place_x: float, place_y: float) -> FloatArray:
@@ -110,19 +115,36 @@ class Folding:
         (row,) = self.weights_by_row(np.array([place_x]), np.array([place_y]))
         return np.asarray(row[0], dtype=np.float64)
 
-    def _fold(self, place: float, weights: NDArray[Any]) -> NDArray[Any]:
-        """Fold weights on retina samples along the first axis, (side, n), to detectors, (field, n)."""
+    def _folded(self, places: FloatArray, weights: NDArray[Any]) -> Iterator[tuple[int, NDArray[Any]]]:
+        """Fold weights on retina samples along the first axis, (side, n), to detectors, some places at once.
+
+        Yields the number of the first place, and (places, field, n).
+        """
         from scipy.sparse import csr_array
 
         n_pixels = self.field * self.pixels
-        sample, pixel, length = overlaps(
-            self.grid,
-            centre_px=(self.field / 2.0 + place) * self.pixels - 0.5,
-            pixel_pitch_mrad=self.pixel_pitch_mrad,
-            first_pixel=0,
-            n_pixels=n_pixels,
-        )
-        row_start = np.searchsorted(pixel, np.arange(n_pixels + 1, dtype=np.int32)).astype(np.int32)
-        retina = csr_array((length.astype(self.dtype), sample, row_start), shape=(n_pixels, self.grid.side))
-        on_pixels: NDArray[Any] = np.asarray(retina @ weights)
-        return on_pixels if self.hold is None else np.asarray(self.hold @ on_pixels)
+        for start in range(0, len(places), PLACES_AT_ONCE):
+            at_once = places[start : start + PLACES_AT_ONCE]
+            found = [self._overlaps(place) for place in at_once.tolist()]
+            ends = [np.searchsorted(one.pixel, np.arange(1, n_pixels + 1, dtype=np.int32)) for one in found]
+            before = np.cumsum([0, *(len(one.pixel) for one in found)])
+            row_start = np.concatenate([[0], *(first + end for first, end in zip(before, ends, strict=False))])
+            sample, length = (
+                np.concatenate([getattr(one, name) for one in found]) for name in ("sample", "length")
+            )
+            shape = (len(at_once) * n_pixels, self.grid.side)
+            retina = csr_array((length.astype(self.dtype), sample, row_start.astype(np.int32)), shape=shape)
+            on_pixels: NDArray[Any] = np.asarray(retina @ weights).reshape(len(at_once), n_pixels, -1)
+            yield start, on_pixels if self.hold is None else np.asarray(self.hold @ on_pixels)
+
+    def _overlaps(self, place: float) -> Overlaps:
+        """Return the overlaps of retina samples and pixels along an axis; both axes may ask for the same place."""
+        if place not in self._known_overlaps:
+            self._known_overlaps[place] = overlaps(
+                self.grid,
+                centre_px=(self.field / 2.0 + place) * self.pixels - 0.5,
+                pixel_pitch_mrad=self.pixel_pitch_mrad,
+                first_pixel=0,
+                n_pixels=self.field * self.pixels,
+            )
+        return self._known_overlaps[place]

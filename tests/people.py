@@ -23,7 +23,8 @@ from todframes.experiment.answers import (
     write_sidecar,
 )
 from todframes.experiment.monitor import Monitor, luminance_of_gamma, viewing_distance_mm
-from todframes.experiment.session import TrialOrder, frames_sha256
+from todframes.experiment.order import TrialOrder
+from todframes.experiment.session import frames_sha256
 from todframes.experiment.stimuli import shown_codes, shown_contrast, trial_image
 from todframes.frames.contrast import Patch
 from todframes.frames.dataset import Dataset

@@ -29,7 +29,8 @@ from todframes.cli.main import cli
 from todframes.errors import DataError, FrameError, OutputError, SettingsError
 from todframes.experiment.answers import TrialRow, count_file, data_path, read_answers, read_sidecar, sidecar_path
 from todframes.experiment.monitor import Calibration, MonitorError
-from todframes.experiment.session import Design, StepError, TrialOrder, frames_sha256, open_sitting
+from todframes.experiment.order import TrialOrder
+from todframes.experiment.session import Design, StepError, frames_sha256, open_sitting
 from todframes.experiment.stimuli import shown_codes, trial_image
 from todframes.frames.dataset import load_dataset
 from todframes.frames.files import FrameFile
@@ -69,7 +70,7 @@ def begin(sitting) -> None:
 def answer_rightly(sitting) -> TrialRow:
     """Answer the next trial as the manifest has it, and return its row."""
     asked = sitting.trial()
-    orientation = sitting._prepare().trial.orientation
+    orientation = sitting._prepare().picture.trial.orientation
     sitting.answer(asked["number"], orientation, 250.0)
     return sitting.rows[-1]
 
@@ -227,7 +228,7 @@ def test_feedback_is_given_in_practice_only(dataset, out):
         for expected in (True, False, None):
             asked, state = sitting.trial(), sitting.state()
             assert state["feedback"] == (expected is not None)
-            right = sitting._prepare().trial.orientation
+            right = sitting._prepare().picture.trial.orientation
             wrong = Orientation.UP if right is not Orientation.UP else Orientation.DOWN
             said = sitting.answer(asked["number"], wrong if expected is False else right, 1.0)
             assert said["correct"] is expected
@@ -266,7 +267,7 @@ def test_an_answer_given_twice_is_saved_once(dataset, out):
     with open_sitting(dataset, out, design=SHORT) as sitting:
         begin(sitting)
         asked = sitting.trial()
-        right = sitting._prepare().trial.orientation
+        right = sitting._prepare().picture.trial.orientation
         first = sitting.answer(asked["number"], right, 1.0)
         again = sitting.answer(asked["number"], None, 2.0)
         assert again == first
@@ -339,15 +340,20 @@ def test_a_monitor_that_cannot_show_the_frames_is_refused_with_a_reason(make_dat
 def test_a_frame_that_is_damaged_meanwhile_is_told(dataset, out):
     with open_sitting(dataset, out, design=SHORT) as sitting:
         begin(sitting)
-        frame = (
-            dataset.path / dataset.trials[TrialOrder(dataset.trials, sitting.record).next([]).row].frames[0].path
-        )
-        content = frame.read_bytes()
-        frame.write_bytes(content[:100])
-        with pytest.raises(FrameError, match=re.escape(str(frame))):
-            sitting.trial()
-        frame.write_bytes(content)
-        answer_rightly(sitting)
+        found = TrialOrder(dataset.trials, sitting.record)
+        first = found.next([])
+        second = found.next([row_of(dataset, first, 1)])
+        frames = [dataset.path / dataset.trials[one.row].frames[0].path for one in (first, second)]
+        contents = [frame.read_bytes() for frame in frames]
+        assert frames[0] != frames[1]
+        # The second is read while the first is shown, and again when its turn has come.
+        for frame, content in zip(frames, contents, strict=True):
+            frame.write_bytes(content[:100])
+        for frame, content in zip(frames, contents, strict=True):
+            with pytest.raises(FrameError, match=re.escape(str(frame))):
+                sitting.trial()
+            frame.write_bytes(content)
+            answer_rightly(sitting)
 
 
 # Going on ------------------------------------------------------------------------------------------------------
@@ -372,7 +378,7 @@ def test_a_session_that_was_ended_after_each_answer_is_as_one_in_one_go(dataset,
 def test_an_answer_to_a_trial_that_the_server_before_had_shown_is_taken(dataset, out):
     with open_sitting(dataset, out, subject="P1", design=SHORT) as sitting:
         begin(sitting)
-        asked, right = sitting.trial(), sitting._prepare().trial.orientation
+        asked, right = sitting.trial(), sitting._prepare().picture.trial.orientation
     with open_sitting(dataset, out) as sitting:
         assert sitting.answer(asked["number"], right, 800.0)["correct"]
         assert sitting.rows[0].is_correct

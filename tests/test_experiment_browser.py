@@ -33,7 +33,8 @@ LUMINANCE = (np.arange(256) / 255) ** GAMMA
 """Luminance of each code value of the person's monitor, over that of white."""
 CONTRAST = LUMINANCE / LUMINANCE[CODE] - 1.0
 KEYS = {"up": "ArrowUp", "right": "ArrowRight", "down": "ArrowDown", "left": "ArrowLeft"}
-UNREACHABLE = r"net::ERR_"
+# A page asks again each second, until its server is back: that one has another token.
+UNREACHABLE = ["net::ERR_", "status of 403"]
 NEXT = """async () => {
   const begin = performance.now();
   for (; performance.now() < begin + 30000; await new Promise((done) => setTimeout(done))) {
@@ -169,7 +170,7 @@ def test_person_whose_server_is_killed_twice(
     options = ("--subject", "p1", "--seed", 15, "--consent", tmp_path / "consent.txt", "--port", port)
 
     with experiment(dataset.path, answers, *options) as server:
-        page = open_page(server.url, expected_console=[UNREACHABLE])
+        page = open_page(server.url, expected_console=UNREACHABLE)
         page.add_init_script(HURRY)
         page.reload()
         assert page.inner_text("#consent-text").split("\n\n") == ["I <b>agree</b>.", "<script>alert(1)</script>"]

@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass
+from functools import cache, partial
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -37,8 +38,11 @@ REPLICATES = 5
 FEW_PLACES, MORE_PLACES = 4, 7
 """Places along each axis of a lattice, and those to try if the error is too large with the former."""
 
-STRATA = np.arange(REPLICATES)[:, None] * [1, 2] % REPLICATES + np.random.default_rng(3).random((REPLICATES, 2))
-"""Displacements of the lattices along x and y, in fifths of a lattice's step: one in each, at random within it."""
+STRATA = (np.arange(REPLICATES) + np.random.default_rng(3).random(REPLICATES))[
+    [[0, 0], [1, 2], [2, 4], [3, 1], [4, 3]]
+]
+"""Displacements of the lattices along x and y, in fifths of a lattice's step: one in each, at random within it.
+Both axes have the same ones, so that what is computed for a place along one serves the other as well."""
 
 STANDARD_ERRORS_95 = 2.776
 """Half-width of a 95 % interval in standard errors: Student's t with one degree of freedom less than lattices."""
@@ -206,30 +210,37 @@ def lattice_phases(
     place = np.empty((REPLICATES, places, places, 1, 2))
     place[..., 0, 0], place[..., 0, 1] = middle_x[:, None, :], middle_y[:, :, None]
     x, y = np.ascontiguousarray((place.reshape(-1, 1, 2) - displacement).reshape(-1, 2).T)
+    offsets = [centre_offset(observer, orientation, size_detectors) for orientation in plan.orientations]
+
+    @cache
+    def folding() -> Folding:
+        of_scores = images()
+        return Folding(
+            sensor,
+            RetinaGrid(of_scores.shape[-1], pitch_mrad),
+            of_scores,
+            n=3,
+            field=plan.field,
+            reach_detectors=0.5 + float(np.abs(offsets).max()),
+            dtype=plan.dtype,
+            merge_pixels=plan.merge_pixels,
+        )
+
     trials = []
-    for orientation in plan.orientations:
-        dx, dy = centre_offset(observer, orientation, size_detectors)
-        key = (name, sensor.display, sensor.electronics, plan.field, places, dx, dy)
-
-        def fold(dx: float = dx, dy: float = dy) -> FloatArray:
-            of_scores = images()
-            folding = Folding(
-                sensor,
-                RetinaGrid(of_scores.shape[-1], pitch_mrad),
-                of_scores,
-                n=3,
-                field=plan.field,
-                reach_detectors=0.5 + max(abs(dx), abs(dy)),
-                dtype=plan.dtype,
-                merge_pixels=plan.merge_pixels,
-            )
-            rows = [folding.weights_by_row(x + dx, y + dy) for x, y in zip(middle_x, middle_y, strict=True)]
-            return np.concatenate([row for rows_of_lattice in rows for row in rows_of_lattice])
-
-        weights = plan.all_four(plan.shared.weights.get(key, fold).astype(np.float64)) * sensor.display.gain
+    for orientation, (dx, dy) in zip(plan.orientations, offsets, strict=True):
+        of_lattices = []
+        for number in range(REPLICATES):
+            at = middle_x[number] + dx, middle_y[number] + dy
+            key = (name, sensor.display, sensor.electronics, plan.field, places, number, dx, dy)
+            of_lattices.append(plan.shared.weights.get(key, partial(_weights, folding, *at)))
+        weights = plan.all_four(np.concatenate(of_lattices).astype(np.float64)) * sensor.display.gain
         samples = plan.samples(x, y, orientation).reshape(len(weights), -1, plan.field**2)
         trials.append(Phases(samples @ weights.swapaxes(1, 2), plan.noise(weights), orientation.quarter_turns))
     return trials
+
+
+def _weights(folding: Callable[[], Folding], places_x: FloatArray, places_y: FloatArray) -> NDArray[Any]:
+    return np.concatenate(folding().weights_by_row(places_x, places_y))
 
 
 def estimate(

@@ -53,7 +53,7 @@ NO_RESPONSE = "none"
 """Response of a trial whose time limit passed."""
 
 
-BEFORE_LEVEL = (*("trial", "phase", "frame", "sha256", "orientation", "response", "correct", "response_time_ms"),)
+BEFORE_LEVEL = ("trial", "phase", "frame", "sha256", "orientation", "response", "correct", "response_time_ms")
 """Columns in front of the level and the columns of `group_by`."""
 
 

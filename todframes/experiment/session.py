@@ -1,7 +1,7 @@
-"""A session of a person: the order of its trials, the steps from consent to the last answer, and its files.
+"""A session of a person: its settings, its steps from consent to the last answer, and how it goes on.
 
-The next trial follows from the seed and from the rows that are on the disk, so a session that was ended anywhere
-goes on where it was.
+The next trial follows from the record and the rows that are on the disk, so a session that was ended anywhere goes
+on where it was.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import re
 import secrets
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, fields, replace
 from datetime import UTC, datetime
@@ -21,7 +22,6 @@ from typing import Annotated, Literal, NamedTuple, get_args
 
 import numpy as np
 from msgspec import Meta
-from numpy.typing import NDArray
 
 from todframes import __version__
 from todframes._typing import Json
@@ -53,15 +53,15 @@ from todframes.experiment.monitor import (
     calibrated,
     check_shows,
 )
+from todframes.experiment.order import NextTrial, TrialOrder
 from todframes.experiment.psych_ds import NAME as DESCRIPTION_NAME
 from todframes.experiment.psych_ds import write_description
 from todframes.experiment.stimuli import clipped, contrast_range, dithered_codes, png, trial_image
 from todframes.frames.dataset import Dataset
 from todframes.frames.files import frame_sha256
-from todframes.frames.trials import Trial, Trials
-from todframes.psychometrics.quest import QuestGrid
+from todframes.frames.trials import Trial
 from todframes.recordings.dither import blue_noise
-from todframes.stimulus import Orientation
+from todframes.stimulus import ORIENTATIONS, Orientation
 
 CONSENT = """\
 You will see a triangle on a grey field, again and again, and say where it points: up, right, down or left. Some
@@ -79,10 +79,6 @@ QUEST_TRIALS = 60
 
 
 Step = Literal["consent", "monitor", "practice", "main", "break", "done"]
-
-
-# First elements of the spawn keys of random streams: order of trials, order of groups, frames, practice.
-ORDER, GROUPS, FRAMES, PRACTICE, DITHER = range(5)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -124,132 +120,6 @@ class Design:
             raise SettingsError(f"method: found {self.method!r}, expected one of {', '.join(get_args(Method))}")
 
 
-class NextTrial(NamedTuple):
-    """The trial that comes next: its phase, its row in the dataset's trials and the first seed of its dither."""
-
-    phase: Phase
-    row: int
-    dither_seed: int
-
-
-# The order of trials -------------------------------------------------------------------------------------------
-
-
-class TrialOrder:
-    """The order of the trials of a session, a function of its record and of the rows so far.
-
-    Parameters
-    ----------
-    trials : Trials
-        All trials of the dataset.
-    record : SessionRecord
-    """
-
-    def __init__(self, trials: Trials, record: SessionRecord) -> None:
-        self._trials, self._record = trials, record
-        self._practice = practice_trials(trials, record.practice, _stream(record.seed, PRACTICE))
-        self._row_of_frame = {trial.frames[0].path: row for row, trial in enumerate(trials)}
-        self._main: NDArray[np.intp] | None = None
-        self._grids: list[QuestGrid] = []
-        if record.method == "constant":
-            self._main = spread_trials(trials, record.trials, _stream(record.seed, ORDER))
-        else:
-            of_group = [trials.levels[trials.group_codes == code] for code in range(len(trials.groups))]
-            self._grids = [QuestGrid.of_levels(levels) for levels in of_group]
-
-    @property
-    def candidates(self) -> list[int]:
-        """Indices of the trials that may be shown."""
-        main = range(len(self._trials)) if self._main is None else self._main.tolist()
-        return sorted({*self._practice.tolist(), *main})
-
-    def total(self, phase: Phase) -> int:
-        """Return the number of trials of a phase."""
-        return len(self._practice) if phase == "practice" else self._record.trials
-
-    def check(self, file: AnswerFile) -> None:
-        """Raise DataError if the dataset has fewer trials, or a row names a frame that no trial begins with."""
-        if self._record.trials > len(self._trials):
-            raise DataError(
-                f"{sidecar_path(file.path)}: trials: found {self._record.trials}, the dataset has "
-                f"{len(self._trials)}"
-            )
-        for line, row in enumerate(file.rows, 2):
-            if row.frame not in self._row_of_frame:
-                raise DataError(
-                    f"{file.path}, line {line}: frame: found {row.frame!r}, which no trial begins with"
-                )
-
-    def next(self, rows: Sequence[TrialRow]) -> NextTrial | None:
-        """Return the next trial after some rows; None after the last."""
-        dither_seed = int(_stream(self._record.seed, DITHER, len(rows)).integers(4096))
-        if len(rows) < len(self._practice):
-            return NextTrial("practice", int(self._practice[len(rows)]), dither_seed)
-        n_main = len(rows) - len(self._practice)
-        if n_main >= self._record.trials:
-            return None
-        row = int(self._main[n_main]) if self._main is not None else self._adaptive(rows)
-        return NextTrial("main", row, dither_seed)
-
-    def _adaptive(self, rows: Sequence[TrialRow]) -> int:
-        """Return the trial that QUEST+ chooses: of the group whose turn it is, one that was not shown yet."""
-        main = rows[len(self._practice) :]
-        shown = np.array([self._row_of_frame[row.frame] for row in main], np.intp)
-        is_left = np.ones(len(self._trials), np.bool_)
-        is_left[shown] = False
-        codes, n_groups = self._trials.group_codes, len(self._trials.groups)
-        # Blocks in which each group has a turn, in random order; a group without trials left loses its turn.
-        block, turn = divmod(len(main), n_groups)
-        turns = chain.from_iterable(
-            _stream(self._record.seed, GROUPS, number).permutation(n_groups).tolist()
-            for number in (block, block + 1)
-        )
-        code = next(one for one in list(turns)[turn:] if is_left[codes == one].any())
-        grid = self._grids[code]
-        levels = self._trials.levels
-        answers = np.zeros((2, grid.levels.size))
-        for index, row in zip(shown, main, strict=True):
-            if codes[index] == code and row.response is not None:
-                answers[int(row.is_correct), np.searchsorted(grid.levels, levels[index])] += 1
-        entropy = grid.expected_entropy(grid.posterior(*answers))
-        entropy[~np.isin(grid.levels, levels[is_left & (codes == code)])] = np.inf
-        level = grid.levels[np.argmin(entropy)]
-        choice = np.flatnonzero(is_left & (codes == code) & (levels == level))
-        return int(_stream(self._record.seed, FRAMES, len(main)).choice(choice))
-
-
-def spread_trials(trials: Trials, n_trials: int, rng: np.random.Generator) -> NDArray[np.intp]:
-    """Return the indices of trials in random order, spread evenly over groups, levels and orientations.
-
-    The numbers of trials of a group, level and orientation differ by one at most, as far as the dataset has as
-    many.
-    """
-    order = rng.permutation(len(trials))
-    cells = np.stack([trials.group_codes, trials.levels, trials.quarter_turns], axis=1)[order]
-    _, cell = np.unique(cells, axis=0, return_inverse=True)
-    # The first of each cell in this order, then the second of each, and so on.
-    by_cell = np.argsort(cell.ravel(), kind="stable")
-    first = np.flatnonzero(np.diff(cell.ravel()[by_cell], prepend=-1))
-    place = np.empty(len(order), np.intp)
-    place[by_cell] = np.arange(len(order)) - np.repeat(first, np.diff(first, append=len(order)))
-    chosen = order[np.argsort(place, kind="stable")[:n_trials]]
-    return np.asarray(rng.permutation(chosen), np.intp)
-
-
-def practice_trials(trials: Trials, n_trials: int, rng: np.random.Generator) -> NDArray[np.intp]:
-    """Return the indices of practice trials: of each group in turn, one of its highest level."""
-    codes, levels = trials.group_codes, trials.levels
-    highest = []
-    for code in np.unique(codes):
-        of_group = np.flatnonzero(codes == code)
-        highest.append(of_group[levels[of_group] == levels[of_group].max()])
-    return np.array([rng.choice(highest[k % len(highest)]) for k in range(n_trials)], np.intp)
-
-
-def _stream(seed: int, *key: int) -> np.random.Generator:
-    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))
-
-
 # The session ---------------------------------------------------------------------------------------------------
 
 
@@ -261,18 +131,40 @@ class Material(NamedTuple):
     contrasts: list[ContrastRange]
 
 
-class Prepared(NamedTuple):
-    """A trial that is ready to be shown: its picture, and what its row will say."""
+class Picture(NamedTuple):
+    """A trial as the monitor shows it: a PNG and its size, and what the trial's row will say about it."""
 
-    number: int
-    phase: Phase
     trial: Trial
-    picture: bytes
+    content: bytes
     width: int
     height: int
     dither_seed: int
     clipped_px: int
     sha256: str
+
+
+def make_picture(dataset: Dataset, monitor: Monitor, asked: NextTrial) -> Picture:
+    """Read the frames of a trial and compute the code values that show it.
+
+    Raises
+    ------
+    FrameError
+        If its frames cannot be used.
+    """
+    trial = dataset.trials[asked.row]
+    image = trial_image(dataset, trial)
+    codes, dither_seed = dithered_codes(trial, image, monitor, asked.dither_seed)
+    n_clipped = int(np.count_nonzero(clipped(image.contrast, monitor)))
+    height, width = codes.shape
+    return Picture(trial, png(codes), width, height, dither_seed, n_clipped, frames_sha256(dataset, trial))
+
+
+class Prepared(NamedTuple):
+    """The trial that is shown. `shown_at` is the time at which it was asked for, ISO 8601."""
+
+    number: int
+    phase: Phase
+    picture: Picture
     shown_at: str
 
 
@@ -295,6 +187,9 @@ class Sitting:
         self._lock = threading.Lock()
         self._prepared: Prepared | None = None
         self._is_break = False
+        # Pictures that may come next are made while the person looks: a large one takes a second.
+        self._artist = ThreadPoolExecutor(1, "pictures")
+        self._ahead: dict[NextTrial, Future[Picture]] = {}
 
     @property
     def rows(self) -> tuple[TrialRow, ...]:
@@ -346,7 +241,7 @@ class Sitting:
                 ranges=self._material.contrasts,
             )
             self._write(replace(self.record, monitor=monitor))
-            self._prepared = None
+            self._prepared, self._ahead = None, {}
             return self._state()
 
     def trial(self) -> Json:
@@ -361,12 +256,13 @@ class Sitting:
         """
         with self._lock:
             prepared = self._prepare()
+            self._look_ahead(prepared)
             return {
                 "number": prepared.number,
                 "phase": prepared.phase,
                 "image": f"/stimulus/{prepared.number}.png",
-                "width": prepared.width,
-                "height": prepared.height,
+                "width": prepared.picture.width,
+                "height": prepared.picture.height,
                 "background_code": self._monitor.background_code,
                 "time_limit_ms": self.record.time_limit_ms,
             }
@@ -382,7 +278,7 @@ class Sitting:
         with self._lock:
             if self._prepared is None or self._prepared.number != number:
                 raise StepError(f"trial {number} is not shown; expected that of /api/trial")
-            return self._prepared.picture
+            return self._prepared.picture.content
 
     def answer(self, number: int, response: Orientation | None, response_time_ms: float) -> Json:
         """Save an answer to the disk, once: a trial that has an answer keeps it.
@@ -406,21 +302,7 @@ class Sitting:
                 raise StepError(
                     "response: found none, which only a time limit gives; expected up, right, down, left"
                 )
-            row = TrialRow(
-                number=number,
-                phase=shown.phase,
-                frame=shown.trial.frames[0].path,
-                sha256=shown.sha256,
-                orientation=shown.trial.orientation,
-                response=response,
-                response_time_ms=response_time_ms,
-                level=shown.trial.level,
-                group=shown.trial.group,
-                size_mrad=shown.trial.stimulus.size_mrad,
-                dither_seed=shown.dither_seed,
-                clipped_px=shown.clipped_px,
-                shown_at=shown.shown_at,
-            )
+            row = _row(shown, response, response_time_ms)
             self._file.append(row)
             self._prepared = None
             self._after(row)
@@ -433,13 +315,14 @@ class Sitting:
             return self._state()
 
     def close(self) -> None:
-        """Write the counts of what was answered.
+        """Write the counts of what was answered; no picture is made any more.
 
         Raises
         ------
         OutputError
             If they cannot be written.
         """
+        self._artist.shutdown(cancel_futures=True)
         with self._lock:
             self._write_counts()
 
@@ -503,16 +386,26 @@ class Sitting:
             raise StepError(f"the session is at the step {step}, which has no trial; reload the page")
         number = len(self._file.rows) + 1
         if self._prepared is None or self._prepared.number != number:
-            trial = self._dataset.trials[following.row]
-            image = trial_image(self._dataset, trial)
-            codes, dither_seed = dithered_codes(trial, image, self._monitor, following.dither_seed)
-            n_clipped = int(np.count_nonzero(clipped(image.contrast, self._monitor)))
-            height, width = codes.shape
-            sha256 = frames_sha256(self._dataset, trial)
-            self._prepared = Prepared(
-                number, following.phase, trial, png(codes), width, height, dither_seed, n_clipped, sha256, _now()
-            )
+            ahead = self._ahead.pop(following, None)
+            if ahead is None or ahead.exception() is not None:
+                picture = make_picture(self._dataset, self._monitor, following)
+            else:
+                picture = ahead.result()
+            self._prepared = Prepared(number, following.phase, picture, _now())
         return self._prepared
+
+    def _look_ahead(self, shown: Prepared) -> None:
+        """Begin to make the pictures of the trials that follow a right and a wrong answer."""
+        orientation = shown.picture.trial.orientation
+        wrong = next(one for one in ORIENTATIONS if one is not orientation)
+        ahead = {}
+        for response in (orientation, wrong):
+            following = self._order.next([*self._file.rows, _row(shown, response, 0.0)])
+            if following is not None:
+                ahead[following] = self._ahead.get(following) or self._artist.submit(
+                    make_picture, self._dataset, self._monitor, following
+                )
+        self._ahead = ahead
 
     def _after(self, row: TrialRow) -> None:
         """Begin a break after an answer if it is time, and write the counts then and at the end."""
@@ -530,6 +423,26 @@ class Sitting:
     def _write_counts(self) -> None:
         if self.record.monitor is not None and self._file.rows:
             write_counts(count_file(self._folder, self.record.subject), self.record, self.rows)
+
+
+def _row(shown: Prepared, response: Orientation | None, response_time_ms: float) -> TrialRow:
+    """Return the row of a trial that was answered."""
+    trial, picture = shown.picture.trial, shown.picture
+    return TrialRow(
+        number=shown.number,
+        phase=shown.phase,
+        frame=trial.frames[0].path,
+        sha256=picture.sha256,
+        orientation=trial.orientation,
+        response=response,
+        response_time_ms=response_time_ms,
+        level=trial.level,
+        group=trial.group,
+        size_mrad=trial.stimulus.size_mrad,
+        dither_seed=picture.dither_seed,
+        clipped_px=picture.clipped_px,
+        shown_at=shown.shown_at,
+    )
 
 
 def frames_sha256(dataset: Dataset, trial: Trial) -> str:

@@ -4,9 +4,6 @@ import { element } from "./elements.js";
 import { parsed } from "./numbers.js";
 import { valueOf } from "./state.js";
 
-/** Positions of a slider without steps of its own. */
-const POSITIONS = 300;
-
 /** Pause in typing after which a number is taken, so that 150 is not first 1 and then 15. */
 const PAUSE_MS = 350;
 
@@ -40,10 +37,9 @@ class Scale {
   constructor({ min, max, step, scale, kind }) {
     this.min = min;
     this.max = max;
-    this.isLog = scale === "log" && min > 0;
+    this.isLog = scale === "log";
     this.isWhole = kind === "integer";
-    const span = this.isLog ? Math.log10(max / min) : max - min;
-    this.last = step > 0 ? Math.round(span / step) : POSITIONS;
+    this.last = Math.round((this.isLog ? Math.log10(max / min) : max - min) / step);
   }
 
   value(position) {
@@ -59,12 +55,6 @@ class Scale {
       ? Math.log(value / this.min) / Math.log(this.max / this.min)
       : (value - this.min) / (this.max - this.min);
     return Math.min(Math.max(Math.round(share * this.last), 0), this.last) || 0;
-  }
-
-  /** Return the value one position on, for whole numbers on a logarithmic slider the next one at least. */
-  next(value, by) {
-    const moved = this.value(this.position(value) + by);
-    return this.isWhole && moved === value ? Math.min(Math.max(value + Math.sign(by), this.min), this.max) : moved;
   }
 }
 
@@ -87,16 +77,11 @@ class Field {
     this.input.id = id;
     const label = element("label", { htmlFor: id, id: `${id}-label` }, field.label);
     if (field.unit) label.append(" ", element("span", { className: "unit" }, field.unit));
-    const described = [this.#error.id];
-    this.row = element("div", { className: `field of-${field.kind}` }, label);
-    if (Number.isFinite(field.min) && field.kind !== "choice") this.row.append(this.#range(label.id));
-    this.row.append(this.input, this.#error);
-    if (field.help) {
-      label.title = field.help;
-      this.row.append(element("span", { id: `${id}-help`, className: "hidden-visually" }, field.help));
-      described.push(`${id}-help`);
-    }
-    this.input.setAttribute("aria-describedby", described.join(" "));
+    label.title = field.help;
+    const help = element("span", { id: `${id}-help`, className: "hidden-visually" }, field.help);
+    const slider = ["number", "integer"].includes(field.kind) ? [this.#range(label.id)] : [];
+    this.row = element("div", { className: `field of-${field.kind}` }, label, ...slider, this.input, this.#error, help);
+    this.input.setAttribute("aria-describedby", `${this.#error.id} ${help.id}`);
   }
 
   #choice() {
@@ -157,15 +142,6 @@ class Field {
       this.#change(this.#field.key, value, false);
     });
     slider.addEventListener("change", () => this.#change(this.#field.key, undefined, true, true));
-    slider.addEventListener("keydown", (event) => {
-      // A whole number on a logarithmic scale has several positions; an arrow key goes to the next number.
-      const by = { ArrowRight: 1, ArrowUp: 1, ArrowLeft: -1, ArrowDown: -1 }[event.key];
-      if (!by || !(scale.isWhole && scale.isLog)) return;
-      event.preventDefault();
-      const value = scale.next(parsed(this.input.value) || scale.min, by);
-      this.show(value);
-      this.#change(this.#field.key, value, true, true);
-    });
     return slider;
   }
 
@@ -184,7 +160,7 @@ class Field {
   #showText(value) {
     const text = value === null ? "" : Array.isArray(value) ? value.join(", ") : String(value);
     if (!(document.activeElement === this.input && this.#has(value))) this.input.value = text;
-    this.#slider?.setAttribute("aria-valuetext", value === null ? "none" : `${text} ${this.#field.unit ?? ""}`.trim());
+    this.#slider?.setAttribute("aria-valuetext", value === null ? "none" : `${text} ${this.#field.unit}`.trim());
   }
 
   #has(value) {
@@ -246,9 +222,5 @@ export class Controls {
   showError(key, line) {
     this.#fields.get(key)?.showError(line);
     return this.#fields.has(key);
-  }
-
-  clearErrors() {
-    for (const field of this.#fields.values()) field.showError(null);
   }
 }

@@ -33,6 +33,8 @@ class Explorer {
   #curveChart = new CurveChart(byId("curve-chart"));
   #mtfChart = new MtfChart(byId("mtf-chart"));
   #trial = new Trial();
+  #mtfState = null;
+  #refused = null;
   #timers = {};
   #live = new LiveCurve({
     show: (curve, state) => this.#showCurve(curve, state),
@@ -41,9 +43,8 @@ class Explorer {
   #mtf = new Newest((state) => this.#showMtf(state));
 
   constructor(start) {
-    const own = new Set(start.fields.map((field) => field.key));
-    this.#fields = [...start.fields, ...TEST_FIELDS.filter((field) => !own.has(field.key))];
-    const { sensor, observer, sizes_detectors, p_correct = 0.75 } = start;
+    this.#fields = [...start.fields, ...TEST_FIELDS];
+    const { sensor, observer, sizes_detectors, p_correct } = start;
     this.#first = { sensor, observer, sizes_detectors, p_correct };
     this.#history = new History(this.#first);
     this.#controls = new Controls(byId("controls"), this.#fields, (...change) => this.#move(...change));
@@ -169,16 +170,18 @@ class Explorer {
     this.#curve = { ...curve, state };
     this.#idle();
     byId("curve").classList.remove("stale");
-    if (state === this.#state) this.#controls.clearErrors();
+    if (state === this.#state) this.#refuse(null, null);
     this.#drawCurve();
     this.#showLimits(curve.limits);
     const error = percentAtMost(Math.max(...relativeErrors(curve.thresholds), 0) || curve.tolerance);
-    byId("status").textContent = curve.is_last
-      ? `Refined: within ${error}${curve.seconds < 0.1 ? "" : `, in ${curve.seconds.toFixed(1)} s`}`
-      : `${curve.stage === "estimate" ? "Estimate" : "Refining"}: within ${error}`;
+    const time = curve.is_last && curve.seconds >= 0.1 ? `, in ${curve.seconds.toFixed(1)} s` : "";
+    byId("status").textContent = `${curve.is_last ? "Refined" : "Estimate"}: within ${error}${time}`;
     if (curve.is_last) this.#announce(`${byId("sentence").textContent} ${this.#summary()}`);
     if (state !== this.#state) return;
-    this.#later("mtf", MTF_DELAY_MS, () => this.#mtf.ask(state));
+    if (state !== this.#mtfState) {
+      this.#mtfState = state;
+      this.#later("mtf", MTF_DELAY_MS, () => this.#mtf.ask(state));
+    }
     if (curve.is_last) this.#later("trial", TRIAL_DELAY_MS, () => this.#trial.show(state, curve.thresholds));
   }
 
@@ -197,7 +200,7 @@ class Explorer {
     }
     this.#curveChart.draw(curve.thresholds, this.#pins, view);
     // Tests and benchmarks read which request is on the screen.
-    Object.assign(byId("curve").dataset, { stage: curve.is_last ? "refined" : curve.stage, sequence: curve.sequence });
+    Object.assign(byId("curve").dataset, { stage: curve.stage, sequence: curve.sequence });
     this.#showNumbers(known);
     this.#showPins();
   }
@@ -241,12 +244,19 @@ class Explorer {
     const key = error.key ?? this.#fields.find((field) => error.message.startsWith(`${field.key}:`))?.key;
     // The field says of what it is; the line of a file also names the table and the key.
     const line = error.message.replace(/^.*?\w+: (?=found )/, "");
-    const isShown = this.#controls.showError(key, line[0].toUpperCase() + line.slice(1));
+    const isShown = this.#refuse(key, line[0].toUpperCase() + line.slice(1));
     this.#idle();
     byId("status").textContent = isShown
-      ? `Not possible. The curve is that of the last possible sensor.`
+      ? "Not possible. The curve is that of the last possible sensor."
       : error.message;
     this.#announce(error.message);
+  }
+
+  /** Show the server's line at the field of a key, and none at the field that had it before. */
+  #refuse(key, line) {
+    this.#controls.showError(this.#refused, null);
+    this.#refused = key;
+    return this.#controls.showError(key, line);
   }
 
   async #showMtf(state) {
@@ -319,10 +329,10 @@ class Explorer {
       return;
     }
     try {
-      const { sensor } = await post("/api/parse", { text: await file.text() });
+      const { sensor } = await post("/api/parse", { text: await file.text(), name: file.name });
       this.#open({ ...this.#state, sensor }, `${file.name} opened.`);
     } catch (error) {
-      this.#tell(`${file.name}: ${error.message}`);
+      this.#tell(error.message);
     }
   }
 

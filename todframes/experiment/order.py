@@ -1,0 +1,141 @@
+"""The order of the trials of a session, which follows from its seed and from the answers so far."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import chain
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from todframes.errors import DataError
+from todframes.experiment.answers import AnswerFile, Phase, SessionRecord, TrialRow, sidecar_path
+from todframes.frames.trials import Trials
+from todframes.psychometrics.quest import QuestGrid
+
+# First elements of the spawn keys of random streams.
+ORDER, GROUPS, FRAMES, PRACTICE, DITHER = range(5)
+
+
+class NextTrial(NamedTuple):
+    """The trial that comes next: its phase, its row in the dataset's trials and the first seed of its dither."""
+
+    phase: Phase
+    row: int
+    dither_seed: int
+
+
+class TrialOrder:
+    """The order of the trials of a session, a function of its record and of the rows so far.
+
+    Parameters
+    ----------
+    trials : Trials
+        All trials of the dataset.
+    record : SessionRecord
+    """
+
+    def __init__(self, trials: Trials, record: SessionRecord) -> None:
+        self._trials, self._record = trials, record
+        self._practice = practice_trials(trials, record.practice, _stream(record.seed, PRACTICE))
+        self._row_of_frame = {trial.frames[0].path: row for row, trial in enumerate(trials)}
+        self._main: NDArray[np.intp] | None = None
+        self._grids: list[QuestGrid] = []
+        if record.method == "constant":
+            self._main = spread_trials(trials, record.trials, _stream(record.seed, ORDER))
+        else:
+            of_group = [trials.levels[trials.group_codes == code] for code in range(len(trials.groups))]
+            self._grids = [QuestGrid.of_levels(levels) for levels in of_group]
+
+    @property
+    def candidates(self) -> list[int]:
+        """Indices of the trials that may be shown."""
+        main = range(len(self._trials)) if self._main is None else self._main.tolist()
+        return sorted({*self._practice.tolist(), *main})
+
+    def total(self, phase: Phase) -> int:
+        """Return the number of trials of a phase."""
+        return len(self._practice) if phase == "practice" else self._record.trials
+
+    def check(self, file: AnswerFile) -> None:
+        """Raise DataError if the dataset has fewer trials, or a row names a frame that no trial begins with."""
+        if self._record.trials > len(self._trials):
+            raise DataError(
+                f"{sidecar_path(file.path)}: trials: found {self._record.trials}, the dataset has "
+                f"{len(self._trials)}"
+            )
+        for line, row in enumerate(file.rows, 2):
+            if row.frame not in self._row_of_frame:
+                raise DataError(
+                    f"{file.path}, line {line}: frame: found {row.frame!r}, which no trial begins with"
+                )
+
+    def next(self, rows: Sequence[TrialRow]) -> NextTrial | None:
+        """Return the next trial after some rows; None after the last."""
+        dither_seed = int(_stream(self._record.seed, DITHER, len(rows)).integers(4096))
+        if len(rows) < len(self._practice):
+            return NextTrial("practice", int(self._practice[len(rows)]), dither_seed)
+        n_main = len(rows) - len(self._practice)
+        if n_main >= self._record.trials:
+            return None
+        row = int(self._main[n_main]) if self._main is not None else self._adaptive(rows)
+        return NextTrial("main", row, dither_seed)
+
+    def _adaptive(self, rows: Sequence[TrialRow]) -> int:
+        """Return the trial that QUEST+ chooses: of the group whose turn it is, one that was not shown yet."""
+        main = rows[len(self._practice) :]
+        shown = np.array([self._row_of_frame[row.frame] for row in main], np.intp)
+        is_left = np.ones(len(self._trials), np.bool_)
+        is_left[shown] = False
+        codes, n_groups = self._trials.group_codes, len(self._trials.groups)
+        # Blocks in which each group has a turn, in random order; a group without trials left loses its turn.
+        block, turn = divmod(len(main), n_groups)
+        turns = chain.from_iterable(
+            _stream(self._record.seed, GROUPS, number).permutation(n_groups).tolist()
+            for number in (block, block + 1)
+        )
+        code = next(one for one in list(turns)[turn:] if is_left[codes == one].any())
+        grid = self._grids[code]
+        levels = self._trials.levels
+        answers = np.zeros((2, grid.levels.size))
+        for index, row in zip(shown, main, strict=True):
+            if codes[index] == code and row.response is not None:
+                answers[int(row.is_correct), np.searchsorted(grid.levels, levels[index])] += 1
+        entropy = grid.expected_entropy(grid.posterior(*answers))
+        entropy[~np.isin(grid.levels, levels[is_left & (codes == code)])] = np.inf
+        level = grid.levels[np.argmin(entropy)]
+        choice = np.flatnonzero(is_left & (codes == code) & (levels == level))
+        return int(_stream(self._record.seed, FRAMES, len(main)).choice(choice))
+
+
+def spread_trials(trials: Trials, n_trials: int, rng: np.random.Generator) -> NDArray[np.intp]:
+    """Return the indices of trials in random order, spread evenly over groups, levels and orientations.
+
+    The numbers of trials of a group, level and orientation differ by one at most, as far as the dataset has as
+    many.
+    """
+    order = rng.permutation(len(trials))
+    cells = np.stack([trials.group_codes, trials.levels, trials.quarter_turns], axis=1)[order]
+    _, cell = np.unique(cells, axis=0, return_inverse=True)
+    # The first of each cell in this order, then the second of each, and so on.
+    by_cell = np.argsort(cell.ravel(), kind="stable")
+    first = np.flatnonzero(np.diff(cell.ravel()[by_cell], prepend=-1))
+    place = np.empty(len(order), np.intp)
+    place[by_cell] = np.arange(len(order)) - np.repeat(first, np.diff(first, append=len(order)))
+    chosen = order[np.argsort(place, kind="stable")[:n_trials]]
+    return np.asarray(rng.permutation(chosen), np.intp)
+
+
+def practice_trials(trials: Trials, n_trials: int, rng: np.random.Generator) -> NDArray[np.intp]:
+    """Return the indices of practice trials: of each group in turn, one of its highest level."""
+    codes, levels = trials.group_codes, trials.levels
+    highest = []
+    for code in np.unique(codes):
+        of_group = np.flatnonzero(codes == code)
+        highest.append(of_group[levels[of_group] == levels[of_group].max()])
+    return np.array([rng.choice(highest[k % len(highest)]) for k in range(n_trials)], np.intp)
+
+
+def _stream(seed: int, *key: int) -> np.random.Generator:
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))
