@@ -484,7 +484,7 @@ def damage_the_sidecar(path: Path) -> None:
         (rename_a_frame, [], 1, "trial 1: frame: found 'frames/x"),
         (damage_the_sidecar, [], 1, "not the sidecar of a session"),
         (None, ["--subject", "zz"], 1, "found no subject 'zz', expected one of a1"),
-        (None, ["--internal-noise", "0.5"], 2, "--internal-noise: found a value, but calibrate fits it"),
+        (None, ["--internal-noise", "0.5"], 2, "No such option '--internal-noise'"),
         (None, ["--free", "everything"], 2, "'everything' is not one of 'lapse', 'blur'"),
     ],
 )

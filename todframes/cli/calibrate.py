@@ -22,14 +22,16 @@ from todframes.cli.options import (
     dataset_argument,
     json_option,
     make_observer,
-    observer_options,
+    observer_option,
+    observer_settings_option,
     on_error_option,
+    p_correct_option,
     quiet_option,
     seed_option,
+    set_option,
     strict_option,
     workers_option,
 )
-from todframes.errors import SettingsError
 from todframes.locations import Location
 from todframes.safe_text import visible
 
@@ -50,7 +52,10 @@ from todframes.safe_text import visible
     help="Fit the rate of lapses or the blur of the templates, too; repeatable.",
 )
 @click.option("--subject", "subjects", multiple=True, metavar="ID", help="A person; repeatable.  [default: all]")
-@observer_options
+@observer_option
+@p_correct_option
+@set_option
+@observer_settings_option
 @seed_option
 @on_error_option
 @workers_option
@@ -71,8 +76,7 @@ def calibrate(
 
     ANSWERS is a folder of todframes experiment. Without -o nothing is written.
     """
-    if asked["internal_noise"] is not None:
-        raise SettingsError("--internal-noise: found a value, but calibrate fits it; leave the option out")
+    asked["internal_noise"] = None  # it is fitted
     observer, fit = make_observer(asked)
     from todframes import api
     from todframes.experiment.answers import read_answers

@@ -77,21 +77,29 @@ set_option = click.option(
 )
 
 
+observer_option = click.option(
+    "--observer",
+    default="pyramid",
+    show_default=True,
+    metavar="NAME|MODULE:CLASS",
+    help="Observer: pyramid, informative, oriented or another that is registered; or a class of one's own, "
+    "whose code is run.",
+)
+
+
+observer_settings_option = click.option(
+    "--observer-settings", type=click.Path(path_type=Path), help="TOML file with settings."
+)
+
+
 observer_options = options(
-    click.option(
-        "--observer",
-        default="pyramid",
-        show_default=True,
-        metavar="NAME|MODULE:CLASS",
-        help="Observer: pyramid, informative, oriented or another that is registered; or a class of one's own, "
-        "whose code is run.",
-    ),
+    observer_option,
     click.option(
         "--internal-noise", type=float, metavar="N", help="Full width of each neuron's noise.  [default: 0.5]"
     ),
     p_correct_option,
     set_option,
-    click.option("--observer-settings", type=click.Path(path_type=Path), help="TOML file with settings."),
+    observer_settings_option,
 )
 
 
