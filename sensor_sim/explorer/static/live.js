@@ -47,7 +47,10 @@ export class LiveCurve {
         if (this.#active !== active || curve.sequence !== sequence) return;
         active.isAnswered = true;
         this.#handlers.show(curve, state);
-        if (this.#waiting !== null) break;
+        if (this.#waiting !== null) {
+          this.#next(); // at once: leaving the loop waits for the end of the stream
+          return;
+        }
       }
     } catch (error) {
       if (this.#active !== active) return;
