@@ -336,13 +336,13 @@ def test_sentence_says_what_limits_and_where_nothing_is_seen():
     limits = what_limits([2.0, 4.0, 8.0], shares, [False, True, True])
     assert limits.detector == pytest.approx(0.75)
     assert limits.sentence == (
-        "Detector noise limits: 75% of what makes answers vary at threshold (the observer's internal noise 20%, "
-        "sampling 5%); no threshold at 2 detectors, even without detector noise."
+        "Detector noise limits: 75 % of what makes answers vary at threshold (the observer's internal noise 20 %, "
+        "sampling 5 %); no threshold at 2 detectors, even without detector noise."
     )
     nowhere = what_limits([2.0], shares[:1], [False])
-    assert nowhere.sentence.startswith("The observer's internal noise limits: 90%")
+    assert nowhere.sentence.startswith("The observer's internal noise limits: 90 %")
     balanced = what_limits([2.0], [Shares(0.4, 0.35, 0.25)], [True])
-    assert balanced.sentence.startswith("The observer's internal noise weighs most: 40%")
+    assert balanced.sentence.startswith("The observer's internal noise weighs most: 40 %")
 
 
 # Processes ----------------------------------------------------------------------------------------------------

@@ -88,9 +88,11 @@ def what_limits(sizes_detectors: Sequence[float], shares: Sequence[Shares], reac
     chosen = [share for share, has_threshold in zip(shares, reached, strict=True) if has_threshold] or list(shares)
     mean = Shares(*np.mean(chosen, axis=0).tolist())
     (most, first), *others = sorted(zip(mean, NAMES, strict=True), reverse=True)
-    rest = ", ".join(f"{name} {share:.0%}" for share, name in others if share > 0.0) or "nothing else does"
+    rest = [f"{name} {100.0 * share:.0f} %" for share, name in others if share > 0.0] or ["nothing else does"]
     verb = "limits" if most >= LEADS else "weighs most"
     at = [f"{size:g}" for size, has_threshold in zip(sizes_detectors, reached, strict=True) if not has_threshold]
     tail = f"; no threshold at {', '.join(at)} detectors, even without detector noise" if at else ""
-    sentence = f"{first} {verb}: {most:.0%} of what makes answers vary at threshold ({rest}){tail}."
+    sentence = (
+        f"{first} {verb}: {100.0 * most:.0f} % of what makes answers vary at threshold ({', '.join(rest)}){tail}."
+    )
     return Limits(*mean, sentence[0].upper() + sentence[1:])

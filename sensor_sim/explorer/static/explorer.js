@@ -232,7 +232,8 @@ class Explorer {
 
   #showLimits(limits) {
     byId("sentence").textContent = limits.sentence;
-    const parts = Object.entries(SHARES).map(([name, label]) => {
+    const present = Object.entries(SHARES).filter(([name]) => limits[name] > 0);
+    const parts = present.map(([name, label]) => {
       const part = element("span", { className: name }, `${label} ${Math.round(100 * limits[name])} %`);
       part.style.flexGrow = limits[name];
       return part;
