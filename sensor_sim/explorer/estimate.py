@@ -1,8 +1,8 @@
 """Estimate of a threshold within milliseconds, and its error, from a few lattices of places.
 
-The mean over the place of the triangle on the detectors is taken on `REPLICATES` lattices, displaced against each
-other such that all together are one finer lattice. What one of them gets wrong is mostly what the others get wrong
-the other way: the spread between them, taken as if they were independent, overstates the error of their mean.
+The mean over the place of the triangle on the detectors is taken on `REPLICATES` lattices, each displaced into
+another fifth of a lattice's step. What one of them gets wrong is mostly what the others get wrong the other way: the spread
+between them, taken as if they were independent, overstates the error of their mean.
 
 The places are the same for every sensor. So two sensors that are nearly alike have nearly the same error, and the
 threshold of one that is known better corrects the estimate of the other: the spread of their ratios says how well.
@@ -51,6 +51,7 @@ NODES = 8
 """Number of quadrature nodes; it gives 1e-5."""
 
 FIELD_IN_SIZES = 2.0
+"""Side of the detectors' field in sizes of the triangle, without the reach of blur: the least that plans leave."""
 
 SMALL_JITTER = 0.03
 """Displacement of the retina, in detectors, that is left out: the hold of a detector blurs 300 times as much."""
