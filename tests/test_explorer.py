@@ -211,8 +211,9 @@ class FakeCurves:
         self.is_wanted: list[Callable[[], bool]] = []
 
     def curves(
-        self, *sensor_observer_sizes: Any, p_correct: float, is_wanted: Callable[[], bool]
+        self, *sensor_observer_sizes: Any, p_correct: float, level: str, is_wanted: Callable[[], bool]
     ) -> Iterator[LiveCurve]:
+        assert level in ("snr", "contrast")
         self.is_wanted.append(is_wanted)
         sizes = sensor_observer_sizes[2]
         reached = PredictedThreshold(sizes[0], "ok", 2.0, 0.04, 8, ())
@@ -274,6 +275,16 @@ def test_a_line_has_each_threshold_in_its_units(explorer):
     assert reached["size_mrad_eye"] == pytest.approx(2.0 * 6.0 * 250.0 / 350.0, rel=1e-6)
     assert never["status"] == "never_reached"
     assert [never[name] for name in ("snr", "snr_error", "delta_t_mk", "delta_t_error_mk")] == [None] * 4
+    assert (reached["contrast"], reached["contrast_error"]) == (None, None)
+
+
+def test_a_threshold_contrast_has_no_other_unit(explorer):
+    (line,) = explorer.curve(asked(7, level="contrast"), lambda: True)
+    reached, never = line["thresholds"]
+    assert (reached["contrast"], reached["contrast_error"]) == (2.0, 0.04)
+    assert [one[name] for one in (reached, never) for name in ("snr", "delta_t_mk", "delta_t_error_mk")] == [
+        None
+    ] * 6
     assert line["limits"]["detector"] == 0.5 and line["limits"]["sentence"].startswith("Detector noise limits")
 
 

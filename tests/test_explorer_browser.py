@@ -134,6 +134,26 @@ def agree(one: Shown, other: Shown) -> bool:
     return abs(one.value - other.value) <= one.error + other.error + one.rounding + other.rounding
 
 
+def test_contrast_is_another_curve_of_the_same_sensor(explore) -> None:
+    page = explore()
+    painted(page, lambda: type_value(page, "optics.aperture_mm", "180"), "refined")
+    snr = table(page)
+    choose = "label:has(input[name=strength][value={}])"
+    painted(page, page.locator(choose.format("contrast")).click, "refined")
+    contrast = table(page)
+    # More gain makes more contrast on the display, and leaves the contrast that the eye needs.
+    painted(page, lambda: type_value(page, "display.gain", "2"), "refined")
+    for before, after in zip(contrast, table(page), strict=True):
+        if "±" in before["Contrast"]:
+            assert agree(number(before["Contrast"]), number(after["Contrast"]))
+        else:
+            assert after == before
+    assert "±" in contrast[-1]["Contrast"]
+    painted(page, page.locator("#undo").click, "refined")
+    painted(page, page.locator(choose.format("snr")).click, "refined")
+    assert table(page) == snr
+
+
 def test_numbers_are_those_of_the_copied_command(explore, tmp_path: Path, monkeypatch, capsys) -> None:
     """The saved file and the copied command give the thresholds of the page, within the errors of both."""
     page = explore(permissions=["clipboard-read", "clipboard-write"])

@@ -17,6 +17,7 @@ import pytest
 
 from sensor_sim.curve_plan import plan_curve
 from sensor_sim.explorer.engine import Engine, Request
+from sensor_sim.explorer.estimate import Level
 from sensor_sim.explorer.limits import Shares, decision_shares, what_limits
 from sensor_sim.explorer.live import LiveCurves
 from sensor_sim.explorer.quick_readout import quick_readout
@@ -29,6 +30,7 @@ from todframes.observers.hotelling import HotellingObserver
 from todframes.observers.interface import Observer
 from todframes.observers.oriented import OrientedObserver
 from todframes.observers.pyramid import PyramidObserver
+from todframes.scoring.naked_eye import contrast_threshold
 from todframes.stimulus import Stimulus
 
 SENSOR = Sensor(
@@ -52,8 +54,9 @@ def request(
     observer: Observer = OBSERVER,
     sizes: tuple[float, ...] = (4.0,),
     tolerances: tuple[float, float] = TOLERANCES,
+    level: Level = "snr",
 ) -> Request:
-    return Request(1, sensor, unit_of(observer), tuple(enumerate(sizes)), 0.75, tolerances)
+    return Request(1, sensor, unit_of(observer), tuple(enumerate(sizes)), 0.75, tolerances, level)
 
 
 def computed(engine: Engine, *arguments, **more) -> list[PredictedThreshold]:
@@ -117,6 +120,40 @@ def test_refined_is_the_curve_and_the_estimate_holds(sensor):
     assert refined.numerical_error <= 0.004 * refined.threshold
     assert estimated.numerical_error <= 0.03 * estimated.threshold
     assert abs(estimated.threshold - refined.threshold) <= estimated.numerical_error
+
+
+@pytest.mark.parametrize("gain", [1.0, 5.0])
+def test_contrast_of_dense_sampling_is_that_of_the_naked_eye(gain):
+    """Ten detectors a retina sample, one pixel each, no blur; what the display's gain is does not matter."""
+    pitch_mrad, size_mrad = 0.1 * OBSERVER.settings.retina_pitch_mrad, 0.4
+    sensor = Sensor(
+        optics=Optics(aperture_mm=1e9, wavelength_um=1.0),
+        detector=Detector(pitch_mrad=1.0, width_mrad=1.0),
+        noise=Noise(),
+        display=SensorDisplay(
+            pixels_per_detector=1,
+            pixel_pitch_mm=0.25,
+            viewing_distance_mm=0.125 / math.tan(pitch_mrad / 2000.0),
+            background_luminance_cd_m2=50.0,
+            gain=gain,
+        ),
+    )
+    naked = contrast_threshold(OBSERVER, size_mrad=size_mrad)
+    for found in computed(engine(), sensor, sizes=(size_mrad / pitch_mrad,), level="contrast"):
+        assert found.numerical_error < 0.03 * found.threshold
+        assert abs(found.threshold - naked.threshold) <= found.numerical_error + 0.002 * naked.threshold
+
+
+def test_contrast_is_the_snr_without_noise_that_gives_the_share():
+    """At this contrast and without detector noise, the chain of `curve` gives the share of correct answers."""
+    _, refined = computed(engine(), SENSOR, tolerances=(0.03, 0.004), level="contrast")
+    chain = FoldedChain(SENSOR, OBSERVER, 4.0)
+    phases = chain.phases(17, np.random.default_rng(1))
+    low, high = (
+        chain.proportion_correct(phases, math.inf, contrast=factor * refined.threshold) for factor in (0.99, 1.01)
+    )
+    # The stated error and that of the lattice of 17² places are below half a per cent each.
+    assert low < 0.75 < high
 
 
 @pytest.mark.slow
@@ -299,13 +336,13 @@ def test_sentence_says_what_limits_and_where_nothing_is_seen():
     limits = what_limits([2.0, 4.0, 8.0], shares, [False, True, True])
     assert limits.detector == pytest.approx(0.75)
     assert limits.sentence == (
-        "Detector noise limits: 75% of what makes answers vary at threshold (the observer's internal noise 20%, "
-        "sampling 5%); no threshold at 2 detectors, even without detector noise."
+        "Detector noise limits: 75 % of what makes answers vary at threshold (the observer's internal noise 20 %, "
+        "sampling 5 %); no threshold at 2 detectors, even without detector noise."
     )
     nowhere = what_limits([2.0], shares[:1], [False])
-    assert nowhere.sentence.startswith("The observer's internal noise limits: 90%")
+    assert nowhere.sentence.startswith("The observer's internal noise limits: 90 %")
     balanced = what_limits([2.0], [Shares(0.4, 0.35, 0.25)], [True])
-    assert balanced.sentence.startswith("The observer's internal noise weighs most: 40%")
+    assert balanced.sentence.startswith("The observer's internal noise weighs most: 40 %")
 
 
 # Processes ----------------------------------------------------------------------------------------------------

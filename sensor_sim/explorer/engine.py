@@ -2,7 +2,8 @@
 
 Parts are found by keys that hold all that they depend on: samples by optics and detector, weights by display and
 observer, trials by both. Gain and internal noise act as their ratio, and only where trials become answers.
-Background and NETD do not change a threshold SNR.
+Background and NETD do not change a threshold SNR. A threshold contrast is that on the display, so the gain does
+not change it either.
 """
 
 from __future__ import annotations
@@ -22,7 +23,9 @@ from sensor_sim.explorer.estimate import (
     FEW_PLACES,
     MORE_PLACES,
     Estimate,
+    Level,
     Reference,
+    covariance_at,
     estimate,
     lattice_phases,
     quick_plan,
@@ -67,6 +70,8 @@ class Request(NamedTuple):
     p_correct : float
     tolerances : (float, float)
         Relative errors to reach, of estimates and of refined thresholds.
+    level : {"snr", "contrast"}
+        Quantity whose threshold is asked for.
     """
 
     number: int
@@ -75,6 +80,7 @@ class Request(NamedTuple):
     sizes: tuple[tuple[int, float], ...]
     p_correct: float
     tolerances: tuple[float, float]
+    level: Level = "snr"
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,8 +109,8 @@ class Engine:
         self._shared = Shared(*(self._kept[name] for name in ("samplers", "samples", "weights")))
         self._refined_shared = Shared(self._kept["samplers"], _Checked(0, check), self._kept["refined weights"])
         self._known: OrderedDict[Hashable, tuple[PredictedThreshold, Shares]] = OrderedDict()
-        self._near: dict[float, tuple[float, float]] = {}
-        self._references: dict[float, Reference] = {}
+        self._near: dict[tuple[Level, float], tuple[float, float]] = {}
+        self._references: dict[tuple[Level, float], Reference] = {}
 
     def answers(self, request: Request) -> Iterator[Answer]:
         """Yield estimates of all sizes and then refined thresholds, the easiest first.
@@ -121,14 +127,14 @@ class Engine:
             field_detectors(request.sensor, size)  # checks it
         sensor = as_computed(request.sensor)
         pickled, noise_sd = request.observer
-        scale = noise_sd / sensor.display.gain
+        scale = noise_sd / (sensor.display.gain if request.level == "snr" else 1.0)
         sensor = replace(sensor, display=replace(sensor.display, gain=1.0))
         observer = scaled(partial(pickle.loads, pickled), pickled, scale, self._kept["readouts"])
         rough, fine = request.tolerances
         todo: list[tuple[float, int, _Task, Hashable]] = []
         for index, size in request.sizes:
-            task = _Task(sensor, observer, size, request.p_correct)
-            key: Hashable = (sensor, pickled, scale, size, request.p_correct, fine)
+            task = _Task(sensor, observer, size, request.p_correct, request.level)
+            key: Hashable = (sensor, pickled, scale, size, request.p_correct, request.level, fine)
             if key in self._known:
                 yield Answer(index, *self._known[key], is_refined=True)
                 continue
@@ -152,16 +158,16 @@ class Engine:
             threshold = error = None
             if found.estimate.status != "ok":
                 break
-            reference = self._references.get(task.size) if places == FEW_PLACES else None
+            reference = self._references.get((task.level, task.size)) if places == FEW_PLACES else None
             threshold, error = found.estimate.corrected(reference)
             if error <= tolerance * threshold:
                 break
         n_phases = sum(part.signal[..., 0].size for part in found.phases)
         of_size = PredictedThreshold(task.size, found.estimate.status, threshold, error, n_phases, ())
-        return of_size, decision_shares(found.phases, found.internal, threshold)
+        return of_size, _shares(found, task.level, threshold)
 
     def _on_lattices(self, task: _Task, places: int) -> _OnLattices:
-        sensor, observer, size, p_correct = task
+        sensor, observer, size, p_correct, level = task
         judge = cast("Observer", observer)
         stimulus = Stimulus(size * sensor.display.detector_pitch_mrad)
         grid = judge.grid(stimulus)
@@ -183,28 +189,39 @@ class Engine:
             return _Trials(phases)
 
         phases = self._kept["trials"].get((sensor, observer.name, size, places), make).phases
-        near, slope = self._near.get(size, (None, math.nan))
-        found = estimate(phases, look.noise_covariance, p_correct, near=near, slope=slope)
+        near, slope = self._near.get((level, size), (None, math.nan))
+        found = estimate(phases, look.noise_covariance, p_correct, level=level, near=near, slope=slope)
         if found.status == "ok":
-            self._near[size] = found.threshold, found.slope
+            self._near[level, size] = found.threshold, found.slope
         return _OnLattices(found, phases, look.noise_covariance)
 
     def _refined(self, task: _Task, tolerance: float) -> tuple[PredictedThreshold, Shares]:
-        sensor, observer, size, p_correct = task
-        judge = cast("Observer", observer)
-        plan = plan_curve(sensor, judge, size, tolerance=tolerance, p_correct=p_correct, shared=self._shared)
-        plan = replace(plan, shared=self._refined_shared)
-        chain = _KeptChain(sensor, judge, size, plan, trials=self._kept["trials"], check=self._check)
-        found = predict_threshold(chain, p_correct=p_correct, tolerance=tolerance, n_points=0)
+        sensor, observer, size, p_correct, level = task
         on_lattices = self._on_lattices(task, FEW_PLACES)
-        if (
-            found.threshold is not None
-            and found.numerical_error is not None
-            and on_lattices.estimate.status == "ok"
-        ):
-            reference = on_lattices.estimate.as_reference(found.threshold, found.numerical_error)
-            self._references[size] = reference
-        return found, decision_shares(on_lattices.phases, on_lattices.internal, found.threshold)
+        is_known = on_lattices.estimate.status == "ok"
+        unit = 1.0
+        if level == "contrast" and is_known:
+            # What a plan leaves out is bounded at the contrast 1, which is to be near the threshold.
+            unit = 2.0 ** round(math.log2(on_lattices.estimate.threshold))
+        judge = cast("Observer", observer.times(1.0 / unit))
+        plan = plan_curve(
+            sensor,
+            judge,
+            size,
+            tolerance=tolerance,
+            p_correct=p_correct,
+            external_noise=level == "snr",
+            shared=self._shared,
+        )
+        plan = replace(plan, shared=self._refined_shared)
+        chain = _KeptChain(sensor, judge, size, plan, level=level, trials=self._kept["trials"], check=self._check)
+        found = predict_threshold(chain, p_correct=p_correct, tolerance=tolerance, n_points=0)
+        if found.threshold is not None and found.numerical_error is not None:
+            threshold, error = unit * found.threshold, unit * found.numerical_error
+            found = replace(found, threshold=threshold, numerical_error=error)
+            if is_known:
+                self._references[level, size] = on_lattices.estimate.as_reference(threshold, error)
+        return found, _shares(on_lattices, level, found.threshold)
 
 
 class _OnLattices(NamedTuple):
@@ -215,11 +232,20 @@ class _OnLattices(NamedTuple):
     internal: FloatArray
 
 
+def _shares(found: _OnLattices, level: Level, threshold: float | None) -> Shares:
+    if level == "snr":
+        return decision_shares(found.phases, found.internal, threshold)
+    # A contrast that is never enough has no internal noise that matters at the largest one.
+    internal = np.zeros((4, 4)) if threshold is None else found.internal / threshold**2
+    return decision_shares(found.phases, internal, None)
+
+
 class _Task(NamedTuple):
     sensor: Sensor
     observer: ScaledObserver
     size: float
     p_correct: float
+    level: Level
 
 
 class _Checked(Kept[T], Generic[T]):
@@ -254,14 +280,15 @@ class _KeptChain(FoldedChain):
         size_detectors: float,
         plan: CurvePlan,
         *,
+        level: Level,
         trials: Kept[list[_Trials]],
         check: Callable[[], None],
     ) -> None:
         super().__init__(sensor, observer, size_detectors, plan)
-        self._trials_kept, self._check = trials, check
+        self._level, self._trials_kept, self._check = level, trials, check
 
     def replicates(self, places: int, seed: int) -> list[list[Phases]]:
-        key = (self.plan.sampler.key, self.folding.key, self.orientations, places, seed)
+        key = (self.plan.sampler.key, self.folding.key, self.orientations, self._level, places, seed)
         make = super().replicates
         kept = self._trials_kept.get(key, lambda: [_Trials(phases) for phases in make(places, seed)])
         return [trials.phases for trials in kept]
@@ -270,12 +297,13 @@ class _KeptChain(FoldedChain):
         self._check()
         return super().phases(places, rng)
 
-    def _p_correct(self, phases: Phases, snr: float, contrast: float = 1.0) -> FloatArray:
+    def _p_correct(self, phases: Phases, snr: float, contrast: float = 1.0) -> FloatArray:  # noqa: ARG002
+        """Compute P(correct) at a value of the level, given as `snr`; `contrast` is 1."""
         found = []
         for start in range(0, len(phases.signal), PLACES_AT_ONCE):
             self._check()
             part = slice(start, start + PLACES_AT_ONCE)
-            covariance = self.noise_covariance + phases.noise[part, None] * (contrast / snr) ** 2
-            scores = contrast * phases.signal[part]
+            covariance = covariance_at(self._level, snr, self.noise_covariance, phases.noise[part, None])
+            scores = phases.signal[part]
             found.append(answer_probability(scores, covariance, phases.correct, nodes=REFINED_NODES))
         return np.concatenate(found)

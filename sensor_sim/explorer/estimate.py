@@ -59,7 +59,12 @@ LEFT_OUT = 3e-4
 """Change of P(correct) that `quick_plan` and `SMALL_JITTER` may cause; over sensors at random it is below half."""
 
 STEP = 0.05
-"""Distance in ln SNR between the two points from which the slope is taken."""
+"""Distance in ln level between the two points from which the slope is taken."""
+
+
+Level = Literal["snr", "contrast"]
+"""Quantity that is varied: the detectors' noise under a triangle of contrast 1, or, without detector noise, the
+contrast of a large triangle on the display."""
 
 
 class Reference(NamedTuple):
@@ -82,7 +87,7 @@ class Reference(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """An estimate of a threshold SNR.
+    """An estimate of a threshold.
 
     Attributes
     ----------
@@ -93,7 +98,7 @@ class Estimate:
     deviations : ndarray, shape (REPLICATES,)
         ln of each lattice's threshold over that of all.
     slope : float
-        dP/d ln SNR at the threshold.
+        dP/d ln level at the threshold.
     """
 
     status: Literal["ok", "never_reached", "always_exceeded"]
@@ -243,10 +248,31 @@ def _weights(folding: Callable[[], Folding], places_x: FloatArray, places_y: Flo
     return np.concatenate(folding().weights_by_row(places_x, places_y))
 
 
+def covariance_at(level: Level, value: float, internal: FloatArray, detector: FloatArray) -> FloatArray:
+    """Return the covariance of the scores over the square of the triangle's contrast, at a value of the level.
+
+    Parameters
+    ----------
+    level : {"snr", "contrast"}
+    value : float
+    internal : ndarray, shape (4, 4)
+        Covariance from the internal noise.
+    detector : ndarray, shape (..., 4, 4)
+        Covariance from detector noise of standard deviation 1.
+    """
+    return internal + detector / value**2 if level == "snr" else internal / value**2
+
+
 def estimate(
-    phases: list[Phases], internal: FloatArray, p_correct: float, *, near: float | None, slope: float
+    phases: list[Phases],
+    internal: FloatArray,
+    p_correct: float,
+    *,
+    level: Level,
+    near: float | None,
+    slope: float,
 ) -> Estimate:
-    """Estimate the threshold SNR from the trials on all lattices.
+    """Estimate a threshold from the trials on all lattices.
 
     Parameters
     ----------
@@ -256,20 +282,23 @@ def estimate(
         Covariance of the internal noise on the scores.
     p_correct : float
         Raw proportion correct at threshold.
+    level : {"snr", "contrast"}
     near, slope : float
-        Threshold of a similar sensor, to begin with, and the slope dP/d ln SNR there; None if there is none.
+        Threshold of a similar sensor, to begin with, and the slope dP/d ln level there; None if there is none.
     """
 
-    def of_each(snr: float) -> FloatArray:
+    def of_each(value: float) -> FloatArray:
         proportions = [
-            answer_probability(part.signal, internal + part.noise[:, None] / snr**2, part.correct, nodes=NODES)
+            answer_probability(
+                part.signal, covariance_at(level, value, internal, part.noise[:, None]), part.correct, nodes=NODES
+            )
             .reshape(REPLICATES, -1)
             .mean(axis=1)
             for part in phases
         ]
         return np.asarray(np.mean(proportions, axis=0))
 
-    status, threshold = crossing(lambda snr: float(of_each(snr).mean()), p_correct, near=near, slope=slope)
+    status, threshold = crossing(lambda value: float(of_each(value).mean()), p_correct, near=near, slope=slope)
     if threshold is None:
         return Estimate(status, math.nan, np.full(REPLICATES, math.nan), math.nan)
     low, high = of_each(threshold * math.exp(-STEP / 2.0)), of_each(threshold * math.exp(STEP / 2.0))

@@ -1,4 +1,4 @@
-"""What limits a sensor at its threshold: the observer's internal noise, the detectors' noise or the sampling.
+"""Shares of the causes that limit a sensor at its threshold: internal noise, detector noise and sampling.
 
 The decision is a comparison of scores: the right answer wins while the three differences D of its score from the
 others are positive. At threshold, over trials, each D varies for three reasons:
@@ -39,7 +39,7 @@ class Shares(NamedTuple):
 
 
 class Limits(NamedTuple):
-    """What limits a curve: the mean shares of its sizes, and a sentence."""
+    """Mean shares over the sizes of a curve, and the sentence that says what limits it."""
 
     internal: float
     detector: float
@@ -88,9 +88,11 @@ def what_limits(sizes_detectors: Sequence[float], shares: Sequence[Shares], reac
     chosen = [share for share, has_threshold in zip(shares, reached, strict=True) if has_threshold] or list(shares)
     mean = Shares(*np.mean(chosen, axis=0).tolist())
     (most, first), *others = sorted(zip(mean, NAMES, strict=True), reverse=True)
-    rest = ", ".join(f"{name} {share:.0%}" for share, name in others)
+    rest = [f"{name} {100.0 * share:.0f} %" for share, name in others if share > 0.0] or ["nothing else does"]
     verb = "limits" if most >= LEADS else "weighs most"
     at = [f"{size:g}" for size, has_threshold in zip(sizes_detectors, reached, strict=True) if not has_threshold]
     tail = f"; no threshold at {', '.join(at)} detectors, even without detector noise" if at else ""
-    sentence = f"{first} {verb}: {most:.0%} of what makes answers vary at threshold ({rest}){tail}."
+    sentence = (
+        f"{first} {verb}: {100.0 * most:.0f} % of what makes answers vary at threshold ({', '.join(rest)}){tail}."
+    )
     return Limits(*mean, sentence[0].upper() + sentence[1:])

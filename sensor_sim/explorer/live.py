@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from typing import Any
 
+from sensor_sim.explorer.estimate import Level
 from sensor_sim.explorer.limits import Limits, Shares, what_limits
 from sensor_sim.predict import PredictedThreshold
 from sensor_sim.sensor import Sensor
@@ -65,7 +66,7 @@ class LiveCurve:
 
     @property
     def limits(self) -> Limits:
-        """What limits the curve."""
+        """Mean shares of the causes that limit the curve, and a sentence."""
         reached = [one.threshold is not None for one in self.thresholds]
         return what_limits([one.size_detectors for one in self.thresholds], self.shares, reached)
 
@@ -97,6 +98,7 @@ class LiveCurves:
         sizes_detectors: Sequence[float],
         *,
         p_correct: float = 0.75,
+        level: Level = "snr",
         tolerances: tuple[float, float] = TOLERANCES,
         is_wanted: Callable[[], bool],
     ) -> Iterator[LiveCurve]:
@@ -113,6 +115,9 @@ class LiveCurves:
             Sizes √(area) in detector pitches.
         p_correct : float
             Raw proportion correct at threshold.
+        level : {"snr", "contrast"}
+            Quantity whose threshold is computed: the SNR, or the contrast of a large triangle on the display
+            without detector noise.
         tolerances : (float, float)
             Relative errors to reach, of the estimate and of the refined thresholds.
         is_wanted : function of no arguments
@@ -138,7 +143,7 @@ class LiveCurves:
             sizes = [float(size) for size in sizes_detectors]
             unit = unit_of(observer)
             requests = [
-                Request(self._number, sensor, unit, part, p_correct, tolerances)
+                Request(self._number, sensor, unit, part, p_correct, tolerances, level)
                 for part in divided(sizes, len(self._workers))
             ]
             found: dict[int, Any] = {}

@@ -18,6 +18,7 @@ import numpy as np
 from msgspec import Meta
 from starlette.applications import Starlette
 
+from sensor_sim.explorer.estimate import Level
 from sensor_sim.explorer.live import LiveCurve, LiveCurves
 from sensor_sim.explorer.parameters import PARAMETERS
 from sensor_sim.noise import delta_t_mk
@@ -66,6 +67,7 @@ class CurveAsked(SensorAsked):
     sequence: int
     observer: Tables = {}
     p_correct: float = 0.75
+    level: Level = "snr"
 
 
 class TrialAsked(SensorAsked):
@@ -177,8 +179,9 @@ class Explorer:
         def is_wanted() -> bool:
             return is_connected() and self._latest.is_newest(asked.client, asked.sequence)
 
-        found = self._live.curves(sensor, observer, sizes, p_correct=p_correct, is_wanted=is_wanted)
-        return (_line(asked.sequence, sensor, curve) for curve in found)
+        level = asked.level
+        found = self._live.curves(sensor, observer, sizes, p_correct=p_correct, level=level, is_wanted=is_wanted)
+        return (_line(asked.sequence, sensor, level, curve) for curve in found)
 
 
 def presets() -> list[Sensor]:
@@ -188,32 +191,38 @@ def presets() -> list[Sensor]:
     return [sensor_from(parse_toml(file.read_text(encoding="utf-8"), file.name), file.name) for file in found]
 
 
-def _line(sequence: int, sensor: Sensor, curve: LiveCurve) -> dict[str, Any]:
+def _line(sequence: int, sensor: Sensor, level: Level, curve: LiveCurve) -> dict[str, Any]:
     return {
         "sequence": sequence,
+        "level": level,
         "stage": "refined" if curve.is_last else "estimate",
         "is_last": curve.is_last,
         "tolerance": curve.tolerance,
         "seconds": round(curve.seconds, 4),
-        "thresholds": [_threshold(sensor, one) for one in curve.thresholds],
+        "thresholds": [_threshold(sensor, level, one) for one in curve.thresholds],
         "limits": curve.limits._asdict(),
     }
 
 
-def _threshold(sensor: Sensor, found: PredictedThreshold) -> dict[str, Any]:
-    """Return a threshold in all its units; errors are half-widths of 95 % intervals."""
-    size, snr = found.size_detectors, found.threshold
+def _threshold(sensor: Sensor, level: Level, found: PredictedThreshold) -> dict[str, Any]:
+    """Return a threshold in all units of its level; errors are half-widths of 95 % intervals."""
     in_mk = 0.0 if sensor.noise.netd_mk is None else float(delta_t_mk(1.0, noise=sensor.noise))
-    error = found.numerical_error
+    threshold, error = found.threshold, found.numerical_error
+    values: dict[str, float | None] = {}
+    for of_level, name, error_name, factor in (
+        ("contrast", "contrast", "contrast_error", 1.0),
+        ("snr", "snr", "snr_error", 1.0),
+        ("snr", "delta_t_mk", "delta_t_error_mk", in_mk),
+    ):
+        is_known = of_level == level and factor > 0.0
+        values[name] = threshold * factor if is_known and threshold is not None else None
+        values[error_name] = error * factor if is_known and error is not None else None
     return {
-        "size_detectors": size,
-        "size_mrad": size * sensor.detector.pitch_mrad,
-        "size_mrad_eye": size * sensor.display.detector_pitch_mrad,
+        "size_detectors": found.size_detectors,
+        "size_mrad": found.size_detectors * sensor.detector.pitch_mrad,
+        "size_mrad_eye": found.size_detectors * sensor.display.detector_pitch_mrad,
         "status": found.status,
-        "snr": snr,
-        "snr_error": error,
-        "delta_t_mk": snr * in_mk if snr is not None and in_mk else None,
-        "delta_t_error_mk": error * in_mk if error is not None and in_mk else None,
+        **values,
     }
 
 

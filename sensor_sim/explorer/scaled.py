@@ -87,6 +87,10 @@ class ScaledObserver:
         self.centre: Centre = self._base.centre
         self.position_jitter_samples = self._base.position_jitter_samples
 
+    def times(self, factor: float) -> ScaledObserver:
+        """Return the observer with its internal noise scaled once more."""
+        return scaled(self._make, self.name, factor * self._scale, self._kept)
+
     def grid(self, stimulus: Stimulus) -> RetinaGrid:
         """Return the retina samples that the observer looks at."""
         return self._base.grid(stimulus)

@@ -17,11 +17,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
-
 from todframes.cli.console import keep_libraries_to_one_thread
 
-keep_libraries_to_one_thread()  # before the processes start
+keep_libraries_to_one_thread()  # before NumPy is imported, here and in the processes
+
+import numpy as np  # noqa: E402
 
 from sensor_sim.explorer.engine import Engine, Request  # noqa: E402
 from sensor_sim.explorer.live import LiveCurves, divided  # noqa: E402

@@ -76,10 +76,11 @@ const COMMON = {
   padding: [14, 14, 0, 0],
 };
 
-/** What a threshold may be given as, and the key of its error. */
+/** Quantities of a threshold, with the keys of their errors and the level that the server is asked for. */
 export const STRENGTHS = {
-  snr: { header: "SNR", error: "snr_error" },
-  delta_t_mk: { header: "ΔT (mK)", error: "delta_t_error_mk" },
+  snr: { header: "SNR", axis: "Threshold SNR", error: "snr_error", level: "snr" },
+  delta_t_mk: { header: "ΔT (mK)", axis: "Threshold ΔT (mK)", error: "delta_t_error_mk", level: "snr" },
+  contrast: { header: "Contrast", axis: "Threshold contrast, no detector noise", error: "contrast_error", level: "contrast" },
 };
 const SIZES = { detectors: "size_detectors", mrad: "size_mrad" };
 const ABSCISSAE = {
@@ -142,7 +143,7 @@ export class CurveChart {
       bands,
       axes: [
         axis(ABSCISSAE[view.abscissa][view.unit], linearTicks, "bottom"),
-        axis(`Threshold ${STRENGTHS[view.strength].header}`, logTicks, "left"),
+        axis(STRENGTHS[view.strength].axis, logTicks, "left"),
       ],
       scales: {
         x: { time: false, range: (_, low, high) => (high > 0 ? [0, 1.04 * high] : [0, 1]) },

@@ -81,7 +81,8 @@ class Explorer {
     for (const input of document.querySelectorAll(".axes input")) {
       input.addEventListener("change", () => {
         this.#view = { ...this.#view, [input.name]: input.value };
-        this.#drawCurve();
+        if (this.#level === (this.#curve?.level ?? this.#level)) this.#drawCurve();
+        else this.#ask();
         this.#later("hash", HASH_DELAY_MS, () => this.#writeHash());
       });
     }
@@ -131,8 +132,13 @@ class Explorer {
     this.#later("hash", HASH_DELAY_MS, () => this.#writeHash());
   }
 
+  /** The level of the chosen quantity, which is no part of the sensor: no step of undo changes it. */
+  get #level() {
+    return STRENGTHS[this.#view.strength].level;
+  }
+
   #ask() {
-    this.#live.ask(this.#state);
+    this.#live.ask(this.#state, this.#level);
     this.#timers.busy ??= setTimeout(() => {
       byId("status").textContent = "Computing…";
     }, BUSY_DELAY_MS);
@@ -173,7 +179,7 @@ class Explorer {
     if (state === this.#state) this.#refuse(null, null);
     this.#drawCurve();
     this.#showLimits(curve.limits);
-    const error = percentAtMost(Math.max(...relativeErrors(curve.thresholds), 0) || curve.tolerance);
+    const error = percentAtMost(Math.max(...relativeErrors(curve), 0) || curve.tolerance);
     const time = curve.is_last && curve.seconds >= 0.1 ? `, in ${curve.seconds.toFixed(1)} s` : "";
     byId("status").textContent = `${curve.is_last ? "Refined" : "Estimate"}: within ${error}${time}`;
     if (curve.is_last) this.#announce(`${byId("sentence").textContent} ${this.#summary()}`);
@@ -188,25 +194,27 @@ class Explorer {
   #drawCurve() {
     const curve = this.#curve;
     if (curve === null) return;
-    const isKnown = (name) => name === "snr" || curve.thresholds.some((one) => one[name] !== null);
-    const known = Object.keys(STRENGTHS).filter(isKnown);
-    const strength = isKnown(this.#view.strength) ? this.#view.strength : "snr";
+    const hasTemperature = curve.state.sensor.noise.netd_mk !== null;
+    const isOffered = (name) => name !== "delta_t_mk" || hasTemperature;
+    const chosen = isOffered(this.#view.strength) ? this.#view.strength : "snr";
+    // Until the curve of another level is there, this one stays as it is.
+    const strength = STRENGTHS[chosen].level === curve.level ? chosen : curve.level;
     const view = { ...this.#view, strength };
     for (const input of document.querySelectorAll(".axes input")) {
-      input.checked = input.value === view[input.name];
-      if (input.name !== "strength") continue;
-      input.disabled = !isKnown(input.value);
-      input.parentElement.title = input.disabled ? "Temperatures need the NETD, and a threshold." : "";
+      input.checked = input.value === { ...view, strength: chosen }[input.name];
+      if (input.value !== "delta_t_mk") continue;
+      input.disabled = !hasTemperature;
+      input.parentElement.title = hasTemperature ? "" : "Temperatures need the NETD.";
     }
     this.#curveChart.draw(curve.thresholds, this.#pins, view);
     // Tests and benchmarks read which request is on the screen.
     Object.assign(byId("curve").dataset, { stage: curve.stage, sequence: curve.sequence });
-    this.#showNumbers(known);
+    this.#showNumbers(Object.keys(STRENGTHS).filter((name) => isOffered(name) && STRENGTHS[name].level === curve.level));
     this.#showPins();
   }
 
-  #showNumbers(known) {
-    const strengths = known.map((name) => [name, STRENGTHS[name]]);
+  #showNumbers(names) {
+    const strengths = names.map((name) => [name, STRENGTHS[name]]);
     const sizes = ["Size (detectors)", "Size (mrad)", "At the eye (mrad)"];
     const headers = [...sizes, ...strengths.map(([, { header }]) => header)];
     const rows = this.#curve.thresholds.map((one) => [
@@ -224,7 +232,8 @@ class Explorer {
 
   #showLimits(limits) {
     byId("sentence").textContent = limits.sentence;
-    const parts = Object.entries(SHARES).map(([name, label]) => {
+    const present = Object.entries(SHARES).filter(([name]) => limits[name] > 0);
+    const parts = present.map(([name, label]) => {
       const part = element("span", { className: name }, `${label} ${Math.round(100 * limits[name])} %`);
       part.style.flexGrow = limits[name];
       return part;
@@ -233,10 +242,11 @@ class Explorer {
   }
 
   #summary() {
-    const shown = this.#curve.thresholds.map(
-      (one) => `${plain(one.size_detectors)} detectors: ${one.snr === null ? MISSING[one.status] : plain(one.snr)}`,
+    const { level, thresholds } = this.#curve;
+    const shown = thresholds.map(
+      (one) => `${plain(one.size_detectors)} detectors: ${plain(one[level]) || MISSING[one.status]}`,
     );
-    return `Threshold SNR at ${shown.join("; ")}.`;
+    return `${STRENGTHS[level].axis} at ${shown.join("; ")}.`;
   }
 
   #fail(error) {
@@ -405,8 +415,8 @@ class Explorer {
   }
 }
 
-function relativeErrors(thresholds) {
-  return thresholds.filter((one) => one.snr > 0).map((one) => one.snr_error / one.snr);
+function relativeErrors({ level, thresholds }) {
+  return thresholds.filter((one) => one[level] > 0).map((one) => one[STRENGTHS[level].error] / one[level]);
 }
 
 try {

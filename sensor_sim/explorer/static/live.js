@@ -23,9 +23,9 @@ export class LiveCurve {
     this.#handlers = handlers;
   }
 
-  /** Ask for the curve of a state; an earlier one that still waits is forgotten. */
-  ask(state) {
-    this.#waiting = state;
+  /** Ask for the curve of a state, of thresholds of a level; an earlier one that still waits is forgotten. */
+  ask(state, level) {
+    this.#waiting = { state, level };
     const remaining = this.#active?.isAnswered === false ? this.#active.started + PATIENCE_MS - performance.now() : 0;
     if (remaining > 0) {
       this.#active.timer ??= setTimeout(() => this.#next(), remaining);
@@ -36,13 +36,13 @@ export class LiveCurve {
 
   async #next() {
     this.#end();
-    const state = this.#waiting;
+    const { state, level } = this.#waiting;
     this.#waiting = null;
     const active = { abort: new AbortController(), started: performance.now(), isAnswered: false, timer: null };
     this.#active = active;
     const sequence = ++this.#sequence;
     try {
-      const body = { ...state, sequence, client: this.#client };
+      const body = { ...state, level, sequence, client: this.#client };
       for await (const curve of lines("/api/curve", body, { signal: active.abort.signal })) {
         if (this.#active !== active || curve.sequence !== sequence) return;
         active.isAnswered = true;
