@@ -124,7 +124,7 @@ class Design:
 
 
 class Material(NamedTuple):
-    """What a session shows: the text of consent, the largest width and height of a frame, and all contrasts."""
+    """Things that a session shows: the text of consent, the largest size of a frame, and all contrasts."""
 
     consent_text: str
     frame_px: tuple[int, int]

@@ -1,4 +1,4 @@
-"""What all pages are made of: files from a fixed list, calls that take and give JSON, errors of one line."""
+"""Parts of all pages: files from a fixed list, calls that take and give JSON, errors of one line."""
 
 from __future__ import annotations
 
