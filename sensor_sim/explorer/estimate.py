@@ -1,8 +1,8 @@
 """Estimate of a threshold within milliseconds, and its error, from a few lattices of places.
 
 The mean over the place of the triangle on the detectors is taken on `REPLICATES` lattices, each displaced into
-another fifth of a lattice's step. What one of them gets wrong is mostly what the others get wrong the other way: the spread
-between them, taken as if they were independent, overstates the error of their mean.
+another fifth of a lattice's step. What one of them gets wrong is mostly what the others get wrong the other way:
+the spread between them, taken as if they were independent, overstates the error of their mean.
 
 The places are the same for every sensor. So two sensors that are nearly alike have nearly the same error, and the
 threshold of one that is known better corrects the estimate of the other: the spread of their ratios says how well.
