@@ -52,6 +52,10 @@ threshold are kept apart: they would drive out those that the next estimate need
 
 THRESHOLDS_KEPT = 2000
 
+FAR_TOO_LARGE = 1.5
+"""Error of an estimate, in tolerances, above which it is worth more time. What is stated is the upper end of the
+error, and mostly several times what it is; the estimate that is there in time then is good enough."""
+
 REFINED_NODES, PLACES_AT_ONCE = 12, 256
 """Number of quadrature nodes, which gives 1e-7, and of places between two checks."""
 
@@ -152,7 +156,7 @@ class Engine:
             yield Answer(index, *self._known[name], is_refined=True)
 
     def _estimated(self, task: _Task, tolerance: float) -> tuple[PredictedThreshold, Shares]:
-        """Return an estimate: on more places if its error is above the tolerance."""
+        """Return an estimate: on more places, which take three times as long, if its error is far too large."""
         for places in (FEW_PLACES, MORE_PLACES):
             found = self._on_lattices(task, places)
             threshold = error = None
@@ -160,7 +164,7 @@ class Engine:
                 break
             reference = self._references.get((task.level, task.size)) if places == FEW_PLACES else None
             threshold, error = found.estimate.corrected(reference)
-            if error <= tolerance * threshold:
+            if error <= FAR_TOO_LARGE * tolerance * threshold:
                 break
         n_phases = sum(part.signal[..., 0].size for part in found.phases)
         of_size = PredictedThreshold(task.size, found.estimate.status, threshold, error, n_phases, ())
