@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from sensor_sim.curve_plan import plan_curve
-from sensor_sim.explorer.engine import Engine, Request
+from sensor_sim.explorer.engine import FAR_TOO_LARGE, Engine, Request
 from sensor_sim.explorer.estimate import Level
 from sensor_sim.explorer.limits import Shares, decision_shares, what_limits
 from sensor_sim.explorer.live import LiveCurves
@@ -140,7 +140,8 @@ def test_contrast_of_dense_sampling_is_that_of_the_naked_eye(gain):
     )
     naked = contrast_threshold(OBSERVER, size_mrad=size_mrad)
     for found in computed(engine(), sensor, sizes=(size_mrad / pitch_mrad,), level="contrast"):
-        assert found.numerical_error < 0.03 * found.threshold
+        # An estimate takes more time only where its error is beyond this.
+        assert found.numerical_error < FAR_TOO_LARGE * 0.03 * found.threshold
         assert abs(found.threshold - naked.threshold) <= found.numerical_error + 0.002 * naked.threshold
 
 
