@@ -255,6 +255,7 @@ def test_kept_parts_stay_within_their_size():
 
 
 @pytest.mark.slow
+@pytest.mark.statistics
 def test_stated_errors_hold_over_many_sensors():
     """Sensors at random about the one above, each new to the engine; and again with a neighbour known."""
     rng = np.random.default_rng(5)
