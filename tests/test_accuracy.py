@@ -349,7 +349,7 @@ class NoisyChain(FoldedChain):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("spread", [0.05, 0.07, 0.1])
-@pytest.mark.statistics
+@pytest.mark.weekly
 def test_error_that_ends_a_refinement_is_honest(spread):
     """The first error below the tolerance is small by chance more often than not: the stated one makes up for it.
 

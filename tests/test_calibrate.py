@@ -389,7 +389,7 @@ def test_a_free_blur(two_people) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.statistics
+@pytest.mark.weekly
 def test_intervals_of_simulated_people(two_people) -> None:
     """A thousand people answer 240 of the frames; the whole campaign is tests/campaigns/coverage.py."""
     folder, frames = two_people

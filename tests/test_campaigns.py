@@ -13,6 +13,7 @@ RUN = Path(__file__).parent / "campaigns" / "run.py"
 
 pytestmark = [
     pytest.mark.slow,
+    pytest.mark.weekly,
     pytest.mark.skipif(sys.platform != "linux", reason="processes are looked up in /proc"),
 ]
 
@@ -44,7 +45,6 @@ def test_a_full_disk() -> None:
     assert "1 cases, 0 faults" in campaign("faults", "--only", "disk full, score")
 
 
-@pytest.mark.statistics
 def test_coverage_of_intervals() -> None:
     """Two people are too few for a share of 93 to 98 %, which the status tells."""
     script = RUN.with_name("coverage.py")

@@ -227,14 +227,14 @@ def test_colour_mosaic_and_vignetting(chart: Chart, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_a_shaking_hand_is_told_and_can_be_taken_out(chart: Chart, tmp_path: Path) -> None:
-    made = Film.of(chart, Camera(), shake_px=3.0)
+    made = Film.of(chart, Camera(), frames_per_page=2, shake_px=3.0)
     recording = made.write(tmp_path / "film.mkv")
     done = imported(made, recording)
     assert [code for code, _ in done.warnings] == ["shake"]
     shaken = thresholds(tod.score(done.path, **SCORING))
     assert shaken == pytest.approx(by_hand(made, done.path, LINEAR), rel=ONE_PERCENT)
     done = imported(made, recording.rename(tmp_path / "again.mkv"), steady=True)
-    at_rest = by_hand(Film.of(chart, Camera()), done.path, LINEAR)
+    at_rest = by_hand(Film.of(chart, Camera(), frames_per_page=2), done.path, LINEAR)
     steady = thresholds(tod.score(done.path, **SCORING))
     for size, threshold in at_rest.items():
         assert shaken[size] > 1.5 * threshold
@@ -276,6 +276,7 @@ CODECS = {"FFV1": {}, "H.264, CRF 18": {"crf": "18"}, "H.264, CRF 28": {"crf": "
 
 
 @pytest.mark.slow
+@pytest.mark.weekly
 def test_what_a_lossy_codec_costs_is_as_the_page_says(chart: Chart, tmp_path: Path) -> None:
     """Eight bits with gamma 2.2, once without loss and twice with; the same noise in all three."""
     page = (DOCS / "validation.md").read_text(encoding="utf-8")

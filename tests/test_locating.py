@@ -53,7 +53,7 @@ def test_position_is_found_in_noise_and_clutter(make_dataset, x_px: float, y_px:
 
 
 @pytest.mark.slow
-@pytest.mark.statistics
+@pytest.mark.weekly
 def test_standard_error_is_honest(make_dataset) -> None:
     """Scatter over repeated experiments against the error that each states."""
     made = make_dataset(contrasts=(0.2,), repeats=2, side_px=40)
@@ -172,7 +172,7 @@ def placed_at(data: Dataset, places: NDArray[np.float64]) -> Dataset:
 
 
 @pytest.mark.slow
-@pytest.mark.statistics
+@pytest.mark.weekly
 def test_interval_is_honest_on_blurred_frames() -> None:
     """The blur makes the noise correlated between pixels: an error for white noise is three times too small."""
     rng = np.random.default_rng(2)

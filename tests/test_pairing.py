@@ -132,7 +132,7 @@ def answers_of_two_alike(*, common: float, own: float, sampled: bool) -> tuple[n
     ("experiments", "common", "own", "sampled", "curve"),
     [(200, 1.0, 0.5, False, "observer"), (200, 1.0, 0.5, False, "weibull"), (100, 0.0, 0.5, True, "weibull")],
 )
-@pytest.mark.statistics
+@pytest.mark.weekly
 def test_algorithms_that_are_alike_are_hardly_ever_called_different(
     experiments: int, common: float, own: float, sampled: bool, curve: str
 ) -> None:

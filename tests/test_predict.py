@@ -427,7 +427,7 @@ def test_published_threshold_of_the_star_like_sensor(observer):
 
 @pytest.mark.slow
 @sensors
-@pytest.mark.statistics
+@pytest.mark.weekly
 def test_interval_covers_the_threshold(sensor, size, observer):
     """If 95 % of the intervals do, fewer than 34 of 40 come once in 300 runs (binomial)."""
     chain = FoldedChain(sensor, observer, size, plan_curve(sensor, observer, size, tolerance=2e-4))

@@ -298,7 +298,7 @@ def covered(fit: PsychometricFit, truth: float) -> bool:
         (4.0, 0.0, np.geomspace(0.6, 1.6, 7)),
     ],
 )
-@pytest.mark.statistics
+@pytest.mark.weekly
 def test_interval_of_answers_holds_the_threshold_as_often_as_stated(beta, lapse_rate, level):
     alpha = alpha_of(1.0, beta=beta, lapse_rate=lapse_rate)
     p = weibull(level, alpha=alpha, beta=beta, guess_rate=0.25, lapse_rate=lapse_rate)
@@ -313,7 +313,7 @@ def test_interval_of_answers_holds_the_threshold_as_often_as_stated(beta, lapse_
 
 @pytest.mark.slow
 @pytest.mark.parametrize("n_trials", [1, 30])
-@pytest.mark.statistics
+@pytest.mark.weekly
 def test_interval_of_probabilities_holds_the_threshold_as_often_as_stated(n_trials):
     level = np.repeat(np.geomspace(0.5, 2.0, 7 if n_trials > 1 else 12), n_trials)
     alpha = alpha_of(1.0, beta=2.0, lapse_rate=0.0)
@@ -415,7 +415,7 @@ def test_import_does_not_load_the_slow_parts_of_scipy():
 @pytest.mark.slow
 @pytest.mark.parametrize("curve", ["observer", "weibull"])
 @pytest.mark.parametrize(("size_mrad", "lowest", "highest"), [(0.6, 0.5, 2.0), (1.0, 0.35, 2.0), (1.0, 0.8, 1.3)])
-@pytest.mark.statistics
+@pytest.mark.weekly
 def test_interval_of_expected_decisions_is_honest_for_the_real_observer(
     size_mrad: float, lowest: float, highest: float, curve: str
 ) -> None:
