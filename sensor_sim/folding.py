@@ -23,7 +23,10 @@ from todframes._typing import FloatArray
 from todframes.observers.retina import Overlaps, RetinaGrid, overlaps
 
 PLACES_AT_ONCE = 6
-"""Number of places along an axis that are folded at once: enough to hide the cost of a call."""
+"""Largest number of places along an axis that are folded at once: enough to hide the cost of a call."""
+
+VALUES_AT_ONCE = 2**20
+"""Largest number of values on display pixels that are held for several places; a place alone may have more."""
 
 
 def is_unblurred(sensor: Sensor) -> bool:
@@ -73,7 +76,6 @@ class Folding:
         self.pixels = 1 if merge_pixels and is_unblurred(sensor) else sensor.display.pixels_per_detector
         self.pixel_pitch_mrad = pitch / self.pixels
         self._sensor, self._images = sensor, images
-        self._known_overlaps: dict[float, Overlaps] = {}
         seen = 2 * math.ceil((field / 2.0 + reach_detectors) * pitch / grid.pitch_mrad) + 1
         margin = max((grid.side - seen) // 2, 0)
         self._seen = slice(margin, grid.side - margin)
@@ -123,8 +125,9 @@ class Folding:
         from scipy.sparse import csr_array
 
         n_pixels = self.field * self.pixels
-        for start in range(0, len(places), PLACES_AT_ONCE):
-            at_once = places[start : start + PLACES_AT_ONCE]
+        n_at_once = min(max(VALUES_AT_ONCE // (n_pixels * weights.shape[1]), 1), PLACES_AT_ONCE)
+        for start in range(0, len(places), n_at_once):
+            at_once = places[start : start + n_at_once]
             found = [self._overlaps(place) for place in at_once.tolist()]
             ends = [np.searchsorted(one.pixel, np.arange(1, n_pixels + 1, dtype=np.int32)) for one in found]
             before = np.cumsum([0, *(len(one.pixel) for one in found)])
@@ -138,13 +141,11 @@ class Folding:
             yield start, on_pixels if self.hold is None else np.asarray(self.hold @ on_pixels)
 
     def _overlaps(self, place: float) -> Overlaps:
-        """Return the overlaps of retina samples and pixels along an axis; both axes may ask for the same place."""
-        if place not in self._known_overlaps:
-            self._known_overlaps[place] = overlaps(
-                self.grid,
-                centre_px=(self.field / 2.0 + place) * self.pixels - 0.5,
-                pixel_pitch_mrad=self.pixel_pitch_mrad,
-                first_pixel=0,
-                n_pixels=self.field * self.pixels,
-            )
-        return self._known_overlaps[place]
+        """Return the overlaps of retina samples and pixels along an axis."""
+        return overlaps(
+            self.grid,
+            centre_px=(self.field / 2.0 + place) * self.pixels - 0.5,
+            pixel_pitch_mrad=self.pixel_pitch_mrad,
+            first_pixel=0,
+            n_pixels=self.field * self.pixels,
+        )

@@ -9,6 +9,7 @@ import pickle
 import signal
 import threading
 import time
+import tracemalloc
 from collections.abc import Iterator
 from dataclasses import replace
 
@@ -22,6 +23,7 @@ from sensor_sim.explorer.limits import Shares, decision_shares, what_limits
 from sensor_sim.explorer.live import LiveCurves
 from sensor_sim.explorer.quick_readout import quick_readout
 from sensor_sim.explorer.scaled import Unit, unit_of
+from sensor_sim.folding import Folding
 from sensor_sim.noise import delta_t_mk
 from sensor_sim.predict import FoldedChain, Phases, PredictedThreshold, predict_threshold
 from sensor_sim.sensor import Detector, Noise, Optics, Sensor, SensorDisplay
@@ -30,6 +32,7 @@ from todframes.observers.hotelling import HotellingObserver
 from todframes.observers.interface import Observer
 from todframes.observers.oriented import OrientedObserver
 from todframes.observers.pyramid import PyramidObserver
+from todframes.observers.retina import RetinaGrid
 from todframes.scoring.naked_eye import contrast_threshold
 from todframes.stimulus import Stimulus
 
@@ -105,6 +108,22 @@ def test_quick_readout_is_the_readout(settings, size_mrad):
             middle = exact.deviations[0, margin : exact.grid.side - margin, margin : exact.grid.side - margin]
             np.testing.assert_allclose(quick.upright, middle, rtol=0.0, atol=tolerance * largest)
             np.testing.assert_allclose(quick.noise_covariance, exact.noise_covariance, rtol=tolerance, atol=0.0)
+
+
+def test_folding_of_many_places_takes_the_memory_of_one():
+    display = replace(SENSOR.display, pixels_per_detector=600, pixel_pitch_mm=0.25 * 4 / 600)
+    sensor, grid = replace(SENSOR, display=display), RetinaGrid(65, 0.153)
+    images = np.random.default_rng(1).normal(size=(4, 65, 65))
+    peaks = []
+    for n in (1, 6):
+        folding = Folding(sensor, grid, images, field=31, reach_detectors=0.5)
+        folding.weights(0.0, 0.0)  # what is computed once is there
+        tracemalloc.start()
+        folding.weights_by_row(np.zeros(1), np.linspace(-0.4, 0.4, n))
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    # The weights themselves are small; the next place is begun before the last one is let go.
+    assert peaks[1] < 2.5 * peaks[0]
 
 
 # Numbers ------------------------------------------------------------------------------------------------------
