@@ -52,6 +52,10 @@ IMPOSSIBLE = (
     ("sizes_detectors", "2, two", "Expected 1 to 12 sizes above 0"),
     ("optics.wavelength_um", "red", "Found “red”, expected a number."),
     ("noise.frames_integrated", "1.5", "expected a whole number"),
+    ("optics.aperture_mm", "0.5", "passes nothing of a triangle to such detectors"),
+    ("optics.blur_sigma_mrad", "50", "Found 50, expected at most"),
+    ("sizes_detectors", "4, 300", "Found 300, expected at most 255"),
+    ("sizes_detectors", "100", "mrad at the eye, expected at most"),
 )
 STAGES = ["a_input", "b_optics", "c_detector_response", "d_samples", "e_noise", "f_hold", "g_display"]
 

@@ -7,10 +7,11 @@ import { valueOf } from "./state.js";
 /** Pause in typing after which a number is taken, so that 150 is not first 1 and then 15. */
 const PAUSE_MS = 350;
 
-/** What the page itself asks for besides the parameters of the server. */
+/** What the page itself asks for besides the parameters of the server; `names` are those that errors give it, too. */
 export const TEST_FIELDS = [
   {
     key: "sizes_detectors",
+    names: ["size_detectors", "size_mrad"],
     group: "Test",
     label: "Sizes",
     unit: "detectors",

@@ -236,10 +236,11 @@ class Explorer {
     const { curve, error } = this.#now;
     const lines = new Map([...this.#now.unread].filter(([, line]) => line !== null));
     if (error) {
-      const key = error.key ?? this.#fields.find((field) => error.message.startsWith(`${field.key}:`))?.key;
+      const name = error.key ?? /^\w+(?=: )/.exec(error.message)?.[0];
+      const key = this.#fields.find((field) => field.key === name || field.names?.includes(name))?.key;
       // The field says of what it is; the line of a file also names the table and the key.
       const line = error.message.replace(/^.*?\w+: (?=found )/, "");
-      if (!this.#fields.some((field) => field.key === key)) return { line: error.message, lines };
+      if (key === undefined) return { line: error.message, lines };
       lines.set(key, line[0].toUpperCase() + line.slice(1));
     }
     if (lines.size) return { line: "Not possible. The curve is that of the last possible sensor.", lines };
