@@ -594,7 +594,7 @@ def _person_result(data: Dataset, person: PersonFit) -> PersonResult:
         template_blur_samples_ci95=fit.blur_ci95 if is_known else None,
         n_trials=person.n_trials,
         n_correct=person.n_correct,
-        n_flagged=person.n_flagged,
+        n_flagged=dict(person.n_flagged),
         log_likelihood=fit.log_likelihood,
         deviance=fit.deviance,
         deviance_p_value=fit.deviance_p_value,
