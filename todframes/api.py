@@ -14,12 +14,12 @@ from msgspec.structs import replace as replace_struct
 from numpy.typing import ArrayLike
 
 from todframes._typing import Json
+from todframes.diagnosis.findings import frame_warnings
+from todframes.diagnosis.inspection import inspect, records
 from todframes.errors import DataError, SettingsError
 from todframes.frames.checksums import dataset_warnings
 from todframes.frames.dataset import Dataset, load_dataset
 from todframes.frames.display import Display
-from todframes.frames.findings import frame_warnings
-from todframes.frames.inspection import inspect, records
 from todframes.frames.trials import Trial
 from todframes.jobs.engine import open_engine
 from todframes.jobs.store import Store
@@ -45,9 +45,9 @@ from todframes.scoring.trials import Decisions
 from todframes.stimulus import Centre
 
 if TYPE_CHECKING:
+    from todframes.diagnosis.locate import Locate
     from todframes.experiment.person import Free, GroupCurve, PersonFit
     from todframes.frames.files import PathLike
-    from todframes.frames.locate import Locate
     from todframes.report.noise import NoiseResult
     from todframes.scoring.naked_eye import Threshold
     from todframes.scoring.work import Run
@@ -141,8 +141,8 @@ def score(
     ({'size_mrad': 0.6}, 'extrapolated')
     """
     started = time.perf_counter()
+    from todframes.diagnosis.missing_threshold import explain_missing
     from todframes.report import tables
-    from todframes.scoring.missing_threshold import explain_missing
     from todframes.scoring.score import score_dataset
 
     judge, settings = described(observer)
@@ -829,7 +829,7 @@ def _located(
     data = _loaded(dataset)
     if not locate:
         return data, {}, ()
-    from todframes.frames.locate import locate_triangles, location_warnings
+    from todframes.diagnosis.locate import locate_triangles, location_warnings
 
     data, locations = locate_triangles(
         data,

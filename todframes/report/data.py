@@ -18,12 +18,12 @@ from todframes.config import read_file
 from todframes.errors import DataError
 
 if TYPE_CHECKING:
+    from todframes.diagnosis.missing_threshold import Explanation
     from todframes.enhancement.algorithm import Enhancement
     from todframes.enhancement.compare import AlgorithmResult, Compared
     from todframes.frames.dataset import Dataset
     from todframes.frames.display import Display
     from todframes.psychometrics.fit import PsychometricFit
-    from todframes.scoring.missing_threshold import Explanation
     from todframes.scoring.score import GroupFit
 
 SCHEMA = 1
@@ -491,7 +491,7 @@ class DatasetRecord(Struct, frozen=True, kw_only=True):
         Number of frames in the manifest, those left out included.
     measured : dict
         `stimuli`: what the frames of each group and stimulus show, measured on some of them, as attributes of
-        `todframes.frames.inspection.Inspection`. Empty if nothing was measured.
+        `todframes.diagnosis.inspection.Inspection`. Empty if nothing was measured.
     """
 
     path: str
