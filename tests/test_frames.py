@@ -506,7 +506,7 @@ def test_no_permission(tmp_path):
 
 def test_names_that_open_image_io_does_not_take():
     assert_refused(Path("a\udc80.exr"), "cannot be opened")
-    assert_refused(Path("a\0.exr"), "null byte")
+    assert_refused(Path("a\0.exr"), "null (byte|character)")  # its name depends on the version of Python
 
 
 def test_sha256_of_nothing(tmp_path):

@@ -103,8 +103,8 @@ def score(
     fit : FitSettings, optional
         Fixed and free parameters of the fits.
     locate : {"group", "each"} or bool
-        Find the triangle's position where the manifest has none: one for each group (also True), or one for each
-        trial, for hand-held or drifting recordings.
+        Find the triangle's position, from that in the manifest if there is one: one for each group (also True), or
+        one for each trial, for hand-held or drifting recordings.
     on_error : {"stop", "skip"}
         At a frame or row that cannot be used: raise, or go on and list it in `Result.skipped`.
     workers : int
