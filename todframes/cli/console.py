@@ -273,7 +273,7 @@ class ProblemLines:
         self.count = 0
         self._alike: dict[str, tuple[str, int]] = {}
 
-    def add(self, problem: str, *, kind: str | None = None) -> None:
+    def add(self, problem: str, kind: str | None = None) -> None:
         """Print a problem. Those of one kind differ only in `VARIABLE` parts of `kind`, by default the problem."""
         self.count += 1
         kind = self.VARIABLE.sub("#", problem if kind is None else kind)
