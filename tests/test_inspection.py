@@ -13,8 +13,8 @@ from scipy.ndimage import gaussian_filter
 import todframes as tod
 from todframes.cli.console import run
 from todframes.cli.main import cli
-from todframes.frames.findings import frame_warnings
-from todframes.frames.inspection import inspect
+from todframes.diagnosis.findings import frame_warnings
+from todframes.diagnosis.inspection import inspect
 from todframes.frames.memory import memory_dataset
 
 SAMPLES = Path(__file__).parent.parent / "sample_frames"

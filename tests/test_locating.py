@@ -14,10 +14,10 @@ from scipy.ndimage import gaussian_filter
 
 import todframes as tod
 from todframes.cli.main import cli
+from todframes.diagnosis.locate import locate_triangles, location_warnings
 from todframes.errors import DataError, SettingsError
 from todframes.frames.dataset import Dataset, load_dataset
 from todframes.frames.files import write_frame
-from todframes.frames.locate import locate_triangles, location_warnings
 from todframes.frames.memory import memory_dataset
 from todframes.frames.trials import Trials
 from todframes.stimulus import ORIENTATIONS, Orientation, coverage

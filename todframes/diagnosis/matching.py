@@ -11,8 +11,8 @@ from typing import NamedTuple
 import numpy as np
 
 from todframes._typing import ComplexArray, FloatArray
+from todframes.diagnosis.arrangement import ARRANGEMENTS, Arrangement
 from todframes.errors import FrameError
-from todframes.frames.arrangement import ARRANGEMENTS, Arrangement
 from todframes.frames.contrast import Patch, read_contrast
 from todframes.frames.dataset import Dataset
 from todframes.frames.position import size_in_px

@@ -10,11 +10,11 @@ from typing import Literal, NamedTuple, get_args
 import numpy as np
 
 from todframes._typing import FloatArray
+from todframes.diagnosis.arrangement import ARRANGEMENTS, Arrangement
+from todframes.diagnosis.matching import LEAST_SEARCHED_PX, SEARCHED, Matcher, MeanFrames, Place, TrialMatcher
 from todframes.errors import DataError, FrameError, SettingsError
-from todframes.frames.arrangement import ARRANGEMENTS, Arrangement
 from todframes.frames.contrast import skipped_frames
 from todframes.frames.dataset import Dataset, DatasetWarning, Skipped
-from todframes.frames.matching import LEAST_SEARCHED_PX, SEARCHED, Matcher, MeanFrames, Place, TrialMatcher
 from todframes.frames.position import from_centroid, size_in_px, to_centroid
 from todframes.frames.trials import Group, Trials, indices_by
 from todframes.stimulus import Centre

@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from todframes._typing import FloatArray
+from todframes.diagnosis.arrangement import ARRANGEMENTS, Arrangement
+from todframes.diagnosis.locate import locate_triangles
 from todframes.errors import TodframesError
-from todframes.frames.arrangement import ARRANGEMENTS, Arrangement
 from todframes.frames.dataset import Dataset, WarningCode
-from todframes.frames.locate import locate_triangles
 from todframes.frames.position import centroid_position
 from todframes.frames.trials import Group, Trial, Trials
 from todframes.observers.interface import Observer

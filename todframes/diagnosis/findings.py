@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 
+from todframes.diagnosis.inspection import Inspection, is_contrast
 from todframes.frames.dataset import Dataset, DatasetWarning, WarningCode
-from todframes.frames.inspection import Inspection, is_contrast
 from todframes.frames.trials import Group
 
 CERTAIN = 5.0
