@@ -192,8 +192,10 @@ def remove_others(folder: Path, names: Set[str]) -> None:
             _remove_entry(entry)
 
 
-def write_file(path: Path, content: bytes, *, not_over: Path | None = None) -> None:
+def write_file(path: Path, content: bytes, *, not_over: Path | None = None, is_private: bool = False) -> None:
     """Write a whole file or nothing. An older file of that name is replaced; its permissions are kept.
+
+    Only its owner can read a new file that `is_private`.
 
     Raises
     ------
@@ -210,6 +212,8 @@ def write_file(path: Path, content: bytes, *, not_over: Path | None = None) -> N
             write_files(beside, {STAGED: content})
             if path.exists():
                 shutil.copymode(path, beside / STAGED)
+            elif is_private:
+                (beside / STAGED).chmod(0o600)
             with held_back():
                 (beside / STAGED).replace(path)
                 signals.written.append(str(path))

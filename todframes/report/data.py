@@ -420,6 +420,9 @@ class PersonResult(Struct, frozen=True, kw_only=True):
         Error rate δ of lapses and blur of the templates, in retina samples; fitted if they have an interval.
     n_trials, n_correct : int
         Number of main trials, and of correct answers.
+    n_flagged : mapping of str to int
+        Number of answers with each flag that occurs: hidden, unfocused, too_fast. They are among `n_trials` only
+        with the setting `include_flagged`.
     log_likelihood : float
         Sum of the ln probabilities of the answers.
     deviance, deviance_p_value : float
@@ -440,6 +443,7 @@ class PersonResult(Struct, frozen=True, kw_only=True):
     template_blur_samples_ci95: Interval | None = NULL
     n_trials: int
     n_correct: int
+    n_flagged: dict[str, int] = field(default_factory=dict)
     log_likelihood: float
     deviance: float
     deviance_p_value: Proportion | None = NULL
