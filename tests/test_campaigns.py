@@ -40,6 +40,10 @@ def test_faults() -> None:
     assert "1 cases, 0 faults" in campaign("faults", "--only", "store between runs: cut")
 
 
+def test_planted_links() -> None:
+    assert "24 cases, 0 faults" in campaign("planted", "--only", ", score")
+
+
 @pytest.mark.skipif(getattr(os, "geteuid", lambda: 1)() != 0, reason="only root may mount a disk")
 def test_a_full_disk() -> None:
     assert "1 cases, 0 faults" in campaign("faults", "--only", "disk full, score")

@@ -22,7 +22,7 @@ from todframes.frames.findings import frame_warnings
 from todframes.frames.inspection import inspect, records
 from todframes.frames.trials import Trial
 from todframes.jobs.engine import open_engine
-from todframes.jobs.store import Store
+from todframes.jobs.store import FILE, Store
 from todframes.jobs.work import Engine
 from todframes.locations import Location
 from todframes.observers.interface import ENTRY_POINT_GROUP, Observer, find_observer
@@ -186,6 +186,7 @@ def score(
         dataset=record,
         warnings=_each_once(*hints, *found_wrong, *shown_wrong, *levels),
         negative_luminance_pixels=scored.n_negative,
+        from_store=run.n_from_store,
         **more,
     ).with_trials(lambda: tables.trials(data, scored))
 
@@ -394,6 +395,7 @@ def compare(
         dataset=record,
         warnings=_each_once(*found_wrong, *shown_wrong, *levels_to_add(thresholds_of(compared))),
         negative_luminance_pixels=reference.n_negative,
+        from_store=run.n_from_store,
         **more,
     ).with_trials(lambda: tables.compared_trials(data, results))
 
@@ -802,10 +804,11 @@ def _run(
     """Open the engine and the store of a run, unless they are open."""
     from todframes.scoring.work import Run
 
-    kept = Store(Path(store), str(store)) if isinstance(store, str | Path) else store
+    kept = Store(Path(store) / FILE, str(store)) if isinstance(store, str | Path) else store
     with ExitStack() as stack:
         engine = stack.enter_context(open_engine(cluster, workers))
         if kept is not None:
+            kept.n_used = 0
             stack.callback(kept.close)
         yield Run(engine, kept, progress)
 
