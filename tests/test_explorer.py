@@ -28,17 +28,19 @@ import sensor_sim as ss
 from sensor_sim.cli import cli
 from sensor_sim.designs import numeric_keys
 from sensor_sim.explorer import routes
+from sensor_sim.explorer.engine import Engine, Request
 from sensor_sim.explorer.limits import Shares
 from sensor_sim.explorer.live import LiveCurve
 from sensor_sim.explorer.parameters import PARAMETERS
 from sensor_sim.explorer.routes import CurveAsked, Explorer, SensorAsked, TextAsked, TomlAsked, TrialAsked
+from sensor_sim.explorer.scaled import unit_of
 from sensor_sim.pictures import trial_stages
 from sensor_sim.predict import PredictedThreshold
 from sensor_sim.sensor import TABLES, Distribution, sensor_toml
 from sensor_sim.simulation import SimulatedTrial
 from todframes.cli.console import run
 from todframes.errors import SettingsError
-from todframes.observers.pyramid import PyramidSettings
+from todframes.observers.pyramid import PyramidObserver, PyramidSettings
 from todframes.stimulus import ORIENTATIONS
 from todframes.web import server
 from todframes.web.pages import error_of
@@ -164,6 +166,33 @@ def test_the_line_about_an_impossible_sensor_names_the_key(tables, key):
     with pytest.raises(SettingsError, match=r"^SENSOR\.toml: ") as found:
         SensorAsked({**TABLES_SENT, **tables}).made()
     assert error_of(found.value)["key"] == key
+
+
+LIMITS = [
+    ({"optics.aperture_mm": 0.5}, 4.0, "optics.aperture_mm"),
+    ({"optics.blur_sigma_mrad": 50.0}, 4.0, "optics.blur_sigma_mrad"),
+    (
+        {"detector.pitch_mrad": 5.0, "detector.width_mrad": 0.005, "optics.aperture_mm": 500.0},
+        4.0,
+        "detector.pitch_mrad",
+    ),
+    ({}, 300.0, "size_detectors"),
+    ({}, 100.0, "size_mrad"),
+    ({"display.viewing_distance_mm": 20.0}, 6.0, "size_mrad"),
+]
+
+
+@pytest.mark.parametrize(("changed", "size", "name"), LIMITS)
+def test_the_line_about_a_limit_of_the_computation_names_its_field(changed, size, name):
+    tables = json.loads(json.dumps(TABLES_SENT))
+    for key, value in changed.items():
+        table, _, setting = key.partition(".")
+        tables[table][setting] = value
+    made, observer = SensorAsked(tables).made(), PyramidObserver()
+    with pytest.raises(SettingsError, match=r"expected at (most|least) [\d.]+") as found:
+        list(Engine(lambda: None).answers(Request(1, made, unit_of(observer), ((0, size),), 0.75, (0.03, 0.002))))
+    assert str(found.value).startswith(f"{name}: found ")
+    assert error_of(found.value)["key"] == (name if "." in name else None)
 
 
 def test_the_transfer_is_that_of_the_command():

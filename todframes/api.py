@@ -14,12 +14,12 @@ from msgspec.structs import replace as replace_struct
 from numpy.typing import ArrayLike
 
 from todframes._typing import Json
+from todframes.diagnosis.findings import frame_warnings
+from todframes.diagnosis.inspection import inspect, records
 from todframes.errors import DataError, SettingsError
 from todframes.frames.checksums import dataset_warnings
 from todframes.frames.dataset import Dataset, load_dataset
 from todframes.frames.display import Display
-from todframes.frames.findings import frame_warnings
-from todframes.frames.inspection import inspect, records
 from todframes.frames.trials import Trial
 from todframes.jobs.engine import open_engine
 from todframes.jobs.store import FILE, Store
@@ -45,9 +45,9 @@ from todframes.scoring.trials import Decisions
 from todframes.stimulus import Centre
 
 if TYPE_CHECKING:
+    from todframes.diagnosis.locate import Locate
     from todframes.experiment.person import Free, GroupCurve, PersonFit
     from todframes.frames.files import PathLike
-    from todframes.frames.locate import Locate
     from todframes.report.noise import NoiseResult
     from todframes.scoring.naked_eye import Threshold
     from todframes.scoring.work import Run
@@ -103,8 +103,8 @@ def score(
     fit : FitSettings, optional
         Fixed and free parameters of the fits.
     locate : {"group", "each"} or bool
-        Find the triangle's position where the manifest has none: one for each group (also True), or one for each
-        trial, for hand-held or drifting recordings.
+        Find the triangle's position, from that in the manifest if there is one: one for each group (also True), or
+        one for each trial, for hand-held or drifting recordings.
     on_error : {"stop", "skip"}
         At a frame or row that cannot be used: raise, or go on and list it in `Result.skipped`.
     workers : int
@@ -141,8 +141,8 @@ def score(
     ({'size_mrad': 0.6}, 'extrapolated')
     """
     started = time.perf_counter()
+    from todframes.diagnosis.missing_threshold import explain_missing
     from todframes.report import tables
-    from todframes.scoring.missing_threshold import explain_missing
     from todframes.scoring.score import score_dataset
 
     judge, settings = described(observer)
@@ -471,6 +471,7 @@ def calibrate(
     observer: str | Observer = "pyramid",
     free: Sequence[Free] = (),
     subjects: Sequence[str] = (),
+    include_flagged: bool = False,
     p_correct: float | None = None,
     fit: FitSettings | None = None,
     seed: int = 1,
@@ -493,6 +494,8 @@ def calibrate(
         observer's `template_blur_samples`, from a quarter to twice its value.
     subjects : sequence of str
         Ids of the persons. Default: all.
+    include_flagged : bool
+        Whether answers count that came within 150 ms, or while the page was hidden or had lost the focus.
     p_correct : float, optional
         Raw proportion correct at threshold, in place of that of `fit`.
     fit : FitSettings, optional
@@ -528,7 +531,7 @@ def calibrate(
     for name in free:
         if name not in ("lapse", "blur"):
             raise SettingsError(f"free: found {name!r}, expected lapse or blur")
-    sessions = read_answers(Path(answers))
+    sessions = read_answers(Path(answers), include_flagged=include_flagged)
     known = {one.subject for one in sessions}
     for subject in subjects:
         if subject not in known:
@@ -559,7 +562,7 @@ def calibrate(
     return Result.made(
         "calibrate",
         started,
-        settings=settings | asdict(fit) | {"free": list(free)},
+        settings=settings | asdict(fit) | {"free": list(free), "include_flagged": include_flagged},
         seed=seed,
         fits=tuple(fits),
         persons=tuple(persons),
@@ -593,6 +596,7 @@ def _person_result(data: Dataset, person: PersonFit) -> PersonResult:
         template_blur_samples_ci95=fit.blur_ci95 if is_known else None,
         n_trials=person.n_trials,
         n_correct=person.n_correct,
+        n_flagged=dict(person.n_flagged),
         log_likelihood=fit.log_likelihood,
         deviance=fit.deviance,
         deviance_p_value=fit.deviance_p_value,
@@ -828,7 +832,7 @@ def _located(
     data = _loaded(dataset)
     if not locate:
         return data, {}, ()
-    from todframes.frames.locate import locate_triangles, location_warnings
+    from todframes.diagnosis.locate import locate_triangles, location_warnings
 
     data, locations = locate_triangles(
         data,

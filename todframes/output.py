@@ -175,8 +175,10 @@ def remove_others(folder: Path, names: Collection[str]) -> None:
             Path(parent).rmdir()
 
 
-def write_file(path: Path, content: bytes, *, not_over: Path | None = None) -> None:
+def write_file(path: Path, content: bytes, *, not_over: Path | None = None, is_private: bool = False) -> None:
     """Write a whole file or nothing. An older file of that name is replaced; its permissions are kept.
+
+    Only its owner can read a new file that `is_private`.
 
     Raises
     ------
@@ -192,6 +194,8 @@ def write_file(path: Path, content: bytes, *, not_over: Path | None = None) -> N
         parent = _held(Path(os.path.realpath(path.parent)), stack)
         with _hidden(parent, beside(path.name), name) as hidden:
             write_files(hidden, {STAGED: content})
+            if is_private:
+                (hidden / STAGED).chmod(0o600)
             with suppress(FileNotFoundError):
                 status = (parent / path.name).lstat()
                 if stat.S_ISREG(status.st_mode):

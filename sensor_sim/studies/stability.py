@@ -250,9 +250,9 @@ def curve_cases() -> list[Case]:
              "a field of at most 1,024 detectors",
              lambda: refused(camera(display=tiny), 3000.0, "expected at most 1024")),
         case("optics blur of 1,000 detectors", "refused", "a field of at most 1,024 detectors",
-             lambda: refused(camera(blur=1000.0), 5.0, "expected at most 1024")),
+             lambda: refused(camera(blur=1000.0), 5.0, "optics.blur_sigma_mrad: found 1000, expected at most")),
         case("cut-off of 1e-3 Nyquist", "refused", "nothing but the mean passes",
-             lambda: refused(camera(0.0005), 5.0, "optics: found a cut-off")),
+             lambda: refused(camera(0.0005), 5.0, "optics.aperture_mm: found 0.0005, which passes nothing")),
         case("cut-off of 2e6 and 2e9 Nyquist: P(correct), ratio", 1.0, "law: the optics leave no trace",
              lambda: ratio(camera(1e6), camera(1e9)), 5),
     ]  # fmt: skip

@@ -1,7 +1,7 @@
 """The campaign of planted links: whoever can write to OUT has prepared it to have strangers' files destroyed.
 
 Each case plants something in OUT, or swaps the hidden folder for a link while the command works, and runs a
-command. The strangers' files must be as before, byte for byte, and the command must end in a result or in one line.
+command. The strangers' files must be as before, byte for byte, and the command must end well or in one clear line.
 """
 
 from __future__ import annotations

@@ -52,6 +52,11 @@ from todframes.safe_text import visible
     help="Fit the rate of lapses or the blur of the templates, too; repeatable.",
 )
 @click.option("--subject", "subjects", multiple=True, metavar="ID", help="A person; repeatable.  [default: all]")
+@click.option(
+    "--include-flagged",
+    is_flag=True,
+    help="Count answers within 150 ms, or while the page was hidden or had lost the focus.",
+)
 @observer_option
 @p_correct_option
 @set_option
@@ -83,7 +88,7 @@ def calibrate(
     from todframes.report import calibration
     from todframes.report.summary import verdict
 
-    sessions = read_answers(answers)
+    sessions = read_answers(answers, include_flagged=asked["include_flagged"])
     n_trials = sum(
         len(one.main_rows()) for one in sessions if not asked["subjects"] or one.subject in asked["subjects"]
     )

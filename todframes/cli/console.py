@@ -114,6 +114,18 @@ def long_run(out: str | None, asked: dict[str, Any], *, quiet: bool) -> Iterator
         yield place
 
 
+def _where(place: Mapping[str, Any]) -> str:
+    """Return where the triangles of a group were found, as a phrase."""
+    error_px, moved_px = place["standard_error_px"], place["moved_px"]
+    if error_px is None:
+        return "no triangle stands out near the manifest's positions, which stay"
+    if moved_px is not None:
+        where = f"{moved_px[0]:+.2f} in x, {moved_px[1]:+.2f} in y from the manifest's positions"
+    else:
+        where = f"x_px {place['x_px']:.2f}, y_px {place['y_px']:.2f}"
+    return f"{where} (± {error_px:.1g} px)"
+
+
 def finish(
     result: Result,
     title: str,
@@ -138,10 +150,7 @@ def finish(
 
     if not quiet:
         for place in result.located or ():
-            where = f"x_px {place['x_px']:.2f}, y_px {place['y_px']:.2f} (± {place['standard_error_px']:.1g} px)"
-            say(f"located: {group_phrase(place['group'])}: {where}")
-        if result.located == ():
-            say("located: nothing; the manifest gives all positions")
+            say(f"located: {group_phrase(place['group'])}: {_where(place)}")
         for one in result.skipped:
             say(f"skipped: {one['error']}")
         for algorithm in result.algorithms:

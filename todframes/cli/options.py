@@ -160,8 +160,8 @@ scoring_options = options(
     click.option(
         "--locate",
         type=click.Choice(LOCATE),
-        help="Find the triangle's position where the manifest has none: one for each group (also if alone), or "
-        "one for each trial, for recordings by hand.",
+        help="Find the triangle's position, from that in the manifest if there is one: one a group (also if "
+        "alone), or one for each trial, for recordings by hand.",
     ),
     on_error_option,
     workers_option,

@@ -7,10 +7,11 @@ import { valueOf } from "./state.js";
 /** Pause in typing after which a number is taken, so that 150 is not first 1 and then 15. */
 const PAUSE_MS = 350;
 
-/** What the page itself asks for besides the parameters of the server. */
+/** What the page itself asks for besides the parameters of the server; `names` are those that errors give it, too. */
 export const TEST_FIELDS = [
   {
     key: "sizes_detectors",
+    names: ["size_detectors", "size_mrad"],
     group: "Test",
     label: "Sizes",
     unit: "detectors",
@@ -65,12 +66,12 @@ class Field {
   #slider = null;
   #error;
   #change;
-  #value;
-  #isUnread = false;
+  #unread;
 
-  constructor(field, change) {
+  constructor(field, { change, unread }) {
     this.#field = field;
     this.#change = change;
+    this.#unread = unread;
     const id = `field-${field.key.replaceAll(".", "-")}`;
     this.#error = element("p", { className: "error", id: `${id}-error`, hidden: true });
     this.input = field.kind === "choice" ? this.#choice() : this.#text();
@@ -97,20 +98,20 @@ class Field {
     input.autocomplete = "off";
     if (this.#field.optional) input.placeholder = "none";
     const read = (isFinal) => {
+      let value;
       try {
-        const value = this.#read(input.value);
-        // A line of the server stays until the value is another one.
-        if (this.#isUnread || !isSame(value, this.#value)) this.showError(null);
-        this.show(value);
-        this.#change(this.#field.key, value, isFinal);
+        value = this.#read(input.value);
       } catch (error) {
-        this.showError(error.message);
-        this.#isUnread = true;
+        this.#unread(this.#field.key, error.message);
+        return;
       }
+      this.show(value);
+      this.#change(this.#field.key, value, isFinal);
     };
     let pause = null;
     input.addEventListener("input", () => {
       clearTimeout(pause);
+      this.#unread(this.#field.key, null);
       pause = setTimeout(read, PAUSE_MS, false);
     });
     input.addEventListener("change", () => {
@@ -124,7 +125,7 @@ class Field {
     if (this.#field.kind === "sizes") return readSizes(text);
     if (this.#field.optional && text.trim() === "") return null;
     const value = parsed(text);
-    if (Number.isNaN(value)) throw new Error(`Found “${text}”, expected a number.`);
+    if (Number.isNaN(value)) throw new Error(`Found ${text.trim() ? `“${text}”` : "nothing"}, expected a number.`);
     if (this.#field.kind === "integer" && !Number.isInteger(value)) {
       throw new Error(`Found ${text}, expected a whole number.`);
     }
@@ -137,7 +138,6 @@ class Field {
     slider.setAttribute("aria-labelledby", labelId);
     slider.addEventListener("input", () => {
       const value = scale.value(slider.valueAsNumber);
-      this.showError(null);
       this.#showText(value);
       this.#change(this.#field.key, value, false);
     });
@@ -147,7 +147,6 @@ class Field {
 
   /** Show a value, except in a number field that is being edited and has this value already. */
   show(value) {
-    this.#value = value;
     this.#showText(value);
     if (this.#slider === null) return;
     this.#slider.classList.toggle("unset", value === null);
@@ -174,7 +173,6 @@ class Field {
 
   /** Show the line of an error, or with null none. */
   showError(line) {
-    this.#isUnread = false;
     this.#error.textContent = line ?? "";
     this.#error.hidden = line === null;
     this.input.setAttribute("aria-invalid", String(line !== null));
@@ -198,29 +196,26 @@ export class Controls {
   /**
    * @param {HTMLFormElement} form
    * @param {object[]} fields Of `/api/start`, and `TEST_FIELDS`.
-   * @param {(key: string, value: any, isFinal: boolean, isSlider?: boolean) => void} change Called for each move.
-   *   `isFinal` means that it was let go of; the value is then undefined if it is the one before.
+   * @param {{change: Function, unread: Function}} handlers `change(key, value, isFinal, isSlider)` is called for each
+   *   move; `isFinal` means that it was let go of, and the value is then undefined if it is the one before.
+   *   `unread(key, line)` is called while the text of a field is no value: being typed (null), or wrong (a line).
    */
-  constructor(form, fields, change) {
+  constructor(form, fields, handlers) {
     form.addEventListener("submit", (event) => event.preventDefault());
     for (const [group, members] of Map.groupBy(fields, (field) => field.group)) {
-      const made = members.map((field) => new Field(field, change));
+      const made = members.map((field) => new Field(field, handlers));
       members.forEach((field, index) => this.#fields.set(field.key, made[index]));
       form.append(element("fieldset", {}, element("legend", {}, group), ...made.map((field) => field.row)));
     }
   }
 
-  /** Show the values of a state and no errors. */
+  /** Show the values of a state. */
   show(state) {
-    for (const [key, field] of this.#fields) {
-      field.show(valueOf(state, key) ?? null);
-      field.showError(null);
-    }
+    for (const [key, field] of this.#fields) field.show(valueOf(state, key) ?? null);
   }
 
-  /** Show an error at the field of a key. Returns whether there is one. */
-  showError(key, line) {
-    this.#fields.get(key)?.showError(line);
-    return this.#fields.has(key);
+  /** Show the lines of errors at the fields of their keys, and none at the others. */
+  showErrors(lines) {
+    for (const [key, field] of this.#fields) field.showError(lines.get(key) ?? null);
   }
 }

@@ -8,6 +8,18 @@
  * @property {number} p_correct
  */
 
+/**
+ * What the page shows: a state and what has come of it. All that the page says of a curve is said of one record.
+ * @typedef {object} Asked
+ * @property {number} id Number of the request for its curve, higher with each record.
+ * @property {State} state
+ * @property {Map<string, string|null>} unread Lines about fields whose text is no value, null while it is typed. With
+ *   such a field there is no request: the state has the value that the field had before.
+ * @property {string} level Quantity whose threshold is asked for.
+ * @property {object|null} curve Latest answer.
+ * @property {Error|null} error
+ */
+
 /** Time in which moves of one slider count as one step of undo, such as those of an arrow key held down. */
 const ONE_STEP_MS = 800;
 const MOST_STEPS = 200;
@@ -103,4 +115,36 @@ export function fromHash(hash, fields, first) {
 function isPlain(value) {
   if (Array.isArray(value)) return value.every((one) => typeof one === "number");
   return value === null || typeof value === "number" || typeof value === "string";
+}
+
+/** What a reload of the tab brings back: state, axes and pinned curves, unless the address has another link since. */
+export class Session {
+  #key;
+  state = null;
+  view = {};
+  pins = [];
+
+  /**
+   * @param {string} version
+   * @param {State} first Version and first state of the server; of others nothing is brought back.
+   */
+  constructor(version, first) {
+    this.#key = `explorer ${version} ${JSON.stringify(first)}`;
+    try {
+      const { hash, state, view, pins } = JSON.parse(sessionStorage.getItem(this.#key));
+      this.pins = pins;
+      if (hash === location.hash) Object.assign(this, { state, view });
+    } catch {
+      // Nothing is kept, or the browser keeps nothing.
+    }
+  }
+
+  /** @param {{state: State, view: object, pins: object[]}} shown */
+  keep(shown) {
+    try {
+      sessionStorage.setItem(this.#key, JSON.stringify({ hash: location.hash, ...shown }));
+    } catch {
+      // The browser keeps nothing; the link still has the state.
+    }
+  }
 }

@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from todframes._typing import FloatArray
+from todframes.diagnosis.arrangement import ARRANGEMENTS, Arrangement
+from todframes.diagnosis.locate import locate_triangles
 from todframes.errors import TodframesError
-from todframes.frames.arrangement import ARRANGEMENTS, Arrangement
 from todframes.frames.dataset import Dataset, WarningCode
-from todframes.frames.locate import locate_triangles
 from todframes.frames.position import centroid_position
 from todframes.frames.trials import Group, Trial, Trials
 from todframes.observers.interface import Observer
@@ -275,7 +275,7 @@ class _Search:
             clauses.append(f"triangles had {factor:.3g} times the size in the manifest: {question}")
             codes.append(("size_mismatch", factor * size_mrad, size_mrad))
         size_px = trials[0].stimulus.size_mrad / self.dataset.display.pitch_mrad
-        if apart_px > max(3.0 * location.standard_error_px + 0.5, LEAST_OFFSET * size_px):
+        if apart_px > max(3.0 * (location.standard_error_px or 0.0) + 0.5, LEAST_OFFSET * size_px):
             clauses.append(
                 f"the triangle's centroid were at x_px {here[0]:g}, y_px {here[1]:g} instead of {stated[0]:g}, "
                 f"{stated[1]:g}: Give it in the manifest, or let --locate find it."

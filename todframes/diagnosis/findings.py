@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 
+from todframes.diagnosis.inspection import Inspection, is_contrast
 from todframes.frames.dataset import Dataset, DatasetWarning, WarningCode
-from todframes.frames.inspection import Inspection, is_contrast
+from todframes.frames.trials import Group
 
 CERTAIN = 5.0
 """Least deviation that is told, in standard errors."""
@@ -118,7 +119,33 @@ def frame_warnings(dataset: Dataset, inspections: Sequence[Inspection]) -> list[
         for judge in JUDGES:
             for code, value, expected, message in judge(dataset, one):
                 found.setdefault((code, one.group), DatasetWarning(code, group, message, value, expected))
+    for warning in _several_sizes(dataset, inspections):
+        found.setdefault((warning.code, tuple(warning.group.values())), warning)
     return list(found.values())
+
+
+SIZES_ALIKE = 1.15
+"""Ratio of the largest stated size of a curve to the least up to which they are one size in perspective: a chart
+tilted by 10° in a field of view of 28° has 1.09."""
+
+
+def _several_sizes(dataset: Dataset, inspections: Sequence[Inspection]) -> Iterator[DatasetWarning]:
+    """Yield a warning for each group to which the manifest gives several sizes, unless these are its levels."""
+    if dataset.experiment.level.strip() == "size_mrad":
+        return
+    sizes: dict[Group, set[float]] = {}
+    for one in inspections:
+        sizes.setdefault(one.group, set()).add(one.stimulus.size_mrad)
+    for group, of_group in sizes.items():
+        if max(of_group) > SIZES_ALIKE * min(of_group):
+            yield DatasetWarning(
+                "mixed_sizes",
+                dict(zip(dataset.experiment.group_by, group, strict=True)),
+                f"triangles of {min(of_group):g} to {max(of_group):g} mrad share a curve, and each size has a "
+                "threshold of its own; name the size in group_by",
+                max(of_group) / min(of_group) - 1.0,
+                0.0,
+            )
 
 
 def _geometry(dataset: Dataset, one: Inspection) -> Iterator[Told]:
