@@ -24,7 +24,7 @@ from todframes.config import (
     resolved,
     spelling_hint,
 )
-from todframes.errors import DataError, FrameError, SettingsError
+from todframes.errors import DataError, FrameError, RemoteError, SettingsError
 from todframes.frames.display import Display
 from todframes.frames.display_files import display_of_table, find_display
 from todframes.frames.files import (
@@ -56,6 +56,10 @@ MOST_REMEMBERED = 1024
 
 
 ORIENTATION_OF = {one.value: one for one in ORIENTATIONS}
+
+
+MOST_ROWS, MOST_BAD_ROWS = 20_000_000, 100_000
+"""Largest number of rows of a manifest, and of those that cannot be used: each has a message."""
 
 
 LEAST_SLOTS = 1024
@@ -222,7 +226,9 @@ class RemoteContents:
         """
         try:
             content = read_content(path)
-        except FileNotFoundError as error:
+        except RemoteError:
+            raise
+        except OSError as error:
             raise FrameError(path, f"cannot be opened: {error.strerror}") from None
         ids = self._ids
         while len(ids) >= MOST_REMEMBERED:
@@ -383,7 +389,7 @@ class _Manifest:
 
     def trials(self) -> Trials:
         path_inside(self.folder, self.path.name, f"{self.path}:")
-        rows = read_csv(self.path)
+        rows = read_csv(self.path, most_rows=MOST_ROWS)
         _, header = next(rows)
         self._check_columns(header)
         for number_of_row, (where, row) in enumerate(rows):
@@ -393,6 +399,10 @@ class _Manifest:
                 self._add(self._trial(row, where, number_of_row), where, joins="trial" in header)
                 frame = self.found.n_frames - 1
             except DataError as error:
+                if len(self.bad_rows) == MOST_BAD_ROWS:
+                    raise DataError(
+                        f"{self.path}: found more than {MOST_BAD_ROWS} bad rows, the last: {error}"
+                    ) from None
                 self.bad_rows.append(Skipped((row.get("frame") or "").strip(), str(error)))
                 if name := (row.get("trial") or "").strip():
                     self.spoilt.add(name)
