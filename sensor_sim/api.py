@@ -260,6 +260,7 @@ def sweep(
         whole_keys=tuple(key for key in designs.keys if base.keys[key]),
         settings=settings,
         seed=seed,
+        from_store=0 if store is None else store.n_used,
         run_time_s=round(time.perf_counter() - started, 4),
     )
 
@@ -274,7 +275,6 @@ def simulate(
     seed: int = 1,
     frame_format: FrameFormat = "exr",
     allow_clipping: bool = False,
-    overwrite: bool = False,
     stages: bool = False,
     workers: int = 1,
     cluster: str | Engine | None = None,
@@ -294,7 +294,7 @@ def simulate(
     snr : sequence of float
         Signals of a large triangle divided by the standard deviation of the noise of a sample.
     out : path
-        Folder to make.
+        Folder to make, new or empty.
     trials : int
         Frames of each size and SNR.
     seed : int
@@ -303,8 +303,6 @@ def simulate(
         Half-float EXR in cd/m², or 16-bit PNG.
     allow_clipping : bool
         Let PNG clip more than 1 % of the pixels.
-    overwrite : bool
-        Replace `out` if it exists.
     stages : bool
         Also write the stages of a trial with the highest SNR as pictures.
     workers : int
@@ -344,15 +342,15 @@ def simulate(
     from sensor_sim.simulation import plan_trials, write_dataset
     from todframes.jobs.engine import open_engine
     from todframes.jobs.store import Store
-    from todframes.output import Going, new_folder, store_folder
+    from todframes.output import Going, new_folder, store_path
 
     sensor = sensor if isinstance(sensor, Sensor) else load_sensor(sensor)
     planned = plan_trials([float(one) for one in size_detectors], [float(one) for one in snr], trials)
     going = Going(restart=restart, keep=keep_store)
     with (
         open_engine(cluster, workers) as engine,
-        new_folder(str(out), overwrite=overwrite, going=going) as folder,
-        closing(Store(store_folder(folder), str(out), tell)) as store,
+        new_folder(str(out), going=going) as folder,
+        closing(Store(store_path(folder), str(out), tell)) as store,
     ):
         written = write_dataset(
             folder,

@@ -173,6 +173,8 @@ class SweepData:
     settings : dict
         Settings of the sweep, its sensor and observer.
     seed : int
+    from_store : int
+        Number of thresholds that were not computed but found in the store of an earlier run.
     run_time_s : float
     """
 
@@ -182,6 +184,7 @@ class SweepData:
     whole_keys: tuple[str, ...]
     settings: Json
     seed: int
+    from_store: int
     run_time_s: float
 
     def __repr__(self) -> str:
@@ -426,6 +429,7 @@ class SweepData:
             "seed": self.seed,
             "n_designs": self.n_designs,
             "n_computed": self.swept.n_computed,
+            "from_store": self.from_store,
             "records": list(self.records()),
             "run_time_s": self.run_time_s,
         }
