@@ -156,6 +156,11 @@ def curve(*, sensor: Path, sizes: str, out: str | None, quiet: bool, **asked: An
 )
 @click.option("--keep-fill-factor", is_flag=True, help="Let the detectors' width follow a varied pitch.")
 @click.option(
+    "--couple-netd",
+    is_flag=True,
+    help="Let the NETD follow aperture and detectors: NETD ∝ f-number² / area of a detector.",
+)
+@click.option(
     "--minimise",
     metavar="COLUMN[,…]",
     help="Columns to be low for the trade-off front: varied keys, delta_t_mk, threshold_snr, acuity_mrad, "
