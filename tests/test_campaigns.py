@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -38,6 +39,16 @@ def test_a_long_run() -> None:
 
 def test_faults() -> None:
     assert "1 cases, 0 faults" in campaign("faults", "--only", "store between runs: cut")
+
+
+def test_servers() -> None:
+    assert "3 cases, 0 faults" in campaign("servers", "--only", "moved on the same")
+
+
+def test_decoys() -> None:
+    assert re.search(
+        "1 commands among [0-9]+ decoys, 0 faults", campaign("decoys", "--only", "sweep, two workers")
+    )
 
 
 @pytest.mark.skipif(getattr(os, "geteuid", lambda: 1)() != 0, reason="only root may mount a disk")

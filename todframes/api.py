@@ -683,6 +683,7 @@ def noise(
     signal: float | Sequence[float] = (),
     mk_per_count: float | None = None,
     frames_per_second: float | None = None,
+    max_frame_mb: int = 256,
     progress: Progress | None = None,
 ) -> NoiseResult:
     """Measure the three-dimensional noise of a recording, as `todframes noise` does.
@@ -708,6 +709,8 @@ def noise(
         radiometric file, at the mean of the recording.
     frames_per_second : float, optional
         Frame rate in place of what the files say.
+    max_frame_mb : int
+        Largest decoded size of a frame in 2**20 bytes: all channels, in their own pixel types.
     progress : function of an int, optional
         Called with 1 for each frame.
 
@@ -743,7 +746,7 @@ def noise(
 
     if mk_per_count is not None and not (np.isfinite(mk_per_count) and mk_per_count > 0):
         raise SettingsError(f"mk_per_count: found {mk_per_count}, expected a number > 0")
-    found = open_recordings(recording, frames_per_second=frames_per_second)
+    found = open_recordings(recording, frames_per_second=frames_per_second, max_frame_mb=max_frame_mb)
     if len(found) != 1:
         names = ", ".join(str(one.path) for one in found[:3])
         raise DataError(f"noise: found {len(found)} recordings ({names} …), expected one")

@@ -21,7 +21,9 @@ from sensor_sim.explorer.limits import Limits, Shares, what_limits
 from sensor_sim.predict import PredictedThreshold
 from sensor_sim.sensor import Sensor
 from todframes.errors import TodframesError
+from todframes.jobs.start import safe_path
 from todframes.observers.interface import Observer
+from todframes.user_code import search_last, searched_last
 
 TOLERANCES = (0.03, 0.002)
 """Relative errors of the estimate and of the refined thresholds."""
@@ -230,13 +232,14 @@ class _Worker:
         context = multiprocessing.get_context("spawn")
         self.connection, other = context.Pipe()
         self._process = context.Process(target=_serve, args=(other, wanted), daemon=True)
-        self._process.start()
+        with safe_path():
+            self._process.start()
         other.close()
 
     def begin(self, request: Any) -> None:
         """Send a request; if the process has died, the answer tells."""
         with suppress(OSError):
-            self.connection.send(request)
+            self.connection.send((searched_last(), request))
 
     def end(self) -> None:
         """End the process, at once if it does not end by itself."""
@@ -268,7 +271,8 @@ def _serve(connection: Connection, wanted: Any) -> None:
     engine = Engine(check)
     with suppress(EOFError, OSError):
         while True:
-            request = connection.recv()
+            folders, request = connection.recv()
+            search_last(folders)
             number = request.number
             try:
                 for answer in engine.answers(request):

@@ -58,7 +58,7 @@ def compare(*, dataset: Location, specs: Sequence[str], out: str | None, quiet: 
     from todframes import api
     from todframes.frames.dataset import load_dataset
 
-    data = load_dataset(dataset)
+    data = load_dataset(dataset, max_frame_mb=asked.pop("max_frame_mb"))
     with long_run(out, asked, quiet=quiet) as place, prints_go_to_stderr():
         with progress("comparing", len(data.trials) * PASSES[asked["locate"]], quiet=quiet) as advance:
             result = api.compare(

@@ -16,6 +16,7 @@ import click
 
 from todframes import signals
 from todframes.errors import DataError, TodframesError
+from todframes.locations import without_secrets
 from todframes.safe_text import visible
 
 if TYPE_CHECKING:
@@ -237,7 +238,7 @@ def terminal_width() -> int:
 
 def say(text: str) -> None:
     """Print a remark in one line on standard error, with escapes for characters that a terminal would obey."""
-    line = visible(" ".join(text.split()))
+    line = visible(without_secrets(" ".join(text.split())))
     if len(line) > LONGEST_REMARK:
         line = f"{line[: LONGEST_REMARK // 2]} […] {line[-LONGEST_REMARK // 2 :]}"
     click.echo(line, err=True)

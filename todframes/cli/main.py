@@ -30,7 +30,7 @@ from todframes.cli.console import (
 from todframes.cli.experiment import experiment
 from todframes.cli.new import new
 from todframes.cli.noise import noise
-from todframes.cli.options import dataset_argument, json_option, strict_option
+from todframes.cli.options import dataset_argument, json_option, max_frame_option, strict_option
 from todframes.cli.recordings import import_command
 from todframes.cli.score import fit, naked_eye, score
 from todframes.cli.studies import accuracy, stability
@@ -76,9 +76,10 @@ def cli() -> None:
     is_flag=True,
     help="If all is good, write the checksum of each frame that has none into manifest.csv.",
 )
+@max_frame_option
 @strict_option
 @json_option
-def validate(*, dataset: Location, add_sha256: bool, strict: bool, as_json: bool) -> None:
+def validate(*, dataset: Location, add_sha256: bool, max_frame_mb: int, strict: bool, as_json: bool) -> None:
     """Check every file and row of DATASET, and what its frames show, without scoring.
 
     Each problem and each warning is one line.
@@ -92,7 +93,7 @@ def validate(*, dataset: Location, add_sha256: bool, strict: bool, as_json: bool
     from todframes.report.result import Result
     from todframes.report.wording import count
 
-    data = load_dataset(dataset)
+    data = load_dataset(dataset, max_frame_mb=max_frame_mb)
     if add_sha256:
         check_writable(data)
     sha256_of: dict[str, str] = {}
@@ -117,7 +118,7 @@ def validate(*, dataset: Location, add_sha256: bool, strict: bool, as_json: bool
     problems.close()
     if add_sha256 and not problems.count:
         write_sha256(data, sha256_of)
-        data = load_dataset(dataset)
+        data = load_dataset(dataset, max_frame_mb=max_frame_mb)
     record, warnings = inspected(data, data.trials.select(good))
     result = Result.made("validate", start, dataset=record, skipped=tuple(found), warnings=warnings)
     for line in warning_lines(result.warnings):

@@ -55,7 +55,7 @@ def score(*, dataset: Location, out: str | None, quiet: bool, **asked: Any) -> N
     from todframes import api
     from todframes.frames.dataset import load_dataset
 
-    data = load_dataset(dataset)
+    data = load_dataset(dataset, max_frame_mb=asked.pop("max_frame_mb"))
     with long_run(out, asked, quiet=quiet) as place:
         with progress("scoring", len(data.trials) * PASSES[asked["locate"]], quiet=quiet) as advance:
             result = api.score(
