@@ -26,7 +26,8 @@ import sitters
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a campaign and print what it has found. Returns the exit status."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("campaign", choices=["mutations", "kills", "long-run", "faults", "decoys", "servers", "people"])
+    names = ["mutations", "kills", "long-run", "faults", "decoys", "servers", "people"]
+    parser.add_argument("campaign", choices=names)
     parser.add_argument(
         "n", nargs="?", type=int, help="number of mutations, kills or people of a kind [default: 10,000, 100, 5]"
     )
