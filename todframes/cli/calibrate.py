@@ -86,7 +86,7 @@ def calibrate(
     """
     asked["internal_noise"] = None  # it is fitted
     observer, fit = make_observer(asked)
-    from todframes import api
+    import todframes as tod
     from todframes.experiment.answers import read_answers
     from todframes.frames.dataset import load_dataset
     from todframes.report import calibration
@@ -99,7 +99,7 @@ def calibrate(
     )
     with staged(out) as place:
         with progress("scoring", n_trials, quiet=quiet) as advance:
-            result = api.calibrate(answers, data, observer=observer, fit=fit, progress=advance, **asked)
+            result = tod.calibrate(answers, data, observer=observer, fit=fit, progress=advance, **asked)
         place.write(result.files)
     if not quiet:
         for one in result.skipped:

@@ -81,11 +81,11 @@ def noise(
     """
     if sensor and as_json:
         raise SettingsError("noise: found --sensor and --json, expected one of them")
-    from todframes import api
+    import todframes as tod
 
     with staged(out) as place:
         with progress("reading", None, quiet=quiet) as advance:
-            result = api.noise(
+            result = tod.noise(
                 recording,
                 region=None if region is None else _region(region),
                 patches=dict(map(_patch, patches)),
