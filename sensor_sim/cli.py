@@ -23,6 +23,7 @@ from todframes.cli.console import (
     say,
     staged,
     terminal_width,
+    time_line,
 )
 from todframes.cli.options import (
     json_option,
@@ -156,6 +157,11 @@ def curve(*, sensor: Path, sizes: str, out: str | None, quiet: bool, **asked: An
 )
 @click.option("--keep-fill-factor", is_flag=True, help="Let the detectors' width follow a varied pitch.")
 @click.option(
+    "--couple-netd",
+    is_flag=True,
+    help="Let the NETD follow aperture and detectors: NETD ∝ f-number² / area of a detector.",
+)
+@click.option(
     "--minimise",
     metavar="COLUMN[,…]",
     help="Columns to be low for the trade-off front: varied keys, delta_t_mk, threshold_snr, acuity_mrad, "
@@ -229,7 +235,7 @@ def sweep(
         print_table(problems)
     for sentence in result.sentences():
         echo(*textwrap.wrap(sentence, terminal_width()))
-    echo(f"{result.run_time_s:.2f} s")
+    echo(time_line())
     if out is not None:
         echo(f"written: {out}")
 
