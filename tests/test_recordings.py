@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import hashlib
+import json
+import os
 import re
+import shutil
 import struct
 import sys
 import zipfile
@@ -547,3 +550,22 @@ def test_the_extras_bring_no_second_opencv():
 
 def test_raw_extensions_are_none_of_flir():
     assert not {".fff", ".tif", ".tiff"} & set(raw.SUFFIXES)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems have names in Unicode")
+def test_folders_whose_names_are_no_utf_8_are_read(tmp_path):
+    folder = Path(os.fsdecode(os.fsencode(tmp_path) + b"/caf\xe9"))
+    folder.mkdir()
+    counts = RNG.integers(600, 16000, (64, 96)).astype(np.uint16)
+    for name in ("a.png", "a.tif"):
+        write_image(tmp_path / name, counts[..., np.newaxis])
+        shutil.move(tmp_path / name, folder / name)
+    dng(folder / "a.dng", counts, black=0, white=16383, mosaic=False)
+    (folder / "a.fff").write_bytes(fff(counts))
+    np.save(folder / "a.npy", counts)
+    for name in ("a.png", "a.tif", "a.dng", "a.fff", "a.npy"):
+        np.testing.assert_array_equal(values_of(folder / name), counts[np.newaxis])
+    (tmp_path / "s.csv").write_text("orientation,size_px,contrast\nup,9,0.5\n")
+    done = tod.import_recordings(folder / "a.npy", schedule=tmp_path / "s.csv", out=folder / "out")
+    assert json.loads((folder / "out" / "import.json").read_text())["n_frames"] == 1
+    assert len(tod.load_dataset(done.path).trials) == 1

@@ -451,4 +451,4 @@ def _settings(source: Source, display_table: str) -> str:
 
 
 def _write(path: Path, text: str) -> None:
-    path.write_text(text, encoding="utf-8")
+    path.write_text(text, encoding="utf-8", errors="backslashreplace")  # names may be no UTF-8
