@@ -201,7 +201,7 @@ class Walk:
         return what
 
     def saved(self) -> list[str]:
-        """Save; return how the file differs from the controls. The page may refuse what is impossible, with a line."""
+        """Save; return how the file differs from the controls. The page may refuse what is impossible."""
         fields: dict[str, str] = self.page.evaluate(
             "Object.fromEntries([...document.querySelectorAll('#controls [id^=field-]:not(p, span, label)')]"
             ".map((one) => [one.id.slice('field-'.length).replace('-', '.'), one.value]))"
