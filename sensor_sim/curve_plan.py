@@ -30,8 +30,8 @@ from todframes.stimulus import ORIENTATIONS, Orientation, Stimulus, bounding_box
 FULL_PLACES = 17
 """Number of places along each axis that a full plan begins with: twelve times the trials of most thresholds."""
 
-ORTHANT_NODES = 24
-"""Number of quadrature nodes; it gives 1e-14 for templates that differ as those of the triangles do."""
+ORTHANT_TOLERANCE = 1e-8
+"""Error of each P(correct): in a threshold it is 1e-7 of it at most, a ten-thousandth of what is asked for."""
 
 TRIED_AT = ((0.0, 0.0), (0.5, 0.5), (0.25, -0.375))
 """Places, in detectors from the field's middle, at which the omissions are bounded."""
@@ -313,7 +313,7 @@ class _CurvePlanner:
 
         def proportion(snr: float) -> float:
             covariance = self.readout.noise_covariance + noise / snr**2
-            return float(answer_probability(signal, covariance, 0, nodes=ORTHANT_NODES).mean())
+            return float(answer_probability(signal, covariance, 0, tolerance=ORTHANT_TOLERANCE).mean())
 
         _, threshold = crossing(proportion, p_correct, near=None, slope=math.nan)
         self.snr = threshold if threshold is not None and self.full.external_noise else math.inf

@@ -20,7 +20,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from sensor_sim.curve_plan import ORTHANT_NODES, CurvePlan, centre_offset, linear_readout, plan_curve
+from sensor_sim.curve_plan import ORTHANT_TOLERANCE, CurvePlan, centre_offset, linear_readout, plan_curve
 from sensor_sim.noise import excess_kurtosis
 from sensor_sim.sensor import Sensor
 from todframes._typing import FloatArray
@@ -182,7 +182,9 @@ class FoldedChain:
 
     def _p_correct(self, phases: Phases, snr: float, contrast: float = 1.0) -> FloatArray:
         covariance = self.noise_covariance + phases.noise[:, None] * (contrast / snr) ** 2
-        return answer_probability(contrast * phases.signal, covariance, phases.correct, nodes=ORTHANT_NODES)
+        return answer_probability(
+            contrast * phases.signal, covariance, phases.correct, tolerance=ORTHANT_TOLERANCE
+        )
 
     def error(self, pooled: list[Phases], threshold: float) -> tuple[float, float]:
         """Return the half-width of the 95 % interval of a threshold, from the spread of P among replicates.

@@ -18,7 +18,7 @@ from typing import Any, Generic, NamedTuple, TypeVar, cast
 
 import numpy as np
 
-from sensor_sim.curve_plan import CurvePlan, plan_curve
+from sensor_sim.curve_plan import ORTHANT_TOLERANCE, CurvePlan, plan_curve
 from sensor_sim.explorer.estimate import (
     FEW_PLACES,
     MORE_PLACES,
@@ -56,8 +56,8 @@ FAR_TOO_LARGE = 1.5
 """Error of an estimate, in tolerances, above which it is worth more time. What is stated is the upper end of the
 error, and mostly several times what it is; the estimate that is there in time then is good enough."""
 
-REFINED_NODES, PLACES_AT_ONCE = 12, 256
-"""Number of quadrature nodes, which gives 1e-7, and of places between two checks."""
+PLACES_AT_ONCE = 256
+"""Number of places between two checks."""
 
 
 class Request(NamedTuple):
@@ -309,5 +309,5 @@ class _KeptChain(FoldedChain):
             part = slice(start, start + PLACES_AT_ONCE)
             covariance = covariance_at(self._level, snr, self.noise_covariance, phases.noise[part, None])
             scores = phases.signal[part]
-            found.append(answer_probability(scores, covariance, phases.correct, nodes=REFINED_NODES))
+            found.append(answer_probability(scores, covariance, phases.correct, tolerance=ORTHANT_TOLERANCE))
         return np.concatenate(found)

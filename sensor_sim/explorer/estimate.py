@@ -47,8 +47,8 @@ Both axes have the same ones, so that what is computed for a place along one ser
 STANDARD_ERRORS_95 = 2.776
 """Half-width of a 95 % interval in standard errors: Student's t with one degree of freedom less than lattices."""
 
-NODES = 8
-"""Number of quadrature nodes; it gives 1e-5."""
+ORTHANT_TOLERANCE = 1e-5
+"""Error of each P(correct)."""
 
 FIELD_IN_SIZES = 2.0
 """Side of the detectors' field in sizes of the triangle, without the reach of blur: the least that plans leave."""
@@ -291,7 +291,10 @@ def estimate(
     def of_each(value: float) -> FloatArray:
         proportions = [
             answer_probability(
-                part.signal, covariance_at(level, value, internal, part.noise[:, None]), part.correct, nodes=NODES
+                part.signal,
+                covariance_at(level, value, internal, part.noise[:, None]),
+                part.correct,
+                tolerance=ORTHANT_TOLERANCE,
             )
             .reshape(REPLICATES, -1)
             .mean(axis=1)
