@@ -18,13 +18,12 @@ import pytest
 
 from sensor_sim.curve_plan import plan_curve
 from sensor_sim.explorer.engine import FAR_TOO_LARGE, Engine, Request
-from sensor_sim.explorer.estimate import Level
 from sensor_sim.explorer.limits import Shares, decision_shares, what_limits
 from sensor_sim.explorer.live import LiveCurves
 from sensor_sim.explorer.scaled import Unit, unit_of
 from sensor_sim.folding import Folding
 from sensor_sim.noise import delta_t_mk
-from sensor_sim.predict import FoldedChain, Phases, PredictedThreshold, predict_threshold
+from sensor_sim.predict import FoldedChain, Level, Phases, PredictedThreshold, predict_threshold
 from sensor_sim.sensor import Detector, Noise, Optics, Sensor, SensorDisplay
 from todframes.errors import SettingsError
 from todframes.observers.hotelling import HotellingObserver
@@ -226,7 +225,7 @@ def test_cancelled_computations_leave_what_is_kept_right():
 
     interrupted, n_stopped = Engine(check), 0
     while n_stopped < 30:
-        calls, stop_at = 0, stop_at + 7
+        calls, stop_at = 0, stop_at + 5
         try:
             computed(interrupted, MOVES[n_stopped % 2])
             break  # all of it was computed before the next stop

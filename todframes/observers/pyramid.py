@@ -302,9 +302,10 @@ class PyramidObserver:
             other scores; and the covariance of the noise on all four.
         """
         upright = self._readout_deviation(stimulus, dtype)
-        return self._fold(upright, self.grid(stimulus), half_width), summed_covariance(
-            self._all_turns(upright), self.settings.noise_sd
-        )
+        # In single precision the sums would be no covariance.
+        exact = tuple(band.astype(np.float64) for band in upright)
+        covariance = summed_covariance(self._all_turns(exact), self.settings.noise_sd)
+        return self._fold(upright, self.grid(stimulus), half_width), covariance
 
     def _readout(self, stimulus: Stimulus) -> Readout:
         """Fold pyramid and templates onto the retina: A_k = Lᵀ t_k."""
