@@ -116,12 +116,18 @@ class TriangleSampler:
             return
         last = band_limit_cyc_per_mrad(optics) * detector.pitch_mrad * period
         if last < 1.0:
-            raise SettingsError(f"optics: found a cut-off of {last:g} cycles in {period} detectors, expected >= 1")
+            raise SettingsError(_passes_nothing(optics, last))
         if 2.0 * last**2 > MAX_FREQUENCIES:
             self.sharp = True
             self.neglected_bound = sharpness_bound(optics, width_mrad=detector.width_mrad)
             if self.neglected_bound > MAX_NEGLECTED:
-                raise SettingsError(too_many_frequencies(2.0 * last**2))
+                largest = detector.pitch_mrad * math.sqrt(MAX_FREQUENCIES / 2.0) / last
+                raise SettingsError(
+                    f"detector.pitch_mrad: found {detector.pitch_mrad:g}, too coarse to compute with a width of "
+                    f"{detector.width_mrad:g} mrad and optics that pass "
+                    f"{band_limit_cyc_per_mrad(optics):.4g} cycles/mrad; expected at most {largest:.3g}, "
+                    "or wider detectors"
+                )
         else:
             self._prepare_spectrum(optics, detector, last)
 
@@ -280,9 +286,15 @@ def field_detectors(sensor: Sensor, size_detectors: float) -> int:
     blur = 3.0 * sensor.optics.blur_sigma_mrad / sensor.detector.pitch_mrad
     field = FIELD_SIZES * size_detectors + 2.0 * blur + FIELD_MARGIN_DETECTORS
     if field > MAX_FIELD_DETECTORS:
+        room = MAX_FIELD_DETECTORS - FIELD_MARGIN_DETECTORS
+        if (of_blur := room - FIELD_SIZES * size_detectors) <= 0.0:
+            raise SettingsError(
+                f"size_detectors: found {size_detectors:g}, expected at most {room / FIELD_SIZES:g}"
+            )
         raise SettingsError(
-            f"field: a triangle of {size_detectors:g} detectors and optics.blur_sigma_mrad of "
-            f"{sensor.optics.blur_sigma_mrad:g} need {field:.6g} detectors, expected at most {MAX_FIELD_DETECTORS}"
+            f"optics.blur_sigma_mrad: found {sensor.optics.blur_sigma_mrad:g}, expected at most "
+            f"{of_blur / 6.0 * sensor.detector.pitch_mrad:.4g} with detectors {sensor.detector.pitch_mrad:g} mrad "
+            f"apart and a triangle of {size_detectors:g} detectors"
         )
     return math.ceil(field)
 
@@ -325,10 +337,17 @@ def _upright_place(
     return x, y
 
 
-def too_many_frequencies(number: float) -> str:
-    """Return the message that the sum over a field or image would have too many terms."""
-    limit = f"at most {MAX_FREQUENCIES:.2g}; take fewer detectors or a smaller image"
-    return f"field: found {number:.2g} frequencies below the optics' cut-off, expected {limit}"
+def _passes_nothing(optics: Optics, cycles: float) -> str:
+    """Return the message that optics pass less than one cycle per period: `cycles`."""
+    if band_limit_cyc_per_mrad(optics) < optics.cut_off_cyc_per_mrad:
+        return (
+            f"optics.blur_sigma_mrad: found {optics.blur_sigma_mrad:g}, which passes nothing of a triangle to "
+            f"such detectors; expected at most {cycles * optics.blur_sigma_mrad:.4g}"
+        )
+    return (
+        f"optics.aperture_mm: found {optics.aperture_mm:g}, which passes nothing of a triangle to such detectors "
+        f"at a wavelength of {optics.wavelength_um:g} µm; expected at least {optics.aperture_mm / cycles:.4g}"
+    )
 
 
 def sample_image(
@@ -382,7 +401,10 @@ def sample_image(
     ]
     n_frequencies = 2.0 * highest**2 * sides[0] * sides[1]
     if n_frequencies > MAX_FREQUENCIES:
-        raise SettingsError(too_many_frequencies(n_frequencies))
+        raise SettingsError(
+            f"image: the optics pass {n_frequencies:.2g} spatial frequencies of it, expected at most "
+            f"{MAX_FREQUENCIES:.2g}; take a smaller image"
+        )
     n_y, n_x = image.shape
     k_y = np.arange(-math.floor(highest * sides[0]), math.floor(highest * sides[0]) + 1)
     k_x = np.arange(math.floor(highest * sides[1]) + 1)

@@ -431,7 +431,7 @@ def test_settings_of_a_person_with_a_strange_name(results) -> None:
 def test_warnings() -> None:
     def person(subject: str | None, p_value: float) -> PersonFit:
         fit = fitted(logistic_table(1.0, each=40), answers(30, 40))
-        return PersonFit(subject, 40, 30, replace(fit, deviance_p_value=p_value), ())
+        return PersonFit(subject, 40, 30, {}, replace(fit, deviance_p_value=p_value), ())
 
     people = (person("m1", 0.002), person("p2", 0.5))
     poor, differ = Calibrated(people, person(None, 0.001), 1e-4, ()).warnings()

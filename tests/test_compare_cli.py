@@ -68,15 +68,10 @@ def dataset(make_dataset) -> Path:
 
 
 @pytest.fixture
-def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def here(working_folder: Path) -> Path:
     """A folder with a user's module, from which commands are run."""
-    folder = tmp_path / "here"
-    folder.mkdir()
-    (folder / "my_algorithms.py").write_text(OWN, encoding="utf-8")
-    monkeypatch.chdir(folder)
-    monkeypatch.setattr(sys, "path", [path for path in sys.path if path])
-    yield folder
-    sys.modules.pop("my_algorithms", None)
+    (working_folder / "my_algorithms.py").write_text(OWN, encoding="utf-8")
+    return working_folder
 
 
 SPECS = ("--enhance", "gaussian:sigma=2", "--enhance", "my_algorithms:twice", "--enhance", "my_algorithms:flat")

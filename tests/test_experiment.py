@@ -27,7 +27,15 @@ import pytest
 from todframes.cli.console import run
 from todframes.cli.main import cli
 from todframes.errors import DataError, FrameError, OutputError, SettingsError
-from todframes.experiment.answers import TrialRow, count_file, data_path, read_answers, read_sidecar, sidecar_path
+from todframes.experiment.answers import (
+    Flag,
+    TrialRow,
+    count_file,
+    data_path,
+    read_answers,
+    read_sidecar,
+    sidecar_path,
+)
 from todframes.experiment.monitor import Calibration, MonitorError
 from todframes.experiment.order import TrialOrder
 from todframes.experiment.session import Design, StepError, frames_sha256, open_sitting
@@ -90,7 +98,7 @@ def order(dataset, out, **design: Any) -> tuple[TrialOrder, Any]:
         return TrialOrder(dataset.trials, sitting.record), sitting.record
 
 
-def row_of(dataset, following, number: int, *, is_right: bool = True) -> TrialRow:
+def row_of(dataset, following, number: int, *, is_right: bool = True, flag: Flag | None = None) -> TrialRow:
     trial = dataset.trials[following.row]
     wrong = Orientation.UP if trial.orientation is not Orientation.UP else Orientation.DOWN
     return TrialRow(
@@ -100,7 +108,8 @@ def row_of(dataset, following, number: int, *, is_right: bool = True) -> TrialRo
         sha256="",
         orientation=trial.orientation,
         response=trial.orientation if is_right else wrong,
-        response_time_ms=1.0,
+        response_time_ms=400.0,
+        flag=flag,
         level=trial.level,
         group=trial.group,
         size_mrad=trial.stimulus.size_mrad,
@@ -190,6 +199,60 @@ def test_the_order_does_not_depend_on_where_a_session_was_ended(dataset, out):
         assert row_of(dataset, again.next(rows[:k]), k + 1) == rows[k]
 
 
+@pytest.mark.parametrize("method", ["constant", "quest"])
+def test_flagged_trials_come_again_later_and_leave_the_plan_as_it_was(dataset, out, method):
+    """All trials of the dataset have an answer that counts at the end; none comes again at once."""
+    found, _ = order(dataset, out, method=method, trials=24, practice=0)
+    rows: list[TrialRow] = []
+    while (following := found.next(rows)) is not None:
+        rows.append(
+            row_of(dataset, following, len(rows) + 1, flag="too_fast" if len(rows) in (3, 4, 10) else None)
+        )
+    assert len(rows) == 27
+    assert len({row.frame for row in rows if row.flag is None}) == 24
+    if method == "constant":
+        assert all(a.frame != b.frame for a, b in pairwise(rows))
+
+
+def test_flagged_answers_do_not_move_quest(dataset, out):
+    """QUEST+ chooses the levels after answers that are flagged, right or wrong, as if they had not been given."""
+    found, _ = order(dataset, out, method="quest", trials=8, practice=0)
+    rows = sit_through(dataset, found, lambda _: False)[:4]
+    level = dataset.trials[found.next(rows).row].level
+    following = found.next(rows)
+    for is_right in (True, False):
+        more = [row_of(dataset, following, 5 + k, is_right=is_right, flag="hidden") for k in range(2)]
+        again = found.next([*rows, *more])
+        assert dataset.trials[again.row].level == level
+        assert dataset.trials[again.row].group == dataset.trials[following.row].group
+
+
+@pytest.mark.parametrize("method", ["constant", "quest"])
+def test_a_person_who_never_looks_comes_to_an_end(dataset, out, method):
+    found, _ = order(dataset, out, method=method, trials=10, practice=0)
+    rows: list[TrialRow] = []
+    while (following := found.next(rows)) is not None:
+        rows.append(row_of(dataset, following, len(rows) + 1, flag="too_fast"))
+    assert len(rows) == 10 + 3  # a quarter more, rounded up
+    assert found.next(rows[:-1]) is not None
+
+
+def test_practice_comes_again_until_enough_is_correct(dataset, out):
+    found, _ = order(dataset, out, trials=4, practice=4, practice_correct=0.75)
+    rows: list[TrialRow] = []
+    for is_right, flag in (
+        *[(True, None)] * 2, *[(False, None)] * 2,  # 2 of 4
+        *[(True, None)] * 2, *[(True, "too_fast")] * 2,  # 2 that count
+        *[(True, None)] * 3, (False, None),  # enough
+    ):  # fmt: skip
+        following = found.next(rows)
+        assert following.phase == "practice"
+        rows.append(row_of(dataset, following, len(rows) + 1, is_right=is_right, flag=flag))
+    assert {row.frame for row in rows[:4]} == {row.frame for row in rows[4:8]}
+    assert found.practised(rows) == (3, 3, 3)
+    assert found.next(rows).phase == "main"
+
+
 def test_a_level_with_one_group_only_is_enough(make_dataset, out):
     data = load_dataset(make_dataset(contrasts=(0.3,), experiment={"group_by": []}).path)
     assert len(sit_through(data, order(data, out, method="quest", trials=4, practice=1)[0])) == 5
@@ -223,14 +286,14 @@ def test_a_session_from_consent_to_the_last_answer(dataset, out):
 
 
 def test_feedback_is_given_in_practice_only(dataset, out):
-    with open_sitting(dataset, out, design=SHORT) as sitting:
+    with open_sitting(dataset, out, design=replace(SHORT, practice_correct=0.5)) as sitting:
         begin(sitting)
         for expected in (True, False, None):
             asked, state = sitting.trial(), sitting.state()
             assert state["feedback"] == (expected is not None)
             right = sitting._prepare().picture.trial.orientation
             wrong = Orientation.UP if right is not Orientation.UP else Orientation.DOWN
-            said = sitting.answer(asked["number"], wrong if expected is False else right, 1.0)
+            said = sitting.answer(asked["number"], wrong if expected is False else right, 400.0)
             assert said["correct"] is expected
 
 
@@ -268,8 +331,8 @@ def test_an_answer_given_twice_is_saved_once(dataset, out):
         begin(sitting)
         asked = sitting.trial()
         right = sitting._prepare().picture.trial.orientation
-        first = sitting.answer(asked["number"], right, 1.0)
-        again = sitting.answer(asked["number"], None, 2.0)
+        first = sitting.answer(asked["number"], right, 400.0)
+        again = sitting.answer(asked["number"], None, 500.0)
         assert again == first
         assert len(sitting.rows) == 1
         assert sitting.rows[0].response is right
@@ -317,6 +380,83 @@ def test_a_time_limit_that_passed_is_a_trial_without_response(dataset, out):
     assert session.rows[0].response is None
     assert len(session.main_rows()) == 3
     assert sum(counts[:, 2].sum() for _, counts in read_counts(count_file(out, "P1"))) == 3
+
+
+def test_answers_that_say_nothing_are_flagged_and_their_trials_shown_again(dataset, out):
+    """5 ms after the picture nobody has seen it, and nobody sees a page that is hidden."""
+    with open_sitting(dataset, out, subject="P1", design=Design(trials=4, practice=0, seed=5)) as sitting:
+        begin(sitting)
+        for time_ms, lost, flag in (
+            (5.0, None, "too_fast"),
+            (149.999, None, "too_fast"),
+            (150.0, None, None),
+            (900.0, "hidden", "hidden"),
+            (900.0, "unfocused", "unfocused"),
+        ):
+            said = sitting.answer(sitting.trial()["number"], Orientation.UP, time_ms, lost=lost)
+            assert (said["flag"], sitting.rows[-1].flag) == (flag, flag)
+        assert said["total"] == 4 + 1  # a quarter of 4 is shown again at most
+        assert said["step"] == "done"
+        assert ("Left out", "4: too fast, or given while this page was not in front") in said["summary"]
+    assert sum(counts[:, 2].sum() for _, counts in read_counts(count_file(out, "P1"))) == 1
+
+
+def test_flagged_answers_count_where_they_are_asked_for(dataset, out):
+    design = Design(trials=4, practice=0, seed=5, include_flagged=True)
+    with open_sitting(dataset, out, subject="P1", design=design) as sitting:
+        begin(sitting)
+        for _ in range(4):
+            said = sitting.answer(sitting.trial()["number"], Orientation.UP, 5.0)
+    assert (said["step"], len(said["summary"])) == ("done", 1)
+    assert sum(counts[:, 2].sum() for _, counts in read_counts(count_file(out, "P1"))) == 4
+    assert {row.flag for row in sitting.rows} == {"too_fast"}
+
+
+def test_a_flagged_answer_of_the_practice_says_why_and_not_whether_it_was_right(dataset, out):
+    with open_sitting(dataset, out, design=SHORT) as sitting:
+        begin(sitting)
+        said = sitting.answer(sitting.trial()["number"], Orientation.UP, 5.0)
+        assert (said["flag"], said["correct"]) == ("too_fast", None)
+
+
+def test_a_session_that_was_stopped_stays_and_goes_on_only_if_it_is_named(dataset, out):
+    with open_sitting(dataset, out, subject="P1", design=SHORT) as sitting:
+        with pytest.raises(StepError, match="at the step consent, which cannot be stopped"):
+            sitting.stop()
+        begin(sitting)
+        answer_rightly(sitting)
+        assert sitting.stop()["step"] == "stopped"
+        with pytest.raises(StepError, match="at the step stopped, which has no trial"):
+            sitting.trial()
+    assert read_sidecar(sidecar_path(data_path(out, "P1"))).stopped_at
+    with open_sitting(dataset, out, design=SHORT) as sitting:
+        assert sitting.record.subject != "P1"
+    with open_sitting(dataset, out, subject="P1", design=SHORT) as sitting:
+        assert (sitting.state()["step"], len(sitting.rows)) == ("practice", 1)
+    assert read_sidecar(sidecar_path(data_path(out, "P1"))).stopped_at is None
+
+
+def test_the_text_of_consent_has_a_contact_and_the_right_to_withdraw(dataset, out):
+    with open_sitting(dataset, out, design=SHORT, contact="Jo <jo@lab.example>") as sitting:
+        said = sitting.state()["consent_text"]
+    for words in ("You may withdraw", "Jo <jo@lab.example>", "stop at any time"):
+        assert words in said
+    with open_sitting(dataset, out, subject="P2", design=SHORT, consent_text="{contact}") as sitting:
+        assert sitting.state()["consent_text"] == "{contact}"  # a text of one's own is as it is
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has other permissions")
+def test_nobody_but_their_owner_reads_the_answers(dataset, out):
+    before = os.umask(0)
+    try:
+        with open_sitting(dataset, out, subject="P1", design=SHORT) as sitting:
+            begin(sitting)
+            finish(sitting)
+    finally:
+        os.umask(before)
+    found = {str(path.relative_to(out)): path.stat().st_mode & 0o777 for path in [out, *out.rglob("*")]}
+    assert set(found) >= {".", "data", "counts", "data/subject-P1_session-1_data.csv", "dataset_description.json"}
+    assert found == {name: 0o700 if (out / name).is_dir() else 0o600 for name in found}
 
 
 def test_a_monitor_that_cannot_show_the_frames_is_refused_with_a_reason(make_dataset, out):
@@ -496,7 +636,7 @@ def test_random_ids_are_letters_and_digits(dataset, out):
     [
         ({"trials": 0}, "trials: found 0, expected a whole number from 1"),
         ({"practice": -1}, "practice: found -1"),
-        ({"time_limit_s": 0.0}, "time_limit_s: found 0.0, expected a number from 0.1 to 3600"),
+        ({"time_limit_s": 0.0}, "time_limit_s: found 0.0, expected a number from 0.2 to 3600"),
         ({"background": 1.5}, "background: found 1.5"),
         ({"method": "guess"}, "method: found 'guess', expected one of constant, quest"),
         ({"seed": -1}, "seed: found -1"),
@@ -792,6 +932,7 @@ def posted(connection: http.client.HTTPConnection, token: str, path: str, **body
 @pytest.mark.slow
 def test_a_server_killed_between_answers_and_during_one_loses_none(dataset, out):
     options = ("--trials", "6", "--practice", "1", "--seed", "4", "--break-every", "0", "--subject", "P1")
+    options += ("--practice-correct", "0")
     saved = 0
     for kill_after in (3, 2, 9):
         process, connection, token = launched(dataset, out, *options)
@@ -804,13 +945,13 @@ def test_a_server_killed_between_answers_and_during_one_loses_none(dataset, out)
                 break
             number = posted(connection, token, "/api/trial")["number"]
             assert number == saved + 1
-            state = posted(connection, token, "/api/answer", number=number, response="up", response_time_ms=1)
+            state = posted(connection, token, "/api/answer", number=number, response="up", response_time_ms=400)
             saved += 1
         if state["step"] != "done":
             # One more answer is on its way when the server dies: it is there, or it is not.
             number = posted(connection, token, "/api/trial")["number"]
             headers = {"X-Token": token, "Content-Type": "application/json"}
-            body = json.dumps({"number": number, "response": "up", "response_time_ms": 1})
+            body = json.dumps({"number": number, "response": "up", "response_time_ms": 400})
             connection.request("POST", "/api/answer", body, headers)
             process.send_signal(signal.SIGKILL)
             process.wait()

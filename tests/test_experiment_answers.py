@@ -249,8 +249,13 @@ def test_a_folder_that_cannot_be_written_is_told(path):
         ("1,main,", "2,main,", "line 2: trial: found 2, expected 1"),
         ("1,main,", "1,lunch,", "line 2: phase: found 'lunch'"),
         (",0.05,", ",-0.05,", "line 2: contrast: found '-0.05', expected a finite number > 0"),
+        (
+            ",512.25,,",
+            ",512.25,slow,",
+            "line 2: flag: found 'slow', expected one of , hidden, unfocused, too_fast",
+        ),
         (",77,", ",7.7,", "line 2: dither_seed: found '7.7', expected a whole number"),
-        (",77,", ",77,,", "line 2: found 15 fields, expected 14"),
+        (",77,", ",77,,", "line 2: found 16 fields, expected 15"),
         ("trial,", "Trial,", "found the columns Trial, phase"),
         ("1,main", '"1,main', "not CSV of UTF-8"),
     ],
@@ -315,6 +320,35 @@ def test_counts_are_those_of_main_trials_with_a_response(path):
     # rows(6): up, left, none, up, left, none at 0.05 and 0.1 by turns, right when up.
     expected = {(2.0, "'=warm"): [[0.01, 0, 1], [0.05, 1, 2], [0.1, 1, 2]], ("warm", 3.0): [[0.05, 1, 1]]}
     assert found == expected
+
+
+def test_flagged_answers_count_only_if_they_are_included(path):
+    flags = [None, "hidden", "too_fast", "unfocused", None, "too_fast"]
+    write(
+        path, [replace(row, response=Orientation.UP, flag=flag) for row, flag in zip(rows(6), flags, strict=True)]
+    )
+    (session,) = read_answers(path.parent.parent)
+    assert [row.flag for row in session.rows] == flags
+    assert [row.number for row in session.main_rows()] == [1, 5]
+    assert session.n_flagged() == {"hidden": 1, "unfocused": 1, "too_fast": 2}
+    (session,) = read_answers(path.parent.parent, include_flagged=True)
+    assert len(session.main_rows()) == 6
+    for record, n_trials in ((RECORD, 2), (replace(RECORD, include_flagged=True), 6)):
+        out = count_file(path.parent.parent, "P1")
+        out.parent.mkdir(exist_ok=True)
+        write_counts(out, record, session.rows)
+        assert sum(counts[:, 2].sum() for _, counts in read_counts(out)) == n_trials
+
+
+def test_answers_of_an_earlier_version_are_flagged_by_their_times_and_cannot_go_on(path):
+    write(path, [ROW, replace(ROW, number=2, response_time_ms=149.9), replace(ROW, number=3, response=None)])
+    path.write_text(path.read_text().replace(",flag,", ",").replace("9.9,,", "9.9,").replace(".25,,", ".25,"))
+    (session,) = read_answers(path.parent.parent)
+    assert [row.flag for row in session.rows] == [None, "too_fast", None]
+    before = path.read_bytes()
+    with AnswerFile(path) as file, pytest.raises(DataError, match="earlier version, without the column flag"):
+        file.begin(SHOWN)
+    assert path.read_bytes() == before
 
 
 @pytest.mark.parametrize(("distance_mm", "size"), [(1000.0, 2.0), (1003.0, 2.0), (500.0, 4.0)])

@@ -7,16 +7,27 @@ the page: noise on every neuron, which `todframes calibrate` does not draw.
 from __future__ import annotations
 
 import base64
-import csv
 import json
-import socket
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 import pytest
-from browser import OpenPage, serving
+from browser import OpenPage
+from experiment_page import (
+    CODE,
+    HURRY,
+    KEYS,
+    UNREACHABLE,
+    experiment,
+    free_port,
+    measure_monitor,
+    saved_rows,
+    shown_on_screen,
+    sidecar,
+    trial_shown,
+)
 
 import todframes as tod
 from todframes.cli.console import run
@@ -26,108 +37,10 @@ from todframes.observers.retina import resample
 pytestmark = pytest.mark.slow
 
 INTERNAL_NOISE = 0.35
-CODE = 186
-"""Code value that the person matches with the half-tone: as bright as half of white."""
 GAMMA = np.log(0.5) / np.log(CODE / 255)
 LUMINANCE = (np.arange(256) / 255) ** GAMMA
 """Luminance of each code value of the person's monitor, over that of white."""
 CONTRAST = LUMINANCE / LUMINANCE[CODE] - 1.0
-KEYS = {"up": "ArrowUp", "right": "ArrowRight", "down": "ArrowDown", "left": "ArrowLeft"}
-# A page asks again each second, until its server is back: that one has another token.
-UNREACHABLE = ["net::ERR_", "status of 403"]
-NEXT = """async () => {
-  const begin = performance.now();
-  for (; performance.now() < begin + 30000; await new Promise((done) => setTimeout(done))) {
-    const found = document.querySelector("#stage[data-trial], #pause:not([hidden]), #done:not([hidden])");
-    if (found) return found.dataset.trial ?? found.id;
-  }
-}"""
-# A person needs the pauses between trials, and the time to read "Correct"; this one does not.
-HURRY = "const wait = setTimeout; window.setTimeout = (call, time) => wait(call, time < 1000 ? 0 : time);"
-
-
-def experiment(dataset: Path, answers: Path, *options: object) -> Any:
-    return serving("todframes", "experiment", dataset, "-o", answers, "--no-browser", *map(str, options))
-
-
-def measure_monitor(page: Any, *, drag_px: int | None = None, photometer: bool = False) -> None:
-    """Go through the four screens of the monitor, by keyboard or with a pointer, and the instructions."""
-    page.wait_for_selector("#size:not([hidden])")
-    edge = page.locator("#card-edge")
-    if drag_px is None:
-        edge.focus()
-        page.keyboard.press("PageUp")
-        page.keyboard.press("ArrowLeft")
-    else:
-        box = edge.bounding_box()
-        page.mouse.move(box["x"] + box["width"] - 1, box["y"] + 20)
-        page.mouse.down()
-        page.mouse.move(page.locator("#card").bounding_box()["x"] + drag_px, box["y"] + 40)
-        page.mouse.up()
-    for screen in ("size", "distance", "gamma", "photometer", "instructions"):
-        page.wait_for_selector(f"#{screen}:not([hidden])")
-        assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
-        if screen == "gamma":
-            page.fill("#gamma-code", str(CODE))
-            half_tone = pixels_of(page, "#half-tone", screenshot(page))
-            assert (half_tone[::2, 0] == 0).all() and (half_tone[1::2, 0] == 255).all()
-            assert half_tone[120, 120] == CODE
-        if screen == "photometer" and photometer:
-            read_photometer(page)
-        page.click(f"#{screen} .next")
-
-
-def read_photometer(page: Any) -> None:
-    """Type readings of a monitor with a gamma of 2.2 and 100 cd/m², after a slip that the server refuses."""
-    for code in (0, 64, 160, 255):
-        field = page.locator(f"[data-code='{code}']")
-        field.focus()
-        assert (pixels_of(page, "#patch", screenshot(page)) == code).all()
-        field.fill(str(100.0 * (code / 255) ** 2.2 if code < 255 else 1.0))
-    page.click("#photometer .next")
-    page.wait_for_selector("#monitor-error:has-text('expected luminance to rise with the code')")
-    page.locator("[data-code='255']").fill("100")
-
-
-def trial_shown(page: Any) -> int:
-    """Wait for a trial, past pauses; return its number, or 0 at the end."""
-    while (found := page.evaluate(NEXT)) == "pause":
-        page.keyboard.press("Enter")
-    assert found, "neither a trial nor the end came"
-    return 0 if found == "done" else int(found)
-
-
-def saved_rows(answers: Path) -> list[dict[str, str]]:
-    (path,) = (answers / "data").glob("*.csv")
-    with path.open(encoding="utf-8", newline="") as file:
-        return list(csv.DictReader(file))
-
-
-def sidecar(answers: Path) -> dict[str, Any]:
-    (path,) = (answers / "data").glob("*.json")
-    return json.loads(path.read_text(encoding="utf-8"))
-
-
-def screenshot(page: Any) -> np.ndarray:
-    """Return the grey values of the window as it is on the screen; of coloured pixels, the green ones."""
-    return cv2.imdecode(np.frombuffer(page.screenshot(), np.uint8), cv2.IMREAD_COLOR)[..., 1]
-
-
-def pixels_of(page: Any, selector: str, screen: np.ndarray) -> np.ndarray:
-    """Return the part of a screenshot that an element covers; a view."""
-    box = page.locator(selector).bounding_box()
-    rows, columns = (slice(round(box[at]), round(box[at] + box[n])) for at, n in (("y", "height"), ("x", "width")))
-    return screen[rows, columns]
-
-
-def shown_on_screen(page: Any) -> np.ndarray:
-    """Return the pixels of the stimulus; around it the window is of the background's code."""
-    screen = screenshot(page)
-    stimulus = pixels_of(page, "#stimulus", screen)
-    found = stimulus.copy()
-    stimulus[:] = CODE
-    assert (screen[: int(page.locator("#progress").bounding_box()["y"])] == CODE).all()
-    return found
 
 
 class Person:
@@ -153,11 +66,6 @@ class Person:
         return KEYS[answer.value]
 
 
-def free_port() -> int:
-    with socket.create_server(("127.0.0.1", 0)) as listener:
-        return listener.getsockname()[1]
-
-
 def test_person_whose_server_is_killed_twice(
     make_dataset: Any, open_page: OpenPage, tmp_path: Path, capsys: Any
 ) -> None:
@@ -168,6 +76,7 @@ def test_person_whose_server_is_killed_twice(
     answers, port = tmp_path / "answers", free_port()
     (tmp_path / "consent.txt").write_text("I <b>agree</b>.\n\n<script>alert(1)</script>", encoding="utf-8")
     options = ("--subject", "p1", "--seed", 15, "--consent", tmp_path / "consent.txt", "--port", port)
+    options += ("--include-flagged",)  # this person answers within milliseconds, and has seen the picture
 
     with experiment(dataset.path, answers, *options) as server:
         page = open_page(server.url, expected_console=UNREACHABLE)
@@ -213,7 +122,7 @@ def test_person_whose_server_is_killed_twice(
     assert sorted(row["frame"] for row in rows[8:]) == sorted(row["frame"] for row in dataset.rows)
     assert {int(row["trial"]): row["response"] for row in rows} == person.answers
 
-    assert run(cli, ["calibrate", str(answers), str(dataset.path), "--json"]) == 0
+    assert run(cli, ["calibrate", str(answers), str(dataset.path), "--include-flagged", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     low, high = found["persons"][0]["internal_noise_ci95"]
     assert low < INTERNAL_NOISE < high
@@ -241,10 +150,12 @@ def test_pixels_on_the_screen_are_those_of_the_frame(
         zoom(page, 1.0)
         assert trial_shown(page) == 1
         assert saved_rows(answers) == []
-        page.click("[data-response=left]")
+        page.wait_for_timeout(200)
+        page.click("#arrows [data-response=left]")
 
         assert trial_shown(page) == 2
         screens.append(shown_on_screen(page))
+        page.wait_for_timeout(200)
         page.keyboard.press("ArrowUp")
         page.wait_for_selector("#done:not([hidden])")
     rows = saved_rows(answers)
@@ -290,3 +201,67 @@ def zoom(page: Any, ratio: float) -> None:
     """Change the device pixel ratio of an open page."""
     metrics = {"width": 1280, "height": 900, "deviceScaleFactor": ratio, "mobile": False}
     page.context.new_cdp_session(page).send("Emulation.setDeviceMetricsOverride", metrics)
+
+
+MARK = """async () => {
+  const stage = document.getElementById("stage"), canvas = document.getElementById("stimulus");
+  while (stage.hidden || canvas.hidden) await new Promise((done) => setTimeout(done, 5));
+  const middle = canvas.getContext("2d").getImageData(canvas.width / 2, canvas.height / 2, 1, 1).data[0];
+  return [stage.dataset.trial ?? null, middle];
+}"""
+
+
+def test_person_who_is_too_fast_looks_away_and_stops(
+    make_dataset: Any, open_page: OpenPage, tmp_path: Path
+) -> None:
+    """The page says what is wrong with an answer, shows the trial again, and can be left."""
+    dataset = make_dataset(sizes_mrad=(6.0,), contrasts=(0.3, 0.7), side_px=101)
+    answers = tmp_path / "answers"
+    with experiment(dataset.path, answers, "--practice", 0, "--contact", "Jo, room 7") as server:
+        page = open_page(server.url)
+        page.wait_for_selector("#consent-text:has-text('Jo, room 7')")
+        page.click("#agree")
+        measure_monitor(page)
+        is_shown, middle = page.evaluate(MARK)
+        assert is_shown is None and middle != CODE  # the mark, before the picture
+
+        assert trial_shown(page) == 1
+        page.evaluate("window.dispatchEvent(new KeyboardEvent('keydown', { key: 'ArrowLeft' }))")
+        page.wait_for_selector("#feedback:has-text('Too fast')")
+        assert trial_shown(page) == 2
+        page.evaluate("window.dispatchEvent(new Event('blur'))")
+        page.wait_for_timeout(200)
+        page.keyboard.press("ArrowLeft")
+        page.wait_for_selector("#feedback:has-text('Another window was in front')")
+
+        assert trial_shown(page) == 3
+        assert "of 10" in page.inner_text("#progress")  # 8, and 2 again
+        page.keyboard.press("Escape")
+        page.wait_for_selector("#leave:not([hidden])")
+        page.keyboard.press("ArrowUp")  # no trial is shown
+        page.keyboard.press("Enter")
+        assert trial_shown(page) == 3
+        page.click("#stop")
+        page.click("#leave-now")
+        page.wait_for_selector("#ended:not([hidden]) >> text=Jo, room 7")
+        page.reload()
+        page.wait_for_selector("#ended:not([hidden])")
+    assert [(row["response"], row["flag"]) for row in saved_rows(answers)] == [
+        ("left", "too_fast"),
+        ("left", "unfocused"),
+    ]
+    assert sidecar(answers)["stopped_at"]
+
+
+def test_frames_for_which_a_desk_is_too_short_are_explained_at_once(
+    make_dataset: Any, open_page: OpenPage, tmp_path: Path
+) -> None:
+    """Pixels of 0.03 mrad are those of a desk's monitor from 8.8 m."""
+    dataset = make_dataset(sizes_mrad=(0.5,), display={"pixel_pitch_mrad": 0.03}, contrasts=(0.3,))
+    with experiment(dataset.path, tmp_path / "answers", "--practice", 0) as server:
+        page = open_page(server.url)
+        page.click("#agree")
+        page.wait_for_selector("#size:not([hidden])")
+        assert "Call the experimenter: a desk does not do" in page.inner_text("#size .reach")
+        # 96 pixels to the inch: 25.4 / 96 mm over 0.03 mrad, shown with three digits.
+        assert "from 8810 mm" in page.inner_text("#size .reach")

@@ -6,11 +6,17 @@ shows an error, or if it asks another origin for anything.
 
 from __future__ import annotations
 
+import csv
+import io
 import json
+import math
 import random
 import re
 import shlex
+import time
+import tomllib
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
@@ -20,9 +26,12 @@ from browser import OpenPage, Server, serving, wait_until
 from sensor_sim.cli import cli
 from sensor_sim.sensor import load_sensor
 from todframes.cli.console import run
+from todframes.web.server import Launch, open_listener
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page, Route
+
+Error = pytest.importorskip("playwright.sync_api").Error
 
 pytestmark = pytest.mark.slow
 
@@ -38,6 +47,9 @@ FIRST_PAGE_BYTES = 150_000
 MESSAGE_HAS = "(text) => document.querySelector('#message').textContent.includes(text)"
 SCRIPT = "<img src=x onerror=\"document.title='taken'\"><script>document.title='taken'</script>"
 WIDTHS = (390, 1280)
+IS_DRAWN = "(({ asked, sequence }) => asked === sequence)(document.querySelector('#curve').dataset)"
+"""Whether the curve that is drawn is that of the present state."""
+
 PAPERS: dict[Literal["light", "dark"], str] = {"light": "rgb(255, 255, 255)", "dark": "rgb(20, 23, 27)"}
 IMPOSSIBLE = (
     ("detector.width_mrad", "0.9", "Found 0.9, expected at most pitch_mrad"),
@@ -46,6 +58,10 @@ IMPOSSIBLE = (
     ("sizes_detectors", "2, two", "Expected 1 to 12 sizes above 0"),
     ("optics.wavelength_um", "red", "Found “red”, expected a number."),
     ("noise.frames_integrated", "1.5", "expected a whole number"),
+    ("optics.aperture_mm", "0.5", "passes nothing of a triangle to such detectors"),
+    ("optics.blur_sigma_mrad", "50", "Found 50, expected at most"),
+    ("sizes_detectors", "4, 300", "Found 300, expected at most 255"),
+    ("sizes_detectors", "100", "mrad at the eye, expected at most"),
 )
 STAGES = ["a_input", "b_optics", "c_detector_response", "d_samples", "e_noise", "f_hold", "g_display"]
 
@@ -248,6 +264,154 @@ def test_a_late_answer_is_dropped(explore) -> None:
     assert (late["sequence"], len(table(page))) == (sequence(page) - 1, len(late["sizes_detectors"]))
 
 
+class Held:
+    """Requests for curves that wait until they are let go."""
+
+    def __init__(self, page: Page) -> None:
+        self.page = page
+        self.routes: list[Route] = []
+        page.route("**/api/curve", lambda route: self.routes.append(route))
+
+    def until(self, number: int) -> None:
+        """Wait until so many requests have come."""
+        wait_for(self.page, lambda: len(self.routes) >= number)
+
+    def release(self) -> None:
+        """Let all requests go that the page has not given up, and hold no more."""
+        self.page.unroute("**/api/curve")
+        for route in self.routes:
+            with suppress(Error):
+                route.continue_()
+
+
+def wait_for(page: Page, condition: Callable[[], bool]) -> None:
+    end = time.monotonic() + SECONDS / 1000
+    while not condition():
+        assert time.monotonic() < end
+        page.wait_for_timeout(10)
+
+
+def line(page: Page) -> str:
+    return page.locator("#status").inner_text()
+
+
+def announced(page: Page) -> str:
+    return page.locator("#announcement").text_content() or ""
+
+
+def saved(page: Page) -> dict[str, Any]:
+    """Return the tables of the file that *Save* writes."""
+    with page.expect_download() as download:
+        page.click("#save")
+    return tomllib.loads(download.value.path().read_text(encoding="utf-8"))
+
+
+def test_the_line_and_the_numbers_belong_to_the_state_that_is_shown(explore) -> None:
+    """Another field moves while the first request is on its way."""
+    page = explore()
+    page.wait_for_selector("#curve[data-stage=refined]")
+    before = table(page)
+    assert line(page).startswith("Refined") and announced(page)
+    held = Held(page)
+    page.locator(slider_of("noise.frames_integrated")).press("ArrowRight")
+    held.until(1)
+    page.locator(slider_of("optics.blur_sigma_mrad")).press("ArrowRight")
+    for _ in range(2):  # during the first request, and during that which takes its place
+        assert (line(page), announced(page)) == ("Computing…", "")
+        assert page.locator("#curve").get_attribute("aria-busy") == "true"
+        assert table(page) == before
+        assert "earlier sensor" in page.locator("#curve-table caption").text_content()
+        held.until(2)
+    page.wait_for_selector("#curve.stale")
+    of_file = saved(page)
+    assert (of_file["noise"]["frames_integrated"], of_file["optics"]["blur_sigma_mrad"]) == (7, 0.011)
+    painted(page, held.release, "refined")
+    assert held.routes[-1].request.post_data_json["sensor"]["optics"] == of_file["optics"]
+    assert line(page).startswith("Refined")
+    assert page.locator("#curve").get_attribute("aria-busy") == "false"
+    shown = table(page)
+    assert shown != before
+    heard = {size: float(snr) for size, snr in re.findall(r"([\d.]+) detectors: ([\d.]*\d)", announced(page))}
+    assert {row["Size (detectors)"]: number(row["SNR"]).value for row in shown if "±" in row["SNR"]} == {
+        size: pytest.approx(snr, rel=1e-3) for size, snr in heard.items()
+    }
+    assert "earlier sensor" not in page.locator("#curve-table caption").text_content()
+
+
+def test_the_curve_of_an_earlier_state_does_not_pass_for_that_of_the_present_one(explore) -> None:
+    """The answer to the first request comes while the second one is on its way."""
+    page = explore()
+    page.wait_for_selector("#curve[data-stage=refined]")
+    held = Held(page)
+    page.locator(slider_of("optics.aperture_mm")).press("ArrowLeft")
+    held.until(1)
+    page.locator(slider_of("optics.aperture_mm")).press("ArrowLeft")
+    held.routes[0].continue_()
+    held.until(2)
+    assert held.routes[0].request.post_data_json["sequence"] == sequence(page)  # it has been drawn
+    assert (line(page), announced(page)) == ("Computing…", "")
+    assert "earlier sensor" in page.locator("#curve-table caption").text_content()
+    painted(page, held.release, "refined")
+    assert line(page).startswith("Refined")
+
+
+def test_a_field_that_is_empty_leaves_no_refined_curve(explore) -> None:
+    page = explore()
+    page.wait_for_selector("#curve[data-stage=refined]")
+    field = page.locator(field_of("optics.aperture_mm"))
+    field.fill("")
+    assert line(page) == "Computing…"
+    wait_until(page, "document.querySelector('#status').textContent.startsWith('Not possible')")
+    assert (
+        "Found nothing, expected a number." in page.locator(f"{field_of('optics.aperture_mm')}-error").inner_text()
+    )
+    page.wait_for_selector("#curve.stale")
+    for button in ("#save", "#command", "#link"):
+        page.click(button)
+        assert page.locator("#message").inner_text() == "Optics, aperture: Found nothing, expected a number."
+    painted(page, lambda: type_value(page, "optics.aperture_mm", "220"), "refined")
+    assert line(page).startswith("Refined") and page.locator("#curve.stale").count() == 0
+
+
+def test_a_reload_at_once_brings_back_the_state_and_the_pinned_curves(explore) -> None:
+    page = explore()
+    painted(page, lambda: type_value(page, "optics.aperture_mm", "180"))
+    page.click("#pin")
+    type_value(page, "display.gain", "0.7")
+    page.locator("[name=unit][value=mrad] + span").click()
+    page.reload()  # before the address has the last changes
+    painted_again = "#curve[data-stage=refined]"
+    page.wait_for_selector(painted_again)
+    assert [value_of(page, key) for key in ("optics.aperture_mm", "display.gain")] == ["180", "0.7"]
+    assert page.locator("[name=unit][value=mrad]").is_checked()
+    assert "display: gain 1" in page.locator("#pins").inner_text()
+    page.click("#pins .remove")
+    page.reload()
+    page.wait_for_selector(painted_again)
+    assert page.locator("#pins li").count() == 0
+
+
+def test_a_server_that_has_ended_is_noticed_without_an_action(open_page) -> None:
+    """And one that takes its place is another: one line says so, at one place."""
+    with open_listener(Launch()) as listener:
+        port = listener.getsockname()[1]
+    gone = ["ERR_CONNECTION_REFUSED", "ERR_CONNECTION_RESET", "ERR_INCOMPLETE", "status of 403"]
+    ended, other = "The server has ended. Start the command again", "This page belongs to a server that has ended."
+    with serving("sensor_sim", "explore", STAR_LIKE, "--no-browser", "--port", str(port)) as first:
+        page = open_page(first.url, expected_console=gone)
+        page.wait_for_selector("#curve[data-stage=refined]", timeout=SECONDS)
+    wait_until(page, "(text) => document.querySelector('#server').textContent.startsWith(text)", ended)
+    page.locator(slider_of("optics.aperture_mm")).press("ArrowLeft")
+    wait_until(page, "document.querySelector('#status').textContent === 'Not computed'")
+    assert page.locator("#message").text_content() == ""
+    with serving("sensor_sim", "explore", STAR_LIKE, "--no-browser", "--port", str(port)) as second:
+        wait_until(page, "(text) => document.querySelector('#server').textContent.startsWith(text)", other)
+        assert ended not in page.locator("body").inner_text()
+        tab = page.context.new_page()
+        tab.goto(second.url)  # its visit gives the browser the token of the new server
+        painted(page, lambda: wait_until(page, "document.querySelector('#server').textContent === ''"))
+
+
 def asked_value(asked: dict[str, Any], key: str) -> float:
     table_name, name = key.split(".")
     return float((asked["sensor"] | {"observer": asked["observer"]})[table_name][name])
@@ -345,10 +509,9 @@ def test_a_dropped_file_is_opened_and_saved_again(explore, tmp_path: Path) -> No
 
 def test_a_preset_can_be_undone(explore) -> None:
     page = explore()
-    names = page.locator("#presets option").all_inner_texts()
-    assert "star-like" in names
-    painted(page, lambda: page.locator("#presets").select_option(label="star-like, display gain 0.7"))
-    assert [value_of(page, "display.gain"), page.locator("#name").input_value()] == ["0.7", names[-1]]
+    name = "star-like, display gain 0.7"
+    painted(page, lambda: page.locator("#presets").select_option(label=name))
+    assert [value_of(page, "display.gain"), page.locator("#name").input_value()] == ["0.7", name]
     page.click("#undo")
     assert [value_of(page, "display.gain"), page.locator("#name").input_value()] == ["1", "star-like"]
 
@@ -413,7 +576,7 @@ def test_nothing_scrolls_sideways(explore) -> None:
             assert all(host == drawn for host, drawn in charts), charts
 
 
-def test_impossible_values_are_told_at_their_field(explore) -> None:
+def test_impossible_values_have_a_line_at_their_field(explore) -> None:
     page = explore(expected_console=REFUSED)
     before = len(table(page))
     for key, value, complaint in IMPOSSIBLE:
@@ -431,15 +594,18 @@ def test_impossible_values_are_told_at_their_field(explore) -> None:
         page.wait_for_selector("#curve:not(.stale)")
 
 
-def test_a_text_that_is_no_number_is_told_until_it_is_one(explore) -> None:
-    """Also while other parameters move, as the field does not show what the curve has."""
+def test_a_text_that_is_no_number_has_its_line_until_it_is_one(explore) -> None:
+    """Also while other parameters move: there is no curve of a field that has no value."""
     page = explore()
+    page.wait_for_selector("#curve[data-stage=refined]")
     type_value(page, "optics.wavelength_um", "red")
-    painted(page, lambda: page.locator(slider_of("display.gain")).press("ArrowRight"))
+    page.locator(slider_of("display.gain")).press("ArrowRight")
     assert page.locator(f"{field_of('optics.wavelength_um')}-error").is_visible()
-    page.click("#undo")
+    assert line(page).startswith("Not possible")
+    painted(page, lambda: page.click("#undo"))
     assert value_of(page, "optics.wavelength_um") == "4"
     assert page.locator(f"{field_of('optics.wavelength_um')}-error").is_hidden()
+    assert float(value_of(page, "display.gain")) > 1.0
 
 
 def test_the_curve_of_an_impossible_sensor_is_greyed(explore) -> None:
@@ -451,6 +617,148 @@ def test_the_curve_of_an_impossible_sensor_is_greyed(explore) -> None:
     painted(page, lambda: page.click("#undo"))
     assert page.locator("#curve.stale").count() == 0
     assert page.locator("[aria-invalid=true]").count() == 0
+
+
+def test_pitch_and_width_move_together_where_the_fill_factor_is_kept(explore) -> None:
+    page = explore()
+    pitch, width = "detector.pitch_mrad", "detector.width_mrad"
+    type_value(page, width, "0.0646")
+    page.locator(field_of("keep_fill_factor")).check()
+    painted(page, lambda: type_value(page, pitch, "0.04"))
+    # Both are shown with four digits.
+    assert float(value_of(page, width)) == pytest.approx(0.04 * 0.0646 / 0.0681, rel=5e-4)
+    painted(page, lambda: type_value(page, width, "0.0646"))
+    assert float(value_of(page, pitch)) == pytest.approx(0.0681, rel=5e-4)
+    for _ in range(20):
+        page.locator(slider_of(pitch)).press("ArrowRight")
+    for _ in range(20):
+        page.locator(slider_of(pitch)).press("ArrowLeft")
+    ratio = float(value_of(page, width)) / float(value_of(page, pitch))
+    assert ratio == pytest.approx(0.0646 / 0.0681, rel=5e-4)  # it does not drift
+    page.locator(field_of("keep_fill_factor")).uncheck()
+    before = value_of(page, width)
+    type_value(page, pitch, "0.09")
+    assert value_of(page, width) == before
+
+
+def test_the_netd_follows_aperture_and_area_where_it_is_coupled(explore) -> None:
+    page = explore()
+    page.locator(field_of("couple_netd")).check()
+    type_value(page, "optics.aperture_mm", "110")
+    assert value_of(page, "noise.netd_mk") == "64"
+    type_value(page, "noise.netd_mk", "40")
+    type_value(page, "optics.aperture_mm", "220")
+    assert value_of(page, "noise.netd_mk") == "10"
+    page.locator(field_of("keep_fill_factor")).check()
+    painted(page, lambda: type_value(page, "detector.pitch_mrad", "0.1362"), "refined")
+    assert value_of(page, "noise.netd_mk") == "2.5"
+    assert saved(page)["noise"]["netd_mk"] == 2.5
+    page.reload()
+    page.wait_for_selector("#curve[data-stage=refined]")
+    assert page.locator(field_of("couple_netd")).is_checked()
+    page.locator(field_of("couple_netd")).uncheck()
+    type_value(page, "optics.aperture_mm", "110")
+    assert value_of(page, "noise.netd_mk") == "2.5"
+
+
+def test_the_f_number_is_that_of_the_pitch_on_the_chip(explore) -> None:
+    page = explore()
+    note = page.locator("fieldset:has(#field-detector-pitch_mrad) .note")
+    # 15 µm per 0.0681 mrad are 220 mm, the aperture; 4 µm · f/1 / 15 µm is 0.27.
+    assert note.inner_text() == "f/1, focal length 220 mm, λF/d 0.27"
+    type_value(page, "optics.aperture_mm", "55")
+    assert note.inner_text() == "f/4, focal length 220 mm, λF/d 1.1"
+    page.locator("#presets").select_option(label="uncooled LWIR, 12 µm, f/1")
+    assert note.inner_text() == "f/1, focal length 35 mm, λF/d 0.83"
+
+
+def test_every_preset_begins_with_sizes_that_it_shows(explore) -> None:
+    page = explore()
+    for name in page.locator("#presets option").all_inner_texts()[1:]:
+        painted(page, lambda name=name: page.locator("#presets").select_option(label=name))
+        wait_until(page, IS_DRAWN)
+        rows = table(page)
+        assert len(rows) == 5 and all("±" in row["SNR"] for row in rows), name
+        assert value_of(page, "sizes_detectors") == ", ".join(row["Size (detectors)"] for row in rows)
+        assert page.locator("#never").text_content() == ""
+
+
+def test_sizes_that_are_never_reached_are_marked_on_the_axis(explore) -> None:
+    page = explore(expected_console=["willReadFrequently"])  # this test reads the canvas twice
+    warning = """() => {
+      const one = document.createElement("i");
+      one.style.color = "var(--warning)";
+      document.body.append(one);
+      const found = getComputedStyle(one).color.match(/[0-9]+/g).map(Number);
+      one.remove();
+      return found;
+    }"""
+    red = page.evaluate(warning)
+    marks = """(red) => {
+      const canvas = document.querySelector("#curve-chart canvas");
+      const { data } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
+      let found = 0;
+      for (let at = 0; at < data.length; at += 4) found += red.every((one, k) => Math.abs(data[at + k] - one) < 9);
+      return found;
+    }"""
+    assert page.evaluate(marks, red) == 0
+    painted(page, lambda: type_value(page, "sizes_detectors", "2, 3, 6"), "refined")
+    assert page.locator("#never").inner_text() == "× Never reached: 2, 3 detectors"
+    wait_until(page, f"({marks})({red}) > 20")
+    page.locator("[name=unit][value=mrad] + span").click()
+    assert page.locator("#never").inner_text() == "× Never reached: 0.1362, 0.2043 mrad"
+
+
+def test_pinned_curves_have_numbers_and_ratios(explore) -> None:
+    page = explore()
+    painted(page, lambda: type_value(page, "sizes_detectors", "4, 8"), "refined")
+    page.click("#pin")
+    assert "1 — as now; thresholds 1 × those now" in page.locator("#pins").inner_text()
+    before = table(page)
+    painted(page, lambda: type_value(page, "optics.aperture_mm", "110"), "refined")
+    now = table(page)
+    ratios = [
+        number(one["SNR"]).value / number(other["SNR"]).value for one, other in zip(before, now, strict=True)
+    ]
+    text = page.locator("#pins").inner_text()
+    assert text.startswith("1 — optics: aperture 220 mm; thresholds ")
+    found = [float(one) for one in re.findall(r"[\d.]+", text.partition("thresholds")[2])]
+    wanted = [math.sqrt(math.prod(ratios)), min(ratios), max(ratios)]
+    assert found == pytest.approx(wanted, rel=0.01)  # three digits, and the table is rounded
+    page.click("#pin")
+    page.click("#pins li:first-child .remove")
+    page.click("#pin")
+    assert [one.partition(" ")[0] for one in page.locator("#pins li").all_inner_texts()] == ["1", "2"]
+
+
+def test_plots_and_numbers_are_saved_as_files(explore) -> None:
+    page = explore()
+    painted(page, lambda: type_value(page, "sizes_detectors", "3, 6"), "refined")
+    page.click("#pin")
+    wait_until(page, "document.querySelector('#mtf-table').rows.length > 5")
+
+    def file(button: str) -> tuple[str, bytes]:
+        with page.expect_download() as download:
+            page.click(button)
+        return download.value.suggested_filename, download.value.path().read_bytes()
+
+    for button, name, start in (
+        ("#png", "tod_curve.png", b"\x89PNG"),
+        ("#svg", "tod_curve.svg", b"<?xml"),
+        ("#mtf-png", "mtf.png", b"\x89PNG"),
+        ("#mtf-svg", "mtf.svg", b"<?xml"),
+    ):
+        found = file(button)
+        assert (found[0], found[1][: len(start)]) == (name, start)
+    name, content = file("#csv")
+    rows = list(csv.DictReader(io.StringIO(content.decode())))
+    assert name == "tod_curve.csv"
+    assert [(row["curve"], row["status"]) for row in rows] == [
+        ("now", "never_reached"), ("now", "ok"), ("1", "never_reached"), ("1", "ok"),
+    ]  # fmt: skip
+    shown = number(table(page)[1]["SNR"])
+    assert float(rows[1]["snr"]) == pytest.approx(shown.value, abs=shown.rounding)
+    assert rows[0]["snr"] == "" and float(rows[1]["size_mrad"]) == pytest.approx(6 * 0.0681)
 
 
 def test_the_orientation_is_hidden_until_asked(explore) -> None:
@@ -516,7 +824,7 @@ def test_a_reader_of_screens_has_names_tables_and_results(explore) -> None:
     assert canvases == [True, True, True]
     announced = page.locator("#announcement")
     assert announced.get_attribute("aria-live") == "polite"
-    assert re.search(r"Threshold SNR at 2 detectors: .*; 8 detectors: \d", announced.text_content() or "")
+    assert re.search(r"Threshold SNR at 4 detectors: .*; 8 detectors: \d", announced.text_content() or "")
 
 
 def test_the_first_page_is_small(explore) -> None:

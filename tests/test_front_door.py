@@ -183,16 +183,13 @@ def test_a_notebook_shows_table_and_curve(scored) -> None:
     assert repr(scored).startswith("<Result of score: At 75 % correct the threshold contrast is 0.305")
 
 
-def test_own_observer_from_a_module(tmp_path: Path, monkeypatch, commanded) -> None:
+def test_own_observer_from_a_module(working_folder: Path, commanded) -> None:
     """As by its registered name, number for number, from the folder where one is."""
     code = "from todframes.observers.pyramid import PyramidObserver\nclass Mine(PyramidObserver):\n    pass\n"
-    (tmp_path / "own_observers.py").write_text(code, encoding="utf-8")
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "path", [path for path in sys.path if path])
+    (working_folder / "own_observers.py").write_text(code, encoding="utf-8")
     arguments = ("naked-eye", "--size-mrad", "1")
     mine = commanded(cli, *arguments, "--observer", "own_observers:Mine")
     usual = commanded(cli, *arguments)
-    sys.modules.pop("own_observers")
     assert mine["settings"] == usual["settings"] | {"observer": "own_observers:Mine"}
     assert mine["fits"] == usual["fits"]
 

@@ -623,7 +623,8 @@ def test_command_writes_beside_the_result_or_elsewhere(results, pages, report, t
         (b"[1]", "the result: found array, expected object"),
         (b"\xff\xfe{}", "not a result in JSON"),
         (b'{"schema": 1, "command": "\xff"}', "not UTF-8"),
-        (b'{"new": ' + b"[" * 3000 + b"]" * 3000 + b"}", "deep|recursion"),
+        # A newer Python passes over a key that it does not know, however deep.
+        (b'{"new": ' + b"[" * 3000 + b"]" * 3000 + b"}", "deep|recursion|schema is missing"),
         (b'{"fits": ' + b"9" * 5000 + b"}", "fits"),
         (b"{}", "schema is missing"),
         (b'{"schema": 1, "command": "score", "fits": [{"threshold": 1e999}]}', r"fits\[0\]"),

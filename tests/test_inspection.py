@@ -13,8 +13,8 @@ from scipy.ndimage import gaussian_filter
 import todframes as tod
 from todframes.cli.console import run
 from todframes.cli.main import cli
-from todframes.frames.findings import frame_warnings
-from todframes.frames.inspection import inspect
+from todframes.diagnosis.findings import frame_warnings
+from todframes.diagnosis.inspection import inspect
 from todframes.frames.memory import memory_dataset
 
 SAMPLES = Path(__file__).parent.parent / "sample_frames"
@@ -247,6 +247,30 @@ def test_another_orientation_in_some_frames_is_told() -> None:
     (found,) = inspect(dataset, trials)
     assert found.wrong_orientation == 4
     assert "orientation_mismatch" in {one.code for one in frame_warnings(dataset, [found])}
+
+
+def of_sizes(make_dataset, *sizes_mrad, **experiment):
+    made = make_dataset(sizes_mrad=sizes_mrad, contrasts=(0.1, 0.3), side_px=96, experiment=experiment)
+    data = tod.load_dataset(made.path)
+    return [one for one in frame_warnings(data, inspect(data, data.trials)) if one.code == "mixed_sizes"]
+
+
+def test_several_sizes_on_one_curve_are_reported(make_dataset) -> None:
+    (warning,) = of_sizes(make_dataset, 1.5, 3.0, level="contrast", group_by=[])
+    assert (warning.group, warning.found, warning.expected) == ({}, 1.0, 0.0)
+    assert "name the size in group_by" in warning.message
+
+
+@pytest.mark.parametrize(
+    ("sizes_mrad", "experiment"),
+    [
+        ((1.5, 3.0), {"level": "contrast", "group_by": ["size_mrad"]}),
+        ((1.5, 3.0), {"level": "size_mrad", "group_by": []}),
+        ((3.0, 3.2), {"level": "contrast", "group_by": []}),  # one chart, seen in perspective
+    ],
+)
+def test_sizes_that_belong_on_one_curve_are_not(make_dataset, sizes_mrad, experiment) -> None:
+    assert of_sizes(make_dataset, *sizes_mrad, **experiment) == []
 
 
 def test_a_warning_says_what_was_found_and_expected() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -13,11 +14,12 @@ from scipy.ndimage import gaussian_filter
 
 import todframes as tod
 from todframes.cli.main import cli
+from todframes.diagnosis.locate import locate_triangles, location_warnings
 from todframes.errors import DataError, SettingsError
 from todframes.frames.dataset import Dataset, load_dataset
 from todframes.frames.files import write_frame
-from todframes.frames.locate import locate_triangles, location_warnings
 from todframes.frames.memory import memory_dataset
+from todframes.frames.trials import Trials
 from todframes.stimulus import ORIENTATIONS, Orientation, coverage
 
 SIZE_PX = 8.0
@@ -92,13 +94,43 @@ def test_a_single_orientation_is_enough(make_dataset) -> None:
     assert (found.x_px, found.y_px) == pytest.approx((25.4, 33.3), abs=0.1)
 
 
-def test_positions_in_the_manifest_stay(make_dataset) -> None:
-    made = make_dataset()
+def test_positions_in_the_manifest_are_where_the_search_begins() -> None:
+    """Each frame has a position of its own, all of them wrong by the same way, and beside whole pixels."""
+    rng = np.random.default_rng(8)
+    data, places = recording(rng, (31.3, 30.4), side_px=64, noise_sd=0.05, shake_px=4.0)
+    placed, (found,) = locate_triangles(placed_at(data, places + np.array([0.8, -1.3])))
+    assert found.moved_px == pytest.approx((-0.8, 1.3), abs=5.0 * found.standard_error_px)
+    errors = placed.trials.positions_px - places
+    assert np.abs(errors - errors.mean(axis=0)).max() < 1e-9  # one way for all
+    assert found.standard_error_px < 0.1
+
+
+def test_each_position_in_the_manifest_is_where_a_search_begins() -> None:
+    rng = np.random.default_rng(9)
+    data, places = recording(rng, (31.3, 30.4), side_px=64, levels=(0.15, 0.3), noise_sd=0.03, shake_px=4.0)
+    rough = places + rng.normal(0.0, 1.0, places.shape)
+    placed, (found,) = locate_triangles(placed_at(data, rough), locate="each")
+    assert (found.n_located, found.n_trials) == (16, 16)
+    assert found.scatter_px == pytest.approx(1.0, abs=0.5)  # 32 numbers: 1 / √64; four of these
+    assert np.abs(placed.trials.positions_px - places).max() < 0.35  # as of shaken recordings below
+
+
+def test_positions_in_the_manifest_stay_if_nothing_stands_out() -> None:
+    data, places = recording(np.random.default_rng(10), (23.5, 23.5), levels=(1e-4, 2e-4))
+    placed, (found,) = locate_triangles(placed_at(data, places))
+    assert (found.standard_error_px, found.moved_px) == (None, (0.0, 0.0))
+    assert np.array_equal(placed.trials.positions_px, places)
+
+
+def test_command_says_how_far_positions_are_from_the_manifest(make_dataset) -> None:
+    made = make_dataset(side_px=64)
+    redraw(made, 31.5, 31.5, side_px=64, noise_sd=0.01)
     for row in made.rows:
-        row |= {"x_px": "23.5", "y_px": "23.5"}
+        row |= {"x_px": "31.0", "y_px": "32.0"}
     made.save()
-    data = load_dataset(made.path)
-    assert locate_triangles(data) == (data, ())
+    done = CliRunner().invoke(cli, ["score", str(made.path), "--locate"])
+    assert done.exit_code == 0
+    assert re.search(r"located: 2 mrad: \+0\.(49|50|51) in x, -0\.(49|50|51) in y from the manifest", done.stderr)
 
 
 def test_nothing_there(make_dataset) -> None:
@@ -168,7 +200,8 @@ def recording(
 def placed_at(data: Dataset, places: NDArray[np.float64]) -> Dataset:
     """The same with the position of each trial."""
     pairs = zip(data.trials, places.tolist(), strict=True)
-    return replace(data, trials=tuple(trial._replace(x_px=x, y_px=y) for trial, (x, y) in pairs))
+    trials = Trials.of(trial._replace(x_px=x, y_px=y) for trial, (x, y) in pairs)
+    return replace(data, trials=trials)
 
 
 @pytest.mark.slow
@@ -236,6 +269,8 @@ def test_faint_trials_have_the_position_of_the_group() -> None:
     result = tod.score(data, locate="each", examples=False)
     assert result.located is not None
     assert result.located[0]["n_located"] == 8
+    (warning,) = [one for one in result.warnings if one.code == "position_scatter"]
+    assert "8 of 16 trials are too faint for a position of their own" in warning.message
 
 
 def test_a_drift_of_many_sizes_is_followed() -> None:

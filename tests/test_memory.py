@@ -10,10 +10,10 @@ import pytest
 
 from todframes.cli.console import run
 from todframes.cli.main import cli
+from todframes.diagnosis.locate import locate_triangles
 from todframes.frames.contrast import read_contrast
 from todframes.frames.dataset import load_dataset
 from todframes.frames.files import FrameFile, read_frame, write_frame
-from todframes.frames.locate import locate_triangles
 from todframes.observers.pyramid import PyramidObserver
 from todframes.stimulus import ORIENTATIONS, coverage
 

@@ -427,7 +427,7 @@ def test_bad_settings(changes: dict, message: str) -> None:
 
 
 def test_too_large_a_triangle_says_so() -> None:
-    with pytest.raises(SettingsError, match=r"a triangle of 1000 mrad is 6535\.95 retina samples"):
+    with pytest.raises(SettingsError, match=r"^size_mrad: found 1000 mrad at the eye, expected at most 348\.2"):
         PyramidObserver().grid(Stimulus(1000.0))
 
 

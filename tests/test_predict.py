@@ -511,13 +511,13 @@ def test_observer_that_is_not_linear():
 
 def test_optics_that_pass_less_than_one_cycle_per_field(observer):
     dull = replace(UNDER_SAMPLED, optics=Optics(aperture_mm=0.1, wavelength_um=10.0))
-    with pytest.raises(SettingsError, match=r"^optics: found a cut-off of .* cycles in \d+ detectors"):
+    with pytest.raises(SettingsError, match=r"^optics\.aperture_mm: found .* expected at least"):
         FoldedChain(dull, observer, 3.0)
 
 
 def test_triangle_larger_than_the_observer_can_see(observer):
     near = replace(UNDER_SAMPLED, display=display(4, 1.0))
-    with pytest.raises(SettingsError, match=r"^retina_pitch_mrad: .* retina samples, expected at most"):
+    with pytest.raises(SettingsError, match=r"^size_mrad: found .* mrad at the eye, expected at most"):
         FoldedChain(near, observer, 10.0)
 
 

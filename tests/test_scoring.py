@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from todframes.diagnosis.locate import locate_triangles
 from todframes.errors import SettingsError
 from todframes.frames.dataset import load_dataset
 from todframes.frames.files import read_frame, write_frame
-from todframes.frames.locate import locate_triangles
 from todframes.jobs.local import LocalEngine
 from todframes.observers.interface import Readout
 from todframes.observers.pyramid import PyramidObserver, PyramidSettings

@@ -344,8 +344,18 @@ def test_slow_headers_end_the_connection(monkeypatch):
 
 def test_headers_without_end_are_refused(running):
     with socket.create_connection(("127.0.0.1", running.port), PATIENCE_S) as plug:
-        plug.sendall(b"GET / HTTP/1.1\r\nX: " + b"x" * server.LONGEST_HEADERS_BYTES)
+        plug.sendall(b"GET / HTTP/1.1\r\nX: " + b"x" * guard.LONGEST_HEADERS_BYTES)
         assert plug.recv(12) == b"HTTP/1.1 400"
+
+
+@pytest.mark.parametrize("n_bytes", [guard.LONGEST_HEADERS_BYTES, 60_000])
+def test_long_headers_are_refused_also_where_they_come_in_one_piece(running, n_bytes):
+    headers = {"Host": running.host, "X-Token": TOKEN, **JSON}
+    assert running.ask("POST", "/api/greet", body_of("you"), headers | {"X": "x" * 15_000})[0] == 200
+    request = f"GET / HTTP/1.1\r\nHost: {running.host}\r\nX-Token: {TOKEN}\r\nX: {'x' * n_bytes}\r\n\r\n"
+    assert running.raw(request.encode()).startswith(b"HTTP/1.1 431 ")
+    request = f"GET /{'x' * n_bytes} HTTP/1.1\r\nHost: {running.host}\r\nX-Token: {TOKEN}\r\n\r\n"
+    assert running.raw(request.encode()).startswith(b"HTTP/1.1 431 ")
 
 
 @pytest.mark.parametrize("request_begun", [b"", b"GET / HTTP/1.1\r\nHost:"], ids=["silent", "half a request"])

@@ -20,9 +20,21 @@ def start() -> None:
         from todframes.signals import end_at_once
 
         end_at_once()
+        _import_matplotlib_elsewhere()
     except KeyboardInterrupt:
         os.write(2, b"error: interrupted, nothing was written\n")
         os._exit(130)
+
+
+def _import_matplotlib_elsewhere() -> None:
+    """Import matplotlib in another folder if the current one has settings, which matplotlib would read."""
+    if os.path.lexists("matplotlibrc"):
+        here = os.getcwd()  # noqa: PTH109
+        os.chdir(os.path.dirname(__file__))  # noqa: PTH120
+        try:
+            import matplotlib  # noqa: F401
+        finally:
+            os.chdir(here)
 
 
 def main() -> None:

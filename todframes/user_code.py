@@ -8,10 +8,42 @@ from __future__ import annotations
 import importlib
 import os
 import sys
+from collections.abc import Iterable, Sequence
+from importlib.machinery import ModuleSpec, PathFinder
+from types import ModuleType
 from typing import Any
 
 from todframes.config import check_keys
 from todframes.errors import SettingsError
+
+
+class _LastFinder:
+    """Finder of modules in one folder, for the end of `sys.meta_path`.
+
+    A folder on `sys.path` would also be searched for the metadata of packages, which register names. No module
+    takes the name of one of the standard library, because some of those are missing on each platform.
+    """
+
+    def __init__(self, folder: str) -> None:
+        self.folder = folder
+
+    def find_spec(
+        self, name: str, path: Sequence[str] | None = None, target: ModuleType | None = None
+    ) -> ModuleSpec | None:
+        """Return the spec of a module that lies in the folder, or None."""
+        if path is not None or name in sys.stdlib_module_names:
+            return None
+        return PathFinder.find_spec(name, [self.folder], target)
+
+
+def search_last(folders: Iterable[str]) -> None:
+    """Have folders searched for modules after all others, in this process."""
+    sys.meta_path += [_LastFinder(folder) for folder in folders if folder not in searched_last()]
+
+
+def searched_last() -> list[str]:
+    """Return the folders of `search_last`, which another process needs to import the same modules."""
+    return [finder.folder for finder in sys.meta_path if isinstance(finder, _LastFinder)]
 
 
 def import_named(module: str, name: str, where: str) -> Any:
@@ -25,8 +57,7 @@ def import_named(module: str, name: str, where: str) -> Any:
         If the module cannot be imported or has no such attribute; the message begins with `where`.
     """
     try:
-        if (here := os.getcwd()) not in sys.path and "" not in sys.path:  # noqa: PTH109 - a text, as the path has them
-            sys.path.append(here)
+        search_last([os.getcwd()])  # noqa: PTH109 - a text, as the finder has them
         found: Any = importlib.import_module(module)
     except (Exception, SystemExit) as error:  # whatever a user's module does when it is imported
         raise SettingsError(f"{where}: module {module!r} cannot be imported ({in_words(error)})") from None

@@ -10,7 +10,7 @@ import multiprocessing
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
@@ -20,7 +20,9 @@ from sensor_sim.explorer.limits import Limits, Shares, what_limits
 from sensor_sim.predict import Level, PredictedThreshold
 from sensor_sim.sensor import Sensor
 from todframes.errors import TodframesError
+from todframes.jobs.start import safe_path
 from todframes.observers.interface import Observer
+from todframes.user_code import search_last, searched_last
 
 TOLERANCES = (0.03, 0.002)
 """Relative errors of the estimate and of the refined thresholds."""
@@ -100,7 +102,7 @@ class LiveCurves:
         level: Level = "snr",
         tolerances: tuple[float, float] = TOLERANCES,
         is_wanted: Callable[[], bool],
-    ) -> Iterator[LiveCurve]:
+    ) -> Generator[LiveCurve, None, None]:
         """Yield an estimate, and then curves of which more and more is refined; stop as soon as no more is wanted.
 
         One curve is computed at a time; another thread waits until it is done or no longer wanted.
@@ -229,13 +231,14 @@ class _Worker:
         context = multiprocessing.get_context("spawn")
         self.connection, other = context.Pipe()
         self._process = context.Process(target=_serve, args=(other, wanted), daemon=True)
-        self._process.start()
+        with safe_path():
+            self._process.start()
         other.close()
 
     def begin(self, request: Any) -> None:
         """Send a request; if the process has died, the answer tells."""
         with suppress(OSError):
-            self.connection.send(request)
+            self.connection.send((searched_last(), request))
 
     def end(self) -> None:
         """End the process, at once if it does not end by itself."""
@@ -267,7 +270,8 @@ def _serve(connection: Connection, wanted: Any) -> None:
     engine = Engine(check)
     with suppress(EOFError, OSError):
         while True:
-            request = connection.recv()
+            folders, request = connection.recv()
+            search_last(folders)
             number = request.number
             try:
                 for answer in engine.answers(request):

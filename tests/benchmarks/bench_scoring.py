@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 from timing import Row, best_s, paired_ratio, process
 
+from todframes.diagnosis.inspection import inspect
 from todframes.frames.dataset import load_dataset
 from todframes.frames.files import write_frame
-from todframes.frames.inspection import inspect
 from todframes.observers.laplacian_pyramid import LaplacianPyramid
 from todframes.observers.pyramid import PyramidObserver
 from todframes.scoring.score import score_dataset

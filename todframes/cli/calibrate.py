@@ -16,12 +16,14 @@ from todframes.cli.console import (
     say,
     staged,
     terminal_width,
+    time_line,
     warning_lines,
 )
 from todframes.cli.options import (
     dataset_argument,
     json_option,
     make_observer,
+    max_frame_option,
     observer_option,
     observer_settings_option,
     on_error_option,
@@ -52,12 +54,18 @@ from todframes.safe_text import visible
     help="Fit the rate of lapses or the blur of the templates, too; repeatable.",
 )
 @click.option("--subject", "subjects", multiple=True, metavar="ID", help="A person; repeatable.  [default: all]")
+@click.option(
+    "--include-flagged",
+    is_flag=True,
+    help="Count answers within 150 ms, or while the page was hidden or had lost the focus.",
+)
 @observer_option
 @p_correct_option
 @set_option
 @observer_settings_option
 @seed_option
 @on_error_option
+@max_frame_option
 @workers_option
 @strict_option
 @json_option
@@ -78,18 +86,20 @@ def calibrate(
     """
     asked["internal_noise"] = None  # it is fitted
     observer, fit = make_observer(asked)
-    from todframes import api
+    import todframes as tod
     from todframes.experiment.answers import read_answers
+    from todframes.frames.dataset import load_dataset
     from todframes.report import calibration
     from todframes.report.summary import verdict
 
-    sessions = read_answers(answers)
+    data = load_dataset(dataset, max_frame_mb=asked.pop("max_frame_mb"))
+    sessions = read_answers(answers, include_flagged=asked["include_flagged"])
     n_trials = sum(
         len(one.main_rows()) for one in sessions if not asked["subjects"] or one.subject in asked["subjects"]
     )
     with staged(out) as place:
         with progress("scoring", n_trials, quiet=quiet) as advance:
-            result = api.calibrate(answers, dataset, observer=observer, fit=fit, progress=advance, **asked)
+            result = tod.calibrate(answers, data, observer=observer, fit=fit, progress=advance, **asked)
         place.write(result.files)
     if not quiet:
         for one in result.skipped:
@@ -105,7 +115,7 @@ def calibrate(
     print_table(calibration.curves_table(result))
     for line in [*verdict(result), *warning_lines(result.warnings)]:
         echo(*textwrap.wrap(visible(line), terminal_width()))
-    echo(f"{result.run_time_s:.2f} s")
+    echo(time_line())
     if out is not None:
         echo(f"written: {out}")
     check_strict(result.warnings, strict)

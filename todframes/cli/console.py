@@ -8,6 +8,7 @@ import re
 import shutil
 import sys
 import textwrap
+import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, redirect_stdout, suppress
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -16,6 +17,7 @@ import click
 
 from todframes import signals
 from todframes.errors import DataError, TodframesError
+from todframes.locations import without_secrets
 from todframes.safe_text import visible
 
 if TYPE_CHECKING:
@@ -70,7 +72,7 @@ def staged(out: str | None, going: Going | None = None, *, quiet: bool = False) 
     quiet : bool
         Say nothing about results that an earlier run has finished.
     """
-    from todframes.output import output_folder, store_folder, write_files
+    from todframes.output import output_folder, store_path, write_files
 
     if out is None:
         yield Staged(lambda _: None)
@@ -80,7 +82,7 @@ def staged(out: str | None, going: Going | None = None, *, quiet: bool = False) 
         if going is not None:
             from todframes.jobs.store import Store
 
-            store = Store(store_folder(folder), out, None if quiet else say)
+            store = Store(store_path(folder), out, None if quiet else say)
             stack.callback(store.close)
         yield Staged(lambda make: write_files(folder, make()), store)
 
@@ -114,6 +116,18 @@ def long_run(out: str | None, asked: dict[str, Any], *, quiet: bool) -> Iterator
         yield place
 
 
+def _where(place: Mapping[str, Any]) -> str:
+    """Return where the triangles of a group were found, as a phrase."""
+    error_px, moved_px = place["standard_error_px"], place["moved_px"]
+    if error_px is None:
+        return "no triangle stands out near the manifest's positions, which stay"
+    if moved_px is not None:
+        where = f"{moved_px[0]:+.2f} in x, {moved_px[1]:+.2f} in y from the manifest's positions"
+    else:
+        where = f"x_px {place['x_px']:.2f}, y_px {place['y_px']:.2f}"
+    return f"{where} (± {error_px:.1g} px)"
+
+
 def finish(
     result: Result,
     title: str,
@@ -138,10 +152,7 @@ def finish(
 
     if not quiet:
         for place in result.located or ():
-            where = f"x_px {place['x_px']:.2f}, y_px {place['y_px']:.2f} (± {place['standard_error_px']:.1g} px)"
-            say(f"located: {group_phrase(place['group'])}: {where}")
-        if result.located == ():
-            say("located: nothing; the manifest gives all positions")
+            say(f"located: {group_phrase(place['group'])}: {_where(place)}")
         for one in result.skipped:
             say(f"skipped: {one['error']}")
         for algorithm in result.algorithms:
@@ -172,10 +183,15 @@ def finish(
         echo(*textwrap.wrap(visible(sentence), terminal_width()))
     for line in warning_lines(result.warnings):
         echo(*textwrap.wrap(visible(line), terminal_width()))
-    echo(f"{result.run_time_s:.2f} s")
+    echo(time_line())
     if out is not None:
         echo(f"written: {out}")
     check_strict(result.warnings, strict)
+
+
+def time_line() -> str:
+    """Return the time since the process began, which is that for which people have waited."""
+    return f"{time.perf_counter() - signals.STARTED_S:.2f} s"
 
 
 def warning_lines(warnings: Sequence[ResultWarning]) -> Iterator[str]:
@@ -228,7 +244,7 @@ def terminal_width() -> int:
 
 def say(text: str) -> None:
     """Print a remark in one line on standard error, with escapes for characters that a terminal would obey."""
-    line = visible(" ".join(text.split()))
+    line = visible(without_secrets(" ".join(text.split())))
     if len(line) > LONGEST_REMARK:
         line = f"{line[: LONGEST_REMARK // 2]} […] {line[-LONGEST_REMARK // 2 :]}"
     click.echo(line, err=True)
@@ -263,7 +279,7 @@ class ProblemLines:
         self.count = 0
         self._alike: dict[str, tuple[str, int]] = {}
 
-    def add(self, problem: str, *, kind: str | None = None) -> None:
+    def add(self, problem: str, kind: str | None = None) -> None:
         """Print a problem. Those of one kind differ only in `VARIABLE` parts of `kind`, by default the problem."""
         self.count += 1
         kind = self.VARIABLE.sub("#", problem if kind is None else kind)

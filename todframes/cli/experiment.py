@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from todframes.cli.console import echo, progress, say
-from todframes.cli.options import dataset_argument, launch_options
+from todframes.cli.options import dataset_argument, launch_options, max_frame_option
 from todframes.locations import Location
 
 
@@ -29,6 +29,12 @@ from todframes.locations import Location
 )
 @click.option("--trials", type=int, metavar="N", help="Trials that count.  [default: all; for quest 60 a group]")
 @click.option("--practice", type=int, metavar="N", help="Trials with feedback before.  [default: 8]")
+@click.option(
+    "--practice-correct",
+    type=float,
+    metavar="SHARE",
+    help="Share of the practice that has to be correct; else it comes again.  [default: 0.75]",
+)
 @click.option("--break-every", type=int, metavar="N", help="Trials between breaks; 0: none.  [default: 60]")
 @click.option(
     "--time-limit", "time_limit_s", type=float, metavar="S", help="Time to answer in s.  [default: none]"
@@ -39,6 +45,7 @@ from todframes.locations import Location
     metavar="FILE",
     help="Text that the person is to agree to.  [default: a text of this package]",
 )
+@click.option("--contact", metavar="TEXT", help="Name and address for questions and withdrawal.")
 @click.option("--background", type=float, help="Luminance of the background over that of white.  [default: 0.5]")
 @click.option(
     "--no-dither",
@@ -48,7 +55,14 @@ from todframes.locations import Location
     default=None,
     help="Show the nearest code value, not pixels of two of them whose mean is right.",
 )
+@click.option(
+    "--include-flagged",
+    is_flag=True,
+    default=None,
+    help="Count answers within 150 ms, or while the page was hidden or had lost the focus, as all others.",
+)
 @click.option("--seed", type=int, help="Seed of the order.  [default: a random one]")
+@max_frame_option
 @launch_options
 def experiment(
     *,
@@ -59,6 +73,7 @@ def experiment(
     host: str,
     port: int,
     no_browser: bool,
+    max_frame_mb: int,
     **asked: Any,
 ) -> None:
     """Open a page in the browser on which a person says where the triangles of DATASET point.
@@ -69,7 +84,7 @@ def experiment(
     from todframes.frames.dataset import load_dataset
     from todframes.web import api
 
-    data = load_dataset(dataset)
+    data = load_dataset(dataset, max_frame_mb=max_frame_mb)
     with ExitStack() as reading:
         advance = reading.enter_context(progress("reading", None))
 
@@ -91,4 +106,5 @@ def experiment(
             progress=advance,
         )
     rest = "" if found.n_answered == found.n_trials else "; the same command goes on"
-    echo(f"{answers}: subject {found.subject}, {found.n_answered} of {found.n_trials} trials{rest}")
+    flagged = f", {found.n_flagged} with a flag" if found.n_flagged else ""
+    echo(f"{answers}: subject {found.subject}, {found.n_answered} of {found.n_trials} trials{flagged}{rest}")

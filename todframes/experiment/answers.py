@@ -14,11 +14,12 @@ import errno
 import os
 import re
 import sys
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import Annotated, Literal, Self, get_args
 
 import msgspec
 from msgspec import Meta
@@ -27,7 +28,7 @@ from todframes.config import MAX_CSV_MB, number, number_or_text, read_file
 from todframes.errors import DataError, OutputError, SettingsError
 from todframes.experiment.monitor import Monitor
 from todframes.frames.trials import Group
-from todframes.output import write_file
+from todframes.output import open_own, write_file
 from todframes.psychometrics.counts import COLUMNS as COUNT_COLUMNS
 from todframes.safe_text import FORMULA_STARTS, csv_text
 from todframes.stimulus import Orientation
@@ -49,11 +50,28 @@ Method = Literal["constant", "quest"]
 Phase = Literal["practice", "main"]
 
 
+Flag = Literal["hidden", "unfocused", "too_fast"]
+"""Reason for which an answer says nothing about what the person saw: the page was hidden or had lost the focus
+during the trial, or the response came earlier than `LEAST_RESPONSE_MS`."""
+
+LEAST_RESPONSE_MS = 150.0
+"""Least response time of an answer to the picture. People need some 200 ms to press one of two keys (Luce 1986);
+what comes earlier was on its way before the picture."""
+
 NO_RESPONSE = "none"
 """Response of a trial whose time limit passed."""
 
-
-BEFORE_LEVEL = ("trial", "phase", "frame", "sha256", "orientation", "response", "correct", "response_time_ms")
+BEFORE_LEVEL = (
+    "trial",
+    "phase",
+    "frame",
+    "sha256",
+    "orientation",
+    "response",
+    "correct",
+    "response_time_ms",
+    "flag",
+)
 """Columns in front of the level and the columns of `group_by`."""
 
 
@@ -92,8 +110,10 @@ class ShownDataset:
 class SessionRecord:
     """The sidecar of a session.
 
-    `trials` is the number of main trials, `practice` that of the practice trials before, `break_every` the number
-    of main trials between breaks; `background` is the asked luminance of the background over that of white.
+    `trials` is the number of main trials that count, `practice` that of a block of practice trials, of which the
+    share `practice_correct` has to be correct, `break_every` the number of main trials between breaks;
+    `background` is the asked luminance of the background over that of white. With `include_flagged`, flagged
+    answers count as all others do. `stopped_at` is the time at which the person ended the session, ISO 8601.
     """
 
     schema: int = SCHEMA
@@ -107,11 +127,14 @@ class SessionRecord:
     seed: Annotated[int, Meta(ge=0, lt=2**32)]
     trials: Annotated[int, Meta(ge=1)]
     practice: Annotated[int, Meta(ge=0, le=1000)]
+    practice_correct: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.0
     break_every: Annotated[int, Meta(ge=0)]
     time_limit_ms: Annotated[float, Meta(gt=0.0)] | None = None
     background: Annotated[float, Meta(gt=0.0, lt=1.0)]
     dither: bool
+    include_flagged: bool = False
     monitor: Monitor | None = None
+    stopped_at: str | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -131,6 +154,8 @@ class TrialRow:
     response : Orientation or None
         None: the time limit passed.
     response_time_ms : float
+    flag : Flag or None
+        None: the answer counts.
     level : float
     group : tuple of float or str
         One value for each column of `group_by`.
@@ -151,6 +176,7 @@ class TrialRow:
     orientation: Orientation
     response: Orientation | None
     response_time_ms: float
+    flag: Flag | None = None
     level: float
     group: Group
     size_mrad: float
@@ -166,12 +192,16 @@ class TrialRow:
 
 @dataclass(frozen=True, slots=True)
 class Session:
-    """A session that has begun: its monitor is calibrated. `path` is its data file, `rows` are in order."""
+    """A session that has begun: its monitor is calibrated. `path` is its data file, `rows` are in order.
+
+    With `include_flagged`, flagged answers count as all others do.
+    """
 
     path: Path
     record: SessionRecord
     monitor: Monitor
     rows: tuple[TrialRow, ...]
+    include_flagged: bool = False
 
     @property
     def subject(self) -> str:
@@ -179,8 +209,27 @@ class Session:
         return self.record.subject
 
     def main_rows(self) -> tuple[TrialRow, ...]:
-        """Return the rows that count: those of the main phase with a response."""
-        return tuple(row for row in self.rows if row.phase == "main" and row.response is not None)
+        """Return the rows that count: those of the main phase with a response and, as a rule, without a flag."""
+        return counted_rows(self.rows, include_flagged=self.include_flagged)
+
+    def n_flagged(self) -> dict[Flag, int]:
+        """Return the number of answers of the main phase with each flag that occurs."""
+        return flagged(self.rows)
+
+
+def counted_rows(rows: Iterable[TrialRow], *, include_flagged: bool) -> tuple[TrialRow, ...]:
+    """Return the rows that count: main trials with a response, those with a flag only if they are included."""
+    return tuple(
+        row
+        for row in rows
+        if row.phase == "main" and row.response is not None and (include_flagged or row.flag is None)
+    )
+
+
+def flagged(rows: Iterable[TrialRow]) -> dict[Flag, int]:
+    """Return the number of main trials with each flag that occurs, in the order of `Flag`."""
+    found = Counter(row.flag for row in rows if row.phase == "main")
+    return {flag: found[flag] for flag in get_args(Flag) if found[flag]}
 
 
 def columns(level: str, group_by: tuple[str, ...]) -> tuple[str, ...]:
@@ -214,8 +263,14 @@ def sidecar_path(data: Path) -> Path:
 # Reading -------------------------------------------------------------------------------------------------------
 
 
-def read_answers(folder: Path | str) -> list[Session]:
+def read_answers(folder: Path | str, *, include_flagged: bool = False) -> list[Session]:
     """Read the sessions of a folder of answers that have a row, ordered by their names.
+
+    Parameters
+    ----------
+    folder : path
+    include_flagged : bool
+        Whether flagged answers count.
 
     Raises
     ------
@@ -227,7 +282,7 @@ def read_answers(folder: Path | str) -> list[Session]:
     for path, record in read_records(folder):
         rows = read_rows(path, record.dataset)
         if record.monitor is not None and rows:
-            sessions.append(Session(path, record, record.monitor, rows))
+            sessions.append(Session(path, record, record.monitor, rows, include_flagged))
     if not sessions:
         raise DataError(
             f"{folder}: no answers; expected data/subject-*_session-*_data.csv of todframes experiment"
@@ -270,6 +325,8 @@ def read_sidecar(path: Path) -> SessionRecord:
 def read_rows(path: Path, dataset: ShownDataset) -> tuple[TrialRow, ...]:
     """Read the rows of a data file; a last line that was torn is left out.
 
+    A file of an earlier version has no column `flag`: only the response times then flag answers.
+
     Raises
     ------
     DataError
@@ -286,6 +343,8 @@ def read_rows(path: Path, dataset: ShownDataset) -> tuple[TrialRow, ...]:
     if not lines:
         return ()
     found = tuple(_without_quote(name) for name in lines[0])
+    if found == tuple(name for name in expected if name != "flag"):
+        expected = found
     if found != expected:
         raise DataError(f"{path}: found the columns {', '.join(found)}, expected {', '.join(expected)}")
     made: list[TrialRow] = []
@@ -318,6 +377,11 @@ def _row(row: dict[str, str], level: str, group_by: tuple[str, ...], where: str)
 
     orientation = Orientation(one_of("orientation", *Orientation))
     response = one_of("response", *Orientation, NO_RESPONSE)
+    time_ms = number(row["response_time_ms"], f"{where}: response_time_ms")
+    if "flag" in row:
+        flag = next((name for name in get_args(Flag) if one_of("flag", "", *get_args(Flag)) == name), None)
+    else:
+        flag = flag_of(None if response == NO_RESPONSE else time_ms)
     phase: Phase = "main" if one_of("phase", "practice", "main") == "main" else "practice"
     made = TrialRow(
         number=whole("trial"),
@@ -326,7 +390,8 @@ def _row(row: dict[str, str], level: str, group_by: tuple[str, ...], where: str)
         sha256=row["sha256"],
         orientation=orientation,
         response=None if response == NO_RESPONSE else Orientation(response),
-        response_time_ms=number(row["response_time_ms"], f"{where}: response_time_ms"),
+        response_time_ms=time_ms,
+        flag=flag,
         level=number(row[level], f"{where}: {level}", positive=True),
         group=tuple(number_or_text(_without_quote(row[name])) for name in group_by),
         size_mrad=number(row["size_mrad"], f"{where}: size_mrad", positive=True),
@@ -339,6 +404,11 @@ def _row(row: dict[str, str], level: str, group_by: tuple[str, ...], where: str)
             f"{where}: correct: found {row['correct']}, but the response was {response} to {orientation}"
         )
     return made
+
+
+def flag_of(response_time_ms: float | None) -> Flag | None:
+    """Return the flag that a response time alone gives; None is the time of a trial without a response."""
+    return "too_fast" if response_time_ms is not None and response_time_ms < LEAST_RESPONSE_MS else None
 
 
 def _without_quote(text: str) -> str:
@@ -357,7 +427,8 @@ def write_sidecar(path: Path, record: SessionRecord) -> None:
     OutputError
         If it cannot be written.
     """
-    write_file(path, msgspec.json.format(msgspec.json.encode(record), indent=2) + b"\n")
+    content = msgspec.json.format(msgspec.json.encode(record), indent=2) + b"\n"
+    write_file(path, content, is_private=True)
 
 
 class AnswerFile:
@@ -375,11 +446,12 @@ class AnswerFile:
         self.path = path
         self.rows: list[TrialRow] = []
         try:
-            flags = os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0)
-            self._file = os.open(path, flags, 0o666)
+            self._file = open_own(path)
         except OSError as error:
             raise OutputError(f"{path}: cannot be written ({error.strerror})") from None
         try:
+            if os.fstat(self._file).st_nlink > 1:
+                raise OutputError(f"{path}: has another name as well (a hard link), expected a file of its own")
             self._lock()
         except BaseException:
             os.close(self._file)
@@ -399,14 +471,20 @@ class AnswerFile:
         OutputError
             If the file cannot be written.
         DataError
-            If it holds a row that is not a trial.
+            If it holds a row that is not a trial, or has the columns of an earlier version.
         """
         self._dataset, self._columns = dataset, columns(dataset.level, dataset.group_by)
         self.rows = list(read_rows(self.path, dataset))
         self._size = self._cut()
+        header = csv_text([self._columns]).encode()
         if self._size == 0:
-            self._append(csv_text([self._columns]).encode())
+            self._append(header)
             _sync_folder(self.path.parent)
+        elif not self.path.read_bytes().startswith(header):
+            raise DataError(
+                f"{self.path}: found a session of an earlier version, without the column flag; expected one of "
+                "this version, so take another --subject"
+            )
 
     def append(self, row: TrialRow) -> None:
         """Write a row to the disk; when this returns it is there, when it raises the file is as before.
@@ -472,6 +550,7 @@ def _values(row: TrialRow, dataset: ShownDataset) -> dict[str, object]:
         "response": NO_RESPONSE if row.response is None else row.response.value,
         "correct": int(row.is_correct),
         "response_time_ms": round(row.response_time_ms, 3),
+        "flag": row.flag or "",
         "size_mrad": row.size_mrad,
         "dither_seed": row.dither_seed,
         "clipped_px": row.clipped_px,
@@ -497,8 +576,9 @@ def count_file(folder: Path, subject: str) -> Path:
 def write_counts(path: Path, record: SessionRecord, rows: Sequence[TrialRow]) -> None:
     """Write how often a person was right at each level of each group, for `todframes fit`.
 
-    Trials of the main phase count that have a response. Where a pixel had another visual angle than at the
-    dataset's display, by more than `SAME_PITCH`, `size_mrad` is that at the eye.
+    Trials of the main phase count that have a response and no flag, or any flag if the record includes them. Where
+    a pixel had another visual angle than at the dataset's display, by more than `SAME_PITCH`, `size_mrad` is that
+    at the eye.
 
     Raises
     ------
@@ -508,14 +588,13 @@ def write_counts(path: Path, record: SessionRecord, rows: Sequence[TrialRow]) ->
     level, group_by = record.dataset.level, record.dataset.group_by
     ratio = 1.0 if record.monitor is None else record.monitor.pixel_pitch_mrad / record.dataset.pixel_pitch_mrad
     found: dict[tuple[Group, float], list[bool]] = {}
-    for row in rows:
-        if row.phase == "main" and row.response is not None:
-            found.setdefault((row.group, row.level), []).append(row.is_correct)
+    for row in counted_rows(rows, include_flagged=record.include_flagged):
+        found.setdefault((row.group, row.level), []).append(row.is_correct)
     lines: list[list[object]] = [[*COUNT_COLUMNS, *group_by]]
     for (group, x), answers in sorted(found.items(), key=lambda item: (_order(item[0][0]), item[0][1])):
         of_group = [at_eye(name, value, ratio) for name, value in zip(group_by, group, strict=True)]
         lines.append([at_eye(level, x, ratio), sum(answers), len(answers), *of_group])
-    write_file(path, csv_text(lines).encode())
+    write_file(path, csv_text(lines).encode(), is_private=True)
 
 
 def at_eye(name: str, value: float | str, ratio: float) -> float | str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from itertools import chain
 from typing import NamedTuple
@@ -10,12 +11,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from todframes.errors import DataError
-from todframes.experiment.answers import AnswerFile, Phase, SessionRecord, TrialRow, sidecar_path
+from todframes.experiment.answers import AnswerFile, Phase, SessionRecord, TrialRow, flagged, sidecar_path
 from todframes.frames.trials import Trials
 from todframes.psychometrics.quest import QuestGrid
 
 # First elements of the spawn keys of random streams.
-ORDER, GROUPS, FRAMES, PRACTICE, DITHER = range(5)
+ORDER, GROUPS, FRAMES, PRACTICE, DITHER, AGAIN = range(6)
+
+MOST_AGAIN = 0.25
+"""Largest number of trials that a session shows again because their answers have flags, over the number of its
+trials: a person who never looks comes to an end, too."""
 
 
 class NextTrial(NamedTuple):
@@ -24,6 +29,19 @@ class NextTrial(NamedTuple):
     phase: Phase
     row: int
     dither_seed: int
+
+
+class Practised(NamedTuple):
+    """How the last complete block of practice went: the blocks so far, its correct answers, and those needed."""
+
+    blocks: int
+    n_correct: int
+    n_needed: int
+
+    @property
+    def is_enough(self) -> bool:
+        """Whether the main trials may begin."""
+        return self.n_correct >= self.n_needed
 
 
 class TrialOrder:
@@ -54,9 +72,20 @@ class TrialOrder:
         main = range(len(self._trials)) if self._main is None else self._main.tolist()
         return sorted({*self._practice.tolist(), *main})
 
-    def total(self, phase: Phase) -> int:
-        """Return the number of trials of a phase."""
-        return len(self._practice) if phase == "practice" else self._record.trials
+    def total(self, phase: Phase, rows: Sequence[TrialRow] = ()) -> int:
+        """Return the number of trials of a block of practice, or of the main phase after some rows."""
+        return len(self._practice) if phase == "practice" else n_main_trials(self._record, rows)
+
+    def practised(self, rows: Sequence[TrialRow]) -> Practised | None:
+        """Return how the last complete block of practice went; None before its end."""
+        n_block = len(self._practice)
+        answers = [row for row in rows if row.phase == "practice"]
+        n_blocks = len(answers) // n_block if n_block else 0
+        if n_blocks == 0:
+            return None
+        last = answers[(n_blocks - 1) * n_block : n_blocks * n_block]
+        n_correct = sum(row.is_correct and self._counts(row) for row in last)
+        return Practised(n_blocks, n_correct, math.ceil(self._record.practice_correct * n_block))
 
     def check(self, file: AnswerFile) -> None:
         """Raise DataError if the dataset has fewer trials, or a row names a frame that no trial begins with."""
@@ -74,17 +103,34 @@ class TrialOrder:
     def next(self, rows: Sequence[TrialRow]) -> NextTrial | None:
         """Return the next trial after some rows; None after the last."""
         dither_seed = int(_stream(self._record.seed, DITHER, len(rows)).integers(4096))
-        if len(rows) < len(self._practice):
-            return NextTrial("practice", int(self._practice[len(rows)]), dither_seed)
-        n_main = len(rows) - len(self._practice)
-        if n_main >= self._record.trials:
+        main = [row for row in rows if row.phase == "main"]
+        if not main and len(self._practice):
+            practised = self.practised(rows)
+            block, place = divmod(len(rows), len(self._practice))
+            if place or practised is None or not practised.is_enough:
+                of_block = _stream(self._record.seed, PRACTICE, block).permutation(self._practice)
+                return NextTrial("practice", int((of_block if block else self._practice)[place]), dither_seed)
+        if len(main) >= n_main_trials(self._record, rows):
             return None
-        row = int(self._main[n_main]) if self._main is not None else self._adaptive(rows)
+        row = self._adaptive(main) if self._main is None else self._constant(self._main, main)
         return NextTrial("main", row, dither_seed)
 
+    def _constant(self, order: NDArray[np.intp], main: Sequence[TrialRow]) -> int:
+        """Return the next trial in an order, into which flagged trials come again at a random later place."""
+        queue, n_trials = order.tolist(), n_main_trials(self._record, main)
+        for place, row in enumerate(main):
+            if not self._counts(row) and len(queue) < n_trials:
+                first = min(place + 2, len(queue))  # not at once, if another one is left
+                again = _stream(self._record.seed, AGAIN, place).integers(first, len(queue), endpoint=True)
+                queue.insert(int(again), queue[place])
+        return int(queue[len(main)])
+
+    def _counts(self, row: TrialRow) -> bool:
+        return self._record.include_flagged or row.flag is None
+
     def _adaptive(self, rows: Sequence[TrialRow]) -> int:
-        """Return the trial that QUEST+ chooses: of the group whose turn it is, one that was not shown yet."""
-        main = rows[len(self._practice) :]
+        """Return the trial that QUEST+ chooses: of the group in turn, one without an answer that counts."""
+        main = [row for row in rows if self._counts(row)]
         shown = np.array([self._row_of_frame[row.frame] for row in main], np.intp)
         is_left = np.ones(len(self._trials), np.bool_)
         is_left[shown] = False
@@ -106,7 +152,14 @@ class TrialOrder:
         entropy[~np.isin(grid.levels, levels[is_left & (codes == code)])] = np.inf
         level = grid.levels[np.argmin(entropy)]
         choice = np.flatnonzero(is_left & (codes == code) & (levels == level))
-        return int(_stream(self._record.seed, FRAMES, len(main)).choice(choice))
+        return int(_stream(self._record.seed, FRAMES, len(rows)).choice(choice))
+
+
+def n_main_trials(record: SessionRecord, rows: Sequence[TrialRow]) -> int:
+    """Return the number of main trials of a session: those that are shown again after some rows are added."""
+    if record.include_flagged:
+        return record.trials
+    return record.trials + min(sum(flagged(rows).values()), math.ceil(MOST_AGAIN * record.trials))
 
 
 def spread_trials(trials: Trials, n_trials: int, rng: np.random.Generator) -> NDArray[np.intp]:

@@ -7,6 +7,7 @@ the visual angle of its pixels. The scores of a trial are computed once; any int
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import partial
@@ -162,6 +163,7 @@ def seen_dataset(dataset: Dataset, session: Session) -> SeenDataset:
         bad_rows=(),
         spoilt=frozenset(),
         manifest_sha256=dataset.manifest_sha256,
+        max_frame_mb=dataset.max_frame_mb,
         shown=dataset,
         monitor=session.monitor,
         originals=originals,
@@ -379,12 +381,14 @@ class GroupCurve:
 class PersonFit:
     """The internal noise of a person, and the curves of each group.
 
-    `subject` is None for several persons together, who have no curves.
+    `n_flagged` has the number of answers with each flag of `answers.Flag` that occurs. `subject` is None for
+    several persons together, who have no curves.
     """
 
     subject: str | None
     n_trials: int
     n_correct: int
+    n_flagged: Mapping[str, int]
     fit: NoiseFit
     groups: tuple[GroupCurve, ...]
 
@@ -505,7 +509,8 @@ def calibrate_persons(
         cells = cells_of([answered[k] for k in members])
         fit = fit_noise(table, is_correct, cells, lapse_rates=lapse_rates, rng=rng)
         curves = () if subject is None else _curves(table, is_correct, trials, fit, fit_settings, rng)
-        return PersonFit(subject, len(is_correct), int(is_correct.sum()), fit, curves)
+        flags: Counter[str] = sum((Counter(sessions[k].n_flagged()) for k in members), Counter())
+        return PersonFit(subject, len(is_correct), int(is_correct.sum()), dict(flags), fit, curves)
 
     subjects = list(dict.fromkeys(one.subject for one in answered))
     persons = tuple(

@@ -23,6 +23,11 @@ DESCRIPTIONS: Mapping[str, tuple[str, str | None]] = {
     "response": ("What the person said; none: the time limit passed", None),
     "correct": ("1 if the response is the orientation, otherwise 0", None),
     "response_time_ms": ("Time from the picture to the response, as the browser measured it", "ms"),
+    "flag": (
+        "hidden, unfocused: the page was not seen, or had lost the focus, during the trial; too_fast: the "
+        "response came within 150 ms; empty: none of them. Flagged answers do not count",
+        None,
+    ),
     "size_mrad": (
         "Square root of the triangle's area on the dataset's display; at the person's eye it is this times the "
         "monitor's pixel_pitch_mrad (sidecar) over the dataset's",
@@ -77,4 +82,4 @@ def write_description(folder: Path, shown: ShownDataset, software: Mapping[str, 
         If it cannot be written.
     """
     content = msgspec.json.format(msgspec.json.encode(description(shown, software)), indent=2)
-    write_file(folder / NAME, content + b"\n")
+    write_file(folder / NAME, content + b"\n", is_private=True)

@@ -28,8 +28,10 @@ from todframes._typing import Json
 from todframes.config import check_values
 from todframes.errors import DataError, OutputError, SettingsError
 from todframes.experiment.answers import (
+    LEAST_RESPONSE_MS,
     AnswerFile,
     Consent,
+    Flag,
     Method,
     Phase,
     SessionRecord,
@@ -38,7 +40,10 @@ from todframes.experiment.answers import (
     check_text,
     columns,
     count_file,
+    counted_rows,
     data_path,
+    flag_of,
+    flagged,
     read_records,
     read_rows,
     read_sidecar,
@@ -53,7 +58,7 @@ from todframes.experiment.monitor import (
     calibrated,
     check_shows,
 )
-from todframes.experiment.order import NextTrial, TrialOrder
+from todframes.experiment.order import NextTrial, TrialOrder, n_main_trials
 from todframes.experiment.psych_ds import NAME as DESCRIPTION_NAME
 from todframes.experiment.psych_ds import write_description
 from todframes.experiment.stimuli import clipped, contrast_range, dithered_codes, png, trial_image
@@ -65,20 +70,33 @@ from todframes.stimulus import ORIENTATIONS, Orientation
 
 CONSENT = """\
 You will see a triangle on a grey field, again and again, and say where it points: up, right, down or left. Some
-are easy, some cannot be seen; then guess. It takes 10 to 30 minutes, and there are breaks. You may stop at any
-time by closing the page.
+are easy, some cannot be seen; then guess. It takes 10 to 30 minutes, and there are breaks.
 
-Your answers, the times they took and the calibration of this monitor are kept in a folder of this computer under a
-random name. Nothing is sent anywhere.
+Taking part is voluntary. You may stop at any time, without a reason, with the button "Stop".
+
+Your answers, the times they took and the calibration of this monitor are kept in a folder of this computer under
+an anonymous id. Nothing is sent anywhere.
+
+You may withdraw later, too: give the id that stands below to {contact}, who then deletes all that is kept under
+it. Ask there as well if you have a question.
 """
-"""Text that people agree to unless another one is given."""
+"""Text that people agree to unless another one is given; `contact` is put into it."""
 
+CONTACT = "the person who invited you"
+"""Contact of a session that names none."""
+
+PRACTICE_CORRECT = 0.75
+"""Default of the share of a block of practice that has to be correct. Guesses give 6 of 8 once in 240 blocks."""
+
+
+PRIVATE = 0o700
+"""Permissions of the folders of answers: nobody but their owner looks into them."""
 
 QUEST_TRIALS = 60
 """Default of the number of trials of a group that QUEST+ chooses."""
 
 
-Step = Literal["consent", "monitor", "practice", "main", "break", "done"]
+Step = Literal["consent", "monitor", "practice", "main", "break", "done", "stopped"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -93,6 +111,8 @@ class Design:
         Number of trials that count. Default: all of the dataset; for quest 60 a group.
     practice : int, optional
         Number of trials with feedback before. Default: 8.
+    practice_correct : float, optional
+        Share of them that has to be correct before the main trials begin; else they come again. Default: 0.75.
     break_every : int, optional
         Number of trials between breaks, 0 for none. Default: 60.
     time_limit_s : float, optional
@@ -101,6 +121,8 @@ class Design:
         Luminance of the background over that of white. Default: 0.5.
     dither : bool, optional
         Show luminances between two code values by pixels of both. Default: yes.
+    include_flagged : bool, optional
+        Count flagged answers as all others. Default: no; their trials are shown again later.
     seed : int, optional
         Seed of the order. Default: a random one.
     """
@@ -108,10 +130,12 @@ class Design:
     method: Method | None = None
     trials: Annotated[int | None, Meta(ge=1, le=1_000_000)] = None
     practice: Annotated[int | None, Meta(ge=0, le=1000)] = None
+    practice_correct: Annotated[float | None, Meta(ge=0.0, le=1.0)] = None
     break_every: Annotated[int | None, Meta(ge=0, le=1_000_000)] = None
-    time_limit_s: Annotated[float | None, Meta(ge=0.1, le=3600)] = None
+    time_limit_s: Annotated[float | None, Meta(ge=0.2, le=3600)] = None
     background: Annotated[float | None, Meta(ge=0.01, le=0.99)] = None
     dither: bool | None = None
+    include_flagged: bool | None = None
     seed: Annotated[int | None, Meta(ge=0, le=2**32 - 1)] = None
 
     def __post_init__(self) -> None:
@@ -127,6 +151,7 @@ class Material(NamedTuple):
     """Things that a session shows: the text of consent, the largest size of a frame, and all contrasts."""
 
     consent_text: str
+    contact: str
     frame_px: tuple[int, int]
     contrasts: list[ContrastRange]
 
@@ -280,10 +305,18 @@ class Sitting:
                 raise StepError(f"trial {number} is not shown; expected that of /api/trial")
             return self._prepared.picture.content
 
-    def answer(self, number: int, response: Orientation | None, response_time_ms: float) -> Json:
+    def answer(
+        self,
+        number: int,
+        response: Orientation | None,
+        response_time_ms: float,
+        *,
+        lost: Literal["hidden", "unfocused"] | None = None,
+    ) -> Json:
         """Save an answer to the disk, once: a trial that has an answer keeps it.
 
-        The trial may have been shown by a server before this one, as its order is the same.
+        The trial may have been shown by a server before this one, as its order is the same. `lost` says that the
+        page was hidden, or had lost the focus, during the trial.
 
         Raises
         ------
@@ -302,7 +335,7 @@ class Sitting:
                 raise StepError(
                     "response: found none, which only a time limit gives; expected up, right, down, left"
                 )
-            row = _row(shown, response, response_time_ms)
+            row = _row(shown, response, response_time_ms, lost)
             self._file.append(row)
             self._prepared = None
             self._after(row)
@@ -312,6 +345,22 @@ class Sitting:
         """End a break; at other steps nothing changes."""
         with self._lock:
             self._is_break = False
+            return self._state()
+
+    def stop(self) -> Json:
+        """End the session early, as the person wants it; what was answered stays.
+
+        Raises
+        ------
+        StepError
+            If the person has not agreed yet, or has answered all trials.
+        OutputError
+            If it cannot be written.
+        """
+        with self._lock:
+            if (step := self._step()[0]) in ("consent", "done"):
+                raise StepError(f"the session is at the step {step}, which cannot be stopped; reload the page")
+            self._write(replace(self.record, stopped_at=_now()))
             return self._state()
 
     def close(self) -> None:
@@ -334,6 +383,8 @@ class Sitting:
     def _step(self) -> tuple[Step, NextTrial | None]:
         if self.record.consent is None:
             return "consent", None
+        if self.record.stopped_at is not None:
+            return "stopped", None
         if self.record.monitor is None:
             return "monitor", None
         following = self._order.next(self._file.rows)
@@ -349,13 +400,17 @@ class Sitting:
         step, following = self._step()
         rows = self._file.rows
         phase: Phase = "practice" if following is not None and following.phase == "practice" else "main"
+        practised, total = self._order.practised(rows), self._order.total(phase, rows)
+        n_done = sum(row.phase == phase for row in rows)
         display, material = self._dataset.display, self._material
         return {
             "step": step,
             "subject": self.record.subject,
-            "done": sum(row.phase == phase for row in rows),
-            "total": self._order.total(phase),
+            "done": n_done % total if phase == "practice" else n_done,
+            "total": total,
+            "practised": None if practised is None else practised._asdict(),
             "consent_text": material.consent_text,
+            "contact": material.contact,
             "dataset": {
                 "name": self._dataset.path.name,
                 "n_frames": self._dataset.n_frames,
@@ -373,12 +428,18 @@ class Sitting:
         }
 
     def _summary(self) -> list[tuple[str, str]]:
-        """Return what is told at the end: labels and texts."""
-        answers = [row for row in self._file.rows if row.phase == "main"]
-        return [("Correct", f"{sum(row.is_correct for row in answers)} of {len(answers)}")]
+        """Return the labels and texts of the last screen."""
+        answers = counted_rows(self._file.rows, include_flagged=self.record.include_flagged)
+        n_flagged = sum(flagged(self._file.rows).values())
+        found = [("Correct", f"{sum(row.is_correct for row in answers)} of {len(answers)}")]
+        if n_flagged and not self.record.include_flagged:
+            found.append(("Left out", f"{n_flagged}: too fast, or given while this page was not in front"))
+        return found
 
     def _answered(self, row: TrialRow) -> Json:
-        return {**self._state(), "correct": row.is_correct if row.phase == "practice" else None}
+        flag = None if self.record.include_flagged else row.flag
+        is_practice = row.phase == "practice" and flag is None
+        return {**self._state(), "correct": row.is_correct if is_practice else None, "flag": flag}
 
     def _prepare(self) -> Prepared:
         step, following = self._step()
@@ -400,7 +461,7 @@ class Sitting:
         wrong = next(one for one in ORIENTATIONS if one is not orientation)
         ahead = {}
         for response in (orientation, wrong):
-            following = self._order.next([*self._file.rows, _row(shown, response, 0.0)])
+            following = self._order.next([*self._file.rows, _row(shown, response, LEAST_RESPONSE_MS)])
             if following is not None:
                 ahead[following] = self._ahead.get(following) or self._artist.submit(
                     make_picture, self._dataset, self._monitor, following
@@ -425,7 +486,9 @@ class Sitting:
             write_counts(count_file(self._folder, self.record.subject), self.record, self.rows)
 
 
-def _row(shown: Prepared, response: Orientation | None, response_time_ms: float) -> TrialRow:
+def _row(
+    shown: Prepared, response: Orientation | None, response_time_ms: float, lost: Flag | None = None
+) -> TrialRow:
     """Return the row of a trial that was answered."""
     trial, picture = shown.picture.trial, shown.picture
     return TrialRow(
@@ -436,6 +499,7 @@ def _row(shown: Prepared, response: Orientation | None, response_time_ms: float)
         orientation=trial.orientation,
         response=response,
         response_time_ms=response_time_ms,
+        flag=lost or flag_of(None if response is None else response_time_ms),
         level=trial.level,
         group=trial.group,
         size_mrad=trial.stimulus.size_mrad,
@@ -466,6 +530,7 @@ def open_sitting(
     subject: str | None = None,
     design: Design | None = None,
     consent_text: str | None = None,
+    contact: str | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> Iterator[Sitting]:
     """Begin a session, or go on with one that is not finished; its files stay locked in the block.
@@ -481,6 +546,8 @@ def open_sitting(
         Settings; those of a session that has rows cannot change.
     consent_text : str, optional
         Text that the person is to agree to.
+    contact : str, optional
+        Name and address, for the text of consent of this package and the last screen.
     progress : function of an int, optional
         Called with 1 for each trial whose frames were read.
 
@@ -513,12 +580,17 @@ def open_sitting(
             write_sidecar(sidecar, record)
         elif differs:
             raise SettingsError(f"--{differs}, but subject {subject} has answered trials; take another --subject")
+        elif record.stopped_at is not None:
+            record = replace(record, stopped_at=None)
+            write_sidecar(sidecar, record)
         order = TrialOrder(dataset.trials, record)
         order.check(file)
         if order.next(file.rows) is None:
             raise SettingsError(f"--subject: {subject} has finished; leave it out, or take another one")
-        text = consent_text or CONSENT if record.consent is None else record.consent.text
-        sitting = Sitting(dataset, folder, record, file, _material(dataset, order.candidates, text, progress))
+        contact = contact or CONTACT
+        text = record.consent.text if record.consent else consent_text or CONSENT.format(contact=contact)
+        material = _material(dataset, order.candidates, text, contact, progress)
+        sitting = Sitting(dataset, folder, record, file, material)
         try:
             yield sitting
         finally:
@@ -566,11 +638,12 @@ def _records_in(folder: Path, shown: ShownDataset) -> list[tuple[Path, SessionRe
 
 
 def _unfinished_subject(folder: Path, records: Sequence[tuple[Path, SessionRecord]]) -> str | None:
-    """Return the subject of the only session that is not finished; None if all are."""
+    """Return the subject of the only session that is neither finished nor stopped; None if all are."""
     unfinished = []
     for path, record in records:
         rows = read_rows(path, record.dataset) if path.exists() else ()
-        if sum(row.phase == "main" for row in rows) < record.trials:
+        n_main = sum(row.phase == "main" for row in rows)
+        if record.stopped_at is None and n_main < n_main_trials(record, rows):
             unfinished.append(record.subject)
     if len(unfinished) > 1:
         raise SettingsError(
@@ -582,10 +655,12 @@ def _unfinished_subject(folder: Path, records: Sequence[tuple[Path, SessionRecor
 
 def _make_folders(folder: Path, shown: ShownDataset, software: Mapping[str, str]) -> None:
     try:
-        folder.mkdir(exist_ok=True)
+        folder.mkdir(PRIVATE, exist_ok=True)
         write_description(folder, shown, software)
         for name in ("data", "counts"):
-            (folder / name).mkdir(exist_ok=True)
+            (folder / name).mkdir(PRIVATE, exist_ok=True)
+            if (folder / name).is_symlink():
+                raise OutputError(f"{folder / name}: is a link, expected a folder")
     except OutputError:
         raise
     except OSError as error:
@@ -611,15 +686,17 @@ def _new_record(
         seed=secrets.randbelow(2**32) if design.seed is None else design.seed,
         trials=trials,
         practice=8 if design.practice is None else design.practice,
+        practice_correct=PRACTICE_CORRECT if design.practice_correct is None else design.practice_correct,
         break_every=60 if design.break_every is None else design.break_every,
         time_limit_ms=None if design.time_limit_s is None else 1000.0 * design.time_limit_s,
         background=0.5 if design.background is None else design.background,
         dither=True if design.dither is None else design.dither,
+        include_flagged=bool(design.include_flagged),
     )
 
 
 def _difference(record: SessionRecord, design: Design) -> str | None:
-    """Tell the first setting of a design that a session has otherwise; None if it has all."""
+    """Return the name of the first setting in which the session differs from the design, or None."""
     for field in fields(design):
         asked = getattr(design, field.name)
         if field.name == "time_limit_s":
@@ -632,7 +709,11 @@ def _difference(record: SessionRecord, design: Design) -> str | None:
 
 
 def _material(
-    dataset: Dataset, indices: Sequence[int], consent_text: str, progress: Callable[[int], None] | None
+    dataset: Dataset,
+    indices: Sequence[int],
+    consent_text: str,
+    contact: str,
+    progress: Callable[[int], None] | None,
 ) -> Material:
     """Read all frames that a session may show."""
     blue_noise()  # takes a quarter of a second, which the first trial shall not take
@@ -645,4 +726,4 @@ def _material(
         if progress is not None:
             progress(1)
     width, height = (max(of_side) for of_side in zip(*sides, strict=True))
-    return Material(consent_text, (width, height), contrasts)
+    return Material(consent_text, contact, (width, height), contrasts)

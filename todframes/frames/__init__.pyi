@@ -3,4 +3,3 @@ from .dataset import load_dataset as load_dataset
 from .display import Display as Display
 from .files import read_frame as read_frame
 from .files import write_frame as write_frame
-from .locate import locate_triangles as locate_triangles

@@ -40,14 +40,17 @@ from distributed.versions import VersionMismatchWarning
 
 from todframes.errors import ClusterError, SettingsError
 from todframes.jobs import worker
+from todframes.jobs.start import SAFE_PATH, safe_path
 from todframes.jobs.work import Lost, Work
 from todframes.jobs.worker import Done
 from todframes.signals import held_back, raise_again
 from todframes.threads import POLL_S
-from todframes.user_code import in_words
+from todframes.user_code import in_words, searched_last
 
 T = TypeVar("T")
 R = TypeVar("R")
+
+LOCAL = "local:"
 
 CONNECT_S = 10.0
 """Time within which a scheduler has to answer, and then its first worker."""
@@ -152,7 +155,9 @@ class ClusterEngine:
             If the scheduler is gone, or no workers are left, or one of them cannot do the work.
         """
         plan = _Plan(work, items)
-        key = self._works.add(_pickled(work))
+        # A cluster that runs already has other machines, which have their own modules.
+        folders = searched_last() if self._cluster.startswith(LOCAL) else []
+        key = self._works.add(pickle.dumps((folders, _pickled(work))))
         outcomes: queue.SimpleQueue[tuple[_Batch[T], Future[Done | _Killed]]] = queue.SimpleQueue()
         in_flight: set[Future[Done | _Killed]] = set()
 
@@ -346,6 +351,8 @@ class _Background:
     """An event loop in a thread of its own; interruptions are noticed while its results are waited for."""
 
     def __enter__(self) -> _Background:
+        with safe_path():
+            resource_tracker.ensure_running()  # it would lift the mask of the thread's signals
         self._loop = asyncio.new_event_loop()
         self._loop.set_exception_handler(lambda *_: None)  # of connections that nobody waits for any more
         self._thread = threading.Thread(target=self._run, name="todframes cluster", daemon=True)
@@ -387,9 +394,7 @@ class _Background:
 
     def _run(self) -> None:
         if hasattr(signal, "pthread_sigmask"):
-            # Ctrl-C in a terminal reaches all processes; those that are started from here inherit the mask. The
-            # start of the resource tracker would lift it.
-            resource_tracker.ensure_running()
+            # Ctrl-C in a terminal reaches all processes; those that are started from here inherit the mask.
             signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         self._loop.run_forever()
 
@@ -404,7 +409,7 @@ async def _cancel_all() -> None:
 @asynccontextmanager
 async def _connected(cluster: str) -> AsyncIterator[Client]:
     async with AsyncExitStack() as stack:
-        if local := re.fullmatch("local:([1-9][0-9]*)", cluster):
+        if local := re.fullmatch(LOCAL + "([1-9][0-9]*)", cluster):
             address = await stack.enter_async_context(_local_cluster(int(local[1])))
         elif re.fullmatch("(tcp|tls|ws|wss)://.+:[0-9]{1,5}", cluster):
             address = cluster
@@ -442,8 +447,7 @@ async def _client(address: str) -> AsyncIterator[Client]:
 @asynccontextmanager
 async def _local_cluster(n_workers: int) -> AsyncIterator[str]:
     """Start a scheduler in this process and worker processes, and yield the scheduler's address."""
-    # The start of a process must not import what lies in the current folder.
-    environment = worker.THREADS_ENVIRONMENT | {"PYTHONSAFEPATH": "1"}
+    environment = worker.THREADS_ENVIRONMENT | {SAFE_PATH: "1"}
     settings = {
         "distributed.worker.multiprocessing-method": "spawn",
         "distributed.nanny.pre-spawn-environ": environment,

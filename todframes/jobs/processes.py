@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import multiprocessing
+import pickle
 import signal
 from collections import deque
-from collections.abc import Generator, Iterable, Iterator
+from collections.abc import Generator, Iterable, Iterator, Sequence
 from contextlib import suppress
 from itertools import islice
 from multiprocessing.connection import Connection, wait
 from typing import Any
 
 from todframes.errors import TodframesError
+from todframes.jobs.start import safe_path
 from todframes.jobs.work import Item, Lost, Result, Work
 from todframes.signals import held_back
 from todframes.threads import POLL_S
+from todframes.user_code import search_last, searched_last
 
 ITEMS_PER_TASK = 8
 """Number of items that a process takes at a time."""
@@ -106,8 +109,10 @@ class _Worker:
         self.connection, other = context.Pipe()
         self.task: list[tuple[int, Any]] = []
         self.is_started = False
-        self._process = context.Process(target=_serve, args=(other, work), daemon=True)
-        self._process.start()
+        arguments = (other, searched_last(), pickle.dumps(work))
+        self._process = context.Process(target=_serve, args=arguments, daemon=True)
+        with safe_path():
+            self._process.start()
         other.close()
 
     def start(self) -> None:
@@ -159,10 +164,11 @@ class _Worker:
         self._process.close()
 
 
-def _serve(connection: Connection, work: Work[Any, Any]) -> None:
+def _serve(connection: Connection, folders: Sequence[str], work: bytes) -> None:
     """Do the tasks that come through a pipe until it is closed; the other end deals with Ctrl-C."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    function = work.function()
+    search_last(folders)
+    function = pickle.loads(work).function()
     connection.send(True)
     with suppress(EOFError, OSError):  # the other end is closed
         while True:

@@ -21,7 +21,7 @@ from distributed import get_worker
 
 from todframes import __version__
 from todframes.errors import TodframesError
-from todframes.user_code import in_words
+from todframes.user_code import in_words, search_last
 
 LONGEST_BATCH_S = 5.0
 """Time after which a batch ends; the items that are left come back."""
@@ -148,7 +148,9 @@ def _function(key: str) -> Callable[[Any], Any]:
     with _making:
         if key not in _functions:
             keep_libraries_to_one_thread()
-            _functions[key] = pickle.loads(_work(key)).function()
+            folders, work = pickle.loads(_work(key))
+            search_last(folders)
+            _functions[key] = pickle.loads(work).function()
             _drop_oldest(_functions)
         return _functions[key]
 

@@ -177,9 +177,10 @@ class PyramidObserver:
             return self.settings.levels
         size = self._seen_size_mrad(stimulus) / self.settings.retina_pitch_mrad
         if size > LARGEST_SIZE_SAMPLES:
+            largest = stimulus.size_mrad * LARGEST_SIZE_SAMPLES / size
             raise SettingsError(
-                f"retina_pitch_mrad: a triangle of {stimulus.size_mrad:g} mrad is {size:g} retina samples, "
-                f"expected at most {LARGEST_SIZE_SAMPLES:.0f}"
+                f"size_mrad: found {stimulus.size_mrad:g} mrad at the eye, expected at most {largest:.4g}: take "
+                "smaller triangles or a longer viewing distance"
             )
         return min(max(FEWEST_LEVELS, math.ceil(math.log2(0.9 * size))) + self._more_levels, MOST_LEVELS)
 

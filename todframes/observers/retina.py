@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 MOST_GATHERED = 2
-"""Largest number of pieces of a cell that are added one by one: no sparse matrix is needed, nor an import of scipy.
+"""Largest number of pieces of a cell that are added one by one, without a sparse matrix and scipy.
 Pixels that are no narrower than a sample divide it into two at most."""
 
 

@@ -17,8 +17,9 @@ from todframes.config import csv_text
 from todframes.errors import DataError, SettingsError
 from todframes.frames.display import Display
 from todframes.frames.display_files import DisplayDescription, find_display, table_of_display
+from todframes.frames.files import MAX_FRAME_MB
 from todframes.jobs.store import Store
-from todframes.output import Going, new_folder, remove_others, store_folder
+from todframes.output import Going, new_folder, remove_others, store_path
 from todframes.recordings.chart_source import ChartSource
 from todframes.recordings.clips import TIME_TOLERANCE, Clip, ClipFrame
 from todframes.recordings.opening import open_recordings
@@ -113,9 +114,9 @@ def import_recordings(
     steady: bool = False,
     value_range: tuple[float, float] | None = None,
     frames_per_second: float | None = None,
+    max_frame_mb: int = MAX_FRAME_MB,
     ifov_mrad: float | None = None,
     level: str | None = None,
-    overwrite: bool = False,
     restart: bool = False,
     keep_store: bool = False,
     tell: Callable[[str], None] | None = None,
@@ -146,13 +147,13 @@ def import_recordings(
         Recorded values that the display shows black and white. Needed for values without a white: temperatures.
     frames_per_second : float, optional
         Frame rate in place of what the files say.
+    max_frame_mb : int
+        Largest size of a frame in 2**20 bytes: all channels in their own pixel types, at least 8 bytes a pixel.
     ifov_mrad : float, optional
         With a schedule: angle of a recorded pixel at the camera; sizes in mrad are then angles at the camera.
         Without it they are angles on the display.
     level : str, optional
         With a schedule: column of the stimulus strength. Default: contrast.
-    overwrite : bool
-        Whether `out` may be replaced if it is a dataset that this package wrote.
     restart : bool
         Begin anew even if an earlier call with the same `out` was interrupted. Otherwise the windows that it has
         written are not written again; the recordings are read again from their beginning, as the frames of a video
@@ -184,7 +185,9 @@ def import_recordings(
     _check_settings(value_range, ifov_mrad, level, has_schedule=schedule is not None)
     shown = DisplayDescription(display=display) if isinstance(display, Display) else find_display(display)
     pitch_mrad = shown.display.pitch_mrad
-    opened = open_for_import(recordings, schedule, level=level, frames_per_second=frames_per_second)
+    opened = open_for_import(
+        recordings, schedule, level=level, frames_per_second=frames_per_second, max_frame_mb=max_frame_mb
+    )
     source: Source
     if schedule is None:
         source = ChartSource(Path(str(chart)), pitch_mrad=pitch_mrad, progress=progress)
@@ -203,10 +206,9 @@ def import_recordings(
 
     going = Going(restart=restart, keep=keep_store)
     with (
-        new_folder(str(out), overwrite=overwrite, going=going) as folder,
-        closing(Store(store_folder(folder), str(out), tell)) as store,
+        new_folder(str(out), going=going) as folder,
+        closing(Store(store_path(folder), str(out), tell)) as store,
     ):
-        remove_others(folder, {"frames"})
         if store.is_begun:
             store.tell(f"{len(store)} windows are there from an earlier run; going on with the others")
         writer = WindowWriter(folder, clip=is_clipped, store=store)
@@ -234,10 +236,11 @@ def import_recordings(
             "n_frames": len(rows),
             "n_trials": len(division.trials),
             "n_clips": n_clips,
+            "from_store": store.n_used,
             "warnings": [one._asdict() for one in warnings],
             "found": source.report(),
         }
-        _remove_others(folder, written)
+        remove_others(folder, written)
         _write(folder / REPORT_FILE, json.dumps(report, indent=1, ensure_ascii=False) + "\n")
         _write(folder / "manifest.csv", csv_text(rows))
         _write(
@@ -259,6 +262,7 @@ def open_for_import(
     *,
     level: str | None = None,
     frames_per_second: float | None = None,
+    max_frame_mb: int = MAX_FRAME_MB,
 ) -> tuple[Recording, ...]:
     """Open recordings; with a schedule one by one, so that a row can name an image, and folders by their files.
 
@@ -273,13 +277,13 @@ def open_for_import(
     if not paths:
         return tuple(opened)
     if schedule is None:
-        return (*opened, *open_recordings(paths, frames_per_second=frames_per_second))
+        return (*opened, *open_recordings(paths, frames_per_second=frames_per_second, max_frame_mb=max_frame_mb))
     rows = read_schedule(Path(schedule), level=level or DEFAULT_LEVEL)
     named = {Path(row.file).name for row in rows if row.file is not None}
     for path in paths:
         inside = natural_order(path.iterdir()) if path.is_dir() and path.resolve().name not in named else []
         for one in [file for file in inside if file.name in named] or [path]:
-            opened += open_recordings([one], frames_per_second=frames_per_second)
+            opened += open_recordings([one], frames_per_second=frames_per_second, max_frame_mb=max_frame_mb)
     return tuple(opened)
 
 
@@ -448,13 +452,3 @@ def _settings(source: Source, display_table: str) -> str:
 
 def _write(path: Path, text: str) -> None:
     path.write_text(text, encoding="utf-8")
-
-
-def _remove_others(folder: Path, written: Mapping[str, WrittenWindow]) -> None:
-    """Remove the windows of an earlier run with other settings, and the folders of clips that have none."""
-    for clip in list((folder / "frames").iterdir()):
-        for path in list(clip.iterdir()):
-            if path.relative_to(folder).as_posix() not in written:
-                path.unlink()
-        if not any(clip.iterdir()):
-            clip.rmdir()

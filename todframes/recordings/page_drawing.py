@@ -101,12 +101,14 @@ def _points(corners_mm: Sequence[tuple[float, float]]) -> str:
 
 def pdf(drawings: Iterable[Drawing], title: str) -> bytes:
     """Return drawings as the pages of a PDF in true size; the same drawings give the same bytes."""
+    import matplotlib as mpl
     from matplotlib.backends.backend_pdf import PdfPages
     from matplotlib.figure import Figure
     from matplotlib.patches import Polygon
 
     file = io.BytesIO()
-    with PdfPages(file, metadata={"Title": title, "CreationDate": None}) as pages:
+    with mpl.rc_context(), PdfPages(file, metadata={"Title": title, "CreationDate": None}) as pages:
+        mpl.rcdefaults()  # no settings of the user
         for drawing in drawings:
             size_inch = drawing.width_mm / MM_PER_INCH, drawing.height_mm / MM_PER_INCH
             figure = Figure(figsize=size_inch)

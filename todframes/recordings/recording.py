@@ -17,6 +17,11 @@ INTEGRATION_TIME_S = 0.1
 """Time in which the eye integrates. Hogervorst et al. 2001, section 4."""
 
 
+BYTES_PER_PIXEL = 8
+"""Bytes that a pixel of a recording counts as at least, whatever its type: as much is taken to look at it, and the
+pixel format of a video is known from a decoded frame only."""
+
+
 Unit = Literal["code", "counts", "celsius"]
 """Code values of a picture, counts of a detector, or temperatures."""
 
@@ -105,11 +110,11 @@ class StillHeader(NamedTuple):
 class StillReader(Protocol):
     """Protocol of a module that reads files of one or several still frames each."""
 
-    def read_header(self, path: Path) -> StillHeader:
-        """Return the header of a file."""
+    def read_header(self, path: Path, max_frame_mb: int) -> StillHeader:
+        """Return the header of a file; raise FrameError if its frames are larger, decoded, than a limit."""
 
-    def read_frames(self, path: Path) -> Iterator[NDArray[Any]]:
-        """Yield the values of each frame of a file."""
+    def read_frames(self, path: Path, max_frame_mb: int) -> Iterator[NDArray[Any]]:
+        """Yield the values of each frame of a file; raise FrameError if they are larger than a limit."""
 
 
 def check_rate(frames_per_second: float | None) -> float | None:
@@ -129,7 +134,12 @@ def natural_order(paths: Iterable[Path]) -> list[Path]:
 
 
 def still_recording(
-    paths: Sequence[Path], reader: StillReader, *, folder: Path | None, frames_per_second: float | None
+    paths: Sequence[Path],
+    reader: StillReader,
+    *,
+    folder: Path | None,
+    frames_per_second: float | None,
+    max_frame_mb: int,
 ) -> Recording:
     """Return one recording of still frames, in the order of their file names.
 
@@ -143,14 +153,16 @@ def still_recording(
         Where they were found; names the recording.
     frames_per_second : float, optional
         Frame rate in place of that in the first file.
+    max_frame_mb : int
+        Largest decoded size of a frame in 2**20 bytes.
 
     Raises
     ------
     FrameError
-        If a header cannot be read, or two files differ in size, channels or scale.
+        If a header cannot be read, a frame is too large, or two files differ in size, channels or scale.
     """
     paths = natural_order(paths)
-    headers = [reader.read_header(path) for path in paths]
+    headers = [reader.read_header(path, max_frame_mb) for path in paths]
     first = headers[0]
     for path, header in zip(paths, headers, strict=True):
         for what, found, expected in (
@@ -168,7 +180,7 @@ def still_recording(
     def read() -> Iterator[RecordedFrame]:
         number = 0
         for path, header in zip(paths, headers, strict=True):
-            for page, values in enumerate(reader.read_frames(path)):
+            for page, values in enumerate(reader.read_frames(path, max_frame_mb)):
                 source = path.name if header.n_frames == 1 else f"{path.name}, page {page}"
                 yield RecordedFrame(values, None if rate is None else number / rate, source)
                 number += 1
@@ -195,12 +207,13 @@ def _channels(header: StillHeader) -> str:
     return "R, G, B" if header.is_colour else "grey"
 
 
-def check_size(path: Path, shape: tuple[int, int]) -> None:
-    """Raise FrameError unless a frame has pixels, and not more than a frame file may have."""
-    from todframes.frames.files import MAX_SIDE_PX
+def check_size(path: Path, shape: tuple[int, int], max_frame_mb: int) -> None:
+    """Raise FrameError unless a frame has pixels, and not more than a limit allows at `BYTES_PER_PIXEL` each."""
+    from todframes.frames.files import MAX_SIDE_PX, check_decoded_size
 
     if min(shape) < 1 or max(shape) > MAX_SIDE_PX:
         raise FrameError(path, f"found {_size(shape)}, expected sides of 1 to {MAX_SIDE_PX}")
+    check_decoded_size(path, BYTES_PER_PIXEL * shape[0] * shape[1], max_frame_mb)
 
 
 def missing_extra(path: Path, extra: str, package: str) -> DataError:

@@ -36,6 +36,7 @@ NOISE_COLUMNS = (
     Column(key="template_blur_samples_ci95", interval="template_blur_samples_ci95", in_file_only=True),
     Column(key="n_trials", header="trials", rank=1),
     Column(key="n_correct", header="correct", rank=4),
+    Column(key="n_flagged", header="flagged", rank=3),
     Column(key="log_likelihood", in_file_only=True),
     Column(key="deviance", digits=3, rank=2),
     Column(key="n_cells", header="cells", rank=2),
@@ -48,6 +49,13 @@ MOST_TOLD = 6
 """Largest number of persons that are described one by one; if there are more, the table shows them."""
 
 
+FLAGS = {
+    "hidden": "while the page was hidden",
+    "unfocused": "while the page had lost the focus",
+    "too_fast": "faster than 150 ms",
+}
+"""Words for the flags of answers."""
+
 NO_NOISE = {
     "noise_free": "without any noise the model would answer no worse; show weaker or smaller triangles",
     "at_chance": "the answers are not told from guesses; show stronger or larger triangles",
@@ -59,6 +67,7 @@ NO_NOISE = {
 NOT_OF_OBSERVER = {
     "observer",
     "free",
+    "include_flagged",
     "internal_noise",
     "internal_noise_sd",
     *(f.name for f in fields(FitSettings)),
@@ -78,6 +87,8 @@ def noise_table(result: ResultData) -> Table:
         {name: getattr(one, name) for name in names} | {SUBJECT: one.subject or TOGETHER}
         for one in all_persons(result)
     ]
+    for record in records:
+        record["n_flagged"] = sum(record["n_flagged"].values()) or None
     for key in ("lapse_rate", "template_blur_samples"):
         if not any(record[f"{key}_ci95"] for record in records):  # it was not fitted
             for record in records:
@@ -138,13 +149,13 @@ def curves_table(result: ResultData) -> Table:
 
 def sentences(result: ResultData) -> list[str]:
     """Return the findings in words, a sentence for each person; of many persons, for the first."""
-    told = [_sentence(one) for one in result.persons[:MOST_TOLD]]
+    told = [_sentence(result, one) for one in result.persons[:MOST_TOLD]]
     if (more := len(result.persons) - MOST_TOLD) > 0:
         told.append(f"{count(more, 'more person')} {'is' if more == 1 else 'are'} in the table.")
-    return told if result.pooled is None else [*told, _sentence(result.pooled)]
+    return told if result.pooled is None else [*told, _sentence(result, result.pooled)]
 
 
-def _sentence(one: PersonResult) -> str:
+def _sentence(result: ResultData, one: PersonResult) -> str:
     who = TOGETHER.capitalize() if one.subject is None else f"Person {_printable(one.subject)}"
     interval = interval_phrase(one.internal_noise_ci95)
     if one.internal_noise is None:
@@ -156,7 +167,12 @@ def _sentence(one: PersonResult) -> str:
     if one.template_blur_samples_ci95 is not None:
         blur = interval_phrase(one.template_blur_samples_ci95)
         text += f", template blur {plain(one.template_blur_samples)} samples ({blur})"
-    return f"{text}, from {count(one.n_trials, 'trial')}."
+    text += f", from {count(one.n_trials, 'trial')}"
+    if one.n_flagged:
+        fate = "flagged, but counted" if result.settings.get("include_flagged") else "left out"
+        each = " and ".join(f"{n} {FLAGS[flag]}" for flag, n in one.n_flagged.items())
+        text += f"; {count(sum(one.n_flagged.values()), 'answer')} {fate}: {each}"
+    return f"{text}."
 
 
 def _printable(subject: str) -> str:
@@ -200,7 +216,7 @@ def _toml(result: ResultData, one: PersonResult) -> str:
         values["template_blur_samples"] = one.template_blur_samples
     return "".join(
         [
-            f"# {_sentence(one)}\n",
+            f"# {_sentence(result, one)}\n",
             f"# todframes score DATASET --observer {result.settings.get('observer')} --observer-settings FILE\n",
             # Numbers, texts and lists in JSON are TOML too.
             *(

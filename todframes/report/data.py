@@ -18,12 +18,12 @@ from todframes.config import read_file
 from todframes.errors import DataError
 
 if TYPE_CHECKING:
+    from todframes.diagnosis.missing_threshold import Explanation
     from todframes.enhancement.algorithm import Enhancement
     from todframes.enhancement.compare import AlgorithmResult, Compared
     from todframes.frames.dataset import Dataset
     from todframes.frames.display import Display
     from todframes.psychometrics.fit import PsychometricFit
-    from todframes.scoring.missing_threshold import Explanation
     from todframes.scoring.score import GroupFit
 
 SCHEMA = 1
@@ -420,6 +420,9 @@ class PersonResult(Struct, frozen=True, kw_only=True):
         Error rate δ of lapses and blur of the templates, in retina samples; fitted if they have an interval.
     n_trials, n_correct : int
         Number of main trials, and of correct answers.
+    n_flagged : mapping of str to int
+        Number of answers with each flag that occurs: hidden, unfocused, too_fast. They are among `n_trials` only
+        with the setting `include_flagged`.
     log_likelihood : float
         Sum of the ln probabilities of the answers.
     deviance, deviance_p_value : float
@@ -440,6 +443,7 @@ class PersonResult(Struct, frozen=True, kw_only=True):
     template_blur_samples_ci95: Interval | None = NULL
     n_trials: int
     n_correct: int
+    n_flagged: dict[str, int] = field(default_factory=dict)
     log_likelihood: float
     deviance: float
     deviance_p_value: Proportion | None = NULL
@@ -487,7 +491,7 @@ class DatasetRecord(Struct, frozen=True, kw_only=True):
         Number of frames in the manifest, those left out included.
     measured : dict
         `stimuli`: what the frames of each group and stimulus show, measured on some of them, as attributes of
-        `todframes.frames.inspection.Inspection`. Empty if nothing was measured.
+        `todframes.diagnosis.inspection.Inspection`. Empty if nothing was measured.
     """
 
     path: str
@@ -559,6 +563,7 @@ class ResultData(Struct, frozen=True, kw_only=True, omit_defaults=True):
     negative_luminance_pixels: int | None = None
     located: tuple[Record, ...] | None = None
     examples: tuple[Example, ...] | None = None
+    from_store: int | None = None
     run_time_s: float | None = NULL
 
     @property

@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from todframes._typing import FloatArray
+from todframes.diagnosis.matching import block_means
 from todframes.enhancement.compare import AlgorithmResult
 from todframes.enhancement.enhanced_frame import Screen, TrialReader
 from todframes.frames.contrast import Patch, read_contrast
 from todframes.frames.dataset import Dataset
-from todframes.frames.matching import block_means
 from todframes.frames.position import centroid_position, size_in_px
 from todframes.frames.surround import TrianglePlace
 from todframes.frames.trials import Trial

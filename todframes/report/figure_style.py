@@ -50,11 +50,16 @@ STYLE: dict[str, Any] = {
 
 @contextmanager
 def style() -> Iterator[None]:
-    """Set the style of all figures for the block, in which they must be made and saved."""
+    """Set the style of all figures for the block, in which they must be made and saved.
+
+    Settings of the user, from a file or from the program that runs, have no effect.
+    """
     import matplotlib as mpl
 
     look: Any = STYLE
-    with mpl.rc_context(look), warnings.catch_warnings():
+    with mpl.rc_context(), warnings.catch_warnings():
+        mpl.rcdefaults()
+        mpl.rcParams.update(look)
         # The browser's font has letters that matplotlib's own font lacks.
         warnings.filterwarnings("ignore", "Glyph .* missing from", UserWarning)
         yield

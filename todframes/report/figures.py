@@ -18,6 +18,7 @@ from todframes.report.data import Algorithm, Fit, Ratio, ResultData, SceneResult
 from todframes.report.figure_style import (
     INK,
     PAPER,
+    STYLE,
     Look,
     add_legend,
     label_text,
@@ -96,8 +97,11 @@ def _add_note(figure: Figure, note: str) -> None:
 
 
 def drawn(draw: Callable[[Axes], None], ax: Axes | None) -> Axes:
-    """Draw into the given axes, or into those of a new pyplot figure. Returns the axes."""
-    with style():
+    """Draw into the given axes, or those of a new pyplot figure, over the user's settings. Returns the axes."""
+    import matplotlib as mpl
+
+    look: Any = STYLE
+    with mpl.rc_context(look):
         if ax is None:
             from matplotlib import pyplot
 

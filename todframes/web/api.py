@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 from todframes.config import read_text
-from todframes.experiment.answers import Method
+from todframes.experiment.answers import Method, flagged
+from todframes.experiment.order import n_main_trials
 from todframes.experiment.session import Design, open_sitting
 from todframes.frames.dataset import Dataset, load_dataset
 from todframes.locations import Location
@@ -18,11 +19,12 @@ MAX_CONSENT_MB = 1
 
 
 class Progress(NamedTuple):
-    """The subject of a session, the number of trials that were answered, and that of all trials that count."""
+    """The subject of a session, its numbers of answers and of all trials, and the number of flagged answers."""
 
     subject: str
     n_answered: int
     n_trials: int
+    n_flagged: int
 
 
 def run_experiment(
@@ -33,12 +35,15 @@ def run_experiment(
     method: Method | None = None,
     trials: int | None = None,
     practice: int | None = None,
+    practice_correct: float | None = None,
     break_every: int | None = None,
     time_limit_s: float | None = None,
     background: float | None = None,
     dither: bool | None = None,
+    include_flagged: bool | None = None,
     seed: int | None = None,
     consent: Path | str | None = None,
+    contact: str | None = None,
     host: str = "127.0.0.1",
     port: int = 0,
     open_browser: bool = True,
@@ -65,16 +70,23 @@ def run_experiment(
         Number of trials that count. Default: all of the dataset; for quest 60 a group.
     practice, break_every : int, optional
         Number of trials with feedback before, default 8, and of trials between breaks, default 60; 0 for none.
+    practice_correct : float, optional
+        Share of the practice trials that has to be correct; else they come again. Default: 0.75.
     time_limit_s : float, optional
         Time in which to answer. Default: no limit.
     background : float, optional
         Luminance of the background over that of white. Default: 0.5.
     dither : bool, optional
         Show luminances between two code values by pixels of both. Default: True.
+    include_flagged : bool, optional
+        Count answers that came within 150 ms, or while the page was hidden or had lost the focus, as all others.
+        Default: False; their trials are shown again later.
     seed : int, optional
         Seed of the order. Default: a random one.
     consent : path, optional
         File of the text that the person is to agree to. Default: a text of this package.
+    contact : str, optional
+        Name and address for questions and withdrawal, for the text of this package and the last screen.
     host, port : str, int
         Address or name of this machine to listen at; port 0 is a free one.
     open_browser : bool
@@ -105,10 +117,12 @@ def run_experiment(
         method=method,
         trials=trials,
         practice=practice,
+        practice_correct=practice_correct,
         break_every=break_every,
         time_limit_s=time_limit_s,
         background=background,
         dither=dither,
+        include_flagged=include_flagged,
         seed=seed,
     )
     from todframes.web.experiment import experiment_app
@@ -118,9 +132,15 @@ def run_experiment(
     data = dataset if isinstance(dataset, Dataset) else load_dataset(dataset)
     text = None if consent is None else read_text(Path(consent), most_mb=MAX_CONSENT_MB)
     with open_sitting(
-        data, answers, subject=subject, design=design, consent_text=text, progress=progress
+        data,
+        answers,
+        subject=subject,
+        design=design,
+        consent_text=text,
+        contact=contact,
+        progress=progress,
     ) as sitting:
         serve(experiment_app(sitting), launch, tell=tell, warn=warn)
-    return Progress(
-        sitting.record.subject, sum(row.phase == "main" for row in sitting.rows), sitting.record.trials
-    )
+    rows, record = sitting.rows, sitting.record
+    n_answered = sum(row.phase == "main" for row in rows)
+    return Progress(record.subject, n_answered, n_main_trials(record, rows), sum(flagged(rows).values()))

@@ -35,11 +35,12 @@ class Agreed(msgspec.Struct):
 
 
 class Answer(msgspec.Struct):
-    """The answer to a trial, and the time from the picture to it."""
+    """The answer to a trial, the time from the picture to it, and what the page lost in between."""
 
     number: Annotated[int, Meta(ge=1, le=2**31)]
     response: Literal["up", "right", "down", "left", "none"]
     response_time_ms: Annotated[float, Meta(ge=0.0, le=1e9)]
+    lost: Literal["hidden", "unfocused"] | None = None
 
     def direction(self) -> Orientation | None:
         """Return the response; None if the time limit has passed."""
@@ -64,9 +65,12 @@ def experiment_app(sitting: Sitting) -> Starlette:
             call(
                 "/api/answer",
                 Answer,
-                lambda asked: sitting.answer(asked.number, asked.direction(), asked.response_time_ms),
+                lambda asked: sitting.answer(
+                    asked.number, asked.direction(), asked.response_time_ms, lost=asked.lost
+                ),
             ),
             call("/api/continue", Nothing, lambda _: sitting.go_on()),
+            call("/api/stop", Nothing, lambda _: sitting.stop()),
         ],
     )
     for kind in STATUS:

@@ -18,6 +18,9 @@ MOST_BODY_BYTES = 2**20
 MOST_READ_BYTES = 8 * MOST_BODY_BYTES
 """Largest body that is read to its end, and then refused: a browser that still sends would not see the answer."""
 
+LONGEST_HEADERS_BYTES = 2**14
+"""Largest size of the first line and the headers of a request."""
+
 LONGEST_BODY_S = 10.0
 """Longest time in which the body of a request must have arrived."""
 
@@ -70,6 +73,7 @@ def guarded(app: ASGIApp, *, origin: str, token: str) -> ASGIApp:
             return
         headers, send = Headers(scope=scope), _fenced(send)
         try:
+            _check_length(scope)
             _check_source(headers, hosts)
             if (given := _query_token(scope)) is not None:
                 _check_token([given], token)
@@ -88,6 +92,13 @@ def guarded(app: ASGIApp, *, origin: str, token: str) -> ASGIApp:
         await app(scope, _replayed(body, receive), send)
 
     return guard
+
+
+def _check_length(scope: Scope) -> None:
+    """Raise Refusal if the headers are too long; what comes in one piece has passed the server's own limit."""
+    parts = [scope["raw_path"], scope["query_string"], *(part for pair in scope["headers"] for part in pair)]
+    if sum(map(len, parts)) > LONGEST_HEADERS_BYTES:
+        raise Refusal(431, f"The headers are too long; expected at most {LONGEST_HEADERS_BYTES} bytes.")
 
 
 def _check_source(headers: Headers, hosts: Iterable[str]) -> None:

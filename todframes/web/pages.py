@@ -195,7 +195,7 @@ def json_bytes(value: object) -> bytes:
 def error_of(error: Exception) -> dict[str, str | None]:
     """Return the line of an error, and the key of SENSOR.toml that it names, such as "optics.aperture_mm"."""
     line = visible(str(error))
-    found = re.search(r"\[(\w+)\]: (\w+)(?:: | is missing)", line)
+    found = re.search(r"\[(\w+)\]: (\w+)(?:: | is missing)", line) or re.match(r"(\w+)\.(\w+): found ", line)
     return {"error": line, "key": f"{found[1]}.{found[2]}" if found else None}
 
 

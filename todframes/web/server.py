@@ -22,7 +22,7 @@ from uvicorn.server import ServerState
 
 from todframes import signals
 from todframes.errors import SettingsError
-from todframes.web.guard import guarded
+from todframes.web.guard import LONGEST_HEADERS_BYTES, guarded
 
 MOST_CONNECTIONS = 64
 """Largest number of open connections; a further one ends the one that has waited longest without a request."""
@@ -32,9 +32,6 @@ LONGEST_WAIT_S = 10
 
 LOOK_S = 1.0
 """Interval at which a connection is looked at."""
-
-LONGEST_HEADERS_BYTES = 2**14
-"""Largest size of the headers of a request."""
 
 FAREWELL_S = 0.5
 """Time that answers under way have to finish when the server ends."""

@@ -7,15 +7,17 @@ import { valueOf } from "./state.js";
 /** Pause in typing after which a number is taken, so that 150 is not first 1 and then 15. */
 const PAUSE_MS = 350;
 
-/** What the page itself asks for besides the parameters of the server. */
+/** What the page itself asks for besides the parameters of the server; `names` are those that errors give it, too. */
 export const TEST_FIELDS = [
   {
     key: "sizes_detectors",
+    names: ["size_detectors", "size_mrad"],
     group: "Test",
     label: "Sizes",
     unit: "detectors",
     kind: "sizes",
-    help: "Sizes √area of the triangles in detector pitches, separated by spaces or commas.",
+    optional: true,
+    help: "Sizes √area of the triangles in detector pitches, separated by commas. Empty: chosen for the sensor.",
   },
   {
     key: "p_correct",
@@ -28,6 +30,36 @@ export const TEST_FIELDS = [
     max: 0.98,
     step: 0.01,
     help: "Proportion of correct answers at the threshold; guessing gives 0.25.",
+  },
+  {
+    key: "chip_pitch_um",
+    group: "Detector",
+    label: "Pitch on the chip",
+    unit: "µm",
+    kind: "number",
+    scale: "log",
+    min: 1,
+    max: 50,
+    step: 0.005,
+    help: "For the f-number alone; no threshold depends on it.",
+  },
+  {
+    key: "keep_fill_factor",
+    group: "Detector",
+    label: "Keep fill factor",
+    unit: "",
+    kind: "switch",
+    optional: true,
+    help: "Pitch and width move together.",
+  },
+  {
+    key: "couple_netd",
+    group: "Noise",
+    label: "NETD ∝ f-number² / area",
+    unit: "",
+    kind: "switch",
+    optional: true,
+    help: "The NETD follows the aperture and the area of a detector. Off: it stays.",
   },
 ];
 const MOST_SIZES = 12;
@@ -65,15 +97,15 @@ class Field {
   #slider = null;
   #error;
   #change;
-  #value;
-  #isUnread = false;
+  #unread;
 
-  constructor(field, change) {
+  constructor(field, { change, unread }) {
     this.#field = field;
     this.#change = change;
+    this.#unread = unread;
     const id = `field-${field.key.replaceAll(".", "-")}`;
     this.#error = element("p", { className: "error", id: `${id}-error`, hidden: true });
-    this.input = field.kind === "choice" ? this.#choice() : this.#text();
+    this.input = { choice: () => this.#choice(), switch: () => this.#switch() }[field.kind]?.() ?? this.#text();
     this.input.id = id;
     const label = element("label", { htmlFor: id, id: `${id}-label` }, field.label);
     if (field.unit) label.append(" ", element("span", { className: "unit" }, field.unit));
@@ -91,26 +123,32 @@ class Field {
     return select;
   }
 
+  #switch() {
+    const input = element("input", { type: "checkbox" });
+    input.addEventListener("change", () => this.#change(this.#field.key, input.checked, true));
+    return input;
+  }
+
   #text() {
     const mode = this.#field.kind === "integer" ? "numeric" : "decimal";
     const input = element("input", { type: "text", inputMode: this.#field.kind === "sizes" ? "text" : mode });
     input.autocomplete = "off";
-    if (this.#field.optional) input.placeholder = "none";
+    if (this.#field.optional) input.placeholder = this.#field.kind === "sizes" ? "chosen for the sensor" : "none";
     const read = (isFinal) => {
+      let value;
       try {
-        const value = this.#read(input.value);
-        // A line of the server stays until the value is another one.
-        if (this.#isUnread || !isSame(value, this.#value)) this.showError(null);
-        this.show(value);
-        this.#change(this.#field.key, value, isFinal);
+        value = this.#read(input.value);
       } catch (error) {
-        this.showError(error.message);
-        this.#isUnread = true;
+        this.#unread(this.#field.key, error.message);
+        return;
       }
+      this.show(value);
+      this.#change(this.#field.key, value, isFinal);
     };
     let pause = null;
     input.addEventListener("input", () => {
       clearTimeout(pause);
+      this.#unread(this.#field.key, null);
       pause = setTimeout(read, PAUSE_MS, false);
     });
     input.addEventListener("change", () => {
@@ -121,10 +159,10 @@ class Field {
   }
 
   #read(text) {
-    if (this.#field.kind === "sizes") return readSizes(text);
     if (this.#field.optional && text.trim() === "") return null;
+    if (this.#field.kind === "sizes") return readSizes(text);
     const value = parsed(text);
-    if (Number.isNaN(value)) throw new Error(`Found “${text}”, expected a number.`);
+    if (Number.isNaN(value)) throw new Error(`Found ${text.trim() ? `“${text}”` : "nothing"}, expected a number.`);
     if (this.#field.kind === "integer" && !Number.isInteger(value)) {
       throw new Error(`Found ${text}, expected a whole number.`);
     }
@@ -137,7 +175,6 @@ class Field {
     slider.setAttribute("aria-labelledby", labelId);
     slider.addEventListener("input", () => {
       const value = scale.value(slider.valueAsNumber);
-      this.showError(null);
       this.#showText(value);
       this.#change(this.#field.key, value, false);
     });
@@ -147,7 +184,10 @@ class Field {
 
   /** Show a value, except in a number field that is being edited and has this value already. */
   show(value) {
-    this.#value = value;
+    if (this.#field.kind === "switch") {
+      this.input.checked = value !== null;
+      return;
+    }
     this.#showText(value);
     if (this.#slider === null) return;
     this.#slider.classList.toggle("unset", value === null);
@@ -174,7 +214,6 @@ class Field {
 
   /** Show the line of an error, or with null none. */
   showError(line) {
-    this.#isUnread = false;
     this.#error.textContent = line ?? "";
     this.#error.hidden = line === null;
     this.input.setAttribute("aria-invalid", String(line !== null));
@@ -194,33 +233,41 @@ function readSizes(text) {
 /** All parameters, in groups. */
 export class Controls {
   #fields = new Map();
+  #notes = new Map();
 
   /**
    * @param {HTMLFormElement} form
    * @param {object[]} fields Of `/api/start`, and `TEST_FIELDS`.
-   * @param {(key: string, value: any, isFinal: boolean, isSlider?: boolean) => void} change Called for each move.
-   *   `isFinal` means that it was let go of; the value is then undefined if it is the one before.
+   * @param {{change: Function, unread: Function}} handlers `change(key, value, isFinal, isSlider)` is called for each
+   *   move; `isFinal` means that it was let go of, and the value is then undefined if it is the one before.
+   *   `unread(key, line)` is called while the text of a field is no value: being typed (null), or wrong (a line).
    */
-  constructor(form, fields, change) {
+  constructor(form, fields, handlers) {
     form.addEventListener("submit", (event) => event.preventDefault());
     for (const [group, members] of Map.groupBy(fields, (field) => field.group)) {
-      const made = members.map((field) => new Field(field, change));
+      const made = members.map((field) => new Field(field, handlers));
       members.forEach((field, index) => this.#fields.set(field.key, made[index]));
-      form.append(element("fieldset", {}, element("legend", {}, group), ...made.map((field) => field.row)));
+      const note = element("p", { className: "note" });
+      this.#notes.set(group, note);
+      form.append(element("fieldset", {}, element("legend", {}, group), ...made.map((field) => field.row), note));
     }
   }
 
-  /** Show the values of a state and no errors. */
-  show(state) {
+  /** Show the values of a state; after another one, those that differ. */
+  show(state, before = null) {
     for (const [key, field] of this.#fields) {
-      field.show(valueOf(state, key) ?? null);
-      field.showError(null);
+      const value = valueOf(state, key) ?? null;
+      if (before === null || !isSame(value, valueOf(before, key) ?? null)) field.show(value);
     }
   }
 
-  /** Show an error at the field of a key. Returns whether there is one. */
-  showError(key, line) {
-    this.#fields.get(key)?.showError(line);
-    return this.#fields.has(key);
+  /** Show a note below a group. */
+  note(group, text) {
+    this.#notes.get(group).textContent = text;
+  }
+
+  /** Show the lines of errors at the fields of their keys, and none at the others. */
+  showErrors(lines) {
+    for (const [key, field] of this.#fields) field.showError(lines.get(key) ?? null);
   }
 }

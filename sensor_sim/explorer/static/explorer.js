@@ -1,19 +1,21 @@
 // The explorer: parameters on one side, the curve, the MTFs and a trial of the sensor on the other.
 
-import { CurveChart, MtfChart, shownFrequency, STRENGTHS } from "./charts.js";
+import { CurveChart, MtfChart, shownFrequency, SIZES, STRENGTHS } from "./charts.js";
 import { Controls, TEST_FIELDS } from "./controls.js";
 import { byId, element, fillTable } from "./elements.js";
 import { LiveCurve, Newest } from "./live.js";
 import { percentAtMost, plain, withError } from "./numbers.js";
-import { post } from "./server.js";
-import { fromHash, History, toHash, valueOf, withValue } from "./state.js";
+import { csvOf, download, downloadPlot, plotOf } from "./files.js";
+import { MOST_PINS, showPins, withPin } from "./pins.js";
+import { post, Watch } from "./server.js";
+import { fromHash, History, moved, opticsInWords, Session, toHash, valueOf, withSensor, withValue } from "./state.js";
 import { Trial } from "./trial.js";
 
-const BUSY_DELAY_MS = 400;
+/** Time for which a curve may be that of an earlier state before it is greyed. */
+const STALE_DELAY_MS = 400;
 const HASH_DELAY_MS = 400;
 const MTF_DELAY_MS = 60;
 const TRIAL_DELAY_MS = 250;
-const MOST_PINS = 6;
 const MOST_FILE_BYTES = 500_000;
 const SHARES = { internal: "Internal noise", detector: "Detector noise", sampling: "Sampling" };
 const MTF_ROWS = 13;
@@ -25,45 +27,57 @@ class Explorer {
   #fields;
   #first;
   #history;
-  #state;
+  /** The record of the state that the controls show, and the one whose curve is drawn. */
+  #now = { id: 0, unread: new Map() };
+  #drawn = null;
+  #session;
   #view = { strength: "snr", abscissa: "inverse", unit: "detectors" };
   #controls;
-  #curve = null;
   #pins = [];
   #curveChart = new CurveChart(byId("curve-chart"));
   #mtfChart = new MtfChart(byId("mtf-chart"));
   #trial = new Trial();
-  #mtfState = null;
-  #refused = null;
+  #mtfSensor = null;
+  /** The axes of what is drawn. */
+  #shown = null;
   #timers = {};
   #live = new LiveCurve({
-    show: (curve, state) => this.#showCurve(curve, state),
-    fail: (error) => this.#fail(error),
+    show: (record, curve) => this.#showCurve(record, curve),
+    fail: (record, error) => this.#refuse(record, error),
   });
-  #mtf = new Newest((state) => this.#showMtf(state));
+  #mtf = new Newest((sensor) => this.#showMtf(sensor));
+  #watch = new Watch((line) => this.#showServer(line));
 
   constructor(start) {
     this.#fields = [...start.fields, ...TEST_FIELDS];
-    const { sensor, observer, sizes_detectors, p_correct } = start;
-    this.#first = { sensor, observer, sizes_detectors, p_correct };
+    const { sensor, observer, p_correct, chip_pitch_um } = start;
+    const switches = { keep_fill_factor: null, couple_netd: null };
+    this.#first = { sensor, observer, sizes_detectors: null, p_correct, chip_pitch_um, ...switches };
     this.#history = new History(this.#first);
-    this.#controls = new Controls(byId("controls"), this.#fields, (...change) => this.#move(...change));
-    start.presets.forEach(({ name }, index) => byId("presets").append(element("option", { value: index }, name)));
+    this.#controls = new Controls(byId("controls"), this.#fields, {
+      change: (...change) => this.#move(...change),
+      unread: (key, line) => this.#unread(key, line),
+    });
+    start.presets.forEach(({ sensor: { name } }, index) =>
+      byId("presets").append(element("option", { value: index }, name)),
+    );
     this.#listen(start.presets);
-    const message = this.#readHash();
+    this.#session = new Session(start.version, this.#first);
+    this.#pins = this.#session.pins;
+    const message = this.#session.state ? this.#take(this.#session) : this.#readHash();
     this.#go(this.#history.state);
     this.#tell(message);
   }
 
   #listen(presets) {
     const on = (id, event, action) => byId(id).addEventListener(event, action);
-    on("undo", "click", () => this.#go(this.#history.undo()));
+    on("undo", "click", () => this.#undo());
     on("redo", "click", () => this.#go(this.#history.redo()));
     on("reset", "click", () => this.#open(this.#first, "Reset to the sensor at the start."));
     on("presets", "change", ({ target }) => {
-      const { name, sensor } = presets[Number(target.value)];
+      const { sensor, chip_pitch_um } = presets[Number(target.value)];
       target.value = "";
-      this.#open({ ...this.#state, sensor }, `Preset ${name}.`);
+      this.#open({ ...withSensor(this.#now.state, sensor), chip_pitch_um }, `Preset ${sensor.name}.`);
     });
     on("name", "change", ({ target }) => this.#move("sensor.name", target.value, true));
     on("open", "click", () => byId("file").click());
@@ -73,17 +87,23 @@ class Explorer {
     });
     on("save", "click", () => this.#save());
     on("link", "click", () => {
+      if (!this.#isWhole()) return;
       this.#writeHash();
       this.#copy(location.href, "Link copied.");
     });
     on("command", "click", () => this.#copyCommand());
     on("pin", "click", () => this.#pin());
+    on("csv", "click", () => this.#drawn && download("tod_curve.csv", csvOf(this.#pins, this.#drawn)));
+    for (const format of ["png", "svg"]) {
+      on(format, "click", () => this.#drawn && this.#plot("/api/plot", plotOf(this.#pins, this.#drawn, this.#shown, format)));
+      on(`mtf-${format}`, "click", () => this.#mtfSensor && this.#plot("/api/mtf-plot", { sensor: this.#mtfSensor, format }));
+    }
     for (const input of document.querySelectorAll(".axes input")) {
       input.addEventListener("change", () => {
         this.#view = { ...this.#view, [input.name]: input.value };
-        if (this.#level === (this.#curve?.level ?? this.#level)) this.#drawCurve();
-        else this.#ask();
-        this.#later("hash", HASH_DELAY_MS, () => this.#writeHash());
+        if (this.#level !== this.#now.level) this.#enter(this.#now.state);
+        this.#drawCurve();
+        this.#keep();
       });
     }
     addEventListener("hashchange", () => {
@@ -119,17 +139,32 @@ class Explorer {
     const key = event.key.toLowerCase();
     if (key !== "z" && key !== "y") return;
     event.preventDefault();
-    this.#go(key === "y" || event.shiftKey ? this.#history.redo() : this.#history.undo());
+    if (key === "y" || event.shiftKey) this.#go(this.#history.redo());
+    else this.#undo();
+  }
+
+  /** Go a step back; the first one drops a text that is no value. */
+  #undo() {
+    this.#go(this.#now.unread.size ? this.#history.state : this.#history.undo());
   }
 
   /** A field has moved to a value, or with `undefined` stays where it is. */
   #move(key, value, isFinal, isSlider = false) {
-    if (value !== undefined && JSON.stringify(value) !== JSON.stringify(valueOf(this.#state, key))) {
-      this.#state = withValue(this.#state, key, value);
-      this.#ask();
+    const { state, unread } = this.#now;
+    const isMoved = value !== undefined && JSON.stringify(value) !== JSON.stringify(valueOf(state, key));
+    if (isMoved || unread.has(key)) {
+      const others = new Map([...unread].filter(([other]) => other !== key));
+      const next = isMoved ? moved(state, key, value) : state;
+      this.#controls.show(next, state);
+      this.#enter(next, others);
     }
     if (isFinal) this.#record(isSlider ? key : null);
-    this.#later("hash", HASH_DELAY_MS, () => this.#writeHash());
+  }
+
+  /** The text of a field is no value: a line says why, or with null it is being typed. */
+  #unread(key, line) {
+    if (this.#now.unread.get(key) === line) return;
+    this.#enter(this.#now.state, new Map([...this.#now.unread, [key, line]]));
   }
 
   /** The level of the chosen quantity, which is no part of the sensor: no step of undo changes it. */
@@ -137,69 +172,125 @@ class Explorer {
     return STRENGTHS[this.#view.strength].level;
   }
 
-  #ask() {
-    this.#live.ask(this.#state, this.#level);
-    this.#timers.busy ??= setTimeout(() => {
-      byId("status").textContent = "Computing…";
-    }, BUSY_DELAY_MS);
+  /** Make a state the one that the page shows, and ask for its curve. */
+  #enter(state, unread = this.#now.unread) {
+    this.#now = { id: this.#now.id + 1, state, unread, level: this.#level, curve: null, error: null };
+    if (!unread.size) this.#live.ask(this.#now);
+    this.#keep();
+    this.#tell("");
+    this.#showRecord();
   }
 
   #record(key) {
-    this.#history.record(this.#state, key);
+    this.#history.record(this.#now.state, key);
     this.#showHistory();
   }
 
   #showHistory() {
-    byId("undo").disabled = !this.#history.canUndo;
+    byId("undo").disabled = !this.#history.canUndo && !this.#now.unread.size;
     byId("redo").disabled = !this.#history.canRedo;
   }
 
   /** Go to a state that comes from elsewhere than the controls, and remember it. */
   #open(state, message) {
-    this.#state = state;
-    this.#record(null);
+    this.#history.record(state);
     this.#go(state);
     this.#tell(message);
   }
 
   #go(state) {
-    this.#state = state;
     this.#controls.show(state);
     byId("name").value = state.sensor.name;
-    this.#showHistory();
-    this.#tell("");
-    this.#ask();
-    this.#later("hash", HASH_DELAY_MS, () => this.#writeHash());
+    this.#enter(state, new Map());
   }
 
-  #showCurve(curve, state) {
-    this.#curve = { ...curve, state };
-    this.#idle();
-    byId("curve").classList.remove("stale");
-    if (state === this.#state) this.#refuse(null, null);
+  #showCurve(record, curve) {
+    record.curve = curve;
+    if (record.state.sizes_detectors === null) this.#complete(record);
+    this.#drawn = record;
     this.#drawCurve();
     this.#showLimits(curve.limits);
-    const error = percentAtMost(Math.max(...relativeErrors(curve), 0) || curve.tolerance);
-    const time = curve.is_last && curve.seconds >= 0.1 ? `, in ${curve.seconds.toFixed(1)} s` : "";
-    byId("status").textContent = `${curve.is_last ? "Refined" : "Estimate"}: within ${error}${time}`;
-    if (curve.is_last) this.#announce(`${byId("sentence").textContent} ${this.#summary()}`);
-    if (state !== this.#state) return;
-    if (state !== this.#mtfState) {
-      this.#mtfState = state;
-      this.#later("mtf", MTF_DELAY_MS, () => this.#mtf.ask(state));
-    }
+    clearTimeout(this.#timers.stale);
+    delete this.#timers.stale;
+    byId("curve").classList.remove("stale");
+    this.#showRecord();
+    if (record !== this.#now) return;
+    const { state } = record;
+    if (state.sensor !== this.#mtfSensor) this.#later("mtf", MTF_DELAY_MS, () => this.#mtf.ask(state.sensor));
     if (curve.is_last) this.#later("trial", TRIAL_DELAY_MS, () => this.#trial.show(state, curve.thresholds));
   }
 
+  /** Take the sizes that the server has chosen for a record. */
+  #complete(record) {
+    const { state } = record;
+    record.state = withValue(state, "sizes_detectors", record.curve.thresholds.map((one) => one.size_detectors));
+    this.#history.complete(state, record.state);
+    if (record !== this.#now) return;
+    this.#controls.show(record.state, state);
+    this.#keep();
+  }
+
+  async #refuse(record, error) {
+    if (error.isGone && (await this.#watch.look())) return;
+    record.error = error;
+    this.#showRecord();
+  }
+
+  /** Show what the present record is: computed, impossible, or neither yet; and whether what is drawn is its curve. */
+  #showRecord() {
+    const { id, error, curve } = this.#now;
+    const isDrawn = this.#drawn === this.#now;
+    const { line, lines } = this.#verdict();
+    byId("status").textContent = line;
+    this.#controls.showErrors(lines);
+    this.#controls.note("Detector", opticsInWords(this.#now.state));
+    this.#showHistory();
+    const section = byId("curve");
+    // Tests and benchmarks read which request is on the screen, and which one it should be.
+    section.dataset.asked = id;
+    section.setAttribute("aria-busy", String(!curve?.is_last && !error && !lines.size));
+    if (this.#drawn !== null) byId("curve-table").caption.textContent = this.#caption();
+    if (isDrawn && curve.is_last) this.#announce(`${byId("sentence").textContent} ${this.#summary()}`);
+    else this.#announce(error || lines.size ? line : "");
+    if (error || lines.size) section.classList.add("stale");
+    else if (!isDrawn) this.#timers.stale ??= setTimeout(() => section.classList.add("stale"), STALE_DELAY_MS);
+  }
+
+  /** Return the line about the present record, and the lines at its fields by key. */
+  #verdict() {
+    const { curve, error } = this.#now;
+    const lines = new Map([...this.#now.unread].filter(([, line]) => line !== null));
+    if (error) {
+      const name = error.key ?? /^\w+(?=: )/.exec(error.message)?.[0];
+      const key = this.#fields.find((field) => field.key === name || field.names?.includes(name))?.key;
+      // The field says of what it is; the line of a file also names the table and the key.
+      const line = error.message.replace(/^.*?\w+: (?=found )/, "");
+      if (key === undefined) return { line: error.message, lines };
+      lines.set(key, line[0].toUpperCase() + line.slice(1));
+    }
+    if (lines.size) return { line: "Not possible. The curve is that of the last possible sensor.", lines };
+    if (!curve) return { line: this.#watch.line ? "Not computed" : "Computing…", lines };
+    const within = percentAtMost(Math.max(...relativeErrors(curve), 0) || curve.tolerance);
+    const time = curve.is_last && curve.seconds >= 0.1 ? `, in ${curve.seconds.toFixed(1)} s` : "";
+    return { line: `${curve.is_last ? "Refined" : "Estimate"}: within ${within}${time}`, lines };
+  }
+
+  /** Return the caption of the numbers: of what sensor they are, and how good. */
+  #caption() {
+    const stage = this.#drawn.curve.is_last ? "refined" : "estimated";
+    const whose = this.#drawn === this.#now ? "Thresholds" : "Thresholds of an earlier sensor";
+    return `${whose}, ${stage}; ± is half of the 95 % interval of the computation`;
+  }
+
   #drawCurve() {
-    const curve = this.#curve;
-    if (curve === null) return;
-    const hasTemperature = curve.state.sensor.noise.netd_mk !== null;
+    if (this.#drawn === null) return;
+    const { curve, state } = this.#drawn;
+    const hasTemperature = state.sensor.noise.netd_mk !== null;
     const isOffered = (name) => name !== "delta_t_mk" || hasTemperature;
     const chosen = isOffered(this.#view.strength) ? this.#view.strength : "snr";
     // Until the curve of another level is there, this one stays as it is.
     const strength = STRENGTHS[chosen].level === curve.level ? chosen : curve.level;
-    const view = { ...this.#view, strength };
+    const view = (this.#shown = { ...this.#view, strength });
     for (const input of document.querySelectorAll(".axes input")) {
       input.checked = input.value === { ...view, strength: chosen }[input.name];
       if (input.value !== "delta_t_mk") continue;
@@ -207,17 +298,19 @@ class Explorer {
       input.parentElement.title = hasTemperature ? "" : "Temperatures need the NETD.";
     }
     this.#curveChart.draw(curve.thresholds, this.#pins, view);
-    // Tests and benchmarks read which request is on the screen.
     Object.assign(byId("curve").dataset, { stage: curve.stage, sequence: curve.sequence });
     this.#showNumbers(Object.keys(STRENGTHS).filter((name) => isOffered(name) && STRENGTHS[name].level === curve.level));
-    this.#showPins();
+    const never = curve.thresholds.filter((one) => one.status === "never_reached");
+    const sizes = never.map((one) => plain(one[SIZES[view.unit]])).join(", ");
+    byId("never").textContent = sizes && `× Never reached: ${sizes} ${view.unit}`;
+    this.#showPins(view);
   }
 
   #showNumbers(names) {
     const strengths = names.map((name) => [name, STRENGTHS[name]]);
     const sizes = ["Size (detectors)", "Size (mrad)", "At the eye (mrad)"];
     const headers = [...sizes, ...strengths.map(([, { header }]) => header)];
-    const rows = this.#curve.thresholds.map((one) => [
+    const rows = this.#drawn.curve.thresholds.map((one) => [
       plain(one.size_detectors),
       plain(one.size_mrad),
       plain(one.size_mrad_eye),
@@ -225,9 +318,7 @@ class Explorer {
         one[name] === null ? MISSING[one.status] : withError(one[name], one[error]),
       ),
     ]);
-    const stage = this.#curve.is_last ? "refined" : "estimated";
-    const caption = `Thresholds, ${stage}; ± is half of the 95 % interval of the computation`;
-    fillTable(byId("curve-table"), caption, headers, rows);
+    fillTable(byId("curve-table"), this.#caption(), headers, rows);
   }
 
   #showLimits(limits) {
@@ -242,36 +333,30 @@ class Explorer {
   }
 
   #summary() {
-    const { level, thresholds } = this.#curve;
+    const { level, thresholds } = this.#drawn.curve;
     const shown = thresholds.map(
       (one) => `${plain(one.size_detectors)} detectors: ${plain(one[level]) || MISSING[one.status]}`,
     );
     return `${STRENGTHS[level].axis} at ${shown.join("; ")}.`;
   }
 
-  #fail(error) {
-    byId("curve").classList.add("stale");
-    const key = error.key ?? this.#fields.find((field) => error.message.startsWith(`${field.key}:`))?.key;
-    // The field says of what it is; the line of a file also names the table and the key.
-    const line = error.message.replace(/^.*?\w+: (?=found )/, "");
-    const isShown = this.#refuse(key, line[0].toUpperCase() + line.slice(1));
-    this.#idle();
-    byId("status").textContent = isShown
-      ? "Not possible. The curve is that of the last possible sensor."
-      : error.message;
-    this.#announce(error.message);
+  /** Show that the server is gone, or with null that it is there again; nothing else says so. */
+  #showServer(line) {
+    byId("server").textContent = line ?? "";
+    this.#tell("");
+    if (line === null) this.#enter(this.#now.state);
+    else this.#showRecord();
   }
 
-  /** Show the server's line at the field of a key, and none at the field that had it before. */
-  #refuse(key, line) {
-    this.#controls.showError(this.#refused, null);
-    this.#refused = key;
-    return this.#controls.showError(key, line);
+  /** Show the error of a call that is not about the curve. */
+  async #fail(error) {
+    if (!error.isGone || !(await this.#watch.look())) this.#tell(error.message);
   }
 
-  async #showMtf(state) {
+  async #showMtf(sensor) {
     try {
-      const transfer = await post("/api/mtf", { sensor: state.sensor });
+      const transfer = await post("/api/mtf", { sensor });
+      this.#mtfSensor = sensor;
       this.#mtfChart.draw(transfer);
       const { frequency_cyc_per_mrad: frequency, presample, postsample, nyquist_cyc_per_mrad: nyquist } = transfer;
       byId("nyquist").textContent = `Nyquist frequency, ${plain(nyquist)} cycles/mrad`;
@@ -284,52 +369,26 @@ class Explorer {
         [...new Set(rows)].map((row) => [plain(frequency[row]), presample[row].toFixed(3), postsample[row].toFixed(3)]),
       );
     } catch (error) {
-      this.#tell(error.message);
+      this.#fail(error);
     }
   }
 
   #pin() {
-    if (this.#curve === null || this.#pins.length >= MOST_PINS) return;
-    const taken = new Set(this.#pins.map((pin) => pin.number));
-    const number = Array.from({ length: MOST_PINS }, (_, index) => index + 1).find((one) => !taken.has(one));
-    this.#pins.push({ number, thresholds: this.#curve.thresholds, state: this.#curve.state });
+    if (this.#drawn !== null && this.#pins.length < MOST_PINS) this.#setPins(withPin(this.#pins, this.#drawn));
+  }
+
+  #setPins(pins) {
+    this.#pins = pins;
+    this.#keep();
     this.#drawCurve();
   }
 
-  #showPins() {
+  #showPins(view) {
     byId("pin").disabled = this.#pins.length >= MOST_PINS;
-    const shown = JSON.stringify([this.#pins.map((pin) => pin.number), this.#curve.state]);
-    if (byId("pins").dataset.shown === shown) return;
-    byId("pins").dataset.shown = shown;
-    const items = this.#pins.map((pin) => {
-      const remove = element("button", { type: "button", className: "remove", title: "Remove" }, "×");
-      remove.setAttribute("aria-label", `Remove pinned curve ${pin.number}`);
-      remove.addEventListener("click", () => {
-        this.#pins = this.#pins.filter((other) => other !== pin);
-        this.#drawCurve();
-        byId("pin").focus();
-      });
-      const swatch = element("span", { className: `line pin-${pin.number}` });
-      return element("li", {}, swatch, element("span", {}, this.#difference(pin.state)), remove);
+    showPins(this.#pins, this.#drawn, this.#fields, view, (pin) => {
+      this.#setPins(this.#pins.filter((other) => other !== pin));
+      byId("pin").focus();
     });
-    byId("pins").replaceChildren(...items);
-  }
-
-  /** Return how a pinned state differs from the one that is shown. */
-  #difference(state) {
-    const now = this.#curve.state;
-    const differing = this.#fields.filter(
-      ({ key }) => JSON.stringify(valueOf(state, key)) !== JSON.stringify(valueOf(now, key)),
-    );
-    const texts = differing.map(({ key, label, group, unit }) => {
-      const value = valueOf(state, key);
-      const text = value === null ? "none" : Array.isArray(value) ? value.join(", ") : value;
-      return `${group.toLowerCase()}: ${label.toLowerCase()} ${text} ${unit ?? ""}`.trim();
-    });
-    const name = state.sensor.name === now.sensor.name ? [] : [state.sensor.name];
-    if (!texts.length) return [...name, "as now"].join("; ");
-    const more = texts.length > 3 ? [`and ${texts.length - 3} more`] : [];
-    return [...name, ...texts.slice(0, 3), ...more].join("; ");
   }
 
   async #read(file) {
@@ -340,29 +399,50 @@ class Explorer {
     }
     try {
       const { sensor } = await post("/api/parse", { text: await file.text(), name: file.name });
-      this.#open({ ...this.#state, sensor }, `${file.name} opened.`);
+      this.#open(withSensor(this.#now.state, sensor), `${file.name} opened.`);
     } catch (error) {
-      this.#tell(error.message);
+      this.#fail(error);
     }
   }
 
+  /** Return whether all fields have values; where they do not, the message says which one lacks it. */
+  #isWhole() {
+    const [key] = this.#now.unread.keys();
+    if (key === undefined) return true;
+    const { group, label } = this.#fields.find((field) => field.key === key);
+    this.#tell(`${group}, ${label.toLowerCase()}: ${this.#now.unread.get(key) ?? "being typed."}`);
+    return false;
+  }
+
   async #save() {
+    if (!this.#isWhole()) return;
     try {
-      const { text, file } = await post("/api/toml", this.#state);
-      const address = URL.createObjectURL(new Blob([text], { type: "application/toml" }));
-      element("a", { href: address, download: file }).click();
-      setTimeout(() => URL.revokeObjectURL(address), 10_000);
+      const { text, file } = await post("/api/toml", this.#now.state);
+      download(file, text);
     } catch (error) {
-      this.#tell(error.message);
+      this.#fail(error);
+    }
+  }
+
+  async #plot(path, body) {
+    try {
+      await downloadPlot(path, body);
+    } catch (error) {
+      this.#fail(error);
     }
   }
 
   async #copyCommand() {
+    if (!this.#isWhole()) return;
     try {
-      const { command, file } = await post("/api/toml", this.#state);
-      await this.#copy(command.curve, `Command copied. It reads ${file}, which Save SENSOR.toml writes.`);
+      const { command, file } = await post("/api/toml", this.#now.state);
+      if (command === null) {
+        this.#tell("The command has the sizes of the curve, which is still being computed.");
+        return;
+      }
+      await this.#copy(command, `Command copied. It reads ${file}, which Save SENSOR.toml writes.`);
     } catch (error) {
-      this.#tell(error.message);
+      this.#fail(error);
     }
   }
 
@@ -380,24 +460,29 @@ class Explorer {
   #readHash() {
     if (location.hash.length < 2) return "";
     try {
-      const { state, view } = fromHash(location.hash, this.#fields, this.#first);
-      for (const input of document.querySelectorAll(".axes input")) {
-        if (view[input.name] === input.value) this.#view = { ...this.#view, [input.name]: input.value };
-      }
-      this.#history.record(state);
-      return "";
+      return this.#take(fromHash(location.hash, this.#fields, this.#first));
     } catch {
       return "The link is damaged: it holds no sensor. The sensor stays as it is.";
     }
   }
 
-  #writeHash() {
-    history.replaceState(null, "", `#${toHash(this.#state, this.#view)}`);
+  #take({ state, view }) {
+    for (const input of document.querySelectorAll(".axes input")) {
+      if (view[input.name] === input.value) this.#view = { ...this.#view, [input.name]: input.value };
+    }
+    this.#history.record(state);
+    return "";
   }
 
-  #idle() {
-    clearTimeout(this.#timers.busy);
-    this.#timers.busy = null;
+  /** Keep what is shown for a reload, at once; the link follows, as browsers count how often it changes. */
+  #keep() {
+    this.#session.keep({ state: this.#now.state, view: this.#view, pins: this.#pins });
+    this.#later("hash", HASH_DELAY_MS, () => this.#writeHash());
+  }
+
+  #writeHash() {
+    history.replaceState(null, "", `#${toHash(this.#now.state, this.#view)}`);
+    this.#session.keep({ state: this.#now.state, view: this.#view, pins: this.#pins });
   }
 
   /** Run an action after a time without another call of this name. */

@@ -6,26 +6,28 @@ import { lines } from "./server.js";
 const PATIENCE_MS = 1000;
 
 /**
- * Curves of the newest state: first an estimate, then refined ones.
+ * Curves of the newest record: first an estimate, then refined ones.
  *
  * An estimate that is under way is awaited, so that a slider that never rests still moves the curve. Its refinement
- * ends as soon as there is a newer state. Answers to anything but the newest request are dropped.
+ * ends as soon as there is a newer record. An answer goes to the record that was asked for, and to no other.
  */
 export class LiveCurve {
   #client = crypto.randomUUID();
-  #sequence = 0;
   #waiting = null;
   #active = null;
   #handlers;
 
-  /** @param {{show: Function, fail: Function}} handlers `show(curve, state)`, and `fail(error, state)`. */
+  /** @param {{show: Function, fail: Function}} handlers `show(record, curve)`, and `fail(record, error)`. */
   constructor(handlers) {
     this.#handlers = handlers;
   }
 
-  /** Ask for the curve of a state, of thresholds of a level; an earlier one that still waits is forgotten. */
-  ask(state, level) {
-    this.#waiting = { state, level };
+  /**
+   * Ask for the curve of a record; an earlier one that still waits is forgotten.
+   * @param {{id: number, state: object, level: string}} record Its id is higher than those of all records before.
+   */
+  ask(record) {
+    this.#waiting = record;
     const remaining = this.#active?.isAnswered === false ? this.#active.started + PATIENCE_MS - performance.now() : 0;
     if (remaining > 0) {
       this.#active.timer ??= setTimeout(() => this.#next(), remaining);
@@ -36,17 +38,16 @@ export class LiveCurve {
 
   async #next() {
     this.#end();
-    const { state, level } = this.#waiting;
+    const record = this.#waiting;
     this.#waiting = null;
     const active = { abort: new AbortController(), started: performance.now(), isAnswered: false, timer: null };
     this.#active = active;
-    const sequence = ++this.#sequence;
     try {
-      const body = { ...state, level, sequence, client: this.#client };
+      const body = { ...record.state, level: record.level, sequence: record.id, client: this.#client };
       for await (const curve of lines("/api/curve", body, { signal: active.abort.signal })) {
-        if (this.#active !== active || curve.sequence !== sequence) return;
+        if (this.#active !== active || curve.sequence !== record.id) return;
         active.isAnswered = true;
-        this.#handlers.show(curve, state);
+        this.#handlers.show(record, curve);
         if (this.#waiting !== null) {
           this.#next(); // at once: leaving the loop waits for the end of the stream
           return;
@@ -55,7 +56,7 @@ export class LiveCurve {
     } catch (error) {
       if (this.#active !== active) return;
       active.isAnswered = true;
-      this.#handlers.fail(error, state);
+      this.#handlers.fail(record, error);
     }
     if (this.#active !== active) return;
     if (this.#waiting !== null) this.#next();

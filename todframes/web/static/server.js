@@ -9,6 +9,44 @@ export class ServerError extends Error {
     this.status = status;
     this.key = key;
   }
+
+  /** Whether the server does not answer this page at all: it has ended, or another one is in its place. */
+  get isGone() {
+    return this.status === 0 || this.status === 403;
+  }
+}
+
+const GONE = "The server cannot be reached: it has ended. Start the command again.";
+const WATCH_MS = 2000;
+
+/** Asks the server every two seconds whether it is there, and reports when that changes. */
+export class Watch {
+  /** @type {string|null} Line that says that the server has gone, null while it is there. */
+  line = null;
+  #changed;
+
+  /** @param {(line: string|null) => void} changed Called with a line when the server has gone, with null when it is back. */
+  constructor(changed) {
+    this.#changed = changed;
+    setInterval(() => this.look(), WATCH_MS);
+    document.addEventListener("visibilitychange", () => document.hidden || this.look());
+  }
+
+  /** Ask now. Returns the line, or null. */
+  async look() {
+    let line = null;
+    try {
+      const { status } = await fetch("/", { method: "HEAD" });
+      if (status === 403) line = "This page belongs to a server that has ended. Open the address that the new one has printed.";
+    } catch {
+      line = "The server has ended. Start the command again, and open the address that it prints.";
+    }
+    if (line !== this.line) {
+      this.line = line;
+      this.#changed(line);
+    }
+    return line;
+  }
 }
 
 /**
@@ -36,7 +74,7 @@ export async function* lines(path, body, options = {}) {
   let rest = "";
   try {
     for (;;) {
-      const { done, value } = await reader.read();
+      const { done, value } = await reader.read().catch(unreachable);
       rest += value ?? "";
       const whole = rest.split("\n");
       rest = whole.pop() ?? "";
@@ -62,8 +100,7 @@ async function send(path, body, { signal }) {
       signal,
     });
   } catch (error) {
-    if (error instanceof DOMException && error.name === "AbortError") throw error;
-    throw new ServerError("The server cannot be reached: it has ended. Start the command again.", 0, null);
+    unreachable(error);
   }
   if (response.ok) return response;
   const text = await response.text();
@@ -74,4 +111,9 @@ async function send(path, body, { signal }) {
     // Not JSON: the text is the line.
   }
   throw new ServerError(found.error, response.status, found.key);
+}
+
+function unreachable(error) {
+  if (error instanceof DOMException && error.name === "AbortError") throw error;
+  throw new ServerError(GONE, 0, null);
 }

@@ -4,9 +4,9 @@ import { ServerError, post } from "./server.js";
 import { pause } from "./stage.js";
 
 const RETRY_MS = 1000;
-const UNREACHABLE = "The server does not answer. It may have been stopped: start the same command again, and open the address that it prints. " +
-  "Your answers are kept.";
-const UNKNOWN = "The server was started again. Open the address that it printed: the test goes on where it was.";
+const UNREACHABLE = "Call the experimenter. Your answers are kept. The server does not answer: start the same command again, and open the " +
+  "address that it prints.";
+const UNKNOWN = "Call the experimenter. The server was started again: open the address that it printed, and the test goes on where it was.";
 
 /** Show a text in a place that is read aloud when it changes; the place is hidden without one. */
 export function tell(place, text) {

@@ -3,17 +3,33 @@
 import { ask, askImage, tell } from "./asking.js";
 import { measureMonitor } from "./monitor.js";
 import { trouble, watchPixels } from "./pixels.js";
-import { adapt, clear, feedback, present, restore } from "./stage.js";
+import { check } from "./check.js";
+import { adapt, clear, present, restore, say } from "./stage.js";
 
 /**
  * @typedef {object} State - what the server says after each step.
- * @property {"consent"|"monitor"|"practice"|"main"|"break"|"done"} step
+ * @property {"consent"|"monitor"|"practice"|"main"|"break"|"done"|"stopped"} step
  * @property {string} subject
  * @property {number} done
  * @property {number} total
  */
 
 const KEPT = "answer";
+
+/** What is said after an answer that does not count, by its flag, and for how long. */
+const FLAGGED = {
+  too_fast: "Too fast: look at the picture first",
+  hidden: "This page was hidden: please keep it in front",
+  unfocused: "Another window was in front: please keep this one there",
+};
+const FLAGGED_MS = 1800;
+const FEEDBACK_MS = 700;
+
+/** Length of a good break. */
+const BREAK_S = 60;
+
+/** Practice blocks without success after which the experimenter is wanted. */
+const BLOCKS_ALONE = 2;
 
 const element = (id) => document.getElementById(id);
 const places = [...document.querySelectorAll("main > section"), element("stage")];
@@ -22,20 +38,23 @@ const places = [...document.querySelectorAll("main > section"), element("stage")
 let wanted = null;
 let measured = { ratio: null, width: 0, height: 0 };
 let isExact = true;
+let isLeaving = false;
 let shown = new AbortController();
 
-/** Screens that may be of any scale. */
-const FREE = [null, "consent", "declined", "done", "broken"];
+/** Screens that may be of any scale; on these, nothing can be stopped. */
+const FREE = [null, "consent", "declined", "done", "ended", "broken"];
 
 /** Show the screen that is wanted, or why it cannot be shown now. */
 function refresh() {
   const found = FREE.includes(wanted) ? null : trouble(measured);
   const before = places.find((place) => !place.hidden)?.id;
-  const now = found ? "stopped" : wanted;
-  isExact = !found;
+  const now = isLeaving ? "leave" : found ? "stopped" : wanted;
+  isExact = !found && !isLeaving;
   if (found) {
     tell(element("stopped-reason"), found.reason);
     tell(element("stopped-remedy"), found.remedy);
+  }
+  if (!isExact) {
     shown.abort();
     shown = new AbortController();
   } else {
@@ -43,6 +62,7 @@ function refresh() {
   }
   for (const place of places) place.hidden = place.id !== now;
   document.body.classList.toggle("staged", now === "stage");
+  element("stop").hidden = isLeaving || FREE.includes(wanted);
   if (now !== before) {
     window.scrollTo(0, 0);
     element(now)?.querySelector("[data-first]")?.focus();
@@ -76,6 +96,19 @@ async function readPause(title, text) {
   await read("pause");
 }
 
+/** Let the person leave the screen that is shown, and come back to it. */
+function leave() {
+  if (element("stop").hidden) return;
+  isLeaving = true;
+  refresh();
+}
+
+/** Return to the screen that was left; a trial is shown again. */
+function stay() {
+  isLeaving = false;
+  refresh();
+}
+
 /** Send an answer; it is kept until the server has saved it, also over a reload of this page. */
 async function send(state, answer) {
   sessionStorage.setItem(KEPT, JSON.stringify({ subject: state.subject, answer }));
@@ -104,7 +137,7 @@ async function trials(state) {
   const phase = state.step;
   const title = phase === "practice" ? "Practice: " : "";
   let next = state;
-  while (next.step === phase) {
+  do {
     const trial = await ask("/api/trial");
     measured = { ...measured, width: trial.width, height: trial.height };
     adapt(trial.background_code);
@@ -112,8 +145,9 @@ async function trials(state) {
     show("stage");
     const bitmap = await askImage(trial.image);
     next = await send(next, { number: trial.number, ...await answered(trial, bitmap) });
-    if (typeof next.correct === "boolean") await feedback(next.correct);
-  }
+    if (next.flag) await say(FLAGGED[next.flag], FLAGGED_MS);
+    else if (typeof next.correct === "boolean") await say(next.correct ? "Correct" : "Not correct", FEEDBACK_MS);
+  } while (next.step === phase && (phase === "main" || next.done > 0)); // a block of practice ends with what comes next
   return next;
 }
 
@@ -153,12 +187,18 @@ async function monitor(state) {
   return next;
 }
 
-async function practice(state) {
-  await instruct(state);
+async function practice(state, before) {
+  if (before === "practice") {
+    const { blocks, n_correct, n_needed } = state.practised;
+    await readPause("Once more", `${n_correct} of ${state.total} were correct, and ${n_needed} are needed: the same triangles come again. ` +
+      "The triangle points away from its flat side." + (blocks < BLOCKS_ALONE ? "" : " Call the experimenter before you go on."));
+  } else {
+    await instruct(state);
+  }
   return trials(state);
 }
 
-/** Say what to do, before the first trial. */
+/** Say what to do, and see whether it is understood, before the first trial. */
 async function instruct(state) {
   element("pace").textContent = state.time_limit_ms === null ? "Take the time that you need."
     : `You have ${state.time_limit_ms / 1000} seconds for each.`;
@@ -166,6 +206,8 @@ async function instruct(state) {
     ? `First come ${state.total} to practise, with triangles that are easy to see: the page says whether you are correct.`
     : `There are ${state.total} triangles.`;
   await read("instructions");
+  show("check");
+  await check();
 }
 
 async function main(state, before) {
@@ -183,10 +225,26 @@ async function rest(state, before) {
   if (before === "practice") {
     await tellPracticeIsOver(state);
   } else {
+    const stop = timer();
     await readPause("A break", `${state.done} of ${state.total} are done. Look away from the screen and rest your eyes. Sit as far away as ` +
       "before when you go on.");
+    stop();
   }
   return ask("/api/continue");
+}
+
+/** Show how long the break is; returns a function that ends this. */
+function timer() {
+  const place = element("pause-timer"), begin = performance.now();
+  const update = () => {
+    const seconds = Math.floor((performance.now() - begin) / 1000);
+    place.textContent = `Your break: ${Math.floor(seconds / 60)}:${String(seconds % 60).padStart(2, "0")}. ` +
+      (seconds < BREAK_S ? "A minute does the eyes good." : "Go on when you like.");
+  };
+  update();
+  place.hidden = false;
+  const ticking = setInterval(update, 1000);
+  return () => { clearInterval(ticking); place.hidden = true; };
 }
 
 function tellPracticeIsOver(state) {
@@ -207,14 +265,29 @@ async function done(state) {
   return null;
 }
 
-const steps = { consent, monitor, practice, main, break: rest, done };
+async function stopped(state) {
+  restore();
+  element("ended-subject").textContent = state.subject;
+  show("ended");
+  return null;
+}
+
+const steps = { consent, monitor, practice, main, break: rest, done, stopped };
 
 async function run() {
   element("full-screen").addEventListener("click", () => {
     if (document.fullscreenElement) document.exitFullscreen(); else document.documentElement.requestFullscreen();
   });
+  element("stop").addEventListener("click", leave);
+  window.addEventListener("keydown", (event) => { if (event.key === "Escape") leave(); });
+  element("stay").addEventListener("click", stay);
+  element("leave-now").addEventListener("click", async () => {
+    await ask("/api/stop");
+    location.reload();
+  });
   watchPixels(refresh);
   let state = await begin(), before;
+  for (const place of document.querySelectorAll(".contact")) place.textContent = state.contact;
   measured = { ratio: state.device_pixel_ratio, width: state.dataset.width_px, height: state.dataset.height_px };
   while (state !== null) {
     const { step } = state;

@@ -9,8 +9,14 @@ const SQUARE_PX = 96;
 const element = (id) => document.getElementById(id);
 const shown = (number, digits) => Number(number.toPrecision(digits)).toString();
 
+/** Distances at which people sit at a desk. */
+const DESK_MM = [300, 1500];
+
+/** Ratio of the angles of a pixel, here and in the dataset, beyond which the server refuses the monitor. */
+const MOST_TIMES = 1.99;
+
 /**
- * Lead the person through the four screens, and return what they measured as `/api/monitor` wants it.
+ * Lead the person through the screens, and return what they measured as `/api/monitor` wants it.
  *
  * @param {{pixel_pitch_mrad: number}} dataset
  * @param {(id: string) => void} show - shows the screen of that id.
@@ -18,16 +24,18 @@ const shown = (number, digits) => Number(number.toPrecision(digits)).toString();
  * @returns {Promise<object>} what `submit` returned.
  */
 export async function measureMonitor(dataset, show, submit) {
-  const measures = [measureSize, measureDistance, measureGamma, measureLuminances];
-  const measured = {};
-  let step = 0;
+  const measures = { size: measureSize, distance: measureDistance, gamma: measureGamma, photometer: measureLuminances };
+  const names = Object.keys(measures);
+  const measured = { photometer: null }, refusal = element("monitor-error");
+  let name = names[0];
   for (;;) {
-    const screen = ["size", "distance", "gamma", "photometer"][step];
-    show(screen);
-    const isNext = await measures[step](measured, dataset, element(screen));
-    step += isNext ? 1 : -1;
-    element("monitor-error").hidden = true;
-    if (step < measures.length) continue;
+    show(name);
+    const pressed = await measures[name](measured, dataset, element(name));
+    refusal.hidden = true;
+    if (pressed !== "next" || name === "size" || name === "distance") { // a photometer is asked for with *more*
+      name = names[names.indexOf(name) + (pressed === "back" ? -1 : 1)];
+      continue;
+    }
     try {
       return await submit({
         device_pixel_ratio: window.devicePixelRatio,
@@ -36,22 +44,40 @@ export async function measureMonitor(dataset, show, submit) {
         viewport_px: [window.innerWidth, window.innerHeight].map((side) => Math.round(side * window.devicePixelRatio)),
       });
     } catch (error) {
-      step -= 1;
-      element("monitor-error").textContent = error.message;
-      element("monitor-error").hidden = false;
+      refusal.textContent = error.message;
+      refusal.hidden = false;
+      element(name).querySelector(".choices").before(refusal);
     }
   }
 }
 
-/** Wait for a press of *next* (true) or *back* (false) of a screen; `listen` gets a signal that ends with it. */
+/** Wait for a press of *next*, *back* or *more* of a screen, and return which; `listen` gets a signal that ends with it. */
 function choice(screen, listen, isValid = () => true) {
   return new Promise((done) => {
     const ending = new AbortController(), { signal } = ending;
-    const end = (isNext) => { ending.abort(); done(isNext); };
-    screen.querySelector(".next").addEventListener("click", () => { if (isValid()) end(true); }, { signal });
-    screen.querySelector(".back")?.addEventListener("click", () => end(false), { signal });
+    for (const name of ["next", "back", "more"]) {
+      screen.querySelector(`.${name}`)?.addEventListener("click", () => {
+        if (name === "next" && !isValid()) return;
+        ending.abort();
+        done(name);
+      }, { signal });
+    }
     listen(signal);
   });
+}
+
+/** Say at once if nobody at a desk can sit where the frames have their own sizes, or near enough. */
+function showReach(screen, { pixel_pitch_mm }, { pixel_pitch_mrad }) {
+  const proposed = 1000 * pixel_pitch_mm / pixel_pitch_mrad, [nearest, farthest] = DESK_MM;
+  const isFar = proposed / MOST_TIMES > farthest, isNear = proposed * MOST_TIMES < nearest, place = screen.querySelector(".reach");
+  place.hidden = !isFar && !isNear;
+  if (place.hidden) return;
+  const limit = isFar ? proposed / MOST_TIMES : proposed * MOST_TIMES;
+  place.textContent = `Call the experimenter: a desk does not do for these frames. Their pixels are ${shown(pixel_pitch_mrad, 3)} mrad wide, ` +
+    `which those of this monitor, ${shown(pixel_pitch_mm, 3)} mm, are from ${shown(proposed, 3)} mm. The test can be done from ` +
+    `${shown(limit, 3)} mm${isFar ? " or farther" : " or nearer"}. ` +
+    (isFar ? "Sit that far away, or take a monitor with finer pixels, or frames whose pixels are larger at the eye."
+      : "Take a monitor with larger pixels, or frames whose pixels are smaller at the eye.");
 }
 
 function measureSize(measured, dataset, screen) {
@@ -69,6 +95,7 @@ function measureSize(measured, dataset, screen) {
     }
     edge.setAttribute("aria-valuetext", `${width} pixels`);
     element("size-result").textContent = `${width} pixels: ${shown(measured.pixel_pitch_mm, 4)} mm a pixel`;
+    showReach(screen, measured, dataset);
   };
   const guess = () => setWidth(measured.pixel_pitch_mm ? Number(object.value) / measured.pixel_pitch_mm
     : Number(object.value) / 25.4 * 96 * window.devicePixelRatio);
@@ -101,8 +128,9 @@ function measureDistance(measured, dataset, screen) {
     `${shown(dataset.pixel_pitch_mrad, 3)} mrad. Sit there if you can, and stay there. From elsewhere, triangles are smaller or larger, ` +
     "and the data say so.";
   // Beyond these, pixels are so much larger or smaller than the dataset's that the server refuses the monitor.
-  field.min = Math.ceil(proposed / 1.99);
-  field.max = Math.floor(proposed * 1.99);
+  field.min = Math.ceil(proposed / MOST_TIMES);
+  field.max = Math.floor(proposed * MOST_TIMES);
+  showReach(screen, measured, dataset);
   if (!measured.viewing_distance_mm) field.value = shown(proposed, 3);
   const update = () => {
     measured.viewing_distance_mm = field.valueAsNumber;
@@ -122,6 +150,7 @@ function measureGamma(measured, dataset, screen) {
   const context = exactCanvas(canvas, HALF_TONE_PX, HALF_TONE_PX, 0);
   context.fillStyle = grey(255);
   for (let row = 1; row < HALF_TONE_PX; row += 2) context.fillRect(0, row, HALF_TONE_PX, 1);
+  measured.photometer = null;
   const update = () => {
     const corner = (HALF_TONE_PX - SQUARE_PX) / 2, code = slider.valueAsNumber;
     context.fillStyle = grey(code);
@@ -137,15 +166,14 @@ function measureGamma(measured, dataset, screen) {
 }
 
 function measureLuminances(measured, dataset, screen) {
-  const table = element("readings"), next = screen.querySelector(".next");
+  const table = element("readings");
   const side = Math.floor(Math.min(320, document.documentElement.clientWidth / 2) * window.devicePixelRatio);
   const fill = (code) => exactCanvas(element("patch"), side, side, code);
   if (!table.childElementCount) table.append(...CODES.map(readingRow));
   const fields = [...table.querySelectorAll("input")];
   const update = () => {
     const filled = fields.filter((field) => field.value !== "");
-    measured.photometer = filled.length ? filled.map((field) => [Number(field.dataset.code), field.valueAsNumber]) : null;
-    next.textContent = filled.length ? "Use these" : "Go on without";
+    measured.photometer = filled.map((field) => [Number(field.dataset.code), field.valueAsNumber]);
   };
   fill(128);
   return choice(screen, (signal) => {

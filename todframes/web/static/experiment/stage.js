@@ -2,16 +2,22 @@
 
 import { exactCanvas, grey, painted } from "./pixels.js";
 
-/** Time without a frame before each one, so that nobody takes two for one. */
-const BLANK_MS = 300;
+/** Times without anything before the mark, of the mark, and between it and the frame, which the mark would mask. */
+const BLANK_MS = 150;
+const MARK_MS = 300;
+const GAP_MS = 150;
 
-const DIRECTIONS = { ArrowUp: "up", ArrowRight: "right", ArrowDown: "down", ArrowLeft: "left" };
+/** Length of the arms of the mark, and their width, in pixels of the page. */
+const MARK_PX = [6, 1];
+
+export const DIRECTIONS = { ArrowUp: "up", ArrowRight: "right", ArrowDown: "down", ArrowLeft: "left" };
 
 const element = (id) => document.getElementById(id);
 const stage = element("stage"), canvas = element("stimulus"), controls = element("controls");
 
 let blankSince = 0;
 let code = null;
+let ink = "";
 
 export const pause = (milliseconds) => new Promise((done) => setTimeout(done, milliseconds));
 
@@ -24,7 +30,7 @@ export function adapt(backgroundCode) {
   code = backgroundCode;
   const light = linear(code);
   const away = light > 0.18 ? (light + 0.05) / 4.6 - 0.05 : (light + 0.05) * 4.6 - 0.05;
-  const ink = grey(Math.round(255 * (1.055 * Math.min(Math.max(away, 0), 1) ** (1 / 2.4) - 0.055)));
+  ink = grey(Math.round(255 * (1.055 * Math.min(Math.max(away, 0), 1) ** (1 / 2.4) - 0.055)));
   for (const [name, value] of [["paper", grey(code)], ["raised", grey(code)], ["on-accent", grey(code)],
     ...["ink", "muted", "line", "edge", "accent"].map((one) => [one, ink])]) {
     document.documentElement.style.setProperty(`--${name}`, value);
@@ -48,22 +54,39 @@ export function clear(progress) {
 function place() {
   const { offsetWidth: width, offsetHeight: height } = canvas;
   const isRoom = controls.offsetHeight + height <= window.innerHeight;
-  stage.classList.toggle("keys-only", !isRoom);
+  document.body.classList.toggle("keys-only", !isRoom);
   const lowest = window.innerHeight - height - (isRoom ? controls.offsetHeight : 0);
   canvas.style.left = `${Math.floor((window.innerWidth - width) / 2)}px`;
   canvas.style.top = `${Math.floor(Math.min((window.innerHeight - height) / 2, lowest))}px`;
 }
 
+/** Show the mark that the eyes look at, where the middle of the frame will be, for a while. */
+async function mark({ width, height }) {
+  const context = exactCanvas(canvas, width, height, code), ratio = window.devicePixelRatio;
+  const [arm, thick] = MARK_PX.map((side) => side * ratio), [x, y] = [width, height].map((side) => Math.floor(side / 2));
+  context.fillStyle = ink;
+  context.fillRect(x - arm, y, 2 * arm + thick, thick);
+  context.fillRect(x, y - arm, thick, 2 * arm + thick);
+  canvas.hidden = false;
+  place();
+  await pause(MARK_MS);
+  exactCanvas(canvas, width, height, code);
+  await pause(GAP_MS);
+}
+
 /**
- * Show a frame, and return the answer and its time since the frame was painted.
+ * Show a frame, and return the answer, its time since the frame was painted, and whether the page was hidden or lost
+ * the focus in between.
  *
  * @param {{number: number, width: number, height: number, time_limit_ms: ?number}} trial
  * @param {ImageBitmap} bitmap
  * @param {AbortSignal} signal - takes the frame away; the promise then rejects.
- * @returns {Promise<{response: string, response_time_ms: number}>}
+ * @returns {Promise<{response: string, response_time_ms: number, lost: ?("hidden"|"unfocused")}>}
  */
 export async function present(trial, bitmap, signal) {
   await pause(BLANK_MS - (performance.now() - blankSince));
+  signal.throwIfAborted();
+  await mark(trial);
   signal.throwIfAborted();
   exactCanvas(canvas, trial.width, trial.height, code).drawImage(bitmap, 0, 0);
   canvas.hidden = false;
@@ -73,6 +96,14 @@ export async function present(trial, bitmap, signal) {
   stage.dataset.trial = trial.number;
   return new Promise((resolve, reject) => {
     const ending = new AbortController(), listening = { signal: ending.signal };
+    let lost = null;
+    const look = () => {
+      if (document.visibilityState === "hidden") lost = "hidden";
+      else if (!document.hasFocus()) lost ??= "unfocused";
+    };
+    look();
+    document.addEventListener("visibilitychange", look, listening);
+    window.addEventListener("blur", () => { lost ??= "unfocused"; }, listening);
     const end = () => {
       ending.abort();
       clearTimeout(limit);
@@ -82,7 +113,7 @@ export async function present(trial, bitmap, signal) {
     };
     const answer = (response, time) => {
       end();
-      resolve({ response, response_time_ms: Math.max(time - begin, 0) });
+      resolve({ response, response_time_ms: Math.max(time - begin, 0), lost });
     };
     const limit = trial.time_limit_ms === null ? undefined
       : setTimeout(() => answer("none", begin + trial.time_limit_ms), begin + trial.time_limit_ms - performance.now());
@@ -100,9 +131,9 @@ export async function present(trial, bitmap, signal) {
   });
 }
 
-/** Say whether the answer was right, for as long as it takes to read. */
-export async function feedback(isCorrect) {
-  element("feedback").textContent = isCorrect ? "Correct" : "Not correct";
-  await pause(700);
+/** Say something on the stage, for as long as it takes to read. */
+export async function say(text, milliseconds) {
+  element("feedback").textContent = text;
+  await pause(milliseconds);
   element("feedback").textContent = "";
 }

@@ -11,10 +11,12 @@ from typing import NamedTuple
 import numpy as np
 
 from todframes._typing import ComplexArray, FloatArray
+from todframes.diagnosis.arrangement import ARRANGEMENTS, Arrangement
 from todframes.errors import FrameError
-from todframes.frames.arrangement import ARRANGEMENTS, Arrangement
 from todframes.frames.contrast import Patch, read_contrast
 from todframes.frames.dataset import Dataset
+from todframes.frames.position import size_in_px
+from todframes.frames.surround import TrianglePlace
 from todframes.frames.trials import FrameReference, Trial
 from todframes.stimulus import ORIENTATIONS, Centre, Orientation, Stimulus, coverage
 
@@ -90,10 +92,14 @@ Means = dict[Stimulus, dict[Orientation, FloatArray]]
 
 
 class MeanFrames:
-    """Mean contrast of a group's frames by stimulus and orientation; all frames must have one size."""
+    """Mean contrast of a group's frames by stimulus and orientation; all frames must have one size.
 
-    def __init__(self, dataset: Dataset) -> None:
+    With `reach_px`, frames are cut to a square of 2 `reach_px` + 1 pixels about the pixel of the trial's position.
+    """
+
+    def __init__(self, dataset: Dataset, reach_px: int | None = None) -> None:
         self.dataset = dataset
+        self.reach_px = reach_px
         self.shape: tuple[int, ...] | None = None
         self.block_px = 1
         self.totals: dict[tuple[Stimulus, Orientation], FloatArray] = {}
@@ -101,7 +107,7 @@ class MeanFrames:
 
     def add(self, trial: Trial) -> None:
         """Add all frames of a trial; if one cannot be read, add none."""
-        contrasts = [self._contrast(frame, trial.stimulus) for frame in trial.frames]
+        contrasts = self._contrasts(trial)
         key = (trial.stimulus, trial.orientation)
         total = self.totals.setdefault(key, np.zeros(contrasts[0].shape))
         for contrast in contrasts:
@@ -110,7 +116,7 @@ class MeanFrames:
 
     def of_trial(self, trial: Trial) -> FloatArray:
         """Return the mean contrast of a trial's frames, in blocks."""
-        contrasts = [self._contrast(frame, trial.stimulus) for frame in trial.frames]
+        contrasts = self._contrasts(trial)
         return contrasts[0] if len(contrasts) == 1 else np.asarray(sum(contrasts) / len(contrasts))
 
     def take_means(self) -> Means:
@@ -121,6 +127,25 @@ class MeanFrames:
             means.setdefault(stimulus, {})[orientation] = total
         self.totals = {}
         return means
+
+    def _contrasts(self, trial: Trial) -> list[FloatArray]:
+        if self.reach_px is None:
+            return [self._contrast(frame, trial.stimulus) for frame in trial.frames]
+        return [self._square(frame, trial, self.reach_px) for frame in trial.frames]
+
+    def _square(self, frame: FrameReference, trial: Trial, reach: int) -> FloatArray:
+        """Return the contrast of a square about the position of a trial; beyond the frame it is 0."""
+        assert trial.x_px is not None and trial.y_px is not None
+        triangle = TrianglePlace(trial.x_px, trial.y_px, size_in_px(trial, self.dataset.display.pitch_mrad))
+        top, left = round(trial.y_px) - reach, round(trial.x_px) - reach
+        square = np.zeros((2 * reach + 1, 2 * reach + 1))
+        rows, columns = ((first, first + len(square)) for first in (top, left))
+        with self.dataset.open(frame, verify=True) as file:
+            patch = read_contrast(file, self.dataset.display, frame, rows, columns, triangle=triangle)
+        for band in patch.bands():
+            row, column = band.row - top, band.column - left
+            square[row : row + len(band.values), column : column + band.values.shape[1]] = band.values
+        return square
 
     def _contrast(self, frame: FrameReference, stimulus: Stimulus) -> FloatArray:
         path = self.dataset.frame_path(frame)

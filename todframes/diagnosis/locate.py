@@ -10,12 +10,12 @@ from typing import Literal, NamedTuple, get_args
 import numpy as np
 
 from todframes._typing import FloatArray
+from todframes.diagnosis.arrangement import ARRANGEMENTS, Arrangement
+from todframes.diagnosis.matching import LEAST_SEARCHED_PX, SEARCHED, Matcher, MeanFrames, Place, TrialMatcher
 from todframes.errors import DataError, FrameError, SettingsError
-from todframes.frames.arrangement import ARRANGEMENTS, Arrangement
 from todframes.frames.contrast import skipped_frames
 from todframes.frames.dataset import Dataset, DatasetWarning, Skipped
-from todframes.frames.matching import SEARCHED, Matcher, MeanFrames, Place, TrialMatcher
-from todframes.frames.position import from_centroid, to_centroid
+from todframes.frames.position import from_centroid, size_in_px, to_centroid
 from todframes.frames.trials import Group, Trials, indices_by
 from todframes.stimulus import Centre
 
@@ -46,22 +46,29 @@ LEAST_SCATTER_PX = 1.0
 """Least standard deviation of the positions that are searched, so that chance cannot shut the search out."""
 
 
+FAINT_SCATTER_MRAD = 0.1
+"""Scatter of the positions from which trials without a position of their own raise a threshold."""
+
+
 class Location(NamedTuple):
     """The position found for a group's triangles, in pixels, and its standard error along either axis.
 
+    The error is None if no triangle stands out and the manifest's positions stay.
+
     `arrangement` tells whether the triangles are as the manifest says. `n_located` of `n_trials` trials have a
     position of their own, whose standard deviation along either axis is `scatter_px`; all three are None if the
-    group has one position.
+    group has one position. `moved_px` is the mean way from the manifest's positions, None if it has none.
     """
 
     group: Group
     x_px: float
     y_px: float
-    standard_error_px: float
+    standard_error_px: float | None
     arrangement: Arrangement = ARRANGEMENTS[0]
     n_trials: int | None = None
     n_located: int | None = None
     scatter_px: float | None = None
+    moved_px: tuple[float, float] | None = None
 
 
 def locate_triangles(
@@ -72,7 +79,10 @@ def locate_triangles(
     skip_bad_frames: bool = False,
     progress: Callable[[int], None] | None = None,
 ) -> tuple[Dataset, tuple[Location, ...]]:
-    """Find the triangle positions of trials without a position.
+    """Find the positions of triangles.
+
+    Positions in the manifest are where the search begins: all of a group are moved by one displacement, or each
+    by its own. They stay if no triangle stands out near them. Of other trials whole frames are searched.
 
     The position of a group comes from its mean frames by orientation. Their mean contains everything that the
     orientations share (bezel, overlay, shading, fixed pattern) and is subtracted. The remainder is correlated with
@@ -99,14 +109,14 @@ def locate_triangles(
     Returns
     -------
     Dataset
-        The dataset with `x_px` and `y_px` set where they were missing, and without the trials that were skipped.
+        The dataset with `x_px` and `y_px` as found, and without the trials that were skipped.
     tuple of Location
-        One for each group with trials that had no position.
+        One for each group; two if only a part of its trials has positions in the manifest.
 
     Raises
     ------
     DataError
-        If no triangle stands out, or the frames of a group differ in size.
+        If no triangle stands out where the manifest has no position, or the frames of a group differ in size.
     FrameError
         If a frame cannot be read, unless bad frames are skipped.
     SettingsError
@@ -117,14 +127,14 @@ def locate_triangles(
     advance = progress or (lambda _: None)
     trials = dataset.trials
     position_px, is_kept = trials.positions_px, np.ones(len(trials), bool)
-    unplaced = np.flatnonzero(np.isnan(position_px[:, 0]))
+    is_placed = np.isfinite(position_px[:, 0])
     locations: list[Location] = []
     skipped: list[Skipped] = []
-    for of_group in indices_by(trials.group_codes[unplaced]):
-        members = unplaced[of_group]
-        frames = MeanFrames(dataset)
+    for members in indices_by(2 * trials.group_codes.astype(np.int64) + is_placed):
+        of_group = trials.select(members)
+        frames = MeanFrames(dataset, _reach_px(dataset, of_group) if is_placed[members[0]] else None)
         is_usable = np.ones(len(members), bool)
-        for k, trial in enumerate(trials.select(members)):
+        for k, trial in enumerate(of_group):
             try:
                 frames.add(trial)
             except FrameError as error:
@@ -133,16 +143,19 @@ def locate_triangles(
                 is_usable[k] = False
                 skipped += skipped_frames(dataset, trial, error)
             advance(1)
-        members, usable = members[is_usable], trials.select(members[is_usable])
-        is_kept[unplaced[of_group]] = is_usable
+        is_bad = members[~is_usable]
+        members, usable = members[is_usable], of_group.select(is_usable)
+        is_kept[is_bad] = False
         try:
             if usable:
+                search = _each if locate == "each" else _common
                 group = usable[0].group
-                found, places_px = (_each if locate == "each" else _common)(
-                    dataset, group, frames, usable, centre, advance
-                )
+                if is_placed[members[0]]:
+                    found, position_px[members] = _from_stated(search, dataset, group, frames, usable, advance)
+                else:
+                    found, places_px = search(dataset, group, frames, usable, centre, advance)
+                    position_px[members] = _centroids(usable, places_px, centre, dataset.display.pitch_mrad)
                 locations.append(found)
-                position_px[members] = _centroids(usable, places_px, centre, dataset.display.pitch_mrad)
         except DataError as error:
             if not skip_bad_frames:
                 raise
@@ -155,6 +168,46 @@ def locate_triangles(
 
 Located = tuple[Location, FloatArray]
 """A group's location, and the position (x, y) of each of its trials in pixels, shape (n, 2)."""
+
+
+PLACED_REACH = 4.0
+"""Distance from the manifest's position that is searched, in sizes."""
+
+
+def _reach_px(dataset: Dataset, trials: Trials) -> int:
+    """Return the distance from the manifest's positions that is searched, in pixels, within the first frame."""
+    first = trials[0]
+    assert first.x_px is not None and first.y_px is not None
+    size_px = max(size_in_px(trial, dataset.display.pitch_mrad) for trial in trials)
+    with dataset.open(first.frames[0]) as file:
+        (top, bottom), (left, right) = file.clip(None, None)
+    within = min(first.y_px - top, bottom - 1 - first.y_px, first.x_px - left, right - 1 - first.x_px)
+    return math.ceil(min(PLACED_REACH * size_px + LEAST_SEARCHED_PX, max(within, size_px)))
+
+
+def _from_stated(
+    search: Callable[..., Located],
+    dataset: Dataset,
+    group: Group,
+    frames: MeanFrames,
+    trials: Trials,
+    advance: Callable[[int], None],
+) -> Located:
+    """Find the ways of triangles from the manifest's positions; none if no triangle stands out near them."""
+    assert frames.reach_px is not None
+    stated_px = trials.positions_px
+    try:
+        found, places_px = search(dataset, group, frames, trials, "centroid", advance)
+    except DataError:
+        x_px, y_px = stated_px.mean(axis=0).tolist()
+        return Location(group, x_px, y_px, None, moved_px=(0.0, 0.0)), stated_px
+    if found.n_located is None:  # one way for all, from positions that lie on whole pixels and beside them
+        moved = places_px - frames.reach_px - (stated_px - np.rint(stated_px)).mean(axis=0)
+    else:
+        moved = places_px - frames.reach_px + np.rint(stated_px) - stated_px
+    x_px, y_px = (stated_px + moved).mean(axis=0).tolist()
+    of_all = tuple(moved.mean(axis=0).tolist())
+    return found._replace(x_px=x_px, y_px=y_px, moved_px=of_all), stated_px + moved
 
 
 def _centroids(trials: Trials, places_px: FloatArray, centre: Centre, pitch_mrad: float) -> FloatArray:
@@ -358,10 +411,18 @@ def location_warnings(dataset: Dataset, locations: Sequence[Location]) -> list[D
                 ("of the opposite polarity to that in the manifest", "correct the column polarity")
                 if code == "polarity_mismatch"
                 else (
-                    f"{one.arrangement.phrase} against the manifest",
+                    f"not as the manifest says: {one.arrangement.words.format(are='are')}",
                     "mirror or turn the frames back, or correct the column orientation",
                 )
             )
             message = f"the triangles that were located are {what}; {remedy}"
             found.append(DatasetWarning(code, group, message, found=1.0, expected=0.0))
+        n_faint = (one.n_trials or 0) - (one.n_located or 0)
+        if n_faint and one.scatter_px and one.scatter_px * dataset.display.pitch_mrad > FAINT_SCATTER_MRAD:
+            message = (
+                f"{n_faint} of {one.n_trials} trials are too faint for a position of their own, and the others "
+                f"scatter by {one.scatter_px:.2g} pixels: the observer looks beside faint triangles, and the "
+                "threshold comes out high; fix the camera and record again, or give each frame its x_px and y_px"
+            )
+            found.append(DatasetWarning("position_scatter", group, message, one.scatter_px, 0.0))
     return found

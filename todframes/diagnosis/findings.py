@@ -5,8 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 
+from todframes.diagnosis.arrangement import TURNED
+from todframes.diagnosis.inspection import SIZES_ALIKE, Inspection, is_contrast
 from todframes.frames.dataset import Dataset, DatasetWarning, WarningCode
-from todframes.frames.inspection import Inspection, is_contrast
+from todframes.frames.trials import Group
 
 CERTAIN = 5.0
 """Least deviation that is told, in standard errors."""
@@ -52,8 +54,8 @@ SIZE_PER_BLUR = 1.5
 """Relative scatter of a size that sampling may cause, in standard deviations of the blur per size."""
 
 
-TURN_MRAD, LEAST_TURN_RAD = 0.035, 0.0175
-"""Displacement of a triangle's corners by a rotation that matters, and the least rotation that is told."""
+MOST_TURN_RAD = math.radians(2.0)
+"""Largest rotation that is not reported: thresholds rise by its square, by about a sixth at 5°."""
 
 
 SCATTER_PER_BLUR = 0.4
@@ -118,7 +120,28 @@ def frame_warnings(dataset: Dataset, inspections: Sequence[Inspection]) -> list[
         for judge in JUDGES:
             for code, value, expected, message in judge(dataset, one):
                 found.setdefault((code, one.group), DatasetWarning(code, group, message, value, expected))
+    for warning in _several_sizes(dataset, inspections):
+        found.setdefault((warning.code, tuple(warning.group.values())), warning)
     return list(found.values())
+
+
+def _several_sizes(dataset: Dataset, inspections: Sequence[Inspection]) -> Iterator[DatasetWarning]:
+    """Yield a warning for each group to which the manifest gives several sizes, unless these are its levels."""
+    if dataset.experiment.level.strip() == "size_mrad":
+        return
+    sizes: dict[Group, set[float]] = {}
+    for one in inspections:
+        sizes.setdefault(one.group, set()).add(one.stimulus.size_mrad)
+    for group, of_group in sizes.items():
+        if max(of_group) > SIZES_ALIKE * min(of_group):
+            yield DatasetWarning(
+                "mixed_sizes",
+                dict(zip(dataset.experiment.group_by, group, strict=True)),
+                f"triangles of {min(of_group):g} to {max(of_group):g} mrad share a curve, and each size has a "
+                "threshold of its own; name the size in group_by",
+                max(of_group) / min(of_group) - 1.0,
+                0.0,
+            )
 
 
 def _geometry(dataset: Dataset, one: Inspection) -> Iterator[Told]:
@@ -253,39 +276,20 @@ def _contrast(dataset: Dataset, one: Inspection) -> Iterator[Told]:
         )
 
 
-ADVICE = {
-    "mirrored": "left and right are swapped",
-    "flipped": "top and bottom are swapped",
-    "half_turn": "the picture is upside down",
-    "quarter_turn_right": "the picture is turned by a quarter to the right",
-    "quarter_turn_left": "the picture is turned by a quarter to the left",
-    "transposed": "rows and columns are swapped",
-    "anti_transposed": "rows and columns are swapped, and the picture is upside down",
-}
-
-
-CODES: dict[str, WarningCode] = {
-    "mirrored": "mirrored",
-    "flipped": "flipped",
-    "transposed": "mirrored",
-    "anti_transposed": "mirrored",
-}
-"""Codes of warnings about what was done to a picture; all else is "turned"."""
-
-
 def _orientation(_: Dataset, one: Inspection) -> Iterator[Told]:
     if one.shown_as is None or one.turned_rad is None or one.turned_error_rad is None:
         return
-    if one.shown_as != "as stated":
+    shown = next(turned for turned in TURNED if turned.name == one.shown_as)
+    if shown.code is not None:
         yield (
-            CODES.get(one.shown_as, "turned"),
+            shown.code,
             1.0,
             0.0,
-            f"{ADVICE[one.shown_as]} in the frames, against the orientations in the manifest: the answers are "
-            "wrong; turn or mirror the frames, or correct the orientations",
+            f"{shown.words.format(are='are')} in the frames, against the orientations in the manifest: the "
+            "answers are wrong; turn or mirror the frames, or correct the orientations",
         )
     turned = abs(one.turned_rad)
-    if turned > max(LEAST_TURN_RAD, TURN_MRAD / one.stimulus.size_mrad, CERTAIN * one.turned_error_rad):
+    if turned > MOST_TURN_RAD + CERTAIN * one.turned_error_rad:
         yield (
             "turned",
             math.degrees(one.turned_rad),

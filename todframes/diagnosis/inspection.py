@@ -1,0 +1,464 @@
+"""The measurement of what the frames of a group show: the triangle, the background and the code values."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from todframes._typing import FloatArray
+from todframes.diagnosis.arrangement import TURNED
+from todframes.diagnosis.triangle import (
+    AMPLITUDE,
+    Images,
+    Shape,
+    Square,
+    X,
+    Y,
+    first_guess,
+    fitted,
+    of_trials,
+    picture,
+    within,
+)
+from todframes.diagnosis.windows import Codes, FrameSample, measure_frame
+from todframes.errors import DataError
+from todframes.frames.dataset import Dataset
+from todframes.frames.position import size_in_px
+from todframes.frames.surround import HOLE_IN_SIZES
+from todframes.frames.trials import Group, Trial, Trials
+from todframes.stimulus import ORIENTATIONS, Centre, Stimulus
+
+MOST_SAMPLED, LEAST_SAMPLED = 24, 8
+"""Most and fewest trials of a stimulus in a group that are measured."""
+
+
+SAMPLED, SAMPLED_SHARE = 96, 0.04
+"""Number of trials that are measured in all, and their share of the trials if that is more."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Inspection:
+    """The properties that frames of a group with one stimulus show. Errors are standard errors; None: not known.
+
+    Attributes
+    ----------
+    group : tuple
+        Values of the `group_by` columns.
+    stimulus : Stimulus
+    size_px : float
+        The stated size in pixels.
+    stated_px : (float, float)
+        The stated place of the centroid along x and y, the mean over the trials measured.
+    n_trials : int
+        Number of trials measured.
+    frame_sizes_px : tuple of (int, int)
+        Rows and columns of the frames that occur.
+    background_luminance_cd_m2, ring_luminance_cd_m2 : float
+        Mean luminance that contrast refers to, and mean luminance around the triangle.
+    ring_ratio, ring_ratio_error, ring_scatter : float
+        Mean of the second divided by the first, its error, and its standard deviation over trials.
+    contrast_slope, contrast_slope_error : float or None
+        Displayed contrast of the triangle per unit of the level, blur removed, positive if of the stated polarity.
+    offset_px, offset_error_px : (float, float) or None
+        The triangle's place from the stated one, along x and y.
+    scatter_px : float or None
+        Standard deviation over trials of that place along an axis, noise removed.
+    size_ratio, size_ratio_error, size_scatter : float or None
+        Displayed size divided by the stated one, and its standard deviation over trials, noise removed.
+    turned_rad, turned_error_rad : float or None
+        Clockwise rotation of the triangle from the stated orientation.
+    blur_px : float or None
+        Standard deviation of the Gaussian that blurs the triangle.
+    shown_as : str or None
+        Name of an arrangement.
+    wrong_orientation, n_orientation : int
+        Number of trials that clearly show another orientation than stated, and number that clearly show one.
+    wrong_level, n_level : int
+        Number of trials whose contrast clearly does not follow their level, and number that show it clearly.
+    signal : float
+        The triangle's contrast in standard errors by the noise alone.
+    uneven, uneven_error : float
+        Contrast of a triangle to whose orientations the background's own structure is like, and its error.
+    uneven_texture : float
+        The same elsewhere in the surround: the fixed pattern of a camera, for example.
+    saturated_share, crushed_share : float or None
+        Shares of the triangle's pixels at full scale and at code 0; None without integer codes.
+    peak_code, full_scale, code_step : int or None
+        Largest code read, largest code possible, and the smallest difference of codes that occur.
+    code_step_contrast, noise_contrast : float or None
+        Contrast of that difference, and standard deviation of a pixel's contrast.
+    level : float
+        Median level of the trials measured.
+    """
+
+    group: Group
+    stimulus: Stimulus
+    size_px: float
+    stated_px: tuple[float, float]
+    n_trials: int
+    frame_sizes_px: tuple[tuple[int, int], ...]
+    background_luminance_cd_m2: float
+    ring_luminance_cd_m2: float
+    ring_ratio: float
+    ring_ratio_error: float
+    ring_scatter: float
+    level: float
+    noise_contrast: float
+    contrast_slope: float | None = None
+    contrast_slope_error: float | None = None
+    offset_px: tuple[float, float] | None = None
+    offset_error_px: tuple[float, float] | None = None
+    scatter_px: float | None = None
+    size_ratio: float | None = None
+    size_ratio_error: float | None = None
+    size_scatter: float | None = None
+    turned_rad: float | None = None
+    turned_error_rad: float | None = None
+    blur_px: float | None = None
+    shown_as: str | None = None
+    wrong_orientation: int = 0
+    n_orientation: int = 0
+    wrong_level: int = 0
+    n_level: int = 0
+    signal: float = 0.0
+    uneven: float = 0.0
+    uneven_error: float = 0.0
+    uneven_texture: float = 0.0
+    saturated_share: float | None = None
+    crushed_share: float | None = None
+    peak_code: int | None = None
+    full_scale: int | None = None
+    code_step: int | None = None
+    code_step_contrast: float | None = None
+
+
+def inspect(dataset: Dataset, trials: Sequence[Trial], *, centre: Centre = "centroid") -> list[Inspection]:
+    """Measure what the frames of each group show, on a sample of the trials.
+
+    Frames that cannot be read are left out: scoring reports them.
+
+    Parameters
+    ----------
+    dataset : Dataset
+    trials : sequence of Trial
+        The trials of all groups.
+    centre : {"centroid", "bounding_box"}
+        The point of a triangle without a position that lies at the frame's centre.
+
+    Returns
+    -------
+    list of Inspection
+        One for each stimulus of each group, in the order of the trials.
+    """
+    trials = Trials.of(trials)
+    of_stimulus = list(_alike(trials))
+    in_all = max(SAMPLED, SAMPLED_SHARE * len(trials))
+    most = int(min(max(in_all / max(len(of_stimulus), 1), LEAST_SAMPLED), MOST_SAMPLED))
+    found = []
+    for members in of_stimulus:
+        ours = trials.select(members)
+        size_mrad = float(np.median(_sizes_mrad(ours)))
+        samples = list(_samples(dataset, _spread(ours, most), centre, size_mrad))
+        if samples:
+            first = samples[0].trial
+            found.append(_measured(dataset, first.group, replace(first.stimulus, size_mrad=size_mrad), samples))
+    return found
+
+
+CONTRAST_LEVELS = ("contrast", "weber_contrast")
+"""Names of levels that are the displayed contrast of the triangle."""
+
+
+CONTRASTS = (1e-9, 1e9)
+"""Range of contrasts that are computed with; beyond it are mistakes in a manifest, whose squares may overflow."""
+
+
+def is_contrast(dataset: Dataset) -> bool:
+    """Tell whether the level of a dataset is the triangle's contrast, by its name."""
+    return dataset.experiment.level.strip().lower() in CONTRAST_LEVELS
+
+
+SIZES_ALIKE = 1.15
+"""Ratio of the largest stated size of a curve to the least up to which they are one size in perspective: a chart
+tilted by 10° in a field of view of 28° has 1.09."""
+
+
+def _sizes_mrad(trials: Trials) -> FloatArray:
+    return np.array([one.size_mrad for one in trials.stimuli])[trials.stimulus_codes]
+
+
+def _alike(trials: Trials) -> Iterator[NDArray[np.intp]]:
+    """Yield the trials, ascending, of each group and polarity whose sizes are one size in perspective."""
+    sizes, polarity = (
+        _sizes_mrad(trials),
+        np.array([one.polarity for one in trials.stimuli])[trials.stimulus_codes],
+    )
+    parts = []
+    for group, sign in np.unique([trials.group_codes, polarity], axis=1).T:
+        left = np.flatnonzero((trials.group_codes == group) & (polarity == sign))
+        while len(left):
+            is_alike = sizes[left] <= SIZES_ALIKE * sizes[left].min()
+            parts.append(left[is_alike])
+            left = left[~is_alike]
+    yield from sorted(parts, key=lambda part: int(part[0]))
+
+
+def _spread(trials: Trials, most: int) -> Trials:
+    """Choose trials of all levels and orientations, evenly over the manifest."""
+    if len(trials) <= most:
+        return trials
+    ordered = np.lexsort([np.argsort(np.argsort(ORIENTATIONS))[trials.quarter_turns], trials.levels])
+    return trials.select(ordered[np.linspace(0, len(trials) - 1, most).round().astype(int)])
+
+
+def _samples(dataset: Dataset, trials: Trials, centre: Centre, size_mrad: float) -> Iterator[FrameSample]:
+    size_px = min(size_mrad / dataset.display.pitch_mrad, 1e300)
+    for trial in trials:
+        try:
+            yield measure_frame(dataset, trial, centre, size_px=size_px)
+        except DataError:
+            continue
+
+
+LEAST_SIZE = 1e-9
+"""Least size in blocks that is computed with; smaller ones are mistakes, and ratios to them overflow."""
+
+
+def _measured(dataset: Dataset, group: Group, stimulus: Stimulus, samples: Sequence[FrameSample]) -> Inspection:
+    level = np.array([sample.trial.level for sample in samples])
+    # Of a level that is no contrast it is not known how the contrast follows from it.
+    strength = np.clip(level, *CONTRASTS) if is_contrast(dataset) else np.ones(len(level))
+    ratio = np.array([sample.ring_cd_m2 / sample.background_cd_m2 for sample in samples])
+    scatter = float(ratio.std(ddof=1)) if len(ratio) > 1 else 0.0
+    block_px = samples[0].block_px
+    pitch = dataset.display.pitch_mrad
+    size_px = min(stimulus.size_mrad / pitch, 1e300)
+    sizes = np.maximum([size_in_px(sample.trial, pitch) / block_px for sample in samples], LEAST_SIZE)
+    codes = [sample.codes for sample in samples if sample.codes is not None]
+    return Inspection(
+        group=group,
+        stimulus=stimulus,
+        size_px=size_px,
+        stated_px=(
+            float(np.mean([sample.stated_px[0] for sample in samples])),
+            float(np.mean([sample.stated_px[1] for sample in samples])),
+        ),
+        n_trials=len(samples),
+        frame_sizes_px=tuple(sorted({sample.frame_px for sample in samples})),
+        background_luminance_cd_m2=float(np.mean([sample.background_cd_m2 for sample in samples])),
+        ring_luminance_cd_m2=float(np.mean([sample.ring_cd_m2 for sample in samples])),
+        ring_ratio=float(ratio.mean()),
+        ring_ratio_error=math.hypot(
+            scatter / math.sqrt(len(ratio)), _static_error(samples, scatter, size_px / block_px)
+        ),
+        ring_scatter=scatter,
+        level=float(np.median(level)),
+        noise_contrast=float(np.median([sample.noise for sample in samples])),
+        **_of_codes(codes),
+        **_of_triangle(samples, strength, sizes, max(size_px / block_px, LEAST_SIZE), stimulus.polarity, block_px),
+    )
+
+
+def _static_error(samples: Sequence[FrameSample], scatter: float, size: float) -> float:
+    """Estimate the relative error of the luminance around the triangle from a pattern that all frames share.
+
+    It is that of the mean of eight sectors around the triangle. On a small frame a blurred pattern makes all
+    sectors alike. Therefore it is also estimated from the `scatter` of the relative luminance over trials, which
+    the noise causes: pattern and noise are taken to be blurred alike, so that the ratio of their errors is the
+    ratio of their standard deviations within the frames. The larger estimate counts.
+    """
+    known = np.logical_and.reduce([sample.known for sample in samples])
+    v, u = np.mgrid[: len(known), : len(known)] - (len(known) - 1) / 2.0
+    around = known & (np.hypot(u, v) > HOLE_IN_SIZES * size)
+    sector = ((np.arctan2(v, u)[around] / np.pi + 1.0) * 4.0).astype(int) % 8
+    even = np.array([sample.even[around] for sample in samples])
+    pattern = even.mean(axis=0)
+    sectors = [pattern[sector == k].mean() for k in range(8) if (sector == k).any()]
+    if len(sectors) < 2:
+        return 0.0
+    # The differences of neighbours: the few across an edge between two levels do not count.
+    apart = np.abs(np.diff(sectors, append=sectors[0]))
+    of_sectors = 1.4826 * float(np.median(apart)) / math.sqrt(2.0 * len(sectors))
+    noise_variance = float(even.var(axis=0).mean()) * len(even) / max(len(even) - 1, 1)
+    if not noise_variance > 0.0:
+        return of_sectors
+    pattern_variance = max(float(pattern.var()) - noise_variance / len(even), 0.0)
+    return max(of_sectors, scatter * math.sqrt(pattern_variance / noise_variance))
+
+
+def _of_codes(codes: Sequence[Codes]) -> dict[str, Any]:
+    if not codes:
+        return {}
+    return {
+        "saturated_share": float(np.mean([one.top_share for one in codes])),
+        "crushed_share": float(np.mean([one.bottom_share for one in codes])),
+        "peak_code": max(one.peak for one in codes),
+        "full_scale": codes[0].full_scale,
+        "code_step": min(one.step for one in codes),
+        "code_step_contrast": float(np.median([one.step_contrast for one in codes])),
+    }
+
+
+CLEAR, OFF_LEVEL = 0.1, 0.4
+"""Largest error of a trial's contrast or place that shows it clearly, relative to the contrast and the size, and
+the relative deviation of a contrast that does not follow its level."""
+
+CERTAIN_TURN, CLEARLY_TURNED = 5.0, 8.0
+"""Least advantage of another orientation than stated, in standard errors: of a group, and of a single trial."""
+
+WHOLE_IN_SIZES = 1.2
+"""Distance from the centroid within which all frames must have pixels for size and contrast to be judged."""
+
+LEAST_SIGNAL = 8.0
+"""Least contrast of the triangle, in standard errors, for its place, size and orientation to be measured."""
+
+
+def _of_triangle(
+    samples: Sequence[FrameSample], level: FloatArray, sizes: FloatArray, size: float, polarity: int, block_px: int
+) -> dict[str, Any]:
+    """Measure the triangle; lengths are in blocks until the end."""
+    turns = np.array([sample.trial.orientation.quarter_turns for sample in samples])
+    even = polarity * np.array([sample.even for sample in samples])
+    known = np.logical_and.reduce([sample.known for sample in samples])
+    noise = _noise_of_frames(even, level, known, size)
+    share = np.square(level / noise) / np.square(level / noise).sum()
+    stated = np.column_stack([[sample.offset for sample in samples], np.log(sizes / size)])
+    middle = share @ stated
+    frames = {"level": level, "noise": noise, "turns": turns, "apart": stated - middle}
+    images = Images.of(even, known=known, hole=HOLE_IN_SIZES * size, **frames)
+    found = fitted(images, first_guess(images, size), CERTAIN_TURN)
+    shape = found.shape
+    each = of_trials(found, images, even, **frames)
+    # The spread over the trials, if that is more than the noise.
+    excess = np.square(share) @ np.maximum(np.square(each.away) - np.square(each.error), 0.0)
+    noise_error = np.array([found.error((AMPLITUDE, 1.0)), found.error((X, 1.0)), found.error((Y, 1.0)),
+                            found.size_error])  # fmt: skip
+    error = np.sqrt(np.square(noise_error) + excess)
+    amplitude = abs(shape.amplitude)
+    signal = float(amplitude / noise_error[0]) if noise_error[0] > 0.0 else math.inf
+    # A triangle that is cut off by the edge of some frames has a place, but no sure size and contrast.
+    is_whole = bool(known[within(len(known), WHOLE_IN_SIZES * size)].all())
+    seen = polarity * np.array([sample.seen for sample in samples])
+    measured: dict[str, Any] = {
+        "contrast_slope": shape.amplitude,
+        "contrast_slope_error": float(error[0]) if is_whole else None,
+        "signal": signal,
+        **_unevenness(seen, images, level, turns, size),
+    }
+    if signal < LEAST_SIGNAL:
+        return measured
+    size_ratio = float(shape.size / (size * math.exp(middle[2])))
+    clear_place = each.error[:, 1:3].max(axis=1) < CLEAR * size
+    clear_level = each.error[:, 0] < CLEAR * amplitude
+    off_level = clear_level & (np.abs(each.away[:, 0]) > OFF_LEVEL * amplitude)
+    ranked = np.sort(each.likeness, axis=1)
+    clear_turn = ranked[:, 3] - ranked[:, 2] > CLEARLY_TURNED * each.likeness_error
+    shown = np.array(found.shown)[turns]
+    stated_variance = float(share @ np.square(stated[:, :2] - middle[:2]).mean(axis=1))
+    return measured | {
+        "offset_px": tuple((block_px * (np.array([shape.x, shape.y]) - middle[:2])).tolist()),
+        "offset_error_px": tuple((block_px * error[1:3]).tolist()),
+        "scatter_px": _scatter(block_px * each.away[clear_place, 1:3], block_px * each.error[clear_place, 1:3]),
+        "size_ratio": size_ratio,
+        "size_ratio_error": size_ratio * float(error[3]) if is_whole else None,
+        "size_scatter": _scatter(each.away[clear_place, 3:], each.error[clear_place, 3:]),
+        "turned_rad": shape.turn_rad,
+        "turned_error_rad": found.turn_error_rad,
+        "blur_px": block_px * math.sqrt(max(shape.variance - stated_variance, 0.0)),
+        "shown_as": next(one.name for one in TURNED if one.shown == found.shown),
+        "wrong_orientation": int((clear_turn & (each.likeness.argmax(axis=1) != shown)).sum()),
+        "n_orientation": int(clear_turn.sum()),
+        "wrong_level": int(off_level.sum()),
+        "n_level": int(clear_level.sum()),
+    }
+
+
+def _noise_of_frames(images: FloatArray, level: FloatArray, known: NDArray[np.bool_], size: float) -> FloatArray:
+    """Estimate the standard deviation of the contrast of each frame's blocks around the triangle.
+
+    It is at least a twentieth of the level, so that frames without noise count alike.
+    """
+    around = known & ~within(len(known), HOLE_IN_SIZES * size)
+    if not around.any():
+        return np.ones(len(images))
+    apart = np.abs(images[:, around] - np.median(images[:, around], axis=1)[:, None])
+    return np.maximum(1.4826 * np.median(apart, axis=1), level / 20.0)
+
+
+SCATTER_ERRORS = 5.0
+"""Least scatter over trials that is more than noise, in standard errors."""
+
+
+def _scatter(apart: FloatArray, noise: FloatArray) -> float | None:
+    """Return the standard deviation over trials beyond the noise: 0 if it may be noise, None if few show it.
+
+    Both arguments have shape (trial, axes). Trials count by the inverse of their noise variance, so that the
+    faintest do not decide.
+    """
+    n, axes = apart.shape
+    if n < 4:
+        return None
+    weight = 1.0 / np.square(np.maximum(noise, 1e-6))  # frames without noise count alike
+    sums = weight.sum(axis=0)
+    excess = weight * np.square(apart - (weight * apart).sum(axis=0) / sums)
+    freedom = (n - 1) * axes
+    # The cube root of a mean square is normal, very nearly (Wilson and Hilferty).
+    if excess.sum() <= freedom * (1.0 + SCATTER_ERRORS * math.sqrt(2.0 / (9.0 * freedom))) ** 3:
+        return 0.0
+    return math.sqrt((excess.sum() - freedom) / (sums - np.square(weight).sum(axis=0) / sums).sum())
+
+
+def _unevenness(
+    seen: FloatArray, images: Images, level: FloatArray, turns: NDArray[np.intp], size: float
+) -> dict[str, Any]:
+    """Measure how like the orientations of a triangle the background's own structure is, in contrast.
+
+    The structure elsewhere on the frames, such as a fixed pattern, is measured in the same way. Nothing is
+    returned if the frames show too little else.
+    """
+    import cv2
+
+    known = images.weight > 0.0
+    n = len(known)
+    cross = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
+    around = math.ceil(0.6 * size)
+    inner = cv2.erode(
+        known.astype(np.uint8), cross, iterations=around, borderType=cv2.BORDER_CONSTANT, borderValue=0
+    )
+    elsewhere = (inner > 0) & ~within(n, size)
+    if elsewhere.sum() < np.square(2.0 * size):
+        return {}
+    static = np.tensordot(images.shares[4], seen, 1)
+    triangles = np.tensordot(images.shares[:4], seen, 1)
+    noise = seen - static - level[:, None, None] * triangles[turns]
+    square = Square(0, 0, n)
+    pictures = picture(Shape.upright(1.0, 0.0, 0.0, size, 0.0), square, n).images
+    differ = pictures - pictures.mean(axis=0)
+    energy = float(np.square(differ).sum()) / 4.0
+    if not energy > 1e-12:  # within one pixel all orientations are alike
+        return {}
+    spectrum = np.fft.rfft2(static)
+    maps = np.array([np.fft.irfft2(spectrum * np.conj(np.fft.rfft2(one)), static.shape) for one in differ])
+    spread = np.fft.fftshift(np.ptp(maps, axis=0)) / energy
+    each = noise.reshape(len(noise), -1) @ differ.reshape(4, -1).T / energy
+    return {
+        "uneven": float(spread[n // 2, n // 2]),
+        "uneven_error": math.sqrt((np.square(images.shares[4]) @ np.square(each)).max()),
+        "uneven_texture": float(np.median(spread[elsewhere])),
+    }
+
+
+def records(dataset: Dataset, inspections: Sequence[Inspection]) -> list[dict[str, Any]]:
+    """Return inspections as plain values for JSON; the group's values have the names of their columns."""
+    found = []
+    for one in inspections:
+        values = asdict(one)
+        values["group"] = dict(zip(dataset.experiment.group_by, one.group, strict=True))
+        values |= values.pop("stimulus")
+        found.append({name: value for name, value in values.items() if value is not None})
+    return found
