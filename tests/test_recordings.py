@@ -18,6 +18,8 @@ import OpenImageIO as oiio
 import pytest
 
 import todframes as tod
+from todframes.cli.console import run
+from todframes.cli.main import cli
 from todframes.recordings import open_recordings, radiometric, raw
 from todframes.recordings.recording import natural_order
 
@@ -569,3 +571,13 @@ def test_folders_whose_names_are_no_utf_8_are_read(tmp_path):
     done = tod.import_recordings(folder / "a.npy", schedule=tmp_path / "s.csv", out=folder / "out")
     assert json.loads((folder / "out" / "import.json").read_text())["n_frames"] == 1
     assert len(tod.load_dataset(done.path).trials) == 1
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems have names in Unicode")
+def test_results_name_folders_that_are_no_utf_8(tmp_path, make_dataset):
+    folder = Path(os.fsdecode(os.fsencode(tmp_path) + b"/caf\xe9"))
+    shutil.copytree(make_dataset(contrasts=(0.1, 0.9)).path, folder)
+    np.save(folder / "a.npy", RNG.random((3, 20, 20)))
+    for command in (["score", str(folder), "--set", "resamples=0"], ["noise", str(folder / "a.npy")]):
+        assert run(cli, [*command, "--quiet", "-o", str(tmp_path / command[0])]) == 0
+        assert r"caf\\udce9" in (tmp_path / command[0] / "result.json").read_text()

@@ -16,6 +16,7 @@ from todframes.frames.memory import MemoryDataset
 from todframes.frames.trials import Trial
 from todframes.locations import RemotePath
 from todframes.output import write_file
+from todframes.safe_text import in_utf8
 
 COLUMN = "sha256"
 """Name of the manifest column with the checksums."""
@@ -55,7 +56,7 @@ def dataset_warnings(dataset: Dataset, trials: Sequence[Trial]) -> list[DatasetW
     if not unverified:
         return []
     is_remote = isinstance(dataset.path, RemotePath)
-    folder = "FOLDER" if is_remote else shlex.quote(str(dataset.path))
+    folder = "FOLDER" if is_remote else in_utf8(shlex.quote(str(dataset.path)))
     message = (
         f"{unverified} of {n_frames} frames are EXR without a sha256 in manifest.csv: nothing checks these "
         "files, and damage to them would change thresholds unseen; add checksums with "
