@@ -627,10 +627,10 @@ def test_disk_full_at_a_frame(simulate_command, tmp_path, monkeypatch, workers):
 def test_disk_full_at_the_manifest(simulate_command, tmp_path, monkeypatch):
     before = tree(tmp_path)
 
-    def no_space(*_):
+    def no_space(*_, **__):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    monkeypatch.setattr(simulation, "_manifest", no_space)
+    monkeypatch.setattr(simulation, "csv_text", no_space)
     assert_refused(
         simulate_command(tmp_path / "dataset"), BAD_SETTINGS, str(tmp_path / "dataset"), "No space left on device"
     )
