@@ -48,6 +48,12 @@ class StoredWork(Work[Item_contra, Result], Protocol[Item_contra, Result]):
     def stamp(self, item: Item_contra) -> object:
         """Return what changes when a file of the item is written, without reading it."""
 
+    def stamped_key(self, item: Item_contra, stamp: object) -> bytes | None:
+        """Return a key that stands for the stamp in place of the bytes of files; None if that is not enough.
+
+        It spares the reading of files that an earlier run has read.
+        """
+
     def encode(self, result: Result) -> bytes | None:
         """Return a result as bytes; None if it is not to be kept."""
 
@@ -129,14 +135,17 @@ def _rows(
             encoded = work.encode(one.result)
             if encoded is not None:
                 rows.append((one.key, encoded))
+                if one.stamped_key is not None:
+                    rows.append((one.stamped_key, one.key))
     return rows
 
 
 @dataclass
 class KeyedResult(Generic[Result]):
-    """A result and its key; None if it is not to be kept."""
+    """A result with its key, None if it is not to be kept, and the key by its stamp, under which `key` is kept."""
 
     key: bytes | None
+    stamped_key: bytes | None
     result: Result
 
 
@@ -161,12 +170,13 @@ class Keyed(Generic[Item, Result]):
 
         def do(item: Item) -> KeyedResult[Result]:
             if not self.records:
-                return KeyedResult(None, function(item))
-            before = work.stamp(item)
+                return KeyedResult(None, None, function(item))
+            stamp = work.stamp(item)
+            stamped_key = work.stamped_key(item, stamp)
             result = function(item)
             key = work.key(item, is_done=True)
             # A file that was written meanwhile has another key than the bytes that were worked on.
-            return KeyedResult(key if work.stamp(item) == before else None, result)
+            return KeyedResult(key if work.stamp(item) == stamp else None, stamped_key, result)
 
         return do
 
@@ -180,17 +190,22 @@ def _found(
 ) -> Generator[tuple[int, Result | Lost], None, Sequence[int]]:
     """Yield the results that the store has; return the places of the other items."""
 
-    def keys(places: range) -> list[bytes | None]:
-        return [work.key(items[place], is_done=False) for place in places]
+    def known_key(item: Item) -> bytes | None:
+        stamped_key = work.stamped_key(item, work.stamp(item))
+        return None if stamped_key is None else store.get(stamped_key)
 
-    def chunks() -> Iterator[range]:
+    def chunks() -> Iterator[list[tuple[int, Item, bytes | None]]]:
         for start in range(0, len(items), FOUND_AT_ONCE):
-            yield range(start, min(start + FOUND_AT_ONCE, len(items)))
+            places = range(start, min(start + FOUND_AT_ONCE, len(items)))
+            yield [(place, item := items[place], known_key(item)) for place in places]
+
+    def keys(chunk: list[tuple[int, Item, bytes | None]]) -> list[tuple[int, bytes | None]]:
+        return [(place, work.key(item, is_done=False) if key is None else key) for place, item, key in chunk]
 
     left = array("q")
     with closing(map_in_threads(keys, chunks(), engine.n_workers if engine.is_local else 1)) as computed:
-        for places, of_chunk in zip(chunks(), computed, strict=True):
-            for place, key in zip(places, of_chunk, strict=True):
+        for of_chunk in computed:
+            for place, key in of_chunk:
                 encoded = None if key is None else store.get(key)
                 result = None if encoded is None else _decoded(work, encoded)
                 if result is None:
