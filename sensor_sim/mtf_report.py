@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import msgspec
@@ -13,6 +12,7 @@ from sensor_sim.transfer import stages
 from todframes import __version__
 from todframes.report.figure_style import COLOURS, INK
 from todframes.report.figures import Picture, drawn
+from todframes.report.saving import Saving, json_file
 from todframes.report.table import Column, Table
 
 if TYPE_CHECKING:
@@ -46,7 +46,7 @@ LINES = {
 }
 
 
-class SensorMtf(msgspec.Struct, frozen=True, kw_only=True):
+class SensorMtf(msgspec.Struct, Saving, frozen=True, kw_only=True):
     """Transfer of every stage of a sensor along x; its fields are the keys of the command's JSON.
 
     Attributes
@@ -72,7 +72,7 @@ class SensorMtf(msgspec.Struct, frozen=True, kw_only=True):
 
     def to_json(self) -> bytes:
         """Return the record as indented JSON."""
-        return msgspec.json.format(msgspec.json.encode(self), indent=2) + b"\n"
+        return json_file(self)
 
     def table(self, step: int = 1) -> Table:
         """Return the table of every `step`-th frequency."""
@@ -147,18 +147,6 @@ class SensorMtf(msgspec.Struct, frozen=True, kw_only=True):
         """Return the content of `mtf.csv` and `mtf.png`, by name."""
         picture = Picture(self.sensor, MTF_NOTE, self.draw, "mtf.png")
         return {"mtf.csv": self.table().csv().encode(), picture.file: picture.png()}
-
-    def save(self, folder: Path | str) -> None:
-        """Write `mtf.csv` and `mtf.png` into a folder, both or none.
-
-        Raises
-        ------
-        OutputError
-            If the place cannot be written.
-        """
-        from todframes.output import write_folder
-
-        write_folder(folder, self.files())
 
 
 def sensor_mtf(sensor: Sensor) -> SensorMtf:
