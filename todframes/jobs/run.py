@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import time
 from array import array
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
-from typing import Generic, Protocol, TypeVar
+from functools import partial
+from typing import Any, Generic, Protocol, TypeVar
 
 from todframes.errors import TodframesError
 from todframes.jobs.local import ITEMS_PER_TASK
 from todframes.jobs.store import Store
 from todframes.jobs.work import Engine, Lost, Work
-from todframes.threads import map_in_threads
 
 Item = TypeVar("Item")
 Item_contra = TypeVar("Item_contra", contravariant=True)
@@ -25,10 +25,6 @@ LOOKED_AT_S = 0.5
 
 WORTH_S = 4.0
 """Shortest run whose results are kept as they come, in seconds."""
-
-
-FOUND_AT_ONCE = 512
-"""Number of items whose keys are computed before their results are looked up."""
 
 
 class StoredWork(Work[Item_contra, Result], Protocol[Item_contra, Result]):
@@ -142,7 +138,7 @@ class Keyed(Generic[Item, Result]):
 
     @property
     def items_at_once(self) -> int:
-        """Number of items that a thread takes at a time."""
+        """Number of items that come back at a time from the calling thread."""
         return getattr(self.work, "items_at_once", ITEMS_PER_TASK)
 
     def function(self) -> Callable[[Item], KeyedResult[Result]]:
@@ -170,21 +166,27 @@ def _found(
 ) -> Generator[tuple[int, Result | Lost], None, Sequence[int]]:
     """Yield the results that the store has; return the places of the other items."""
 
-    def keys(places: range) -> list[bytes | None]:
-        return [work.key(items[place], is_done=False) for place in places]
-
-    def chunks() -> Iterator[range]:
-        for start in range(0, len(items), FOUND_AT_ONCE):
-            yield range(start, min(start + FOUND_AT_ONCE, len(items)))
-
     left = array("q")
-    with closing(map_in_threads(keys, chunks(), engine.n_workers if engine.is_local else 1)) as computed:
-        for places, of_chunk in zip(chunks(), computed, strict=True):
-            for place, key in zip(places, of_chunk, strict=True):
-                encoded = None if key is None else store.get(key)
+    with closing(engine.run(_Keys(work), enumerate(items))) as batches:
+        for batch in batches:
+            for place, key in batch:
+                encoded = None if key is None or isinstance(key, Lost) else store.get(key)
                 result = None if encoded is None else work.decode(encoded)
                 if result is None:
                     left.append(place)
                 else:
                     yield place, result
-    return left
+    return array("q", sorted(left))
+
+
+@dataclass
+class _Keys(Generic[Item]):
+    """Work that computes keys alone."""
+
+    work: StoredWork[Item, Any]
+
+    def function(self) -> Callable[[Item], bytes | None]:
+        return partial(self.work.key, is_done=False)
+
+    def lost(self, item: Item) -> TodframesError:
+        return self.work.lost(item)
