@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from sensor_sim.sensor import Sensor, load_sensor
-from todframes.api import described
+from todframes.calls.shared import described
 from todframes.errors import SettingsError
 from todframes.observers.interface import Observer
 from todframes.psychometrics.fit import FitSettings

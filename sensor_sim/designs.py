@@ -14,7 +14,7 @@ import numpy as np
 
 from sensor_sim.sensor import TABLES, Sensor
 from todframes._typing import FloatArray
-from todframes.config import check_fields, check_keys, number, read_csv
+from todframes.config import MAX_ROWS, check_fields, check_keys, number, read_csv
 from todframes.errors import DataError, SettingsError
 
 FILL_FACTOR = "detector.fill_factor"
@@ -22,7 +22,7 @@ FILL_FACTOR = "detector.fill_factor"
 
 WIDTH, PITCH = "detector.width_mrad", "detector.pitch_mrad"
 
-MOST_DESIGNS = 100_000
+MOST_DESIGNS = MAX_ROWS
 
 NAME = "name"
 """Column of a CSV file of designs that names them."""
@@ -235,8 +235,6 @@ def read_designs(path: Path, known: Mapping[str, bool]) -> Designs:
         names.append(row.get(NAME, ""))
     if not values:
         raise DataError(f"{path}: found no design, expected a row for each")
-    if len(values) > MOST_DESIGNS:
-        raise DataError(f"{path}: found {len(values)} designs, expected at most {MOST_DESIGNS}")
     return Designs(tuple(keys), np.array(values), tuple(names) if NAME in header else None)
 
 

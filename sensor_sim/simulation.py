@@ -24,7 +24,7 @@ from sensor_sim.sensor import Sensor
 from todframes import __version__
 from todframes._typing import FloatArray
 from todframes.errors import DataError, FrameError, SettingsError
-from todframes.frames.files import MAX_DECODED_MB, MAX_SIDE_PX, frame_sha256, write_frame
+from todframes.frames.files import MAX_FRAME_MB, MAX_SIDE_PX, frame_sha256, write_frame
 from todframes.jobs.fingerprint import fingerprint
 from todframes.jobs.local import LocalEngine
 from todframes.jobs.run import run_stored
@@ -39,7 +39,7 @@ FrameFormat = Literal["exr", "png"]
 TRIAL_STREAMS, PATTERN_STREAM = 0, 1
 LARGEST_CLIPPED_SHARE = 0.01
 
-LARGEST_SIDE_PX = min(MAX_SIDE_PX, math.isqrt(MAX_DECODED_MB * 2**20 // 2))
+LARGEST_SIDE_PX = min(MAX_SIDE_PX, math.isqrt(MAX_FRAME_MB * 2**20 // 2))
 """Largest side of square frames of two bytes a pixel that `todframes` reads."""
 
 TRIALS_PER_TASK = 32

@@ -10,7 +10,7 @@ import json
 import numpy as np
 import pytest
 
-from todframes.api import compare, score
+from todframes import compare, score
 from todframes.frames.dataset import load_dataset
 from todframes.psychometrics.fit import FitSettings
 from todframes.report.data import DatasetRecord

@@ -23,6 +23,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from sensor_sim.designs import read_designs
 from todframes import output
 from todframes.cli import main as cli
 from todframes.cli.console import run
@@ -820,6 +821,24 @@ def test_files_that_are_too_long(fails, tmp_path):
     fails("fit", tmp_path / "long", status=BAD_DATA, wanted=("long: is longer than 256 MB",))
     wanted = ("long: is longer than 1 MB",)
     fails("score", "x", "--observer-settings", tmp_path / "long", status=BAD_SETTINGS, wanted=wanted)
+
+
+def test_rows_are_counted_while_they_are_read(tmp_path):
+    """What follows the last row that may be is not read: millions of rows would take gigabytes."""
+    known = {"optics.aperture_mm": False}
+    for read, header, row in (
+        (read_counts, "level,n_correct,n_trials", "1,10,40"),
+        (lambda path: read_designs(path, known), "optics.aperture_mm", "5"),
+    ):
+        (tmp_path / "rows.csv").write_text(f"{header}\n" + f"{row}\n" * 100_000 + "5,5\n" * 9)
+        with refused(DataError, ("rows.csv: found more than 100000 rows, expected at most that many",)):
+            read(tmp_path / "rows.csv")
+
+
+def test_bad_rows_have_a_limit(fails, make_dataset):
+    made = make_dataset()
+    made.manifest_file.write_text("frame,orientation,size_mrad,contrast\n" + "x\n" * 200_000)
+    fails("score", made.path, "--on-error", "skip", status=BAD_DATA, wanted=("found more than 100000 bad rows",))
 
 
 # dataset.toml -------------------------------------------------------------------------------------------------

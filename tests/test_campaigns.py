@@ -41,6 +41,10 @@ def test_faults() -> None:
     assert "1 cases, 0 faults" in campaign("faults", "--only", "store between runs: cut")
 
 
+def test_servers() -> None:
+    assert "3 cases, 0 faults" in campaign("servers", "--only", "moved on the same")
+
+
 def test_decoys() -> None:
     assert re.search(
         "1 commands among [0-9]+ decoys, 0 faults", campaign("decoys", "--only", "sweep, two workers")

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from todframes.api import score
+from todframes import score
 from todframes.cli.console import finish, run
 from todframes.cli.main import cli
 from todframes.frames.dataset import load_dataset

@@ -242,6 +242,22 @@ def test_damaged_frames_are_told(tmp_path):
     assert 1 < len(good) < 5
 
 
+@pytest.mark.parametrize(("name", "codec"), [("a.mkv", b"V_FFV1"), ("a.avi", b"FFV1")])
+def test_a_codec_without_a_decoder_is_one_line(tmp_path, name, codec):
+    whole = encode(tmp_path / name, [[one] for one in grey16(2)], "gray16le").read_bytes()
+    assert codec in whole
+    (tmp_path / name).write_bytes(whole.replace(codec, codec[:-4] + b"ZZZZ"))
+    with pytest.raises(tod.FrameError, match="FFmpeg has no decoder for its video; convert it without loss"):
+        open_recordings(tmp_path / name)
+
+
+def test_a_video_of_one_frame_is_whole(tmp_path):
+    values = grey16(1)
+    encode(tmp_path / "a.mkv", [[values[0]]], "gray16le")
+    (recording,) = open_recordings(tmp_path / "a.mkv")
+    np.testing.assert_array_equal([one.values for one in recording.frames()], values)
+
+
 def test_an_unsupported_pixel_format_is_named(tmp_path):
     encode(
         tmp_path / "a.avi",

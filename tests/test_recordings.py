@@ -6,6 +6,7 @@ import hashlib
 import re
 import struct
 import sys
+import zipfile
 from importlib.metadata import requires
 from pathlib import Path
 
@@ -291,6 +292,77 @@ def write(path, data):
     return path
 
 
+def damaged_npz(folder, seed):
+    """A compressed array with bytes of its pixels changed."""
+    np.savez_compressed(folder / "a.npz", RNG.integers(0, 255, (20, 40, 50)).astype(np.uint8))
+    content = bytearray((folder / "a.npz").read_bytes())
+    middle = len(content) // 2
+    content[middle : middle + 40] = np.random.default_rng(seed).bytes(40)
+    return write(folder / "a.npz", bytes(content))
+
+
+def zipped_by(folder, method):
+    """An array compressed in a way of which numpy.savez knows nothing."""
+    np.save(folder / "a.npy", RNG.random((3, 4, 5)))
+    with zipfile.ZipFile(folder / "a.npz", "w", method) as archive:
+        archive.write(folder / "a.npy", "a.npy")
+    return folder / "a.npz"
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_a_damaged_npz_is_one_line(tmp_path, seed):
+    with pytest.raises(
+        tod.DataError, match=r"a\.npz: (frame \d+ cannot be read: .*is the file damaged|cannot be)"
+    ):
+        values_of(damaged_npz(tmp_path, seed))
+
+
+@pytest.mark.parametrize("method", [zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
+def test_an_npz_compressed_otherwise_is_refused(tmp_path, method):
+    with pytest.raises(tod.FrameError, match=f"is compressed by method {method} of zip files, expected that of"):
+        values_of(zipped_by(tmp_path, method))
+
+
+@pytest.mark.parametrize("version", [(1, 0), (2, 0), (3, 0)])
+def test_arrays_of_each_version_come_back(tmp_path, version):
+    values = arrays_of("sequence", "u2")
+    with (tmp_path / "a.npy").open("wb") as file:
+        np.lib.format.write_array(file, values, version)
+    np.testing.assert_array_equal(values_of(tmp_path / "a.npy"), values)
+
+
+def npy_with_header(text, version=b"\1\0"):
+    length = struct.pack("<H" if version == b"\1\0" else "<I", len(text))
+    return b"\x93NUMPY" + version + length + text + bytes(100)
+
+
+def seq(*frames, **settings):
+    """Put containers one behind the other, as FLIR's cameras write films."""
+    return b"".join(fff(counts, **settings) for counts in frames)
+
+
+@pytest.mark.parametrize("order", ["<", ">"])
+@pytest.mark.parametrize("gap", [b"", b"\0" * 100_000])
+def test_all_frames_of_a_seq_come_back(tmp_path, order, gap):
+    counts = RNG.integers(0, 65536, (5, 40, 50)).astype(np.uint16)
+    counts[1, 0, :2] = np.frombuffer(b"FFF\0", "<u2")  # the mark of a container within the counts of another
+    counts[2, 0, :2] = np.frombuffer(b"FFF\0", ">u2")
+    data = [fff(one, order=order) for one in counts]
+    (tmp_path / "a.seq").write_bytes(gap.join(data) + gap)
+    (recording,) = open_recordings(tmp_path / "a.seq", frames_per_second=50)
+    frames = list(recording.frames())
+    assert (recording.n_frames, recording.unit, frames[4].time_s) == (5, "counts", 0.08)
+    np.testing.assert_array_equal([one.values for one in frames], counts)
+    assert radiometric.read_radiometry(tmp_path / "a.seq").r1 == 364058
+
+
+def compressed_fff(start):
+    """Counts that begin with the first bytes of a compression, and are shorter than plain ones."""
+    data = fff(np.zeros((40, 50)))
+    place = len(data) - 2 * 40 * 50
+    return data[:place] + start + data[place + len(start) :]
+
+
 def two_pngs(folder):
     for name in ("a.png", "b.png"):
         tod.write_frame(folder / name, RNG.random((40, 60)))
@@ -299,6 +371,14 @@ def two_pngs(folder):
 
 def one_dng(folder):
     dng(folder / "a.dng", RNG.integers(600, 16000, (64, 96)).astype(np.uint16), black=512, white=16383)
+    return folder / "a.dng"
+
+
+def zero_dng(folder, n_rows):
+    """A camera raw whose data end after some rows; copying programs fill what is missing with zeros."""
+    values = RNG.integers(600, 16000, (64, 96)).astype(np.uint16)
+    values[n_rows:] = 0
+    dng(folder / "a.dng", values, black=512, white=16383)
     return folder / "a.dng"
 
 
@@ -374,7 +454,7 @@ BAD = {
     "two kinds": (two_kinds, "found array, expected image as a.png: a folder has files of one kind"),
     "truncated tiff": (damaged_tiff, r"b\.tif: .*(cannot be decoded|cannot be opened)"),
     "huge npy": (lambda d: write(d / "a.npy", npy_claiming((10**9, 512, 640)) + b"\0" * 9), "is it truncated?"),
-    "huge frame": (lambda d: write(d / "a.npy", npy_claiming((3, 32000, 32000))), "a frame has more than 256 MB"),
+    "huge frame": (lambda d: write(d / "a.npy", npy_claiming((3, 32000, 32000))), "decodes to 1954 MB a frame"),
     "wide npy": (lambda d: write(d / "a.npy", npy_claiming((3, 4, 10**9))), "expected sides of 1 to 32768"),
     "header of npy": (
         lambda d: write(d / "a.npy", b"\x93NUMPY\x01\x00\xff\xff{"),
@@ -386,6 +466,44 @@ BAD = {
     "no raw": (lambda d: write(d / "a.dng", b"II*\0abcdefgh"), "cannot be read as camera raw"),
     "fff header": (lambda d: write(d / "a.fff", b"FFF\0abc"), "the header of the container is truncated"),
     "fff": (lambda d: write(d / "a.fff", fff(np.zeros((40, 50)))[:-7]), "reaches beyond the file: truncated"),
+    "seq": (
+        lambda d: write(d / "a.seq", seq(*np.zeros((3, 40, 50)))[:-7]),
+        r"frame 2 \(those before are good\): record 1 of type 1 reaches beyond the file: truncated",
+    ),
+    "seq of two sizes": (
+        lambda d: write(d / "a.seq", seq(np.zeros((40, 50)), np.zeros((40, 60)))),
+        "frame 1: found 60 x 40 pixels, expected 50 x 40 pixels as in frame 0",
+    ),
+    "png in fff": (
+        lambda d: write(d / "a.fff", compressed_fff(b"\x89PNG\r\n\x1a\n")),
+        "counts are compressed as PNG, expected plain ones",
+    ),
+    "csq": (
+        lambda d: write(d / "a.csq", compressed_fff(b"\xff\xd8\xff\xf7")),
+        r"counts are compressed as JPEG-LS \(CSQ\), expected plain ones",
+    ),
+    "no data of raw": (lambda d: zero_dng(d, 0), "all values are 0, as if the sensor's data were missing"),
+    "last rows of raw": (lambda d: zero_dng(d, 40), "rows 40 to 63 are 0, as if the sensor's data were missing"),
+    "open brace": (
+        lambda d: write(d / "a.npy", npy_with_header(b"{'descr': '<u2', 'shape': (3, 4")),
+        "the header of the array is damaged",
+    ),
+    "deep header": (
+        lambda d: write(d / "a.npy", npy_with_header(b"[" * 9000)),
+        "the header of the array is damaged",
+    ),
+    "escapes in header": (
+        lambda d: write(d / "a.npy", npy_with_header(b"{'descr': '<\\d'}")),
+        "the header of the array is damaged",
+    ),
+    "long header": (
+        lambda d: write(d / "a.npy", npy_with_header(b" " * 70_000, b"\2\0")),
+        "found a header of 70000 bytes, expected at most 65535",
+    ),
+    "version of npy": (
+        lambda d: write(d / "a.npy", npy_with_header(b"{}", b"\4\0")),
+        "found version",
+    ),
     "nan": (
         lambda d: (np.save(d / "a.npy", np.full((2, 3, 4), np.nan)), d / "a.npy")[1],
         "frame 0: 12 values are no numbers",

@@ -5,9 +5,11 @@ from __future__ import annotations
 import json
 import multiprocessing
 import os
+import socket
 import subprocess
 import sys
 import threading
+import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -18,10 +20,11 @@ from pathlib import Path
 from urllib.parse import unquote
 
 import pytest
+from campaigns import servers
 
 import todframes as tod
 from todframes import remote
-from todframes.errors import FrameError, RemoteError
+from todframes.errors import FrameError, RemoteError, SettingsError
 from todframes.frames.dataset import Dataset, load_dataset
 from todframes.frames.files import read_header
 from todframes.jobs.store import Store
@@ -40,14 +43,15 @@ NUMBERS = count()
 class Web(ThreadingHTTPServer):
     """A web server of a folder that counts its requests, and that can be told to fail."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, host: str = "127.0.0.1") -> None:
         self.folder = folder
+        self.address_family = socket.AF_INET6 if ":" in host else socket.AF_INET
         self.asked: Counter[tuple[str, str]] = Counter()
         self.tag = '"{}"'
         self.failing: dict[str, list[int | str]] = {}
         """What happens to the next requests for a file: a status, "cut" or "silent"."""
         self.released = threading.Event()
-        super().__init__(("127.0.0.1", 0), _Handler)
+        super().__init__((host, 0), _Handler)
 
     @property
     def url(self) -> str:
@@ -267,6 +271,115 @@ def test_a_connection_that_breaks_is_tried_again(make_dataset, web, monkeypatch,
     assert web.asked["GET", "dataset/manifest.csv"] == 3
 
 
+MOVED = "redirects to another server, scheme or port"
+TOO_LONG = "longer than 1 MB, the limit for such files"
+NO_LENGTH = "does not state how long the file is"
+MISBEHAVING = {
+    "endless chunks": TOO_LONG,
+    "endless until it closes": NO_LENGTH,
+    "ten gigabytes": TOO_LONG,
+    "gzip bomb": TOO_LONG,
+    "gzip bomb called deflate": "compressed, and not as whole gzip",
+    "endless gzip": TOO_LONG,
+    "endless trailers": "closed the connection",
+    "endless continue": "took longer than",
+    "a chunk every second": "took longer than",
+    "a byte of a header every 2 s": "took longer than",
+    "cut without a length": NO_LENGTH,
+    "cut chunks": "closed the connection",
+    "cut gzip": "compressed, and not as whole gzip",
+    "text called gzip": "compressed, and not as whole gzip",
+    "a part": "found status 206 of HTTP, expected 200",
+    "status 203 Non-Authoritative": "found status 203 of HTTP, expected 200",
+    "moved to http://127.0.0.1:PORT/secret.csv": MOVED,
+    "moved to http://localhost:OWN/secret.csv": MOVED,
+    "moved to https://127.0.0.1:OWN/x": MOVED,
+    "moved to file:///etc/passwd": MOVED,
+    "moved to ?endless": "found more than 5 redirections",
+}
+
+
+@pytest.fixture
+def neighbour(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[servers.Server]:
+    """Another server than that of the dataset, which keeps a secret; the time limits are short."""
+    (tmp_path / "secret.csv").write_text(f"{servers.SECRET},1\n")
+    monkeypatch.setattr(remote, "WHOLE_S", 2)
+    monkeypatch.setattr(remote, "WAIT_S", 0.01)
+    monkeypatch.setattr(servers, "BOMB", servers.bomb(64))
+    with servers.Server(tmp_path, "none", servers.closes) as server:
+        monkeypatch.setattr(servers, "NEIGHBOUR", server, raising=False)
+        yield server
+
+
+@pytest.mark.parametrize("name", MISBEHAVING)
+def test_what_a_web_server_sends_has_limits(make_dataset, tmp_path, neighbour, name) -> None:
+    """Of size and time, and no part is taken for the whole; what is elsewhere is not asked for."""
+    make_dataset()
+    with servers.Server(tmp_path, "dataset.toml", servers.CASES[name].answer) as server:
+        started = time.monotonic()
+        with pytest.raises((SettingsError, RemoteError), match=MISBEHAVING[name]) as caught:
+            load_dataset(f"http://127.0.0.1:{server.port}/dataset")
+        assert time.monotonic() - started < 20.0
+    assert servers.SECRET not in str(caught.value)
+    assert neighbour.asked == []
+
+
+@pytest.mark.usefixtures("neighbour", "s3_environment")
+@pytest.mark.parametrize(
+    ("case", "message"),
+    [
+        (servers.CASES["endless chunks"], TOO_LONG),
+        (servers.CASES["endless error"], "longer than 16 MB"),
+        (servers.CASES["cut without a length"], NO_LENGTH),
+        (servers.CASES["a byte of a header every 2 s"], "did not answer in time"),
+        (servers.CASES["a byte every 5 s"], "took longer than"),
+        (servers.Case(servers.s3_moved), MOVED),
+    ],
+)
+def test_what_s3_sends_has_limits(make_dataset, tmp_path, monkeypatch, case, message) -> None:
+    make_dataset()
+    with servers.Server(tmp_path, "dataset.toml", case.answer) as server:
+        monkeypatch.setenv("AWS_ENDPOINT_URL", f"http://127.0.0.1:{server.port}")
+        monkeypatch.setattr(remote, "WHOLE_S", 8)  # to make a client of S3 takes seconds on a busy machine
+        with pytest.raises((SettingsError, RemoteError), match=message):
+            load_dataset("s3://dataset")
+
+
+@pytest.mark.usefixtures("neighbour")
+@pytest.mark.parametrize("name", ["whole chunks", "whole gzip", "moved on the same server"])
+def test_unusual_answers_are_read(make_dataset, tmp_path, name) -> None:
+    made = make_dataset()
+    with servers.Server(tmp_path, "manifest.csv", servers.CASES[name].answer) as server:
+        path = remote.RemotePath(f"http://127.0.0.1:{server.port}/dataset/manifest.csv")
+        assert remote.read_content(path).data == made.manifest_file.read_bytes()
+
+
+def test_a_frame_that_is_too_long_is_skipped(make_dataset, tmp_path) -> None:
+    made = make_dataset(contrasts=(0.01, 0.05, 0.2))
+    name = made.rows[1]["frame"]
+    with servers.Server(tmp_path, Path(name).name, servers.ten_gigabytes) as server:
+        url = f"http://127.0.0.1:{server.port}/dataset"
+        skipped = tod.score(url, on_error="skip", examples=False).skipped
+    problem = f"{url}/{name}: cannot be opened: longer than 512 MB, the limit for such files"
+    assert skipped == ({"frame": name, "error": problem},)
+
+
+def test_an_address_of_ipv6(make_dataset, tmp_path) -> None:
+    make_dataset()
+    try:
+        server = Web(tmp_path, "::1")
+    except OSError:
+        pytest.skip("this machine has no IPv6")
+    thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01})
+    thread.start()
+    try:
+        assert load_dataset(f"http://[::1]:{server.server_port}/dataset").n_frames == 8
+    finally:
+        server.shutdown()
+        thread.join()
+        server.server_close()
+
+
 def test_an_opening_is_one_request_and_connections_are_kept(make_dataset, web) -> None:
     """Header, checksum and pixels come from the same bytes."""
     made = make_dataset()
@@ -297,14 +410,14 @@ def test_names_are_quoted_on_the_web(make_dataset, web) -> None:
 
 def test_s3_asks_once_for_each_frame_and_once_for_its_folder(make_dataset, upload, monkeypatch) -> None:
     asked: Counter[str] = Counter()
-    call = s3fs.S3FileSystem._call_s3
+    call = s3fs.S3FileSystem.call_s3
 
-    async def counted(self: object, method: str, *arguments: object, **more: object) -> object:
+    def counted(self: object, method: str, **more: object) -> object:
         asked[f"{method} {more.get('Key', more.get('Prefix'))}"] += 1
-        return await call(self, method, *arguments, **more)
+        return call(self, method, **more)
 
     data = load_dataset(upload(make_dataset().path))
-    monkeypatch.setattr(s3fs.S3FileSystem, "_call_s3", counted)
+    monkeypatch.setattr(s3fs.S3FileSystem, "call_s3", counted)
     frames = [frame for trial in data.trials for frame in trial.frames]
     assert all(data.has_frame(frame) for frame in frames)
     assert len({data.content_id(frame) for frame in frames}) == len(frames)
@@ -316,13 +429,13 @@ def test_s3_asks_once_for_each_frame_and_once_for_its_folder(make_dataset, uploa
 
 def test_folders_are_listed_in_pages(make_dataset, upload, monkeypatch) -> None:
     data = load_dataset(upload(make_dataset().path))
-    call, pages = s3fs.S3FileSystem._call_s3, []
+    call, pages = s3fs.S3FileSystem.call_s3, []
 
-    async def few(self: object, method: str, *arguments: object, **more: object) -> object:
+    def few(self: object, method: str, **more: object) -> object:
         pages.append(method)
-        return await call(self, method, *arguments, **more, **({"MaxKeys": 3} if "list" in method else {}))
+        return call(self, method, **more, **({"MaxKeys": 3} if "list" in method else {}))
 
-    monkeypatch.setattr(s3fs.S3FileSystem, "_call_s3", few)
+    monkeypatch.setattr(s3fs.S3FileSystem, "call_s3", few)
     listed = remote.list_folder(data.path / "frames")
     assert len(pages) == 3  # of 3, 3 and 2 files
     assert {f"frames/{name}" for name in listed} == {trial.frames[0].path for trial in data.trials}

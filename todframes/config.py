@@ -30,6 +30,8 @@ T = TypeVar("T")
 
 MAX_TOML_MB, MAX_CSV_MB = 1, 256
 """Largest sizes of TOML and CSV files that are read, in units of 2**20 bytes."""
+MAX_ROWS = 100_000
+"""Largest number of rows of a CSV file that is not a manifest."""
 MAX_NESTING, MAX_DOTS = 16, 500
 COLUMNS_SHOWN = 20
 LONGEST_KEY = 100
@@ -64,9 +66,7 @@ def _opened(path: Location, most_mb: int) -> Iterator[BinaryIO]:
     """Open a file for reading; see `read_file` for the errors."""
     try:
         if isinstance(path, RemotePath):
-            content = read_content(path).data
-            _check_length(path, len(content), most_mb)
-            yield io.BytesIO(content)
+            yield io.BytesIO(read_content(path, most_mb=most_mb).data)
             return
         status = path.stat()
         if stat.S_ISDIR(status.st_mode):
@@ -395,7 +395,7 @@ def spelling_hint(text: str, choices: Iterable[str]) -> str:
     return f"; write {meant[0]}" if meant else ""
 
 
-def read_csv(path: Location) -> Iterator[tuple[str, dict[str, str]]]:
+def read_csv(path: Location, *, most_rows: int | None = MAX_ROWS) -> Iterator[tuple[str, dict[str, str]]]:
     """Yield the rows of a CSV file with a header as they are read, each with its place: file and line.
 
     The first item is the header: a row with all keys and empty values.
@@ -403,7 +403,8 @@ def read_csv(path: Location) -> Iterator[tuple[str, dict[str, str]]]:
     Raises
     ------
     DataError
-        If the file cannot be read or is not CSV, or two columns have the same name.
+        If the file cannot be read or is not CSV, two columns have the same name, or there are more rows than
+        `most_rows`, empty lines included.
     """
     reader, name_of_file = csv.reader(_lines(path, most_mb=MAX_CSV_MB), strict=True), str(path)
     try:
@@ -418,7 +419,9 @@ def read_csv(path: Location) -> Iterator[tuple[str, dict[str, str]]]:
             if count > 1:
                 raise DataError(f"{path}: found column {name!r} {count} times, expected once")
         yield str(path), dict.fromkeys(header, "")
-        for fields_found in reader:
+        for n_rows, fields_found in enumerate(reader, 1):
+            if most_rows is not None and n_rows > most_rows:
+                raise DataError(f"{path}: found more than {most_rows} rows, expected at most that many")
             if not fields_found:
                 continue  # an empty line
             row = dict(zip(header, fields_found, strict=False))

@@ -7,13 +7,19 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from todframes.locations import Location
+from todframes.locations import Location, without_secrets
 
 
 class TodframesError(Exception):
-    """Base class of all errors that a user can cause and correct; `exit_status` is the status of the command."""
+    """Base class of all errors that a user can cause and correct; `exit_status` is the status of the command.
+
+    A URL in the message is shown without a user name, password, parameter or query: they may be secrets.
+    """
 
     exit_status = 1
+
+    def __init__(self, message: str) -> None:
+        super().__init__(without_secrets(message))
 
 
 class DataError(TodframesError, ValueError):

@@ -3,12 +3,29 @@
 from __future__ import annotations
 
 import posixpath
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import quote
 
 WEB = ("http", "https")
 """Schemes whose URLs are written with percent signs."""
+CONTAINER_BEFORE_AT = ("abfs", "abfss", "wasb", "wasbs")
+"""Schemes whose URLs have a container where others have a user name: `abfs://box@account.dfs.core.windows.net`."""
+_USER = re.compile(r"(?P<scheme>[A-Za-z][A-Za-z0-9+.-]+):(?P<slashes>//?)(?:[^\s/@]*:(?!\d+/)[^\s@]*|[^\s/@]*)@")
+"""Pattern of the start of a URL with a user name, and perhaps a password; a `Path` of it has one slash."""
+_QUERY = re.compile(r"((?:https?://|[A-Za-z][A-Za-z0-9+.-]+:/(?!/))[^\s?#;]*)[?#;]\S+")
+"""Pattern of a URL with a parameter, query or fragment."""
+
+
+def without_secrets(text: str) -> str:
+    """Return a text in which URLs have no user name, password, parameter, query or fragment."""
+
+    def without_user(found: re.Match[str]) -> str:
+        is_container = found["scheme"].lower() in CONTAINER_BEFORE_AT
+        return found[0] if is_container else f"{found['scheme']}:{found['slashes']}…@"
+
+    return _QUERY.sub(r"\1…", _USER.sub(without_user, text)) if ":/" in text else text
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,6 +22,7 @@ from todframes.cli.options import (
     dataset_argument,
     json_option,
     make_observer,
+    max_frame_option,
     observer_option,
     observer_settings_option,
     on_error_option,
@@ -63,6 +64,7 @@ from todframes.safe_text import visible
 @observer_settings_option
 @seed_option
 @on_error_option
+@max_frame_option
 @workers_option
 @strict_option
 @json_option
@@ -83,18 +85,20 @@ def calibrate(
     """
     asked["internal_noise"] = None  # it is fitted
     observer, fit = make_observer(asked)
-    from todframes import api
+    import todframes as tod
     from todframes.experiment.answers import read_answers
+    from todframes.frames.dataset import load_dataset
     from todframes.report import calibration
     from todframes.report.summary import verdict
 
+    data = load_dataset(dataset, max_frame_mb=asked.pop("max_frame_mb"))
     sessions = read_answers(answers, include_flagged=asked["include_flagged"])
     n_trials = sum(
         len(one.main_rows()) for one in sessions if not asked["subjects"] or one.subject in asked["subjects"]
     )
     with staged(out) as place:
         with progress("scoring", n_trials, quiet=quiet) as advance:
-            result = api.calibrate(answers, dataset, observer=observer, fit=fit, progress=advance, **asked)
+            result = tod.calibrate(answers, data, observer=observer, fit=fit, progress=advance, **asked)
         place.write(result.files)
     if not quiet:
         for one in result.skipped:

@@ -55,13 +55,13 @@ def compare(*, dataset: Location, specs: Sequence[str], out: str | None, quiet: 
     """
     shown = {name: asked.pop(name) for name in ("as_json", "verbose", "explain", "strict")}
     observer, fit = make_observer(asked)
-    from todframes import api
+    import todframes as tod
     from todframes.frames.dataset import load_dataset
 
-    data = load_dataset(dataset)
+    data = load_dataset(dataset, max_frame_mb=asked.pop("max_frame_mb"))
     with long_run(out, asked, quiet=quiet) as place, prints_go_to_stderr():
         with progress("comparing", len(data.trials) * PASSES[asked["locate"]], quiet=quiet) as advance:
-            result = api.compare(
+            result = tod.compare(
                 data, specs, observer=observer, fit=fit, examples=out is not None, progress=advance, **asked
             )
         place.write(result.files)

@@ -16,6 +16,7 @@ import click
 
 from todframes import signals
 from todframes.errors import DataError, TodframesError
+from todframes.locations import without_secrets
 from todframes.safe_text import visible
 
 if TYPE_CHECKING:
@@ -237,7 +238,7 @@ def terminal_width() -> int:
 
 def say(text: str) -> None:
     """Print a remark in one line on standard error, with escapes for characters that a terminal would obey."""
-    line = visible(" ".join(text.split()))
+    line = visible(without_secrets(" ".join(text.split())))
     if len(line) > LONGEST_REMARK:
         line = f"{line[: LONGEST_REMARK // 2]} […] {line[-LONGEST_REMARK // 2 :]}"
     click.echo(line, err=True)
@@ -272,7 +273,7 @@ class ProblemLines:
         self.count = 0
         self._alike: dict[str, tuple[str, int]] = {}
 
-    def add(self, problem: str, *, kind: str | None = None) -> None:
+    def add(self, problem: str, kind: str | None = None) -> None:
         """Print a problem. Those of one kind differ only in `VARIABLE` parts of `kind`, by default the problem."""
         self.count += 1
         kind = self.VARIABLE.sub("#", problem if kind is None else kind)

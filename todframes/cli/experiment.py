@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from todframes.cli.console import echo, progress, say
-from todframes.cli.options import dataset_argument, launch_options
+from todframes.cli.options import dataset_argument, launch_options, max_frame_option
 from todframes.locations import Location
 
 
@@ -62,6 +62,7 @@ from todframes.locations import Location
     help="Count answers within 150 ms, or while the page was hidden or had lost the focus, as all others.",
 )
 @click.option("--seed", type=int, help="Seed of the order.  [default: a random one]")
+@max_frame_option
 @launch_options
 def experiment(
     *,
@@ -72,6 +73,7 @@ def experiment(
     host: str,
     port: int,
     no_browser: bool,
+    max_frame_mb: int,
     **asked: Any,
 ) -> None:
     """Open a page in the browser on which a person says where the triangles of DATASET point.
@@ -82,7 +84,7 @@ def experiment(
     from todframes.frames.dataset import load_dataset
     from todframes.web import api
 
-    data = load_dataset(dataset)
+    data = load_dataset(dataset, max_frame_mb=max_frame_mb)
     with ExitStack() as reading:
         advance = reading.enter_context(progress("reading", None))
 

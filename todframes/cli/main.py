@@ -6,7 +6,6 @@ The imports of a command run with the command, so `--help` prints before numpy i
 from __future__ import annotations
 
 import sys
-import time
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -30,7 +29,7 @@ from todframes.cli.console import (
 from todframes.cli.experiment import experiment
 from todframes.cli.new import new
 from todframes.cli.noise import noise
-from todframes.cli.options import dataset_argument, json_option, strict_option
+from todframes.cli.options import dataset_argument, json_option, max_frame_option, strict_option
 from todframes.cli.recordings import import_command
 from todframes.cli.score import fit, naked_eye, score
 from todframes.cli.studies import accuracy, stability
@@ -76,50 +75,23 @@ def cli() -> None:
     is_flag=True,
     help="If all is good, write the checksum of each frame that has none into manifest.csv.",
 )
+@max_frame_option
 @strict_option
 @json_option
-def validate(*, dataset: Location, add_sha256: bool, strict: bool, as_json: bool) -> None:
+def validate(*, dataset: Location, add_sha256: bool, max_frame_mb: int, strict: bool, as_json: bool) -> None:
     """Check every file and row of DATASET, and what its frames show, without scoring.
 
     Each problem and each warning is one line.
     """
-    start = time.perf_counter()
-    from todframes.api import inspected
-    from todframes.frames.checksums import check_writable, write_sha256
-    from todframes.frames.contrast import frame_problems
-    from todframes.frames.dataset import load_dataset
-    from todframes.frames.files import frame_sha256
-    from todframes.report.result import Result
+    import todframes as tod
     from todframes.report.wording import count
 
-    data = load_dataset(dataset)
-    if add_sha256:
-        check_writable(data)
-    sha256_of: dict[str, str] = {}
+    data = tod.load_dataset(dataset, max_frame_mb=max_frame_mb)
+    n_missing = sum(frame.sha256 is None for trial in data.trials for frame in trial.frames) if add_sha256 else 0
     problems = ProblemLines()
-    found: list[dict[str, str]] = []
-    good: list[int] = []
-    for row in data.bad_rows:
-        found.append(row._asdict())
-        problems.add(row.error, kind=row.error.replace(row.frame or "\0", "#"))
     with progress("checking", len(data.trials)) as advance:
-        for index, trial in enumerate(data.trials):
-            wrong = list(frame_problems(data, trial))
-            for error in wrong:
-                problems.add(str(error), kind=error.problem)
-                found.append({"frame": str(error.path), "error": str(error)})
-            if not wrong:
-                good.append(index)
-            if add_sha256 and not problems.count:
-                missing = [frame for frame in trial.frames if frame.sha256 is None]
-                sha256_of |= {frame.path: frame_sha256(data.frame_path(frame)) for frame in missing}
-            advance(1)
+        result = tod.validate(data, add_sha256=add_sha256, problem=problems.add, progress=advance)
     problems.close()
-    if add_sha256 and not problems.count:
-        write_sha256(data, sha256_of)
-        data = load_dataset(dataset)
-    record, warnings = inspected(data, data.trials.select(good))
-    result = Result.made("validate", start, dataset=record, skipped=tuple(found), warnings=warnings)
     for line in warning_lines(result.warnings):
         say(line)
     if as_json:
@@ -128,12 +100,13 @@ def validate(*, dataset: Location, add_sha256: bool, strict: bool, as_json: bool
         raise DataError(f"{dataset}: {count(problems.count, 'problem')} found")
     if not as_json:
         n_frames = data.trials.n_frames
-        verdict = f"all readable; {count(len(warnings), 'warning')}" if warnings else "all good"
+        warnings = len(result.warnings)
+        verdict = f"all readable; {count(warnings, 'warning')}" if warnings else "all good"
         echo(f"{dataset}: {n_frames} frames in {len(data.trials)} trials, {verdict}")
         if add_sha256:
-            agree = n_frames - len(sha256_of)
             echo(
-                f"{dataset / 'manifest.csv'}: sha256 of {len(sha256_of)} frames added; {agree} had one, and agree"
+                f"{dataset / 'manifest.csv'}: sha256 of {n_missing} frames added; {n_frames - n_missing} had one, "
+                "and agree"
             )
     check_strict(result.warnings, strict)
 

@@ -17,7 +17,7 @@ from todframes.cli.console import (
     terminal_width,
     warning_lines,
 )
-from todframes.cli.options import json_option, numbers, quiet_option, strict_option
+from todframes.cli.options import json_option, max_frame_option, numbers, quiet_option, strict_option
 from todframes.errors import SettingsError
 
 
@@ -51,6 +51,7 @@ from todframes.errors import SettingsError
 @click.option(
     "--frames-per-second", type=float, metavar="F", help="Frame rate in place of what the files say, if they do."
 )
+@max_frame_option
 @click.option("--sensor", is_flag=True, help="Print the table [noise] of a SENSOR.toml and nothing else.")
 @strict_option
 @json_option
@@ -65,6 +66,7 @@ def noise(
     signal: str | None,
     mk_per_count: float | None,
     frames_per_second: float | None,
+    max_frame_mb: int,
     sensor: bool,
     strict: bool,
     as_json: bool,
@@ -79,11 +81,11 @@ def noise(
     """
     if sensor and as_json:
         raise SettingsError("noise: found --sensor and --json, expected one of them")
-    from todframes import api
+    import todframes as tod
 
     with staged(out) as place:
         with progress("reading", None, quiet=quiet) as advance:
-            result = api.noise(
+            result = tod.noise(
                 recording,
                 region=None if region is None else _region(region),
                 patches=dict(map(_patch, patches)),
@@ -91,6 +93,7 @@ def noise(
                 signal=() if signal is None else numbers(signal, "--signal"),
                 mk_per_count=mk_per_count,
                 frames_per_second=frames_per_second,
+                max_frame_mb=max_frame_mb,
                 progress=advance,
             )
         table = result.sensor_toml() if sensor else None

@@ -50,6 +50,16 @@ dataset_argument = click.argument("dataset", type=click.Path(), callback=_locati
 folder_argument = click.argument("dataset", type=click.Path(path_type=Path))
 
 
+max_frame_option = click.option(
+    "--max-frame-mb",
+    type=click.IntRange(1, 2**20),
+    default=256,
+    show_default=True,
+    metavar="MB",
+    help="Refuse frames that decode to more than this, before any is decoded.",
+)
+
+
 verbose_option = click.option(
     "--verbose", is_flag=True, help="Also the fitted curves, run times and what the numbers leave out."
 )
@@ -164,6 +174,7 @@ scoring_options = options(
         "alone), or one for each trial, for recordings by hand.",
     ),
     on_error_option,
+    max_frame_option,
     workers_option,
 )
 """Options of the commands that score frames, named like the parameters of the Python calls."""

@@ -9,7 +9,7 @@ from typing import Any, Literal
 import click
 
 from todframes.cli.console import MOST_ALIKE, echo, progress, say, terminal_width
-from todframes.cli.options import quiet_option, restart_options
+from todframes.cli.options import max_frame_option, quiet_option, restart_options
 from todframes.errors import SettingsError
 
 UNITS_S = {"": 1.0, "s": 1.0, "ms": 1e-3}
@@ -66,6 +66,7 @@ UNITS_S = {"": 1.0, "s": 1.0, "ms": 1e-3}
     metavar="COLUMN",
     help="With --schedule: the stimulus strength.  [default: contrast]",
 )
+@max_frame_option
 @click.option("--overwrite", is_flag=True, help="Replace DATASET if todframes wrote all that is in it.")
 @restart_options
 @quiet_option
@@ -76,6 +77,7 @@ def import_command(
     integration_time: str,
     value_range: str | None,
     frames_per_second: float | None,
+    max_frame_mb: int,
     quiet: bool,
     **asked: Any,
 ) -> None:
@@ -92,7 +94,11 @@ def import_command(
     from todframes.report.wording import count
 
     opened = open_for_import(
-        recordings, asked["schedule"], level=asked["level"], frames_per_second=frames_per_second
+        recordings,
+        asked["schedule"],
+        level=asked["level"],
+        frames_per_second=frames_per_second,
+        max_frame_mb=max_frame_mb,
     )
     numbers = [one.n_frames for one in opened]
     total = None if None in numbers else sum(number or 0 for number in numbers)

@@ -52,13 +52,13 @@ def score(*, dataset: Location, out: str | None, quiet: bool, **asked: Any) -> N
     """
     shown = {name: asked.pop(name) for name in ("as_json", "verbose", "explain", "strict")}
     observer, fit = make_observer(asked)
-    from todframes import api
+    import todframes as tod
     from todframes.frames.dataset import load_dataset
 
-    data = load_dataset(dataset)
+    data = load_dataset(dataset, max_frame_mb=asked.pop("max_frame_mb"))
     with long_run(out, asked, quiet=quiet) as place:
         with progress("scoring", len(data.trials) * PASSES[asked["locate"]], quiet=quiet) as advance:
-            result = api.score(
+            result = tod.score(
                 data, observer=observer, fit=fit, examples=out is not None, progress=advance, **asked
             )
         place.write(result.files)
@@ -81,12 +81,12 @@ def naked_eye(
         raise SettingsError("naked-eye: expected one of --contrast and --size-mrad")
     shown = {name: asked.pop(name) for name in ("as_json", "verbose")}
     observer, fit = make_observer(asked, fitted=False)
-    from todframes import api
+    import todframes as tod
 
     sizes = None if size_mrad is None else numbers(size_mrad, "--size-mrad")
     with staged(out) as place:
         with progress("computing", 1 if sizes is None else len(sizes), quiet=quiet) as advance:
-            result = api.naked_eye(
+            result = tod.naked_eye(
                 contrast=contrast, size_mrad=sizes, observer=observer, p_correct=fit.p_correct, progress=advance
             )
         place.write(result.files)
@@ -109,11 +109,11 @@ def fit(*, counts: Path, seed: int, as_json: bool, verbose: bool, **asked: Any) 
     settings = make_fit(asked)
     import numpy as np
 
-    from todframes import api
+    import todframes as tod
     from todframes.psychometrics.counts import read_counts
 
     curves = read_counts(counts)
     columns = np.concatenate([rows for _, rows in curves]).T
     groups = {name: [group[name] for group, rows in curves for _ in rows] for name in curves[0][0]}
-    result = api.fit_counts(*columns, groups=groups, fit=settings, seed=seed)
+    result = tod.fit_counts(*columns, groups=groups, fit=settings, seed=seed)
     finish(result, str(counts), as_json=as_json, verbose=verbose)

@@ -409,15 +409,15 @@ class TrialReader:
         path = dataset.reference_path(frame)
         error = ssim = None
         if path is not None:
-            reference = self.reference_luminance(path)
+            reference = self.reference_luminance(path, dataset.max_frame_mb)
             if picture.values.shape[:2] == reference.shape:
                 black, white = self.screen.luminance_range
                 error, ssim = squared_error_and_ssim(picture.luminance(), reference, data_range=white - black)
         return Measured(error, ssim, picture.n_clipped, picture.cpu_s)
 
-    def _reference_luminance(self, path: Path) -> FloatArray:
+    def _reference_luminance(self, path: Path, max_frame_mb: int) -> FloatArray:
         try:
-            return self.screen.display.luminance(read_frame(path).values)
+            return self.screen.display.luminance(read_frame(path, max_frame_mb=max_frame_mb).values)
         except FrameError:
             raise
         except DataError as error:

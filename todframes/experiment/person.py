@@ -163,6 +163,7 @@ def seen_dataset(dataset: Dataset, session: Session) -> SeenDataset:
         bad_rows=(),
         spoilt=frozenset(),
         manifest_sha256=dataset.manifest_sha256,
+        max_frame_mb=dataset.max_frame_mb,
         shown=dataset,
         monitor=session.monitor,
         originals=originals,

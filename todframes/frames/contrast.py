@@ -296,7 +296,7 @@ def frame_problems(dataset: Dataset, trial: Trial) -> Iterator[FrameError]:
                 triangle = TrianglePlace(x, y, size_in_px(trial, pitch_mrad))
                 check_pixels(file, dataset.display, frame, triangle)
             if (reference := dataset.reference_path(frame)) is not None:
-                with FrameFile(reference) as other:
+                with FrameFile(reference, max_frame_mb=dataset.max_frame_mb) as other:
                     for _ in other.bands():
                         pass
         except FrameError as error:

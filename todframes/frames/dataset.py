@@ -24,10 +24,16 @@ from todframes.config import (
     resolved,
     spelling_hint,
 )
-from todframes.errors import DataError, FrameError, SettingsError
+from todframes.errors import DataError, FrameError, RemoteError, SettingsError
 from todframes.frames.display import Display
 from todframes.frames.display_files import display_of_table, find_display
-from todframes.frames.files import FrameFile, FrameSource, frame_sha256
+from todframes.frames.files import (
+    MAX_FRAME_MB,
+    FrameFile,
+    FrameSource,
+    check_max_frame_mb,
+    frame_sha256,
+)
 from todframes.frames.trials import FrameReference, Trial, Trials, TrialsBuilder
 from todframes.locations import Location, RemotePath
 from todframes.remote import entity_tag, list_folder, location, read_content
@@ -50,6 +56,10 @@ MOST_REMEMBERED = 1024
 
 
 ORIENTATION_OF = {one.value: one for one in ORIENTATIONS}
+
+
+MOST_ROWS, MOST_BAD_ROWS = 20_000_000, 100_000
+"""Largest number of rows of a manifest, and of those that cannot be used: each has a message."""
 
 
 LEAST_SLOTS = 1024
@@ -127,7 +137,8 @@ class Dataset:
     `trials` may be given as any sequence of `Trial`. `bad_rows` are not among them. A trial that lost a frame to a
     bad row is among them, but its name is also in `spoilt`: it would be averaged over fewer frames than the others
     and must not be scored.
-    `manifest_sha256` is the checksum of `manifest.csv`; None for frames in memory.
+    `manifest_sha256` is the checksum of `manifest.csv`; None for frames in memory. `max_frame_mb` is the largest
+    decoded size of a frame in 2**20 bytes.
     """
 
     path: Location
@@ -137,6 +148,7 @@ class Dataset:
     bad_rows: tuple[Skipped, ...]
     spoilt: frozenset[str]
     manifest_sha256: str | None
+    max_frame_mb: int = field(default=MAX_FRAME_MB, kw_only=True)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "trials", Trials.of(self.trials))
@@ -174,7 +186,8 @@ class Dataset:
 
         With `verify`, it must have the checksum that the manifest gives, if it gives one.
         """
-        return FrameFile(self.frame_path(frame), sha256=frame.sha256 if verify else None)
+        sha256 = frame.sha256 if verify else None
+        return FrameFile(self.frame_path(frame), sha256=sha256, max_frame_mb=self.max_frame_mb)
 
     def reference_path(self, frame: FrameReference) -> Location | None:
         """Return the path or URL of the same frame without noise; None if there is none."""
@@ -213,7 +226,9 @@ class RemoteContents:
         """
         try:
             content = read_content(path)
-        except FileNotFoundError as error:
+        except RemoteError:
+            raise
+        except OSError as error:
             raise FrameError(path, f"cannot be opened: {error.strerror}") from None
         ids = self._ids
         while len(ids) >= MOST_REMEMBERED:
@@ -276,7 +291,8 @@ class RemoteDataset(Dataset):
     def open(self, frame: FrameReference, *, verify: bool = False) -> FrameSource:
         """Open a frame; raise FrameError if it cannot be used."""
         path = self.path / frame.path
-        return FrameFile(path, content=self.contents.read(path), sha256=frame.sha256 if verify else None)
+        content, sha256 = self.contents.read(path), frame.sha256 if verify else None
+        return FrameFile(path, content=content, sha256=sha256, max_frame_mb=self.max_frame_mb)
 
 
 def _id_of_tag(path: RemotePath, tag: str | None) -> str | None:
@@ -284,13 +300,15 @@ def _id_of_tag(path: RemotePath, tag: str | None) -> str | None:
     return None if tag is None else f"{path} {tag}"
 
 
-def load_dataset(path: Location | str) -> Dataset:
+def load_dataset(path: Location | str, *, max_frame_mb: int = MAX_FRAME_MB) -> Dataset:
     """Read and check `dataset.toml` and `manifest.csv`; no frame is opened.
 
     Parameters
     ----------
     path : path or str
         The dataset's folder, or its URL: "s3://lab/archive".
+    max_frame_mb : int
+        Largest decoded size of a frame in 2**20 bytes: all channels, in their own pixel types.
 
     Returns
     -------
@@ -299,7 +317,8 @@ def load_dataset(path: Location | str) -> Dataset:
     Raises
     ------
     SettingsError
-        If `dataset.toml` is missing or unreadable, or has an unknown, missing or contradictory key.
+        If `dataset.toml` is missing or unreadable, or has an unknown, missing or contradictory key; or if the
+        limit is no whole number > 0.
     DataError
         If the manifest is missing or unreadable, a column is missing, or there is no frame at all. A wrong row
         raises nothing: it goes to `bad_rows`.
@@ -307,6 +326,7 @@ def load_dataset(path: Location | str) -> Dataset:
         If the URL cannot be reached, or may not be read.
     """
     path = location(path)
+    check_max_frame_mb(max_frame_mb)
     if isinstance(path, Path) and not os.path.isdir(path):  # noqa: PTH112 - Path.is_dir raises for a name that is too long
         raise DataError(f"{path}: not a folder; expected a dataset with dataset.toml and manifest.csv")
     display, experiment = _read_settings(path / "dataset.toml")
@@ -323,6 +343,7 @@ def load_dataset(path: Location | str) -> Dataset:
         bad_rows=tuple(manifest.bad_rows),
         spoilt=frozenset(manifest.spoilt),
         manifest_sha256=frame_sha256(manifest.path),
+        max_frame_mb=max_frame_mb,
     )
 
 
@@ -368,7 +389,7 @@ class _Manifest:
 
     def trials(self) -> Trials:
         path_inside(self.folder, self.path.name, f"{self.path}:")
-        rows = read_csv(self.path)
+        rows = read_csv(self.path, most_rows=MOST_ROWS)
         _, header = next(rows)
         self._check_columns(header)
         for number_of_row, (where, row) in enumerate(rows):
@@ -378,6 +399,10 @@ class _Manifest:
                 self._add(self._trial(row, where, number_of_row), where, joins="trial" in header)
                 frame = self.found.n_frames - 1
             except DataError as error:
+                if len(self.bad_rows) == MOST_BAD_ROWS:
+                    raise DataError(
+                        f"{self.path}: found more than {MOST_BAD_ROWS} bad rows, the last: {error}"
+                    ) from None
                 self.bad_rows.append(Skipped((row.get("frame") or "").strip(), str(error)))
                 if name := (row.get("trial") or "").strip():
                     self.spoilt.add(name)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 import os
 import re
 import stat
@@ -38,8 +39,8 @@ MAX_CHANNELS = 256
 """Largest number of channels of a frame file."""
 
 
-MAX_DECODED_MB = 256
-"""Largest decoded size of all channels of a part, in their own pixel types. One MB is 2**20 bytes."""
+MAX_FRAME_MB = 256
+"""Default of the largest frame that is decoded: all channels, in their own pixel types. One MB is 2**20 bytes."""
 
 
 BAND_VALUES = 2**19
@@ -50,15 +51,10 @@ MOST_ROWS_PER_CHUNK = 256
 """Largest number of rows in a chunk of an EXR for any compression; smaller chunk sizes divide it."""
 
 
-# OpenImageIO checks these before it allocates anything: a small file cannot claim all memory.
+# OpenImageIO checks these, and `limits:imagesize_MB`, before it allocates anything.
 oiio.attribute("limits:resolution", MAX_SIDE_PX)
-
-
 oiio.attribute("limits:channels", MAX_CHANNELS)
-
-
-oiio.attribute("limits:imagesize_MB", MAX_DECODED_MB)
-
+oiio.attribute("limits:imagesize_MB", MAX_FRAME_MB)
 
 _OPEN_OPTIONS = oiio.ImageSpec()
 
@@ -201,20 +197,28 @@ class FrameFile:
         The bytes of the file, if they are in memory already; `path` then only names it.
     sha256 : str, optional
         Checksum that the file must have.
+    max_frame_mb : int
+        Largest decoded size of the frame in 2**20 bytes: all channels of a part, in their own pixel types.
 
     Raises
     ------
     FrameError
-        If the file is missing, unreadable, neither EXR nor PNG, damaged, beyond the limits of this module, deep,
-        or without channels to use, or has another checksum.
+        If the file is missing, unreadable, neither EXR nor PNG, damaged, too large, deep, or without channels to
+        use, or has another checksum.
     RemoteError
         If the file is behind a URL that cannot be reached or may not be read.
     """
 
     def __init__(
-        self, path: PathLike | RemotePath, *, content: bytes | None = None, sha256: str | None = None
+        self,
+        path: PathLike | RemotePath,
+        *,
+        content: bytes | None = None,
+        sha256: str | None = None,
+        max_frame_mb: int = MAX_FRAME_MB,
     ) -> None:
         self.path = location(path)
+        self._max_frame_mb = max_frame_mb
         with ExitStack() as stack:
             try:
                 self._opened = local = _local(self.path, content, stack)
@@ -224,6 +228,7 @@ class FrameFile:
                 format_name = _recognise(local)
                 # Options make an EXR three times as slow to open and have no effect on it.
                 options = (_OPEN_OPTIONS,) if format_name == "png" else ()
+                allow_frames(max_frame_mb)
                 self._image: Any = oiio.ImageInput.open(str(local), *options)
                 if self._image is None or self._image.format_name() != format_name:
                     raise FrameError(self.path, f"cannot be opened: {self._reason()}")
@@ -322,9 +327,7 @@ class FrameFile:
         if min(sides) < 1 or max(sides) > MAX_SIDE_PX or spec.depth > 1:
             found = f"{spec.width} x {spec.height} x {spec.depth} pixels in a frame of {width} x {height}"
             raise FrameError(self.path, f"found {found}, expected sides of 1 to {MAX_SIDE_PX} and depth 1")
-        size_mb = max(spec.image_bytes(True), spec.tile_bytes(True)) / 2**20
-        if size_mb > MAX_DECODED_MB:
-            raise FrameError(self.path, f"decodes to {size_mb:.0f} MB, expected at most {MAX_DECODED_MB} MB")
+        check_decoded_size(self.path, max(spec.image_bytes(True), spec.tile_bytes(True)), self._max_frame_mb)
         types = sorted({str(spec.channelformat(channel)) for channel in self._channels})
         if types not in (["half"], ["float"], ["float", "half"], ["uint8"], ["uint16"]):
             raise FrameError(self.path, f"pixel type {types}, expected one of {', '.join(NUMPY_TYPES)}")
@@ -380,13 +383,46 @@ class FrameFile:
         return openimageio_reason(self._image).replace(str(self._opened), str(self.path))
 
 
+def check_max_frame_mb(max_frame_mb: int) -> int:
+    """Return a limit of the size of frames. Raises SettingsError if it is no whole number from 1 to 2**20."""
+    if int(max_frame_mb) != max_frame_mb or not 1 <= max_frame_mb <= 2**20:
+        raise SettingsError(f"--max-frame-mb: found {max_frame_mb!r}, expected a whole number from 1 to {2**20}")
+    return max_frame_mb
+
+
+def check_decoded_size(path: Location, n_bytes: int, max_frame_mb: int) -> None:
+    """Raise FrameError if a frame has more bytes, decoded, than a limit in 2**20 bytes."""
+    if n_bytes > max_frame_mb * 2**20:
+        raise FrameError(path, _too_large(n_bytes / 2**20, max_frame_mb))
+
+
+def _too_large(found_mb: float, max_frame_mb: int) -> str:
+    found = math.ceil(found_mb)
+    return (
+        f"decodes to {found} MB a frame, expected at most {max_frame_mb} MB; if you trust the file, give "
+        f"--max-frame-mb {found}"
+    )
+
+
+def allow_frames(max_frame_mb: int) -> None:
+    """Let OpenImageIO decode frames of a size; its limit is that of the process, the largest one asked for."""
+    if max_frame_mb > oiio.get_int_attribute("limits:imagesize_MB"):
+        oiio.attribute("limits:imagesize_MB", max_frame_mb)
+
+
 def read_header(path: PathLike | RemotePath) -> FrameHeader:
     """Read the header of a frame file without decoding pixels. Raises FrameError as FrameFile does."""
     with FrameFile(path) as file:
         return file.header
 
 
-def read_frame(path: PathLike | RemotePath, *, rows: Range | None = None, columns: Range | None = None) -> Frame:
+def read_frame(
+    path: PathLike | RemotePath,
+    *,
+    rows: Range | None = None,
+    columns: Range | None = None,
+    max_frame_mb: int = MAX_FRAME_MB,
+) -> Frame:
     """Read a frame file, or a rectangle of it.
 
     Parameters
@@ -395,6 +431,8 @@ def read_frame(path: PathLike | RemotePath, *, rows: Range | None = None, column
         An EXR or PNG file.
     rows, columns : (int, int), optional
         Half-open ranges in frame coordinates, clipped to the pixels that the file has. Default: all.
+    max_frame_mb : int
+        Largest decoded size of the whole frame in 2**20 bytes: all channels, in their own pixel types.
 
     Returns
     -------
@@ -403,9 +441,9 @@ def read_frame(path: PathLike | RemotePath, *, rows: Range | None = None, column
     Raises
     ------
     FrameError
-        If the file cannot be read, or one of these pixels is damaged, NaN or infinite.
+        If the file cannot be read or is too large, or one of these pixels is damaged, NaN or infinite.
     """
-    with FrameFile(path) as file:
+    with FrameFile(path, max_frame_mb=max_frame_mb) as file:
         return file.read(rows=rows, columns=columns)
 
 
@@ -538,7 +576,9 @@ def openimageio_reason(source: Any) -> str:
         message = oiio.geterror() if source is None else source.geterror()
     except UnicodeDecodeError:
         message = ""
-    # The rest of the message asks users to raise the limits of this module, which they cannot.
+    if (beyond := re.search(r"image size ([\d.]+) MB exceeds the (\d+) MB limit", message)) is not None:
+        return _too_large(float(beyond[1]), int(beyond[2]))
+    # The rest of the message asks users to raise limits of OpenImageIO.
     message = message.partition("Possible corrupt input?")[0]
     return " ".join(message.split()) or "OpenImageIO gives no reason"
 
@@ -602,7 +642,7 @@ def write_frame(
     try:
         temporary.touch(exist_ok=False)
         _write(temporary, stored, pixel_type, compression, attributes)
-        with FrameFile(temporary) as file:
+        with FrameFile(temporary, max_frame_mb=MAX_FRAME_MB + stored.nbytes // 2**20) as file:
             kept = file.header.attributes
             file.read()  # OpenImageIO does not report a disk that fills up with the last bytes of an EXR
         lost = [name for name, text in attributes.items() if kept.get(name) != text]

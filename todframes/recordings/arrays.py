@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import io
 import math
+import struct
+import tokenize
+import warnings
 import zipfile
+import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -13,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from todframes.errors import FrameError
-from todframes.frames.files import MAX_DECODED_MB
+from todframes.frames.files import check_decoded_size
 from todframes.recordings.recording import StillHeader, check_size
 
 NPY_START, ZIP_START = b"\x93NUMPY", b"PK\x03\x04"
@@ -22,6 +27,14 @@ NPY_START, ZIP_START = b"\x93NUMPY", b"PK\x03\x04"
 
 TYPES = ("uint8", "uint16", "int16", "float16", "float32", "float64")
 """Types of values that are read; all others have values that 32-bit floats cannot hold."""
+
+
+LONGEST_HEADER = 2**16 - 1
+"""Largest number of bytes in the header of an array; versions 2 and 3 of the format could claim 4 GB."""
+
+
+DAMAGE = (OSError, EOFError, ValueError, OverflowError, RuntimeError, struct.error, zlib.error, zipfile.BadZipFile)
+"""Errors of `zipfile` for damaged files, and for those that it cannot read."""
 
 
 class _Layout(NamedTuple):
@@ -35,22 +48,22 @@ def is_array(start: bytes) -> bool:
     return start.startswith((NPY_START, ZIP_START))
 
 
-def read_header(path: Path) -> StillHeader:
+def read_header(path: Path, max_frame_mb: int) -> StillHeader:
     """Return the shape, number of frames and scale of an array, (frames, rows, columns[, 3]) or (rows, columns).
 
     Raises
     ------
     FrameError
-        If the file has no such array, or is shorter than its header says.
+        If the file has no such array, is shorter than its header says, or a frame is larger than the limit.
     """
-    with _opened(path) as (_, layout):
+    with _opened(path, max_frame_mb) as (_, layout):
         pass
     rows, columns = layout.frame_shape[:2]
     full_scale = float(np.iinfo(layout.dtype).max) if layout.dtype.kind == "u" else None
     return StillHeader((rows, columns), len(layout.frame_shape) == 3, layout.n_frames, full_scale)
 
 
-def read_frames(path: Path) -> Iterator[NDArray[Any]]:
+def read_frames(path: Path, max_frame_mb: int) -> Iterator[NDArray[Any]]:
     """Yield the frames of an array: integers without sign as they are, other numbers as 32-bit floats.
 
     Raises
@@ -58,13 +71,13 @@ def read_frames(path: Path) -> Iterator[NDArray[Any]]:
     FrameError
         If the file ends early, or a value is NaN or infinite.
     """
-    with _opened(path) as (file, layout):
+    with _opened(path, max_frame_mb) as (file, layout):
         size = math.prod(layout.frame_shape) * layout.dtype.itemsize
         for number in range(layout.n_frames):
             try:
                 data = file.read(size)
-            except (OSError, EOFError, zipfile.BadZipFile, RuntimeError) as error:
-                raise FrameError(path, f"frame {number} cannot be read: {error}") from None
+            except DAMAGE as error:
+                raise FrameError(path, f"frame {number} cannot be read: {error}; is the file damaged?") from None
             if len(data) != size:
                 raise FrameError(path, f"is truncated: {number} frames are good, expected {layout.n_frames}")
             stored = np.frombuffer(data, layout.dtype).reshape(layout.frame_shape)
@@ -77,31 +90,51 @@ def read_frames(path: Path) -> Iterator[NDArray[Any]]:
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[tuple[IO[bytes], _Layout]]:
+def _opened(path: Path, max_frame_mb: int) -> Iterator[tuple[IO[bytes], _Layout]]:
     try:
         with path.open("rb") as file:
             if file.read(len(NPY_START)) == NPY_START:
                 file.seek(0)
-                yield file, _layout(path, file, path.stat().st_size)
+                yield file, _layout(path, file, path.stat().st_size, max_frame_mb)
                 return
         with zipfile.ZipFile(path) as archive:
             members = [one for one in archive.infolist() if one.filename.endswith(".npy")]
             if len(members) != 1:
                 names = ", ".join(one.filename.removesuffix(".npy") for one in members)[:200] or "none"
                 raise FrameError(path, f"found arrays {names}, expected one")
+            if members[0].compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+                found = f"the array is compressed by method {members[0].compress_type} of zip files"
+                raise FrameError(path, f"{found}, expected that of numpy.savez_compressed or none")
             with archive.open(members[0]) as member:
-                yield member, _layout(path, member, members[0].file_size)
-    except (OSError, zipfile.BadZipFile, NotImplementedError, RuntimeError) as error:
+                yield member, _layout(path, member, members[0].file_size, max_frame_mb)
+    except FrameError:
+        raise
+    except DAMAGE as error:
         raise FrameError(path, f"cannot be read as a NumPy array: {error}") from None
 
 
-def _layout(path: Path, file: IO[bytes], n_bytes: int) -> _Layout:
+def _header(file: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
+    """Read the header of an array: its shape, whether it is in Fortran order, and its type."""
+    version = np.lib.format.read_magic(file)
+    if version not in ((1, 0), (2, 0), (3, 0)):
+        raise ValueError(f"found version {version} of the format, expected 1.0, 2.0 or 3.0")
+    start = file.read(2 if version == (1, 0) else 4)
+    length = int.from_bytes(start, "little")
+    if length > LONGEST_HEADER:
+        raise ValueError(f"found a header of {length} bytes, expected at most {LONGEST_HEADER}")
+    # Version 3 is version 2 with names of fields in UTF-8, and arrays with fields are not read.
+    is_1 = version == (1, 0)
+    read = np.lib.format.read_array_header_1_0 if is_1 else np.lib.format.read_array_header_2_0
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        return read(io.BytesIO(start + file.read(length)))
+
+
+def _layout(path: Path, file: IO[bytes], n_bytes: int, max_frame_mb: int) -> _Layout:
     """Read the header of an array, which decides how much is read, and check it against the size of the file."""
-    readers = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
     try:
-        version = np.lib.format.read_magic(file)
-        shape, is_fortran, dtype = readers[version](file)
-    except (ValueError, KeyError, SyntaxError) as error:
+        shape, is_fortran, dtype = _header(file)
+    except (*DAMAGE, SyntaxError, TypeError, MemoryError, tokenize.TokenError, Warning) as error:
         raise FrameError(
             path, f"the header of the array is damaged: {' '.join(str(error).split())[:200]}"
         ) from None
@@ -115,8 +148,7 @@ def _layout(path: Path, file: IO[bytes], n_bytes: int) -> _Layout:
     if is_fortran and sum(one > 1 for one in shape) > 1:
         raise FrameError(path, "the array is in Fortran order; save numpy.ascontiguousarray(array)")
     check_size(path, (frame_shape[0], frame_shape[1]))
-    if math.prod(frame_shape) * dtype.itemsize > MAX_DECODED_MB * 2**20:
-        raise FrameError(path, f"a frame has more than {MAX_DECODED_MB} MB")
+    check_decoded_size(path, math.prod(frame_shape) * dtype.itemsize, max_frame_mb)
     n_frames = shape[0] if len(shape) > 2 else 1
     expected = n_frames * math.prod(frame_shape) * dtype.itemsize + file.tell()
     if n_bytes != expected:

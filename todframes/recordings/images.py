@@ -12,7 +12,13 @@ import OpenImageIO as oiio
 from numpy.typing import NDArray
 
 from todframes.errors import FrameError
-from todframes.frames.files import FULL_SCALE, MAX_DECODED_MB, FrameFile, openimageio_reason
+from todframes.frames.files import (
+    FULL_SCALE,
+    FrameFile,
+    allow_frames,
+    check_decoded_size,
+    openimageio_reason,
+)
 from todframes.recordings.recording import RecordingWarning, StillHeader, check_size
 
 FORMATS = {
@@ -47,23 +53,23 @@ def format_of(start: bytes) -> str | None:
     return next((name for pattern, name in FORMATS.items() if re.match(pattern, start)), None)
 
 
-def read_header(path: Path) -> StillHeader:
+def read_header(path: Path, max_frame_mb: int) -> StillHeader:
     """Return the size, scale, number of pages and frame rate of an image file.
 
     Raises
     ------
     FrameError
-        If the file is damaged, its pages differ, or its pixel type or channels are none of ours.
+        If the file is damaged or too large, its pages differ, or its pixel type or channels are none of ours.
     """
-    image = _open(path)
+    image = _open(path, max_frame_mb)
     try:
         name = image.format_name()
         if name == "openexr":
-            return _exr_header(path, image.spec())
+            return _exr_header(path, image.spec(), max_frame_mb)
         spec, n_pages = image.spec(), 1
-        header = _layout(path, spec)
+        header = _layout(path, spec, max_frame_mb)
         while image.seek_subimage(n_pages, 0):
-            if _layout(path, image.spec()) != header:
+            if _layout(path, image.spec(), max_frame_mb) != header:
                 raise FrameError(
                     path, f"page {n_pages} differs in size or pixel type from page 0, expected equal ones"
                 )
@@ -81,7 +87,7 @@ def read_header(path: Path) -> StillHeader:
     )
 
 
-def read_frames(path: Path) -> Iterator[NDArray[Any]]:
+def read_frames(path: Path, max_frame_mb: int) -> Iterator[NDArray[Any]]:
     """Yield the values of each page of an image file, as stored: 10 bits give values up to 1023.
 
     Raises
@@ -92,15 +98,15 @@ def read_frames(path: Path) -> Iterator[NDArray[Any]]:
     with path.open("rb") as file:
         name = format_of(file.read(16))
     if name in ("openexr", "png"):
-        with FrameFile(path) as frame:
+        with FrameFile(path, max_frame_mb=max_frame_mb) as frame:
             yield _as_recorded(path, frame.read().stored)
         return
-    image = _open(path)
+    image = _open(path, max_frame_mb)
     try:
         page = 0
         while image.seek_subimage(page, 0):
             spec = image.spec()
-            _, n_channels, pixel_type = _layout(path, spec)
+            _, n_channels, pixel_type = _layout(path, spec, max_frame_mb)
             stored = image.read_image(page, 0, 0, n_channels, pixel_type)
             if stored is None or image.has_error:
                 raise FrameError(path, f"page {page} cannot be decoded: {openimageio_reason(image)}")
@@ -112,7 +118,8 @@ def read_frames(path: Path) -> Iterator[NDArray[Any]]:
         image.close()
 
 
-def _open(path: Path) -> Any:
+def _open(path: Path, max_frame_mb: int) -> Any:
+    allow_frames(max_frame_mb)
     try:
         str(path).encode()
         image = oiio.ImageInput.open(str(path))
@@ -123,8 +130,8 @@ def _open(path: Path) -> Any:
     return image
 
 
-def _exr_header(path: Path, spec: Any) -> StillHeader:
-    with FrameFile(path) as frame:
+def _exr_header(path: Path, spec: Any, max_frame_mb: int) -> StillHeader:
+    with FrameFile(path, max_frame_mb=max_frame_mb) as frame:
         header = frame.header
     if (header.n_rows, header.n_columns) != (header.height, header.width):
         raise FrameError(path, "the data window covers only a part of the display window, expected all of it")
@@ -137,12 +144,13 @@ def _exr_header(path: Path, spec: Any) -> StillHeader:
     )
 
 
-def _layout(path: Path, spec: Any) -> tuple[tuple[int, int], int, str]:
+def _layout(path: Path, spec: Any, max_frame_mb: int) -> tuple[tuple[int, int], int, str]:
     """Return the shape, the number of channels to read, and the pixel type of a page."""
     shape, pixel_type = (spec.height, spec.width), str(spec.format)
     check_size(path, shape)
-    if spec.image_bytes(True) > MAX_DECODED_MB * 2**20 or spec.depth > 1:
-        raise FrameError(path, f"found a volume or more than {MAX_DECODED_MB} MB, expected a frame")
+    check_decoded_size(path, max(spec.image_bytes(True), spec.tile_bytes(True)), max_frame_mb)
+    if spec.depth > 1:
+        raise FrameError(path, f"found a volume {spec.depth} pixels deep, expected a frame")
     if pixel_type not in PIXEL_TYPES:
         raise FrameError(path, f"pixel type {pixel_type}, expected one of {', '.join(PIXEL_TYPES)}")
     if not 1 <= spec.nchannels <= 4:

@@ -17,6 +17,7 @@ from todframes.config import csv_text
 from todframes.errors import DataError, SettingsError
 from todframes.frames.display import Display
 from todframes.frames.display_files import DisplayDescription, find_display, table_of_display
+from todframes.frames.files import MAX_FRAME_MB
 from todframes.jobs.store import Store
 from todframes.output import Going, new_folder, remove_others, store_folder
 from todframes.recordings.chart_source import ChartSource
@@ -113,6 +114,7 @@ def import_recordings(
     steady: bool = False,
     value_range: tuple[float, float] | None = None,
     frames_per_second: float | None = None,
+    max_frame_mb: int = MAX_FRAME_MB,
     ifov_mrad: float | None = None,
     level: str | None = None,
     overwrite: bool = False,
@@ -146,6 +148,8 @@ def import_recordings(
         Recorded values that the display shows black and white. Needed for values without a white: temperatures.
     frames_per_second : float, optional
         Frame rate in place of what the files say.
+    max_frame_mb : int
+        Largest decoded size of a frame in 2**20 bytes: all channels, in their own pixel types.
     ifov_mrad : float, optional
         With a schedule: angle of a recorded pixel at the camera; sizes in mrad are then angles at the camera.
         Without it they are angles on the display.
@@ -184,7 +188,9 @@ def import_recordings(
     _check_settings(value_range, ifov_mrad, level, has_schedule=schedule is not None)
     shown = DisplayDescription(display=display) if isinstance(display, Display) else find_display(display)
     pitch_mrad = shown.display.pitch_mrad
-    opened = open_for_import(recordings, schedule, level=level, frames_per_second=frames_per_second)
+    opened = open_for_import(
+        recordings, schedule, level=level, frames_per_second=frames_per_second, max_frame_mb=max_frame_mb
+    )
     source: Source
     if schedule is None:
         source = ChartSource(Path(str(chart)), pitch_mrad=pitch_mrad, progress=progress)
@@ -259,6 +265,7 @@ def open_for_import(
     *,
     level: str | None = None,
     frames_per_second: float | None = None,
+    max_frame_mb: int = MAX_FRAME_MB,
 ) -> tuple[Recording, ...]:
     """Open recordings; with a schedule one by one, so that a row can name an image, and folders by their files.
 
@@ -273,13 +280,13 @@ def open_for_import(
     if not paths:
         return tuple(opened)
     if schedule is None:
-        return (*opened, *open_recordings(paths, frames_per_second=frames_per_second))
+        return (*opened, *open_recordings(paths, frames_per_second=frames_per_second, max_frame_mb=max_frame_mb))
     rows = read_schedule(Path(schedule), level=level or DEFAULT_LEVEL)
     named = {Path(row.file).name for row in rows if row.file is not None}
     for path in paths:
         inside = natural_order(path.iterdir()) if path.is_dir() and path.resolve().name not in named else []
         for one in [file for file in inside if file.name in named] or [path]:
-            opened += open_recordings([one], frames_per_second=frames_per_second)
+            opened += open_recordings([one], frames_per_second=frames_per_second, max_frame_mb=max_frame_mb)
     return tuple(opened)
 
 

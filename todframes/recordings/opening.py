@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Literal
 
 from todframes.errors import DataError, FrameError
-from todframes.frames.files import PathLike
+from todframes.frames.files import MAX_FRAME_MB, PathLike, check_max_frame_mb
 from todframes.recordings import arrays, images, radiometric, raw, video
 from todframes.recordings.recording import Recording, StillReader, check_rate, natural_order, still_recording
 
@@ -30,7 +30,10 @@ EXPECTED = "expected an image, video, camera raw, radiometric (FLIR) or NumPy fi
 
 
 def open_recordings(
-    paths: PathLike | Sequence[PathLike], *, frames_per_second: float | None = None
+    paths: PathLike | Sequence[PathLike],
+    *,
+    frames_per_second: float | None = None,
+    max_frame_mb: int = MAX_FRAME_MB,
 ) -> tuple[Recording, ...]:
     """Open recordings: each video or array is one, all image files together are one, as are those of a folder.
 
@@ -40,6 +43,9 @@ def open_recordings(
         Files and folders.
     frames_per_second : float, optional
         Frame rate in place of what the files say.
+    max_frame_mb : int
+        Largest decoded size of a frame in 2**20 bytes: all channels, in their own pixel types. In a video, a pixel
+        counts as 8 bytes: only a decoded frame says its type.
 
     Returns
     -------
@@ -53,9 +59,10 @@ def open_recordings(
         If there are no files, a folder is empty, files of several kinds are in a folder, files of one sequence
         differ in size, or a file cannot be read.
     SettingsError
-        If the frame rate is not a positive number.
+        If the frame rate is not a positive number, or the limit no whole number > 0.
     """
     check_rate(frames_per_second)
+    check_max_frame_mb(max_frame_mb)
     is_one = isinstance(paths, str) or not isinstance(paths, Sequence)
     given = [Path(paths)] if is_one else [Path(one) for one in paths]  # type: ignore[arg-type, union-attr]
     if not given:
@@ -68,16 +75,16 @@ def open_recordings(
             sequences.setdefault(kind, []).append(path)
     for path, kind in kinds.items():
         if kind is None:
-            found += _folder(path, frames_per_second)
+            found += _folder(path, frames_per_second, max_frame_mb)
         elif kind in sequences:
             if path == sequences[kind][0]:
-                found.append(_stills(kind, sequences[kind], None, frames_per_second))
+                found.append(_stills(kind, sequences[kind], None, frames_per_second, max_frame_mb))
         else:
-            found.append(_single(path, kind, frames_per_second))
+            found.append(_single(path, kind, frames_per_second, max_frame_mb))
     return tuple(found)
 
 
-def _folder(folder: Path, frames_per_second: float | None) -> list[Recording]:
+def _folder(folder: Path, frames_per_second: float | None, max_frame_mb: int) -> list[Recording]:
     """Return the one sequence of a folder, or each of its videos or arrays."""
     try:
         files = natural_order(one for one in folder.iterdir() if one.is_file() and not one.name.startswith("."))
@@ -93,8 +100,8 @@ def _folder(folder: Path, frames_per_second: float | None) -> list[Recording]:
                 f"{path}: found {kind}, expected {first} as {files[0].name}: a folder has files of one kind"
             )
     if first == "video" or first == "array":
-        return [_single(path, first, frames_per_second) for path in files]
-    return [_stills(first, files, folder, frames_per_second)]
+        return [_single(path, first, frames_per_second, max_frame_mb) for path in files]
+    return [_stills(first, files, folder, frames_per_second, max_frame_mb)]
 
 
 def _kind(path: Path) -> Kind:
@@ -120,13 +127,19 @@ def _kind(path: Path) -> Kind:
     raise FrameError(path, f"found {what}, {EXPECTED}")
 
 
-def _single(path: Path, kind: Kind, frames_per_second: float | None) -> Recording:
+def _single(path: Path, kind: Kind, frames_per_second: float | None, max_frame_mb: int) -> Recording:
     if kind == "video":
-        return video.open_video(path, frames_per_second=frames_per_second)
-    return _stills(kind, [path], None, frames_per_second)
+        return video.open_video(path, frames_per_second=frames_per_second, max_frame_mb=max_frame_mb)
+    return _stills(kind, [path], None, frames_per_second, max_frame_mb)
 
 
 def _stills(
-    kind: StillKind, paths: Sequence[Path], folder: Path | None, frames_per_second: float | None
+    kind: StillKind,
+    paths: Sequence[Path],
+    folder: Path | None,
+    frames_per_second: float | None,
+    max_frame_mb: int,
 ) -> Recording:
-    return still_recording(paths, READERS[kind], folder=folder, frames_per_second=frames_per_second)
+    return still_recording(
+        paths, READERS[kind], folder=folder, frames_per_second=frames_per_second, max_frame_mb=max_frame_mb
+    )

@@ -1,26 +1,42 @@
-"""Reading of radiometric thermal files of FLIR: detector counts, and temperatures by the file's own constants."""
+"""Reading of radiometric thermal files of FLIR: detector counts, and temperatures by the file's own constants.
+
+A FFF is one container; a SEQ is one container behind the other, one a frame. Places of the constants: ExifTool's
+module FLIR.pm, table CameraInfo.
+"""
 
 from __future__ import annotations
 
+import io
 import re
 import struct
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import BinaryIO, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from todframes._typing import FloatArray
 from todframes.errors import FrameError
+from todframes.frames.files import check_decoded_size
 from todframes.recordings.recording import Recording, StillHeader, check_size, natural_order
 
 FFF_START, JPEG_START = (b"FFF\0", b"AFF\0"), b"\xff\xd8\xff"
 """First bytes of FLIR's containers, and of JPEG files, which may contain one."""
 
 
-MAX_FILE_MB = 256
-"""Largest size of a file, in 2**20 bytes."""
+MAX_JPEG_MB = 256
+"""Largest size of a radiometric JPEG, in 2**20 bytes."""
+
+
+MOST_RECORDS = 1000
+"""Number of records of a container that are looked at."""
+
+
+COMPRESSED = {b"\x89PNG\r\n\x1a\n": "PNG", b"\xff\xd8\xff\xf7": "JPEG-LS (CSQ)"}
+"""First bytes of counts that are compressed, and the names of the compressions."""
 
 
 RAW_DATA, CAMERA_INFO = 1, 32
@@ -69,32 +85,45 @@ def is_radiometric(path: Path, start: bytes) -> bool:
     return start.startswith(FFF_START)
 
 
-def read_header(path: Path) -> StillHeader:
-    """Return the size of the counts of a file.
+def read_header(path: Path, max_frame_mb: int) -> StillHeader:
+    """Return the size of the counts of a file, and its number of frames.
 
     Raises
     ------
     FrameError
-        If the container is damaged, or its counts are compressed.
+        If a container is damaged or too large, its counts are compressed, or two of a file differ in size.
     """
-    counts = _counts(path)
-    return StillHeader((counts.shape[0], counts.shape[1]), False, 1, None, unit="counts")
+    with _opened(path) as file:
+        shapes = [_shape(path, file, one, max_frame_mb)[1] for one in _containers(path, file)]
+    for number, shape in enumerate(shapes):
+        if shape != shapes[0]:
+            found, expected = (f"{columns} x {rows} pixels" for rows, columns in (shape, shapes[0]))
+            raise FrameError(path, f"frame {number}: found {found}, expected {expected} as in frame 0")
+    return StillHeader(shapes[0], False, len(shapes), None, unit="counts")
 
 
-def read_frames(path: Path) -> Iterator[NDArray[np.uint16]]:
-    """Yield the counts of a file as the detector gave them. FrameError as for `read_header`."""
-    yield _counts(path)
+def read_frames(path: Path, max_frame_mb: int) -> Iterator[NDArray[np.uint16]]:
+    """Yield the counts of each frame of a file as the detector gave them. FrameError as for `read_header`."""
+    with _opened(path) as file:
+        for container in _containers(path, file):
+            begin, (rows, columns), order = _shape(path, file, container, max_frame_mb)
+            data = _bytes_at(file, begin, 2 * rows * columns)
+            if len(data) < 2 * rows * columns:
+                raise FrameError(path, f"{_frame(container.number)}the counts are truncated")
+            yield np.frombuffer(data, f"{order}u2").reshape(rows, columns).astype(np.uint16)
 
 
 def read_radiometry(path: Path) -> Radiometry:
-    """Return the constants that a file has for its temperatures.
+    """Return the constants that a file has for its temperatures; of a SEQ, those of its first frame.
 
     Raises
     ------
     FrameError
         If the file has none, or they are no constants of a camera.
     """
-    record = _record(path, CAMERA_INFO, 0x310)
+    with _opened(path) as file:
+        begin, length = _record(path, next(_containers(path, file)), CAMERA_INFO, 0x310)
+        record = _bytes_at(file, begin, length)
     order = _byte_order(path, record)
     emissivity, _, reflected_kelvin = struct.unpack_from(f"{order}3f", record, 0x20)
     r1, b, f = struct.unpack_from(f"{order}3f", record, 0x58)
@@ -120,41 +149,114 @@ def mk_per_count_of(recording: Recording, mean: float) -> float | None:
     return float(1000 * (above - below))
 
 
-def _counts(path: Path) -> NDArray[np.uint16]:
-    record = _record(path, RAW_DATA, 32)
-    order = _byte_order(path, record)
-    columns, rows = struct.unpack_from(f"{order}2H", record, 2)
-    check_size(path, (rows, columns))
-    if record[32:40] == b"\x89PNG\r\n\x1a\n":
-        raise FrameError(path, "its counts are compressed as PNG, expected plain ones; export 16-bit TIFF")
-    if len(record) < 32 + 2 * rows * columns:
-        raise FrameError(
-            path, f"found {len(record) - 32} bytes of counts, expected {2 * rows * columns}: truncated"
-        )
-    counts = np.frombuffer(record, f"{order}u2", rows * columns, 32)
-    return counts.reshape(rows, columns).astype(np.uint16)
+class _Container(NamedTuple):
+    """One of FLIR's containers in a file: its number, and its records by type as (first byte, length)."""
+
+    number: int
+    records: dict[int, tuple[int, int]]
 
 
-def _record(path: Path, kind: int, smallest: int) -> bytes:
-    """Return a record of the container. FrameError if there is none with at least the smallest size."""
-    data = _container(path)
-    if len(data) < 64:
-        raise FrameError(path, "the header of the container is truncated")
-    order = next((one for one in "><" if 100 <= struct.unpack_from(f"{one}I", data, 20)[0] < 200), None)
-    if order is None:
-        raise FrameError(path, "the version of the container is none of ours, expected 100 to 199")
-    first, n_records = struct.unpack_from(f"{order}2I", data, 24)
-    for number in range(min(n_records, 1000)):
-        place = first + 32 * number
-        if place + 32 > len(data):
+@contextmanager
+def _opened(path: Path) -> Iterator[BinaryIO]:
+    """Open a file of containers, or the container in a JPEG."""
+    try:
+        with path.open("rb") as file:
+            if file.read(len(JPEG_START)) != JPEG_START:
+                yield file
+            elif path.stat().st_size > MAX_JPEG_MB * 2**20:
+                raise FrameError(path, f"has more than {MAX_JPEG_MB} MB, expected one JPEG")
+            else:
+                file.seek(0)
+                yield io.BytesIO(b"".join(_container_parts(file.read())))
+    except OSError as error:
+        raise FrameError(path, f"cannot be read: {error.strerror}") from None
+
+
+def _containers(path: Path, file: BinaryIO) -> Iterator[_Container]:
+    """Yield the containers of a file, one behind the other: a FFF has one, a SEQ one a frame."""
+    n_bytes = file.seek(0, io.SEEK_END)
+    begin: int | None = 0
+    number = 0
+    while begin is not None:
+        header = _bytes_at(file, begin, 64)
+        if len(header) < 64:
+            raise FrameError(path, f"{_frame(number)}the header of the container is truncated")
+        order = next((one for one in "><" if 100 <= struct.unpack_from(f"{one}I", header, 20)[0] < 200), None)
+        if order is None:
+            raise FrameError(
+                path, f"{_frame(number)}the version of the container is none of ours, expected 100 to 199"
+            )
+        first, n_records = struct.unpack_from(f"{order}2I", header, 24)
+        table = _bytes_at(file, begin + first, 32 * min(n_records, MOST_RECORDS))
+        records: dict[int, tuple[int, int]] = {}
+        for place in range(0, len(table) - 31, 32):
+            (kind,) = struct.unpack_from(f"{order}H", table, place)
+            at, length = struct.unpack_from(f"{order}2I", table, place + 12)
+            if kind in (RAW_DATA, CAMERA_INFO) and begin + at + length > n_bytes:
+                record = f"record {place // 32} of type {kind}"
+                raise FrameError(path, f"{_frame(number)}{record} reaches beyond the file: truncated")
+            if kind:
+                records.setdefault(kind, (begin + at, length))
+        yield _Container(number, records)
+        begin = _next_container(file, max([begin + 64, *(at + length for at, length in records.values())]))
+        number += 1
+
+
+def _next_container(file: BinaryIO, place: int) -> int | None:
+    """Return where the next container begins, from a place on; None if there is none."""
+    overlap = len(FFF_START[0]) - 1
+    while chunk := _bytes_at(file, place, 2**16):
+        found = [at for start in FFF_START if (at := chunk.find(start)) >= 0]
+        if found:
+            return place + min(found)
+        if len(chunk) <= overlap:
             break
-        (found,) = struct.unpack_from(f"{order}H", data, place)
-        begin, length = struct.unpack_from(f"{order}2I", data, place + 12)
-        if found == kind:
-            if begin + length > len(data) or length < smallest:
-                raise FrameError(path, f"record {number} of type {kind} reaches beyond the file: truncated")
-            return data[begin : begin + length]
-    raise FrameError(path, f"the container has no record of type {kind}, expected one")
+        place += len(chunk) - overlap
+    return None
+
+
+def _bytes_at(file: BinaryIO, place: int, length: int) -> bytes:
+    file.seek(place)
+    return file.read(length)
+
+
+def _frame(number: int) -> str:
+    """Return the start of a message about a container that is not the first; those before it are good."""
+    return f"frame {number} (those before are good): " if number else ""
+
+
+def _record(path: Path, container: _Container, kind: int, smallest: int) -> tuple[int, int]:
+    """Return where a record begins, and its length. FrameError if there is none of at least the smallest size."""
+    begin, length = container.records.get(kind, (0, -1))
+    if length < 0:
+        raise FrameError(
+            path, f"{_frame(container.number)}the container has no record of type {kind}, expected one"
+        )
+    if length < smallest:
+        raise FrameError(
+            path,
+            f"{_frame(container.number)}the record of type {kind} has {length} bytes, expected {smallest} or more",
+        )
+    return begin, length
+
+
+def _shape(
+    path: Path, file: BinaryIO, container: _Container, max_frame_mb: int
+) -> tuple[int, tuple[int, int], str]:
+    """Return where the counts of a container begin, their rows and columns, and their byte order."""
+    begin, length = _record(path, container, RAW_DATA, 32)
+    start = _bytes_at(file, begin, 40)
+    order = _byte_order(path, start)
+    columns, rows = struct.unpack_from(f"{order}2H", start, 2)
+    check_size(path, (rows, columns))
+    check_decoded_size(path, 2 * rows * columns, max_frame_mb)
+    for pattern, name in COMPRESSED.items():
+        if start[32:].startswith(pattern):
+            raise FrameError(path, f"its counts are compressed as {name}, expected plain ones; export 16-bit TIFF")
+    if length < 32 + 2 * rows * columns:
+        found = f"found {length - 32} bytes of counts, expected {2 * rows * columns}"
+        raise FrameError(path, f"{_frame(container.number)}{found}: truncated")
+    return begin + 32, (rows, columns), order
 
 
 def _byte_order(path: Path, record: bytes) -> str:
@@ -162,16 +264,6 @@ def _byte_order(path: Path, record: bytes) -> str:
     if order is None:
         raise FrameError(path, f"a record starts with {record[:2]!r}, expected 2 as a number of two bytes")
     return order
-
-
-def _container(path: Path) -> bytes:
-    try:
-        if path.stat().st_size > MAX_FILE_MB * 2**20:
-            raise FrameError(path, f"has more than {MAX_FILE_MB} MB, expected one frame")
-        data = path.read_bytes()
-    except OSError as error:
-        raise FrameError(path, f"cannot be read: {error.strerror}") from None
-    return b"".join(_container_parts(data)) if data.startswith(JPEG_START) else data
 
 
 def _container_parts(jpeg: bytes) -> list[bytes]:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from todframes.errors import FrameError
+from todframes.frames.files import check_decoded_size
 from todframes.recordings.recording import RecordingWarning, StillHeader, check_size, missing_extra
 
 if TYPE_CHECKING:
@@ -30,7 +31,7 @@ HALF = RecordingWarning(
 )
 
 
-def read_header(path: Path) -> StillHeader:
+def read_header(path: Path, max_frame_mb: int) -> StillHeader:
     """Return the size, black level and white level of a raw file; the file is unpacked for it.
 
     Raises
@@ -38,9 +39,9 @@ def read_header(path: Path) -> StillHeader:
     DataError
         If rawpy is not installed.
     FrameError
-        If the file is damaged, or its mosaic is neither Bayer's nor none at all.
+        If the file is damaged or too large, its data are missing, or it has a mosaic other than Bayer's.
     """
-    with _opened(path) as raw:
+    with _opened(path, max_frame_mb) as raw:
         values, used = _values(path, raw)
         white, black = raw.white_level, [raw.black_level_per_channel[one] for one in used]
     rows, columns = values.shape
@@ -49,24 +50,25 @@ def read_header(path: Path) -> StillHeader:
     return StillHeader((rows, columns), False, 1, float(white), float(np.mean(black)), warnings=warnings)
 
 
-def read_frames(path: Path) -> Iterator[NDArray[Any]]:
+def read_frames(path: Path, max_frame_mb: int) -> Iterator[NDArray[Any]]:
     """Yield one frame of linear sensor values, black level included.
 
     A sensor without a mosaic gives its values. Of a Bayer mosaic, each cell of 2 × 2 gives the mean of its two
     green values: half the rows and columns, but nothing is interpolated between cells.
     """
-    with _opened(path) as raw:
+    with _opened(path, max_frame_mb) as raw:
         yield _values(path, raw)[0]
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[rawpy.RawPy]:
+def _opened(path: Path, max_frame_mb: int) -> Iterator[rawpy.RawPy]:
     try:
         import rawpy
     except ImportError:
         raise missing_extra(path, "raw", "rawpy") from None
     try:
         with rawpy.imread(str(path)) as raw:
+            check_decoded_size(path, 2 * raw.sizes.raw_width * raw.sizes.raw_height, max_frame_mb)
             yield raw
     except (rawpy.LibRawError, OSError) as error:
         reason = error.args[0] if error.args else error
@@ -79,6 +81,7 @@ def _values(path: Path, raw: rawpy.RawPy) -> tuple[NDArray[Any], list[int]]:
     if raw.raw_type.name != "Flat":
         raise FrameError(path, "found values of several colours at each pixel, expected a Bayer mosaic or none")
     sensor, pattern = raw.raw_image_visible, raw.raw_pattern
+    _check_all_there(path, sensor)
     if raw.num_colors == 1:
         return sensor.copy(), [0]
     names = raw.color_desc.decode()
@@ -89,3 +92,12 @@ def _values(path: Path, raw: rawpy.RawPy) -> tuple[NDArray[Any], list[int]]:
     rows, columns = sensor.shape[0] // 2 * 2, sensor.shape[1] // 2 * 2
     first, second = (sensor[row:rows:2, column:columns:2].astype(np.float32) for row, column in greens)
     return (first + second) / np.float32(2), [int(colours[place]) for place in greens]
+
+
+def _check_all_there(path: Path, sensor: NDArray[Any]) -> None:
+    """Raise FrameError if the last rows are 0 throughout: LibRaw says nothing of data that are missing."""
+    n_rows = len(sensor)
+    n_there = next((row + 1 for row in range(n_rows - 1, -1, -1) if sensor[row].any()), 0)
+    if n_there < n_rows:
+        what = "all values are 0" if n_there == 0 else f"rows {n_there} to {n_rows - 1} are 0"
+        raise FrameError(path, f"{what}, as if the sensor's data were missing; copy the file again")

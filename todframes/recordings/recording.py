@@ -105,11 +105,11 @@ class StillHeader(NamedTuple):
 class StillReader(Protocol):
     """Protocol of a module that reads files of one or several still frames each."""
 
-    def read_header(self, path: Path) -> StillHeader:
-        """Return the header of a file."""
+    def read_header(self, path: Path, max_frame_mb: int) -> StillHeader:
+        """Return the header of a file; raise FrameError if its frames are larger, decoded, than a limit."""
 
-    def read_frames(self, path: Path) -> Iterator[NDArray[Any]]:
-        """Yield the values of each frame of a file."""
+    def read_frames(self, path: Path, max_frame_mb: int) -> Iterator[NDArray[Any]]:
+        """Yield the values of each frame of a file; raise FrameError if they are larger than a limit."""
 
 
 def check_rate(frames_per_second: float | None) -> float | None:
@@ -129,7 +129,12 @@ def natural_order(paths: Iterable[Path]) -> list[Path]:
 
 
 def still_recording(
-    paths: Sequence[Path], reader: StillReader, *, folder: Path | None, frames_per_second: float | None
+    paths: Sequence[Path],
+    reader: StillReader,
+    *,
+    folder: Path | None,
+    frames_per_second: float | None,
+    max_frame_mb: int,
 ) -> Recording:
     """Return one recording of still frames, in the order of their file names.
 
@@ -143,14 +148,16 @@ def still_recording(
         Where they were found; names the recording.
     frames_per_second : float, optional
         Frame rate in place of that in the first file.
+    max_frame_mb : int
+        Largest decoded size of a frame in 2**20 bytes.
 
     Raises
     ------
     FrameError
-        If a header cannot be read, or two files differ in size, channels or scale.
+        If a header cannot be read, a frame is too large, or two files differ in size, channels or scale.
     """
     paths = natural_order(paths)
-    headers = [reader.read_header(path) for path in paths]
+    headers = [reader.read_header(path, max_frame_mb) for path in paths]
     first = headers[0]
     for path, header in zip(paths, headers, strict=True):
         for what, found, expected in (
@@ -168,7 +175,7 @@ def still_recording(
     def read() -> Iterator[RecordedFrame]:
         number = 0
         for path, header in zip(paths, headers, strict=True):
-            for page, values in enumerate(reader.read_frames(path)):
+            for page, values in enumerate(reader.read_frames(path, max_frame_mb)):
                 source = path.name if header.n_frames == 1 else f"{path.name}, page {page}"
                 yield RecordedFrame(values, None if rate is None else number / rate, source)
                 number += 1

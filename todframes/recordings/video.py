@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from todframes.errors import DataError, FrameError
+from todframes.frames.files import MAX_FRAME_MB, check_decoded_size
 from todframes.recordings.recording import RecordedFrame, Recording, RecordingWarning, check_size, missing_extra
 
 if TYPE_CHECKING:
@@ -68,6 +69,10 @@ REPACKED = {
     "p010le": "yuv420p10le",
 }
 """Packed pixel formats and the planar ones with the same samples."""
+
+
+BYTES_PER_PIXEL = 8
+"""Bytes that a pixel of a video counts as, before its format is known: four samples of 16 bits."""
 
 
 LATE_INTERVALS = 2.0
@@ -169,7 +174,9 @@ def rgb_from_ycbcr(
     return rgb
 
 
-def open_video(path: Path, *, frames_per_second: float | None = None) -> Recording:
+def open_video(
+    path: Path, *, frames_per_second: float | None = None, max_frame_mb: int = MAX_FRAME_MB
+) -> Recording:
     """Open a video file; its first frame is decoded, to know the pixel format, range and matrix.
 
     Parameters
@@ -178,16 +185,20 @@ def open_video(path: Path, *, frames_per_second: float | None = None) -> Recordi
         A video file.
     frames_per_second : float, optional
         Frame rate in place of the times in the file.
+    max_frame_mb : int
+        Largest decoded size of a frame in 2**20 bytes. As the pixel format is known from a decoded frame only, a
+        pixel counts as `BYTES_PER_PIXEL`.
 
     Raises
     ------
     DataError
         If PyAV is not installed.
     FrameError
-        If the file has no video, its first frame cannot be decoded, or its pixel format is none of ours.
+        If the file has no video, FFmpeg has no decoder for it, its frames are too large, its first frame cannot be
+        decoded, or its pixel format is none of ours.
     """
-    with _opened(path) as (container, stream):
-        first = next(_decoded(path, container, stream), None)
+    with _opened(path, max_frame_mb) as (container, stream):
+        first = next(_decoded(path, container, stream, max_frame_mb), None)
         if first is None:
             raise FrameError(path, "no frame can be decoded; is the file truncated?")
         layout = pixel_format(first.format.name)
@@ -226,13 +237,15 @@ def open_video(path: Path, *, frames_per_second: float | None = None) -> Recordi
         duration_s = _duration_s(container, stream)
         n_frames = stream.frames or (round(duration_s * average) if duration_s and average else None)
 
+    shape = first.height, first.width
+
     def read() -> Iterator[RecordedFrame]:
-        return _frames(path, layout, (first.height, first.width), matrix, frames_per_second)
+        return _frames(path, layout, shape, matrix, frames_per_second, max_frame_mb)
 
     to_unit = layout.family == "yuv"
     return Recording(
         path=path,
-        shape=(first.height, first.width),
+        shape=shape,
         is_colour=is_colour,
         n_frames=n_frames,
         frames_per_second=frames_per_second or average,
@@ -244,72 +257,105 @@ def open_video(path: Path, *, frames_per_second: float | None = None) -> Recordi
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[tuple[InputContainer, VideoStream]]:
-    """Open a file and its first video stream, to decode in as many threads as there are processors."""
+def _opened(path: Path, max_frame_mb: int) -> Iterator[tuple[InputContainer, VideoStream]]:
+    """Open a file and its first video stream, to decode in as many threads as there are processors.
+
+    FFmpeg decodes frames already when it opens a file, so it is given the largest number of pixels before.
+    """
     try:
         import av
     except ImportError:
         raise missing_extra(path, "video", "av (PyAV)") from None
     with path.open("rb") as file:
         name = format_of(file.read(N_START))
+    options = {"max_pixels": str(max_frame_mb * 2**20 // BYTES_PER_PIXEL)}
     try:
         # The prefix keeps FFmpeg from taking a file name for an address.
-        container = av.open(f"file:{path}", format=name)
+        with _logged() as complaints:
+            container = av.open(f"file:{path}", format=name, options=options)
     except (av.FFmpegError, OSError, ValueError) as error:
         raise FrameError(path, f"cannot be opened as video: {_reason(error)}; is the file truncated?") from None
     with container:
         if not container.streams.video:
             raise FrameError(path, "has no video stream; is the file truncated?")
         stream = container.streams.video[0]
+        if stream.codec_context is None:
+            raise FrameError(path, "FFmpeg has no decoder for its video; convert it without loss (FFV1)")
+        _check_pixels(path, complaints, max_frame_mb)
+        n_pixels = stream.codec_context.width * stream.codec_context.height
+        check_decoded_size(path, BYTES_PER_PIXEL * n_pixels, max_frame_mb)
+        stream.codec_context.options = options
         # Threads for whole frames would log errors about later frames, and at any time: a file closed while
         # one of them waits for Python's lock would never be closed.
         stream.thread_type = "AUTO" if stream.codec_context.codec.lossy else "SLICE"
         yield container, stream
 
 
-def _decoded(path: Path, container: InputContainer, stream: VideoStream) -> Iterator[VideoFrame]:
+def _decoded(
+    path: Path, container: InputContainer, stream: VideoStream, max_frame_mb: int
+) -> Iterator[VideoFrame]:
     """Yield the frames of a stream; FrameError with the number of good ones if one cannot be decoded."""
     import av
 
     number = 0
+    complaints: list[Any] = []
     try:
         with _complaints(stream) as complaints:
             for frame in container.decode(stream):
                 if frame.is_corrupt or complaints:
+                    _check_pixels(path, complaints, max_frame_mb)
                     raise FrameError(path, f"frame {number} is damaged; {_good(number)}")
                 yield frame
                 number += 1
     except av.FFmpegError as error:
+        _check_pixels(path, complaints, max_frame_mb)
         raise FrameError(path, f"frame {number} cannot be decoded ({_reason(error)}); {_good(number)}") from None
 
 
-@contextmanager
-def _complaints(stream: VideoStream) -> Iterator[list[Any]]:
-    """Yield a list to which the errors of a codec without loss are added.
+def _complaints(stream: VideoStream) -> AbstractContextManager[list[Any]]:
+    """Return a context with a list to which the errors of a codec without loss are added.
 
     FFmpeg replaces a slice of FFV1 whose checksum is wrong by that of the frame before, and no more than logs it.
     Codecs with loss log much that is harmless.
     """
+    return nullcontext([]) if stream.codec_context.codec.lossy else _logged()
+
+
+@contextmanager
+def _logged() -> Iterator[list[Any]]:
+    """Yield a list to which the errors that FFmpeg logs are added, also those that repeat the one before."""
     from av import logging
 
-    if stream.codec_context.codec.lossy:
-        yield []
-        return
-    before = logging.get_level()
+    before = logging.get_level(), logging.get_skip_repeated()
     logging.set_level(logging.ERROR)
+    logging.set_skip_repeated(False)
     try:
         with logging.Capture(local=False) as complaints:
             yield complaints
     finally:
-        logging.set_level(before)
+        logging.set_level(before[0])
+        logging.set_skip_repeated(before[1])
+
+
+def _check_pixels(path: Path, complaints: Sequence[Any], max_frame_mb: int) -> None:
+    """Raise FrameError if FFmpeg has refused a frame with more pixels than it was allowed."""
+    for _, _, message in complaints:
+        if (found := re.search(r"size (\d+)x(\d+) exceeds", message)) is not None:
+            check_decoded_size(path, BYTES_PER_PIXEL * int(found[1]) * int(found[2]), max_frame_mb)
 
 
 def _frames(
-    path: Path, layout: PixelFormat, shape: tuple[int, int], matrix: int, frames_per_second: float | None
+    path: Path,
+    layout: PixelFormat,
+    shape: tuple[int, int],
+    matrix: int,
+    frames_per_second: float | None,
+    max_frame_mb: int,
 ) -> Iterator[RecordedFrame]:
-    with _opened(path) as (container, stream):
-        number, last_s, longest_s = 0, None, 0.0
-        for number, frame in enumerate(_decoded(path, container, stream)):
+    with _opened(path, max_frame_mb) as (container, stream):
+        number, last_s = 0, None
+        longest_s = 1.0 / float(stream.average_rate) if stream.average_rate else 0.0
+        for number, frame in enumerate(_decoded(path, container, stream, max_frame_mb)):
             if (frame.height, frame.width) != shape or pixel_format(frame.format.name) != layout:
                 found = f"{frame.width} x {frame.height} pixels, {frame.format.name}"
                 raise FrameError(path, f"frame {number} has {found}: not as the first; {_good(number)}")
@@ -331,7 +377,7 @@ def _frames(
             last_s = time_s
             yield RecordedFrame(_values(frame, layout, matrix), time_s, f"{path.name}, frame {number}")
         duration_s = _duration_s(container, stream) if frames_per_second is None else None
-        if duration_s and last_s is not None and last_s + LATE_INTERVALS * longest_s < duration_s:
+        if duration_s and longest_s and last_s is not None and last_s + LATE_INTERVALS * longest_s < duration_s:
             raise FrameError(
                 path,
                 f"is truncated: it ends at {last_s:.6g} s, expected {duration_s:.6g} s; {_good(number + 1)}; "

@@ -1,0 +1,153 @@
+"""One limit of the size of frames for every reader, checked before anything of that size is taken."""
+
+from __future__ import annotations
+
+import struct
+import subprocess
+import sys
+import zipfile
+import zlib
+
+import numpy as np
+import pytest
+from test_memory import PEAK, linux
+from test_recordings import dng, fff, write_image
+
+import todframes as tod
+from todframes.cli.console import run
+from todframes.cli.main import cli
+from todframes.recordings import open_recordings
+
+SIDE_PX = 1024
+"""Grey frames of 16 bits of this side decode to 2 MB, and count as 8 MB in a video."""
+
+COUNTS = np.random.default_rng(1).integers(1, 1000, (SIDE_PX, SIDE_PX)).astype(np.uint16)
+
+LARGEST_MB = 200
+"""What a refusal may take, libraries included; that of a file of 64 × 64 pixels takes 90 to 180 MB."""
+
+
+def video(path, codec, pixel_format, values=None):
+    av = pytest.importorskip("av")
+    values = COUNTS if values is None else values
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream(codec, rate=25)
+        stream.height, stream.width, stream.pix_fmt = *values.shape, pixel_format
+        frame = av.VideoFrame.from_ndarray(values, format="gray16le").reformat(format=pixel_format)
+        container.mux(stream.encode(frame))
+        container.mux(stream.encode())
+
+
+def image(path):
+    write_image(path, COUNTS[..., np.newaxis].astype(np.float16 if path.suffix == ".exr" else np.uint16))
+
+
+FILES = {
+    "a.png": image,
+    "a.exr": image,
+    "a.tif": image,
+    "a.dpx": image,
+    "a.pgm": image,
+    "a.jp2": image,
+    "a.npy": lambda path: np.save(path, COUNTS),
+    "a.npz": lambda path: np.savez_compressed(path, COUNTS),
+    "a.dng": lambda path: dng(path, COUNTS, black=0, white=1000),
+    "a.fff": lambda path: path.write_bytes(fff(COUNTS)),
+    "a.mkv": lambda path: video(path, "ffv1", "gray16le"),
+    "a.mov": lambda path: video(path, "png", "rgb24"),
+    "a.mp4": lambda path: video(path, "libx264", "yuv420p"),
+    "a.ts": lambda path: video(path, "libx264", "yuv420p"),
+}
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_every_reader_keeps_the_limit(tmp_path, name) -> None:
+    FILES[name](tmp_path / name)
+    size_mb = 8 if name.endswith((".mkv", ".mov", ".mp4", ".ts")) else 2
+    with pytest.raises(
+        tod.FrameError, match=f"{name}.*decodes to {size_mb} MB a frame, .*--max-frame-mb {size_mb}$"
+    ):
+        open_recordings(tmp_path / name, max_frame_mb=1)
+    (recording,) = open_recordings(tmp_path / name, max_frame_mb=size_mb)
+    (frame,) = recording.frames()
+    assert frame.values.shape[:2] == recording.shape
+
+
+def test_the_limit_may_be_larger_than_the_usual_one(tmp_path) -> None:
+    """A PNG of rows of zeros that decodes to 288 MB."""
+    tod.write_frame(tmp_path / "a.png", np.zeros((12288, 12288), np.uint8), pixel_type="uint16")
+    with pytest.raises(tod.FrameError, match="decodes to 288 MB a frame, expected at most 256 MB"):
+        tod.read_frame(tmp_path / "a.png")
+    assert tod.read_frame(tmp_path / "a.png", rows=(0, 1), max_frame_mb=288).stored.shape == (1, 12288, 1)
+
+
+@pytest.mark.parametrize("limit", [0, 0.5, 2**20 + 1])
+def test_a_limit_is_a_whole_number(tmp_path, limit) -> None:
+    for read in (open_recordings, tod.load_dataset):
+        with pytest.raises(tod.SettingsError, match=r"--max-frame-mb: found .*, expected a whole number from 1"):
+            read(tmp_path, max_frame_mb=limit)
+
+
+@pytest.mark.parametrize(
+    "command",
+    [("score",), ("score", "--workers", "2"), ("validate",), ("compare", "--enhance", "clahe")],
+    ids=" ".join,
+)
+def test_commands_of_frames_take_the_limit(make_dataset, capsys, command) -> None:
+    made = make_dataset(contrasts=(0.5,))
+    tod.write_frame(made.frame(0), np.full((800, 800), 0.5), pixel_type="half")  # 1.2 MB
+    arguments = [*command, str(made.path), "--max-frame-mb"]
+    assert run(cli, [*arguments, "1"]) == 1
+    assert "decodes to 2 MB a frame, expected at most 1 MB" in capsys.readouterr().err
+    run(cli, [*arguments, "2"])
+    assert "decodes to" not in capsys.readouterr().err
+
+
+def enlarged_mkv(path):
+    """A FFV1 of 300 × 300 pixels whose container says 16,000 × 16,000."""
+    video(path, "ffv1", "gray16le", COUNTS[:300, :300])
+    content = path.read_bytes()
+    for element in (b"\xb0\x82", b"\xba\x82"):  # Matroska's PixelWidth and PixelHeight, of two bytes
+        assert content.count(element + struct.pack(">H", 300)) == 1
+        content = content.replace(element + struct.pack(">H", 300), element + struct.pack(">H", 16000))
+    path.write_bytes(content)
+
+
+def enlarged_png_in_mov(path):
+    """A PNG of 16,000 × 16,000 behind a container that says 1,024 × 1,024."""
+    video(path, "png", "rgb24")
+    content = path.read_bytes()
+    place = content.index(b"IHDR")
+    header = struct.pack(">II", 16000, 16000) + content[place + 12 : place + 17]
+    crc = struct.pack(">I", zlib.crc32(b"IHDR" + header))
+    path.write_bytes(content[: place + 4] + header + crc + content[place + 21 :])
+
+
+def npz_with_a_long_header(path):
+    """An array whose header says that it has 4 GB, and that has a quarter of a GB."""
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive, archive.open("a.npy", "w") as file:
+        file.write(b"\x93NUMPY\x02\x00" + struct.pack("<I", 2**32 - 16))
+        for _ in range(256):
+            file.write(b" " * 2**20)
+
+
+@linux
+@pytest.mark.parametrize(
+    ("name", "make"),
+    [("a.mkv", enlarged_mkv), ("a.mov", enlarged_png_in_mov), ("a.npz", npz_with_a_long_header)],
+)
+@pytest.mark.parametrize("command", ["noise", "import"])
+def test_a_bomb_is_refused_before_it_takes_memory(tmp_path, name, make, command) -> None:
+    path = tmp_path / name
+    make(path)
+    rest = []
+    if command == "import":
+        (tmp_path / "s.csv").write_text("orientation,size_px,contrast\nup,9,0.5\n")
+        rest = ["--schedule", str(tmp_path / "s.csv"), "-o", str(tmp_path / "out")]
+    arguments = [sys.executable, "-c", PEAK, command, str(path), *rest]
+    found = subprocess.run(arguments, capture_output=True, text=True, check=False)
+    *lines, peak = found.stderr.splitlines()
+    assert found.returncode == 1, found.stderr
+    assert [line for line in lines if line.startswith("error: ")] == lines
+    assert len(lines) == 1
+    assert float(peak.split()[-1]) <= LARGEST_MB

@@ -1,0 +1,183 @@
+"""The call `calibrate`: the internal noise that explains the answers of people."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from msgspec.structs import replace as replace_struct
+
+from todframes.calls.shared import (
+    OnError,
+    Progress,
+    described,
+    fit_settings,
+    is_skip,
+    loaded,
+    opened_run,
+)
+from todframes.errors import DataError, SettingsError
+from todframes.frames.dataset import Dataset
+from todframes.locations import Location
+from todframes.observers.interface import Observer
+from todframes.psychometrics.fit import FitSettings
+from todframes.report.data import (
+    DatasetRecord,
+    Fit,
+    Group,
+    PersonResult,
+    ResultWarning,
+    group_of,
+)
+from todframes.report.result import Result
+
+if TYPE_CHECKING:
+    from todframes.experiment.person import Free, GroupCurve, PersonFit
+
+
+def calibrate(
+    answers: Path | str,
+    dataset: Location | str | Dataset,
+    *,
+    observer: str | Observer = "pyramid",
+    free: Sequence[Free] = (),
+    subjects: Sequence[str] = (),
+    include_flagged: bool = False,
+    p_correct: float | None = None,
+    fit: FitSettings | None = None,
+    seed: int = 1,
+    on_error: OnError = "stop",
+    workers: int = 1,
+    progress: Progress | None = None,
+) -> Result:
+    """Fit the observer's internal noise to the answers of people, as `todframes calibrate` does.
+
+    Parameters
+    ----------
+    answers : path
+        Folder that `todframes experiment` wrote.
+    dataset : path, str or Dataset
+        The dataset that was shown.
+    observer : str or Observer
+        A linear observer with a setting `internal_noise`, whose value is not used.
+    free : sequence of {"lapse", "blur"}
+        Parameters that are fitted besides: the rate δ of lapses, up to `lapse_rate_max` of `fit`, and the
+        observer's `template_blur_samples`, from a quarter to twice its value.
+    subjects : sequence of str
+        Ids of the persons. Default: all.
+    include_flagged : bool
+        Whether answers count that came within 150 ms, or while the page was hidden or had lost the focus.
+    p_correct : float, optional
+        Raw proportion correct at threshold, in place of that of `fit`.
+    fit : FitSettings, optional
+        Fixed and free parameters of the persons' own curves. A fixed `lapse_rate` is that of the model too.
+    seed : int
+        Seed of the displacements of the retina and of repeated experiments.
+    on_error : {"stop", "skip"}
+        At a frame that cannot be used or has changed since: raise, or leave its trials out and list them.
+    workers : int
+        Threads that read and score.
+    progress : function of an int, optional
+        Called with the number of trials that were just done.
+
+    Returns
+    -------
+    Result
+        Result whose `persons` have the internal noise of each person and the thresholds that the model then
+        has; `pooled` is that of all together. `thresholds` are those of the persons, by their counts alone.
+
+    Raises
+    ------
+    DataError, FrameError
+        If the answers are damaged or to another dataset, or a frame cannot be used or has changed since.
+    SettingsError
+        If a setting is invalid, or the observer's noise cannot be fitted.
+    """
+    started = time.perf_counter()
+    from todframes.experiment.answers import read_answers
+    from todframes.experiment.person import calibrate_persons
+
+    judge, settings = described(observer)
+    fit = fit_settings(fit, p_correct)
+    for name in free:
+        if name not in ("lapse", "blur"):
+            raise SettingsError(f"free: found {name!r}, expected lapse or blur")
+    sessions = read_answers(Path(answers), include_flagged=include_flagged)
+    known = {one.subject for one in sessions}
+    for subject in subjects:
+        if subject not in known:
+            raise DataError(f"{answers}: found no subject {subject!r}, expected one of {', '.join(sorted(known))}")
+    sessions = [one for one in sessions if not subjects or one.subject in subjects]
+    data = loaded(dataset)
+    with opened_run(workers, None, None, progress) as run:
+        found = calibrate_persons(
+            data,
+            sessions,
+            judge,
+            free=free,
+            fit_settings=fit,
+            seed=seed,
+            skip_bad_frames=is_skip(on_error),
+            run=run,
+        )
+    level = data.experiment.level
+    fits = [
+        Fit.of_counts(_group_of_person(data, person, one), level, one.own)
+        for person in found.persons
+        for one in person.groups
+    ]
+    persons = [_person_result(data, person) for person in found.persons]
+    pooled = None if found.pooled is None else _person_result(data, found.pooled)
+    fitted = ("internal_noise", "internal_noise_sd", *(["template_blur_samples"] * ("blur" in free)))
+    settings = {name: value for name, value in settings.items() if name not in fitted}
+    return Result.made(
+        "calibrate",
+        started,
+        settings=settings | asdict(fit) | {"free": list(free), "include_flagged": include_flagged},
+        seed=seed,
+        fits=tuple(fits),
+        persons=tuple(persons),
+        pooled=pooled,
+        equal_noise_p_value=found.equal_noise_p_value,
+        dataset=DatasetRecord.of(data),
+        skipped=tuple(one._asdict() for one in found.skipped),
+        warnings=tuple(ResultWarning(**one._asdict()) for one in found.warnings()),
+    )
+
+
+def _person_result(data: Dataset, person: PersonFit) -> PersonResult:
+    fit, is_known = person.fit, person.fit.status == "ok"
+    level = data.experiment.level
+    predicted = [
+        replace_struct(
+            Fit.of_counts(_group_of_person(data, person, one), level, one.predicted),
+            threshold_ci95=one.predicted_ci95,
+        )
+        for one in person.groups
+        if one.predicted is not None
+    ]
+    return PersonResult(
+        subject=person.subject,
+        status=fit.status,
+        internal_noise=fit.noise,
+        internal_noise_ci95=fit.noise_ci95,
+        lapse_rate=fit.lapse_rate if is_known else None,
+        lapse_rate_ci95=fit.lapse_rate_ci95 if is_known else None,
+        template_blur_samples=fit.blur if is_known else None,
+        template_blur_samples_ci95=fit.blur_ci95 if is_known else None,
+        n_trials=person.n_trials,
+        n_correct=person.n_correct,
+        n_flagged=dict(person.n_flagged),
+        log_likelihood=fit.log_likelihood,
+        deviance=fit.deviance,
+        deviance_p_value=fit.deviance_p_value,
+        n_cells=fit.n_cells,
+        predicted=tuple(predicted),
+    )
+
+
+def _group_of_person(data: Dataset, person: PersonFit, curve: GroupCurve) -> Group:
+    return {"subject": str(person.subject), **group_of(data, curve.group)}

@@ -1,0 +1,152 @@
+"""The call `compare`: thresholds with and without enhancement algorithms."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from todframes.calls.shared import (
+    OnError,
+    Progress,
+    described,
+    each_once,
+    fit_settings,
+    inspected,
+    is_skip,
+    loaded,
+    located,
+    opened_run,
+)
+from todframes.frames.dataset import Dataset
+from todframes.jobs.store import Store
+from todframes.jobs.work import Engine
+from todframes.locations import Location
+from todframes.observers.interface import Observer
+from todframes.psychometrics.fit import CurveName, FitSettings
+from todframes.report.advice import levels_to_add
+from todframes.report.data import (
+    algorithms,
+    thresholds_of,
+)
+from todframes.report.result import Result
+from todframes.scoring.error_budget import PlanName, plan_object
+from todframes.scoring.trials import Decisions
+
+if TYPE_CHECKING:
+    from todframes.diagnosis.locate import Locate
+
+
+def compare(
+    dataset: Location | str | Dataset,
+    enhance: Iterable[str | Callable[..., Any]],
+    *,
+    observer: str | Observer = "pyramid",
+    white: float = 1.0,
+    allow_clipping: bool = False,
+    decisions: Decisions = "expected",
+    curve: CurveName | None = None,
+    plan: PlanName = "needed",
+    seed: int = 1,
+    p_correct: float | None = None,
+    fit: FitSettings | None = None,
+    locate: Locate | bool = False,
+    on_error: OnError = "stop",
+    workers: int = 1,
+    cluster: str | Engine | None = None,
+    store: Store | Path | str | None = None,
+    examples: bool = True,
+    progress: Progress | None = None,
+) -> Result:
+    """Tell whether enhancement algorithms lower the thresholds of a dataset, as `todframes compare` does.
+
+    Each algorithm is compared with the frames as they are, on the same frames and with the same random draws.
+
+    Parameters
+    ----------
+    dataset, observer, decisions, curve, plan, seed, p_correct, fit, locate, on_error, workers, cluster, store, \
+    examples, progress
+        Parameters as in `score`.
+    enhance : iterable of str or function
+        Algorithms: "name" of a registered one or "module:function", optionally followed by ":parameter=value,…";
+        or functions of an image and keyword parameters.
+    white : float
+        Code value of white for the algorithms.
+    allow_clipping : bool
+        Clip values beyond the display's range in the output of an algorithm, instead of raising.
+
+    Returns
+    -------
+    Result
+        Result whose `algorithms` have thresholds, ratios to the reference and verdicts, the reference first.
+
+    Raises
+    ------
+    DataError, FrameError
+        If the dataset, a frame or the output of an algorithm cannot be used.
+    SettingsError
+        If a setting or an algorithm is invalid.
+
+    Examples
+    --------
+    >>> import todframes as tod
+    >>> def brighter(image, gain=1.2):
+    ...     return gain * image
+    >>> fit = tod.FitSettings(resamples=200)
+    >>> result = tod.compare("sample_frames/enhancement", [brighter], allow_clipping=True, fit=fit)
+    >>> [one.verdict for one in result.algorithms]
+    [None, 'no difference shown']
+    """
+    started = time.perf_counter()
+    from todframes.enhancement.algorithm import find_enhancement
+    from todframes.enhancement.compare import compare_dataset
+    from todframes.enhancement.enhanced_frame import Screen
+    from todframes.report import tables
+    from todframes.report.summary import comparison
+
+    judge, settings = described(observer)
+    fit = fit_settings(fit, p_correct)
+    found = [find_enhancement(one) for one in enhance]
+    data = loaded(dataset)
+    screen = Screen(data.display, white, allow_clipping)
+    data, more, found_wrong = located(data, judge, locate, on_error, progress)
+    with opened_run(workers, cluster, store, progress) as run:
+        results = compare_dataset(
+            data,
+            judge,
+            found,
+            decisions=decisions,
+            curve=curve,
+            seed=seed,
+            fit_settings=fit,
+            screen=screen,
+            plan_name=plan,
+            skip_bad_frames=is_skip(on_error),
+            run=run,
+        )
+    reference, compared = results[0].scored, algorithms(data, results)
+    if examples:
+        from todframes.report.examples import compare_examples
+
+        more["examples"] = compare_examples(data, results, judge, screen)
+    black, peak = screen.luminance_range
+    record, shown_wrong = inspected(data, reference.trials, judge.centre)
+    return Result.made(
+        "compare",
+        started,
+        settings=settings
+        | asdict(fit)
+        | {"decisions": decisions, "plan": plan, "white": white, "allow_clipping": allow_clipping},
+        seed=seed,
+        algorithms=compared,
+        data_range_cd_m2=peak - black,
+        verdict=comparison(compared),
+        plan=tuple(plan_object(reference.plan, 1.0)),
+        skipped=tuple(one._asdict() for one in reference.skipped),
+        dataset=record,
+        warnings=each_once(*found_wrong, *shown_wrong, *levels_to_add(thresholds_of(compared))),
+        negative_luminance_pixels=reference.n_negative,
+        **more,
+    ).with_trials(lambda: tables.compared_trials(data, results))

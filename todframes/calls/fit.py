@@ -1,0 +1,90 @@
+"""The call `fit_counts`: psychometric functions of counts."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from todframes.calls.shared import (
+    fit_settings,
+)
+from todframes.errors import DataError
+from todframes.psychometrics.fit import FitSettings
+from todframes.psychometrics.fit import fit_counts as fit_counts_of_one
+from todframes.report.advice import levels_to_add
+from todframes.report.data import (
+    Fit,
+)
+from todframes.report.result import Result
+
+if TYPE_CHECKING:
+    pass
+
+
+def fit_counts(
+    level: ArrayLike,
+    n_correct: ArrayLike,
+    n_trials: ArrayLike,
+    *,
+    groups: Mapping[str, Sequence[float | str]] | None = None,
+    p_correct: float | None = None,
+    fit: FitSettings | None = None,
+    seed: int = 1,
+) -> Result:
+    """Fit psychometric functions to counts of correct answers, as `todframes fit` does.
+
+    Parameters
+    ----------
+    level, n_correct, n_trials : array_like, shape (n,)
+        Stimulus strength, > 0; whole numbers with 0 <= n_correct <= n_trials and n_trials >= 1.
+    groups : mapping, optional
+        Columns of n values each by name; rows with the same values share a curve. Default: one curve.
+    p_correct : float, optional
+        Raw proportion correct at threshold, in place of that of `fit`.
+    fit : FitSettings, optional
+        Fixed and free parameters of the fits.
+    seed : int
+        Seed of the resamples.
+
+    Returns
+    -------
+    Result
+        One threshold and its fitted curve for each group.
+
+    Raises
+    ------
+    DataError
+        If the shapes differ, there is no row, or a value is out of its range.
+
+    Examples
+    --------
+    >>> import todframes as tod
+    >>> result = tod.fit_counts([0.1, 0.2, 0.4, 0.8], [12, 18, 30, 38], [40, 40, 40, 40])
+    >>> result
+    <Result of fit: At 75 % correct the threshold level is 0.399 (95 % interval 0.315 to 0.528).>
+    """
+    started = time.perf_counter()
+    fit = fit_settings(fit, p_correct)
+    columns = [np.asarray(values) for values in (level, n_correct, n_trials)]
+    names = {name: list(values) for name, values in (groups or {}).items()}
+    for name, values in names.items():
+        if len(values) != columns[0].size:
+            raise DataError(f"groups: {name}: found {len(values)} values, expected {columns[0].size}, one a row")
+    rows: dict[tuple[float | str, ...], list[int]] = {}
+    for row in range(columns[0].size):
+        key = tuple(values[row] for values in names.values())
+        rows.setdefault(tuple(one if isinstance(one, str) else float(one) for one in key), []).append(row)
+    fits = []
+    for number, (key, of_group) in enumerate((rows or {(): []}).items()):
+        rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number,)))
+        counts = columns if len(rows) < 2 else [column[of_group] for column in columns]
+        one = fit_counts_of_one(*counts, settings=fit, rng=rng)
+        fits.append(Fit.of_counts(dict(zip(names, key, strict=True)), "level", one))
+    return Result.made(
+        "fit", started, settings=asdict(fit), seed=seed, fits=tuple(fits), warnings=levels_to_add(fits)
+    )

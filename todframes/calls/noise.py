@@ -1,0 +1,108 @@
+"""The call `noise`: three-dimensional noise of a recording."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from todframes.calls.shared import (
+    Progress,
+)
+from todframes.errors import DataError, SettingsError
+
+if TYPE_CHECKING:
+    from todframes.frames.files import PathLike
+    from todframes.report.noise import NoiseResult
+
+
+def noise(
+    recording: PathLike | Sequence[PathLike],
+    *,
+    region: tuple[int, int, int, int] | None = None,
+    patches: Mapping[tuple[int, int, int, int], float] | None = None,
+    chart: PathLike | None = None,
+    signal: float | Sequence[float] = (),
+    mk_per_count: float | None = None,
+    frames_per_second: float | None = None,
+    max_frame_mb: int = 256,
+    progress: Progress | None = None,
+) -> NoiseResult:
+    """Measure the three-dimensional noise of a recording, as `todframes noise` does.
+
+    The recording shows a uniform scene that does not move; what is not uniform counts as fixed pattern.
+
+    Parameters
+    ----------
+    recording : path or sequence of path
+        A video, image files or a folder of them, camera raw or radiometric files, or a NumPy array.
+    region : (int, int, int, int), optional
+        Left column, top row, width and height in pixels. Default: the whole frame.
+    patches : mapping, optional
+        Uniform parts of the frame, as `region`, and the level of each: luminance, reflectance or temperature.
+        They give the signal transfer, and a signal-to-noise ratio for each level.
+    chart : path, optional
+        `chart.toml` of the chart that the recording shows: its patches are found by its markers. Default of
+        the region is then the largest patch.
+    signal : float or sequence of float
+        Differences of the values, whose signal-to-noise ratios are given too.
+    mk_per_count : float, optional
+        Temperature difference in mK for a difference of one in the values. Default: from the constants of a
+        radiometric file, at the mean of the recording.
+    frames_per_second : float, optional
+        Frame rate in place of what the files say.
+    max_frame_mb : int
+        Largest decoded size of a frame in 2**20 bytes: all channels, in their own pixel types.
+    progress : function of an int, optional
+        Called with 1 for each frame.
+
+    Returns
+    -------
+    NoiseResult
+        `measured` has the parts of the noise, each with a 95 % interval; `sensor_toml()` is for sensor_sim.
+
+    Raises
+    ------
+    DataError, FrameError
+        If the files cannot be read, or are several recordings.
+    SettingsError
+        If a setting is invalid.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import numpy as np
+    >>> import todframes as tod
+    >>> rng = np.random.default_rng(1)
+    >>> path = tempfile.mkdtemp() + "/frames.npy"
+    >>> np.save(path, 100 + rng.normal(0, 1, (64, 64)) + rng.normal(0, 2, (50, 64, 64)))
+    >>> measured = tod.noise(path).measured
+    >>> f"{measured.dynamic.sd:.1f} from frame to frame, {measured.fixed.sd:.1f} fixed"
+    '2.0 from frame to frame, 1.0 fixed'
+    """
+    started = time.perf_counter()
+    from todframes.recordings.noise3d import FramePatch, measure_noise
+    from todframes.recordings.opening import open_recordings
+    from todframes.recordings.radiometric import mk_per_count_of
+    from todframes.report.noise import noise_result
+
+    if mk_per_count is not None and not (np.isfinite(mk_per_count) and mk_per_count > 0):
+        raise SettingsError(f"mk_per_count: found {mk_per_count}, expected a number > 0")
+    found = open_recordings(recording, frames_per_second=frames_per_second, max_frame_mb=max_frame_mb)
+    if len(found) != 1:
+        names = ", ".join(str(one.path) for one in found[:3])
+        raise DataError(f"noise: found {len(found)} recordings ({names} …), expected one")
+    levels = [FramePatch(place, float(level)) for place, level in (patches or {}).items()]
+    if chart is not None:
+        from todframes.recordings.chart_patches import find_patches
+
+        levels += find_patches(found[0], Path(chart))
+        region = region or max((one.region for one in levels), key=lambda place: place[2] * place[3])
+    measured = measure_noise(found[0], region=region, patches=levels, progress=progress)
+    if mk_per_count is None:
+        mk_per_count = mk_per_count_of(found[0], measured.mean)
+    signals = tuple(np.atleast_1d(np.asarray(signal, np.float64)).tolist())
+    return noise_result(measured, str(found[0].path), mk_per_unit=mk_per_count, signals=signals, started=started)

@@ -1,0 +1,269 @@
+"""The calls `score` and `score_frames`: thresholds of frames in a folder, behind a URL or in memory."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from numpy.typing import ArrayLike
+
+from todframes.calls.shared import (
+    OnError,
+    Progress,
+    described,
+    each_once,
+    fit_settings,
+    inspected,
+    is_skip,
+    located,
+    opened_run,
+)
+from todframes.frames.dataset import Dataset
+from todframes.frames.display import Display
+from todframes.jobs.store import Store
+from todframes.jobs.work import Engine
+from todframes.locations import Location
+from todframes.observers.interface import Observer
+from todframes.psychometrics.fit import CurveName, FitSettings
+from todframes.report.advice import levels_to_add
+from todframes.report.data import (
+    Fit,
+    ResultWarning,
+    group_of,
+)
+from todframes.report.result import Result
+from todframes.scoring.error_budget import PlanName, plan_object
+from todframes.scoring.trials import Decisions
+
+if TYPE_CHECKING:
+    from todframes.diagnosis.locate import Locate
+
+
+def score(
+    dataset: Location | str | Dataset,
+    *,
+    observer: str | Observer = "pyramid",
+    decisions: Decisions = "expected",
+    curve: CurveName | None = None,
+    tolerance: float | None = None,
+    plan: PlanName = "needed",
+    seed: int = 1,
+    p_correct: float | None = None,
+    fit: FitSettings | None = None,
+    locate: Locate | bool = False,
+    on_error: OnError = "stop",
+    workers: int = 1,
+    cluster: str | Engine | None = None,
+    store: Store | Path | str | None = None,
+    examples: bool = True,
+    progress: Progress | None = None,
+) -> Result:
+    """Score the display frames of a dataset and fit its thresholds, as `todframes score` does.
+
+    Parameters
+    ----------
+    dataset : path, str or Dataset
+        Folder with dataset.toml, manifest.csv and frames, its URL ("s3://lab/archive"), or the return value of
+        `load_dataset`.
+    observer : str or Observer
+        Name of a registered observer, "module:Class", or an observer: `PyramidObserver(internal_noise=0.25)`.
+    decisions : {"expected", "sampled"}
+        Use each frame's probability of a correct answer, or draw one answer for each trial.
+    curve : {"observer", "weibull"}, optional
+        Psychometric function of the thresholds: the observer's own, which needs expected decisions, or Weibull's,
+        as for people's answers. Default: the observer's for expected decisions, Weibull's for sampled ones.
+    tolerance : float, optional
+        Largest relative error of the thresholds that displacing the retina may cause. The number of displacements
+        of each frame is chosen to meet it. Default: one displacement for each frame.
+    plan : {"needed", "full"}
+        Leave out the computations that the scene does not need, or leave out none.
+    seed : int
+        Seed of all random draws.
+    p_correct : float, optional
+        Raw proportion correct at threshold, in place of that of `fit`.
+    fit : FitSettings, optional
+        Fixed and free parameters of the fits.
+    locate : {"group", "each"} or bool
+        Find the triangle's position, from that in the manifest if there is one: one for each group (also True), or
+        one for each trial, for hand-held or drifting recordings.
+    on_error : {"stop", "skip"}
+        At a frame or row that cannot be used: raise, or go on and list it in `Result.skipped`.
+    workers : int
+        Threads that read and score.
+    cluster : str, optional
+        Address of a Dask scheduler, "tcp://…", or "local:N" for N processes; they do the work instead.
+    store : path, optional
+        Folder for the results of single trials as they are finished, so that a run that was interrupted goes on
+        where it was. It is written once the run turns out to take more than some seconds, and is the caller's to
+        remove.
+    examples : bool
+        Also draw a triangle at threshold, for the page.
+    progress : function of an int, optional
+        Called with the number of trials that were just done; each trial is done once more with `locate`,
+        and twice more with "each".
+
+    Returns
+    -------
+    Result
+        Thresholds of each group, scores of each trial, warnings and settings.
+
+    Raises
+    ------
+    DataError, FrameError
+        If the dataset or a frame cannot be used.
+    SettingsError
+        If a setting is invalid.
+
+    Examples
+    --------
+    >>> import todframes as tod
+    >>> result = tod.score("sample_frames/naked_eye", observer=tod.PyramidObserver(internal_noise=0.25))
+    >>> result.thresholds[0].group, result.thresholds[0].status
+    ({'size_mrad': 0.6}, 'extrapolated')
+    """
+    started = time.perf_counter()
+    from todframes.diagnosis.missing_threshold import explain_missing
+    from todframes.report import tables
+    from todframes.scoring.score import score_dataset
+
+    judge, settings = described(observer)
+    fit = fit_settings(fit, p_correct)
+    data, more, found_wrong = located(dataset, judge, locate, on_error, progress)
+    with opened_run(workers, cluster, store, progress) as run:
+        scored = score_dataset(
+            data,
+            judge,
+            decisions=decisions,
+            curve=curve,
+            seed=seed,
+            fit_settings=fit,
+            tolerance=tolerance,
+            plan_name=plan,
+            skip_bad_frames=is_skip(on_error),
+            run=run,
+        )
+    if examples:
+        from todframes.report import examples as drawing
+
+        more["examples"] = drawing.examples(data, scored, judge)
+    explained = {one.group: one for one in explain_missing(data, scored, judge, decisions=decisions, seed=seed)}
+    fits = tuple(Fit.of_trials(data, one, explained.get(one.group)) for one in scored.fits)
+    hints = [
+        ResultWarning(**hint._asdict(), group=group_of(data, one.group))
+        for one in explained.values()
+        for hint in one.hints
+    ]
+    hinted = [hint.group for hint in hints]  # with a mistake mended, other levels may be near the threshold
+    levels = levels_to_add([one for one in fits if one.group not in hinted])
+    record, shown_wrong = inspected(data, scored.trials, judge.centre)
+    return Result.made(
+        "score",
+        started,
+        settings=settings | asdict(fit) | {"decisions": decisions, "tolerance": tolerance, "plan": plan},
+        seed=seed,
+        fits=fits,
+        plan=tuple(plan_object(scored.plan, 1.0)),
+        skipped=tuple(one._asdict() for one in scored.skipped),
+        dataset=record,
+        warnings=each_once(*hints, *found_wrong, *shown_wrong, *levels),
+        negative_luminance_pixels=scored.n_negative,
+        **more,
+    ).with_trials(lambda: tables.trials(data, scored))
+
+
+def score_frames(
+    frames: Iterable[ArrayLike],
+    *,
+    orientation: str | Sequence[str],
+    level: float | Sequence[float],
+    size_mrad: float | Sequence[float],
+    display: Display | str,
+    group: Mapping[str, Sequence[float | str]] | None = None,
+    position: ArrayLike | None = None,
+    polarity: int | Sequence[int] = 1,
+    trial: Sequence[object] | None = None,
+    level_name: str = "contrast",
+    **settings: Any,
+) -> Result:
+    """Score frames that are in memory and fit their thresholds, without touching a disk.
+
+    An argument that has a value for each frame may also be one value for all frames.
+
+    Parameters
+    ----------
+    frames : array_like, shape (n, rows, columns), or iterable of n arrays (rows, columns)
+        Code values or luminance, according to `display`; (rows, columns, 3) for colour. Integers of 8 and 16 bits
+        are divided by their full scale.
+    orientation : str or sequence of str
+        Direction of the apex: "up", "right", "down" or "left".
+    level : float or sequence of float
+        Stimulus strength, > 0.
+    size_mrad : float or sequence of float
+        √(area) of the triangle as displayed, in mrad of visual angle.
+    display : Display or str
+        Conversion of code values to luminance, and the visual angle of a pixel; or the name of a display of this
+        package, such as "reference_sdr", or of a file that describes one.
+    group : mapping, optional
+        Columns of n values each by name; frames with the same values share a curve. Default: one curve for each
+        size.
+    position : array_like, shape (2,) or (n, 2), optional
+        x and y of the triangle's centroid in pixels; (0, 0) is the centre of the top left one. Default: the middle
+        of the frame.
+    polarity : int or sequence of int
+        1 brighter or -1 darker than the background.
+    trial : sequence, optional
+        Names of trials: frames of one trial are averaged in contrast before the observer sees them. Default: each
+        frame is a trial.
+    level_name : str
+        Name of the level, for tables and pictures.
+    **settings
+        Settings as for `score`: observer, decisions, seed, p_correct, locate, workers and so on.
+
+    Returns
+    -------
+    Result
+        Thresholds of each group, scores of each trial, warnings and settings.
+
+    Raises
+    ------
+    DataError
+        If there are no frames, an argument has another number of values, or a value is out of its range.
+    FrameError
+        If a frame cannot be used; the message gives its number, from 0.
+    SettingsError
+        If a setting is invalid.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import todframes as tod
+    >>> shown = [(turn, level) for level in (0.02, 0.05, 0.1, 0.2, 0.4) for turn in tod.ORIENTATIONS]
+    >>> middle = {"size_px": 6, "x_px": 31.5, "y_px": 31.5}
+    >>> frames = [50 * (1 + level * tod.coverage((64, 64), orientation=turn, **middle)) for turn, level in shown]
+    >>> display = tod.Display(
+    ...     eotf="linear", white_luminance_cd_m2=1, pixel_pitch_mrad=0.25, background_luminance_cd_m2=50
+    ... )
+    >>> orientation, level = zip(*shown)
+    >>> result = tod.score_frames(frames, orientation=orientation, level=level, size_mrad=1.5, display=display)
+    >>> result.thresholds[0].status
+    'ok'
+    """
+    from todframes.frames.display_files import find_display
+    from todframes.frames.memory import memory_dataset
+
+    data = memory_dataset(
+        frames,
+        orientation=orientation,
+        level=level,
+        size_mrad=size_mrad,
+        display=find_display(display).display if isinstance(display, str) else display,
+        group=group,
+        position=position,
+        polarity=polarity,
+        trial=trial,
+        level_name=level_name,
+    )
+    return score(data, **settings)

@@ -1,0 +1,142 @@
+"""What calls have in common: the observer, the engine of a run, the dataset and the warnings about it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import asdict, is_dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from todframes._typing import Json
+from todframes.diagnosis.findings import frame_warnings
+from todframes.diagnosis.inspection import inspect, records
+from todframes.errors import SettingsError
+from todframes.frames.checksums import dataset_warnings
+from todframes.frames.dataset import Dataset, load_dataset
+from todframes.frames.trials import Trial
+from todframes.jobs.engine import open_engine
+from todframes.jobs.store import Store
+from todframes.jobs.work import Engine
+from todframes.locations import Location
+from todframes.observers.interface import ENTRY_POINT_GROUP, Observer, find_observer
+from todframes.psychometrics.fit import FitSettings
+from todframes.report.data import (
+    DatasetRecord,
+    ResultWarning,
+    group_of,
+)
+from todframes.stimulus import Centre
+
+if TYPE_CHECKING:
+    from todframes.diagnosis.locate import Locate
+    from todframes.scoring.work import Run
+
+OnError = Literal["stop", "skip"]
+Progress = Callable[[int], None]
+
+
+def described(observer: str | Observer) -> tuple[Observer, Json]:
+    """Return an observer, made if only its name is given, and its name and settings as JSON values."""
+    if isinstance(observer, str):
+        kind, name = find_observer(observer), observer
+        observer = kind(kind.settings_type())
+    else:
+        name = _name(type(observer))
+    settings = getattr(observer, "settings", None)
+    values = asdict(settings) if is_dataclass(settings) and not isinstance(settings, type) else {}
+    return observer, {"observer": name, **values}
+
+
+def _name(kind: type) -> str:
+    """Return the name that a class is registered under, or "module:Class" if it is not registered."""
+    import sys
+    from importlib.metadata import entry_points
+
+    for entry in entry_points(group=ENTRY_POINT_GROUP):
+        if entry.module in sys.modules and entry.load() is kind:
+            return entry.name
+    return f"{kind.__module__}:{kind.__qualname__}"
+
+
+def fit_settings(fit: FitSettings | None, p_correct: float | None) -> FitSettings:
+    """Return the settings of fits, with another criterion if one is given."""
+    fit = fit or FitSettings()
+    return fit if p_correct is None else replace(fit, p_correct=p_correct)
+
+
+@contextmanager
+def opened_run(
+    workers: int, cluster: str | Engine | None, store: Store | Path | str | None, progress: Progress | None
+) -> Iterator[Run]:
+    """Open the engine and the store of a run, unless they are open."""
+    from todframes.scoring.work import Run
+
+    kept = Store(Path(store), str(store)) if isinstance(store, str | Path) else store
+    with ExitStack() as stack:
+        engine = stack.enter_context(open_engine(cluster, workers))
+        if kept is not None:
+            stack.callback(kept.close)
+        yield Run(engine, kept, progress)
+
+
+def loaded(dataset: Location | str | Dataset) -> Dataset:
+    """Return a dataset, read from its folder or URL unless it is one."""
+    return dataset if isinstance(dataset, Dataset) else load_dataset(dataset)
+
+
+def located(
+    dataset: Location | str | Dataset,
+    observer: Observer,
+    locate: Locate | bool,
+    on_error: OnError,
+    progress: Progress | None,
+) -> tuple[Dataset, Json, tuple[ResultWarning, ...]]:
+    """Load a dataset and find its positions if asked to. Returns it, the positions and the warnings about them."""
+    data = loaded(dataset)
+    if not locate:
+        return data, {}, ()
+    from todframes.diagnosis.locate import locate_triangles, location_warnings
+
+    data, locations = locate_triangles(
+        data,
+        locate="group" if locate is True else locate,
+        centre=observer.centre,
+        skip_bad_frames=is_skip(on_error),
+        progress=progress,
+    )
+    located = tuple(
+        {
+            **one._asdict(),
+            "group": group_of(data, one.group),
+            "arrangement": list(one.arrangement.mismatches),
+        }
+        for one in locations
+    )
+    found = tuple(ResultWarning(**one._asdict()) for one in location_warnings(data, locations))
+    return data, {"located": located}, found
+
+
+def inspected(
+    data: Dataset, trials: Sequence[Trial], centre: Centre = "centroid"
+) -> tuple[DatasetRecord, tuple[ResultWarning, ...]]:
+    """Return a dataset's record with what its frames show, and the warnings about them."""
+    inspections = inspect(data, trials, centre=centre)
+    warnings = (*dataset_warnings(data, trials), *frame_warnings(data, inspections))
+    record = DatasetRecord.of(data, records(data, inspections))
+    return record, tuple(ResultWarning(**one._asdict()) for one in warnings)
+
+
+def each_once(*warnings: ResultWarning) -> tuple[ResultWarning, ...]:
+    """Return the warnings without those whose code and group an earlier one has."""
+    found: dict[tuple[str, tuple[tuple[str, float | str], ...]], ResultWarning] = {}
+    for one in warnings:
+        found.setdefault((one.code, tuple(one.group.items())), one)
+    return tuple(found.values())
+
+
+def is_skip(on_error: OnError) -> bool:
+    """Return whether frames that cannot be used are left out; raise SettingsError unless it is stop or skip."""
+    if on_error not in ("stop", "skip"):
+        raise SettingsError(f"on_error: found {on_error!r}, expected stop or skip")
+    return on_error == "skip"

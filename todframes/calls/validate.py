@@ -1,0 +1,87 @@
+"""The call `validate`: every file and row of a dataset, and what its frames show, without scoring."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+from todframes.calls.shared import Progress, inspected, loaded
+from todframes.frames.checksums import check_writable, write_sha256
+from todframes.frames.contrast import frame_problems
+from todframes.frames.dataset import Dataset, load_dataset
+from todframes.frames.files import frame_sha256
+from todframes.locations import Location
+from todframes.report.result import Result
+
+
+def validate(
+    dataset: Location | str | Dataset,
+    *,
+    add_sha256: bool = False,
+    problem: Callable[[str, str], None] | None = None,
+    progress: Progress | None = None,
+) -> Result:
+    """Check every file and row of a dataset, and what its frames show, as `todframes validate` does.
+
+    Parameters
+    ----------
+    dataset : path, str or Dataset
+        Dataset as in `score`.
+    add_sha256 : bool
+        If all is good, write the checksum of each frame that has none into manifest.csv.
+    problem : function of two texts, optional
+        Called with each problem when it is found, and with the kind of problem, which is the same for many.
+    progress : function of an int, optional
+        Called with the number of trials that were just checked.
+
+    Returns
+    -------
+    Result
+        Result whose `skipped` has the frames and rows that cannot be used, with the reasons; `warnings` are about
+        the others, and `dataset` says what they show.
+
+    Raises
+    ------
+    DataError
+        If the dataset cannot be read at all.
+    OutputError
+        If the manifest cannot be written.
+
+    Examples
+    --------
+    >>> import todframes as tod
+    >>> result = tod.validate("sample_frames/naked_eye")
+    >>> len(result.skipped), result.dataset.n_frames
+    (0, 336)
+    """
+    started = time.perf_counter()
+    data = loaded(dataset)
+    if add_sha256:
+        check_writable(data)
+    sha256_of: dict[str, str] = {}
+    found: list[dict[str, str]] = []
+    good: list[int] = []
+
+    def add(frame: str, error: str, kind: str) -> None:
+        found.append({"frame": frame, "error": error})
+        if problem is not None:
+            problem(error, kind)
+
+    for row in data.bad_rows:
+        add(row.frame, row.error, row.error.replace(row.frame or "\0", "#"))
+    for index, trial in enumerate(data.trials):
+        wrong = list(frame_problems(data, trial))
+        for error in wrong:
+            add(str(error.path), str(error), error.problem)
+        if not wrong:
+            good.append(index)
+        if add_sha256 and not found:
+            missing = [frame for frame in trial.frames if frame.sha256 is None]
+            sha256_of |= {frame.path: frame_sha256(data.frame_path(frame)) for frame in missing}
+        if progress is not None:
+            progress(1)
+    if add_sha256 and not found:
+        write_sha256(data, sha256_of)
+        data = load_dataset(data.path, max_frame_mb=data.max_frame_mb)
+    record, warnings = inspected(data, data.trials.select(good))
+    return Result.made("validate", started, dataset=record, skipped=tuple(found), warnings=warnings)
