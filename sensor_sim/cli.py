@@ -23,6 +23,7 @@ from todframes.cli.console import (
     say,
     staged,
     terminal_width,
+    time_line,
 )
 from todframes.cli.options import (
     json_option,
@@ -64,10 +65,9 @@ def cli() -> None:
     "--trials", type=click.IntRange(1), default=40, show_default=True, help="Frames of each size and SNR."
 )
 @seed_option
-@click.option("-o", "--out", required=True, metavar="DATASET", help="Folder to make.")
+@click.option("-o", "--out", required=True, metavar="DATASET", help="Folder to make, new or empty.")
 @click.option("--format", "frame_format", type=click.Choice(["exr", "png"]), default="exr", show_default=True)
 @click.option("--allow-clipping", is_flag=True, help="Let PNG clip more than 1 % of the pixels.")
-@click.option("--overwrite", is_flag=True, help="Replace DATASET if simulate wrote all that is in it.")
 @click.option("--stages", is_flag=True, help="Also write the stages of a trial with the highest SNR as pictures.")
 @click.option(
     "--workers", type=click.IntRange(1), default=1, show_default=True, help="Processes that draw frames."
@@ -159,6 +159,11 @@ def curve(*, sensor: Path, sizes: str, out: str | None, quiet: bool, **asked: An
 )
 @click.option("--keep-fill-factor", is_flag=True, help="Let the detectors' width follow a varied pitch.")
 @click.option(
+    "--couple-netd",
+    is_flag=True,
+    help="Let the NETD follow aperture and detectors: NETD ∝ f-number² / area of a detector.",
+)
+@click.option(
     "--minimise",
     metavar="COLUMN[,…]",
     help="Columns to be low for the trade-off front: varied keys, delta_t_mk, threshold_snr, acuity_mrad, "
@@ -232,7 +237,7 @@ def sweep(
         print_table(problems)
     for sentence in result.sentences():
         echo(*textwrap.wrap(sentence, terminal_width()))
-    echo(f"{result.run_time_s:.2f} s")
+    echo(time_line())
     if out is not None:
         echo(f"written: {out}")
 

@@ -41,6 +41,10 @@ def test_faults() -> None:
     assert "1 cases, 0 faults" in campaign("faults", "--only", "store between runs: cut")
 
 
+def test_planted_links() -> None:
+    assert "24 cases, 0 faults" in campaign("planted", "--only", ", score")
+
+
 def test_servers() -> None:
     assert "3 cases, 0 faults" in campaign("servers", "--only", "moved on the same")
 
@@ -49,6 +53,12 @@ def test_decoys() -> None:
     assert re.search(
         "1 commands among [0-9]+ decoys, 0 faults", campaign("decoys", "--only", "sweep, two workers")
     )
+
+
+def test_people_who_do_not_behave() -> None:
+    pytest.importorskip("playwright.sync_api", reason="pages are driven by Playwright, of the dev extra")
+    out = campaign("people", "1", "--only", "impatient")
+    assert "1 people, answers by flag: 10 none, 5 too_fast; 0 faults" in out
 
 
 @pytest.mark.skipif(getattr(os, "geteuid", lambda: 1)() != 0, reason="only root may mount a disk")

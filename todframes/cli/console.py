@@ -8,6 +8,7 @@ import re
 import shutil
 import sys
 import textwrap
+import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, redirect_stdout, suppress
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -71,7 +72,7 @@ def staged(out: str | None, going: Going | None = None, *, quiet: bool = False) 
     quiet : bool
         Say nothing about results that an earlier run has finished.
     """
-    from todframes.output import output_folder, store_folder, write_files
+    from todframes.output import output_folder, store_path, write_files
 
     if out is None:
         yield Staged(lambda _: None)
@@ -81,7 +82,7 @@ def staged(out: str | None, going: Going | None = None, *, quiet: bool = False) 
         if going is not None:
             from todframes.jobs.store import Store
 
-            store = Store(store_folder(folder), out, None if quiet else say)
+            store = Store(store_path(folder), out, None if quiet else say)
             stack.callback(store.close)
         yield Staged(lambda make: write_files(folder, make()), store)
 
@@ -182,10 +183,15 @@ def finish(
         echo(*textwrap.wrap(visible(sentence), terminal_width()))
     for line in warning_lines(result.warnings):
         echo(*textwrap.wrap(visible(line), terminal_width()))
-    echo(f"{result.run_time_s:.2f} s")
+    echo(time_line())
     if out is not None:
         echo(f"written: {out}")
     check_strict(result.warnings, strict)
+
+
+def time_line() -> str:
+    """Return the time since the process began, which is that for which people have waited."""
+    return f"{time.perf_counter() - signals.STARTED_S:.2f} s"
 
 
 def warning_lines(warnings: Sequence[ResultWarning]) -> Iterator[str]:

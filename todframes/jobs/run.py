@@ -10,6 +10,8 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any, Generic, Protocol, TypeVar
 
+import msgspec
+
 from todframes.errors import TodframesError
 from todframes.jobs.local import ITEMS_PER_TASK
 from todframes.jobs.store import Store
@@ -105,6 +107,14 @@ def run_stored(
                 keyed.records = True
 
 
+def _decoded(work: StoredWork[Item, Result], encoded: bytes) -> Result | None:
+    """Return a result of the store; None if it is no result, which only somebody else can have put there."""
+    try:
+        return work.decode(encoded)
+    except (ValueError, msgspec.MsgspecError):
+        return None
+
+
 def _rows(
     work: StoredWork[Item, Result], batch: Sequence[tuple[int, KeyedResult[Result] | Lost]]
 ) -> list[tuple[bytes, bytes]]:
@@ -171,10 +181,11 @@ def _found(
         for batch in batches:
             for place, key in batch:
                 encoded = None if key is None or isinstance(key, Lost) else store.get(key)
-                result = None if encoded is None else work.decode(encoded)
+                result = None if encoded is None else _decoded(work, encoded)
                 if result is None:
                     left.append(place)
                 else:
+                    store.n_used += 1
                     yield place, result
     return array("q", sorted(left))
 
