@@ -239,6 +239,9 @@ class SimulationWork:
     def stamp(self, item: list[SimulatedTrial]) -> None:
         """Return None: no file is read."""
 
+    def stamped_key(self, item: list[SimulatedTrial], stamp: object) -> None:
+        """Return None: no file is read."""
+
     def encode(self, result: WrittenFrames) -> bytes:
         """Return the rows of the manifest and the numbers of pixels as bytes."""
         return msgspec.msgpack.encode(result)

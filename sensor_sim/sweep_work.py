@@ -175,6 +175,9 @@ class SweepWork:
         """Return nothing: no file is read."""
         return None
 
+    def stamped_key(self, item: Chain, stamp: object) -> None:
+        """Return None: no file is read."""
+
     def encode(self, result: Computed) -> bytes:
         """Return a result as bytes."""
         return msgspec.json.encode(result)

@@ -259,6 +259,8 @@ class Squares:
     called: list[int] = field(default_factory=list)
     fails_at: int | None = None
     items_at_once: int = 3
+    knows_stamps: bool = False
+    keyed: list[int] = field(default_factory=list)
 
     def function(self) -> Callable[[int], int]:
         def do(item: int) -> int:
@@ -273,10 +275,14 @@ class Squares:
         return DataError(f"lost {item}")
 
     def key(self, item: int, *, is_done: bool) -> bytes | None:  # noqa: ARG002
+        self.keyed.append(item)
         return fingerprint(self.power, (self.folder / str(item)).read_bytes(), item)
 
     def stamp(self, item: int) -> object:
         return (self.folder / str(item)).stat().st_mtime_ns
+
+    def stamped_key(self, item: int, stamp: object) -> bytes | None:
+        return fingerprint(self.power, item, stamp) if self.knows_stamps else None
 
     def encode(self, result: int) -> bytes:
         return str(result).encode()
@@ -329,6 +335,19 @@ def test_what_has_changed_is_done_again(squares: Squares, store: Store, tmp_path
     cubes = Squares(tmp_path, power=3)
     assert done(cubes, store)[2] == 8
     assert len(cubes.called) == 20
+
+
+def test_files_of_a_known_stamp_are_not_read_again(squares: Squares, store: Store, tmp_path: Path) -> None:
+    squares.knows_stamps = True
+    store.begin()
+    assert done(squares, store) == SQUARED
+    (tmp_path / "7").write_text("70", encoding="utf-8")
+    os.utime(tmp_path / "8", ns=(1, 1))
+    squares.called.clear()
+    squares.keyed.clear()
+    assert done(squares, store) == SQUARED | {7: 4900}
+    assert squares.called == [7]
+    assert squares.keyed == [7, 8, 7]
 
 
 def test_a_file_that_is_written_meanwhile_is_not_kept(squares: Squares, store: Store, tmp_path: Path) -> None:
