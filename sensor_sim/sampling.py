@@ -110,6 +110,7 @@ class TriangleSampler:
         self._optics, self._detector = optics, detector
         self._width = detector.width_mrad / detector.pitch_mrad
         self.neglected_bound = 0.0
+        self._waves: dict[int, tuple[ComplexArray, ComplexArray]] = {}
         self.sharp = optics is None
         if optics is None:
             return
@@ -234,12 +235,19 @@ class TriangleSampler:
         replicas_y = (self._unfolded @ waves_x).reshape(-1, *waves_y.shape)
         replicas_y *= waves_y
         folded = replicas_y.sum(axis=1)
-        place = np.arange(self._field)[:, None]
-        rows = np.exp(-turn * place * self._folded_y) @ folded
-        # Each wave along x but those of its own conjugate stands for two.
-        weight = np.where(2 * self._folded_x % self.period == 0, 1.0, 2.0) / self.period**2
-        samples = (weight * np.exp(-turn * place * self._folded_x)) @ rows.transpose(1, 0, 2)
+        on_rows, on_columns = self._on_places(self._field)
+        samples = on_columns @ (on_rows @ folded).transpose(1, 0, 2)
         return np.asarray(samples.real.transpose(2, 0, 1))
+
+    def _on_places(self, field: int) -> tuple[ComplexArray, ComplexArray]:
+        """Return the folded waves at the places of detectors, along y and, weighted, along x."""
+        if field not in self._waves:
+            turn, place = 2j * np.pi / self.period, np.arange(field)[:, None]
+            # Each wave along x but those of its own conjugate stands for two.
+            weight = np.where(2 * self._folded_x % self.period == 0, 1.0, 2.0) / self.period**2
+            on_rows, on_columns = (np.exp(turn * place * folded) for folded in (self._folded_y, self._folded_x))
+            self._waves[field] = on_rows, weight * on_columns
+        return self._waves[field]
 
     def _covered_area(self, x: FloatArray, y: FloatArray) -> FloatArray:
         """Compute the share of each active area that an upright triangle covers, exactly: (places, field, field).

@@ -16,9 +16,8 @@ from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from typing import Any
 
-from sensor_sim.explorer.estimate import Level
 from sensor_sim.explorer.limits import Limits, Shares, what_limits
-from sensor_sim.predict import PredictedThreshold
+from sensor_sim.predict import Level, PredictedThreshold
 from sensor_sim.sensor import Sensor
 from todframes.errors import TodframesError
 from todframes.jobs.start import starting_processes
