@@ -147,7 +147,7 @@ def test_width_follows_the_pitch() -> None:
     assert kept.design({"detector.pitch_mrad": 0.05})[0].detector.width_mrad == pytest.approx(0.04)
     assert free.design({"detector.pitch_mrad": 0.2})[0].detector.width_mrad == 0.08
     both = free.design({"detector.pitch_mrad": 0.05, "detector.fill_factor": 0.81})[0].detector
-    assert both.fill_factor == pytest.approx(0.81)
+    assert both.width_mrad == pytest.approx(0.9 * 0.05)
     assert kept.design({"detector.pitch_mrad": 0.2, "detector.width_mrad": 0.1})[0].detector.width_mrad == 0.1
     with pytest.raises(SettingsError, match=r"detector.fill_factor: found 1.2, expected a number above 0 and at"):
         free.design({"detector.fill_factor": 1.2})
