@@ -28,7 +28,10 @@ TABLE_STEP = 20
 SHOWN_NYQUISTS = 3.0
 """Highest frequency in the figure, in units of the Nyquist frequency."""
 
-MTF_NOTE = "Solid: before sampling; dashed: behind it. Thick: all stages before, and behind, together."
+MTF_NOTE = (
+    "Solid: before sampling; dashed: behind it. Thick: all stages before, and behind, together. Stages of the "
+    "same transfer share a line."
+)
 
 # Stages before sampling are solid, those after it dashed; the two products are thick.
 LINES = {
@@ -107,7 +110,13 @@ class SensorMtf(msgspec.Struct, Saving, frozen=True, kw_only=True):
         nyquist, frequency = self.nyquist_cyc_per_mrad, np.array(self.frequency_cyc_per_mrad)
         end = SHOWN_NYQUISTS * nyquist
         shown = frequency <= end
+        alike: dict[object, list[str]] = {}
         for name, values in self.mtf.items():
+            # A product of stages has its own line, also where it is that of a single stage.
+            key = name if name.endswith("_sample") else tuple(np.round(values, 6))
+            alike.setdefault(key, []).append(name)
+        for names in alike.values():
+            name, values = names[0], self.mtf[names[0]]
             colour, line = LINES[name]
             width = 2.4 if name.endswith("_sample") else 1.3
             axes.plot(
@@ -116,7 +125,7 @@ class SensorMtf(msgspec.Struct, Saving, frozen=True, kw_only=True):
                 color=colour,
                 ls=line,
                 lw=width,
-                label=name.replace("_", " "),
+                label=" and ".join(names).replace("_", " "),
             )
         axes.axhline(0.0, color=INK, lw=0.6)
         axes.set(xlabel="frequency in the scene (cycles/mrad)", ylabel="MTF along x", xlim=(0.0, end))
