@@ -7,8 +7,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from todframes.locations import Location, without_secrets
-from todframes.safe_text import in_utf8
+from todframes.locations import Location, in_utf8, without_secrets
 
 
 class TodframesError(Exception):

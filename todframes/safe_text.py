@@ -25,11 +25,6 @@ def visible(text: str) -> str:
     return "".join(one if one.isprintable() else ascii(one)[1:-1] for one in text)
 
 
-def in_utf8(text: str) -> str:
-    r"""Return a text in which what UTF-8 cannot encode is escaped: a byte of a file name becomes `\udce9`."""
-    return text.encode(errors="backslashreplace").decode()
-
-
 def visible_json(text: str) -> str:
     """Return JSON in which characters that a terminal would obey are escaped; its values are the same."""
     return _UNESCAPED_BY_JSON.sub(lambda found: f"\\u{ord(found[0]):04x}", text)

@@ -13,7 +13,7 @@ from todframes.calls.shared import (
     Progress,
 )
 from todframes.errors import DataError, SettingsError
-from todframes.safe_text import in_utf8
+from todframes.locations import in_utf8
 
 if TYPE_CHECKING:
     from todframes.frames.files import PathLike

@@ -14,9 +14,8 @@ from todframes.frames.dataset import Dataset, DatasetWarning
 from todframes.frames.files import has_own_checksums
 from todframes.frames.memory import MemoryDataset
 from todframes.frames.trials import Trial
-from todframes.locations import RemotePath
+from todframes.locations import RemotePath, in_utf8
 from todframes.output import write_file
-from todframes.safe_text import in_utf8
 
 COLUMN = "sha256"
 """Name of the manifest column with the checksums."""

@@ -16,7 +16,7 @@ from msgspec import Meta, Struct, field
 
 from todframes.config import read_file
 from todframes.errors import DataError
-from todframes.safe_text import in_utf8
+from todframes.locations import in_utf8
 
 if TYPE_CHECKING:
     from todframes.diagnosis.missing_threshold import Explanation
