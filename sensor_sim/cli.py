@@ -23,6 +23,7 @@ from todframes.cli.console import (
     say,
     staged,
     terminal_width,
+    time_line,
 )
 from todframes.cli.options import (
     json_option,
@@ -68,7 +69,9 @@ def cli() -> None:
 @click.option("--format", "frame_format", type=click.Choice(["exr", "png"]), default="exr", show_default=True)
 @click.option("--allow-clipping", is_flag=True, help="Let PNG clip more than 1 % of the pixels.")
 @click.option("--stages", is_flag=True, help="Also write the stages of a trial with the highest SNR as pictures.")
-@click.option("--workers", type=click.IntRange(1), default=1, show_default=True, help="Threads that draw frames.")
+@click.option(
+    "--workers", type=click.IntRange(1), default=1, show_default=True, help="Processes that draw frames."
+)
 @run_options
 @quiet_option
 def simulate(*, sensor: Path, sizes: str, snrs: str, trials: int, out: str, quiet: bool, **asked: Any) -> None:
@@ -156,6 +159,11 @@ def curve(*, sensor: Path, sizes: str, out: str | None, quiet: bool, **asked: An
 )
 @click.option("--keep-fill-factor", is_flag=True, help="Let the detectors' width follow a varied pitch.")
 @click.option(
+    "--couple-netd",
+    is_flag=True,
+    help="Let the NETD follow aperture and detectors: NETD ∝ f-number² / area of a detector.",
+)
+@click.option(
     "--minimise",
     metavar="COLUMN[,…]",
     help="Columns to be low for the trade-off front: varied keys, delta_t_mk, threshold_snr, acuity_mrad, "
@@ -229,7 +237,7 @@ def sweep(
         print_table(problems)
     for sentence in result.sentences():
         echo(*textwrap.wrap(sentence, terminal_width()))
-    echo(f"{result.run_time_s:.2f} s")
+    echo(time_line())
     if out is not None:
         echo(f"written: {out}")
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from todframes.errors import FrameError
-from todframes.frames.files import check_decoded_size
+from todframes.frames.files import check_decoded_size, path_in_utf8
 from todframes.recordings.recording import RecordingWarning, StillHeader, check_size, missing_extra
 
 if TYPE_CHECKING:
@@ -45,7 +45,7 @@ def read_header(path: Path, max_frame_mb: int) -> StillHeader:
         values, used = _values(path, raw)
         white, black = raw.white_level, [raw.black_level_per_channel[one] for one in used]
     rows, columns = values.shape
-    check_size(path, (rows, columns))
+    check_size(path, (rows, columns), max_frame_mb)
     warnings = () if values.dtype.kind == "u" else (HALF,)
     return StillHeader((rows, columns), False, 1, float(white), float(np.mean(black)), warnings=warnings)
 
@@ -67,7 +67,7 @@ def _opened(path: Path, max_frame_mb: int) -> Iterator[rawpy.RawPy]:
     except ImportError:
         raise missing_extra(path, "raw", "rawpy") from None
     try:
-        with rawpy.imread(str(path)) as raw:
+        with ExitStack() as stack, rawpy.imread(str(path_in_utf8(path, stack))) as raw:
             check_decoded_size(path, 2 * raw.sizes.raw_width * raw.sizes.raw_height, max_frame_mb)
             yield raw
     except (rawpy.LibRawError, OSError) as error:
