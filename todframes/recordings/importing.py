@@ -453,4 +453,4 @@ def _of_windows(written: dict[str, WrittenWindow], *, is_clipped: bool) -> Itera
 
 
 def _write(path: Path, text: str) -> None:
-    path.write_text(text, encoding="utf-8")
+    path.write_text(text, encoding="utf-8", errors="backslashreplace")  # names may be no UTF-8

@@ -1,4 +1,4 @@
-"""Three-dimensional noise of a recording: variances of time, rows and columns, and of what they share.
+"""Three-dimensional noise of a recording: variances of time, rows, columns and their interactions.
 
 Each value is a mean plus seven independent random parts: one for each frame (t), row (v) and column (h), row of
 a frame (tv), column of a frame (th), pixel (vh), and pixel of a frame (tvh). D'Agostino & Webb 1991, "Three-
