@@ -141,6 +141,8 @@ def locate_triangles(
                 found.append(
                     ways.of_each(members[part], leave_out, advance) if locate == "each" else ways.of_all()
                 )
+            if not is_placed[members[0]] and all(one.error_px is None for one in found):
+                raise _nothing_stands_out(dataset, trials[int(members[0])].group)
             if locate == "group":
                 common = _location(trials.select(members), found, 0.0 * start_px, None, 1.0)
                 found = [one._replace(way_px=0.0 * one.way_px + (common.x_px, common.y_px)) for one in found]
@@ -205,17 +207,17 @@ def _begun(
         size = f"frames of {columns} × {rows} pixels"
         raise DataError(f"{dataset.path}: {size} are smaller than the triangle")
     if not found.height > LEAST_PEAK * found.spread:
-        raise DataError(
-            f"{dataset.path}: no triangle stands out in the frames of {_group_name(dataset, usable[0].group)}; "
-            "expected x_px and y_px in the manifest"
-        )
+        raise _nothing_stands_out(dataset, usable[0].group)
     x_px, y_px = frames.in_pixels((found.x, found.y))
     return members, np.array([to_centroid(one, x_px, y_px, centre, pitch_mrad) for one in usable]), 0.0
 
 
-def _group_name(dataset: Dataset, group: Group) -> str:
+def _nothing_stands_out(dataset: Dataset, group: Group) -> DataError:
     names = zip(dataset.experiment.group_by, group, strict=True)
-    return ", ".join(f"{key} {value}" for key, value in names) or "the dataset"
+    name = ", ".join(f"{key} {value}" for key, value in names) or "the dataset"
+    return DataError(
+        f"{dataset.path}: no triangle stands out in the frames of {name}; expected x_px and y_px in the manifest"
+    )
 
 
 def _of_strongest(
@@ -313,13 +315,14 @@ class _Ways:
         return (found, block_px) if found.signal >= LEAST_SIGNAL else None
 
     def _nothing(self) -> _Found:
-        return _Found(np.zeros((len(self.trials), 2)), np.zeros(2), None, ARRANGEMENTS[0])
+        n = len(self.trials)
+        return _Found(np.zeros((n, 2)), np.zeros(2), None, ARRANGEMENTS[0], np.zeros(n, bool))
 
     def of_all(self) -> _Found:
         """Find the way that all trials have in common."""
         fitted = self._fit(self.trials)
         if fitted is None:
-            return self._nothing()
+            return self._nothing()._replace(is_own=None)
         found, block_px = fitted
         mean = block_px * found.offset
         way = np.tile(mean, (len(self.trials), 1))

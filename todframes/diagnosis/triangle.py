@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from todframes._typing import FloatArray
 from todframes.diagnosis.arrangement import TURNED
 from todframes.diagnosis.limits import (
+    CELL,
     DEGREE,
     FOUND,
     LEAST_VARIANCE,
@@ -338,7 +339,10 @@ def fit(images: Images, start: Shape, shown: tuple[int, ...] = (0, 1, 2, 3)) -> 
     left = images.triangles.copy()
     subtract(left, model.images[order] + _displaced(model.slopes[order], images.apart), square)
     spectrum = noise_spectrum(np.tensordot(factors, left, 1), images.weight, square.side)
+    # The fit has taken the noise of its parameters out of what it leaves.
+    cells = np.linalg.matrix_rank(images.information) * float(images.weight.sum()) / (CELL * shape.size) ** 2
     covariance = _covariance(design, square, images.weight, spectrum)
+    covariance *= cells / max(cells - N_PARAMETERS, cells / 4.0)
     return Fit(shape, covariance, shown, model, square)
 
 
