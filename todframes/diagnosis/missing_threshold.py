@@ -11,7 +11,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from todframes._typing import FloatArray
+from todframes.base._typing import FloatArray
+from todframes.base.errors import TodframesError
 from todframes.diagnosis.arrangement import ARRANGEMENTS, TURNED, Arrangement
 from todframes.diagnosis.limits import (
     LEAST_EVIDENCE,
@@ -24,14 +25,13 @@ from todframes.diagnosis.limits import (
     STRONG_SHARE,
 )
 from todframes.diagnosis.locate import locate_triangles
-from todframes.errors import TodframesError
 from todframes.frames.dataset import Dataset, WarningCode
 from todframes.frames.position import centroid_position
 from todframes.frames.trials import Group, Trial, Trials
 from todframes.observers.interface import Observer
 from todframes.psychometrics.fit import FitSettings, PsychometricFit
 from todframes.scoring.score import ScoredDataset, score_dataset
-from todframes.scoring.trials import Decisions
+from todframes.scoring.seen_trials import Decisions
 
 SIZE_UNITS = (
     (1000.0 * math.pi / 180.0, "Is size_mrad in degrees?"),

@@ -8,12 +8,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from todframes._typing import FloatArray
+from todframes.base._typing import FloatArray
+from todframes.base.errors import DataError, FrameError
 from todframes.diagnosis.limits import BLOCKS_PER_SIZE, REACH_IN_SIZES
-from todframes.errors import DataError, FrameError
+from todframes.display.display import border_values
 from todframes.frames.contrast import LuminanceFound
 from todframes.frames.dataset import Dataset
-from todframes.frames.display import border_values
 from todframes.frames.files import FULL_SCALE
 from todframes.frames.position import centroid_position
 from todframes.frames.surround import (
