@@ -495,8 +495,8 @@ def _less_first(weights: FloatArray) -> FloatArray:
 def _beyond(change: float, shorter: int, period: int) -> float:
     """Return a bound on the change between a period and an endless one, from that between a shorter and this one.
 
-    The tails of the repetitions fall with the cube of the period (`transfer.repetition_bound`), and what they do
-    to the scores at least as fast.
+    The tails of the repetitions fall with the cube of the period, as those of the Airy pattern do (Watson 1944,
+    section 13.75), and what they do to the scores at least as fast.
     """
     share = (shorter / period) ** 3
     return change * share / (1.0 - share)

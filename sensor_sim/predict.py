@@ -11,7 +11,6 @@ Hogervorst et al. 2001, sections 3 to 5 and 8.
 
 from __future__ import annotations
 
-import copy
 import math
 import time
 from collections.abc import Callable, Sequence
@@ -225,12 +224,6 @@ class FoldedChain:
         self._drawn: dict[tuple[int, int], list[list[Phases]]] = {}
         self.orientations = self.plan.orientations
         self.drawing_s = 0.0
-
-    def with_internal_noise(self, scale: float) -> FoldedChain:
-        """Return a copy whose internal noise is scaled in standard deviation; computed values are shared."""
-        other = copy.copy(self)
-        other.noise_covariance = scale**2 * self.noise_covariance
-        return other
 
     def replicates(self, places: int, seed: int) -> list[list[Phases]]:
         """Return `phases` for each replicate, from independent streams, kept for chains of other noise."""

@@ -6,7 +6,7 @@ spectrum × pre-sample MTF at the multiples of 1/period, folded onto the detecto
 and nothing is cut, and a new place of the triangle is one phase factor per frequency.
 
 That sum is the scene repeated with the period. The far tails of the neighbours are an error for a single
-triangle; `wrap_around_bound` says how large it can be in a sample, and a longer period makes it smaller.
+triangle, which falls with the cube of the period.
 `sensor_sim.curve_plan` measures what it does to P(correct), which is part of the error of a threshold.
 
 The samples of one period, times pitch², sum to the triangle's area **at every place** if the detectors are
@@ -23,13 +23,12 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Hashable
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from sensor_sim.sensor import Detector, Optics, Sensor
-from sensor_sim.transfer import band_limit_cyc_per_mrad, pre_sample_mtf, repetition_bound, sharpness_bound
+from sensor_sim.transfer import band_limit_cyc_per_mrad, pre_sample_mtf, sharpness_bound
 from todframes._typing import ComplexArray, FloatArray
 from todframes.errors import SettingsError
 from todframes.stimulus import HEIGHT_PER_SIZE, SIDE_PER_SIZE, Orientation, spectrum
@@ -130,23 +129,6 @@ class TriangleSampler:
                 )
         else:
             self._prepare_spectrum(optics, detector, last)
-
-    @cached_property
-    def wrap_around_bound(self) -> float:
-        """Bound on the difference of a sample from that of a single triangle within half a detector of the middle.
-
-        It falls with the cube of the period. It is 0 if the optics are left out, because nothing is repeated then.
-        """
-        if self.sharp or self._optics is None:
-            return 0.0
-        pitch = self._detector.pitch_mrad
-        return repetition_bound(
-            self._optics,
-            area_mrad2=(self._size * pitch) ** 2,
-            reach_mrad=2.0 / 3.0 * HEIGHT_PER_SIZE * self._size * pitch + self._detector.width_mrad,
-            field_mrad=self._whole_field * pitch,
-            period_mrad=self.period * pitch,
-        )
 
     @property
     def key(self) -> Hashable:

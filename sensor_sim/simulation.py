@@ -5,8 +5,6 @@ Hogervorst et al. 2001, sections 3 and 5.
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -23,6 +21,7 @@ from sensor_sim.sampling import field_detectors, field_sampler
 from sensor_sim.sensor import Sensor
 from todframes import __version__
 from todframes._typing import FloatArray
+from todframes.config import toml_text
 from todframes.errors import DataError, FrameError, SettingsError
 from todframes.frames.files import MAX_FRAME_MB, MAX_SIDE_PX, frame_sha256, write_frame
 from todframes.jobs.fingerprint import fingerprint
@@ -31,6 +30,7 @@ from todframes.jobs.run import run_stored
 from todframes.jobs.store import Store
 from todframes.jobs.work import Engine, Lost
 from todframes.output import held, remove_others
+from todframes.safe_text import csv_text, one_line
 from todframes.stimulus import ORIENTATIONS, Orientation
 
 FrameFormat = Literal["exr", "png"]
@@ -41,6 +41,8 @@ LARGEST_CLIPPED_SHARE = 0.01
 
 LARGEST_SIDE_PX = min(MAX_SIDE_PX, math.isqrt(MAX_FRAME_MB * 2**20 // 2))
 """Largest side of square frames of two bytes a pixel that `todframes` reads."""
+
+MANIFEST_COLUMNS = ("frame", "orientation", "size_mrad", "size_detectors", "snr", "x_px", "y_px", "sha256")
 
 TRIALS_PER_TASK = 32
 
@@ -317,7 +319,8 @@ def write_dataset(
     rows = [row for one in written for row in one.rows]
     if store is not None:
         remove_others(folder, {row[0] for row in rows})
-    (folder / "manifest.csv").write_text(_manifest(rows), encoding="utf-8")
+    manifest = csv_text([MANIFEST_COLUMNS, *rows], as_it_is=True)
+    (folder / "manifest.csv").write_text(manifest, encoding="utf-8")
     (folder / "dataset.toml").write_text(_settings(sensor, white, seed), encoding="utf-8")
     return Written(len(rows), share)
 
@@ -335,29 +338,20 @@ def provenance(sensor: Sensor, seed: int, trial: SimulatedTrial) -> dict[str, st
     }
 
 
-def _manifest(rows: list[list[str]]) -> str:
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(["frame", "orientation", "size_mrad", "size_detectors", "snr", "x_px", "y_px", "sha256"])
-    writer.writerows(rows)
-    return text.getvalue()
-
-
 def _settings(sensor: Sensor, white: float, seed: int) -> str:
-    name = "".join(character if character.isprintable() else " " for character in sensor.name)
-    return f"""\
-# Simulated by sensor-sim {__version__} with seed {seed}; sensor: {name}
-schema = 1
-
-[display]
-eotf = "linear"
-white_luminance_cd_m2 = {white!r}
-black_luminance_cd_m2 = 0.0
-pixel_pitch_mm = {float(sensor.display.pixel_pitch_mm)!r}
-viewing_distance_mm = {float(sensor.display.viewing_distance_mm)!r}
-background_luminance_cd_m2 = {float(sensor.display.background_luminance_cd_m2)!r}
-
-[experiment]
-level = "snr"
-group_by = ["size_detectors"]
-"""
+    display = sensor.display
+    return toml_text(
+        {
+            "schema": 1,
+            "display": {
+                "eotf": "linear",
+                "white_luminance_cd_m2": white,
+                "black_luminance_cd_m2": 0.0,
+                "pixel_pitch_mm": float(display.pixel_pitch_mm),
+                "viewing_distance_mm": float(display.viewing_distance_mm),
+                "background_luminance_cd_m2": float(display.background_luminance_cd_m2),
+            },
+            "experiment": {"level": "snr", "group_by": ["size_detectors"]},
+        },
+        comment=f"Simulated by sensor-sim {__version__} with seed {seed}; sensor: {one_line(sensor.name)}",
+    )

@@ -24,7 +24,6 @@ from sensor_sim.sharing import Shared
 from todframes._typing import FloatArray
 from todframes.errors import SettingsError, TodframesError
 from todframes.jobs.fingerprint import fingerprint
-from todframes.jobs.processes import ProcessEngine
 from todframes.jobs.run import run_stored
 from todframes.jobs.store import Store
 from todframes.jobs.work import Engine, Lost
@@ -263,15 +262,6 @@ def check_sweep(
         raise SettingsError("observer: it is not linear; no curve can be computed, simulate frames instead")
 
 
-def _engine_for(engine: Engine, n_chains: int) -> Engine:
-    """Return the engine for a sweep: processes in place of several threads, which would wait for each other."""
-    if not engine.is_local or engine.n_workers == 1:
-        return engine
-    # Neighbours share parts, but each process gets several tasks, so that all end at about the same time.
-    at_once = min(max(n_chains // (4 * engine.n_workers), 1), ALIKE_TOGETHER)
-    return ProcessEngine(engine.n_workers, items_per_task=at_once)
-
-
 def plan_sweep(base: Base, designs: Designs, sizes: Sequence[float]) -> Plan:
     """Return the computations that designs need, each once, ordered so that neighbours share most."""
     numbers: dict[tuple[Sensor, Changes], int] = {}
@@ -351,7 +341,6 @@ def run_sweep(
     if progress is not None:
         progress(len(plan.reasons) * len(sizes))
     results: list[PredictedThreshold] = [PredictedThreshold(math.nan, IMPOSSIBLE)] * len(plan.chains)
-    engine = _engine_for(engine, len(plan.chains))
     for number, result in run_stored(work, plan.chains, engine=engine, store=store):
         if isinstance(result, Lost):
             size = plan.chains[number].size_detectors

@@ -298,25 +298,24 @@ def squares(tmp_path: Path) -> Squares:
     return Squares(tmp_path)
 
 
-def done(work: Squares, store: Store | None, workers: int = 1) -> dict[int, int]:
-    return dict(run_stored(work, range(20), engine=LocalEngine(workers), store=store))  # type: ignore[arg-type]
+def done(work: Squares, store: Store | None) -> dict[int, int]:
+    return dict(run_stored(work, range(20), engine=LocalEngine(), store=store))  # type: ignore[arg-type]
 
 
 SQUARED = {n: n * n for n in range(20)}
 
 
-@pytest.mark.parametrize("workers", [1, 3])
 @pytest.mark.parametrize("fails_at", [0, 4, 11, 19])
-def test_a_run_goes_on_where_it_was(squares: Squares, store: Store, fails_at: int, workers: int) -> None:
+def test_a_run_goes_on_where_it_was(squares: Squares, store: Store, fails_at: int) -> None:
     store.begin()
     with pytest.raises(DataError, match=f"item {fails_at}"):
-        done(dataclasses.replace(squares, fails_at=fails_at, called=[]), store, workers)
+        done(dataclasses.replace(squares, fails_at=fails_at, called=[]), store)
     kept = fails_at // 3 * 3  # all but the batch under way
     assert len(store) == kept
-    assert done(squares, store, workers) == SQUARED
+    assert done(squares, store) == SQUARED
     assert sorted(squares.called) == list(range(kept, 20))
     squares.called.clear()
-    assert done(squares, store, workers) == SQUARED
+    assert done(squares, store) == SQUARED
     assert squares.called == []
 
 

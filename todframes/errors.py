@@ -7,19 +7,20 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from todframes.locations import Location, without_secrets
+from todframes.locations import Location, in_utf8, without_secrets
 
 
 class TodframesError(Exception):
     """Base class of all errors that a user can cause and correct; `exit_status` is the status of the command.
 
     A URL in the message is shown without a user name, password, parameter or query: they may be secrets.
+    Names that are not UTF-8 are escaped, because results keep messages.
     """
 
     exit_status = 1
 
     def __init__(self, message: str) -> None:
-        super().__init__(without_secrets(message))
+        super().__init__(in_utf8(without_secrets(message)))
 
 
 class DataError(TodframesError, ValueError):

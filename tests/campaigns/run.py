@@ -1,12 +1,15 @@
 """Runs the campaigns of this folder; exit status 1 if a case has not ended as it should.
 
 python tests/campaigns/run.py mutations [N]        # 10,000 mutated frames and settings files; half an hour
+python tests/campaigns/run.py media [N]            # 4,000 mutated recordings
+python tests/campaigns/run.py bombs                # small files that claim much memory
 python tests/campaigns/run.py kills [N]            # 100 kills of clients, workers and schedulers
 python tests/campaigns/run.py long-run [N]         # 100 kills of one run of 20,000 frames
 python tests/campaigns/run.py faults               # full disks, second runs, files that change
 python tests/campaigns/run.py planted              # links planted in OUT, and swapped in during the run
 python tests/campaigns/run.py servers              # endless, slow, compressed, cut and moved answers
 python tests/campaigns/run.py decoys               # modules and settings in the working folder
+python tests/campaigns/run.py explorer [N]         # 300 states of the explorer's page, requests held back
 python tests/campaigns/run.py people [N]           # 5 people of each of 8 kinds sit the experiment in Chromium
 """
 
@@ -18,8 +21,10 @@ from collections.abc import Sequence
 
 import damage
 import decoys
+import explorer
 import faults
 import kills
+import media
 import planted
 import servers
 import sitters
@@ -28,10 +33,14 @@ import sitters
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a campaign and print what it has found. Returns the exit status."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    names = ["mutations", "kills", "long-run", "faults", "decoys", "servers", "planted", "people"]
+    names = ["mutations", "media", "bombs", "kills", "long-run", "faults"]
+    names += ["decoys", "servers", "planted", "people", "explorer"]
     parser.add_argument("campaign", choices=names)
     parser.add_argument(
-        "n", nargs="?", type=int, help="number of mutations, kills or people of a kind [default: 10,000, 100, 5]"
+        "n",
+        nargs="?",
+        type=int,
+        help="number of mutations, kills, people of a kind or states [default: 10,000, 100, 5, 300]",
     )
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--first", type=int, default=0, help="number of the first mutation, to repeat a case")
@@ -43,6 +52,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
             outcomes = damage.run_campaign(asked.n or 10_000, seed=asked.seed, first=asked.first)
             print(damage.table(outcomes))
             return int(any(one.is_fault for one in outcomes))
+        case "media":
+            outcomes = damage.run_campaign(
+                asked.n or 4000, seed=asked.seed, first=asked.first, script=media.__file__
+            )
+            print(damage.table(outcomes))
+            return int(any(one.is_fault for one in outcomes))
+        case "bombs":
+            n, n_faults = media.bombs(asked.only)
+            print(f"{n} cases, {n_faults} faults")
+            return int(bool(n_faults))
         case "kills":
             tallies = kills.campaign(asked.n or 100, seed=asked.seed, only=asked.only)
             return int(any(tally.faults for tally in tallies))
@@ -57,6 +76,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
             print(*found, sep="\n", end="\n" if found else "")
             print(f"{n} commands among {n_decoys} decoys, {len(found)} faults")
             return int(bool(found))
+        case "explorer":
+            walked = explorer.campaign(asked.n or 300, seed=asked.seed)
+            print(walked.line())
+            return int(bool(walked.faults))
         case "servers":
             n, found = servers.campaign(only=asked.only)
         case "planted":

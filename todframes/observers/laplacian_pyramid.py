@@ -56,13 +56,6 @@ class LaplacianPyramid:
             image = reduced
         return [*bands, image.copy()]
 
-    def collapse(self, bands: Sequence[FloatArray]) -> FloatArray:
-        """Restore the image from its bands and residual: the inverse of `build`."""
-        image = bands[-1]
-        for band in reversed(bands[:-1]):
-            image = band + self.expand(image, band.shape)
-        return np.array(image)
-
     def adjoint(self, bands: Sequence[FloatArray]) -> FloatArray:
         """Return the image Lᵀy with ⟨y, Lx⟩ = ⟨Lᵀy, x⟩ for every image x, L being `build`."""
         image = bands[-1]

@@ -7,15 +7,16 @@ from dataclasses import fields
 
 import msgspec
 
+from todframes.config import toml_text
 from todframes.psychometrics.fit import FitSettings
 from todframes.report.data import Fit, PersonResult, Record, ResultData
 from todframes.report.table import EXACT, Column, Table
 from todframes.report.wording import (
     count,
     interval_phrase,
-    level_heading,
     plain,
     quantity,
+    threshold_heading,
     unit_of,
 )
 
@@ -135,7 +136,7 @@ def curves_table(result: ResultData) -> Table:
         for name in first.group
     ]
     columns += [
-        Column(key="threshold", header=f"threshold {level_heading(first.level)}", digits=3),
+        Column(key="threshold", header=threshold_heading(first.level), digits=3),
         Column(key="threshold_ci95", header="95 % interval", interval="threshold_ci95", digits=3, rank=2),
         Column(key="predicted", header="of the model", digits=3),
         Column(key="predicted_ci95", header="its 95 % interval", interval="predicted_ci95", digits=3, rank=2),
@@ -214,15 +215,5 @@ def _toml(result: ResultData, one: PersonResult) -> str:
     values["internal_noise"] = one.internal_noise
     if one.template_blur_samples_ci95 is not None:
         values["template_blur_samples"] = one.template_blur_samples
-    return "".join(
-        [
-            f"# {_sentence(result, one)}\n",
-            f"# todframes score DATASET --observer {result.settings.get('observer')} --observer-settings FILE\n",
-            # Numbers, texts and lists in JSON are TOML too.
-            *(
-                f"{name} = {msgspec.json.encode(value).decode()}\n"
-                for name, value in values.items()
-                if value is not None
-            ),
-        ]
-    )
+    how = f"todframes score DATASET --observer {result.settings.get('observer')} --observer-settings FILE"
+    return toml_text(values, comment=f"{_sentence(result, one)}\n{how}")
