@@ -312,9 +312,16 @@ async def _ask_web(limit: asyncio.Timeout, method: str, path: RemotePath, most_b
             if method == "HEAD":
                 return Content(b"", tag)
             _check_length(_stated_length(path, answer.headers), most_bytes)
-            data = await _received(answer.content.read, most_bytes, limit)
-            if encoding := answer.headers.get("Content-Encoding", "").replace("identity", ""):
-                data = _inflated(path, data, encoding, most_bytes)
+            encoding = answer.headers.get("Content-Encoding", "identity").lower()
+            if encoding not in ("identity", "gzip"):
+                raise RemoteError(f"{path}: {COMPRESSED}")
+            inflater = zlib.decompressobj(wbits=16 + zlib.MAX_WBITS) if encoding == "gzip" else None
+            try:
+                data = await _received(answer.content.read, most_bytes, limit, inflater)
+            except zlib.error:
+                raise RemoteError(f"{path}: {COMPRESSED}") from None
+            if inflater and (not inflater.eof or inflater.unused_data):
+                raise RemoteError(f"{path}: {COMPRESSED}")
             return Content(data, tag)
     raise RemoteError(f"{path}: found more than {MOST_REDIRECTS} redirections, expected the file")
 
@@ -335,30 +342,24 @@ def _stated_length(path: RemotePath, headers: Mapping[str, str]) -> int:
 
 
 async def _received(
-    read: Callable[[int], Awaitable[bytes]], most_bytes: int, limit: asyncio.Timeout | None = None
+    read: Callable[[int], Awaitable[bytes]],
+    most_bytes: int,
+    limit: asyncio.Timeout | None = None,
+    inflater: Any = None,
 ) -> bytes:
-    """Return all bytes of a stream. Each piece of it extends its time limit."""
+    """Return all bytes of a stream, inflated if it is compressed. Each piece that arrives extends its time."""
     pieces: list[bytes] = []
-    n_bytes = 0
+    n_arrived = n_bytes = 0
     while piece := await read(PIECE_BYTES):
-        pieces.append(piece)
-        n_bytes += len(piece)
-        _check_length(n_bytes, most_bytes)
+        n_arrived += len(piece)
         if limit is not None:
             limit.reschedule((limit.when() or 0.0) + len(piece) * S_PER_MB / 2**20)
+        if inflater is not None:
+            piece = inflater.decompress(piece, most_bytes - n_bytes + 1)
+        pieces.append(piece)
+        n_bytes += len(piece)
+        _check_length(max(n_arrived, n_bytes), most_bytes)
     return b"".join(pieces)
-
-
-def _inflated(path: RemotePath, data: bytes, encoding: str, most_bytes: int) -> bytes:
-    inflater = zlib.decompressobj(wbits=16 + zlib.MAX_WBITS)
-    try:
-        whole = inflater.decompress(data, most_bytes + 1) if encoding == "gzip" else b""
-    except zlib.error:
-        raise RemoteError(f"{path}: {COMPRESSED}") from None
-    _check_length(len(whole), most_bytes)
-    if not inflater.eof or inflater.unused_data:
-        raise RemoteError(f"{path}: {COMPRESSED}")
-    return whole
 
 
 def _check_length(n_bytes: int, most_bytes: int) -> None:

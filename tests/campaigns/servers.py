@@ -203,6 +203,17 @@ def endless_gzip(asked: Asked) -> None:
             asked.connection.sendall(chunk(piece))
 
 
+def gzip_with_a_tail(asked: Asked) -> None:
+    asked.send("Content-Encoding: gzip", CHUNKED, body=chunk(gzip.compress(asked.content)))
+    asked.endless(chunk(ZEROS))
+
+
+def endless_empty_gzip(asked: Asked) -> None:
+    """Blocks of gzip without content."""
+    asked.send("Content-Encoding: gzip", CHUNKED, body=chunk(b"\x1f\x8b\x08\0\0\0\0\0\0\xff"))
+    asked.endless(chunk(b"\0\0\0\xff\xff" * 200_000))
+
+
 def endless_headers(asked: Asked) -> None:
     asked.connection.sendall(b"HTTP/1.1 200 OK\r\n")
     for number in itertools.count():
@@ -392,6 +403,8 @@ CASES = {
     "gzip bomb called deflate": Case(partial(gzip_bomb, encoding="deflate")),
     "gzip bomb twice": Case(gzip_bomb_twice),
     "endless gzip": Case(endless_gzip),
+    "gzip with an endless tail": Case(gzip_with_a_tail),
+    "endless gzip of nothing": Case(endless_empty_gzip),
     "endless headers": Case(endless_headers),
     "endless header": Case(endless_header),
     "endless status": Case(endless_status),
