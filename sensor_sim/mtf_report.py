@@ -11,8 +11,8 @@ import numpy as np
 from sensor_sim.sensor import Sensor
 from sensor_sim.transfer import stages
 from todframes import __version__
-from todframes.report.figure_style import COLOURS, INK, label_text, new_figure, style
-from todframes.report.figures import save_png
+from todframes.report.figure_style import COLOURS, INK
+from todframes.report.figures import Picture, drawn
 from todframes.report.table import Column, Table
 
 if TYPE_CHECKING:
@@ -28,6 +28,7 @@ TABLE_STEP = 20
 SHOWN_NYQUISTS = 3.0
 """Highest frequency in the figure, in units of the Nyquist frequency."""
 
+MTF_NOTE = "Solid: before sampling; dashed: behind it. Thick: all stages before, and behind, together."
 
 # Stages before sampling are solid, those after it dashed; the two products are thick.
 LINES = {
@@ -99,11 +100,10 @@ class SensorMtf(msgspec.Struct, frozen=True, kw_only=True):
         -------
         matplotlib Axes
         """
-        from todframes.report.figures import drawn
+        return drawn(self.draw, ax)
 
-        return drawn(self._draw, ax)
-
-    def _draw(self, axes: Axes) -> None:
+    def draw(self, axes: Axes) -> None:
+        """Draw into axes in the style that is set; `plot` sets that of all figures."""
         nyquist, frequency = self.nyquist_cyc_per_mrad, np.array(self.frequency_cyc_per_mrad)
         end = SHOWN_NYQUISTS * nyquist
         shown = frequency <= end
@@ -136,13 +136,8 @@ class SensorMtf(msgspec.Struct, frozen=True, kw_only=True):
 
     def files(self) -> dict[str, bytes]:
         """Return the content of `mtf.csv` and `mtf.png`, by name."""
-        with style():
-            figure, axes = new_figure()
-            self._draw(axes)
-            axes.set_title(label_text(self.sensor))
-            note = "Solid: before sampling; dashed: behind it. Thick: all stages before, and behind, together."
-            picture = save_png(figure, note)
-        return {"mtf.csv": self.table().csv().encode(), "mtf.png": picture}
+        picture = Picture(self.sensor, MTF_NOTE, self.draw, "mtf.png")
+        return {"mtf.csv": self.table().csv().encode(), picture.file: picture.png()}
 
     def save(self, folder: Path | str) -> None:
         """Write `mtf.csv` and `mtf.png` into a folder, both or none.

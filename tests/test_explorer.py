@@ -14,15 +14,17 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
-from contextlib import suppress
+from contextlib import closing, suppress
 from dataclasses import asdict, fields, replace
 from pathlib import Path
 from typing import Any, get_args, get_type_hints
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from matplotlib.figure import Figure
 
 import sensor_sim as ss
 from sensor_sim.cli import cli
@@ -30,8 +32,9 @@ from sensor_sim.designs import numeric_keys
 from sensor_sim.explorer import routes
 from sensor_sim.explorer.engine import Engine, Request
 from sensor_sim.explorer.limits import Shares
-from sensor_sim.explorer.live import LiveCurve
+from sensor_sim.explorer.live import LiveCurve, LiveCurves
 from sensor_sim.explorer.parameters import PARAMETERS
+from sensor_sim.explorer.plots import Drawn, PlotAsked, curve_plot, draw_curves, mtf_plot
 from sensor_sim.explorer.routes import CurveAsked, Explorer, SensorAsked, TextAsked, TomlAsked, TrialAsked
 from sensor_sim.explorer.scaled import unit_of
 from sensor_sim.pictures import trial_stages
@@ -80,13 +83,68 @@ def test_a_parameter_takes_what_its_setting_takes(parameter):
             settings["width_mrad"] = value
         if name != "width_mrad" or value <= settings["pitch_mrad"]:
             kind(**settings)
-    for sensor in routes.presets():
+    for sensor in routes.presets().values():
         value = 0.5 if table == "observer" else getattr(getattr(sensor, table), name)
-        assert parameter.min <= value <= parameter.max
+        assert (value is None and parameter.optional) or parameter.min <= value <= parameter.max
 
 
-def test_the_presets_are_the_sample_sensors():
-    assert routes.presets() == [ss.load_sensor(path) for path in sorted(SAMPLES.glob("*.toml"))]
+def test_the_sample_sensors_are_among_the_presets():
+    presets = routes.presets()
+    for path in SAMPLES.glob("*.toml"):
+        assert presets[path.name] == ss.load_sensor(path)
+    assert routes.CHIP_PITCH_UM.keys() == presets.keys() - {path.name for path in SAMPLES.glob("*.toml")}
+
+
+def test_the_name_of_a_preset_has_its_f_number_and_pitch():
+    for file, pitch_um in routes.CHIP_PITCH_UM.items():
+        sensor = routes.presets()[file]
+        f_number = pitch_um / sensor.detector.pitch_mrad / sensor.optics.aperture_mm
+        assert sensor.name.endswith(f", {pitch_um:g} µm, f/{f_number:.0f}")
+        assert f_number == pytest.approx(round(f_number), rel=1e-3)
+        assert sensor.detector.fill_factor == pytest.approx(1.0 if file == "visible.toml" else 0.9, abs=0.003)
+
+
+@pytest.mark.slow
+def test_sizes_are_chosen_from_the_smallest_one_that_is_seen():
+    """Of the sample sensor, where sizes 2 and 3 are never reached; and of one that shows nothing."""
+    with closing(LiveCurves()) as curves:
+        explorer = Explorer(SENSOR)
+        explorer._live = curves
+        first = next(explorer.curve(asked(sizes_detectors=None), lambda: True))
+        assert [one["size_detectors"] for one in first["thresholds"]] == [4.0, 5.0, 6.0, 8.0, 10.0]
+        assert {one["status"] for one in first["thresholds"]} == {"ok"}
+        tables = TABLES_SENT | {"display": TABLES_SENT["display"] | {"gain": 1e-3}}
+        dark = next(explorer.curve(asked(2, sensor=tables, sizes_detectors=None), lambda: True))
+        assert {one["status"] for one in dark["thresholds"]} == {"never_reached"}
+        near = TABLES_SENT | {"display": TABLES_SENT["display"] | {"viewing_distance_mm": 0.1}}
+        with pytest.raises(SettingsError, match=r"^size_mrad: found 10752\.7 mrad at the eye"):
+            next(explorer.curve(asked(3, sensor=near, sizes_detectors=None), lambda: True))
+
+
+@pytest.mark.parametrize("form", ["svg", "png"])
+def test_plots_are_files_of_the_curves(form):
+    curves = [Drawn("1: before", [0.1, 0.2], [1.0, 2.0], [0.1, 0.1]), Drawn("now", [0.1], [1.5], [0.0])]
+    shown = PlotAsked(form, "TOD curve", "1 / size", "Threshold <SNR>", curves, never_reached=[0.4])
+    found = curve_plot(shown)
+    content = base64.b64decode(found["base64"])
+    assert found["file"] == f"tod_curve.{form}"
+    assert content.startswith(b"\x89PNG" if form == "png" else b"<?xml")
+    assert mtf_plot(ss.mtf(SENSOR), form)["file"] == f"mtf.{form}"
+    if form == "svg":
+        assert found == curve_plot(shown)  # the same bytes
+        assert ElementTree.fromstring(content).tag.endswith("svg")
+
+
+def test_a_plot_has_the_values_the_bands_and_crosses_where_nothing_is_reached():
+    curves = [Drawn("1: before", [0.2, 0.1], [2.0, 1.0], [0.2, 0.1]), Drawn("now", [0.1], [1.5], [0.0])]
+    axes = Figure().subplots()
+    draw_curves(axes, asked=PlotAsked("svg", "", "", "", curves, never_reached=[0.4]))
+    pinned, now, crosses = axes.lines
+    np.testing.assert_array_equal(pinned.get_xydata(), [[0.1, 1.0], [0.2, 2.0]])
+    np.testing.assert_array_equal(now.get_xydata(), [[0.1, 1.5]])
+    np.testing.assert_array_equal(crosses.get_xydata(), [[0.4, 0.0]])
+    vertices = axes.collections[0].get_paths()[0].vertices
+    assert (vertices[:, 1].min(), vertices[:, 1].max()) == (0.9, 2.2)
 
 
 NAMES = st.text(st.characters(exclude_categories=["Cs"]), max_size=20)
@@ -110,16 +168,16 @@ def test_the_file_of_a_sensor_gives_the_same_sensor(name, netd_mk, aperture_mm):
     "name", ["</script><script>alert(1)</script>", "../../etc/passwd", "a; rm -rf ~", "$(reboot)", "", "é 波"]
 )
 def test_a_strange_name_is_harmless_in_files_and_commands(name):
-    made = routes.written(TomlAsked(asdict(replace(SENSOR, name=name))))
+    made = routes.written(TomlAsked(asdict(replace(SENSOR, name=name)), [4.0]))
     assert re.fullmatch(r"[\w-]+\.toml", made["file"])
-    for command in made["command"].values():
-        program, _, file, *_ = shlex.split(command)
-        assert (program, file) == ("sensor-sim", made["file"])
-        assert not re.search(r"[;$`&|<>]", command)
+    program, _, file, *_ = shlex.split(made["command"])
+    assert (program, file) == ("sensor-sim", made["file"])
+    assert not re.search(r"[;$`&|<>]", made["command"])
+    assert routes.written(TomlAsked(TABLES_SENT, None))["command"] is None  # the sizes are being chosen
 
 
 def test_the_command_computes_what_the_page_shows(tmp_path, monkeypatch):
-    shown = TomlAsked(TABLES_SENT, {"internal_noise": 0.35}, [2.5, 4.0], p_correct=0.8)
+    shown = TomlAsked(TABLES_SENT, [2.5, 4.0], {"internal_noise": 0.35}, p_correct=0.8)
     made = routes.written(shown)
     (tmp_path / made["file"]).write_text(made["text"], encoding="utf-8")
     asked: dict[str, Any] = {}
@@ -130,7 +188,7 @@ def test_the_command_computes_what_the_page_shows(tmp_path, monkeypatch):
 
     monkeypatch.setattr("sensor_sim.api.curve", curve)
     monkeypatch.chdir(tmp_path)
-    assert run(cli, shlex.split(made["command"]["curve"])[1:]) == 2
+    assert run(cli, shlex.split(made["command"])[1:]) == 2
     assert asked["sensor"] == SENSOR
     assert (asked["size_detectors"], asked["p_correct"]) == ([2.5, 4.0], 0.8)
     assert asked["observer"].settings == PyramidSettings(internal_noise=0.35)

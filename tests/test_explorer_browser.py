@@ -6,7 +6,10 @@ shows an error, or if it asks another origin for anything.
 
 from __future__ import annotations
 
+import csv
+import io
 import json
+import math
 import random
 import re
 import shlex
@@ -44,6 +47,9 @@ FIRST_PAGE_BYTES = 150_000
 MESSAGE_HAS = "(text) => document.querySelector('#message').textContent.includes(text)"
 SCRIPT = "<img src=x onerror=\"document.title='taken'\"><script>document.title='taken'</script>"
 WIDTHS = (390, 1280)
+IS_DRAWN = "(({ asked, sequence }) => asked === sequence)(document.querySelector('#curve').dataset)"
+"""Whether the curve that is drawn is that of the present state."""
+
 PAPERS: dict[Literal["light", "dark"], str] = {"light": "rgb(255, 255, 255)", "dark": "rgb(20, 23, 27)"}
 IMPOSSIBLE = (
     ("detector.width_mrad", "0.9", "Found 0.9, expected at most pitch_mrad"),
@@ -503,10 +509,9 @@ def test_a_dropped_file_is_opened_and_saved_again(explore, tmp_path: Path) -> No
 
 def test_a_preset_can_be_undone(explore) -> None:
     page = explore()
-    names = page.locator("#presets option").all_inner_texts()
-    assert "star-like" in names
-    painted(page, lambda: page.locator("#presets").select_option(label="star-like, display gain 0.7"))
-    assert [value_of(page, "display.gain"), page.locator("#name").input_value()] == ["0.7", names[-1]]
+    name = "star-like, display gain 0.7"
+    painted(page, lambda: page.locator("#presets").select_option(label=name))
+    assert [value_of(page, "display.gain"), page.locator("#name").input_value()] == ["0.7", name]
     page.click("#undo")
     assert [value_of(page, "display.gain"), page.locator("#name").input_value()] == ["1", "star-like"]
 
@@ -614,6 +619,148 @@ def test_the_curve_of_an_impossible_sensor_is_greyed(explore) -> None:
     assert page.locator("[aria-invalid=true]").count() == 0
 
 
+def test_pitch_and_width_move_together_where_the_fill_factor_is_kept(explore) -> None:
+    page = explore()
+    pitch, width = "detector.pitch_mrad", "detector.width_mrad"
+    type_value(page, width, "0.0646")
+    page.locator(field_of("keep_fill_factor")).check()
+    painted(page, lambda: type_value(page, pitch, "0.04"))
+    # Both are shown with four digits.
+    assert float(value_of(page, width)) == pytest.approx(0.04 * 0.0646 / 0.0681, rel=5e-4)
+    painted(page, lambda: type_value(page, width, "0.0646"))
+    assert float(value_of(page, pitch)) == pytest.approx(0.0681, rel=5e-4)
+    for _ in range(20):
+        page.locator(slider_of(pitch)).press("ArrowRight")
+    for _ in range(20):
+        page.locator(slider_of(pitch)).press("ArrowLeft")
+    ratio = float(value_of(page, width)) / float(value_of(page, pitch))
+    assert ratio == pytest.approx(0.0646 / 0.0681, rel=5e-4)  # it does not drift
+    page.locator(field_of("keep_fill_factor")).uncheck()
+    before = value_of(page, width)
+    type_value(page, pitch, "0.09")
+    assert value_of(page, width) == before
+
+
+def test_the_netd_follows_aperture_and_area_where_it_is_coupled(explore) -> None:
+    page = explore()
+    page.locator(field_of("couple_netd")).check()
+    type_value(page, "optics.aperture_mm", "110")
+    assert value_of(page, "noise.netd_mk") == "64"
+    type_value(page, "noise.netd_mk", "40")
+    type_value(page, "optics.aperture_mm", "220")
+    assert value_of(page, "noise.netd_mk") == "10"
+    page.locator(field_of("keep_fill_factor")).check()
+    painted(page, lambda: type_value(page, "detector.pitch_mrad", "0.1362"), "refined")
+    assert value_of(page, "noise.netd_mk") == "2.5"
+    assert saved(page)["noise"]["netd_mk"] == 2.5
+    page.reload()
+    page.wait_for_selector("#curve[data-stage=refined]")
+    assert page.locator(field_of("couple_netd")).is_checked()
+    page.locator(field_of("couple_netd")).uncheck()
+    type_value(page, "optics.aperture_mm", "110")
+    assert value_of(page, "noise.netd_mk") == "2.5"
+
+
+def test_the_f_number_is_that_of_the_pitch_on_the_chip(explore) -> None:
+    page = explore()
+    note = page.locator("fieldset:has(#field-detector-pitch_mrad) .note")
+    # 15 µm per 0.0681 mrad are 220 mm, the aperture; 4 µm · f/1 / 15 µm is 0.27.
+    assert note.inner_text() == "f/1, focal length 220 mm, λF/d 0.27"
+    type_value(page, "optics.aperture_mm", "55")
+    assert note.inner_text() == "f/4, focal length 220 mm, λF/d 1.1"
+    page.locator("#presets").select_option(label="uncooled LWIR, 12 µm, f/1")
+    assert note.inner_text() == "f/1, focal length 35 mm, λF/d 0.83"
+
+
+def test_every_preset_begins_with_sizes_that_it_shows(explore) -> None:
+    page = explore()
+    for name in page.locator("#presets option").all_inner_texts()[1:]:
+        painted(page, lambda name=name: page.locator("#presets").select_option(label=name))
+        wait_until(page, IS_DRAWN)
+        rows = table(page)
+        assert len(rows) == 5 and all("±" in row["SNR"] for row in rows), name
+        assert value_of(page, "sizes_detectors") == ", ".join(row["Size (detectors)"] for row in rows)
+        assert page.locator("#never").text_content() == ""
+
+
+def test_sizes_that_are_never_reached_are_marked_on_the_axis(explore) -> None:
+    page = explore(expected_console=["willReadFrequently"])  # this test reads the canvas twice
+    warning = """() => {
+      const one = document.createElement("i");
+      one.style.color = "var(--warning)";
+      document.body.append(one);
+      const found = getComputedStyle(one).color.match(/[0-9]+/g).map(Number);
+      one.remove();
+      return found;
+    }"""
+    red = page.evaluate(warning)
+    marks = """(red) => {
+      const canvas = document.querySelector("#curve-chart canvas");
+      const { data } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
+      let found = 0;
+      for (let at = 0; at < data.length; at += 4) found += red.every((one, k) => Math.abs(data[at + k] - one) < 9);
+      return found;
+    }"""
+    assert page.evaluate(marks, red) == 0
+    painted(page, lambda: type_value(page, "sizes_detectors", "2, 3, 6"), "refined")
+    assert page.locator("#never").inner_text() == "× Never reached: 2, 3 detectors"
+    wait_until(page, f"({marks})({red}) > 20")
+    page.locator("[name=unit][value=mrad] + span").click()
+    assert page.locator("#never").inner_text() == "× Never reached: 0.1362, 0.2043 mrad"
+
+
+def test_pinned_curves_have_numbers_and_ratios(explore) -> None:
+    page = explore()
+    painted(page, lambda: type_value(page, "sizes_detectors", "4, 8"), "refined")
+    page.click("#pin")
+    assert "1 — as now; thresholds 1 × those now" in page.locator("#pins").inner_text()
+    before = table(page)
+    painted(page, lambda: type_value(page, "optics.aperture_mm", "110"), "refined")
+    now = table(page)
+    ratios = [
+        number(one["SNR"]).value / number(other["SNR"]).value for one, other in zip(before, now, strict=True)
+    ]
+    text = page.locator("#pins").inner_text()
+    assert text.startswith("1 — optics: aperture 220 mm; thresholds ")
+    found = [float(one) for one in re.findall(r"[\d.]+", text.partition("thresholds")[2])]
+    wanted = [math.sqrt(math.prod(ratios)), min(ratios), max(ratios)]
+    assert found == pytest.approx(wanted, rel=0.01)  # three digits, and the table is rounded
+    page.click("#pin")
+    page.click("#pins li:first-child .remove")
+    page.click("#pin")
+    assert [one.partition(" ")[0] for one in page.locator("#pins li").all_inner_texts()] == ["1", "2"]
+
+
+def test_plots_and_numbers_are_saved_as_files(explore) -> None:
+    page = explore()
+    painted(page, lambda: type_value(page, "sizes_detectors", "3, 6"), "refined")
+    page.click("#pin")
+    wait_until(page, "document.querySelector('#mtf-table').rows.length > 5")
+
+    def file(button: str) -> tuple[str, bytes]:
+        with page.expect_download() as download:
+            page.click(button)
+        return download.value.suggested_filename, download.value.path().read_bytes()
+
+    for button, name, start in (
+        ("#png", "tod_curve.png", b"\x89PNG"),
+        ("#svg", "tod_curve.svg", b"<?xml"),
+        ("#mtf-png", "mtf.png", b"\x89PNG"),
+        ("#mtf-svg", "mtf.svg", b"<?xml"),
+    ):
+        found = file(button)
+        assert (found[0], found[1][: len(start)]) == (name, start)
+    name, content = file("#csv")
+    rows = list(csv.DictReader(io.StringIO(content.decode())))
+    assert name == "tod_curve.csv"
+    assert [(row["curve"], row["status"]) for row in rows] == [
+        ("now", "never_reached"), ("now", "ok"), ("1", "never_reached"), ("1", "ok"),
+    ]  # fmt: skip
+    shown = number(table(page)[1]["SNR"])
+    assert float(rows[1]["snr"]) == pytest.approx(shown.value, abs=shown.rounding)
+    assert rows[0]["snr"] == "" and float(rows[1]["size_mrad"]) == pytest.approx(6 * 0.0681)
+
+
 def test_the_orientation_is_hidden_until_asked(explore) -> None:
     page = explore()
     asked: list[str] = []
@@ -677,7 +824,7 @@ def test_a_reader_of_screens_has_names_tables_and_results(explore) -> None:
     assert canvases == [True, True, True]
     announced = page.locator("#announcement")
     assert announced.get_attribute("aria-live") == "polite"
-    assert re.search(r"Threshold SNR at 2 detectors: .*; 8 detectors: \d", announced.text_content() or "")
+    assert re.search(r"Threshold SNR at 4 detectors: .*; 8 detectors: \d", announced.text_content() or "")
 
 
 def test_the_first_page_is_small(explore) -> None:

@@ -10,7 +10,7 @@ import multiprocessing
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
@@ -103,7 +103,7 @@ class LiveCurves:
         level: Level = "snr",
         tolerances: tuple[float, float] = TOLERANCES,
         is_wanted: Callable[[], bool],
-    ) -> Iterator[LiveCurve]:
+    ) -> Generator[LiveCurve, None, None]:
         """Yield an estimate, and then curves of which more and more is refined; stop as soon as no more is wanted.
 
         One curve is computed at a time; another thread waits until it is done or no longer wanted.

@@ -6,7 +6,7 @@ import base64
 import re
 import shlex
 from collections import OrderedDict
-from collections.abc import AsyncIterator, Callable, Iterator
+from collections.abc import AsyncIterator, Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import asynccontextmanager, closing
 from dataclasses import asdict
@@ -21,8 +21,11 @@ from starlette.applications import Starlette
 from sensor_sim.explorer.estimate import Level
 from sensor_sim.explorer.live import LiveCurve, LiveCurves
 from sensor_sim.explorer.parameters import PARAMETERS
+from sensor_sim.explorer.plots import Format, PlotAsked, curve_plot, mtf_plot
+from sensor_sim.mtf_report import sensor_mtf
 from sensor_sim.noise import delta_t_mk
 from sensor_sim.predict import PredictedThreshold
+from sensor_sim.sampling import field_detectors
 from sensor_sim.sensor import SCHEMA, Sensor, sensor_from, sensor_toml
 from sensor_sim.simulation import SimulatedTrial
 from todframes import __version__
@@ -30,11 +33,22 @@ from todframes.config import from_table, parse_toml, toml_literal
 from todframes.errors import SettingsError
 from todframes.observers.pyramid import PyramidObserver, PyramidSettings
 from todframes.psychometrics.fit import FitSettings
-from todframes.stimulus import ORIENTATIONS
+from todframes.stimulus import ORIENTATIONS, Stimulus
 from todframes.web.pages import call, page, stream
 
-SIZES_DETECTORS = (2.0, 3.0, 4.0, 6.0, 8.0)
-"""Sizes of the first curve."""
+LADDER_DETECTORS = (1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 12.0, 16.0, 20.0, 24.0, 32.0)
+"""Sizes of which those of a sensor are chosen: the smallest one that is ever seen, and the next ones."""
+
+SIZES_CHOSEN, TRIED_AT_ONCE = 5, 4
+"""Number of sizes that are chosen, and of those that are tried at a time."""
+
+LARGEST_ERROR = 0.1
+"""Relative error of an estimate above which a size is hardly ever seen: the curve begins at the next one."""
+
+CHIP_PITCH_UM = {"cooled_mwir.toml": 15.0, "uncooled_lwir.toml": 12.0, "visible.toml": 3.45}
+"""Pitch of the detectors on the chip, by preset: with it the page shows the f-number."""
+
+USUAL_CHIP_PITCH_UM = 15.0
 
 MOST_CLIENTS = 64
 """Number of pages whose latest request is remembered."""
@@ -60,9 +74,12 @@ class SensorAsked(msgspec.Struct):
 
 
 class CurveAsked(SensorAsked):
-    """A request for a curve; `client` is a name that a page gives itself, and `sequence` counts its requests."""
+    """A request for a curve; `client` is a name that a page gives itself, and `sequence` counts its requests.
 
-    sizes_detectors: Sizes
+    Without sizes, those are taken that suit the sensor.
+    """
+
+    sizes_detectors: Sizes | None
     client: Annotated[str, Meta(max_length=64)]
     sequence: int
     observer: Tables = {}
@@ -84,11 +101,17 @@ class TrialAsked(SensorAsked):
 
 
 class TomlAsked(SensorAsked):
-    """A request for the file of a sensor, and for the commands that compute its curve."""
+    """A request for the file of a sensor, and for the command that computes its curve."""
 
+    sizes_detectors: Sizes | None
     observer: Tables = {}
-    sizes_detectors: Sizes = msgspec.field(default_factory=lambda: list(SIZES_DETECTORS))
     p_correct: float = 0.75
+
+
+class MtfPlotAsked(SensorAsked):
+    """A request for the plot of a sensor's MTFs as a file."""
+
+    format: Format
 
 
 class TextAsked(msgspec.Struct):
@@ -147,6 +170,8 @@ class Explorer:
             call("/api/orientation", TrialAsked, lambda asked: {"orientation": asked.trial().orientation.value}),
             call("/api/toml", TomlAsked, written),
             call("/api/parse", TextAsked, read),
+            call("/api/plot", PlotAsked, curve_plot),
+            call("/api/mtf-plot", MtfPlotAsked, lambda asked: mtf_plot(sensor_mtf(asked.made()), asked.format)),
         ]
         return page(files("sensor_sim.explorer") / "static", calls, self.running)
 
@@ -157,9 +182,12 @@ class Explorer:
             "sensor": asdict(self.sensor),
             "observer": {"internal_noise": PyramidSettings().internal_noise},
             "p_correct": FitSettings().p_correct,
-            "sizes_detectors": SIZES_DETECTORS,
+            "chip_pitch_um": USUAL_CHIP_PITCH_UM,
             "fields": PARAMETERS,
-            "presets": [{"name": one.name, "sensor": asdict(one)} for one in presets()],
+            "presets": [
+                {"sensor": asdict(one), "chip_pitch_um": CHIP_PITCH_UM.get(file, USUAL_CHIP_PITCH_UM)}
+                for file, one in presets().items()
+            ],
         }
 
     def curve(self, asked: CurveAsked, is_connected: Callable[[], bool]) -> Iterator[dict[str, Any]]:
@@ -173,22 +201,73 @@ class Explorer:
         self._latest.note(asked.client, asked.sequence)
         sensor, observer = asked.made(), PyramidObserver(_settings(asked.observer))
         sizes, p_correct = asked.sizes_detectors, FitSettings(p_correct=asked.p_correct).p_correct
-        if len(set(sizes)) < len(sizes):
+        if sizes is not None and len(set(sizes)) < len(sizes):
             raise SettingsError("sizes_detectors: found a value twice, expected each once")
 
         def is_wanted() -> bool:
             return is_connected() and self._latest.is_newest(asked.client, asked.sequence)
 
-        level = asked.level
-        found = self._live.curves(sensor, observer, sizes, p_correct=p_correct, level=level, is_wanted=is_wanted)
-        return (_line(asked.sequence, sensor, level, curve) for curve in found)
+        def lines() -> Iterator[dict[str, Any]]:
+            wanted = sizes or self._sizes_of(sensor, observer, p_correct, is_wanted)
+            for curve in self._live.curves(
+                sensor, observer, wanted, p_correct=p_correct, level=asked.level, is_wanted=is_wanted
+            ):
+                yield _line(asked.sequence, sensor, asked.level, curve)
+
+        return lines()
+
+    def _sizes_of(
+        self, sensor: Sensor, observer: PyramidObserver, p_correct: float, is_wanted: Callable[[], bool]
+    ) -> Sequence[float]:
+        """Return sizes from the smallest one that is surely seen on; if none is, the smallest ones.
+
+        Raises
+        ------
+        SettingsError
+            If not even the smallest size can be computed.
+        """
+        known = list(_computed_sizes(sensor, observer))
+        for start in range(0, len(known), TRIED_AT_ONCE):
+            tried = known[start : start + TRIED_AT_ONCE]
+            with closing(
+                self._live.curves(sensor, observer, tried, p_correct=p_correct, is_wanted=is_wanted)
+            ) as found:
+                estimate = next(found, None)
+            if estimate is None:
+                break  # no longer wanted
+            for place, threshold in enumerate(estimate.thresholds, start):
+                if _is_surely_seen(threshold):
+                    return known[place : place + SIZES_CHOSEN]
+        return known[:SIZES_CHOSEN]
 
 
-def presets() -> list[Sensor]:
-    """Return the sample sensors."""
+def _is_surely_seen(found: PredictedThreshold) -> bool:
+    if found.threshold is None or found.numerical_error is None:
+        return found.status == "always_exceeded"
+    return found.numerical_error <= LARGEST_ERROR * found.threshold
+
+
+def _computed_sizes(sensor: Sensor, observer: PyramidObserver) -> Iterator[float]:
+    """Yield the sizes of the ladder that are not too large for the sensor's field and the observer's retina."""
+    for size in LADDER_DETECTORS:
+        try:
+            field_detectors(sensor, size)
+            observer.grid(Stimulus(size * sensor.display.detector_pitch_mrad))
+        except SettingsError:
+            if size == LADDER_DETECTORS[0]:
+                raise
+            return
+        yield size
+
+
+def presets() -> dict[str, Sensor]:
+    """Return the presets by the names of their files."""
     folder = files("sensor_sim.explorer").joinpath("presets")
     found = sorted(folder.iterdir(), key=lambda file: file.name)
-    return [sensor_from(parse_toml(file.read_text(encoding="utf-8"), file.name), file.name) for file in found]
+    return {
+        file.name: sensor_from(parse_toml(file.read_text(encoding="utf-8"), file.name), file.name)
+        for file in found
+    }
 
 
 def _line(sequence: int, sensor: Sensor, level: Level, curve: LiveCurve) -> dict[str, Any]:
@@ -232,8 +311,6 @@ def _settings(observer: Tables) -> PyramidSettings:
 
 def transfer(asked: SensorAsked) -> dict[str, Any]:
     """Return the transfer before and after sampling, as `sensor-sim mtf` computes it."""
-    from sensor_sim.mtf_report import sensor_mtf
-
     found = sensor_mtf(asked.made())
     return {
         "frequency_cyc_per_mrad": found.frequency_cyc_per_mrad,
@@ -245,7 +322,7 @@ def transfer(asked: SensorAsked) -> dict[str, Any]:
 
 
 def trial_pictures(asked: TrialAsked) -> dict[str, Any]:
-    """Return one trial at each stage as pictures of 8-bit grey; the orientation is not told.
+    """Return one trial at each stage as pictures of 8-bit grey; the orientation is not among them.
 
     Raises
     ------
@@ -253,7 +330,6 @@ def trial_pictures(asked: TrialAsked) -> dict[str, Any]:
         If the sensor is invalid, or a picture would have more than `MOST_PICTURE_PIXELS`.
     """
     from sensor_sim.pictures import BLACK, FINE_PIXELS_PER_DETECTOR, STAGE_TITLES, WHITE, trial_stages
-    from sensor_sim.sampling import field_detectors
 
     sensor = asked.made()
     per_detector = max(FINE_PIXELS_PER_DETECTOR, sensor.display.pixels_per_detector)
@@ -282,21 +358,22 @@ def trial_pictures(asked: TrialAsked) -> dict[str, Any]:
 
 
 def written(asked: TomlAsked) -> dict[str, Any]:
-    """Return the text of the SENSOR.toml, a name for the file, and the commands that compute the same."""
+    """Return the text of the SENSOR.toml, a name for the file, and the command that computes the same curve.
+
+    The command is None while the sizes are not known.
+    """
     sensor = asked.made()
     name = re.sub(r"[^\w-]+", "_", sensor.name).strip("_")[:60] or "sensor"
     file = f"{name}.toml"
+    if asked.sizes_detectors is None:
+        return {"file": file, "text": sensor_toml(sensor), "command": None}
     sizes = ",".join(f"{size!r}".removesuffix(".0") for size in asked.sizes_detectors)
     settings = asdict(_settings(asked.observer))
     others = [f"--set {key}={toml_literal(settings[key])}" for key in asked.observer if settings[key] is not None]
     curve = ["sensor-sim curve", shlex.quote(file), "--size-detectors", sizes, *others]
     if asked.p_correct != FitSettings().p_correct:
         curve.append(f"--p-correct {asked.p_correct!r}")
-    return {
-        "file": file,
-        "text": sensor_toml(sensor),
-        "command": {"curve": " ".join(curve), "mtf": f"sensor-sim mtf {shlex.quote(file)}"},
-    }
+    return {"file": file, "text": sensor_toml(sensor), "command": " ".join(curve)}
 
 
 def read(asked: TextAsked) -> dict[str, Any]:

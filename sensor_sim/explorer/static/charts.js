@@ -82,20 +82,30 @@ export const STRENGTHS = {
   delta_t_mk: { header: "ΔT (mK)", axis: "Threshold ΔT (mK)", error: "delta_t_error_mk", level: "snr" },
   contrast: { header: "Contrast", axis: "Threshold contrast, no detector noise", error: "contrast_error", level: "contrast" },
 };
-const SIZES = { detectors: "size_detectors", mrad: "size_mrad" };
-const ABSCISSAE = {
+export const SIZES = { detectors: "size_detectors", mrad: "size_mrad" };
+export const ABSCISSAE = {
   inverse: { detectors: "1 / size (1 / detectors)", mrad: "1 / size (1 / mrad)" },
   size: { detectors: "Size √area (detectors)", mrad: "Size √area (mrad)" },
 };
 
+/** Return the thresholds of one curve as they are drawn: abscissa, value with its error or null, and status. */
+export function points(thresholds, view) {
+  return thresholds.map((one) => {
+    const size = one[SIZES[view.unit]];
+    return {
+      x: view.abscissa === "size" ? size : 1 / size,
+      value: one[view.strength],
+      error: one[STRENGTHS[view.strength].error],
+      status: one.status,
+    };
+  });
+}
+
 /** Return the columns of one curve, ordered by abscissa: abscissa, threshold, and the ends of its interval. */
 function columns(thresholds, view) {
-  const rows = thresholds.map((one) => {
-    const size = one[SIZES[view.unit]];
-    const value = one[view.strength];
-    const error = one[STRENGTHS[view.strength].error];
+  const rows = points(thresholds, view).map(({ x, value, error }) => {
     const ends = value === null ? [null, null] : [Math.max(value - error, value / 10), value + error];
-    return [view.abscissa === "size" ? size : 1 / size, value, ...ends];
+    return [x, value, ...ends];
   });
   rows.sort((a, b) => a[0] - b[0]);
   return [0, 1, 2, 3].map((column) => rows.map((row) => row[column]));
@@ -104,6 +114,7 @@ function columns(thresholds, view) {
 /** Curves of thresholds: pinned ones behind, the present one with its error band in front. */
 export class CurveChart {
   #chart;
+  #drawn = { thresholds: [], pinned: [], view: null };
 
   constructor(host) {
     this.#chart = new Chart(host);
@@ -115,6 +126,7 @@ export class CurveChart {
    * @param {{strength: string, abscissa: string, unit: string}} view
    */
   draw(thresholds, pinned, view) {
+    this.#drawn = { thresholds: thresholds ?? [], pinned, view };
     const curves = [...pinned.map((pin) => columns(pin.thresholds, view)), columns(thresholds ?? [], view)];
     const data = curves.length > 1 ? uPlot.join(curves) : curves[0];
     const kind = JSON.stringify([view, pinned.map((pin) => pin.number)]);
@@ -149,7 +161,37 @@ export class CurveChart {
         x: { time: false, range: (_, low, high) => (high > 0 ? [0, 1.04 * high] : [0, 1]) },
         y: { distr: 3, range: (_, low, high) => logRange(low, high) },
       },
+      hooks: { draw: [(plot) => this.#mark(plot)] },
     };
+  }
+
+  /** Mark the sizes that are never reached by crosses on the axis, and pinned curves by their numbers. */
+  #mark(plot) {
+    const { thresholds, pinned, view } = this.#drawn;
+    const { ctx, bbox } = plot;
+    const arm = 4 * devicePixelRatio;
+    ctx.save();
+    ctx.strokeStyle = colour("--warning");
+    ctx.lineWidth = 2 * devicePixelRatio;
+    ctx.beginPath();
+    for (const { x, status } of points(thresholds, view)) {
+      if (status !== "never_reached") continue;
+      const [at, y] = [plot.valToPos(x, "x", true), bbox.top + bbox.height];
+      for (const side of [-1, 1]) {
+        ctx.moveTo(at - arm, y - side * arm);
+        ctx.lineTo(at + arm, y + side * arm);
+      }
+    }
+    ctx.stroke();
+    ctx.font = `600 ${LETTERS_PX * devicePixelRatio}px system-ui, sans-serif`;
+    ctx.textAlign = "right";
+    for (const { number, thresholds: ofPin } of pinned) {
+      const first = points(ofPin, view).filter((one) => one.value !== null).sort((a, b) => a.x - b.x)[0];
+      if (!first) continue;
+      ctx.fillStyle = colour(`--pin-${number}`);
+      ctx.fillText(String(number), plot.valToPos(first.x, "x", true) - 2 * arm, plot.valToPos(first.value, "y", true) + arm);
+    }
+    ctx.restore();
   }
 }
 

@@ -16,7 +16,8 @@ export const TEST_FIELDS = [
     label: "Sizes",
     unit: "detectors",
     kind: "sizes",
-    help: "Sizes √area of the triangles in detector pitches, separated by spaces or commas.",
+    optional: true,
+    help: "Sizes √area of the triangles in detector pitches, separated by commas. Empty: chosen for the sensor.",
   },
   {
     key: "p_correct",
@@ -29,6 +30,36 @@ export const TEST_FIELDS = [
     max: 0.98,
     step: 0.01,
     help: "Proportion of correct answers at the threshold; guessing gives 0.25.",
+  },
+  {
+    key: "chip_pitch_um",
+    group: "Detector",
+    label: "Pitch on the chip",
+    unit: "µm",
+    kind: "number",
+    scale: "log",
+    min: 1,
+    max: 50,
+    step: 0.005,
+    help: "For the f-number alone; no threshold depends on it.",
+  },
+  {
+    key: "keep_fill_factor",
+    group: "Detector",
+    label: "Keep fill factor",
+    unit: "",
+    kind: "switch",
+    optional: true,
+    help: "Pitch and width move together.",
+  },
+  {
+    key: "couple_netd",
+    group: "Noise",
+    label: "NETD ∝ f-number² / area",
+    unit: "",
+    kind: "switch",
+    optional: true,
+    help: "The NETD follows the aperture and the area of a detector. Off: it stays.",
   },
 ];
 const MOST_SIZES = 12;
@@ -74,7 +105,7 @@ class Field {
     this.#unread = unread;
     const id = `field-${field.key.replaceAll(".", "-")}`;
     this.#error = element("p", { className: "error", id: `${id}-error`, hidden: true });
-    this.input = field.kind === "choice" ? this.#choice() : this.#text();
+    this.input = { choice: () => this.#choice(), switch: () => this.#switch() }[field.kind]?.() ?? this.#text();
     this.input.id = id;
     const label = element("label", { htmlFor: id, id: `${id}-label` }, field.label);
     if (field.unit) label.append(" ", element("span", { className: "unit" }, field.unit));
@@ -92,11 +123,17 @@ class Field {
     return select;
   }
 
+  #switch() {
+    const input = element("input", { type: "checkbox" });
+    input.addEventListener("change", () => this.#change(this.#field.key, input.checked, true));
+    return input;
+  }
+
   #text() {
     const mode = this.#field.kind === "integer" ? "numeric" : "decimal";
     const input = element("input", { type: "text", inputMode: this.#field.kind === "sizes" ? "text" : mode });
     input.autocomplete = "off";
-    if (this.#field.optional) input.placeholder = "none";
+    if (this.#field.optional) input.placeholder = this.#field.kind === "sizes" ? "chosen for the sensor" : "none";
     const read = (isFinal) => {
       let value;
       try {
@@ -122,8 +159,8 @@ class Field {
   }
 
   #read(text) {
-    if (this.#field.kind === "sizes") return readSizes(text);
     if (this.#field.optional && text.trim() === "") return null;
+    if (this.#field.kind === "sizes") return readSizes(text);
     const value = parsed(text);
     if (Number.isNaN(value)) throw new Error(`Found ${text.trim() ? `“${text}”` : "nothing"}, expected a number.`);
     if (this.#field.kind === "integer" && !Number.isInteger(value)) {
@@ -147,6 +184,10 @@ class Field {
 
   /** Show a value, except in a number field that is being edited and has this value already. */
   show(value) {
+    if (this.#field.kind === "switch") {
+      this.input.checked = value !== null;
+      return;
+    }
     this.#showText(value);
     if (this.#slider === null) return;
     this.#slider.classList.toggle("unset", value === null);
@@ -192,6 +233,7 @@ function readSizes(text) {
 /** All parameters, in groups. */
 export class Controls {
   #fields = new Map();
+  #notes = new Map();
 
   /**
    * @param {HTMLFormElement} form
@@ -205,13 +247,23 @@ export class Controls {
     for (const [group, members] of Map.groupBy(fields, (field) => field.group)) {
       const made = members.map((field) => new Field(field, handlers));
       members.forEach((field, index) => this.#fields.set(field.key, made[index]));
-      form.append(element("fieldset", {}, element("legend", {}, group), ...made.map((field) => field.row)));
+      const note = element("p", { className: "note" });
+      this.#notes.set(group, note);
+      form.append(element("fieldset", {}, element("legend", {}, group), ...made.map((field) => field.row), note));
     }
   }
 
-  /** Show the values of a state. */
-  show(state) {
-    for (const [key, field] of this.#fields) field.show(valueOf(state, key) ?? null);
+  /** Show the values of a state; after another one, those that differ. */
+  show(state, before = null) {
+    for (const [key, field] of this.#fields) {
+      const value = valueOf(state, key) ?? null;
+      if (before === null || !isSame(value, valueOf(before, key) ?? null)) field.show(value);
+    }
+  }
+
+  /** Show a note below a group. */
+  note(group, text) {
+    this.#notes.get(group).textContent = text;
   }
 
   /** Show the lines of errors at the fields of their keys, and none at the others. */

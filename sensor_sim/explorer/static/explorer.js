@@ -1,12 +1,14 @@
 // The explorer: parameters on one side, the curve, the MTFs and a trial of the sensor on the other.
 
-import { CurveChart, MtfChart, shownFrequency, STRENGTHS } from "./charts.js";
+import { CurveChart, MtfChart, shownFrequency, SIZES, STRENGTHS } from "./charts.js";
 import { Controls, TEST_FIELDS } from "./controls.js";
 import { byId, element, fillTable } from "./elements.js";
 import { LiveCurve, Newest } from "./live.js";
 import { percentAtMost, plain, withError } from "./numbers.js";
+import { csvOf, download, downloadPlot, plotOf } from "./files.js";
+import { MOST_PINS, showPins, withPin } from "./pins.js";
 import { post, Watch } from "./server.js";
-import { fromHash, History, Session, toHash, valueOf, withValue } from "./state.js";
+import { fromHash, History, moved, opticsInWords, Session, toHash, valueOf, withSensor, withValue } from "./state.js";
 import { Trial } from "./trial.js";
 
 /** Time for which a curve may be that of an earlier state before it is greyed. */
@@ -14,7 +16,6 @@ const STALE_DELAY_MS = 400;
 const HASH_DELAY_MS = 400;
 const MTF_DELAY_MS = 60;
 const TRIAL_DELAY_MS = 250;
-const MOST_PINS = 6;
 const MOST_FILE_BYTES = 500_000;
 const SHARES = { internal: "Internal noise", detector: "Detector noise", sampling: "Sampling" };
 const MTF_ROWS = 13;
@@ -37,6 +38,8 @@ class Explorer {
   #mtfChart = new MtfChart(byId("mtf-chart"));
   #trial = new Trial();
   #mtfSensor = null;
+  /** The axes of what is drawn. */
+  #shown = null;
   #timers = {};
   #live = new LiveCurve({
     show: (record, curve) => this.#showCurve(record, curve),
@@ -47,14 +50,17 @@ class Explorer {
 
   constructor(start) {
     this.#fields = [...start.fields, ...TEST_FIELDS];
-    const { sensor, observer, sizes_detectors, p_correct } = start;
-    this.#first = { sensor, observer, sizes_detectors, p_correct };
+    const { sensor, observer, p_correct, chip_pitch_um } = start;
+    const switches = { keep_fill_factor: null, couple_netd: null };
+    this.#first = { sensor, observer, sizes_detectors: null, p_correct, chip_pitch_um, ...switches };
     this.#history = new History(this.#first);
     this.#controls = new Controls(byId("controls"), this.#fields, {
       change: (...change) => this.#move(...change),
       unread: (key, line) => this.#unread(key, line),
     });
-    start.presets.forEach(({ name }, index) => byId("presets").append(element("option", { value: index }, name)));
+    start.presets.forEach(({ sensor: { name } }, index) =>
+      byId("presets").append(element("option", { value: index }, name)),
+    );
     this.#listen(start.presets);
     this.#session = new Session(start.version, this.#first);
     this.#pins = this.#session.pins;
@@ -69,9 +75,9 @@ class Explorer {
     on("redo", "click", () => this.#go(this.#history.redo()));
     on("reset", "click", () => this.#open(this.#first, "Reset to the sensor at the start."));
     on("presets", "change", ({ target }) => {
-      const { name, sensor } = presets[Number(target.value)];
+      const { sensor, chip_pitch_um } = presets[Number(target.value)];
       target.value = "";
-      this.#open({ ...this.#now.state, sensor }, `Preset ${name}.`);
+      this.#open({ ...withSensor(this.#now.state, sensor), chip_pitch_um }, `Preset ${sensor.name}.`);
     });
     on("name", "change", ({ target }) => this.#move("sensor.name", target.value, true));
     on("open", "click", () => byId("file").click());
@@ -87,6 +93,11 @@ class Explorer {
     });
     on("command", "click", () => this.#copyCommand());
     on("pin", "click", () => this.#pin());
+    on("csv", "click", () => this.#drawn && download("tod_curve.csv", csvOf(this.#pins, this.#drawn)));
+    for (const format of ["png", "svg"]) {
+      on(format, "click", () => this.#drawn && this.#plot("/api/plot", plotOf(this.#pins, this.#drawn, this.#shown, format)));
+      on(`mtf-${format}`, "click", () => this.#mtfSensor && this.#plot("/api/mtf-plot", { sensor: this.#mtfSensor, format }));
+    }
     for (const input of document.querySelectorAll(".axes input")) {
       input.addEventListener("change", () => {
         this.#view = { ...this.#view, [input.name]: input.value };
@@ -143,7 +154,9 @@ class Explorer {
     const isMoved = value !== undefined && JSON.stringify(value) !== JSON.stringify(valueOf(state, key));
     if (isMoved || unread.has(key)) {
       const others = new Map([...unread].filter(([other]) => other !== key));
-      this.#enter(isMoved ? withValue(state, key, value) : state, others);
+      const next = isMoved ? moved(state, key, value) : state;
+      this.#controls.show(next, state);
+      this.#enter(next, others);
     }
     if (isFinal) this.#record(isSlider ? key : null);
   }
@@ -193,6 +206,7 @@ class Explorer {
 
   #showCurve(record, curve) {
     record.curve = curve;
+    if (record.state.sizes_detectors === null) this.#complete(record);
     this.#drawn = record;
     this.#drawCurve();
     this.#showLimits(curve.limits);
@@ -204,6 +218,16 @@ class Explorer {
     const { state } = record;
     if (state.sensor !== this.#mtfSensor) this.#later("mtf", MTF_DELAY_MS, () => this.#mtf.ask(state.sensor));
     if (curve.is_last) this.#later("trial", TRIAL_DELAY_MS, () => this.#trial.show(state, curve.thresholds));
+  }
+
+  /** Take the sizes that the server has chosen for a record. */
+  #complete(record) {
+    const { state } = record;
+    record.state = withValue(state, "sizes_detectors", record.curve.thresholds.map((one) => one.size_detectors));
+    this.#history.complete(state, record.state);
+    if (record !== this.#now) return;
+    this.#controls.show(record.state, state);
+    this.#keep();
   }
 
   async #refuse(record, error) {
@@ -219,6 +243,7 @@ class Explorer {
     const { line, lines } = this.#verdict();
     byId("status").textContent = line;
     this.#controls.showErrors(lines);
+    this.#controls.note("Detector", opticsInWords(this.#now.state));
     this.#showHistory();
     const section = byId("curve");
     // Tests and benchmarks read which request is on the screen, and which one it should be.
@@ -265,7 +290,7 @@ class Explorer {
     const chosen = isOffered(this.#view.strength) ? this.#view.strength : "snr";
     // Until the curve of another level is there, this one stays as it is.
     const strength = STRENGTHS[chosen].level === curve.level ? chosen : curve.level;
-    const view = { ...this.#view, strength };
+    const view = (this.#shown = { ...this.#view, strength });
     for (const input of document.querySelectorAll(".axes input")) {
       input.checked = input.value === { ...view, strength: chosen }[input.name];
       if (input.value !== "delta_t_mk") continue;
@@ -275,7 +300,10 @@ class Explorer {
     this.#curveChart.draw(curve.thresholds, this.#pins, view);
     Object.assign(byId("curve").dataset, { stage: curve.stage, sequence: curve.sequence });
     this.#showNumbers(Object.keys(STRENGTHS).filter((name) => isOffered(name) && STRENGTHS[name].level === curve.level));
-    this.#showPins();
+    const never = curve.thresholds.filter((one) => one.status === "never_reached");
+    const sizes = never.map((one) => plain(one[SIZES[view.unit]])).join(", ");
+    byId("never").textContent = sizes && `× Never reached: ${sizes} ${view.unit}`;
+    this.#showPins(view);
   }
 
   #showNumbers(names) {
@@ -346,11 +374,7 @@ class Explorer {
   }
 
   #pin() {
-    if (this.#drawn === null || this.#pins.length >= MOST_PINS) return;
-    const taken = new Set(this.#pins.map((pin) => pin.number));
-    const number = Array.from({ length: MOST_PINS }, (_, index) => index + 1).find((one) => !taken.has(one));
-    const { curve, state } = this.#drawn;
-    this.#setPins([...this.#pins, { number, thresholds: curve.thresholds, state }]);
+    if (this.#drawn !== null && this.#pins.length < MOST_PINS) this.#setPins(withPin(this.#pins, this.#drawn));
   }
 
   #setPins(pins) {
@@ -359,39 +383,12 @@ class Explorer {
     this.#drawCurve();
   }
 
-  #showPins() {
+  #showPins(view) {
     byId("pin").disabled = this.#pins.length >= MOST_PINS;
-    const shown = JSON.stringify([this.#pins.map((pin) => pin.number), this.#drawn.state]);
-    if (byId("pins").dataset.shown === shown) return;
-    byId("pins").dataset.shown = shown;
-    const items = this.#pins.map((pin) => {
-      const remove = element("button", { type: "button", className: "remove", title: "Remove" }, "×");
-      remove.setAttribute("aria-label", `Remove pinned curve ${pin.number}`);
-      remove.addEventListener("click", () => {
-        this.#setPins(this.#pins.filter((other) => other !== pin));
-        byId("pin").focus();
-      });
-      const swatch = element("span", { className: `line pin-${pin.number}` });
-      return element("li", {}, swatch, element("span", {}, this.#difference(pin.state)), remove);
+    showPins(this.#pins, this.#drawn, this.#fields, view, (pin) => {
+      this.#setPins(this.#pins.filter((other) => other !== pin));
+      byId("pin").focus();
     });
-    byId("pins").replaceChildren(...items);
-  }
-
-  /** Return how a pinned state differs from the one that is shown. */
-  #difference(state) {
-    const now = this.#drawn.state;
-    const differing = this.#fields.filter(
-      ({ key }) => JSON.stringify(valueOf(state, key)) !== JSON.stringify(valueOf(now, key)),
-    );
-    const texts = differing.map(({ key, label, group, unit }) => {
-      const value = valueOf(state, key);
-      const text = value === null ? "none" : Array.isArray(value) ? value.join(", ") : value;
-      return `${group.toLowerCase()}: ${label.toLowerCase()} ${text} ${unit ?? ""}`.trim();
-    });
-    const name = state.sensor.name === now.sensor.name ? [] : [state.sensor.name];
-    if (!texts.length) return [...name, "as now"].join("; ");
-    const more = texts.length > 3 ? [`and ${texts.length - 3} more`] : [];
-    return [...name, ...texts.slice(0, 3), ...more].join("; ");
   }
 
   async #read(file) {
@@ -402,7 +399,7 @@ class Explorer {
     }
     try {
       const { sensor } = await post("/api/parse", { text: await file.text(), name: file.name });
-      this.#open({ ...this.#now.state, sensor }, `${file.name} opened.`);
+      this.#open(withSensor(this.#now.state, sensor), `${file.name} opened.`);
     } catch (error) {
       this.#fail(error);
     }
@@ -421,9 +418,15 @@ class Explorer {
     if (!this.#isWhole()) return;
     try {
       const { text, file } = await post("/api/toml", this.#now.state);
-      const address = URL.createObjectURL(new Blob([text], { type: "application/toml" }));
-      element("a", { href: address, download: file }).click();
-      setTimeout(() => URL.revokeObjectURL(address), 10_000);
+      download(file, text);
+    } catch (error) {
+      this.#fail(error);
+    }
+  }
+
+  async #plot(path, body) {
+    try {
+      await downloadPlot(path, body);
     } catch (error) {
       this.#fail(error);
     }
@@ -433,7 +436,11 @@ class Explorer {
     if (!this.#isWhole()) return;
     try {
       const { command, file } = await post("/api/toml", this.#now.state);
-      await this.#copy(command.curve, `Command copied. It reads ${file}, which Save SENSOR.toml writes.`);
+      if (command === null) {
+        this.#tell("The command has the sizes of the curve, which is still being computed.");
+        return;
+      }
+      await this.#copy(command, `Command copied. It reads ${file}, which Save SENSOR.toml writes.`);
     } catch (error) {
       this.#fail(error);
     }

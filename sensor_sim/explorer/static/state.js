@@ -1,11 +1,16 @@
 // The state of the page: a sensor, an observer and a test. States are never changed; a change makes a new one.
 
+import { plain } from "./numbers.js";
+
 /**
  * @typedef {object} State
  * @property {object} sensor Tables and name, as in SENSOR.toml.
  * @property {object} observer
- * @property {number[]} sizes_detectors
+ * @property {number[]|null} sizes_detectors Null: those that suit the sensor, which the server chooses.
  * @property {number} p_correct
+ * @property {number} chip_pitch_um Pitch of the detectors on the chip, for the f-number.
+ * @property {number|null} keep_fill_factor Width divided by pitch, which is kept when one of them moves; or null.
+ * @property {number|null} couple_netd NETD × (aperture × width)², which is kept when one of them moves; or null.
  */
 
 /**
@@ -34,6 +39,61 @@ export function withValue(state, key, value) {
   const change = (part, [name, ...rest]) => ({ ...part, [name]: rest.length ? change(part[name], rest) : value });
   return change(state, place(key));
 }
+
+const APERTURE = "optics.aperture_mm";
+const PITCH = "detector.pitch_mrad";
+const WIDTH = "detector.width_mrad";
+const NETD = "noise.netd_mk";
+const DIGITS = 4;
+
+/**
+ * Return the state after a field has moved, with the values that follow it. A switch moves to true or false.
+ *
+ * The NETD follows (f-number)² / (area of a detector). The focal length is in both and cancels: what remains is
+ * 1 / (aperture × angular width)².
+ */
+export function moved(state, key, value) {
+  if (key === "keep_fill_factor") return { ...state, [key]: value ? fill(state) : null };
+  if (key === "couple_netd") return { ...state, [key]: value ? netdConstant(state) : null };
+  let next = withValue(state, key, value);
+  const kept = next.keep_fill_factor;
+  if (kept !== null && key === PITCH) next = withValue(next, WIDTH, Math.min(value, rounded(value * kept)));
+  if (kept !== null && key === WIDTH) next = withValue(next, PITCH, Math.max(value, rounded(value / kept)));
+  if (next.couple_netd === null) return next;
+  if (key === NETD) return { ...next, couple_netd: netdConstant(next) };
+  if (valueOf(next, NETD) === null || key.startsWith("noise.")) return next;
+  const netd = rounded(next.couple_netd / (valueOf(next, APERTURE) * valueOf(next, WIDTH)) ** 2);
+  return netd > 0 && Number.isFinite(netd) ? withValue(next, NETD, netd) : next;
+}
+
+/** Return a state with another sensor, for which the server chooses sizes; its switches stay where they are. */
+export function withSensor(state, sensor) {
+  const next = { ...state, sensor, sizes_detectors: null };
+  return {
+    ...next,
+    keep_fill_factor: state.keep_fill_factor === null ? null : fill(next),
+    couple_netd: state.couple_netd === null ? null : netdConstant(next),
+  };
+}
+
+const rounded = (value) => Number(value.toPrecision(DIGITS));
+
+const fill = (state) => valueOf(state, WIDTH) / valueOf(state, PITCH);
+
+function netdConstant(state) {
+  return (valueOf(state, NETD) ?? 0) * (valueOf(state, APERTURE) * valueOf(state, WIDTH)) ** 2;
+}
+
+/** Return f-number, focal length and λF/d of a state, in words. */
+export function opticsInWords({ sensor, chip_pitch_um: pitch_um }) {
+  const { optics, detector } = sensor;
+  const focal_mm = pitch_um / detector.pitch_mrad;
+  const fNumber = focal_mm / optics.aperture_mm;
+  const ratio = (optics.wavelength_um * fNumber) / pitch_um;
+  return `f/${plain(rounded2(fNumber))}, focal length ${plain(rounded2(focal_mm))} mm, λF/d ${plain(rounded2(ratio))}`;
+}
+
+const rounded2 = (value) => Number(value.toPrecision(value >= 100 ? 3 : 2));
 
 function place(key) {
   const path = key.split(".");
@@ -70,6 +130,11 @@ export class History {
     this.#states = [...kept, state];
     this.#at = kept.length;
     this.#last = { key, time };
+  }
+
+  /** Put a state in the place of an equal one that lacked what the server has chosen since. */
+  complete(state, whole) {
+    if (this.state === state) this.#states[this.#at] = whole;
   }
 
   undo() {
@@ -114,7 +179,7 @@ export function fromHash(hash, fields, first) {
 
 function isPlain(value) {
   if (Array.isArray(value)) return value.every((one) => typeof one === "number");
-  return value === null || typeof value === "number" || typeof value === "string";
+  return value === null || ["number", "string"].includes(typeof value);
 }
 
 /** What a reload of the tab brings back: state, axes and pinned curves, unless the address has another link since. */
