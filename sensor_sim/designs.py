@@ -15,7 +15,7 @@ import numpy as np
 from sensor_sim.sensor import TABLES, Sensor
 from todframes._typing import FloatArray
 from todframes.config import MAX_ROWS, check_fields, check_keys, number, read_csv
-from todframes.errors import DataError, SettingsError
+from todframes.errors import DataError, SettingsError, argument
 
 FILL_FACTOR = "detector.fill_factor"
 """Key for the active share of a detector's area; it sets `detector.width_mrad` from the pitch."""
@@ -350,7 +350,7 @@ class Base:
                 parts[table] = replace(before, **changes)
             except SettingsError as error:
                 too_narrow = PITCH in values and WIDTH not in values and "pitch_mrad (" in str(error)
-                hint = "; with --keep-fill-factor the width follows the pitch" if too_narrow else ""
+                hint = f"; with {argument.keep_fill_factor} the width follows the pitch" if too_narrow else ""
                 raise SettingsError(f"{table}.{error}{hint}") from None
         parts.pop("observer", None)
         return replace(self.sensor, **parts), tuple(tables.get("observer", {}).items())

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import ast
 import doctest
 import inspect
 import json
+import re
 import subprocess
 import sys
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,6 +22,7 @@ import todframes as tod
 from sensor_sim.cli import cli as sensor_cli
 from todframes.cli.console import run
 from todframes.cli.main import cli
+from todframes.errors import flag_of
 from todframes.report.data import decode
 
 ROOT = Path(__file__).parent.parent
@@ -223,3 +227,106 @@ def test_result_of_the_least_fields() -> None:
     fit = {"group": {}, "level": "contrast", "status": "ok", "p_correct": 0.75, "threshold": 0.2}
     content = json.dumps({"schema": 1, "command": "score", "fits": [fit]}).encode()
     assert decode(content, "result", tod.Result).thresholds[0].threshold_ci95 is None
+
+
+FLAG = re.compile(r"(?<![-\w`])--[a-z]")
+COMMANDS_ALONE = ("cli", "cli.py", "studies")
+"""Rooms and modules whose errors only commands raise."""
+
+
+def errors_in_source() -> Iterator[tuple[str, ast.Call]]:
+    """All calls of errors in the packages, with their places."""
+    for package in (tod, ss):
+        folder = Path(package.__file__).parent
+        for path in folder.rglob("*.py"):
+            if path.relative_to(folder).parts[0] in COMMANDS_ALONE:
+                continue
+            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+                if (
+                    isinstance(node, ast.Call)
+                    and isinstance(node.func, ast.Name)
+                    and node.func.id.endswith("Error")
+                ):
+                    yield f"{path}:{node.lineno}", node
+
+
+def test_errors_of_calls_name_arguments() -> None:
+    """No error of the library names an option, and each argument that one names is that of a call."""
+    calls = [getattr(package, name) for package, name in NAMES]
+    known = {name for one in calls if inspect.isfunction(one) for name in inspect.signature(one).parameters}
+    known |= {"bits"}  # a setting of `chart` for a screen
+    n_named = 0
+    for place, call in errors_in_source():
+        for node in ast.walk(call):
+            if isinstance(node, ast.Constant) and isinstance(node.value, str):
+                assert not FLAG.search(node.value), place
+            if (
+                isinstance(node, ast.Attribute)
+                and isinstance(node.value, ast.Name)
+                and node.value.id == "argument"
+            ):
+                assert node.attr in known, place
+                n_named += 1
+    assert n_named > 20
+
+
+def test_options_of_arguments_exist() -> None:
+    """Each argument that an error names has the option of a command, which shows it in its place."""
+    options = {
+        option
+        for group in (cli, sensor_cli)
+        for command in group.commands.values()
+        for parameter in command.params
+        for option in parameter.opts
+    }
+    named = {
+        node.attr
+        for _, call in errors_in_source()
+        for node in ast.walk(call)
+        if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id == "argument"
+    }
+    assert {flag_of(name) for name in named} <= options
+
+
+@pytest.mark.parametrize(
+    ("call", "arguments", "command", "named", "option"),
+    [
+        (tod.naked_eye, {}, ["naked-eye"], "contrast", "--contrast"),
+        (tod.noise, {"recording": "x.npy", "frames_per_second": -1}, None, "frames_per_second: found -1", ""),
+        (
+            tod.import_recordings,
+            {"recordings": "x.npy", "out": "y", "schedule": "z", "value_range": (1, 0)},
+            ["import", "x.npy", "-o", "y", "--schedule", "z", "--range", "1:0"],
+            "value_range: found 1:0",
+            "--range: found 1:0",
+        ),
+        (
+            tod.score,
+            {"dataset": NAKED_EYE, "cluster": "nowhere"},
+            ["score", str(NAKED_EYE), "--cluster", "nowhere"],
+            "cluster: found 'nowhere'",
+            "--cluster: found 'nowhere'",
+        ),
+    ],
+)
+def test_an_error_names_what_its_reader_wrote(capsys, call, arguments, command, named, option) -> None:
+    with pytest.raises(tod.SettingsError, match=named) as caught:
+        call(**arguments)
+    assert "--" not in str(caught.value)
+    if command is not None:
+        assert run(cli, command) == 2
+        assert option in capsys.readouterr().err
+
+
+def test_every_command_has_a_call() -> None:
+    renamed = {
+        "fit": "fit_counts",
+        "import": "import_recordings",
+        "new": "new_dataset",
+        "experiment": "run_experiment",
+    }
+    renamed |= {"report": "load_result", "enhancements": "find_enhancement"}
+    alone = {"accuracy", "stability"}  # studies of this package
+    for package, group in ((tod, cli), (ss, sensor_cli)):
+        for name in set(group.commands) - alone:
+            assert callable(getattr(package, renamed.get(name, name.replace("-", "_")))), name

@@ -34,7 +34,7 @@ from pathlib import Path, PurePosixPath
 import msgspec
 
 from todframes import __version__, signals
-from todframes.errors import OutputError, TodframesError
+from todframes.errors import OutputError, TodframesError, argument
 from todframes.signals import held_back
 
 if sys.platform != "win32":
@@ -542,7 +542,8 @@ def _check_replaceable(name: str, path: Path, found: Inventory, overwrite: bool)
     """Raise OutputError unless a folder that is not empty is a dataset that may and can be replaced."""
     if not overwrite:
         raise OutputError(
-            f"{name}: is not empty; expected a new name, or --overwrite, which replaces only what todframes wrote"
+            f"{name}: is not empty; expected a new name, or {argument.overwrite}, which replaces only what "
+            "todframes wrote"
         )
     if MARK not in found:
         raise OutputError(

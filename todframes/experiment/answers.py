@@ -25,7 +25,7 @@ import msgspec
 from msgspec import Meta
 
 from todframes.config import MAX_CSV_MB, number, number_or_text, read_file
-from todframes.errors import DataError, OutputError, SettingsError
+from todframes.errors import DataError, OutputError, SettingsError, argument
 from todframes.experiment.monitor import Monitor
 from todframes.frames.trials import Group
 from todframes.output import write_file
@@ -482,7 +482,7 @@ class AnswerFile:
         elif not self.path.read_bytes().startswith(header):
             raise DataError(
                 f"{self.path}: found a session of an earlier version, without the column flag; expected one of "
-                "this version, so take another --subject"
+                f"this version, so take another {argument.subject}"
             )
 
     def append(self, row: TrialRow) -> None:
@@ -504,7 +504,7 @@ class AnswerFile:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             raise OutputError(
-                f"{self.path}: another server is writing this session; end it, or take another --subject"
+                f"{self.path}: another server is writing this session; end it, or take another {argument.subject}"
             ) from None
         except OSError:
             pass  # a file system without locks

@@ -38,7 +38,7 @@ import distributed
 from distributed import Client, KilledWorker, LocalCluster
 from distributed.versions import VersionMismatchWarning
 
-from todframes.errors import ClusterError, SettingsError
+from todframes.errors import ClusterError, SettingsError, argument
 from todframes.jobs import worker
 from todframes.jobs.start import SAFE_PATH, safe_path
 from todframes.jobs.work import Lost, Work
@@ -344,7 +344,9 @@ def _pickled(value: object) -> bytes:
     try:
         return bytes(cloudpickle.dumps(value))
     except Exception as error:
-        raise SettingsError(f"--cluster: cannot send this to other processes ({in_words(error)})") from None
+        raise SettingsError(
+            f"{argument.cluster}: cannot send this to other processes ({in_words(error)})"
+        ) from None
 
 
 class _Background:
@@ -414,7 +416,7 @@ async def _connected(cluster: str) -> AsyncIterator[Client]:
         elif re.fullmatch("(tcp|tls|ws|wss)://.+:[0-9]{1,5}", cluster):
             address = cluster
         else:
-            raise SettingsError(f"--cluster: found {cluster!r}, expected local:N or tcp://HOST:PORT")
+            raise SettingsError(f"{argument.cluster}: found {cluster!r}, expected local:N or tcp://HOST:PORT")
         client = await stack.enter_async_context(_client(address))
         await _check(client, cluster)
         yield client

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from todframes.config import csv_text, number
-from todframes.errors import DataError, OutputError, SettingsError
+from todframes.errors import DataError, OutputError, SettingsError, argument
 from todframes.frames.dataset import SCHEMA, Experiment
 from todframes.frames.display import Display
 from todframes.frames.display_files import LUT_FILE, find_display, table_of_display
@@ -114,7 +114,9 @@ def new_dataset(
     assert isinstance(shown, Display)
     for name in (SETTINGS_FILE, MANIFEST_FILE, *([] if shown.lut is None else [LUT_FILE])):
         if (folder / name).exists() and not overwrite:
-            raise OutputError(f"{folder / name}: is there already; move it away, or use --overwrite to replace it")
+            raise OutputError(
+                f"{folder / name}: is there already; move it away, or use {argument.overwrite} to replace it"
+            )
     with output_folder(str(folder)) as staged:
         rows, unmatched = [], []
         for file in _files(folder, pattern):
@@ -152,17 +154,19 @@ def _expression(pattern: str, level: str) -> re.Pattern[str]:
             parts.append("[^/]*?")
             continue
         if not name.isidentifier() or name in NOT_FROM_NAMES:
-            raise SettingsError(f"--from: found {{{name}}}, expected the name of a column, such as {{size_mrad}}")
+            raise SettingsError(
+                f"{argument.pattern}: found {{{name}}}, expected the name of a column, such as {{size_mrad}}"
+            )
         if name in names:
-            raise SettingsError(f"--from: found {{{name}}} twice, expected each column once")
+            raise SettingsError(f"{argument.pattern}: found {{{name}}} twice, expected each column once")
         names.append(name)
         parts.append(f"(?P<{name}>{_expected(name, level)})")
     parts.append(re.escape(pattern[end:]))
     for name in ("orientation", "size_mrad", level):
         if name not in names:
             found = ", ".join(f"{{{one}}}" for one in names) or "no names in braces"
-            hint = "; --level names another one" if name == level != "size_mrad" else ""
-            raise SettingsError(f"--from: {{{name}}} is missing in {pattern}; found {found}{hint}")
+            hint = f"; {argument.level} names another one" if name == level != "size_mrad" else ""
+            raise SettingsError(f"{argument.pattern}: {{{name}}} is missing in {pattern}; found {found}{hint}")
     return re.compile("".join(parts))
 
 
