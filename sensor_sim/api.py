@@ -141,6 +141,7 @@ def sweep(
     design: Path | str | Sequence[Mapping[str, float]] | Designs | None = None,
     sample: int | None = None,
     keep_fill_factor: bool = False,
+    couple_netd: bool = False,
     minimise: Sequence[str] = (),
     maximise: Sequence[str] = (),
     acuity_snr: float | None = None,
@@ -175,6 +176,8 @@ def sweep(
         Number of designs of a Latin hypercube over the ranges of `vary`.
     keep_fill_factor : bool
         Whether the detectors' width follows a varied pitch.
+    couple_netd : bool
+        Whether the sensor's NETD follows aperture and detectors: NETD ∝ (f-number)² / (area of a detector).
     minimise, maximise : sequence of str
         Columns that are best when low or high, for the trade-off front: varied keys, "delta_t_mk",
         "threshold_snr", "acuity_mrad", "acuity_detectors". The first orders the designs.
@@ -213,7 +216,7 @@ def sweep(
     [12, 25, 10, 21]
     """
     started = time.perf_counter()
-    from sensor_sim.designs import Base, make_designs
+    from sensor_sim.designs import Base, check_coupling, make_designs
     from sensor_sim.sweep_result import SweepResult
     from sensor_sim.sweep_tables import Criterion, objectives
     from sensor_sim.sweep_work import SweepWork, Variants, check_sweep, run_sweep
@@ -224,8 +227,10 @@ def sweep(
     sizes = [float(size) for size in size_detectors]
     check_sweep(sensor, judge, sizes, p_correct=p_correct, tolerance=tolerance)
     observers = Variants.of(judge)
-    base = Base(sensor, observers.settings, keep_fill_factor)
+    base = Base(sensor, observers.settings, keep_fill_factor, couple_netd)
     designs = make_designs(base, vary=vary, design=design, sample=sample, seed=seed)
+    if couple_netd:
+        check_coupling(sensor, designs.keys)
     has_netd = sensor.noise.netd_mk is not None or "noise.netd_mk" in designs.keys
     criterion = Criterion.of(acuity_snr, acuity_delta_t_mk, has_netd=has_netd)
     goals = objectives(minimise, maximise, designs.keys, has_netd=has_netd, has_acuity=criterion is not None)
@@ -239,6 +244,7 @@ def sweep(
         "design": str(design) if isinstance(design, Path | str) else None,
         "sample": sample,
         "keep_fill_factor": keep_fill_factor,
+        "couple_netd": couple_netd,
         "minimise": [one.column for one in goals if one.sign > 0],
         "maximise": [one.column for one in goals if one.sign < 0],
         "acuity_snr": acuity_snr,
@@ -254,6 +260,7 @@ def sweep(
         whole_keys=tuple(key for key in designs.keys if base.keys[key]),
         settings=settings,
         seed=seed,
+        from_store=0 if store is None else store.n_used,
         run_time_s=round(time.perf_counter() - started, 4),
     )
 
@@ -268,7 +275,6 @@ def simulate(
     seed: int = 1,
     frame_format: FrameFormat = "exr",
     allow_clipping: bool = False,
-    overwrite: bool = False,
     stages: bool = False,
     workers: int = 1,
     cluster: str | Engine | None = None,
@@ -288,7 +294,7 @@ def simulate(
     snr : sequence of float
         Signals of a large triangle divided by the standard deviation of the noise of a sample.
     out : path
-        Folder to make.
+        Folder to make, new or empty.
     trials : int
         Frames of each size and SNR.
     seed : int
@@ -297,8 +303,6 @@ def simulate(
         Half-float EXR in cd/m², or 16-bit PNG.
     allow_clipping : bool
         Let PNG clip more than 1 % of the pixels.
-    overwrite : bool
-        Replace `out` if it exists.
     stages : bool
         Also write the stages of a trial with the highest SNR as pictures.
     workers : int
@@ -338,15 +342,15 @@ def simulate(
     from sensor_sim.simulation import plan_trials, write_dataset
     from todframes.jobs.engine import open_engine
     from todframes.jobs.store import Store
-    from todframes.output import Going, new_folder, store_folder
+    from todframes.output import Going, new_folder, store_path
 
     sensor = sensor if isinstance(sensor, Sensor) else load_sensor(sensor)
     planned = plan_trials([float(one) for one in size_detectors], [float(one) for one in snr], trials)
     going = Going(restart=restart, keep=keep_store)
     with (
         open_engine(cluster, workers) as engine,
-        new_folder(str(out), overwrite=overwrite, going=going) as folder,
-        closing(Store(store_folder(folder), str(out), tell)) as store,
+        new_folder(str(out), going=going) as folder,
+        closing(Store(store_path(folder), str(out), tell)) as store,
     ):
         written = write_dataset(
             folder,

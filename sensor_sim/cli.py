@@ -64,10 +64,9 @@ def cli() -> None:
     "--trials", type=click.IntRange(1), default=40, show_default=True, help="Frames of each size and SNR."
 )
 @seed_option
-@click.option("-o", "--out", required=True, metavar="DATASET", help="Folder to make.")
+@click.option("-o", "--out", required=True, metavar="DATASET", help="Folder to make, new or empty.")
 @click.option("--format", "frame_format", type=click.Choice(["exr", "png"]), default="exr", show_default=True)
 @click.option("--allow-clipping", is_flag=True, help="Let PNG clip more than 1 % of the pixels.")
-@click.option("--overwrite", is_flag=True, help="Replace DATASET if simulate wrote all that is in it.")
 @click.option("--stages", is_flag=True, help="Also write the stages of a trial with the highest SNR as pictures.")
 @click.option("--workers", type=click.IntRange(1), default=1, show_default=True, help="Threads that draw frames.")
 @run_options
@@ -156,6 +155,11 @@ def curve(*, sensor: Path, sizes: str, out: str | None, quiet: bool, **asked: An
     help="N designs that cover the ranges of --vary KEY=FROM:TO[:log] evenly (Latin hypercube).",
 )
 @click.option("--keep-fill-factor", is_flag=True, help="Let the detectors' width follow a varied pitch.")
+@click.option(
+    "--couple-netd",
+    is_flag=True,
+    help="Let the NETD follow aperture and detectors: NETD ∝ f-number² / area of a detector.",
+)
 @click.option(
     "--minimise",
     metavar="COLUMN[,…]",

@@ -22,6 +22,8 @@ FILL_FACTOR = "detector.fill_factor"
 
 WIDTH, PITCH = "detector.width_mrad", "detector.pitch_mrad"
 
+NETD = "noise.netd_mk"
+
 MOST_DESIGNS = MAX_ROWS
 
 NAME = "name"
@@ -297,6 +299,34 @@ def _check(keys: Iterable[str], known: Mapping[str, bool]) -> None:
             raise SettingsError(f"vary: found {found}, expected one of them: they set the same value")
 
 
+def check_coupling(sensor: Sensor, keys: Iterable[str]) -> None:
+    """Check that the NETD of designs can follow their aperture and detectors.
+
+    Raises
+    ------
+    SettingsError
+        If the sensor has no NETD, or the designs have NETDs of their own.
+    """
+    if NETD in keys:
+        raise SettingsError(
+            f"couple_netd: found {NETD} among the keys, expected it to follow aperture and detectors"
+        )
+    if sensor.noise.netd_mk is None:
+        raise SettingsError(f"couple_netd: needs {NETD} of the sensor")
+
+
+def _with_coupled_netd(sensor: Sensor, base: Sensor) -> Sensor:
+    """Return a sensor with the NETD that follows from a base: NETD ∝ (f-number)² / (area of a detector).
+
+    The f-number is focal length / aperture, and the side of a detector its angular width · focal length. The focal
+    length cancels: NETD · (aperture · angular width)² stays the same.
+    """
+    etendue, of_base = (one.optics.aperture_mm * one.detector.width_mrad for one in (sensor, base))
+    assert base.noise.netd_mk is not None  # `check_coupling`
+    netd_mk = base.noise.netd_mk * (of_base / etendue) ** 2
+    return replace(sensor, noise=replace(sensor.noise, netd_mk=netd_mk))
+
+
 def _check_number(n: int) -> None:
     if n < 1:
         raise SettingsError(f"sample: found {n}, expected 1 or more designs")
@@ -315,11 +345,14 @@ class Base:
         Settings of the observer, a frozen dataclass; None if it has no settings.
     keep_fill_factor : bool
         Whether the detectors' width follows a varied pitch.
+    couple_netd : bool
+        Whether the NETD follows (f-number)² / (area of a detector).
     """
 
     sensor: Sensor
     observer_settings: Any
     keep_fill_factor: bool
+    couple_netd: bool = False
 
     @cached_property
     def keys(self) -> dict[str, bool]:
@@ -353,7 +386,10 @@ class Base:
                 hint = f"; with {argument.keep_fill_factor} the width follows the pitch" if too_narrow else ""
                 raise SettingsError(f"{table}.{error}{hint}") from None
         parts.pop("observer", None)
-        return replace(self.sensor, **parts), tuple(tables.get("observer", {}).items())
+        sensor = replace(self.sensor, **parts)
+        if self.couple_netd:
+            sensor = _with_coupled_netd(sensor, self.sensor)
+        return sensor, tuple(tables.get("observer", {}).items())
 
     def _with_width(self, changes: dict[str, float]) -> dict[str, float]:
         """Return the changes of the detector with a width in place of a fill factor."""

@@ -30,7 +30,7 @@ from todframes.jobs.local import LocalEngine
 from todframes.jobs.run import run_stored
 from todframes.jobs.store import Store
 from todframes.jobs.work import Engine, Lost
-from todframes.output import remove_others
+from todframes.output import held, remove_others
 from todframes.stimulus import ORIENTATIONS, Orientation
 
 FrameFormat = Literal["exr", "png"]
@@ -183,7 +183,7 @@ class SimulationWork:
     Attributes
     ----------
     folder : Path
-        Folder of the dataset.
+        Staging folder of the dataset, by its real path, which other processes have too.
     sensor : Sensor
     seed : int
     frame_format : {"exr", "png"}
@@ -205,24 +205,25 @@ class SimulationWork:
         def write(trials: list[SimulatedTrial]) -> WrittenFrames:
             rows, clipped, n_pixels = [], 0, 0
             frames = simulator_of(trials[0].size_detectors).frames(trials)
-            for trial, frame in zip(trials, frames, strict=True):
-                code = frame.luminance_cd_m2 / self.white_cd_m2
-                if self.frame_format == "png":
-                    clipped += int(np.count_nonzero((code < 0.0) | (code > 1.0)))
-                    n_pixels += code.size
-                    code = np.clip(code, 0.0, 1.0)
-                rows.append(self._written(trial, frame, code))
+            with held(self.folder) as folder:
+                for trial, frame in zip(trials, frames, strict=True):
+                    code = frame.luminance_cd_m2 / self.white_cd_m2
+                    if self.frame_format == "png":
+                        clipped += int(np.count_nonzero((code < 0.0) | (code > 1.0)))
+                        n_pixels += code.size
+                        code = np.clip(code, 0.0, 1.0)
+                    rows.append(self._written(folder, trial, frame, code))
             return WrittenFrames(rows, clipped, n_pixels)
 
         return write
 
-    def _written(self, trial: SimulatedTrial, frame: SimulatedFrame, code: FloatArray) -> list[str]:
+    def _written(self, folder: Path, trial: SimulatedTrial, frame: SimulatedFrame, code: FloatArray) -> list[str]:
         name = "frames/s{}_n{}_{}_{}.{}".format(*trial.key[:2], trial.orientation, trial.key[2], self.frame_format)
-        write_frame(self.folder / name, code, attributes=provenance(self.sensor, self.seed, trial))
+        write_frame(folder / name, code, attributes=provenance(self.sensor, self.seed, trial))
         size_mrad = trial.size_detectors * self.sensor.display.detector_pitch_mrad
         numbers = [repr(size_mrad), repr(trial.size_detectors), repr(trial.snr)]
         place = [f"{frame.x_px:.6f}", f"{frame.y_px:.6f}"]
-        return [name, trial.orientation.value, *numbers, *place, frame_sha256(self.folder / name)]
+        return [name, trial.orientation.value, *numbers, *place, frame_sha256(folder / name)]
 
     def lost(self, item: list[SimulatedTrial]) -> DataError:
         """Return the error about trials whose process died with them."""
@@ -285,8 +286,6 @@ def write_dataset(
     OutputError
         If a frame cannot be written.
     """
-    if store is not None:
-        remove_others(folder, {"frames"})
     (folder / "frames").mkdir(exist_ok=store is not None)
     white = white_luminance_cd_m2(sensor, [trial.snr for trial in trials]) if frame_format == "png" else 1.0
     tasks: list[list[SimulatedTrial]] = []
@@ -296,7 +295,7 @@ def write_dataset(
         tasks[-1].append(trial)
     for size in {task[0].size_detectors for task in tasks}:
         Simulator(sensor, size, seed=seed)  # refuses a size before anything is drawn
-    work = SimulationWork(folder, sensor, seed, frame_format, white)
+    work = SimulationWork(folder.resolve(), sensor, seed, frame_format, white)
     done: list[WrittenFrames | None] = [None] * len(tasks)
     for number, found in run_stored(work, tasks, engine=engine or LocalEngine(), store=store):
         if isinstance(found, Lost):
@@ -314,7 +313,7 @@ def write_dataset(
         )
     rows = [row for one in written for row in one.rows]
     if store is not None:
-        remove_others(folder / "frames", {Path(row[0]).name for row in rows})
+        remove_others(folder, {row[0] for row in rows})
     (folder / "manifest.csv").write_text(_manifest(rows), encoding="utf-8")
     (folder / "dataset.toml").write_text(_settings(sensor, white, seed), encoding="utf-8")
     return Written(len(rows), share)

@@ -6,8 +6,10 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sensor_sim.sweep_tables import BY_SIZE, UNITS, SweepData
+from sensor_sim.sweep_work import IMPOSSIBLE
 from todframes import __version__
 from todframes._typing import FloatArray
 from todframes.errors import DataError
@@ -28,6 +30,9 @@ MOST_MAPS = 4
 MOST_VECTORS = 400
 """Largest number of cells or points that a page shows as vectors; more become one picture."""
 
+MARKS = {IMPOSSIBLE: ("////", "_"), "never_reached": ("xx", "x")}
+"""Hatch of a cell, and marker of a point, without a threshold, by status."""
+
 LOG_SPAN = 10.0
 """Smallest ratio of the largest to the smallest value on a logarithmic axis."""
 
@@ -45,7 +50,7 @@ def pictures(result: SweepData) -> list[Picture]:
         found.append(Picture(title, note, partial(draw_front, result=result, size=0), "front.png"))
     if len(varied(result)) > 1:
         for size in evenly(range(len(sizes)), MOST_MAPS):
-            note = "Threshold over the first two keys that vary. Blank: no threshold."
+            note = "Threshold over the first two keys that vary. Hatched once: impossible; crossed: never reached."
             note += " The lowest over the other keys." * (len(keys) > 2)
             draw = partial(draw_map, result=result, size=size)
             found.append(Picture(f"Map at {sizes[size]:g} detectors", note, draw, "" if size else "map.png"))
@@ -110,6 +115,7 @@ def draw_map(axes: Axes, result: SweepData, size: int) -> None:
     has = np.isfinite(value)
     if not has.any():
         raise DataError("plot_map: found no threshold at this size")
+    status = np.array([one[size] for one in result.swept.status], dtype=object)
     columns, at_x = np.unique(x, return_inverse=True)
     rows, at_y = np.unique(y, return_inverse=True)
     cells = np.full((len(rows), len(columns)), np.inf)
@@ -125,15 +131,37 @@ def draw_map(axes: Axes, result: SweepData, size: int) -> None:
     if is_grid:
         drawn = axes.pcolormesh(edges(columns), edges(rows), cells, rasterized=cells.size > MOST_VECTORS, **look)
         axes.grid(visible=False)
+        of_cell = np.full(cells.shape, "", dtype=object)
+        for kind in MARKS:  # a design that is never reached counts before one that is impossible
+            of_cell[at_y[status == kind], at_x[status == kind]] = kind
+        for kind, (hatch, _) in MARKS.items():
+            _hatch(axes, edges(columns), edges(rows), np.isnan(cells) & (of_cell == kind), hatch)
     else:
         order = np.argsort(-value[has])  # the best on top
         drawn = axes.scatter(
             x[has][order], y[has][order], c=value[has][order], s=16.0, linewidths=0.0, **look,
             rasterized=has.sum() > MOST_VECTORS,
         )  # fmt: skip
+        for kind, (_, marker) in MARKS.items():
+            is_kind = status == kind
+            axes.scatter(x[is_kind], y[is_kind], marker=marker, s=16.0, color=INK, linewidths=0.8)
     names = [result.swept.designs.keys[key] for key in keys[:2]]
     axes.set(xlabel=label_text(names[0]), ylabel=label_text(names[1]))
     _colour_bar(axes, drawn, heading)
+
+
+def _hatch(axes: Axes, x: FloatArray, y: FloatArray, marked: NDArray[np.bool_], hatch: str) -> None:
+    """Hatch the cells of a grid that are marked; `x` and `y` are the edges."""
+    from matplotlib.collections import PatchCollection
+    from matplotlib.patches import Rectangle
+
+    cells = [
+        Rectangle((x[column], y[row]), x[column + 1] - x[column], y[row + 1] - y[row])
+        for row, column in np.argwhere(marked)
+    ]
+    if cells:
+        look: Any = {"facecolor": "none", "edgecolor": INK, "linewidth": 0.0, "alpha": 0.5}
+        axes.add_collection(PatchCollection(cells, hatch=hatch, **look))
 
 
 def draw_lines(axes: Axes, result: SweepData) -> None:

@@ -14,7 +14,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from sensor_sim.designs import NAME
+from sensor_sim.designs import FILL_FACTOR, NAME, NETD, PITCH, WIDTH
 from sensor_sim.sweep_work import IMPOSSIBLE, Swept
 from todframes import __version__
 from todframes._typing import FloatArray, Json
@@ -30,6 +30,9 @@ BY_SIZE = ("threshold_snr", "delta_t_mk")
 """Columns of which each size has its own value."""
 
 OF_ACUITY = ("acuity_detectors", "acuity_mrad")
+
+OF_ETENDUE = ("optics.aperture_mm", WIDTH, FILL_FACTOR)
+"""Keys that change the light on a detector, besides the pitch if the fill factor is kept."""
 
 ROWS_SHOWN = 20
 """Largest number of designs in the table for the terminal and the page."""
@@ -170,6 +173,8 @@ class SweepData:
     settings : dict
         Settings of the sweep, its sensor and observer.
     seed : int
+    from_store : int
+        Number of thresholds that were not computed but found in the store of an earlier run.
     run_time_s : float
     """
 
@@ -179,6 +184,7 @@ class SweepData:
     whole_keys: tuple[str, ...]
     settings: Json
     seed: int
+    from_store: int
     run_time_s: float
 
     def __repr__(self) -> str:
@@ -232,6 +238,8 @@ class SweepData:
             if designs.names is not None:
                 of_design[NAME] = designs.names[row]
             of_design |= self._values(values)
+            if self.settings["couple_netd"]:
+                of_design["netd_mk"] = _known(swept.netd_mk[row])
             pitch = _known(swept.pitch_mrad[row])
             of_acuity = self._acuity_record(row, pitch)
             for place, size in enumerate(swept.size_detectors):
@@ -326,12 +334,14 @@ class SweepData:
             if designs.names is not None:
                 record[NAME] = designs.names[row]
             record |= self._values(designs.values[row].tolist())
+            record |= {"netd_mk": _known(swept.netd_mk[row])} if self.settings["couple_netd"] else {}
             record |= {f"at_{place}": _known(value) for place, value in enumerate(shown[row])}
             record |= self._acuity_record(int(row), _known(swept.pitch_mrad[row]))
             records.append(record)
         columns = [Column(key="design"), *([Column(key=NAME, rank=3)] if designs.names is not None else [])]
         # A narrow terminal first drops the larger sizes; what is varied stays.
         columns += [Column(key=key, header=_heading(key)) for key in designs.keys]
+        columns += [Column(key="netd_mk", header="NETD mK")] if self.settings["couple_netd"] else []
         columns += [
             Column(key=f"at_{place}", header=f"{unit} at {of_size:g}", rank=min(place, 2))
             for place, of_size in enumerate(swept.size_detectors)
@@ -394,7 +404,20 @@ class SweepData:
             names = listed(f"{'low' if one.sign > 0 else 'high'} {one.column}" for one in self.objectives)
             number = int(self.on_front[:, 0].sum())
             found.append(f"{count(number, 'design')} on the trade-off front of {names}.")
+        if self._misses_coupling:
+            found.append(
+                "The NETD is the same for all apertures and detectors, so a smaller one costs no signal; with "
+                "--couple-netd it follows f-number² / area."
+            )
         return found
+
+    @property
+    def _misses_coupling(self) -> bool:
+        """Whether the light on a detector differs between the designs, but not their NETD."""
+        keys, width_follows = self.swept.designs.keys, self.settings["keep_fill_factor"]
+        changes_light = {*OF_ETENDUE, PITCH} if width_follows or FILL_FACTOR in keys else {*OF_ETENDUE}
+        has_netd = np.isfinite(self.swept.mk_per_snr).any()
+        return bool(has_netd and not self.settings["couple_netd"] and NETD not in keys and changes_light & {*keys})
 
     def to_json(self) -> bytes:
         """Return one JSON object: settings, and a record for each design and size."""
@@ -406,6 +429,7 @@ class SweepData:
             "seed": self.seed,
             "n_designs": self.n_designs,
             "n_computed": self.swept.n_computed,
+            "from_store": self.from_store,
             "records": list(self.records()),
             "run_time_s": self.run_time_s,
         }

@@ -193,8 +193,8 @@ class Swept:
     ----------
     designs : Designs
     size_detectors : tuple of float
-    pitch_mrad : ndarray, shape (designs,)
-        Pitch of the detectors in the scene; NaN where there is no such design.
+    pitch_mrad, netd_mk : ndarray, shape (designs,)
+        Pitch of the detectors in the scene, and NETD; NaN where there is no such design, or no NETD.
     mk_per_snr : ndarray, shape (designs,)
         ΔT of a signal-to-noise ratio of 1; NaN where NETD is not known.
     threshold_snr, numerical_error : ndarray, shape (designs, sizes)
@@ -209,6 +209,7 @@ class Swept:
     designs: Designs
     size_detectors: tuple[float, ...]
     pitch_mrad: FloatArray
+    netd_mk: FloatArray
     mk_per_snr: FloatArray
     threshold_snr: FloatArray
     numerical_error: FloatArray
@@ -381,6 +382,7 @@ def _gathered(designs: Designs, sizes: tuple[float, ...], plan: Plan, results: S
         designs=designs,
         size_detectors=sizes,
         pitch_mrad=np.array([math.nan if one is None else one.detector.pitch_mrad for one in plan.sensors]),
+        netd_mk=np.array([math.nan if one is None else one.noise.netd_mk or math.nan for one in plan.sensors]),
         mk_per_snr=np.array([_mk_per_snr(one) for one in plan.sensors]),
         threshold_snr=threshold[places],
         numerical_error=error[places],

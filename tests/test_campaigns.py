@@ -41,6 +41,10 @@ def test_faults() -> None:
     assert "1 cases, 0 faults" in campaign("faults", "--only", "store between runs: cut")
 
 
+def test_planted_links() -> None:
+    assert "24 cases, 0 faults" in campaign("planted", "--only", ", score")
+
+
 def test_servers() -> None:
     assert "3 cases, 0 faults" in campaign("servers", "--only", "moved on the same")
 

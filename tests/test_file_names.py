@@ -127,15 +127,13 @@ def test_other_files_are_told(folder, capsys) -> None:
 
 
 @pytest.mark.parametrize("there", ["dataset.toml", "manifest.csv"])
-def test_nothing_is_overwritten_unless_asked(folder, there: str) -> None:
+def test_nothing_is_overwritten(folder, there: str) -> None:
     path = folder("frames/s4_c0.2_up_1.png")
     (path / there).write_text("mine", encoding="utf-8")
-    with pytest.raises(OutputError, match=rf"{there}: is there already; move it away, or use --overwrite"):
+    with pytest.raises(OutputError, match=rf"{there}: is there already; move it away or remove it"):
         tod.new_dataset(path, PATTERN)
     assert sorted(one.name for one in path.iterdir()) == sorted(["frames", there])
     assert (path / there).read_text(encoding="utf-8") == "mine"
-    tod.new_dataset(path, PATTERN, overwrite=True)
-    assert len(tod.load_dataset(path).trials) == 1
 
 
 def test_a_table_of_luminances_comes_along_but_not_over_another(folder, tmp_path: Path) -> None:

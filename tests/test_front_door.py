@@ -279,12 +279,7 @@ def test_options_of_arguments_exist() -> None:
         for parameter in command.params
         for option in parameter.opts
     }
-    named = {
-        node.attr
-        for _, call in errors_in_source()
-        for node in ast.walk(call)
-        if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id == "argument"
-    }
+    named = {name for _, call in errors_in_source() for name in arguments_named(call)}
     assert {flag_of(name) for name in named} <= options
 
 

@@ -61,10 +61,9 @@ def rows_of(dataset: Path) -> list[dict[str, str]]:
 def imported(
     path: Path, chart: Path, **settings
 ) -> tuple[tod.recordings.importing.Imported, list[dict[str, str]]]:
-    out = path.parent / "dataset"
-    settings = {"display": "reference_linear", "frames_per_second": RATE, "out": out} | settings
-    done = tod.import_recordings(path, chart=chart, **settings)
-    return done, rows_of(out)
+    default = {"display": "reference_linear", "frames_per_second": RATE, "out": path.parent / "dataset"}
+    done = tod.import_recordings(path, chart=chart, **default | settings)
+    return done, rows_of(done.path)
 
 
 def codes(done) -> set[str]:
@@ -261,7 +260,7 @@ def test_what_one_curve_cannot_hold_is_told(tmp_path: Path, chart: Path, pages: 
 def test_the_time_that_whole_frames_allow_is_told(tmp_path: Path, chart: Path, pages: list[np.ndarray]) -> None:
     done, _ = imported(saved(tmp_path, film_of([pages[0]] * 6)), chart, frames_per_second=15.0)
     assert any("1 frames a trial, 0.0667 s" in note for note in done.notes)
-    done, _ = imported(saved(tmp_path, film_of([pages[0]] * 6)), chart, overwrite=True)
+    done, _ = imported(saved(tmp_path, film_of([pages[0]] * 6)), chart, out=tmp_path / "other")
     assert not any("a trial" in note for note in done.notes)  # 3 frames at 30 frames/s are 0.1 s
 
 
@@ -302,13 +301,11 @@ def test_values_without_a_white_need_a_range(tmp_path: Path, chart: Path, pages:
     )
 
 
-def test_a_dataset_is_replaced_only_when_asked(tmp_path: Path, chart: Path, pages: list[np.ndarray]) -> None:
+def test_a_dataset_is_never_replaced(tmp_path: Path, chart: Path, pages: list[np.ndarray]) -> None:
     path = saved(tmp_path, film_of([pages[0]]))
     imported(path, chart, integration_time_s=0.01)
     with pytest.raises(OutputError, match="is not empty"):
         imported(path, chart, integration_time_s=0.01)
-    done, _ = imported(path, chart, integration_time_s=0.01, overwrite=True)
-    assert done.n_frames == 1
 
 
 # Schedules ---------------------------------------------------------------------------------------------------

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import os
-import sqlite3
 import subprocess
 import sys
 import textwrap
@@ -21,7 +20,7 @@ from todframes.jobs import run as run_module
 from todframes.jobs.fingerprint import code_fingerprint, fingerprint
 from todframes.jobs.local import LocalEngine
 from todframes.jobs.run import run_stored
-from todframes.jobs.store import FILE, Store
+from todframes.jobs.store import FILE, MAGIC, Store
 from todframes.observers.pyramid import PyramidObserver
 from todframes.psychometrics.fit import FitSettings
 from todframes.stimulus import Orientation, Stimulus
@@ -30,7 +29,7 @@ from todframes.stimulus import Orientation, Stimulus
 @pytest.fixture
 def store(tmp_path: Path):
     signals.kept.clear()
-    made = Store(tmp_path / "store", "OUT")
+    made = Store(tmp_path / "store" / FILE, "OUT")
     yield made
     made.close()
     signals.kept.clear()
@@ -49,7 +48,7 @@ def always_kept(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_nothing_is_written_before_the_store_begins(store: Store) -> None:
     store.add([])
     assert not store.is_begun
-    assert not store.folder.exists()
+    assert not store.path.parent.exists()
     assert len(store) == 0
     assert signals.kept == []
 
@@ -58,8 +57,8 @@ def test_results_are_found_again(store: Store) -> None:
     store.add([(b"a", b"1"), (b"b", b"2")])
     store.add([(b"b", b"3")])
     store.close()
-    again = Store(store.folder, "OUT")
-    assert (again.get(b"a"), again.get(b"b"), again.get(b"c"), len(again)) == (b"1", b"3", None, 2)
+    again = Store(store.path, "OUT")
+    assert (again.get(b"a"), again.get(b"b"), again.get(b"c"), len(again)) == (b"1", b"3", None, 3)
     again.close()
     assert signals.kept == ["OUT", "OUT"]
 
@@ -70,7 +69,7 @@ def test_results_survive_the_end_of_the_process(store: Store) -> None:
         import os
         from pathlib import Path
         from todframes.jobs.store import Store
-        store = Store(Path({str(store.folder)!r}), "OUT")
+        store = Store(Path({str(store.path)!r}), "OUT")
         for k in range(100):
             store.add([(str(k).encode(), bytes(100))])
         os._exit(9)
@@ -79,23 +78,83 @@ def test_results_survive_the_end_of_the_process(store: Store) -> None:
     assert len(store) == 100
 
 
-@pytest.mark.parametrize("damage", [b"not a database" * 100, b""])
+@pytest.mark.parametrize("damage", [b"not a store" * 100, b"", MAGIC, MAGIC + bytes(1000), b"SQLite format 3\0"])
 def test_a_damaged_store_is_begun_anew(store: Store, damage: bytes) -> None:
-    store.folder.mkdir()
-    (store.folder / FILE).write_bytes(damage)
+    store.path.parent.mkdir()
+    store.path.write_bytes(damage)
     assert store.is_begun
     assert store.get(b"a") is None
     store.add([(b"a", b"1")])
+    store.close()
     assert store.get(b"a") == b"1"
 
 
-def test_a_store_of_another_version_is_begun_anew(store: Store) -> None:
+def test_a_changed_byte_is_never_a_result(store: Store) -> None:
+    """Whatever byte changes, what is found is what was added, or nothing."""
+    added = {b"key %d" % n: b"result %d" % n for n in range(5)}
+    store.add([*added.items()])
+    store.close()
+    whole = store.path.read_bytes()
+    for place in range(len(whole)):
+        store.path.write_bytes(whole[:place] + bytes([whole[place] ^ 1]) + whole[place + 1 :])
+        found = {key: store.get(key) for key in added}
+        store.close()
+        assert all(found[key] in (added[key], None) for key in added)
+        first_lost = max(0, place - len(MAGIC)) * 5 // (len(whole) - len(MAGIC))
+        assert sum(result is None for result in found.values()) == 5 - first_lost
+
+
+def test_results_that_changed_places_are_not_found(store: Store) -> None:
+    store.add([(b"a", b"1"), (b"b", b"2")])
+    store.close()
+    whole = store.path.read_bytes()
+    size = (len(whole) - len(MAGIC)) // 2
+    first, second = whole[len(MAGIC) : len(MAGIC) + size], whole[-size:]
+    store.path.write_bytes(MAGIC + first[:-1] + second[-1:] + second[:-1] + first[-1:])
+    assert (store.get(b"a"), store.get(b"b")) == (None, None)
+    store.close()
+    store.path.write_bytes(MAGIC + second + first)  # whole records are right in any order
+    assert (store.get(b"a"), store.get(b"b")) == (b"1", b"2")
+
+
+def test_a_store_that_is_cut_is_used_to_there(store: Store) -> None:
+    store.add([(b"a", b"1"), (b"b", b"2")])
+    store.close()
+    whole = store.path.read_bytes()
+    size = (len(whole) - len(MAGIC)) // 2
+    for length in range(len(MAGIC), len(whole)):
+        store.path.write_bytes(whole[:length])
+        is_whole = length >= len(MAGIC) + size
+        assert (store.get(b"a"), store.get(b"b")) == (b"1" if is_whole else None, None)
+        store.add([(b"c", b"3")])
+        store.close()
+        assert (store.get(b"a"), store.get(b"c")) == (b"1" if is_whole else None, b"3")
+        store.close()
+
+
+def test_a_store_that_is_cut_during_the_run_has_nothing(store: Store) -> None:
+    store.add([(b"a", b"1")])
+    os.truncate(store.path, len(MAGIC) + 3)
+    assert store.get(b"a") is None
+
+
+@pytest.mark.parametrize("kind", ["link", "hard link", "pipe"])
+def test_a_planted_store_is_replaced_and_nothing_else_is_written(store: Store, tmp_path: Path, kind: str) -> None:
+    theirs = tmp_path / "theirs"
+    theirs.write_bytes(b"mine")
+    store.path.parent.mkdir()
+    match kind:
+        case "link":
+            store.path.symlink_to(theirs)
+        case "hard link":
+            store.path.hardlink_to(theirs)
+        case "pipe":
+            os.mkfifo(store.path)
     store.add([(b"a", b"1")])
     store.close()
-    with sqlite3.connect(store.folder / FILE) as database:
-        database.execute("PRAGMA user_version = 99")
-    database.close()
-    assert store.get(b"a") is None
+    assert store.get(b"a") == b"1"
+    assert theirs.read_bytes() == b"mine"
+    assert store.path.is_file() and not store.path.is_symlink() and theirs.lstat().st_nlink == 1
 
 
 def test_a_full_disk_keeps_what_was_written(store: Store) -> None:
@@ -107,7 +166,7 @@ def test_a_full_disk_keeps_what_was_written(store: Store) -> None:
         from todframes.jobs.store import Store
         signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
         resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, 200_000))
-        store = Store(Path({str(store.folder)!r}), "OUT")
+        store = Store(Path({str(store.path)!r}), "OUT")
         for k in range(1000):
             try:
                 store.add([(str(k).encode(), bytes(1000))])
@@ -128,8 +187,10 @@ def test_a_full_disk_keeps_what_was_written(store: Store) -> None:
 
 def test_a_store_that_another_process_uses_is_refused(store: Store) -> None:
     store.add([(b"a", b"1")])
-    with pytest.raises(OutputError, match=r"OUT: finished results cannot be kept there \(database is locked\)"):
-        Store(store.folder, "OUT").get(b"a")
+    with pytest.raises(
+        OutputError, match=r"OUT: finished results cannot be kept there \(another run is writing them\)"
+    ):
+        Store(store.path, "OUT").get(b"a")
 
 
 # Fingerprints --------------------------------------------------------------------------------------------------
@@ -295,13 +356,24 @@ def test_a_short_run_keeps_nothing(squares: Squares, store: Store) -> None:
     assert not store.is_begun
 
 
+def test_a_forged_result_is_done_again(squares: Squares, store: Store) -> None:
+    """Its checksum is right, for anybody can compute that, but it is no result of this work."""
+    forged = squares.key(7, is_done=False)
+    assert forged is not None
+    store.add([(forged, b"no number")])
+    assert done(squares, store) == SQUARED
+    assert len(squares.called) == 20
+    assert store.n_used == 0
+
+
 def test_what_was_found_is_told_once(squares: Squares, tmp_path: Path) -> None:
     told: list[str] = []
-    store = Store(tmp_path / "store", "OUT", told.append)
+    store = Store(tmp_path / "store" / FILE, "OUT", told.append)
     store.begin()
     with pytest.raises(DataError, match="item 9"):
         done(dataclasses.replace(squares, fails_at=9), store)
     done(squares, store)
     done(squares, store)
+    assert store.n_used == 9 + 20
     assert told == ["9 of 20 parts of the work are there from an earlier run; going on with the others"]
     store.close()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import json
 import os
 import signal
 import subprocess
@@ -19,7 +18,7 @@ import pytest
 
 from todframes import output, signals
 from todframes.errors import ClusterError, OutputError
-from todframes.output import MARK, STAGING, new_folder, output_folder, write_file, write_files
+from todframes.output import STAGING, beside, new_folder, output_folder, write_file, write_files
 
 QUICK = "SIGINT", "SIGKILL"
 SIGNALS = [
@@ -47,11 +46,9 @@ def write(folder: Path, files: dict[str, str]) -> None:
         (folder / name).write_text(text, encoding="utf-8")
 
 
-def simulate(
-    path: Path, files: dict[str, str], *, overwrite: bool = False, meanwhile: dict[str, str] | None = None
-) -> None:
+def simulate(path: Path, files: dict[str, str], *, meanwhile: dict[str, str] | None = None) -> None:
     """Make a dataset, while somebody else writes other files into the same folder."""
-    with new_folder(str(path), overwrite=overwrite) as folder:
+    with new_folder(str(path)) as folder:
         write(folder, files)
         write(path, meanwhile or {})
 
@@ -62,11 +59,11 @@ def score(path: Path, files: dict[str, str]) -> None:
 
 
 def contents(path: Path) -> dict[str, str] | None:
-    """Texts of all files but the mark and what is in staging folders; None if there is no folder."""
+    """Texts of all files but those in staging folders; None if there is no folder."""
     if not path.is_dir():
         return None
     files = [file for file in path.rglob("*") if file.is_file() and STAGING not in str(file.relative_to(path))]
-    return {str(file.relative_to(path)): file.read_text(encoding="utf-8") for file in files if file.name != MARK}
+    return {str(file.relative_to(path)): file.read_text(encoding="utf-8") for file in files}
 
 
 def names(path: Path) -> set[str]:
@@ -114,7 +111,6 @@ def ended_at(call: int, number: int, act: Callable[[], None], *, after: bool) ->
         try:
             for name in CALLS:
                 setattr(os, name, interrupting(getattr(os, name)))
-            output._rename = interrupting(output._rename)
             signals.written.clear()
             with signals.raised():
                 act()
@@ -159,31 +155,6 @@ OLD, NEW, NEXT = dataset("old", "abc"), dataset("new"), dataset("next")
 
 @forks
 @forks_with_threads
-@pytest.mark.parametrize("number", SIGNALS)
-@pytest.mark.parametrize("after", MOMENTS)
-def test_a_dataset_is_replaced_whole_or_not_at_all(tmp_path: Path, number: int, after: bool) -> None:
-    seen = []
-    for path, says_written in endings(
-        tmp_path,
-        number,
-        lambda path: simulate(path, OLD),
-        lambda path: simulate(path, NEW, overwrite=True),
-        after=after,
-    ):
-        found = contents(path)
-        assert found in (OLD, NEW)
-        seen.append(found == NEW)
-        if number in signals.SIGNALS:
-            assert says_written == (found == NEW)
-        simulate(path, NEXT, overwrite=True)
-        assert contents(path) == NEXT
-        assert staging_folders(path.parent) == []
-        assert names(path.parent) == {"out"}
-    assert set(seen) == {False, True}
-
-
-@forks
-@forks_with_threads
 @pytest.mark.parametrize("there", [False, True], ids=["absent", "empty"])
 @pytest.mark.parametrize("number", SIGNALS)
 @pytest.mark.parametrize("after", MOMENTS)
@@ -202,7 +173,7 @@ def test_a_dataset_appears_whole_or_not_at_all(tmp_path: Path, number: int, afte
         seen.append(is_dataset)
         if is_dataset:
             assert found == NEW
-            with pytest.raises(OutputError, match="is not empty; expected a new name"):
+            with pytest.raises(OutputError, match=r"is not empty, found .*; expected a new name"):
                 simulate(path, NEXT)
             assert contents(path) == NEW
         else:
@@ -271,89 +242,12 @@ def test_a_file_is_replaced_whole_or_not_at_all(tmp_path: Path, number: int, aft
 # Files that the run did not write -----------------------------------------------------------------------------
 
 
-def unmarked(path: Path) -> None:
-    write(path, OLD)
-    (path / MARK).unlink()
-
-
-def with_notes(path: Path) -> None:
-    write(path, {"frames/notes.txt": "mine"})
-
-
-def edited(path: Path) -> None:
-    write(path, {"dataset.toml": "OLD"})
-
-
-def with_a_link(path: Path) -> None:
-    (path.parent / "a.exr").write_text("old", encoding="utf-8")
-    (path / "frames" / "a.exr").unlink()
-    (path / "frames" / "a.exr").symlink_to(path.parent / "a.exr")
-
-
-def with_an_empty_folder(path: Path) -> None:
-    (path / "mine").mkdir()
-
-
-def with_a_broken_mark(path: Path) -> None:
-    write(path, {MARK: "[" * 100})
-
-
-@pytest.mark.parametrize(
-    ("change", "named"),
-    [
-        (unmarked, "no .todframes.json"),
-        (with_notes, "holds frames/notes.txt"),
-        (edited, "holds dataset.toml"),
-        (with_a_link, "holds frames/a.exr"),
-        (with_an_empty_folder, "holds mine"),
-        (with_a_broken_mark, "holds "),
-    ],
-    ids=lambda value: getattr(value, "__name__", ""),
-)
-def test_only_what_a_run_wrote_is_replaced(tmp_path: Path, change: Callable[[Path], None], named: str) -> None:
-    path = tmp_path / "out"
-    simulate(path, OLD)
-    change(path)
-    before = tree(path)
-    with pytest.raises(OutputError, match=named):
-        simulate(path, NEW, overwrite=True)
-    assert tree(path) == before
-    assert staging_folders(tmp_path) == []
-
-
-@pytest.mark.parametrize("name", ["notes.txt", "frames/notes.txt", "dataset.toml"])
-def test_a_file_that_comes_during_the_work_is_kept(tmp_path: Path, name: str) -> None:
-    path = tmp_path / "out"
-    simulate(path, OLD)
-    with pytest.raises(OutputError, match=f"{name} was put there or changed meanwhile; nothing was replaced"):
-        simulate(path, NEW, overwrite=True, meanwhile={name: "mine"})
-    assert contents(path) == OLD | {name: "mine"}
-    assert staging_folders(tmp_path) == []
-
-
-def test_a_file_that_comes_in_the_last_moment_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    path = tmp_path / "out"
-    simulate(path, OLD)
-
-    def rename(source: Path, target: Path, flag: int) -> None:
-        if target == path and not (path / "notes.txt").exists() and not (source / "notes.txt").exists():
-            write(path, {"notes.txt": "mine"})
-        swap(source, target, flag)
-
-    swap = output._rename
-    monkeypatch.setattr(output, "_rename", rename)
-    with pytest.raises(OutputError, match=r"notes.txt was put there or changed meanwhile"):
-        simulate(path, NEW, overwrite=True)
-    assert contents(path) == OLD | {"notes.txt": "mine"}
-    assert staging_folders(tmp_path) == []
-
-
-@pytest.mark.parametrize("has_no_replace", [True, False])
+@pytest.mark.parametrize("has_links", [True, False])
 def test_a_file_that_comes_into_an_empty_folder_is_kept(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, has_no_replace: bool
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, has_links: bool
 ) -> None:
-    if not has_no_replace:  # a file system that cannot do it in one step
-        monkeypatch.setattr(output, "_rename", not_here)
+    if not has_links:  # a file system without them
+        monkeypatch.setattr(os, "link", not_here)
     path = tmp_path / "out"
     simulate(path, NEW, meanwhile={"notes.txt": "mine"})
     assert contents(path) == NEW | {"notes.txt": "mine"}
@@ -376,41 +270,30 @@ def test_a_result_takes_only_its_own_files_with_it(tmp_path: Path) -> None:
     assert contents(other) == {"psychometric.png": "mine", "result.json": "{}"}
 
 
-def test_older_results_come_back_if_one_cannot_be_replaced(
+def test_a_result_that_cannot_be_replaced_says_what_is_new(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """As on Windows, where a file that is open elsewhere cannot be."""
     path = tmp_path / "out"
-    old = {"report.html": "old", "result.json": '{"command": "score"}', "tod_curve.png": "old"}
-    score(path, old)
+    score(path, {"report.html": "old", "result.json": '{"command": "score"}', "tod_curve.png": "old"})
 
     def replace(source: str, target: Path) -> None:
-        if target == path / "result.json":
+        if target.name == "result.json":
             raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
         os_replace(source, target)
 
     os_replace = os.replace
     monkeypatch.setattr(os, "replace", replace)
-    with pytest.raises(OutputError, match=r"cannot be written \(Permission denied\)"):
+    with pytest.raises(
+        OutputError,
+        match=r"result.json: cannot be replaced \(Permission denied\), but report.html and scores.csv are new",
+    ):
         score(path, {"report.html": "new", "result.json": "{}", "scores.csv": "new"})
-    assert contents(path) == old
-
-
-@pytest.mark.parametrize("is_reversed", [False, True])
-def test_the_mark_does_not_depend_on_the_file_system(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, is_reversed: bool
-) -> None:
-    """Folders list their files in any order; the same dataset has the same bytes everywhere."""
-    walk = os.walk
-
-    def listed(*arguments: Any, **options: Any) -> Iterator[tuple[str, list[str], list[str]]]:
-        for parent, folders, files in walk(*arguments, **options):
-            yield parent, folders, sorted(files, reverse=is_reversed)
-
-    monkeypatch.setattr(os, "walk", listed)
-    simulate(tmp_path / "new", NEW)
-    mark = json.loads((tmp_path / "new" / MARK).read_bytes())
-    assert list(mark["files"]) == sorted(NEW)
+    assert contents(path) == {
+        "report.html": "new",
+        "scores.csv": "new",
+        "result.json": '{"command": "score"}',
+    }
 
 
 def test_a_cluster_that_is_gone_is_no_place_that_cannot_be_written(tmp_path: Path) -> None:
@@ -448,36 +331,6 @@ def not_here(*_: object) -> None:
     raise OSError(errno.ENOSYS, os.strerror(errno.ENOSYS))
 
 
-def test_without_a_swap_in_one_step_nothing_is_replaced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """On file systems and systems that cannot swap: found before the work."""
-    path = tmp_path / "out"
-    monkeypatch.setattr(output, "_rename", not_here)
-    simulate(path, OLD)
-    with (
-        pytest.raises(OutputError, match=r"cannot be replaced in one step .*; expected a new name"),
-        new_folder(str(path), overwrite=True),
-    ):
-        raise AssertionError("the work has begun")
-    assert contents(path) == OLD
-    assert staging_folders(tmp_path) == []
-
-
-@pytest.mark.parametrize("below", [".", "frames"])
-def test_the_present_folder_is_filled_but_not_replaced(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, below: str
-) -> None:
-    """A shell would stay in the older one, which is gone."""
-    path = tmp_path / "out"
-    path.mkdir()
-    monkeypatch.chdir(path)
-    simulate(Path(), OLD)
-    monkeypatch.chdir(path / below)
-    with pytest.raises(OutputError, match="present folder"):
-        simulate(path, NEW, overwrite=True)
-    assert contents(path) == OLD
-    assert staging_folders(tmp_path) == []
-
-
 @pytest.fixture
 def other_disk(tmp_path: Path) -> Iterator[Path]:
     memory = Path("/dev/shm")
@@ -493,33 +346,27 @@ def test_a_link_to_another_disk(tmp_path: Path, other_disk: Path) -> None:
         (tmp_path / name).symlink_to(other_disk / name)
     score(tmp_path / "results", {"result.json": "{}"})
     assert contents(other_disk / "results") == {"result.json": "{}"}
-    simulate(tmp_path / "dataset", OLD)
-    simulate(tmp_path / "dataset", NEW, overwrite=True)
+    simulate(tmp_path / "dataset", NEW)
     assert contents(other_disk / "dataset") == NEW
     assert names(other_disk) == names(tmp_path) == {"dataset", "results"}
 
 
 def test_a_mount_point(tmp_path: Path) -> None:
-    """It is filled, on the same disk too, and a dataset there cannot be swapped: that is found before the work."""
+    """It is filled, on the same disk too."""
     (tmp_path / "real").mkdir()
     (tmp_path / "out").mkdir()
     mounted = ("unshare", "--mount", "sh", "-c", 'mount --bind real out && exec "$@"', "sh")
-    script = "from todframes.output import new_folder\nwith new_folder('out', overwrite=True) as folder: "
+    script = "from todframes.output import new_folder\nwith new_folder('out') as folder: "
     script += "print('begun'); (folder / 'dataset.toml').touch()"
     try:
         subprocess.run([*mounted, "true"], cwd=tmp_path, check=True, capture_output=True)
     except (OSError, subprocess.CalledProcessError):
         pytest.skip("nothing can be mounted here")
-    first, second = (
-        subprocess.run(
-            [*mounted, sys.executable, "-c", script], cwd=tmp_path, capture_output=True, text=True, check=False
-        )
-        for _ in range(2)
+    done = subprocess.run(
+        [*mounted, sys.executable, "-c", script], cwd=tmp_path, capture_output=True, text=True, check=False
     )
-    assert (first.returncode, first.stdout) == (0, "begun\n"), first.stderr
-    assert (second.returncode, second.stdout) == (1, "")
-    assert "out: cannot be replaced in one step (Device or resource busy)" in second.stderr
-    assert names(tmp_path / "real") == {MARK, "dataset.toml"}
+    assert (done.returncode, done.stdout) == (0, "begun\n"), done.stderr
+    assert names(tmp_path / "real") == {"dataset.toml"}
 
 
 @contextmanager
@@ -555,7 +402,7 @@ def as_somebody(act: Callable[[], None]) -> str:
 @forks
 @forks_with_threads
 def test_a_writable_folder_in_a_parent_that_is_not() -> None:
-    """Results and new datasets are written; a dataset there cannot be swapped."""
+    """Results and new datasets are written."""
     with tempfile.TemporaryDirectory() as name:
         parent = Path(name).resolve()
         parent.chmod(0o755)
@@ -565,8 +412,6 @@ def test_a_writable_folder_in_a_parent_that_is_not() -> None:
         with read_only(parent):
             assert as_somebody(lambda: score(parent / "results", {"result.json": "{}"})) == ""
             assert as_somebody(lambda: simulate(parent / "dataset", OLD)) == ""
-            said = as_somebody(lambda: simulate(parent / "dataset", NEW, overwrite=True))
-            assert "cannot be" in said and "Permission denied" in said
         assert contents(parent / "results") == {"result.json": "{}"}
         assert contents(parent / "dataset") == OLD
         assert staging_folders(parent) == []
@@ -580,14 +425,14 @@ def test_a_place_that_cannot_be_written_is_found_before_the_work() -> None:
         (parent / "out").mkdir()
         parent.chmod(0o755)
 
-        def begin(path: Path, place: Callable[..., Any], **options: Any) -> None:
-            with place(str(path), **options):
+        def begin(path: Path, place: Callable[..., Any]) -> None:
+            with place(str(path)):
                 raise AssertionError("the work has begun")
 
         for path in (parent / "out", parent / "new"):
             with read_only(parent), read_only(parent / "out"):
-                for place, options in ((output_folder, {}), (new_folder, {"overwrite": False})):
-                    said = as_somebody(lambda: begin(path, place, **options))  # noqa: B023 - called at once
+                for place in (output_folder, new_folder):
+                    said = as_somebody(lambda: begin(path, place))  # noqa: B023 - called at once
                     assert said == f"{path}: cannot be written (Permission denied)"
         assert contents(parent) == {}
 
@@ -595,17 +440,13 @@ def test_a_place_that_cannot_be_written_is_found_before_the_work() -> None:
 # Two runs -----------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("second", ["results", "dataset", "overwriting"])
-@pytest.mark.parametrize("first", ["results", "dataset", "overwriting"])
+@pytest.mark.parametrize("second", ["results", "dataset"])
+@pytest.mark.parametrize("first", ["results", "dataset"])
 def test_the_second_run_into_a_folder_is_refused_at_once(tmp_path: Path, first: str, second: str) -> None:
     path = tmp_path / "out"
-    if first == "overwriting":
-        simulate(path, OLD)
 
     def begin(kind: str) -> Any:
-        return (
-            output_folder(str(path)) if kind == "results" else new_folder(str(path), overwrite=kind != "dataset")
-        )
+        return output_folder(str(path)) if kind == "results" else new_folder(str(path))
 
     with begin(first) as folder:
         with pytest.raises(OutputError, match="another run is writing there"), begin(second):
@@ -617,7 +458,7 @@ def test_the_second_run_into_a_folder_is_refused_at_once(tmp_path: Path, first: 
 
 def test_files_beside_each_other_do_not_wait(tmp_path: Path) -> None:
     """Reports of many results may be made into one folder at the same time."""
-    with output._staging(output._beside(tmp_path / "a.html"), "a.html"):
+    with output._hidden(tmp_path, beside("a.html"), "a.html"):
         write_file(tmp_path / "b.html", b"new", not_over=tmp_path)
         with pytest.raises(OutputError, match="another run is writing there"):
             write_file(tmp_path / "a.html", b"new", not_over=tmp_path)

@@ -148,11 +148,11 @@ def test_seed_of_simulate_is_kept_in_the_frames(sensor_sim, sensor_file):
 
 
 def test_remark_on_clipping_can_be_silenced(sensor_sim, sensor_file):
-    more = ("--snr", "0.3", "--format", "png", "--allow-clipping", "--overwrite")
+    more = ("--snr", "0.3", "--format", "png", "--allow-clipping")
     status, _, (note,) = sensor_sim(*simulate(sensor_file, *more))
     assert status == 0
     assert re.fullmatch(r"note: \d+(\.\d+)? % of the pixels were clipped", note)
-    assert sensor_sim(*simulate(sensor_file, *more, "--quiet"))[2] == []
+    assert sensor_sim(*simulate(sensor_file, *more, "--quiet", "-o", sensor_file.with_name("other")))[2] == []
 
 
 # curve --------------------------------------------------------------------------------------------------------
@@ -549,7 +549,7 @@ def test_out_without_a_name(fails, sensor_file, command, tmp_path, monkeypatch):
 
 def test_dataset_is_there_already(fails, sensor_sim, sensor_file):
     assert sensor_sim(*simulate(sensor_file))[0] == 0
-    fails(*simulate(sensor_file), wanted=("dataset", "not empty", "--overwrite"))
+    fails(*simulate(sensor_file), wanted=("dataset", "not empty"))
 
 
 def test_exit_statuses(sensor_file, tmp_path):

@@ -534,9 +534,7 @@ def assert_refused(done, status, *texts):
 def test_settings_file_gives_the_frames_of_the_settings(simulate_command, tmp_path):
     assert simulate_command(tmp_path / "dataset") == (0, f"{tmp_path / 'dataset'}: 4 frames\n", [])
     expected = contents(written(tmp_path, "expected", snrs=(2.0,)))
-    mark = contents(tmp_path / "dataset").keys() - expected.keys()
-    assert mark == {".todframes.json"}
-    assert contents(tmp_path / "dataset").items() >= expected.items()
+    assert contents(tmp_path / "dataset") == expected
     assert {path.name for path in tmp_path.iterdir()} == {"SENSOR.toml", "dataset", "expected"}
 
 
@@ -545,25 +543,12 @@ def test_folder_that_is_not_empty_is_refused(simulate_command, tmp_path):
     (tmp_path / "dataset" / "notes.txt").write_text("mine", encoding="utf-8")
     before = tree(tmp_path)
     assert_refused(
-        simulate_command(tmp_path / "dataset"), BAD_SETTINGS, str(tmp_path / "dataset"), "not empty", "--overwrite"
+        simulate_command(tmp_path / "dataset"),
+        BAD_SETTINGS,
+        str(tmp_path / "dataset"),
+        "not empty, found notes.txt",
+        "new name",
     )
-    assert tree(tmp_path) == before
-
-
-def test_overwrite_replaces_the_whole_dataset(simulate_command, tmp_path):
-    assert simulate_command(tmp_path / "dataset", "--trials", "8", "--stages")[0] == 0
-    assert simulate_command(tmp_path / "dataset", "--overwrite", "--seed", "2")[0] == 0
-    expected = contents(written(tmp_path, "expected", snrs=(2.0,), seed=2))
-    assert contents(tmp_path / "dataset").keys() == expected.keys() | {".todframes.json"}
-    assert contents(tmp_path / "dataset").items() >= expected.items()
-    assert {path.name for path in tmp_path.iterdir()} == {"SENSOR.toml", "dataset", "expected"}
-
-
-def test_overwrite_removes_nothing_that_it_did_not_write(simulate_command, tmp_path):
-    (tmp_path / "dataset").mkdir()
-    (tmp_path / "dataset" / "notes.txt").write_text("mine", encoding="utf-8")
-    before = tree(tmp_path)
-    assert_refused(simulate_command(tmp_path / "dataset", "--overwrite"), BAD_SETTINGS, ".todframes.json")
     assert tree(tmp_path) == before
 
 
@@ -602,7 +587,7 @@ def test_present_folder_is_filled_or_refused(simulate_command, tmp_path, monkeyp
 def test_out_is_a_file(simulate_command, tmp_path):
     (tmp_path / "dataset").write_text("mine", encoding="utf-8")
     before = tree(tmp_path)
-    assert_refused(simulate_command(tmp_path / "dataset", "--overwrite"), BAD_SETTINGS, "is a file")
+    assert_refused(simulate_command(tmp_path / "dataset"), BAD_SETTINGS, "is a file")
     assert tree(tmp_path) == before
 
 
@@ -620,11 +605,8 @@ def test_out_without_a_name(simulate_command, tmp_path, monkeypatch):
     assert tree(tmp_path) == before
 
 
-@pytest.mark.parametrize("overwrite", [False, True], ids=["new", "overwrite"])
 @pytest.mark.parametrize("workers", [1, 2])
-def test_disk_full_at_a_frame(simulate_command, tmp_path, monkeypatch, workers, overwrite):
-    if overwrite:
-        assert simulate_command(tmp_path / "dataset")[0] == 0
+def test_disk_full_at_a_frame(simulate_command, tmp_path, monkeypatch, workers):
     before = tree(tmp_path)
     calls = []
 
@@ -636,8 +618,7 @@ def test_disk_full_at_a_frame(simulate_command, tmp_path, monkeypatch, workers, 
 
     write = frame_writing._write
     monkeypatch.setattr(frame_writing, "_write", no_space)
-    options = ["--trials", "40", "--workers", workers, *["--overwrite"] * overwrite]
-    done = simulate_command(tmp_path / "dataset", *options)
+    done = simulate_command(tmp_path / "dataset", "--trials", "40", "--workers", workers)
     assert_refused(done, BAD_SETTINGS, "No space left on device", f"{tmp_path}/dataset/frames/")
     assert len(calls) > 35
     assert tree(tmp_path) == before

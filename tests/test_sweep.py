@@ -8,15 +8,18 @@ import json
 import math
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 import sensor_sim as ss
 import todframes as tod
 from sensor_sim.cli import cli
 from sensor_sim.designs import Base, grid, latin_hypercube, numeric_keys, parse_range
 from sensor_sim.sharing import Kept
+from sensor_sim.sweep_figures import draw_map
 from sensor_sim.sweep_tables import acuity, front
 from sensor_sim.sweep_work import SweepWork, Variants, plan_sweep, run_sweep
 from todframes.cli.console import run
@@ -366,6 +369,73 @@ def test_one_key_and_one_size_have_a_line() -> None:
         result.plot_front()
     with pytest.raises(tod.DataError, match="plot_tod: found no design with thresholds at two or more sizes"):
         result.plot_tod()
+
+
+def test_the_netd_follows_aperture_and_detectors_where_it_is_coupled() -> None:
+    """Half the aperture, or half the width, is a quarter of the light on a detector: four times the NETD."""
+    vary = {"optics.aperture_mm": [110.0, 220.0], "detector.pitch_mrad": [0.03405, 0.0681]}
+    asked: dict[str, Any] = {"size_detectors": [6], "vary": vary, "tolerance": ROUGH, "keep_fill_factor": True}
+    free = ss.sweep(small_camera(), **asked)
+    coupled = ss.sweep(small_camera(), **asked, couple_netd=True, minimise=["delta_t_mk", "optics.aperture_mm"])
+    np.testing.assert_allclose(coupled.swept.netd_mk, [256.0, 64.0, 64.0, 16.0], rtol=1e-12)
+    np.testing.assert_array_equal(coupled.swept.threshold_snr, free.swept.threshold_snr)
+    factor = coupled.swept.delta_t_mk / free.swept.delta_t_mk
+    np.testing.assert_allclose(factor[:, 0], [16.0, 4.0, 4.0, 1.0], rtol=1e-12)
+    assert [row["netd_mk"] for row in coupled.records()] == coupled.swept.netd_mk.tolist()
+    assert "netd_mk" not in next(free.records())
+    assert "NETD mK" in [one.heading for one in coupled.best().columns]
+    hint = "The NETD is the same for all apertures and detectors"
+    assert hint in " ".join(free.sentences()) and hint not in " ".join(coupled.sentences())
+    # The front went for the narrowest detector: it is the one of lowest ΔT per aperture only without the coupling.
+    best = [row["detector.pitch_mrad"] for row in coupled.records() if row["on_front"]]
+    assert best == [0.0681, 0.0681]
+
+
+def test_nothing_is_said_of_the_netd_where_the_light_is_the_same_or_the_netd_varies() -> None:
+    for vary, keep in (
+        ({"display.gain": [0.5, 1.0]}, False),
+        ({"detector.pitch_mrad": [0.0681, 0.07]}, False),
+        ({"optics.aperture_mm": [220.0], "noise.netd_mk": [16.0, 20.0]}, False),
+    ):
+        result = ss.sweep(small_camera(), size_detectors=[6], vary=vary, tolerance=ROUGH, keep_fill_factor=keep)
+        assert "--couple-netd" not in " ".join(result.sentences())
+
+
+def test_a_netd_that_cannot_be_coupled_is_refused() -> None:
+    asked: dict[str, Any] = {"size_detectors": [6], "couple_netd": True}
+    with pytest.raises(SettingsError, match=r"^couple_netd: found noise\.netd_mk among the keys"):
+        ss.sweep(small_camera(), vary={"noise.netd_mk": [16.0]}, **asked)
+    without = replace(small_camera(), noise=replace(small_camera().noise, netd_mk=None))
+    with pytest.raises(SettingsError, match=r"^couple_netd: needs noise\.netd_mk of the sensor$"):
+        ss.sweep(without, vary={"optics.aperture_mm": [220.0]}, **asked)
+
+
+def test_impossible_and_never_reached_designs_look_different_on_the_map() -> None:
+    """Of a grid: hatches of two kinds at their cells; of points: two markers."""
+    vary = {"detector.pitch_mrad": [0.05, 0.0681, 0.07], "optics.aperture_mm": [20.0, 220.0]}
+    result = ss.sweep(small_camera(), size_detectors=[4], vary=vary, tolerance=ROUGH)
+    wanted = ["impossible"] * 2 + ["never_reached", "ok"] * 2
+    assert [one[0] for one in result.swept.status] == wanted
+    axes = Figure().subplots()
+    draw_map(axes, result, 0)
+    hatched = {one.get_hatch(): one.get_paths() for one in axes.collections if one.get_hatch()}
+    middles = {
+        hatch: sorted(tuple(path.vertices[:4].mean(axis=0).round(4)) for path in paths)
+        for hatch, paths in hatched.items()
+    }
+    assert {hatch: [x for x, _ in found] for hatch, found in middles.items()} == {
+        "////": pytest.approx([0.041, 0.041], abs=0.02),
+        "xx": pytest.approx([0.0645, 0.0709], abs=0.01),
+    }
+    points = [
+        {"detector.pitch_mrad": x, "optics.aperture_mm": y}
+        for x, y in ((0.05, 20.0), (0.068, 21.0), (0.07, 220.0))
+    ]
+    scattered = ss.sweep(small_camera(), size_detectors=[4], design=points, tolerance=ROUGH)
+    assert [one[0] for one in scattered.swept.status] == ["impossible", "impossible", "ok"]
+    axes = Figure().subplots()
+    draw_map(axes, scattered, 0)
+    assert [len(one.get_offsets()) for one in axes.collections] == [1, 2, 0]
 
 
 def test_command_is_the_call(capsys, tmp_path: Path) -> None:

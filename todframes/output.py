@@ -1,55 +1,54 @@
 """Writing of results: result folders, datasets, single files. Files that others wrote are never changed.
 
-A run stages its files in a hidden folder inside the place that it writes to. A dataset that replaces another one,
-and a single file, are staged beside it. The staging folder is made before the work, so a place that cannot be
-written is found at once. A run holds a lock in it: a second run into the same place is refused, and what a killed
-run has left is known by a lock that nobody holds.
+A run stages its files in a hidden folder inside the place that it writes to; a single file is staged beside it.
+The hidden folder is made before the work, so a place that cannot be written is found at once. A run holds a lock
+in it: a second run into the same place is refused, and what a killed run has left is known by a lock that nobody
+holds.
 
-A run that can go on later keeps its finished results in the staging folder, in `STORE`. When it fails or is killed
+A run that can go on later keeps its finished results in the hidden folder, in `STORE`. When it fails or is killed
 they stay there, and the next run into the same place finds them; when it ends well they are removed.
 
 At the end, with signals held back, the files are renamed into place:
 
 - Files of a result folder replace those of the same names one by one, `result.json` last.
-- A dataset that is new gets its files under their names, `dataset.toml` last; without that it is no dataset. So
-  does a chart, `chart.toml` last.
-- A dataset that replaces another one is swapped with it in one step. The older one is looked at before it is
-  removed; if anything has come into it meanwhile, the two are swapped back.
+- A dataset or a chart needs a new or empty folder. Its files get their names there, `dataset.toml` or `chart.toml`
+  last; without that it is none.
+
+Whoever can write to the place may have planted links in it. No link below the place is followed: place and hidden
+folder are opened once, and all files are named by these open folders (`_held`), whatever happens to their names.
+The hidden folder belongs to this user alone, or it is refused, and so is one that holds names not given here.
 """
 
 from __future__ import annotations
 
-import ctypes
 import errno
 import hashlib
 import os
 import shutil
 import stat
 import sys
-from collections.abc import Iterable, Iterator, Mapping, Set
+import tempfile
+from collections.abc import Collection, Iterable, Iterator, Mapping, Set
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 
 import msgspec
 
-from todframes import __version__, signals
-from todframes.errors import OutputError, TodframesError, argument
+from todframes import signals
+from todframes.errors import OutputError, TodframesError
 from todframes.signals import held_back
 
 if sys.platform != "win32":
     import fcntl
 
-
-STAGING, LOCK, STAGED, ASIDE, STORE = ".todframes-staging", "lock", "new", "old", "store"
-
-
-MARK = ".todframes.json"
-"""Name of the file in a dataset that lists the files this package wrote, with their SHA-256."""
-
+STAGING = ".todframes-staging"
+LOCK, STAGED, STORE, MOVING = "lock", "new", "store", "moving"
+"""Names in a hidden folder: the lock, the staged files, finished results, and the list of what `_fill` moves."""
 
 LAST_OF_DATASET, LAST_OF_RESULT = "dataset.toml", "result.json"
 
+LARGEST_RESULT_MB = 64
 
 FILES_OF_COMMAND = {
     "score": {"report.html", "scores.csv", "scores.parquet", "psychometric.png", "tod_curve.png"},
@@ -65,27 +64,6 @@ FILES_OF_COMMAND = {
     },
 }
 """Files that each command writes beside `result.json`."""
-
-
-Inventory = dict[str, tuple[int, ...]]
-
-
-FOLDER: tuple[int, ...] = ()
-
-
-OTHER: tuple[int, ...] = (-1,)
-
-
-# Flags of renameat2 (Linux) and renamex_np (macOS).
-NO_REPLACE, EXCHANGE = (4, 2) if sys.platform == "darwin" else (1, 2)
-
-
-AT_FDCWD = -100
-
-
-class _Mark(msgspec.Struct):
-    version: str
-    files: dict[str, str]
 
 
 class _Result(msgspec.Struct):
@@ -108,88 +86,93 @@ def output_folder(name: str, going: Going | None = None) -> Iterator[Path]:
     Parameters
     ----------
     going : Going, optional
-        For a run that can go on later: its finished results, in `store_folder`, stay if it fails.
+        For a run that can go on later: its finished results, in `store_path`, stay if it fails.
 
     Raises
     ------
     OutputError
         If the place cannot be written, or another run is writing there.
     """
-    with _as_output_error(name):
-        path = _place(name)
-        with _made(path), _staging(path / STAGING, name, going, {STORE}):
-            staged = path / STAGING / STAGED
-            staged.mkdir()
-            yield staged
-            with held_back():
-                _join(staged, path)
-                signals.written.append(name)
+    with _as_output_error(name), _place(name) as out, _hidden(out, STAGING, name, going, {STORE}) as hidden:
+        staged = hidden / STAGED
+        staged.mkdir()
+        yield staged
+        with held_back():
+            _check_in_place(name, out)
+            _join(name, staged, out)
+            signals.written.append(name)
 
 
 @contextmanager
-def new_folder(
-    name: str, *, overwrite: bool, last: str = LAST_OF_DATASET, going: Going | None = None
-) -> Iterator[Path]:
-    """Yield a staging folder. If the block ends without an exception, it becomes the dataset named.
+def new_folder(name: str, *, last: str = LAST_OF_DATASET, going: Going | None = None) -> Iterator[Path]:
+    """Yield a staging folder. If the block ends without an exception, its content moves into the folder named.
 
     Parameters
     ----------
-    overwrite : bool
-        Whether it may replace a dataset. A dataset is only replaced if it has the mark of this package and holds
-        nothing but the files listed there, unchanged.
     last : str
         The file without which the folder is no dataset, or no chart; it is the last to get its name.
     going : Going, optional
-        For a run that can go on later: its finished results, in `store_folder`, and the files in the staging
+        For a run that can go on later: its finished results, in `store_path`, and the files in the staging
         folder stay if it fails. The next run finds both.
 
     Raises
     ------
     OutputError
-        If the place cannot be written or holds something that is not to be replaced, or another run is writing
-        there.
+        If the place cannot be written or is not empty, or another run is writing there.
     """
-    with _as_output_error(name), ExitStack() as stack:
-        path = _place(name)
-        stack.enter_context(_made(path))
-        kept = {STORE, STAGED}
-        killed = stack.enter_context(_staging(path / STAGING, name, going, kept))
-        beside = _beside(path)
-        if killed:
-            _remove_unfinished(path, last)
-        before = _inventory(path)
-        if beside.is_dir() and not before:
-            with _staging(beside, name):
-                pass  # removes the files of a killed run
-        if before:
-            _check_replaceable(name, path, before, overwrite)
-            stack.enter_context(_staging(beside, name, going, kept))
-            _check_exchange(name, path, beside)
-        staged = (beside if before else path / STAGING) / STAGED
+    kept = {STORE, STAGED}
+    with _as_output_error(name), _place(name) as out, _hidden(out, STAGING, name, going, kept) as hidden:
+        if found := sorted(_names(out) - {STAGING}):
+            raise OutputError(f"{name}: is not empty, found {found[0]}; expected a new name or an empty folder")
+        staged = hidden / STAGED
         staged.mkdir(exist_ok=going is not None)
-        try:
+        with _shown_as(name, staged):
             yield staged
-        except OutputError as error:  # name the frame as it would have been
-            raise OutputError(str(error).replace(str(staged), name)) from None
-        _write_mark(staged)
         with held_back():
-            if before:
-                _exchange(name, staged, path, before)
-            else:
-                _fill(name, staged, path, last)
+            _check_in_place(name, out)
+            _fill(name, staged, out, last)
             signals.written.append(name)
 
 
-def store_folder(staged: Path) -> Path:
-    """Return the folder for the finished results of the run that has this staging folder."""
+def store_path(staged: Path) -> Path:
+    """Return the path of the store of finished results of the run that has this staging folder."""
     return staged.parent / STORE
 
 
-def remove_others(folder: Path, names: Set[str]) -> None:
-    """Remove all but some files from a staging folder: what an earlier run with other settings has left."""
-    for entry in list(os.scandir(folder)):
-        if entry.name not in names:
-            _remove_entry(entry)
+@contextmanager
+def held(staged: Path) -> Iterator[Path]:
+    """Open a staging folder from another process, or by its real path, as `new_folder` opens it.
+
+    Raises
+    ------
+    OutputError
+        If it is a link or belongs to somebody else.
+    """
+    with ExitStack() as stack:
+        try:
+            hidden = _held(staged.parent, stack)
+        except OSError as error:
+            raise OutputError(f"{staged}: cannot be written ({error.strerror})") from None
+        if not _is_ours(hidden):
+            raise OutputError(f"{staged.parent}: belongs to another user")
+        with _shown_as(str(staged), hidden / staged.name):
+            yield hidden / staged.name
+
+
+def remove_others(folder: Path, names: Collection[str]) -> None:
+    """Remove all files but some from a staging folder: what an earlier run with other settings has left.
+
+    Parameters
+    ----------
+    names : collection of str
+        Paths relative to the folder; folders that are left empty are removed, too.
+    """
+    for parent, _, files in os.walk(folder, topdown=False):
+        for path in (Path(parent, file) for file in files):
+            if path.relative_to(folder).as_posix() not in names:
+                path.unlink()
+        if Path(parent) != folder and not _names(Path(parent)):
+            Path(parent).rmdir()
 
 
 def write_file(path: Path, content: bytes, *, not_over: Path | None = None, is_private: bool = False) -> None:
@@ -202,21 +185,24 @@ def write_file(path: Path, content: bytes, *, not_over: Path | None = None, is_p
     OutputError
         If the place cannot be written, is that of `not_over`, or another run is writing there.
     """
-    with _as_output_error(str(path)):
+    name = str(path)
+    with _as_output_error(name), ExitStack() as stack:
         if path.exists() and not path.is_file():
             raise OutputError(f"{path}: is a folder or device, expected the name of a file")
         if not_over is not None and path.exists() and path.samefile(not_over):
             raise OutputError(f"{path}: is the result itself, expected another name")
-        beside = _beside(path)
-        with _staging(beside, str(path)):
-            write_files(beside, {STAGED: content})
-            if path.exists():
-                shutil.copymode(path, beside / STAGED)
-            elif is_private:
-                (beside / STAGED).chmod(0o600)
+        parent = _held(Path(os.path.realpath(path.parent)), stack)
+        with _hidden(parent, beside(path.name), name) as hidden:
+            write_files(hidden, {STAGED: content})
+            if is_private:
+                (hidden / STAGED).chmod(0o600)
+            with suppress(FileNotFoundError):
+                status = (parent / path.name).lstat()
+                if stat.S_ISREG(status.st_mode):
+                    (hidden / STAGED).chmod(stat.S_IMODE(status.st_mode))
             with held_back():
-                (beside / STAGED).replace(path)
-                signals.written.append(str(path))
+                (hidden / STAGED).replace(parent / path.name)
+                signals.written.append(name)
 
 
 def write_folder(folder: Path | str, files: Mapping[str, bytes | Iterable[bytes]]) -> None:
@@ -241,6 +227,44 @@ def write_files(folder: Path, files: Mapping[str, bytes | Iterable[bytes]]) -> N
             os.fsync(file.fileno())
 
 
+def locked(file: int) -> bool:
+    """Lock an open file until it is closed. Returns whether the file system has locks.
+
+    Raises
+    ------
+    BlockingIOError
+        If another process has locked it.
+    """
+    try:
+        if sys.platform == "win32":
+            return False
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        raise
+    except OSError:
+        return False
+    return True
+
+
+def open_own(path: Path) -> int:
+    """Open a file for reading and writing, or make it; no link is followed, and no pipe is waited for.
+
+    Raises
+    ------
+    OSError
+        If it cannot be opened, or is no regular file.
+    """
+    more = (getattr(os, name, 0) for name in ("O_NOFOLLOW", "O_NONBLOCK", "O_BINARY"))
+    file = os.open(path, os.O_RDWR | os.O_CREAT | sum(more), 0o600)
+    if not stat.S_ISREG(os.fstat(file).st_mode):
+        os.close(file)
+        raise OSError(errno.ENXIO, os.strerror(errno.ENXIO))
+    return file
+
+
+# The place ----------------------------------------------------------------------------------------------------
+
+
 @contextmanager
 def _as_output_error(name: str) -> Iterator[None]:
     try:
@@ -251,8 +275,22 @@ def _as_output_error(name: str) -> Iterator[None]:
         raise OutputError(f"{name}: cannot be written ({error.strerror or error})") from None
 
 
-def _place(name: str) -> Path:
-    """Return the path of the folder named, with links resolved. Raises OutputError if it cannot be a folder."""
+@contextmanager
+def _shown_as(name: str, staged: Path) -> Iterator[None]:
+    """Name frames in messages as they would have been named."""
+    real = os.path.realpath(staged)
+    try:
+        yield
+    except OutputError as error:
+        raise OutputError(str(error).replace(str(staged), name).replace(real, name)) from None
+
+
+@contextmanager
+def _place(name: str) -> Iterator[Path]:
+    """Open the folder named; make it if there is none, and remove it again if the block fails and it is empty.
+
+    Links in its name are followed: it is the user's.
+    """
     if not name or "\0" in name:
         raise OutputError(f"found {name!r} as the folder for results, expected a name")
     if "://" in name:  # it may hold a secret
@@ -265,18 +303,14 @@ def _place(name: str) -> Path:
     parent = path.absolute().parent
     if not parent.is_dir():
         raise OutputError(f"{path}: {parent} is not a folder")
-    return Path(os.path.realpath(path))
-
-
-@contextmanager
-def _made(path: Path) -> Iterator[None]:
-    """Make a folder if it does not exist, and remove it again if the block fails and the folder is empty."""
+    path = Path(os.path.realpath(path))
     made = False
     try:
         with held_back(), suppress(FileExistsError):
             path.mkdir()
             made = True
-        yield
+        with ExitStack() as stack:
+            yield _held(path, stack)
     except BaseException:
         if made:
             with suppress(OSError):
@@ -284,365 +318,257 @@ def _made(path: Path) -> Iterator[None]:
         raise
 
 
-# The staging folder -------------------------------------------------------------------------------------------
+def _held(folder: Path, stack: ExitStack) -> Path:
+    """Open a folder that is no link. Returns a path that stays the folder's own, whatever happens to its name.
 
-
-@contextmanager
-def _staging(folder: Path, name: str, going: Going | None = None, kept: Set[str] = frozenset()) -> Iterator[bool]:
-    """Make a staging folder for this run alone, empty except for the lock, and remove it at the end.
-
-    If the run can go on later, what is `kept` may be there at the start, and stays if the run fails and has a
-    store. Yields whether an earlier run had left the folder.
+    Where the system has no such paths (it needs Linux's /proc) it is the folder's name.
     """
-    lock: int | None = None
-    ours = False
-    stays: Set[str] = frozenset()
-    try:
-        with held_back():
-            lock, killed = _lock(folder, name)
-            ours = True
-            # Another command into the same place leaves the store alone.
-            stays = frozenset() if going is not None and going.restart else kept if going is not None else {STORE}
-            _clear(folder, stays)
-        yield killed
-        stays = {STORE} if going is None or going.keep else frozenset()
-    except BaseException:
-        stays = (kept if going is not None else {STORE}) if (folder / STORE).is_dir() else frozenset()
-        raise
-    finally:
-        if ours:
-            with held_back():
-                _release(folder, lock, stays)
-
-
-def _lock(folder: Path, name: str) -> tuple[int | None, bool]:
-    """Make and lock a staging folder.
-
-    Returns
-    -------
-    (int or None, bool)
-        The open lock file, or None if the file system has no locks: then the folder is the lock; and whether a
-        killed run had left the folder.
-    """
-    while True:
-        try:
-            folder.mkdir(mode=0o700)
-            made = True
-        except FileExistsError:
-            made = False
-        try:
-            is_link = folder.is_symlink()
-            names = set() if is_link else _names(folder)
-            if is_link or (names and LOCK not in names):
-                raise OutputError(f"{folder}: was not made by todframes; move it away, or take another name")
-            lock = os.open(folder / LOCK, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o600)
-        except FileNotFoundError:
-            continue  # its run has just ended
-        try:
-            if sys.platform == "win32":
-                raise OSError(errno.ENOSYS, os.strerror(errno.ENOSYS))
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            os.close(lock)
-            raise OutputError(f"{name}: another run is writing there; wait for it, or take another name") from None
-        except OSError:
-            os.close(lock)
-            if made:
-                return None, False
-            raise OutputError(
-                f"{folder}: belongs to another run, or to one that was killed; remove it if none is under way"
-            ) from None
-        if _is_locked_by(lock, folder):
-            return lock, LOCK in names
-        os.close(lock)
-
-
-def _is_locked_by(lock: int, folder: Path) -> bool:
-    """Return whether the lock is still the folder's; its last owner may have removed or moved the folder."""
-    with suppress(FileNotFoundError):
-        return os.path.samestat(os.fstat(lock), os.lstat(folder / LOCK))
-    return False
-
-
-def _release(folder: Path, lock: int | None, stays: Set[str]) -> None:
-    """Remove a staging folder, the lock last; if something stays, the lock file stays too, unlocked."""
-    ours = lock is None or _is_locked_by(lock, folder)
-    with suppress(OSError):  # the next run removes it
-        if ours:
-            _clear(folder, stays)
-            ours = not stays & _names(folder)
-            if ours:
-                (folder / LOCK).unlink()
-    if lock is not None:
-        os.close(lock)
-    with suppress(OSError):
-        if ours:
-            folder.rmdir()  # on NFS an open file that was removed stays until it is closed
-
-
-def _clear(folder: Path, stays: Set[str]) -> None:
-    """Remove the files that a run staged or swapped out; from a dataset with a mark only the files in the mark.
-
-    What is named in `stays` stays, but never a dataset with a mark.
-
-    Raises
-    ------
-    OutputError
-        If a dataset that was swapped out holds other files; only a kill in the middle of the swap leaves that.
-    """
-    staged = folder / STAGED
-    if (staged / MARK).exists():
-        found = _inventory(staged)
-        if foreign := _foreign(staged, found):
-            raise OutputError(f"{staged}: holds {foreign[0]}, which todframes did not write; move it to safety")
-        _remove_folder(staged, found)
-    for entry in list(os.scandir(folder)):
-        if entry.name not in {LOCK, *stays}:
-            _remove_entry(entry)
-
-
-def _remove_entry(entry: os.DirEntry[str]) -> None:
-    if entry.is_dir(follow_symlinks=False):
-        shutil.rmtree(entry)
-    else:
-        os.unlink(entry)  # noqa: PTH108 - an entry is no Path
+    if sys.platform == "win32":
+        if folder.is_symlink() or not folder.is_dir():
+            raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR))
+        return folder
+    number = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+    stack.callback(os.close, number)
+    by_number = Path(f"/proc/self/fd/{number}")
+    return by_number if by_number.is_dir() else folder
 
 
 def _names(folder: Path) -> set[str]:
     return {path.name for path in folder.iterdir()}
 
 
-def _beside(path: Path) -> Path:
-    """Return the path of the staging folder beside a file or folder; its length does not depend on the name."""
-    return path.parent / f"{STAGING}-{hashlib.sha256(os.fsencode(path.name)).hexdigest()[:16]}"
+def _check_in_place(name: str, out: Path) -> None:
+    """Raise OutputError if the folder named is not the one that was opened."""
+    if not (os.path.exists(name) and os.path.samefile(name, out)):  # noqa: PTH110, PTH121 - a name, no path
+        raise OutputError(f"{name}: was moved, removed or replaced during the run; nothing was written")
 
 
-# Result folders -----------------------------------------------------------------------------------------------
+# The hidden folder --------------------------------------------------------------------------------------------
 
 
-def _join(staged: Path, path: Path) -> None:
-    """Move staged files into a result folder, over older ones; if one cannot be moved, put the older ones back."""
+def beside(file_name: str) -> str:
+    """Return the name of the hidden folder beside a file; its length does not depend on the file's name."""
+    return f"{STAGING}-{hashlib.sha256(os.fsencode(file_name)).hexdigest()[:16]}"
+
+
+@contextmanager
+def _hidden(
+    parent: Path, entry: str, name: str, going: Going | None = None, kept: Set[str] = frozenset()
+) -> Iterator[Path]:
+    """Make a hidden folder for this run alone, empty except for the lock, and remove it at the end.
+
+    If the run can go on later, what is `kept` may be there at the start, and stays if the run fails and has a
+    store. Another command into the same place leaves the store alone.
+    """
+    lock: int | None = None
+    hidden: Path | None = None
+    stays: Set[str] = frozenset()
+    with ExitStack() as stack:
+        try:
+            with held_back():
+                hidden, lock = _lock(parent, entry, name, stack)
+                stays = {STORE} if going is None else frozenset() if going.restart else kept
+                if (hidden / MOVING).exists():
+                    _take_back(hidden, parent)
+                _clear(hidden, stays)
+            yield hidden
+            stays = {STORE} if going is None or going.keep else frozenset()
+        except BaseException:
+            is_kept = hidden is not None and (hidden / STORE).exists()
+            stays = (kept if going is not None else {STORE}) if is_kept else frozenset()
+            raise
+        finally:
+            if hidden is not None:
+                with held_back():
+                    _release(parent / entry, hidden, lock, stays)
+
+
+def _lock(parent: Path, entry: str, name: str, stack: ExitStack) -> tuple[Path, int | None]:
+    """Make, open and lock a hidden folder.
+
+    Returns
+    -------
+    (Path, int or None)
+        The folder, and the open lock file; None if the file system has no locks: then the folder is the lock.
+    """
+    place = parent / entry
+    shown = Path(os.path.realpath(parent)) / entry
+    theirs = OutputError(f"{shown}: was not made by todframes for this user; move it away, or take another name")
+    while True:
+        made = True
+        try:
+            place.mkdir(mode=0o700)
+        except FileExistsError:
+            made = False
+        with ExitStack() as opened:
+            try:
+                hidden = _held(place, opened)
+                names = _names(hidden)
+                if (names and LOCK not in names) or names - {LOCK, STAGED, STORE, MOVING} or not _is_ours(hidden):
+                    raise theirs
+                with suppress(OSError):
+                    hidden.chmod(0o700)
+                lock = open_own(hidden / LOCK)
+            except FileNotFoundError:
+                continue  # its run has just ended
+            except OSError as error:
+                if error.errno in (errno.ELOOP, errno.ENOTDIR, errno.EISDIR, errno.ENXIO):
+                    raise theirs from None
+                if made:
+                    with suppress(OSError):
+                        place.rmdir()
+                raise
+            opened.callback(os.close, lock)
+            try:
+                has_locks = locked(lock)
+            except BlockingIOError:
+                raise OutputError(
+                    f"{name}: another run is writing there; wait for it, or take another name"
+                ) from None
+            if not has_locks and not made:
+                raise OutputError(
+                    f"{shown}: belongs to another run, or to one that was killed; remove it if none is under way"
+                )
+            if _is_locked_by(lock, hidden):
+                stack.push(opened.pop_all())
+                return hidden, lock if has_locks else None
+
+
+def _is_ours(folder: Path) -> bool:
+    """Return whether a folder belongs to this user."""
+    if sys.platform == "win32":
+        return True
+    owner = folder.stat().st_uid
+    if owner != os.geteuid():
+        with tempfile.TemporaryFile(dir=folder) as probe:  # a network disk may give our files another owner
+            if os.fstat(probe.fileno()).st_uid != owner:
+                return False
+    return True
+
+
+def _is_locked_by(lock: int, folder: Path) -> bool:
+    """Return whether the lock is still the folder's; its last owner may have removed the folder."""
+    with suppress(FileNotFoundError):
+        return os.path.samestat(os.fstat(lock), (folder / LOCK).lstat())
+    return False
+
+
+def _release(place: Path, hidden: Path, lock: int | None, stays: Set[str]) -> None:
+    """Remove a hidden folder, the lock last; if something stays, the lock file stays too, unlocked."""
+    with suppress(OSError):  # the next run removes it
+        if lock is None or _is_locked_by(lock, hidden):
+            _clear(hidden, stays)
+            if not stays & _names(hidden):
+                (hidden / LOCK).unlink()
+                place.rmdir()
+
+
+def _clear(hidden: Path, stays: Set[str]) -> None:
+    """Remove what a run has left in its hidden folder, but for the lock and what stays."""
+    for entry in list(os.scandir(hidden)):
+        if entry.name == LOCK:
+            continue
+        if entry.is_dir(follow_symlinks=False):
+            if entry.name in stays:
+                _keep_own_files(Path(entry))
+            else:
+                shutil.rmtree(entry)
+        elif entry.name not in stays or not _is_own_file(entry):
+            os.unlink(entry)  # noqa: PTH108 - an entry is no Path
+
+
+def _keep_own_files(folder: Path) -> None:
+    """Remove links, and all else that no run has written, from a folder that an earlier run has left."""
+    for entry in list(os.scandir(folder)):
+        if entry.is_dir(follow_symlinks=False):
+            _keep_own_files(Path(entry))
+        elif not _is_own_file(entry):
+            os.unlink(entry)  # noqa: PTH108 - an entry is no Path
+
+
+def _is_own_file(entry: os.DirEntry[str]) -> bool:
+    """Return whether an entry is a regular file with no other name."""
+    status = os.lstat(entry)
+    return stat.S_ISREG(status.st_mode) and status.st_nlink == 1
+
+
+# Into place ---------------------------------------------------------------------------------------------------
+
+
+def _join(name: str, staged: Path, out: Path) -> None:
+    """Move staged files into a result folder, over older ones, one by one."""
     made = _names(staged)
-    for name in made:
-        if (path / name).is_dir():
-            raise OutputError(f"{path / name}: is a folder, expected a file or none")
-    stale = _files_of_result(path) - made if LAST_OF_RESULT in made else set()
-    aside = staged.with_name(ASIDE)
-    aside.mkdir()
-    moved = []
-    try:
-        for name in sorted(made | stale, key=lambda name: (name == LAST_OF_RESULT, name)):
-            with suppress(OSError):  # there is none, or the file system has no links
-                (aside / name).hardlink_to(path / name)
-            if name in made:
-                (staged / name).replace(path / name)
+    for part in made:
+        if (out / part).is_dir() and not (out / part).is_symlink():
+            raise OutputError(f"{Path(name) / part}: is a folder, expected a file or none")
+    stale = _files_of_result(out) - made if LAST_OF_RESULT in made else set()
+    new: list[str] = []
+    for part in sorted(made | stale, key=lambda part: (part in (LAST_OF_RESULT, LAST_OF_DATASET), part)):
+        try:
+            if part in stale:
+                (out / part).unlink(missing_ok=True)
             else:
-                (path / name).unlink(missing_ok=True)
-            moved.append(name)
-    except OSError:
-        for name in moved:
-            if (aside / name).exists():
-                (aside / name).replace(path / name)
-            else:
-                (path / name).unlink(missing_ok=True)
-        raise
+                (staged / part).replace(out / part)
+                new.append(part)
+        except OSError as error:
+            but = f", but {' and '.join(new)} {'is' if len(new) == 1 else 'are'} new" if new else ""
+            raise OutputError(f"{Path(name) / part}: cannot be replaced ({error.strerror}){but}") from None
 
 
 def _files_of_result(path: Path) -> set[str]:
     """Return the files of the result in a folder; beside another result they would be taken for that one's."""
     with suppress(OSError, msgspec.MsgspecError):
-        if (path / LAST_OF_RESULT).is_file():
-            result = msgspec.json.decode((path / LAST_OF_RESULT).read_bytes(), type=_Result)
+        file = path / LAST_OF_RESULT
+        if stat.S_ISREG((status := file.lstat()).st_mode) and status.st_size <= LARGEST_RESULT_MB * 2**20:
+            result = msgspec.json.decode(file.read_bytes(), type=_Result)
             return {name for name in FILES_OF_COMMAND.get(result.command, ()) if (path / name).is_file()}
     return set()
 
 
-# Datasets -----------------------------------------------------------------------------------------------------
-
-
-def _inventory(folder: Path) -> Inventory:
-    """List all files and folders below a folder except its staging folder, parents before their content.
-
-    Returns
-    -------
-    dict of str to tuple of int
-        By relative path: (size, time in ns, inode) for files, FOLDER for folders, OTHER for the rest, also links.
-    """
-
-    def fail(error: OSError) -> None:
-        raise error
-
-    found: Inventory = {}
-    for parent, folders, files in os.walk(folder, onerror=fail):
-        if Path(parent) == folder and STAGING in folders:
-            folders.remove(STAGING)
-        for path in (Path(parent, name) for name in [*folders, *files]):
-            status = path.lstat()
-            if stat.S_ISREG(status.st_mode):
-                kind: tuple[int, ...] = (status.st_size, status.st_mtime_ns, status.st_ino)
-            else:
-                kind = FOLDER if stat.S_ISDIR(status.st_mode) else OTHER
-            found[path.relative_to(folder).as_posix()] = kind
-    return found
-
-
-def _foreign(folder: Path, found: Inventory) -> list[str]:
-    """List names in a folder that are not in its mark or were changed since; all names if it has no mark."""
-    try:
-        if len(found.get(MARK, OTHER)) < 3:
-            return list(found)
-        mark = msgspec.json.decode((folder / MARK).read_bytes(), type=_Mark)
-    except msgspec.MsgspecError:
-        return list(found)
-    parents = {str(parent) for name in mark.files for parent in PurePosixPath(name).parents}
-
-    def is_ours(name: str) -> bool:
-        if found[name] == FOLDER:
-            return name in parents
-        return found[name] != OTHER and name in mark.files and _sha256(folder / name) == mark.files[name]
-
-    return [name for name in found if name != MARK and not is_ours(name)]
-
-
-def _write_mark(folder: Path) -> None:
-    names = sorted(name for name, kind in _inventory(folder).items() if kind != FOLDER)
-    files = {name: _sha256(folder / name) for name in names}  # in an order that is that of no file system
-    mark = msgspec.json.encode(_Mark(__version__, files))
-    write_files(folder, {MARK: msgspec.json.format(mark, indent=1) + b"\n"})
-
-
-def _sha256(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
-
-
-def _remove(folder: Path, found: Inventory) -> None:
-    """Remove the listed files of a dataset's folder; the mark last, and only if no other file has appeared."""
-    for name in reversed(found):
-        if name != MARK:
-            (folder / name).rmdir() if found[name] == FOLDER else (folder / name).unlink()
-    if _names(folder) <= {MARK, STAGING}:
-        (folder / MARK).unlink()
-
-
-def _remove_folder(folder: Path, found: Inventory) -> None:
-    _remove(folder, found)
-    shutil.rmtree(folder / STAGING, ignore_errors=True)
-    folder.rmdir()
-
-
-def _remove_unfinished(path: Path, last: str) -> None:
-    """Remove files that a killed run had moved into a new folder."""
-    found = _inventory(path)
-    if MARK in found and last not in found and not _foreign(path, found):
-        _remove(path, found)
-
-
-def _check_replaceable(name: str, path: Path, found: Inventory, overwrite: bool) -> None:
-    """Raise OutputError unless a folder that is not empty is a dataset that may and can be replaced."""
-    if not overwrite:
-        raise OutputError(
-            f"{name}: is not empty; expected a new name, or {argument.overwrite}, which replaces only what "
-            "todframes wrote"
-        )
-    if MARK not in found:
-        raise OutputError(
-            f"{name}: has no {MARK}, so todframes cannot tell what it wrote there and replaces nothing; expected "
-            "a new name, or remove the folder yourself"
-        )
-    if foreign := _foreign(path, found):
-        more = f" and {len(foreign) - 1} more" if len(foreign) > 1 else ""
-        raise OutputError(
-            f"{name}: holds {foreign[0]}{more}, not written by todframes or changed since; expected a new name, "
-            "or move that away"
-        )
-
-
-def _check_exchange(name: str, path: Path, beside: Path) -> None:
-    """Raise OutputError unless a folder can be swapped in one step with one that is staged beside it."""
-    why: str | None = None
-    try:
-        if Path.cwd().is_relative_to(path):
-            why = "it is the present folder, or holds it"
-        # The staging folder inside is locked by this run, so this removes nothing: it only finds out whether the
-        # system would, which it would not where the folder is a mount point or its parent is not ours to change.
-        path.rmdir()
-    except OSError as error:
-        if error.errno not in (errno.ENOTEMPTY, errno.EEXIST):
-            why = error.strerror
-    try:
-        for probe in ("a", "b"):
-            (beside / probe).mkdir()
-        _rename(beside / "a", beside / "b", EXCHANGE)
-    except OSError as error:
-        why = error.strerror
-    if why is not None:
-        raise OutputError(f"{name}: cannot be replaced in one step ({why}); expected a new name")
-
-
-def _exchange(name: str, staged: Path, path: Path, before: Inventory) -> None:
-    """Swap a staged dataset with the existing one, and remove the existing one if it has not changed."""
-    shutil.copymode(path, staged)
-    if hasattr(os, "sync"):
-        os.sync()  # or the power may fail when the older one is gone and the new one is not yet on disk
-    _rename(staged, path, EXCHANGE)
-    now: Inventory = {}
-    with suppress(OSError):
-        now = _inventory(staged)
-    if now != before:
-        _rename(staged, path, EXCHANGE)
-        changed = [file for file in now.keys() | before.keys() if now.get(file) != before.get(file)]
-        raise OutputError(
-            f"{name}: {min(changed)} was put there or changed meanwhile; nothing was replaced, expected a new name"
-        )
-    with suppress(OSError):  # the next run removes it
-        _remove_folder(staged, before)
-
-
-def _fill(name: str, staged: Path, path: Path, last: str) -> None:
-    """Move a staged dataset into a folder that has none; no file is replaced."""
+def _fill(name: str, staged: Path, out: Path, last: str) -> None:
+    """Move staged files and folders into a folder that has none of them; no file is replaced."""
+    parts = sorted(_names(staged), key=lambda part: (part == last, part))
+    # A run that is killed meanwhile leaves a list of what is its own, by numbers that nobody can plant.
+    numbers = {part: (staged / part).lstat().st_ino for part in parts}
+    write_files(staged.parent, {MOVING: msgspec.json.encode(numbers)})
     moved: list[str] = []
     try:
-        for part in sorted(_names(staged), key=lambda part: (part != MARK, part == last)):
-            try:
-                _rename_to_free_name(staged / part, path / part)
-            except FileExistsError:
-                raise OutputError(f"{name}: {part} was put there meanwhile; expected a new name") from None
+        for part in parts:
+            _move_to_free_name(staged / part, out / part)
             moved.append(part)
-    except OSError:
+    except OSError as error:
         for part in reversed(moved):
-            (path / part).rename(staged / part)
+            (out / part).rename(staged / part)
+        if error.errno in (errno.EEXIST, errno.ENOTEMPTY, errno.ENOTDIR):
+            part = parts[len(moved)]
+            raise OutputError(f"{name}: {part} was put there meanwhile; expected a new name") from None
         raise
 
 
-def _rename_to_free_name(source: Path, target: Path) -> None:
-    try:
-        _rename(source, target, NO_REPLACE)
-    except FileExistsError:
-        raise
-    except OSError:  # not on this file system
-        if os.path.lexists(target):
-            raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST)) from None
-        source.rename(target)
+def _take_back(hidden: Path, out: Path) -> None:
+    """Stage again what a killed run had moved, unless it had moved all."""
+    with suppress(OSError, msgspec.MsgspecError):
+        numbers = msgspec.json.decode((hidden / MOVING).read_bytes(), type=dict[str, int])
+        there = {entry.name for entry in os.scandir(out) if entry.inode() == numbers.get(entry.name)}
+        if there != numbers.keys():
+            for part in there:
+                staged = hidden / STAGED / part
+                if os.path.lexists(staged):  # killed between the two steps of `_move_to_free_name`
+                    staged.unlink()
+                (out / part).rename(staged)
 
 
-def _rename(source: Path, target: Path, flag: int) -> None:
-    """Rename atomically without replacing a file, or swap two names; Python's `os` can do neither.
-
-    Raises
-    ------
-    OSError
-        If the system or file system does not support it, or the rename fails.
-    """
-    try:
-        library = ctypes.CDLL(None, use_errno=True)
-        names = os.fsencode(source), os.fsencode(target)
-        if sys.platform == "darwin":
-            status = library.renamex_np(*names, flag)
+def _move_to_free_name(source: Path, target: Path) -> None:
+    """Rename a file or folder. Raises OSError if there is a file, or a folder that is not empty, of that name."""
+    if not source.is_dir():
+        try:
+            target.hardlink_to(source)
+        except FileExistsError:
+            raise
+        except OSError:  # the file system has no links
+            if os.path.lexists(target):
+                raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST)) from None
         else:
-            status = library.renameat2(AT_FDCWD, names[0], AT_FDCWD, names[1], flag)
-    except (AttributeError, TypeError):
-        raise OSError(errno.ENOSYS, os.strerror(errno.ENOSYS)) from None
-    if status:
-        number = ctypes.get_errno()
-        raise OSError(number, os.strerror(number))
+            source.unlink()
+            return
+    source.rename(target)

@@ -158,6 +158,57 @@ def _clamped_floor(value: float, stop: int) -> int:
     return int(np.floor(min(max(value, 0.0), float(stop))))
 
 
+def moving_coverage(corners: FloatArray, shape: tuple[int, int]) -> FloatArray:
+    """Compute the coverage of pixels by a triangle, and its changes as the triangle moves and deforms.
+
+    An edge that moves by v covers v·n more of each pixel for each length of it there, n its outward normal. Along
+    a piece of an edge within one pixel an affine motion is linear, so its value at the middle is its mean.
+
+    Parameters
+    ----------
+    corners : ndarray, shape (3, 2)
+        (x, y) of each corner, clockwise as seen on the frame.
+    shape : (int, int)
+        Rows and columns of the grid; the triangle may reach beyond it.
+
+    Returns
+    -------
+    ndarray, shape (7, rows, columns)
+        The coverage, and its changes by x and y, and by the entries xx, xy, yx and yy of a map about (0, 0).
+    """
+    n_rows, n_columns = shape
+    found = np.zeros((7, *shape))
+    first = np.maximum(np.floor(corners.min(axis=0) + 0.5), 0.0).astype(int)
+    stop = np.minimum(np.floor(corners.max(axis=0) + 1.5), (n_columns, n_rows)).astype(int)
+    if (stop <= first).any():
+        return found
+    box = found[:, first[1] : stop[1], first[0] : stop[0]]
+    corners = corners - first + 0.5
+    columns, rows = stop - first
+    box[0] = _polygon_coverage(corners, (rows, columns))
+    places, lengths, middles = [], [], []
+    for start, end in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+        along = end - start
+        cuts = [np.array([0.0, 1.0])]
+        for axis, n in enumerate((columns, rows)):
+            if along[axis] != 0.0:
+                cuts.append((np.arange(n + 1.0) - start[axis]) / along[axis])
+        t = _clipped(np.concatenate(cuts), 1.0)
+        t.sort()
+        middle = start + ((t[1:] + t[:-1]) / 2.0)[:, None] * along
+        at = np.floor(middle).astype(np.intp)
+        inside = (at >= 0).all(axis=1) & (at < (columns, rows)).all(axis=1) & (t[1:] > t[:-1])
+        places.append(at[inside] @ (1, columns))
+        lengths.append(np.diff(t)[inside, None] * np.array([along[1], -along[0]]))
+        middles.append(middle[inside] + first - 0.5)
+    place, (x, y) = np.concatenate(places), np.concatenate(middles).T
+    right, down = np.concatenate(lengths).T
+    moments = (right, down, right * x, right * y, down * x, down * y)
+    for image, moment in zip(box[1:], moments, strict=True):
+        image[:] = np.bincount(place, moment, columns * rows).reshape(rows, columns)
+    return found
+
+
 def _polygon_coverage(corners: FloatArray, box: tuple[int, int]) -> FloatArray:
     """Compute the coverage of the pixels [j, j + 1] × [i, i + 1] of a box by a clockwise polygon."""
     n_rows, n_columns = box

@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 
 import scenes
 from forks import Forked, import_all, in_a_fork
-from kills import STORE, stored_keys
+from kills import STORE, records, stored_keys
 
 LONGEST_S = 300.0
 
@@ -176,7 +176,7 @@ def expect_same(found: dict[str, Any], wanted: dict[str, Any]) -> None:
 def until_begun(process: Forked, out: Path) -> None:
     """Wait until the store has results."""
     deadline = time.monotonic() + 60
-    while not any(path.stat().st_size > 17_000 for path in out.glob(f"{STORE}/*-wal")):
+    while not stored_keys(out):
         if time.monotonic() > deadline or process.poll() is not None:
             process.kill()
             raise FaultError(f"no store has been begun: {process.err[-600:]}")
@@ -370,47 +370,36 @@ def store_spoilt(lab: Lab, how: str) -> None:
     wanted = lab.undisturbed(lab.scored())
     n_stored = lab.half_done(lab.score())
     store = lab.out / STORE
-    files = sorted(store.iterdir())
+    content = bytearray(store.read_bytes())
     match how:
         case "deleted":
-            shutil.rmtree(store)
-        case "log deleted":
-            for path in store.glob("*-wal"):
-                path.unlink()
+            store.unlink()
         case "cut":
-            for path in files:
-                os.truncate(path, lab.rng.randrange(path.stat().st_size + 1))
+            os.truncate(store, lab.rng.randrange(store.stat().st_size + 1))
         case "overwritten":
-            for path in files:
-                content = bytearray(path.read_bytes())
-                for _ in range(20):
-                    if content:
-                        place = lab.rng.randrange(len(content))
-                        content[place : place + 40] = lab.rng.randbytes(len(content[place : place + 40]))
-                path.write_bytes(content)
+            for _ in range(20):
+                place = lab.rng.randrange(len(content))
+                content[place : place + 40] = lab.rng.randbytes(len(content[place : place + 40]))
+            store.write_bytes(content)
+        case "one bit":
+            content[lab.rng.randrange(len(content))] ^= 1 << lab.rng.randrange(8)
+            store.write_bytes(content)
+        case "shuffled":
+            store.write_bytes(with_results_moved(bytes(content)))
         case "all zeros":
-            for path in files:
-                path.write_bytes(bytes(path.stat().st_size))
-        case "another database":
-            for path in files:
-                path.unlink()
-            (store / "results.sqlite").write_bytes(b"SQLite format 3\0" + bytes(100))
-        case "empty files":
-            for path in files:
-                path.write_bytes(b"")
+            store.write_bytes(bytes(len(content)))
+        case "a database":
+            store.write_bytes(b"SQLite format 3\0" + bytes(100))
+        case "an empty file":
+            store.write_bytes(b"")
         case "a folder":
-            for path in files:
-                path.unlink()
-            (store / "results.sqlite").mkdir()
+            store.unlink()
+            store.mkdir()
         case "a link":
             elsewhere = lab.folder / "elsewhere"
             elsewhere.write_bytes(b"mine")
-            for path in files:
-                path.unlink()
-            (store / "results.sqlite").symlink_to(elsewhere)
-        case "a file":
-            shutil.rmtree(store)
-            store.write_bytes(b"mine")
+            store.unlink()
+            store.symlink_to(elsewhere)
         case "lock deleted":
             (lab.out / ".todframes-staging" / "lock").unlink()
     expect(n_stored, "nothing was stored")
@@ -428,12 +417,26 @@ def store_spoilt(lab: Lab, how: str) -> None:
         expect((lab.folder / "elsewhere").read_bytes() == b"mine", "a file elsewhere was changed")
 
 
+def with_results_moved(content: bytes) -> bytes:
+    """Return a store in which each result of the usual size stands under the key of another one."""
+    found = [*records(content)]
+    size = len(found[0].result)
+    places = [one.end - size for one in found if len(one.result) == size]
+    moved = bytearray(content)
+    for place, other in zip(places, [*places[1:], places[0]], strict=True):
+        moved[place : place + size] = content[other : other + size]
+    return bytes(moved)
+
+
 def store_deleted_during(lab: Lab, what: str) -> None:
     """The store, the staging folder or OUT is deleted while a run writes there."""
     wanted = lab.undisturbed(lab.scored())
     run = lab.start(lab.score(), item_s=ITEM_S)
     until_begun(run, lab.out)
-    shutil.rmtree({"store": lab.out / STORE, "staging": lab.out / ".todframes-staging", "OUT": lab.out}[what])
+    if what == "store":
+        (lab.out / STORE).unlink()
+    else:
+        shutil.rmtree({"staging": lab.out / ".todframes-staging", "OUT": lab.out}[what])
     ended = lab.end(run)
     if ended.status:
         ended.is_refused()
@@ -525,8 +528,8 @@ CASES: dict[str, Callable[[Lab], None]] = {
     **{
         f"store between runs: {how}": partial(store_spoilt, how=how)
         for how in (
-            *("deleted", "log deleted", "cut", "overwritten", "all zeros", "another database", "empty files"),
-            *("a folder", "a link", "a file", "lock deleted"),
+            *("deleted", "cut", "overwritten", "one bit", "shuffled", "all zeros", "a database", "an empty file"),
+            *("a folder", "a link", "lock deleted"),
         )
     },
     **{

@@ -13,13 +13,12 @@ import re
 import shutil
 import signal
 import socket
-import sqlite3
 import subprocess
 import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -28,6 +27,8 @@ from typing import Literal, NamedTuple
 import scenes
 from forks import Forked, import_all, in_a_fork
 from logged import NO_KEY
+
+from todframes.jobs.store import HEAD, MAGIC
 
 LOGGED = Path(__file__).with_name("logged.py")
 
@@ -403,20 +404,29 @@ class _Run:
 
 
 def stored_keys(out: Path) -> set[str]:
-    """Return the keys in the store of a run that is not under way, from a copy of it."""
-    folder = out / STORE
-    if not (folder / "results.sqlite").exists():
-        return set()
-    with tempfile.TemporaryDirectory() as copy:
-        for path in folder.iterdir():
-            shutil.copy(path, copy)
-        database = sqlite3.connect(Path(copy, "results.sqlite"))
-        try:
-            return {key.hex() for (key,) in database.execute("SELECT key FROM results")}
-        except sqlite3.OperationalError:  # killed before the table was there
-            return set()
-        finally:
-            database.close()
+    """Return the keys in a store."""
+    store = out / STORE
+    return {one.key.hex() for one in records(store.read_bytes())} if store.is_file() else set()
+
+
+class Record(NamedTuple):
+    """A record of a store, and the place behind it."""
+
+    key: bytes
+    result: bytes
+    end: int
+
+
+def records(content: bytes) -> Iterator[Record]:
+    """Yield the records of a store, but for a last one that is not whole."""
+    place = len(MAGIC)
+    while place + HEAD.size <= len(content):
+        n_key, n_result, _ = HEAD.unpack_from(content, place)
+        key, end = place + HEAD.size, place + HEAD.size + n_key + n_result
+        if end > len(content):
+            return
+        yield Record(content[key : key + n_key], content[key + n_key : end], end)
+        place = end
 
 
 # The campaigns -------------------------------------------------------------------------------------------------

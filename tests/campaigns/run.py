@@ -4,6 +4,7 @@ python tests/campaigns/run.py mutations [N]        # 10,000 mutated frames and s
 python tests/campaigns/run.py kills [N]            # 100 kills of clients, workers and schedulers
 python tests/campaigns/run.py long-run [N]         # 100 kills of one run of 20,000 frames
 python tests/campaigns/run.py faults               # full disks, second runs, files that change
+python tests/campaigns/run.py planted              # links planted in OUT, and swapped in during the run
 python tests/campaigns/run.py servers              # endless, slow, compressed, cut and moved answers
 python tests/campaigns/run.py decoys               # modules and settings in the working folder
 """
@@ -18,13 +19,16 @@ import damage
 import decoys
 import faults
 import kills
+import planted
 import servers
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a campaign and print what it has found. Returns the exit status."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("campaign", choices=["mutations", "kills", "long-run", "faults", "decoys", "servers"])
+    parser.add_argument(
+        "campaign", choices=["mutations", "kills", "long-run", "faults", "decoys", "servers", "planted"]
+    )
     parser.add_argument("n", nargs="?", type=int, help="number of mutations or kills [default: 10,000 or 100]")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--first", type=int, default=0, help="number of the first mutation, to repeat a case")
@@ -50,6 +54,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return int(bool(found))
         case "servers":
             n, found = servers.campaign(only=asked.only)
+        case "planted":
+            n, found = planted.campaign(seed=asked.seed, only=asked.only)
         case _:
             n, found = faults.campaign(seed=asked.seed, only=asked.only)
     print(f"{n} cases, {len(found)} faults")

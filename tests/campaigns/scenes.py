@@ -149,9 +149,10 @@ def write_recording(path: Path, *, n_frames: int = 600, side_px: int = 200) -> N
 
 
 def without_times(value: Any) -> Any:
-    """Return a result as read from JSON without what tells time."""
+    """Return a result as read from JSON without what tells time, or how often it was interrupted."""
     if isinstance(value, dict):
-        return {key: without_times(one) for key, one in value.items() if not _tells_time(key)}
+        kept = {key: one for key, one in value.items() if key != "from_store" and not _tells_time(key)}
+        return {key: without_times(one) for key, one in kept.items()}
     if isinstance(value, list):
         return [without_times(one) for one in value]
     return value
@@ -171,8 +172,8 @@ def content(folder: Path) -> dict[str, Any]:
         name = path.relative_to(folder)
         if path.is_file() and not any(part.startswith(".todframes-staging") for part in name.parts):
             found[name.as_posix()] = path.read_bytes()
-    if "result.json" in found:
-        found["result.json"] = without_times(json.loads(found["result.json"]))
+    for name in {"result.json", "import.json"} & found.keys():
+        found[name] = without_times(json.loads(found[name]))
     if "report.html" in found:
         found["report.html"] = b""
     if "compare.csv" in found:

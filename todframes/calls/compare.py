@@ -148,5 +148,6 @@ def compare(
         dataset=record,
         warnings=each_once(*found_wrong, *shown_wrong, *levels_to_add(thresholds_of(compared))),
         negative_luminance_pixels=reference.n_negative,
+        from_store=run.n_from_store,
         **more,
     ).with_trials(lambda: tables.compared_trials(data, results))

@@ -170,6 +170,7 @@ def score(
         dataset=record,
         warnings=each_once(*hints, *found_wrong, *shown_wrong, *levels),
         negative_luminance_pixels=scored.n_negative,
+        from_store=run.n_from_store,
         **more,
     ).with_trials(lambda: tables.trials(data, scored))
 

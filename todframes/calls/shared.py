@@ -16,7 +16,7 @@ from todframes.frames.checksums import dataset_warnings
 from todframes.frames.dataset import Dataset, load_dataset
 from todframes.frames.trials import Trial
 from todframes.jobs.engine import open_engine
-from todframes.jobs.store import Store
+from todframes.jobs.store import FILE, Store
 from todframes.jobs.work import Engine
 from todframes.locations import Location
 from todframes.observers.interface import ENTRY_POINT_GROUP, Observer, find_observer
@@ -72,10 +72,11 @@ def opened_run(
     """Open the engine and the store of a run, unless they are open."""
     from todframes.scoring.work import Run
 
-    kept = Store(Path(store), str(store)) if isinstance(store, str | Path) else store
+    kept = Store(Path(store) / FILE, str(store)) if isinstance(store, str | Path) else store
     with ExitStack() as stack:
         engine = stack.enter_context(open_engine(cluster, workers))
         if kept is not None:
+            kept.n_used = 0
             stack.callback(kept.close)
         yield Run(engine, kept, progress)
 

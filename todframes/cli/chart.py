@@ -144,8 +144,7 @@ SHOWN_TOLERANCE = 1e-3
     metavar="MM",
     help=f"{THERMAL}Side of the plates.  [default: five sizes of the largest]",
 )
-@click.option("-o", "--out", required=True, metavar="CHART", help="Folder to make.")
-@click.option("--overwrite", is_flag=True, help="Replace CHART if this command wrote all that is in it.")
+@click.option("-o", "--out", required=True, metavar="CHART", help="Folder to make, new or empty.")
 @quiet_option
 def chart(
     *, kind: ChartKind, out: str, sizes_mrad: str, polarity: str, paper: str | None, quiet: bool, **asked: Any

@@ -71,7 +71,7 @@ def staged(out: str | None, going: Going | None = None, *, quiet: bool = False) 
     quiet : bool
         Say nothing about results that an earlier run has finished.
     """
-    from todframes.output import output_folder, store_folder, write_files
+    from todframes.output import output_folder, store_path, write_files
 
     if out is None:
         yield Staged(lambda _: None)
@@ -81,7 +81,7 @@ def staged(out: str | None, going: Going | None = None, *, quiet: bool = False) 
         if going is not None:
             from todframes.jobs.store import Store
 
-            store = Store(store_folder(folder), out, None if quiet else say)
+            store = Store(store_path(folder), out, None if quiet else say)
             stack.callback(store.close)
         yield Staged(lambda make: write_files(folder, make()), store)
 

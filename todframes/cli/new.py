@@ -38,8 +38,7 @@ FILES_SHOWN = 3
     metavar="COLUMN",
     help="Column with the stimulus strength.",
 )
-@click.option("--overwrite", is_flag=True, help="Replace a dataset.toml and a manifest.csv that are there.")
-def new(*, dataset: Path, pattern: str, display: str, level: str, overwrite: bool) -> None:
+def new(*, dataset: Path, pattern: str, display: str, level: str) -> None:
     """Make a folder of frames, DATASET, a dataset: write its manifest.csv and dataset.toml from file names.
 
     size_mrad is √(area) as displayed, in mrad at the eye, and orientation one of up, right, down, left, or its
@@ -48,7 +47,7 @@ def new(*, dataset: Path, pattern: str, display: str, level: str, overwrite: boo
     from todframes.recordings.file_names import new_dataset
     from todframes.report.wording import count
 
-    found = new_dataset(dataset, pattern, display=display, level=level, overwrite=overwrite)
+    found = new_dataset(dataset, pattern, display=display, level=level)
     if found.unmatched:
         names = ", ".join(found.unmatched[:FILES_SHOWN]) + (", …" if len(found.unmatched) > FILES_SHOWN else "")
         say(f"note: {count(len(found.unmatched), 'file')} beside the frames without a match, left out: {names}")

@@ -67,7 +67,6 @@ UNITS_S = {"": 1.0, "s": 1.0, "ms": 1e-3}
     help="With --schedule: the stimulus strength.  [default: contrast]",
 )
 @max_frame_option
-@click.option("--overwrite", is_flag=True, help="Replace DATASET if todframes wrote all that is in it.")
 @restart_options
 @quiet_option
 def import_command(

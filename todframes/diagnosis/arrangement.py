@@ -1,4 +1,4 @@
-"""Arrangement of triangles on frames against the manifest: mirrored, turned, or of the opposite polarity."""
+"""The arrangements of triangles on frames against the manifest: mirrored, turned, or of the opposite polarity."""
 
 from __future__ import annotations
 
@@ -7,69 +7,68 @@ from typing import NamedTuple
 from todframes.frames.dataset import WarningCode
 from todframes.stimulus import ORIENTATIONS, Orientation
 
-TURNS = {1: "turned a quarter turn to the right", 2: "turned upside down", 3: "turned a quarter turn to the left"}
-"""Phrases by number of clockwise quarter turns."""
-
 
 class Arrangement(NamedTuple):
-    """The triangles that frames show, against what the manifest says of them.
+    """What a camera may do to the orientations of its picture, and the words for it.
 
-    `shown` has the orientation on the frames for each orientation of the manifest, in the order of `ORIENTATIONS`.
-    `sign` is -1 if triangles are darker where the manifest says brighter, and the other way round.
+    Attributes
+    ----------
+    name : str
+    shown : tuple of int
+        The orientation on the frames for each orientation of the manifest, in the order of `ORIENTATIONS`.
+    code : str or None
+        Code of the warning about it; None: as stated.
+    words : str
+        A clause with {are} for its verb.
+    question : str
+        The question for somebody whose answers are all wrong.
+    sign : int
+        -1 if triangles are darker where the manifest says brighter, and the other way round.
     """
 
-    shown: tuple[int, int, int, int] = (0, 1, 2, 3)
+    name: str
+    shown: tuple[int, int, int, int]
+    code: WarningCode | None
+    words: str
+    question: str
     sign: int = 1
 
     @property
-    def is_mirrored(self) -> bool:
-        """Whether the orientations are mirrored, at whatever axis."""
-        return (self.shown[1] - self.shown[0]) % 4 == 3
-
-    @property
-    def quarter_turns(self) -> int:
-        """Clockwise quarter turns of the orientations, after mirroring left and right if they are mirrored."""
-        return self.shown[0]
-
-    @property
-    def phrase(self) -> str:
-        """The mirroring and turning in words that follow "the triangles are"."""
-        turn = TURNS.get(self.quarter_turns, "as stated")
-        if not self.is_mirrored:
-            return turn
-        mirrored = {0: "mirrored left and right", 2: "mirrored up and down"}
-        return mirrored.get(self.quarter_turns, f"mirrored left and right and {turn}")
-
-    @property
     def mismatches(self) -> tuple[WarningCode, ...]:
-        """Codes of what is not as stated; "flipped" is mirrored up and down."""
-        applies: dict[WarningCode, bool] = {
-            "polarity_mismatch": self.sign == -1,
-            "mirrored": self.is_mirrored and self.quarter_turns != 2,
-            "flipped": self.is_mirrored and self.quarter_turns == 2,
-            "turned": self.quarter_turns > 0 and not self.is_mirrored,
-        }
-        return tuple(code for code, does_apply in applies.items() if does_apply)
+        """Codes of what is not as stated."""
+        polarity: tuple[WarningCode, ...] = ("polarity_mismatch",) if self.sign == -1 else ()
+        return polarity if self.code is None else (*polarity, self.code)
 
     @property
     def twin(self) -> Arrangement:
         """The arrangement that is hard to tell from this one: half a turn, and the opposite polarity."""
-        up, right, down, left = ((k + 2) % 4 for k in self.shown)
-        return Arrangement((up, right, down, left), -self.sign)
+        shown = tuple((k + 2) % 4 for k in self.shown)
+        return next(one for one in ARRANGEMENTS if (one.shown, one.sign) == (shown, -self.sign))
 
     def of(self, orientation: Orientation) -> Orientation:
         """Return the orientation on the frames of a triangle with this orientation in the manifest."""
         return ORIENTATIONS[self.shown[orientation.quarter_turns]]
 
 
-def _mirrored_and_turned(*, mirrored: bool, quarter_turns: int) -> tuple[int, int, int, int]:
-    up, right, down, left = (((-k if mirrored else k) + quarter_turns) % 4 for k in range(4))
-    return up, right, down, left
+TURNED = tuple(
+    Arrangement(*one)
+    for one in (
+        ("as stated", (0, 1, 2, 3), None, "all {are} as stated", ""),
+        ("mirrored", (0, 3, 2, 1), "mirrored", "left and right {are} swapped", "Is the camera mirrored?"),
+        ("flipped", (2, 1, 0, 3), "flipped", "up and down {are} swapped", "Are the frames upside down?"),
+        ("half_turn", (2, 3, 0, 1), "turned", "all orientations {are} turned by 180°",
+         "Is the camera upside down?"),
+        ("quarter_turn_right", (1, 2, 3, 0), "turned", "all orientations {are} turned clockwise by 90°",
+         "Is the camera turned?"),
+        ("quarter_turn_left", (3, 0, 1, 2), "turned", "all orientations {are} turned counter-clockwise by 90°",
+         "Is the camera turned?"),
+        ("anti_transposed", (1, 0, 3, 2), "mirrored", "up and right, and down and left, {are} swapped",
+         "Is the camera turned and mirrored?"),
+        ("transposed", (3, 2, 1, 0), "mirrored", "up and left, and down and right, {are} swapped",
+         "Is the camera turned and mirrored?"),
+    )
+)  # fmt: skip
+"""The eight arrangements of the stated polarity, the more likely ones first."""
 
-
-ARRANGEMENTS = tuple(
-    Arrangement(_mirrored_and_turned(mirrored=bool(mirrored), quarter_turns=turns), sign)
-    for mirrored, turns in zip((0, 1, 1, 0, 0, 0, 1, 1), (0, 0, 2, 2, 1, 3, 1, 3), strict=True)
-    for sign in (1, -1)
-)
-"""All mirrored, turned and inverted arrangements, the more likely ones first."""
+ARRANGEMENTS = tuple(one._replace(sign=sign) for one in TURNED for sign in (1, -1))
+"""All arrangements, of either polarity."""

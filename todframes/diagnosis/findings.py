@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 
-from todframes.diagnosis.inspection import Inspection, is_contrast
+from todframes.diagnosis.arrangement import TURNED
+from todframes.diagnosis.inspection import SIZES_ALIKE, Inspection, is_contrast
 from todframes.frames.dataset import Dataset, DatasetWarning, WarningCode
 from todframes.frames.trials import Group
 
@@ -53,8 +54,8 @@ SIZE_PER_BLUR = 1.5
 """Relative scatter of a size that sampling may cause, in standard deviations of the blur per size."""
 
 
-TURN_MRAD, LEAST_TURN_RAD = 0.035, 0.0175
-"""Displacement of a triangle's corners by a rotation that matters, and the least rotation that is told."""
+MOST_TURN_RAD = math.radians(2.0)
+"""Largest rotation that is not reported: thresholds rise by its square, by about a sixth at 5°."""
 
 
 SCATTER_PER_BLUR = 0.4
@@ -122,11 +123,6 @@ def frame_warnings(dataset: Dataset, inspections: Sequence[Inspection]) -> list[
     for warning in _several_sizes(dataset, inspections):
         found.setdefault((warning.code, tuple(warning.group.values())), warning)
     return list(found.values())
-
-
-SIZES_ALIKE = 1.15
-"""Ratio of the largest stated size of a curve to the least up to which they are one size in perspective: a chart
-tilted by 10° in a field of view of 28° has 1.09."""
 
 
 def _several_sizes(dataset: Dataset, inspections: Sequence[Inspection]) -> Iterator[DatasetWarning]:
@@ -280,39 +276,20 @@ def _contrast(dataset: Dataset, one: Inspection) -> Iterator[Told]:
         )
 
 
-ADVICE = {
-    "mirrored": "left and right are swapped",
-    "flipped": "top and bottom are swapped",
-    "half_turn": "the picture is upside down",
-    "quarter_turn_right": "the picture is turned by a quarter to the right",
-    "quarter_turn_left": "the picture is turned by a quarter to the left",
-    "transposed": "rows and columns are swapped",
-    "anti_transposed": "rows and columns are swapped, and the picture is upside down",
-}
-
-
-CODES: dict[str, WarningCode] = {
-    "mirrored": "mirrored",
-    "flipped": "flipped",
-    "transposed": "mirrored",
-    "anti_transposed": "mirrored",
-}
-"""Codes of warnings about what was done to a picture; all else is "turned"."""
-
-
 def _orientation(_: Dataset, one: Inspection) -> Iterator[Told]:
     if one.shown_as is None or one.turned_rad is None or one.turned_error_rad is None:
         return
-    if one.shown_as != "as stated":
+    shown = next(turned for turned in TURNED if turned.name == one.shown_as)
+    if shown.code is not None:
         yield (
-            CODES.get(one.shown_as, "turned"),
+            shown.code,
             1.0,
             0.0,
-            f"{ADVICE[one.shown_as]} in the frames, against the orientations in the manifest: the answers are "
-            "wrong; turn or mirror the frames, or correct the orientations",
+            f"{shown.words.format(are='are')} in the frames, against the orientations in the manifest: the "
+            "answers are wrong; turn or mirror the frames, or correct the orientations",
         )
     turned = abs(one.turned_rad)
-    if turned > max(LEAST_TURN_RAD, TURN_MRAD / one.stimulus.size_mrad, CERTAIN * one.turned_error_rad):
+    if turned > MOST_TURN_RAD + CERTAIN * one.turned_error_rad:
         yield (
             "turned",
             math.degrees(one.turned_rad),

@@ -411,7 +411,7 @@ def location_warnings(dataset: Dataset, locations: Sequence[Location]) -> list[D
                 ("of the opposite polarity to that in the manifest", "correct the column polarity")
                 if code == "polarity_mismatch"
                 else (
-                    f"{one.arrangement.phrase} against the manifest",
+                    f"not as the manifest says: {one.arrangement.words.format(are='are')}",
                     "mirror or turn the frames back, or correct the column orientation",
                 )
             )

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from todframes._typing import FloatArray
-from todframes.diagnosis.arrangement import ARRANGEMENTS, Arrangement
+from todframes.diagnosis.arrangement import ARRANGEMENTS, TURNED, Arrangement
 from todframes.diagnosis.locate import locate_triangles
 from todframes.errors import TodframesError
 from todframes.frames.dataset import Dataset, WarningCode
@@ -54,22 +54,6 @@ SIZE_UNITS = (
     (60.0 * 180.0 / math.pi / 1000.0, "Is the pixel pitch in arcmin?"),
 )
 """Factors of the size if a unit was mistaken for mrad, and the question to ask."""
-
-
-TURNED = tuple(one for one in ARRANGEMENTS if one.sign == 1)
-"""Arrangements of triangles of the stated polarity, the stated arrangement first."""
-
-
-QUESTIONS = {
-    (0, 3, 2, 1): "left and right were swapped: Is the camera mirrored?",
-    (2, 1, 0, 3): "up and down were swapped: Are the frames upside down?",
-    (2, 3, 0, 1): "all orientations were turned by 180°: Is the camera upside down?",
-    (1, 2, 3, 0): "all orientations were turned clockwise by 90°: Is the camera turned?",
-    (3, 0, 1, 2): "all orientations were turned counter-clockwise by 90°: Is the camera turned?",
-    (1, 0, 3, 2): "up and right, and down and left, were swapped: Is the camera turned and mirrored?",
-    (3, 2, 1, 0): "up and left, and down and right, were swapped: Is the camera turned and mirrored?",
-}
-"""Conditions and questions by the orientations on the frames, for those in the manifest in clockwise order."""
 
 
 class Hint(NamedTuple):
@@ -357,8 +341,8 @@ class _Search:
     def _hints(self, change: _Change, arrangement: Arrangement, share: float) -> tuple[Hint, ...]:
         clauses, codes = list(change.clauses), list(change.codes)
         if arrangement.mismatches:
-            clauses.append(QUESTIONS[arrangement.shown])
-            codes += [(code, arrangement.phrase, "as stated") for code in arrangement.mismatches]
+            clauses.append(f"{arrangement.words.format(are='were')}: {arrangement.question}")
+            codes += [(code, arrangement.name, TURNED[0].name) for code in arrangement.mismatches]
         now = self._right(_Change(self.answers))
         level = min(trial.level for trial in self.trials)
         conditions, remedies = zip(*(clause.split(": ") for clause in clauses), strict=True)

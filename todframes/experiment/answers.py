@@ -28,7 +28,7 @@ from todframes.config import MAX_CSV_MB, number, number_or_text, read_file
 from todframes.errors import DataError, OutputError, SettingsError, argument
 from todframes.experiment.monitor import Monitor
 from todframes.frames.trials import Group
-from todframes.output import write_file
+from todframes.output import open_own, write_file
 from todframes.psychometrics.counts import COLUMNS as COUNT_COLUMNS
 from todframes.safe_text import FORMULA_STARTS, csv_text
 from todframes.stimulus import Orientation
@@ -446,11 +446,12 @@ class AnswerFile:
         self.path = path
         self.rows: list[TrialRow] = []
         try:
-            flags = os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0)
-            self._file = os.open(path, flags, 0o600)
+            self._file = open_own(path)
         except OSError as error:
             raise OutputError(f"{path}: cannot be written ({error.strerror})") from None
         try:
+            if os.fstat(self._file).st_nlink > 1:
+                raise OutputError(f"{path}: has another name as well (a hard link), expected a file of its own")
             self._lock()
         except BaseException:
             os.close(self._file)

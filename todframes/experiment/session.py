@@ -664,6 +664,8 @@ def _make_folders(folder: Path, shown: ShownDataset, software: Mapping[str, str]
         write_description(folder, shown, software)
         for name in ("data", "counts"):
             (folder / name).mkdir(PRIVATE, exist_ok=True)
+            if (folder / name).is_symlink():
+                raise OutputError(f"{folder / name}: is a link, expected a folder")
     except OutputError:
         raise
     except OSError as error:

@@ -9,6 +9,8 @@ from contextlib import closing
 from dataclasses import dataclass
 from typing import Generic, Protocol, TypeVar
 
+import msgspec
+
 from todframes.errors import TodframesError
 from todframes.jobs.local import ITEMS_PER_TASK
 from todframes.jobs.store import Store
@@ -109,6 +111,14 @@ def run_stored(
                 keyed.records = True
 
 
+def _decoded(work: StoredWork[Item, Result], encoded: bytes) -> Result | None:
+    """Return a result of the store; None if it is no result, which only somebody else can have put there."""
+    try:
+        return work.decode(encoded)
+    except (ValueError, msgspec.MsgspecError):
+        return None
+
+
 def _rows(
     work: StoredWork[Item, Result], batch: Sequence[tuple[int, KeyedResult[Result] | Lost]]
 ) -> list[tuple[bytes, bytes]]:
@@ -182,9 +192,10 @@ def _found(
         for places, of_chunk in zip(chunks(), computed, strict=True):
             for place, key in zip(places, of_chunk, strict=True):
                 encoded = None if key is None else store.get(key)
-                result = None if encoded is None else work.decode(encoded)
+                result = None if encoded is None else _decoded(work, encoded)
                 if result is None:
                     left.append(place)
                 else:
+                    store.n_used += 1
                     yield place, result
     return left

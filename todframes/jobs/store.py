@@ -1,77 +1,119 @@
-"""The store of finished results: an SQLite database that survives a run that is killed."""
+"""The store of finished results: a file that grows by whole records and survives a run that is killed."""
 
 from __future__ import annotations
 
-import sqlite3
+import hashlib
+import io
+import os
+import struct
+from array import array
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
 
 from todframes import signals
 from todframes.errors import OutputError
+from todframes.output import locked, open_own
 
-FILE = "results.sqlite"
-"""Name of the database in the store's folder."""
+IntArray = NDArray[np.int64]
 
+FILE = "results.store"
+"""Name of the store in a folder of the user's."""
 
-FORMAT = 1
-"""Version of the tables; a store of another version is not read."""
+MAGIC = b"todframes store 2\n"
+"""First bytes of a store; a file with others is begun anew."""
+
+HEAD = struct.Struct("<II16s")
+"""Before each key and result: their lengths in bytes, and the checksum of lengths, key and result."""
+
+READ_AT_ONCE = 2**20
 
 
 class Store:
-    """Finished results by key, in a folder that one process writes at a time.
+    """Finished results by key, in a file that one process writes at a time.
 
     Nothing is written before `begin`. What `add` has returned from survives the end of the process, however it
-    ends; after a power failure the last additions may be missing, but nothing is damaged.
+    ends; after a power failure the last additions may be missing. A record whose checksum is wrong, and all
+    behind it, is cut off when the file is opened.
+
+    The checksum binds a result to its key. It finds damage and results that changed places; it is no signature,
+    and whoever can write the file can write results into it.
 
     Parameters
     ----------
-    folder : Path
-        Folder of the store; it need not exist. Whoever makes the store holds a lock that keeps others out.
+    path : Path
+        The file; neither it nor its folder need exist. A link of this name is not followed.
     name : str
         Name of the place in messages.
     tell : function of a text, optional
         Called with a remark if results of an earlier run are found.
+
+    Attributes
+    ----------
+    n_used : int
+        Number of results of earlier runs that this run has used.
     """
 
-    def __init__(self, folder: Path, name: str, tell: Callable[[str], None] | None = None) -> None:
-        self.folder, self.name = folder, name
+    def __init__(self, path: Path, name: str, tell: Callable[[str], None] | None = None) -> None:
+        self.path, self.name = path, name
+        self.n_used = 0
         self._tell = tell
-        self._database: sqlite3.Connection | None = None
+        self._file: io.FileIO | None = None
+        self._size = 0
+        # The hash of each key and the place of its record: 16 bytes a result, for there may be millions.
+        self._hashes, self._places = array("q"), array("q")
+        self._sorted: tuple[IntArray, IntArray] | None = None
 
     @property
     def is_begun(self) -> bool:
         """Whether the store holds results, or is about to."""
-        return self._database is not None or (self.folder / FILE).exists()
+        return self._file is not None or os.path.lexists(self.path)
 
     def begin(self) -> None:
-        """Open the database and make it if there is none; one that is damaged or of another version is replaced.
+        """Open the file and make it if there is none; one that is damaged is used up to the damage.
 
         Raises
         ------
         OutputError
-            If it cannot be written.
+            If it cannot be written, or another process is writing it.
         """
-        if self._database is not None:
+        if self._file is not None:
             return
         with self._as_output_error():
-            self.folder.mkdir(mode=0o700, exist_ok=True)
+            self.path.parent.mkdir(mode=0o700, exist_ok=True)
+            if os.path.lexists(self.path) and not self._is_own():
+                self.path.unlink()  # a name, never what it leads to
+            file = io.FileIO(open_own(self.path), "r+")
             try:
-                self._database = self._opened()
-            except sqlite3.DatabaseError as error:
-                if isinstance(error, sqlite3.OperationalError):
-                    raise
-                self._remove_files()
-                self._database = self._opened()
+                locked(file.fileno())
+                self._read(file)
+            except BaseException:
+                file.close()
+                raise
+            self._file = file
         signals.kept.append(self.name)
 
     def get(self, key: bytes) -> bytes | None:
-        """Return the result under a key; None if there is none."""
+        """Return the result that was added last under a key; None if there is none."""
         self.begin()
-        assert self._database is not None
+        assert self._file is not None
+        if self._sorted is None:
+            order = np.argsort(self._hashes, kind="stable")
+            self._sorted = np.array(self._hashes)[order], np.array(self._places)[order]
+        hashes, places = self._sorted
+        first, last = np.searchsorted(hashes, hash(key)), np.searchsorted(hashes, hash(key), "right")
         with self._as_output_error():
-            row = self._database.execute("SELECT result FROM results WHERE key = ?", (key,)).fetchone()
-        return None if row is None else row[0]
+            for place in places[first:last][::-1].tolist():
+                self._file.seek(place)
+                n_key, n_result, checksum = HEAD.unpack(self._file.read(HEAD.size).ljust(HEAD.size))
+                if n_key == len(key):  # it may have been damaged since it was read
+                    content = self._file.read(n_key + n_result)
+                    if content[:n_key] == key and _checksum(n_key, n_result, content) == checksum:
+                        return content[n_key:]
+        return None
 
     def add(self, results: Sequence[tuple[bytes, bytes]]) -> None:
         """Write results by key, all or none; without results nothing is done.
@@ -84,24 +126,24 @@ class Store:
         if not results:
             return
         self.begin()
-        assert self._database is not None
+        assert self._file is not None
+        left = b"".join(_record(key, result) for key, result in results)
         with self._as_output_error():
-            self._database.execute("BEGIN")
             try:
-                self._database.executemany("INSERT OR REPLACE INTO results VALUES (?, ?)", results)
-                self._database.execute("COMMIT")
+                self._file.seek(self._size)
+                while left:  # a disk that is filled up takes a part, and fails at the next
+                    left = left[self._file.write(left) :]
             except BaseException:
-                with suppress(sqlite3.Error):  # a full disk may have rolled it back already
-                    self._database.execute("ROLLBACK")
+                self._file.truncate(self._size)
                 raise
+        for key, result in results:
+            self._found(key, HEAD.size + len(key) + len(result))
 
     def __len__(self) -> int:
-        if not self.is_begun:
-            return 0
-        self.begin()
-        assert self._database is not None
-        with self._as_output_error():
-            return int(self._database.execute("SELECT count(*) FROM results").fetchone()[0])
+        """Return the number of results; one that was added twice counts twice."""
+        if self.is_begun:
+            self.begin()
+        return len(self._hashes)
 
     def tell(self, text: str) -> None:
         """Pass on a remark about results that were found, but only the first one."""
@@ -110,39 +152,61 @@ class Store:
         self._tell = None
 
     def close(self) -> None:
-        """Close the database; the next use opens it again."""
-        if self._database is not None:
-            with suppress(sqlite3.Error):  # on a full disk the log stays beside the database, which is as good
-                self._database.close()
-            self._database = None
+        """Close the file; the next use opens it again."""
+        if self._file is not None:
+            self._file.close()
+            self._file = None
 
-    def _opened(self) -> sqlite3.Connection:
-        database = sqlite3.connect(self.folder / FILE, timeout=0.1, isolation_level=None, check_same_thread=False)
-        try:
-            # With an exclusive lock the log needs no shared memory, so it also works on network file systems.
-            for pragma in ("locking_mode = EXCLUSIVE", "journal_mode = WAL", "synchronous = NORMAL"):
-                database.execute(f"PRAGMA {pragma}")
-            (version,) = database.execute("PRAGMA user_version").fetchone()
-            if version not in (0, FORMAT):
-                raise sqlite3.DatabaseError(f"version {version}")
-            database.execute("BEGIN IMMEDIATE")
-            database.execute(
-                "CREATE TABLE IF NOT EXISTS results (key BLOB PRIMARY KEY, result BLOB NOT NULL) WITHOUT ROWID"
-            )
-            database.execute(f"PRAGMA user_version = {FORMAT}")
-            database.execute("COMMIT")
-        except BaseException:
-            database.close()
-            raise
-        return database
+    def _is_own(self) -> bool:
+        status = self.path.lstat()
+        return self.path.is_file() and not self.path.is_symlink() and status.st_nlink == 1
 
-    def _remove_files(self) -> None:
-        for path in self.folder.iterdir():
-            path.unlink()
+    def _read(self, file: io.FileIO) -> None:
+        """Find the records of the file, and cut off what is none."""
+        del self._hashes[:], self._places[:]
+        content = io.BufferedReader(file, READ_AT_ONCE)
+        n_bytes = os.fstat(file.fileno()).st_size
+        self._size = len(MAGIC) if content.read(len(MAGIC)) == MAGIC else 0
+        while self._size and len(head := content.read(HEAD.size)) == HEAD.size:
+            n_key, n_result, checksum = HEAD.unpack(head)
+            size = HEAD.size + n_key + n_result
+            if self._size + size > n_bytes:
+                break
+            both = content.read(n_key + n_result)
+            if _checksum(n_key, n_result, both) != checksum:
+                break
+            self._found(both[:n_key], size)
+        content.detach()
+        file.truncate(self._size)
+        if not self._size:
+            file.seek(0)
+            self._size = file.write(MAGIC)
+
+    def _found(self, key: bytes, size: int) -> None:
+        """Enter a record of this size, which is the file's last."""
+        self._hashes.append(hash(key))
+        self._places.append(self._size)
+        self._size += size
+        self._sorted = None
 
     @contextmanager
     def _as_output_error(self) -> Iterator[None]:
         try:
             yield
-        except (sqlite3.Error, OSError) as error:
-            raise OutputError(f"{self.name}: finished results cannot be kept there ({error})") from None
+        except BlockingIOError:
+            raise OutputError(
+                f"{self.name}: finished results cannot be kept there (another run is writing them)"
+            ) from None
+        except OSError as error:
+            raise OutputError(
+                f"{self.name}: finished results cannot be kept there ({error.strerror or error})"
+            ) from None
+
+
+def _record(key: bytes, result: bytes) -> bytes:
+    content = key + result
+    return HEAD.pack(len(key), len(result), _checksum(len(key), len(result), content)) + content
+
+
+def _checksum(n_key: int, n_result: int, content: bytes) -> bytes:
+    return hashlib.blake2b(content, digest_size=16, salt=struct.pack("<II", n_key, n_result)).digest()

@@ -59,7 +59,6 @@ def chart(
     seed: int = 1,
     polarity: int = 1,
     name: str = "TOD chart",
-    overwrite: bool = False,
     progress: Progress | None = None,
     **settings: Any,
 ) -> Chart:
@@ -70,7 +69,7 @@ def chart(
     kind : {"screen", "print", "thermal"}
         A monitor, sheets of paper, or plates with holes in front of a black body.
     out : path
-        Folder to make.
+        Folder to make, new or empty.
     distance_m : float
         From the camera to the chart.
     sizes_mrad : iterable of float
@@ -87,8 +86,6 @@ def chart(
         Triangles are brighter (warmer) or darker (colder) than their background.
     name : str
         Title of the chart.
-    overwrite : bool
-        Replace `out` if it is a chart that this function wrote.
     progress : function of an int, optional
         Called with the number of pages that were just drawn.
     **settings
@@ -145,7 +142,7 @@ def chart(
         Design,
         "chart",
     )
-    with new_folder(str(out), overwrite=overwrite, last=CHART_FILE) as folder:
+    with new_folder(str(out), last=CHART_FILE) as folder:
         return MAKERS[kind](design, settings, folder, progress)
 
 

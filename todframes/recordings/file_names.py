@@ -54,7 +54,6 @@ def new_dataset(
     *,
     display: Display | str = "reference_sdr",
     level: str = "contrast",
-    overwrite: bool = False,
 ) -> FramesFound:
     """Make a folder of frames a dataset: write `manifest.csv` and `dataset.toml` from the names of its files.
 
@@ -71,8 +70,6 @@ def new_dataset(
         Display, the name of one, or a file that describes one; its numbers are written into `dataset.toml`.
     level : str
         Name of the stimulus strength in the pattern.
-    overwrite : bool
-        Whether a manifest or settings that are there already may be replaced.
 
     Returns
     -------
@@ -113,10 +110,8 @@ def new_dataset(
         shown, title = description.display, f"{display}: {description.title}"
     assert isinstance(shown, Display)
     for name in (SETTINGS_FILE, MANIFEST_FILE, *([] if shown.lut is None else [LUT_FILE])):
-        if (folder / name).exists() and not overwrite:
-            raise OutputError(
-                f"{folder / name}: is there already; move it away, or use {argument.overwrite} to replace it"
-            )
+        if (folder / name).exists():
+            raise OutputError(f"{folder / name}: is there already; move it away or remove it")
     with output_folder(str(folder)) as staged:
         rows, unmatched = [], []
         for file in _files(folder, pattern):

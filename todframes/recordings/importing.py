@@ -19,7 +19,7 @@ from todframes.frames.display import Display
 from todframes.frames.display_files import DisplayDescription, find_display, table_of_display
 from todframes.frames.files import MAX_FRAME_MB
 from todframes.jobs.store import Store
-from todframes.output import Going, new_folder, remove_others, store_folder
+from todframes.output import Going, new_folder, remove_others, store_path
 from todframes.recordings.chart_source import ChartSource
 from todframes.recordings.clips import TIME_TOLERANCE, Clip, ClipFrame
 from todframes.recordings.opening import open_recordings
@@ -117,7 +117,6 @@ def import_recordings(
     max_frame_mb: int = MAX_FRAME_MB,
     ifov_mrad: float | None = None,
     level: str | None = None,
-    overwrite: bool = False,
     restart: bool = False,
     keep_store: bool = False,
     tell: Callable[[str], None] | None = None,
@@ -155,8 +154,6 @@ def import_recordings(
         Without it they are angles on the display.
     level : str, optional
         With a schedule: column of the stimulus strength. Default: contrast.
-    overwrite : bool
-        Whether `out` may be replaced if it is a dataset that this package wrote.
     restart : bool
         Begin anew even if an earlier call with the same `out` was interrupted. Otherwise the windows that it has
         written are not written again; the recordings are read again from their beginning, as the frames of a video
@@ -209,10 +206,9 @@ def import_recordings(
 
     going = Going(restart=restart, keep=keep_store)
     with (
-        new_folder(str(out), overwrite=overwrite, going=going) as folder,
-        closing(Store(store_folder(folder), str(out), tell)) as store,
+        new_folder(str(out), going=going) as folder,
+        closing(Store(store_path(folder), str(out), tell)) as store,
     ):
-        remove_others(folder, {"frames"})
         if store.is_begun:
             store.tell(f"{len(store)} windows are there from an earlier run; going on with the others")
         writer = WindowWriter(folder, clip=is_clipped, store=store)
@@ -240,10 +236,11 @@ def import_recordings(
             "n_frames": len(rows),
             "n_trials": len(division.trials),
             "n_clips": n_clips,
+            "from_store": store.n_used,
             "warnings": [one._asdict() for one in warnings],
             "found": source.report(),
         }
-        _remove_others(folder, written)
+        remove_others(folder, written)
         _write(folder / REPORT_FILE, json.dumps(report, indent=1, ensure_ascii=False) + "\n")
         _write(folder / "manifest.csv", csv_text(rows))
         _write(
@@ -461,13 +458,3 @@ def _settings(source: Source, display_table: str) -> str:
 
 def _write(path: Path, text: str) -> None:
     path.write_text(text, encoding="utf-8")
-
-
-def _remove_others(folder: Path, written: Mapping[str, WrittenWindow]) -> None:
-    """Remove the windows of an earlier run with other settings, and the folders of clips that have none."""
-    for clip in list((folder / "frames").iterdir()):
-        for path in list(clip.iterdir()):
-            if path.relative_to(folder).as_posix() not in written:
-                path.unlink()
-        if not any(clip.iterdir()):
-            clip.rmdir()

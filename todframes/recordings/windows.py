@@ -206,11 +206,13 @@ class WindowWriter:
         encoded = self._store.get(key)
         if encoded is None:
             return None
-        written = msgspec.msgpack.decode(encoded, type=WrittenWindow)
         try:
-            return written if frame_sha256(path) == written.sha256 else None
-        except FrameError:
+            written = msgspec.msgpack.decode(encoded, type=WrittenWindow)
+            is_there = frame_sha256(path) == written.sha256
+        except (FrameError, msgspec.MsgspecError):
             return None
+        self._store.n_used += is_there
+        return written if is_there else None
 
 
 def encoded_png(values: NDArray[Any]) -> bytes:

@@ -563,6 +563,7 @@ class ResultData(Struct, frozen=True, kw_only=True, omit_defaults=True):
     negative_luminance_pixels: int | None = None
     located: tuple[Record, ...] | None = None
     examples: tuple[Example, ...] | None = None
+    from_store: int | None = None
     run_time_s: float | None = NULL
 
     @property

@@ -62,6 +62,11 @@ class Run:
     store: Store | None = None
     progress: Callable[[int], None] | None = None
 
+    @property
+    def n_from_store(self) -> int:
+        """Number of results that were not computed but found in the store."""
+        return 0 if self.store is None else self.store.n_used
+
 
 class Unusable(NamedTuple):
     """The result of a trial with a frame that cannot be used."""

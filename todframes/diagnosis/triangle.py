@@ -1,0 +1,565 @@
+"""The triangle that frames show: a fit of where it is, how large, how turned, how bright, and which way up.
+
+The picture of a triangle is its exact coverage of the pixels, under an affine map, after a Gaussian blur, on a
+polynomial background. It is fitted to windows about the stated place by least squares, which is maximum likelihood
+for white noise. The covariance does not take the noise to be white: it follows from the power spectrum of what the
+fit leaves, so it holds for blurred noise, for fixed patterns, and for windows that the frame's edge cuts.
+
+Lengths are in blocks of pixels, places are counted from the middle of the window, y down.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from todframes._typing import FloatArray
+from todframes.diagnosis.arrangement import TURNED
+from todframes.stimulus import ORIENTATIONS, coverage, moving_coverage, vertices
+
+N_PARAMETERS = 8
+AMPLITUDE, X, Y, XX, XY, YX, YY, BLUR = range(N_PARAMETERS)
+"""Parameters of a picture: amplitude, place, changes of the affine map, variance of the blur."""
+
+OF_TRIAL = np.zeros((4, N_PARAMETERS))
+OF_TRIAL[0, AMPLITUDE] = OF_TRIAL[1, X] = OF_TRIAL[2, Y] = OF_TRIAL[3, XX] = OF_TRIAL[3, YY] = 1.0
+"""Parameters that are measured of single trials: amplitude, place, and size as a ratio."""
+
+DEGREE = 2
+"""Degree of the polynomial background."""
+
+REACH = 2.2
+"""Half of the side of the square that is fitted, in sizes; corners lie at 0.88."""
+
+MOST_ROUNDS = 12
+"""Largest number of steps of a fit."""
+
+FOUND = 2e-4
+"""Last step of the fit, in sizes and radians; the errors that matter are a hundred times as large."""
+
+LEAST_VARIANCE = -0.05
+"""Least variance of the blur, in blocks: sharpened pictures have a negative one."""
+
+MOST_STRETCH = 1.5
+"""Largest ratio of an axis of the map to the mean of the two: a picture seen from 60° to the side has 1.41."""
+
+MOST_BESIDE_TURN_RAD = math.radians(8.0)
+"""Largest rotation beside a quarter turn: a triangle turned by 25° is one turned by -90° and by 5° back."""
+
+SEPARABLE = 1.2
+"""Least ratio of the highest level to the lowest for what all frames share to be known."""
+
+UNSTEADY = 2.0
+"""Standard deviation of a block around the triangle over trials, in those of the noise there, beyond which it
+counts less: letters that change from frame to frame then count no more than the noise does elsewhere."""
+
+SIZES_TRIED = np.geomspace(0.25, 5.0, 11)
+"""Sizes that are tried, as multiples of the stated one."""
+
+
+class Shape(NamedTuple):
+    """Parameters of the picture of a triangle.
+
+    Attributes
+    ----------
+    amplitude : float
+        Contrast, per unit of the level.
+    x, y : float
+        Place of the centroid from the middle of the window.
+    map : ndarray, shape (2, 2)
+        Affine map of a triangle of size 1 in the stated orientation.
+    variance : float
+        Variance of the Gaussian blur.
+    """
+
+    amplitude: float
+    x: float
+    y: float
+    map: FloatArray
+    variance: float
+
+    @classmethod
+    def upright(cls, amplitude: float, x: float, y: float, size: float, variance: float = 1.0) -> Shape:
+        """Return the shape of a triangle that is neither turned nor stretched."""
+        return cls(amplitude, x, y, size * np.eye(2), variance)
+
+    @property
+    def size(self) -> float:
+        """√(area)."""
+        return math.sqrt(float(np.linalg.det(self.map)))
+
+    @property
+    def turn_rad(self) -> float:
+        """Clockwise rotation: that of the rotation nearest to the map."""
+        (xx, xy), (yx, yy) = self.map.tolist()
+        return math.atan2(yx - xy, xx + yy)
+
+    def moved(self, step: FloatArray) -> Shape:
+        """Return the shape after a step of the parameters."""
+        change = np.eye(2) + step[[XX, XY, YX, YY]].reshape(2, 2)
+        return Shape(
+            self.amplitude + float(step[AMPLITUDE]),
+            self.x + float(step[X]),
+            self.y + float(step[Y]),
+            change @ self.map,
+            self.variance + float(step[BLUR]),
+        )
+
+
+class Square(NamedTuple):
+    """A square part of a window of n × n blocks, its first row and column and its side."""
+
+    row: int
+    column: int
+    side: int
+
+    @classmethod
+    def about(cls, shape: Shape, n: int) -> Square:
+        """Return the square about a triangle that is fitted; it may reach beyond the window."""
+        reach = math.ceil(REACH * shape.size + 1.0)
+        middle = (n - 1) // 2
+        return cls(middle + round(shape.y) - reach, middle + round(shape.x) - reach, 2 * reach + 1)
+
+    def shared(self, n: int) -> tuple[slice, slice, tuple[slice, slice]]:
+        """Return the rows and columns of a window of n × n blocks in the square, and their place in the square."""
+        firsts = (self.row, self.column)
+        rows, columns = (slice(max(first, 0), max(min(first + self.side, n), 0)) for first in firsts)
+        down, right = (
+            slice(part.start - first, part.stop - first)
+            for part, first in zip((rows, columns), firsts, strict=True)
+        )
+        return rows, columns, (down, right)
+
+    def of(self, images: FloatArray) -> FloatArray:
+        """Cut the square out of images, (…, n, n); 0 beyond them."""
+        rows, columns, inner = self.shared(images.shape[-1])
+        cut = np.zeros((*images.shape[:-2], self.side, self.side), images.dtype)
+        cut[..., *inner] = images[..., rows, columns]
+        return cut
+
+
+def within(n: int, radius: float) -> NDArray[np.bool_]:
+    """Return the blocks of n × n that lie within a distance from the middle."""
+    v, u = np.mgrid[:n, :n] - (n - 1) / 2.0
+    return np.asarray(np.hypot(u, v) <= radius)
+
+
+class Picture(NamedTuple):
+    """A triangle in each orientation, (4, side, side), and its changes by the parameters, (4, 8, side, side)."""
+
+    images: FloatArray
+    slopes: FloatArray
+
+
+def picture(shape: Shape, square: Square, n: int) -> Picture:
+    """Compute the picture of a triangle on a square of a window of n × n blocks, in each orientation."""
+    side = square.side
+    x, y = (n - 1) / 2.0 + shape.x - square.column, (n - 1) / 2.0 + shape.y - square.row
+    parts = np.empty((4, 7, side, side))
+    for part, orientation in zip(parts, ORIENTATIONS, strict=True):
+        corners = vertices(size=1.0, orientation=orientation) @ shape.map.T + (x, y)
+        part[:] = moving_coverage(corners, (side, side))
+    of_x, of_y = parts[:, 1], parts[:, 2]
+    for k, (moved, at) in enumerate(((of_x, x), (of_x, y), (of_y, x), (of_y, y))):
+        parts[:, 3 + k] -= at * moved  # the map is about the centroid
+    shown = np.flatnonzero(parts.any(axis=(0, 1, 3)) | parts.any(axis=(0, 1, 2)))
+    box = slice(shown[0], shown[-1] + 1) if shown.size else slice(0, 1)
+    kernel, slope = (one[:, box] for one in blur_matrices(shape.variance, side))
+    inner = parts[:, :, box, box]
+    half = inner @ kernel.T
+    blurred = kernel @ half
+    blurring = slope @ half[:, 0] + kernel @ (inner[:, 0] @ slope.T)
+    slopes = np.concatenate(
+        [blurred[:, :1], shape.amplitude * blurred[:, 1:], shape.amplitude * blurring[:, None]], axis=1
+    )
+    return Picture(shape.amplitude * blurred[:, 0], slopes)
+
+
+def blur_matrices(variance: float, side: int) -> tuple[FloatArray, FloatArray]:
+    """Return the matrix that blurs columns of blocks by a Gaussian, and its change by the variance: (side, side).
+
+    The kernel is the Gaussian's spectrum up to the blocks' Nyquist frequency; it is exact for band-limited images,
+    and sharpens if the variance is negative.
+    """
+    frequency = np.fft.rfftfreq(2 * side)
+    spectrum = np.exp(-2.0 * np.square(np.pi * frequency) * variance)
+    apart = np.abs(np.arange(side)[:, None] - np.arange(side))
+    kernels = np.fft.irfft([spectrum, -2.0 * np.square(np.pi * frequency) * spectrum], 2 * side)
+    return kernels[0][apart], kernels[1][apart]
+
+
+class Images(NamedTuple):
+    """Mean frames of a group by orientation, and how well they are known.
+
+    Attributes
+    ----------
+    background : ndarray, shape (n, n)
+        What all frames share.
+    triangles : ndarray, shape (4, n, n)
+        What grows with the level, by stated orientation.
+    shares : ndarray, shape (5, trial)
+        Weights of the frames in these, the triangles first.
+    information : ndarray, shape (4, 4)
+        Inverse covariance of a block of the triangles for noise of unit variance.
+    weight : ndarray, shape (n, n)
+        Share with which a block counts: 0 beyond the frames, less than 1 where they are unsteady.
+    apart : ndarray, shape (4, 3)
+        Mean distance of the stated places, along x and y, and of the logarithms of the sizes from the group's.
+    """
+
+    background: FloatArray
+    triangles: FloatArray
+    shares: FloatArray
+    information: FloatArray
+    weight: FloatArray
+    apart: FloatArray
+
+    @classmethod
+    def of(
+        cls,
+        frames: FloatArray,
+        *,
+        level: FloatArray,
+        noise: FloatArray,
+        turns: NDArray[np.intp],
+        known: NDArray[np.bool_],
+        apart: FloatArray,
+        hole: float,
+    ) -> Images:
+        """Separate what all frames share from what grows with the level in each orientation.
+
+        If the levels hardly differ, the two cannot be told apart, and all of it counts as triangle.
+
+        Parameters
+        ----------
+        frames : ndarray, shape (trial, n, n)
+            Contrast.
+        level, noise : ndarray, shape (trial,)
+            Level, and standard deviation of a block's noise.
+        turns : ndarray of int, shape (trial,)
+            Stated orientation, an index into `ORIENTATIONS`.
+        known : ndarray of bool, shape (n, n)
+            Blocks that all frames have.
+        apart : ndarray, shape (trial, 3)
+            Distance of the stated place, along x and y, and of the logarithm of the size from those of the group.
+        hole : float
+            Distance from the middle within which all blocks count.
+        """
+        columns = np.array([np.where(turns == k, level, 0.0) for k in range(4)])
+        is_separable = level.max() > SEPARABLE * level.min()
+        design = np.vstack([columns, np.full(len(level), float(is_separable))]).T
+        shares = np.linalg.pinv(design / noise[:, None]) / noise
+        parts = np.tensordot(shares, frames, 1)
+        certain = np.square(1.0 / noise)
+        mixed = columns @ certain
+        information = np.diag(np.square(columns) @ certain)
+        if is_separable:
+            information -= np.outer(mixed, mixed) / certain.sum()
+        weight = known.astype(np.float64)
+        if len(frames) > 1:
+            left = frames - parts[4] - level[:, None, None] * parts[turns]
+            spread = np.sqrt(np.square(left / noise[:, None, None]).mean(axis=0))
+            steady = np.square(UNSTEADY / np.maximum(spread, UNSTEADY))
+            weight *= np.where(within(len(known), hole), 1.0, steady)
+        of_own = np.array([(shares[k] * columns[k]) @ apart for k in range(4)])
+        return cls(parts[4], parts[:4], shares, information, weight, of_own)
+
+
+class Fit(NamedTuple):
+    """The triangle that explains mean frames best, and its covariance, (8, 8), in steps of the parameters.
+
+    `shown` are the orientations on the frames for the four stated ones.
+    """
+
+    shape: Shape
+    covariance: FloatArray
+    shown: tuple[int, ...]
+    picture: Picture
+    square: Square
+
+    def error(self, *parameters: tuple[int, float]) -> float:
+        """Return the standard error of a sum of parameters with factors."""
+        factors = np.zeros(N_PARAMETERS)
+        for parameter, factor in parameters:
+            factors[parameter] = factor
+        return math.sqrt(max(float(factors @ self.covariance @ factors), 0.0))
+
+    @property
+    def size_error(self) -> float:
+        """Standard error of the size, as a share of it."""
+        return self.error((XX, 0.5), (YY, 0.5))
+
+    @property
+    def turn_error_rad(self) -> float:
+        """Standard error of the rotation."""
+        return self.error((YX, 0.5), (XY, -0.5))
+
+
+def _whitened(information: FloatArray) -> FloatArray:
+    """Return factors (4, 4) that turn images of this information into images of unit variance."""
+    values, vectors = np.linalg.eigh(information)
+    return np.asarray(np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T)
+
+
+@lru_cache(maxsize=16)
+def _polynomial(side: int) -> FloatArray:
+    """Return the terms of the background on a square: (terms, side²)."""
+    u = np.linspace(-1.0, 1.0, side)
+    terms = [np.outer(u**i, u**j) for i in range(DEGREE + 1) for j in range(DEGREE + 1 - i)]
+    return np.asarray(terms).reshape(len(terms), -1)
+
+
+def _without_background(images: FloatArray, weight: FloatArray) -> FloatArray:
+    """Return images times √weight, (…, side²), without the polynomial that fits them best."""
+    root = np.sqrt(weight).ravel()
+    terms = _polynomial(weight.shape[-1]) * root
+    flat = images.reshape(*images.shape[:-2], -1) * root
+    return np.asarray(flat - (flat @ terms.T) @ np.linalg.pinv(terms @ terms.T, hermitian=True) @ terms)
+
+
+def fit(images: Images, start: Shape, shown: tuple[int, ...] = (0, 1, 2, 3)) -> Fit:
+    """Fit the picture of a triangle to mean frames by Gauss–Newton steps.
+
+    Parameters
+    ----------
+    images : Images
+    start : Shape
+    shown : tuple of int
+        Orientation on the frames for each stated one.
+
+    Returns
+    -------
+    Fit
+        `covariance` is that for noise as the fit leaves it.
+    """
+    n = images.weight.shape[0]
+    order = np.array(shown)
+    factors = _whitened(images.information)
+    shape = start
+    for _ in range(MOST_ROUNDS):
+        square = Square.about(shape, n)
+        weight = square.of(images.weight)
+        model = picture(shape, square, n)
+        design = _design(model.slopes[order], factors, weight)
+        left = square.of(images.triangles) - model.images[order] - _displaced(model.slopes[order], images.apart)
+        away = _without_background(np.tensordot(factors, left, 1), weight).ravel()
+        step = _solved(design, away)
+        shape = _bounded(shape.moved(_limited(step, shape)), start, n)
+        if np.abs(step[[X, Y]]).max() < FOUND * shape.size and np.abs(step[[XX, XY, YX, YY]]).max() < FOUND:
+            break
+    square = Square.about(shape, n)
+    model = picture(shape, square, n)
+    design = _design(model.slopes[order], factors, square.of(images.weight))
+    left = images.triangles.copy()
+    subtract(left, model.images[order] + _displaced(model.slopes[order], images.apart), square)
+    spectrum = noise_spectrum(np.tensordot(factors, left, 1), images.weight, square.side)
+    covariance = _covariance(design, square, images.weight, spectrum)
+    return Fit(shape, covariance, shown, model, square)
+
+
+def _displaced(slopes: FloatArray, apart: FloatArray) -> FloatArray:
+    """Return the changes of pictures, (…, side, side), for places and sizes apart from the group's, (…, 3)."""
+    return np.asarray(np.einsum("kpij,kp->kij", np.tensordot(OF_TRIAL[1:], slopes, (1, 1)).swapaxes(0, 1), apart))
+
+
+def _design(slopes: FloatArray, factors: FloatArray, weight: FloatArray) -> FloatArray:
+    """Return the changes of whitened images by the parameters, without background: (8, 4 side²)."""
+    white = np.tensordot(factors, slopes, 1)  # (4, 8, side, side)
+    return _without_background(white, weight).transpose(1, 0, 2).reshape(slopes.shape[1], -1)
+
+
+def _solved(design: FloatArray, away: FloatArray) -> FloatArray:
+    scale = np.maximum(np.linalg.norm(design, axis=1), 1e-300)
+    scaled = design / scale[:, None]
+    normal = scaled @ scaled.T
+    return np.asarray(np.linalg.lstsq(normal, scaled @ away, rcond=1e-10)[0] / scale)
+
+
+def _limited(step: FloatArray, shape: Shape) -> FloatArray:
+    """Limit a step to what the derivatives describe."""
+    reach = np.full(N_PARAMETERS, 0.25)
+    reach[AMPLITUDE] = np.inf
+    reach[[X, Y]] = 0.3 * shape.size
+    reach[BLUR] = max(0.5 * abs(shape.variance), 0.5)
+    return np.asarray(np.clip(step, -reach, reach))
+
+
+def _bounded(shape: Shape, start: Shape, n: int) -> Shape:
+    """Return a shape within what a window can show, and not far from a triangle."""
+    left, stretch, right = np.linalg.svd(shape.map)
+    mean = float(np.sqrt(stretch.prod()))
+    size = min(max(mean, 0.5 * start.size, 0.5), 2.0 * start.size, float(n))
+    stretch = size * np.clip(stretch / max(mean, 1e-9), 1.0 / MOST_STRETCH, MOST_STRETCH)
+    variance = min(max(shape.variance, LEAST_VARIANCE), np.square(n / 4.0))
+    x, y = (min(max(at, -n / 2.0), n / 2.0) for at in (shape.x, shape.y))
+    return Shape(shape.amplitude, x, y, left * stretch @ right, variance)
+
+
+def subtract(images: FloatArray, pictures: FloatArray, square: Square) -> None:
+    """Subtract pictures on a square from images, (…, n, n), in place."""
+    n = images.shape[-1]
+    rows, columns, inner = square.shared(n)
+    images[..., rows, columns] -= pictures[..., *inner]
+
+
+def noise_spectrum(noise: FloatArray, weight: FloatArray, side: int) -> FloatArray:
+    """Return the power spectrum of noise images, (…, n, n), for filters of a side: the mean over the images.
+
+    It is periodic over n + side blocks; its mean is the variance of a block.
+    """
+    import scipy.fft
+
+    length = scipy.fft.next_fast_len(weight.shape[0] + side, real=True)
+    spectra = scipy.fft.rfft2(noise * weight, (length, length))
+    power = np.square(np.abs(spectra)).reshape(-1, length, length // 2 + 1).mean(axis=0)
+    return np.asarray(power / max(float(np.square(weight).sum()), 1e-300))
+
+
+def filter_covariance(filters: NDArray[np.floating], spectrum: FloatArray) -> FloatArray:
+    """Return the covariance of what filters, (…, p, side, side), measure of noise with this spectrum: (p, p)."""
+    import scipy.fft
+
+    length = spectrum.shape[0]
+    seen = scipy.fft.rfft2(filters, (length, length)).reshape(-1, filters.shape[-3], spectrum.size)
+    twice = np.full(spectrum.shape, 2.0)
+    twice[:, 0] = 1.0
+    if length % 2 == 0:
+        twice[:, -1] = 1.0
+    weighted = seen * (spectrum * twice / length**2).ravel()
+    return np.asarray(np.einsum("kaf,kbf->ab", weighted, seen.conj(), optimize=True).real, np.float64)
+
+
+def _covariance(design: FloatArray, square: Square, weight: FloatArray, spectrum: FloatArray) -> FloatArray:
+    scale = np.maximum(np.linalg.norm(design, axis=1), 1e-300)
+    scaled = design / scale[:, None]
+    filters = np.linalg.pinv(scaled @ scaled.T, rcond=1e-10, hermitian=True) @ scaled / scale[:, None]
+    root = np.sqrt(square.of(weight))
+    shaped = filters.reshape(len(design), 4, square.side, square.side).transpose(1, 0, 2, 3) * root
+    return filter_covariance(shaped, spectrum)
+
+
+class TrialEstimates(NamedTuple):
+    """What single trials show: one step of the fit from the picture that all share.
+
+    Attributes
+    ----------
+    away : ndarray, shape (trial, 4)
+        Deviation of the contrast per level, of the place along x and y, and of the size as a ratio.
+    error : ndarray, shape (trial, 4)
+        Standard errors of these.
+    likeness, likeness_error : ndarray, shapes (trial, 4) and (trial,)
+        Product of each trial, without its background, with the differences of the orientations; its noise.
+    """
+
+    away: FloatArray
+    error: FloatArray
+    likeness: FloatArray
+    likeness_error: FloatArray
+
+
+def of_trials(
+    found: Fit,
+    images: Images,
+    frames: FloatArray,
+    *,
+    level: FloatArray,
+    noise: FloatArray,
+    turns: NDArray[np.intp],
+    apart: FloatArray,
+) -> TrialEstimates:
+    """Estimate what each trial shows, for frames as in `Images.of`."""
+    weight = found.square.of(images.weight)
+    shown = np.array(found.shown)[turns]
+    slopes = np.tensordot(OF_TRIAL, found.picture.slopes, (1, 1)).swapaxes(0, 1)
+    design = _without_background(slopes, weight)
+    steps = np.linalg.pinv(design.swapaxes(1, 2)) * np.sqrt(weight).ravel()
+    per_level = (frames - images.background) / level[:, None, None]
+    models = found.picture.images[shown] + np.einsum("kpij,kp->kij", slopes[shown, 1:], apart)
+    cut = found.square.of(per_level)
+    left = (cut - models).reshape(len(frames), -1)
+    differ = (found.picture.images - found.picture.images.mean(axis=0)) * weight
+    subtract(per_level, models, found.square)
+    relative = noise / level
+    per_level /= relative[:, None, None]
+    freedom = max(1.0 - 5.0 / len(frames), 0.2)
+    spectrum = noise_spectrum(per_level, images.weight, found.square.side) / freedom
+    shaped = steps.reshape(4, 4, found.square.side, -1)
+    errors = np.sqrt([np.diag(filter_covariance(one[None], spectrum)) for one in shaped])
+    likeness_error = math.sqrt(float(np.trace(filter_covariance(differ[None], spectrum))) / 4.0)
+    return TrialEstimates(
+        np.einsum("kpi,ki->kp", steps[shown], left),
+        errors[shown] * relative[:, None],
+        cut.reshape(len(frames), -1) @ differ.reshape(4, -1).T,
+        likeness_error * relative,
+    )
+
+
+def first_guess(images: Images, size: float) -> Shape:
+    """Find the place, the size and the sign of a triangle: where those of many sizes correlate best.
+
+    The mean over the orientations is compared, so the guess does not depend on what was done to these.
+    """
+    n = len(images.weight)
+    counts = np.diag(images.information)
+    mean = np.average(images.triangles, axis=0, weights=counts) * np.sqrt(images.weight)
+    spectrum = np.fft.rfft2(mean)
+    best, found = -1.0, Shape.upright(1.0, 0.0, 0.0, size)
+    for factor in (1.0, *SIZES_TRIED):
+        tried = factor * size
+        if tried > n / 1.6 or tried < 1.0:
+            continue
+        at = {"size_px": tried, "x_px": n // 2, "y_px": n // 2}
+        template = np.mean([coverage((n, n), **at, orientation=one) for one in ORIENTATIONS], axis=0)
+        likeness = np.fft.fftshift(np.fft.irfft2(spectrum * np.conj(np.fft.rfft2(template)), (n, n)))
+        edge = int(0.5 * tried)
+        likeness = likeness[edge : n - edge, edge : n - edge] / math.sqrt(float(np.square(template).sum()))
+        row, column = np.unravel_index(int(np.abs(likeness).argmax()), likeness.shape)
+        height = float(likeness[row, column])
+        if abs(height) > (1.02 if factor != 1.0 else 1.0) * best:
+            best = abs(height)
+            x, y = float(column + edge - n // 2), float(row + edge - n // 2)
+            found = Shape.upright(math.copysign(1.0, height), x, y, tried)
+    return found
+
+
+def fitted(images: Images, start: Shape, certain: float) -> Fit:
+    """Fit a triangle, and take another arrangement of the orientations if it is certainly more like the frames.
+
+    Parameters
+    ----------
+    images : Images
+    start : Shape
+    certain : float
+        Least advantage of another arrangement than stated, in standard errors.
+    """
+    found = fit(images, start)
+    counts = np.diag(images.information)
+    stated = np.flatnonzero(counts)
+    if len(stated) < 2:
+        return found
+    n = len(images.weight)
+    square = Square.about(start, n)
+    weight = square.of(images.weight)
+    upright = picture(start, square, n).images
+    differ = (upright - upright.mean(axis=0)) * weight
+    like = np.einsum("ayx,byx->ab", square.of(images.triangles), differ, optimize=True)
+    like -= np.average(like, axis=0, weights=counts)
+    gain = {
+        one.shown: float(sum(counts[k] * (like[k, one.shown[k]] - like[k, k]) for k in stated)) for one in TURNED
+    }
+    best = max(gain, key=lambda shown: gain[shown])
+    if gain[best] <= 0.0:
+        return found
+    other = fit(images, start, best)
+    left = images.triangles.copy()
+    subtract(left, other.picture.images[list(best)], other.square)
+    whitened = np.tensordot(_whitened(images.information), left, 1)
+    # The advantage is a sum over the orientations of the products of noise with differences of pictures.
+    moved = np.sqrt(counts)[:, None, None] * (differ[list(best)] - differ)
+    variance = filter_covariance(moved[:, None], noise_spectrum(whitened, images.weight, square.side))
+    is_certain = gain[best] > certain * math.sqrt(float(variance[0, 0]))
+    return other if is_certain and abs(other.shape.turn_rad) < MOST_BESIDE_TURN_RAD else found
