@@ -23,6 +23,7 @@ from todframes.cli.console import (
     say,
     staged,
     terminal_width,
+    time_line,
 )
 from todframes.cli.options import (
     json_option,
@@ -234,7 +235,7 @@ def sweep(
         print_table(problems)
     for sentence in result.sentences():
         echo(*textwrap.wrap(sentence, terminal_width()))
-    echo(f"{result.run_time_s:.2f} s")
+    echo(time_line())
     if out is not None:
         echo(f"written: {out}")
 

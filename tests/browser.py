@@ -172,9 +172,9 @@ def wait_until(page: Page, expression: str, arg: Any = None, *, seconds: float =
     return found
 
 
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    """Installed Chromium without a window, one for all tests of a module."""
+@contextmanager
+def chromium() -> Iterator[Browser]:
+    """Run the installed Chromium without a window; skip the test where there is none."""
     playwright = pytest.importorskip(
         "playwright.sync_api", reason="pages are driven by Playwright, of the dev extra"
     )
@@ -182,9 +182,16 @@ def browser() -> Iterator[Browser]:
     if not found:
         pytest.skip("no Chromium is installed")
     with playwright.sync_playwright() as play:
-        chromium = play.chromium.launch(executable_path=found[0], args=["--no-sandbox"])
-        yield chromium
-        chromium.close()
+        launched = play.chromium.launch(executable_path=found[0], args=["--no-sandbox"])
+        yield launched
+        launched.close()
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    """Installed Chromium without a window, one for all tests of a module."""
+    with chromium() as launched:
+        yield launched
 
 
 @pytest.fixture

@@ -55,6 +55,12 @@ def test_decoys() -> None:
     )
 
 
+def test_people_who_do_not_behave() -> None:
+    pytest.importorskip("playwright.sync_api", reason="pages are driven by Playwright, of the dev extra")
+    out = campaign("people", "1", "--only", "impatient")
+    assert "1 people, answers by flag: 10 none, 5 too_fast; 0 faults" in out
+
+
 @pytest.mark.skipif(getattr(os, "geteuid", lambda: 1)() != 0, reason="only root may mount a disk")
 def test_a_full_disk() -> None:
     assert "1 cases, 0 faults" in campaign("faults", "--only", "disk full, score")

@@ -8,6 +8,7 @@ import os
 import re
 import subprocess
 import sys
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -353,3 +354,19 @@ def test_libraries_are_kept_to_one_thread() -> None:
             [sys.executable, "-c", script], capture_output=True, text=True, env=environment, check=True
         )
         assert found.stdout == expected
+
+
+@pytest.mark.slow
+def test_the_printed_time_is_that_for_which_people_wait(make_dataset, tmp_path: Path) -> None:
+    """All but the start of Python and its end, which are less than a quarter even of a short run."""
+    path = make_dataset(sizes_mrad=(1.0, 2.0), contrasts=(0.05, 0.1, 0.2)).path
+    started = time.perf_counter()
+    process = subprocess.run(
+        [sys.executable, "-m", "todframes", "score", path, "-o", tmp_path / "out"],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    waited_s = time.perf_counter() - started
+    (printed,) = re.findall(r"^([0-9.]+) s$", process.stdout, re.MULTILINE)
+    assert 0.75 * waited_s < float(printed) <= waited_s

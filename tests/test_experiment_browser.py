@@ -201,3 +201,67 @@ def zoom(page: Any, ratio: float) -> None:
     """Change the device pixel ratio of an open page."""
     metrics = {"width": 1280, "height": 900, "deviceScaleFactor": ratio, "mobile": False}
     page.context.new_cdp_session(page).send("Emulation.setDeviceMetricsOverride", metrics)
+
+
+MARK = """async () => {
+  const stage = document.getElementById("stage"), canvas = document.getElementById("stimulus");
+  while (stage.hidden || canvas.hidden) await new Promise((done) => setTimeout(done, 5));
+  const middle = canvas.getContext("2d").getImageData(canvas.width / 2, canvas.height / 2, 1, 1).data[0];
+  return [stage.dataset.trial ?? null, middle];
+}"""
+
+
+def test_person_who_is_too_fast_looks_away_and_stops(
+    make_dataset: Any, open_page: OpenPage, tmp_path: Path
+) -> None:
+    """The page says what is wrong with an answer, shows the trial again, and can be left."""
+    dataset = make_dataset(sizes_mrad=(6.0,), contrasts=(0.3, 0.7), side_px=101)
+    answers = tmp_path / "answers"
+    with experiment(dataset.path, answers, "--practice", 0, "--contact", "Jo, room 7") as server:
+        page = open_page(server.url)
+        page.wait_for_selector("#consent-text:has-text('Jo, room 7')")
+        page.click("#agree")
+        measure_monitor(page)
+        is_shown, middle = page.evaluate(MARK)
+        assert is_shown is None and middle != CODE  # the mark, before the picture
+
+        assert trial_shown(page) == 1
+        page.evaluate("window.dispatchEvent(new KeyboardEvent('keydown', { key: 'ArrowLeft' }))")
+        page.wait_for_selector("#feedback:has-text('Too fast')")
+        assert trial_shown(page) == 2
+        page.evaluate("window.dispatchEvent(new Event('blur'))")
+        page.wait_for_timeout(200)
+        page.keyboard.press("ArrowLeft")
+        page.wait_for_selector("#feedback:has-text('Another window was in front')")
+
+        assert trial_shown(page) == 3
+        assert "of 10" in page.inner_text("#progress")  # 8, and 2 again
+        page.keyboard.press("Escape")
+        page.wait_for_selector("#leave:not([hidden])")
+        page.keyboard.press("ArrowUp")  # no trial is shown
+        page.keyboard.press("Enter")
+        assert trial_shown(page) == 3
+        page.click("#stop")
+        page.click("#leave-now")
+        page.wait_for_selector("#ended:not([hidden]) >> text=Jo, room 7")
+        page.reload()
+        page.wait_for_selector("#ended:not([hidden])")
+    assert [(row["response"], row["flag"]) for row in saved_rows(answers)] == [
+        ("left", "too_fast"),
+        ("left", "unfocused"),
+    ]
+    assert sidecar(answers)["stopped_at"]
+
+
+def test_frames_for_which_a_desk_is_too_short_are_explained_at_once(
+    make_dataset: Any, open_page: OpenPage, tmp_path: Path
+) -> None:
+    """Pixels of 0.03 mrad are those of a desk's monitor from 8.8 m."""
+    dataset = make_dataset(sizes_mrad=(0.5,), display={"pixel_pitch_mrad": 0.03}, contrasts=(0.3,))
+    with experiment(dataset.path, tmp_path / "answers", "--practice", 0) as server:
+        page = open_page(server.url)
+        page.click("#agree")
+        page.wait_for_selector("#size:not([hidden])")
+        assert "Call the experimenter: a desk does not do" in page.inner_text("#size .reach")
+        # 96 pixels to the inch: 25.4 / 96 mm over 0.03 mrad, shown with three digits.
+        assert "from 8810 mm" in page.inner_text("#size .reach")

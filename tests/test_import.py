@@ -19,6 +19,7 @@ from todframes.cli.main import cli
 from todframes.cli.recordings import seconds
 from todframes.errors import DataError, OutputError, SettingsError
 from todframes.recordings.chart_layout import write_chart
+from todframes.recordings.chart_source import page_duration_s
 from todframes.recordings.clips import Clip, ClipFrame, FramePart, Placed, clean_clips, share_of_other
 from todframes.recordings.geometry import Geometry, place_triangle
 from todframes.recordings.markers import marker_bits, marker_ids
@@ -111,6 +112,34 @@ def test_a_mirrored_turned_film_has_the_orientations_of_its_frames(tmp_path: Pat
     # Mirroring exchanges left and right, the turn by 180° each with its opposite.
     assert [row["orientation"] for row in rows] == ["down", "right", "up", "left"]
     assert any("mirrored, turned by 180°" in note for note in done.notes)
+
+
+@pytest.mark.parametrize(("rate", "warned"), [(20.0, True), (30.0, False), (60.0, True)])
+def test_times_that_contradict_the_chart(tmp_path: Path, chart: Path, pages, rate: float, warned: bool) -> None:
+    """Pages of 0.5 s filmed at 30 frames/s; a warning has both durations and both rates."""
+    frames = film_of([pages[k] for k in range(5) for _ in range(15)])
+    done, _ = imported(saved(tmp_path, frames), chart, frames_per_second=rate)
+    found = [one.message for one in done.warnings if one.code == "clock"]
+    assert bool(found) == warned
+    if warned:
+        assert f"every {15 / rate:.3g} s by the times of the frames, but the chart shows each for 0.5" in found[0]
+        assert f"{rate:g} frames/s here, 30 by the chart" in found[0]
+        assert f"average {rate / 30:.2g} times as many frames" in found[0]
+
+
+@pytest.mark.parametrize(
+    ("durations", "expected"),
+    [
+        ([0.2] * 8, 0.2),
+        ([0.2, 0.16, 0.2, 0.24, 0.2], 0.2),  # a frame late or early
+        ([0.2, 0.2, 3.0, 0.2, 0.2, 0.2], 0.2),  # a pause
+        ([0.5, 1.7, 0.9, 2.4, 1.1], None),  # turned by hand
+        ([0.2, 0.2], None),
+    ],
+)
+def test_the_duration_of_pages_is_that_of_a_program(durations, expected) -> None:
+    starts = list(enumerate(np.cumsum([1.0, *durations]).tolist()))
+    assert page_duration_s(starts, 0.04) == (None if expected is None else pytest.approx(expected))
 
 
 @pytest.mark.slow

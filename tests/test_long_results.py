@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import subprocess
 import sys
 
 import numpy as np
@@ -100,6 +101,18 @@ def test_what_has_no_value_is_null_in_parquet() -> None:
     assert [str(one) for one in found.schema.types] == ["string", "int64", "double"]
     assert found.to_pydict() == VALUES | {"value": [0.1, 1e-300, None, -0.0, 2.0]}
     assert np.signbit(found["value"].to_pylist()[3])
+
+
+def test_parquet_is_written_without_pandas(mixed, tmp_path) -> None:
+    """Pandas takes a second to load, and nothing of it is needed."""
+    pytest.importorskip("pyarrow.parquet", reason="Parquet needs pyarrow, of the parquet extra")
+    script = (
+        "import sys, todframes as tod; tod.score(sys.argv[1], fit=tod.FitSettings(resamples=0)).save(sys.argv[2]);"
+        "print('pandas' in sys.modules)"
+    )
+    command = [sys.executable, "-c", script, str(mixed), str(tmp_path / "out")]
+    assert subprocess.run(command, capture_output=True, text=True, check=True).stdout == "False\n"
+    assert (tmp_path / "out" / "scores.parquet").stat().st_size
 
 
 def test_without_pyarrow_there_is_no_parquet(mixed, tmp_path, monkeypatch) -> None:

@@ -9,6 +9,7 @@ import os
 import signal
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
@@ -16,6 +17,9 @@ from typing import Any
 
 SIGNALS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
 
+
+STARTED_S = time.perf_counter()
+"""Time at which the process began, as `time.perf_counter` counts."""
 
 INTERRUPTED = 130
 """Exit status of an interrupted run."""

@@ -7,6 +7,7 @@ python tests/campaigns/run.py faults               # full disks, second runs, fi
 python tests/campaigns/run.py planted              # links planted in OUT, and swapped in during the run
 python tests/campaigns/run.py servers              # endless, slow, compressed, cut and moved answers
 python tests/campaigns/run.py decoys               # modules and settings in the working folder
+python tests/campaigns/run.py people [N]           # 5 people of each of 8 kinds sit the experiment in Chromium
 """
 
 from __future__ import annotations
@@ -21,19 +22,21 @@ import faults
 import kills
 import planted
 import servers
+import sitters
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a campaign and print what it has found. Returns the exit status."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    names = ["mutations", "kills", "long-run", "faults", "decoys", "servers", "planted", "people"]
+    parser.add_argument("campaign", choices=names)
     parser.add_argument(
-        "campaign", choices=["mutations", "kills", "long-run", "faults", "decoys", "servers", "planted"]
+        "n", nargs="?", type=int, help="number of mutations, kills or people of a kind [default: 10,000, 100, 5]"
     )
-    parser.add_argument("n", nargs="?", type=int, help="number of mutations or kills [default: 10,000 or 100]")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--first", type=int, default=0, help="number of the first mutation, to repeat a case")
     parser.add_argument("--frames", type=int, default=20_000, help="number of frames of the long run")
-    parser.add_argument("--only", default="", help="part of the name of a case or command")
+    parser.add_argument("--only", default="", help="part of the name of a case, command or kind of people")
     asked = parser.parse_args(arguments)
     match asked.campaign:
         case "mutations":
@@ -47,6 +50,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             tally = kills.long_run(asked.frames, asked.n or 100, seed=asked.seed)
             print(tally.line())
             return int(bool(tally.faults))
+        case "people":
+            return int(bool(sitters.campaign(asked.n or 5, seed=asked.seed, only=asked.only)))
         case "decoys":
             n, n_decoys, found = decoys.campaign(only=asked.only)
             print(*found, sep="\n", end="\n" if found else "")

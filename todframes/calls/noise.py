@@ -55,7 +55,7 @@ def noise(
     frames_per_second : float, optional
         Frame rate in place of what the files say.
     max_frame_mb : int
-        Largest decoded size of a frame in 2**20 bytes: all channels, in their own pixel types.
+        Largest size of a frame in 2**20 bytes: all channels in their own pixel types, at least 8 bytes a pixel.
     progress : function of an int, optional
         Called with 1 for each frame.
 

@@ -16,6 +16,7 @@ from todframes.cli.console import (
     say,
     staged,
     terminal_width,
+    time_line,
     warning_lines,
 )
 from todframes.cli.options import (
@@ -114,7 +115,7 @@ def calibrate(
     print_table(calibration.curves_table(result))
     for line in [*verdict(result), *warning_lines(result.warnings)]:
         echo(*textwrap.wrap(visible(line), terminal_width()))
-    echo(f"{result.run_time_s:.2f} s")
+    echo(time_line())
     if out is not None:
         echo(f"written: {out}")
     check_strict(result.warnings, strict)

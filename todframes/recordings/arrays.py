@@ -147,7 +147,7 @@ def _layout(path: Path, file: IO[bytes], n_bytes: int, max_frame_mb: int) -> _La
         )
     if is_fortran and sum(one > 1 for one in shape) > 1:
         raise FrameError(path, "the array is in Fortran order; save numpy.ascontiguousarray(array)")
-    check_size(path, (frame_shape[0], frame_shape[1]))
+    check_size(path, (frame_shape[0], frame_shape[1]), max_frame_mb)
     check_decoded_size(path, math.prod(frame_shape) * dtype.itemsize, max_frame_mb)
     n_frames = shape[0] if len(shape) > 2 else 1
     expected = n_frames * math.prod(frame_shape) * dtype.itemsize + file.tell()

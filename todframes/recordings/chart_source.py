@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field
+from itertools import pairwise
 from pathlib import Path
-from statistics import median
+from statistics import fmean, median
 from typing import NamedTuple
 
 import numpy as np
@@ -43,6 +44,18 @@ MOST_STRETCH = 1.05
 """Ratio of the largest to the smallest scale that is told; a chart tilted by 18° has it."""
 
 
+LARGEST_CLOCK_ERROR = 0.1
+"""Relative difference of the pages' duration in a film from that of the chart, from which there is a warning."""
+
+
+FEWEST_PAGE_CHANGES = 3
+"""Number of changes to the next page from which the duration of pages is measured."""
+
+
+MOST_UNEVEN_CHANGES = 0.2
+"""Share of page changes at other intervals up to which a program, and no person, has turned the pages."""
+
+
 @dataclass(slots=True)
 class RecordingReport:
     """The content of a recording: numbers of frames by what became of them, and its clips.
@@ -51,6 +64,7 @@ class RecordingReport:
     two pages or with a share of another page, `n_other_page` those with the chart's key but a page that it does
     not have, `n_rolled` those turned too far. `n_doubled` are equal to the frame before, bit by bit, and kept.
     `n_off_frame` and `n_cut` count triangles that do not lie on the frame, and windows that its border cuts.
+    `page_duration_s` is the mean time from a page to the next by the times of the frames, None if not regular.
     """
 
     path: str
@@ -63,6 +77,8 @@ class RecordingReport:
     n_off_frame: int = 0
     n_cut: int = 0
     most_markers: int = 0
+    frames_per_second: float | None = None
+    page_duration_s: float | None = None
     other_keys: dict[int, int] = field(default_factory=dict)
     clips: list[dict[str, object]] = field(default_factory=list)
 
@@ -120,7 +136,7 @@ class ChartSource:
         FrameError, DataError
             If a frame cannot be read.
         """
-        report = RecordingReport(str(recording.path))
+        report = RecordingReport(str(recording.path), frames_per_second=recording.frames_per_second)
         self.reports.append(report)
         clips: list[Clip] = []
         measured: list[_Measured] = []
@@ -131,6 +147,9 @@ class ChartSource:
             yield clip, frame
         report.n_transition += sum(clip.n_transition for clip in clips)
         report.clips = [asdict(clip) | measured[clip.number - self._n_runs - 1].medians() for clip in clips]
+        if recording.frames_per_second is not None:
+            starts = [(one.page, one.start_s) for one in measured if one.start_s is not None]
+            report.page_duration_s = page_duration_s(starts, 1.0 / recording.frames_per_second)
         self.clips += clips
         self._n_runs += len(measured)
 
@@ -158,7 +177,7 @@ class ChartSource:
                     report.n_rolled += 1
                     continue
                 if not measured or measured[-1].page != page:
-                    measured.append(_Measured(page))
+                    measured.append(_Measured(page, frame.time_s))
                 self._measure(measured[-1], seen, placed[0], roll)
                 sizes_mm = [one.size_mm for one in self.chart.pages[page].triangles]
                 parts = tuple(
@@ -284,6 +303,20 @@ class ChartSource:
             yield RecordingWarning("unused_recording", f"{where}{why}, so the recording is not in the dataset")
             return
 
+        screen, found_s = self.chart.screen, report.page_duration_s
+        if screen is not None and found_s is not None and report.frames_per_second is not None:
+            ratio = found_s / screen.page_duration_s
+            if abs(ratio - 1.0) > LARGEST_CLOCK_ERROR:
+                rate = report.frames_per_second
+                yield RecordingWarning(
+                    "clock",
+                    f"{where}pages follow each other every {found_s:.3g} s by the times of the frames, but the "
+                    f"chart shows each for {screen.page_duration_s:.3g} s: {rate:.4g} frames/s here, "
+                    f"{rate * ratio:.4g} by the chart; trials average {1 / ratio:.2g} times as many frames "
+                    "as the eye does; give "
+                    f"--frames-per-second {rate * ratio:.4g} if the chart is right",
+                )
+
         def worst(name: str) -> float:
             return max((float(clip[name]) for clip in clips), key=abs)  # type: ignore[arg-type]
 
@@ -364,8 +397,9 @@ class _Reach(NamedTuple):
 class _Measured:
     """Measurements in the frames of one clip, by name."""
 
-    def __init__(self, page: int) -> None:
+    def __init__(self, page: int, start_s: float | None) -> None:
         self.page = page
+        self.start_s = start_s
         self._values: dict[str, list[float]] = {}
 
     def add(self, **values: float) -> None:
@@ -378,6 +412,30 @@ class _Measured:
         medians = {name: round(median(of_frames), 6) for name, of_frames in values.items()}
         motion = math.hypot(*(float(np.std(self._values[name])) for name in ("x_px", "y_px")))
         return medians | {"motion_px": round(motion, 6)}
+
+
+def page_duration_s(starts: Sequence[tuple[int, float]], frame_s: float) -> float | None:
+    """Return the mean time from the start of a page to that of the next in a film, in seconds.
+
+    Parameters
+    ----------
+    starts : sequence of (int, float)
+        Page and time in seconds of the first frame of each run of frames that show one page.
+    frame_s : float
+        Interval from frame to frame, by which each time may be off.
+
+    Returns
+    -------
+    float or None
+        None with fewer than `FEWEST_PAGE_CHANGES`, or if they are not regular: a person has turned the pages.
+        Single pauses count for nothing.
+    """
+    steps_s = [after_s - s for (page, s), (after, after_s) in pairwise(starts) if after == page + 1]
+    if len(steps_s) < FEWEST_PAGE_CHANGES:
+        return None
+    usual_s = median(steps_s)
+    regular_s = [one for one in steps_s if abs(one - usual_s) <= 1.5 * frame_s]
+    return fmean(regular_s) if len(regular_s) >= (1.0 - MOST_UNEVEN_CHANGES) * len(steps_s) else None
 
 
 def _is_same(one: NDArray[np.generic], other: NDArray[np.generic]) -> bool:

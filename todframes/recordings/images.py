@@ -133,6 +133,7 @@ def _open(path: Path, max_frame_mb: int) -> Any:
 def _exr_header(path: Path, spec: Any, max_frame_mb: int) -> StillHeader:
     with FrameFile(path, max_frame_mb=max_frame_mb) as frame:
         header = frame.header
+    check_size(path, (header.height, header.width), max_frame_mb)
     if (header.n_rows, header.n_columns) != (header.height, header.width):
         raise FrameError(path, "the data window covers only a part of the display window, expected all of it")
     return StillHeader(
@@ -147,7 +148,7 @@ def _exr_header(path: Path, spec: Any, max_frame_mb: int) -> StillHeader:
 def _layout(path: Path, spec: Any, max_frame_mb: int) -> tuple[tuple[int, int], int, str]:
     """Return the shape, the number of channels to read, and the pixel type of a page."""
     shape, pixel_type = (spec.height, spec.width), str(spec.format)
-    check_size(path, shape)
+    check_size(path, shape, max_frame_mb)
     check_decoded_size(path, max(spec.image_bytes(True), spec.tile_bytes(True)), max_frame_mb)
     if spec.depth > 1:
         raise FrameError(path, f"found a volume {spec.depth} pixels deep, expected a frame")

@@ -148,7 +148,7 @@ def import_recordings(
     frames_per_second : float, optional
         Frame rate in place of what the files say.
     max_frame_mb : int
-        Largest decoded size of a frame in 2**20 bytes: all channels, in their own pixel types.
+        Largest size of a frame in 2**20 bytes: all channels in their own pixel types, at least 8 bytes a pixel.
     ifov_mrad : float, optional
         With a schedule: angle of a recorded pixel at the camera; sizes in mrad are then angles at the camera.
         Without it they are angles on the display.

@@ -44,8 +44,7 @@ def open_recordings(
     frames_per_second : float, optional
         Frame rate in place of what the files say.
     max_frame_mb : int
-        Largest decoded size of a frame in 2**20 bytes: all channels, in their own pixel types. In a video, a pixel
-        counts as 8 bytes: only a decoded frame says its type.
+        Largest size of a frame in 2**20 bytes: all channels in their own pixel types, at least 8 bytes a pixel.
 
     Returns
     -------

@@ -20,7 +20,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from todframes._typing import FloatArray
 from todframes.errors import FrameError
-from todframes.frames.files import check_decoded_size
 from todframes.recordings.recording import Recording, StillHeader, check_size, natural_order
 
 FFF_START, JPEG_START = (b"FFF\0", b"AFF\0"), b"\xff\xd8\xff"
@@ -248,8 +247,7 @@ def _shape(
     start = _bytes_at(file, begin, 40)
     order = _byte_order(path, start)
     columns, rows = struct.unpack_from(f"{order}2H", start, 2)
-    check_size(path, (rows, columns))
-    check_decoded_size(path, 2 * rows * columns, max_frame_mb)
+    check_size(path, (rows, columns), max_frame_mb)
     for pattern, name in COMPRESSED.items():
         if start[32:].startswith(pattern):
             raise FrameError(path, f"its counts are compressed as {name}, expected plain ones; export 16-bit TIFF")

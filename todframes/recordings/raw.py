@@ -45,7 +45,7 @@ def read_header(path: Path, max_frame_mb: int) -> StillHeader:
         values, used = _values(path, raw)
         white, black = raw.white_level, [raw.black_level_per_channel[one] for one in used]
     rows, columns = values.shape
-    check_size(path, (rows, columns))
+    check_size(path, (rows, columns), max_frame_mb)
     warnings = () if values.dtype.kind == "u" else (HALF,)
     return StillHeader((rows, columns), False, 1, float(white), float(np.mean(black)), warnings=warnings)
 

@@ -17,6 +17,11 @@ INTEGRATION_TIME_S = 0.1
 """Time in which the eye integrates. Hogervorst et al. 2001, section 4."""
 
 
+BYTES_PER_PIXEL = 8
+"""Bytes that a pixel of a recording counts as at least, whatever its type: as much is taken to look at it, and the
+pixel format of a video is known from a decoded frame only."""
+
+
 Unit = Literal["code", "counts", "celsius"]
 """Code values of a picture, counts of a detector, or temperatures."""
 
@@ -202,12 +207,13 @@ def _channels(header: StillHeader) -> str:
     return "R, G, B" if header.is_colour else "grey"
 
 
-def check_size(path: Path, shape: tuple[int, int]) -> None:
-    """Raise FrameError unless a frame has pixels, and not more than a frame file may have."""
-    from todframes.frames.files import MAX_SIDE_PX
+def check_size(path: Path, shape: tuple[int, int], max_frame_mb: int) -> None:
+    """Raise FrameError unless a frame has pixels, and not more than a limit allows at `BYTES_PER_PIXEL` each."""
+    from todframes.frames.files import MAX_SIDE_PX, check_decoded_size
 
     if min(shape) < 1 or max(shape) > MAX_SIDE_PX:
         raise FrameError(path, f"found {_size(shape)}, expected sides of 1 to {MAX_SIDE_PX}")
+    check_decoded_size(path, BYTES_PER_PIXEL * shape[0] * shape[1], max_frame_mb)
 
 
 def missing_extra(path: Path, extra: str, package: str) -> DataError:

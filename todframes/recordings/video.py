@@ -13,7 +13,14 @@ from numpy.typing import NDArray
 
 from todframes.errors import DataError, FrameError, argument
 from todframes.frames.files import MAX_FRAME_MB, check_decoded_size
-from todframes.recordings.recording import RecordedFrame, Recording, RecordingWarning, check_size, missing_extra
+from todframes.recordings.recording import (
+    BYTES_PER_PIXEL,
+    RecordedFrame,
+    Recording,
+    RecordingWarning,
+    check_size,
+    missing_extra,
+)
 
 if TYPE_CHECKING:
     from av.container import InputContainer
@@ -69,10 +76,6 @@ REPACKED = {
     "p010le": "yuv420p10le",
 }
 """Packed pixel formats and the planar ones with the same samples."""
-
-
-BYTES_PER_PIXEL = 8
-"""Bytes that a pixel of a video counts as, before its format is known: four samples of 16 bits."""
 
 
 LATE_INTERVALS = 2.0
@@ -186,8 +189,7 @@ def open_video(
     frames_per_second : float, optional
         Frame rate in place of the times in the file.
     max_frame_mb : int
-        Largest decoded size of a frame in 2**20 bytes. As the pixel format is known from a decoded frame only, a
-        pixel counts as `BYTES_PER_PIXEL`.
+        Largest size of a frame in 2**20 bytes; a pixel counts as `BYTES_PER_PIXEL`.
 
     Raises
     ------
@@ -205,7 +207,7 @@ def open_video(
         if layout is None:
             known = "grey, Y'CbCr or R'G'B' of 8 to 16 bits"
             raise FrameError(path, f"pixel format {first.format.name}, expected {known}; convert it without loss")
-        check_size(path, (first.height, first.width))
+        check_size(path, (first.height, first.width), max_frame_mb)
         scale, is_colour = _levels_of(first, layout), layout.family != "gray"
         matrix, warnings = _matrix(path, first, layout)
         if stream.codec_context.codec.lossy:
