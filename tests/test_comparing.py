@@ -339,7 +339,7 @@ def test_linear_exr_has_no_upper_end(make_dataset) -> None:
 def test_white_must_be_said_of_frames_in_luminance(make_dataset) -> None:
     made = make_dataset(contrasts=(0.2,))
     with pytest.raises(
-        FrameError, match=r"code values have a mean of 50.\d+, above white \(1\); say which .*--white"
+        FrameError, match=r"code values have a mean of 50.\d+, above white \(1\); say which .*white"
     ):
         compare(made.path, "gaussian")
     assert compare(made.path, "gaussian", white=100.0)[1].scored.fits

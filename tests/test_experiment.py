@@ -537,7 +537,7 @@ def test_which_of_several_unfinished_sessions_is_asked(dataset, out):
         with open_sitting(dataset, out, subject=subject, design=SHORT):
             pass
     with (
-        pytest.raises(SettingsError, match="the sessions of P1, P2 are not finished; say which with --subject"),
+        pytest.raises(SettingsError, match="the sessions of P1, P2 are not finished; say which with subject"),
         open_sitting(dataset, out),
     ):
         pass
@@ -549,7 +549,7 @@ def test_a_finished_session_is_followed_by_a_new_one(dataset, out):
         finish(sitting)
         first = sitting.record.subject
     with (
-        pytest.raises(SettingsError, match=f"--subject: {first} has finished; leave it out"),
+        pytest.raises(SettingsError, match=f"subject: {first} has finished; leave it out"),
         open_sitting(dataset, out, subject=first),
     ):
         pass
@@ -649,7 +649,7 @@ def test_settings_are_checked(design, message):
 
 def test_more_trials_than_there_are_is_told(dataset, out):
     with (
-        pytest.raises(SettingsError, match="--trials: found 25, expected at most 24, the trials of the dataset"),
+        pytest.raises(SettingsError, match="trials: found 25, expected at most 24, the trials of the dataset"),
         open_sitting(dataset, out, design=Design(trials=25)),
     ):
         pass
