@@ -4,6 +4,7 @@ from .api import mtf as mtf
 from .api import simulate as simulate
 from .api import sweep as sweep
 from .matched import matched_settings as matched_settings
+from .mtf_report import SensorMtf as SensorMtf
 from .sensor import Detector as Detector
 from .sensor import Electronics as Electronics
 from .sensor import Noise as Noise
@@ -11,3 +12,5 @@ from .sensor import Optics as Optics
 from .sensor import Sensor as Sensor
 from .sensor import SensorDisplay as SensorDisplay
 from .sensor import load_sensor as load_sensor
+from .simulation import Written as Written
+from .sweep_result import SweepResult as SweepResult

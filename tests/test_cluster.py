@@ -268,13 +268,9 @@ def test_an_error_that_cannot_be_pickled_is_told_in_words(local: ClusterEngine) 
 @dask
 def test_what_cannot_be_pickled_is_one_line(local: ClusterEngine) -> None:
     lock = threading.Lock()
-    with pytest.raises(
-        SettingsError, match=r"^cluster: cannot send this to other processes \(TypeError: .*lock"
-    ):
+    with pytest.raises(SettingsError, match=r"^cluster: cannot send this to other processes \(TypeError: .*lock"):
         results_of(local, Calls(lambda _: lock), [0])
-    with pytest.raises(
-        SettingsError, match=r"^cluster: cannot send this to other processes \(TypeError: .*lock"
-    ):
+    with pytest.raises(SettingsError, match=r"^cluster: cannot send this to other processes \(TypeError: .*lock"):
         results_of(local, Squares(), [lock])
 
 

@@ -31,7 +31,7 @@ SCORED = ("scores", "probabilities", "p_correct", "answers", "displacement_sampl
 
 OWN = """
 import numpy as np
-from todframes.enhancement.algorithm import enhancement
+from todframes.enhancement.algorithm import algorithm
 
 def same(image):
     return image
@@ -45,20 +45,20 @@ def gain(image, by=2.0, middle=0.5):
 def brighter(image, by=1.25):
     return by * image
 
-@enhancement(magnification="factor")
+@algorithm(magnification="factor")
 def pixels_divided(image, *, factor: int = 3):
     return np.repeat(np.repeat(image, factor, axis=0), factor, axis=1)
 
-@enhancement(magnification=0.5)
+@algorithm(magnification=0.5)
 def pixels_joined(image):
     return image.reshape(image.shape[0] // 2, 2, image.shape[1] // 2, 2).mean(axis=(1, 3))
 
-@enhancement(domain="luminance")
+@algorithm(domain="luminance")
 def light(image):
     assert image.ndim == 2
     return image
 
-@enhancement(domain="luminance")
+@algorithm(domain="luminance")
 def half_light(image, by=0.5):
     return by * image
 

@@ -14,7 +14,7 @@ from scipy import ndimage
 from todframes.enhancement import algorithm as enhancement_specs
 from todframes.enhancement.algorithm import (
     Declaration,
-    enhancement,
+    algorithm,
     enhancement_names,
     find_enhancement,
     meaning,
@@ -367,7 +367,7 @@ def test_own_functions_that_give_something_else(name: str, message: str) -> None
 # Declarations
 
 
-@enhancement(domain="luminance", magnification="factor")
+@algorithm(domain="luminance", magnification="factor")
 def finer(
     image,
     *,

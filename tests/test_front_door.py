@@ -60,7 +60,7 @@ def same(result: tod.Result, made: dict[str, object]) -> bool:
 
 
 def test_names() -> None:
-    assert 25 <= len(dir(tod)) <= 40
+    assert 25 <= len(dir(tod)) <= 60
     assert {"score", "compare", "fit_counts", "naked_eye", "load_result", "Result", "PyramidObserver"} <= set(
         dir(tod)
     )
@@ -321,3 +321,95 @@ def test_every_command_has_a_call() -> None:
     for package, group in ((tod, cli), (ss, sensor_cli)):
         for name in set(group.commands) - alone:
             assert callable(getattr(package, renamed.get(name, name.replace("-", "_")))), name
+
+
+OTHERS_TYPES = {
+    "Any",
+    "Self",
+    "Axes",
+    "Figure",
+    "DataFrame",
+    "FloatArray",
+    "Callable",
+    "Iterator",
+    "Location",
+    "NDArray",
+}
+"""Types that public calls and methods return and that are not of these packages, or only names for such types."""
+
+
+def test_types_that_calls_return_can_be_imported() -> None:
+    """By calls, and by the methods and properties of public classes."""
+    known = {name for _, name in NAMES} | OTHERS_TYPES
+    for package, name in NAMES:
+        found = getattr(package, name)
+        members = [found] if inspect.isfunction(found) else []
+        if inspect.isclass(found) and not issubclass(found, Exception):
+            public = [one for key, one in vars(found).items() if not key.startswith("_")]
+            members = [one.fget if isinstance(one, property) else getattr(one, "__func__", one) for one in public]
+        for member in filter(inspect.isfunction, members):
+            returned = str(inspect.signature(member).return_annotation)
+            assert set(re.findall(r"\b[A-Z]\w+", re.sub(r"'[^']*'|\w+\.", "", returned))) <= known, (
+                name,
+                returned,
+            )
+
+
+@pytest.mark.parametrize("rng", [np.random.default_rng(5), np.random.SeedSequence(5), np.int64(5)])
+def test_rng_is_a_seed_or_gives_one(rng) -> None:
+    counts = [0.1, 0.2, 0.4, 0.8], [12, 18, 30, 38], [40] * 4
+    found = tod.fit_counts(*counts, rng=rng)
+    again = tod.fit_counts(*counts, rng=json.loads(found.to_json())["seed"])
+    assert again.fits[0].threshold_ci95 == found.fits[0].threshold_ci95
+    for bad in (-1, 0.5, "1", True, None):
+        with pytest.raises(tod.SettingsError, match=r"rng: found .*, expected a whole number >= 0"):
+            tod.fit_counts(*counts, rng=bad)
+
+
+def test_arrays_in_place_of_files(tmp_path: Path) -> None:
+    """Noise and comparisons of arrays are those of files with the same values."""
+    frames = np.random.default_rng(2).normal(100.0, 2.0, (20, 16, 24)).astype(np.float32)
+    np.save(tmp_path / "frames.npy", frames)
+    from_file, measured = tod.noise(tmp_path / "frames.npy"), tod.noise(frames)
+    assert measured.measured.dynamic.sd == from_file.measured.dynamic.sd
+    assert measured.plot() is not None and "<svg" in measured._repr_html_()
+    with pytest.raises(tod.DataError, match=r"found an array of shape \(4,\), expected \(frames, rows, columns\)"):
+        tod.noise(np.zeros(4))
+    data = tod.load_dataset(NAKED_EYE)
+    data = replace(data, trials=data.trials[: len(data.trials) // 4])
+    images = [tod.read_frame(data.frame_path(trial.frames[0])).stored[..., 0] for trial in data.trials]
+    fit = tod.FitSettings(resamples=100)
+    result = tod.compare_frames(
+        images,
+        ["gaussian:sigma=1"],
+        display=data.display,
+        orientation=[trial.orientation for trial in data.trials],
+        level=[trial.level for trial in data.trials],
+        size_mrad=[trial.stimulus.size_mrad for trial in data.trials],
+        white=100.0,
+        fit=fit,
+        examples=False,
+    )
+    expected = tod.compare(data, ["gaussian:sigma=1"], white=100.0, fit=fit, examples=False)
+    assert [one.ratios[0].verdict for one in result.algorithms[1:]] == [
+        one.ratios[0].verdict for one in expected.algorithms[1:]
+    ]
+
+
+def test_a_result_as_csv_and_sentences(scored) -> None:
+    assert scored.to_csv().splitlines()[0].startswith("size_mrad,threshold,")
+    assert len(scored.to_csv().splitlines()) == 5
+    assert scored.summary().splitlines()[0] in repr(scored)
+    assert scored.summary().count("warning: ") == len(scored.warnings)
+
+
+def test_answers_before_the_dataset_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "dataset_description.json").write_text("{}")
+    with pytest.raises(tod.SettingsError, match=r"holds answers, expected calibrate\(dataset, answers\)"):
+        tod.calibrate(tmp_path, NAKED_EYE)
+
+
+def test_pages_import_no_internal_name() -> None:
+    for path in [ROOT / "README.md", *(ROOT / "docs").glob("*.md")]:
+        found = re.findall(r"^[> .]*(?:from|import) (?:todframes|sensor_sim)\.\S+", path.read_text(), re.MULTILINE)
+        assert not found, path

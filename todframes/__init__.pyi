@@ -1,11 +1,14 @@
 from .calls.calibrate import calibrate as calibrate
 from .calls.compare import compare as compare
+from .calls.compare import compare_frames as compare_frames
 from .calls.fit import fit_counts as fit_counts
 from .calls.naked_eye import naked_eye as naked_eye
 from .calls.noise import noise as noise
 from .calls.score import score as score
 from .calls.score import score_frames as score_frames
 from .calls.validate import validate as validate
+from .enhancement.algorithm import Enhancement as Enhancement
+from .enhancement.algorithm import algorithm as algorithm
 from .enhancement.algorithm import find_enhancement as find_enhancement
 from .enhancement.algorithm import parameter as parameter
 from .errors import DataError as DataError
@@ -17,6 +20,8 @@ from .errors import TodframesError as TodframesError
 from .frames.dataset import Dataset as Dataset
 from .frames.dataset import load_dataset as load_dataset
 from .frames.display import Display as Display
+from .frames.files import Frame as Frame
+from .frames.files import FrameSource as FrameSource
 from .frames.files import read_frame as read_frame
 from .frames.files import write_frame as write_frame
 from .observers.decision import answer_probabilities as answer_probabilities
@@ -26,17 +31,25 @@ from .observers.interface import Readout as Readout
 from .observers.interface import find_observer as find_observer
 from .observers.oriented import OrientedObserver as OrientedObserver
 from .observers.pyramid import PyramidObserver as PyramidObserver
+from .observers.retina import RetinaGrid as RetinaGrid
 from .psychometrics.fit import FitSettings as FitSettings
 from .psychometrics.fit import PsychometricFit as PsychometricFit
+from .recordings.chart_layout import Chart as Chart
 from .recordings.charts import chart as chart
+from .recordings.file_names import FramesFound as FramesFound
 from .recordings.file_names import new_dataset as new_dataset
+from .recordings.importing import Imported as Imported
 from .recordings.importing import import_recordings as import_recordings
+from .report.data import Fit as Fit
+from .report.noise import NoiseResult as NoiseResult
 from .report.result import Result as Result
 from .report.result import load_result as load_result
+from .report.table import Table as Table
 from .stimulus import ORIENTATIONS as ORIENTATIONS
 from .stimulus import Orientation as Orientation
 from .stimulus import Stimulus as Stimulus
 from .stimulus import coverage as coverage
+from .web.api import SessionProgress as SessionProgress
 from .web.api import run_experiment as run_experiment
 
 __version__: str

@@ -17,6 +17,7 @@ _FLAGS = {
     "time_limit_s": "--time-limit",
     "patches": "--patch",
     "pattern": "--from",
+    "rng": "--seed",
     "value_range": "--range",
 }
 """Options of the command line whose names are not those of the arguments."""
