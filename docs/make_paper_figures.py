@@ -434,7 +434,7 @@ def noise_row(size: float) -> list[str]:
             static = 0.0 if pattern is None else parts.fixed_pattern * (weights @ pattern)
             drawn_anew = parts.dynamic**2 + (parts.fixed_pattern**2 if pattern is None else 0.0)
             noise = chain.readout.noise_covariance + drawn_anew * covariance
-            right = [answer_probability(signal[k] + static, noise, k, nodes=32) for k in range(4)]
+            right = [answer_probability(signal[k] + static, noise, k, tolerance=1e-9) for k in range(4)]
             return float(np.mean(right)) - 0.75
 
         middle = math.log(found.threshold)

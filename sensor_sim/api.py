@@ -307,7 +307,8 @@ def simulate(
     stages : bool
         Also write the stages of a trial with the highest SNR as pictures.
     workers : int
-        Threads that draw frames.
+        Processes that draw frames. With more than one, a script calls this below `if __name__ == "__main__":`,
+        because they import the script.
     cluster : str, optional
         Address of a Dask scheduler, "tcp://…", or "local:N" for N processes; they draw instead.
     restart : bool

@@ -69,7 +69,9 @@ def cli() -> None:
 @click.option("--format", "frame_format", type=click.Choice(["exr", "png"]), default="exr", show_default=True)
 @click.option("--allow-clipping", is_flag=True, help="Let PNG clip more than 1 % of the pixels.")
 @click.option("--stages", is_flag=True, help="Also write the stages of a trial with the highest SNR as pictures.")
-@click.option("--workers", type=click.IntRange(1), default=1, show_default=True, help="Threads that draw frames.")
+@click.option(
+    "--workers", type=click.IntRange(1), default=1, show_default=True, help="Processes that draw frames."
+)
 @run_options
 @quiet_option
 def simulate(*, sensor: Path, sizes: str, snrs: str, trials: int, out: str, quiet: bool, **asked: Any) -> None:

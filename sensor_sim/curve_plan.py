@@ -11,9 +11,10 @@ import time
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
-from numpy.typing import DTypeLike
+from numpy.typing import DTypeLike, NDArray
 
 from sensor_sim.folding import Folding, is_unblurred
 from sensor_sim.sampling import TriangleSampler, field_detectors, field_sampler, smallest_field
@@ -30,8 +31,8 @@ from todframes.stimulus import ORIENTATIONS, Orientation, Stimulus, bounding_box
 FULL_PLACES = 17
 """Number of places along each axis that a full plan begins with: twelve times the trials of most thresholds."""
 
-ORTHANT_NODES = 24
-"""Number of quadrature nodes; it gives 1e-14 for templates that differ as those of the triangles do."""
+ORTHANT_TOLERANCE = 1e-8
+"""Error of each P(correct): in a threshold it is 1e-7 of it at most, a ten-thousandth of what is asked for."""
 
 TRIED_AT = ((0.0, 0.0), (0.5, 0.5), (0.25, -0.375))
 """Places, in detectors from the field's middle, at which the omissions are bounded."""
@@ -70,6 +71,8 @@ class CurvePlan:
         Parts that are left out, with their bounds, and parts that are kept.
     repetition_bound : float
         Bound on the change of P(correct) because the scene repeats, with the longest period that is considered.
+    near_snr, slope : float
+        Threshold at the places that were tried, and the slope dP / d ln SNR there; None and NaN if there is none.
     unit_s : float
         Time that folding and sampling took at each place tried, in seconds.
     shared : Shared
@@ -87,6 +90,8 @@ class CurvePlan:
     fewest_places: int = 1
     steps: tuple[Step, ...] = ()
     repetition_bound: float = 0.0
+    near_snr: float | None = None
+    slope: float = math.nan
     unit_s: float = math.inf
     shared: Shared = NOTHING
 
@@ -125,13 +130,15 @@ class CurvePlan:
             lambda: self.sampler.samples(x_detectors, y_detectors, orientation=orientation),
         )
 
-    def weights_by_row(self, folding: Folding, places_x: FloatArray, places_y: FloatArray) -> list[FloatArray]:
-        """Return the folded weights as `Folding.weights_by_row` does, but in float64."""
-        rows = self.shared.weights.get(
+    def weights_by_row(
+        self, folding: Folding, places_x: FloatArray, places_y: FloatArray
+    ) -> Sequence[NDArray[Any]]:
+        """Return the folded weights as `Folding.weights_by_row` does."""
+        rows: Sequence[NDArray[Any]] = self.shared.weights.get(
             (folding.key, places_x.tobytes(), places_y.tobytes()),
             lambda: folding.weights_by_row(places_x, places_y),
         )
-        return [row.astype(np.float64) for row in rows]
+        return rows
 
     def all_four(self, weights: FloatArray) -> FloatArray:
         """Return the weights of all four scores, (..., 4, n), from the folded ones."""
@@ -313,7 +320,7 @@ class _CurvePlanner:
 
         def proportion(snr: float) -> float:
             covariance = self.readout.noise_covariance + noise / snr**2
-            return float(answer_probability(signal, covariance, 0, nodes=ORTHANT_NODES).mean())
+            return float(answer_probability(signal, covariance, 0, tolerance=ORTHANT_TOLERANCE).mean())
 
         _, threshold = crossing(proportion, p_correct, near=None, slope=math.nan)
         self.snr = threshold if threshold is not None and self.full.external_noise else math.inf
@@ -337,7 +344,8 @@ class _CurvePlanner:
         plan, precision = self._precision(plan)
         plan, identities = self._identities(plan)
         steps = (*levels, self._optics(self.full), field_step, *period, precision, *identities)
-        return replace(plan, steps=steps, unit_s=self.unit_s)
+        near = (self.snr, self.slope) if math.isfinite(self.snr) else (None, math.nan)
+        return replace(plan, steps=steps, near_snr=near[0], slope=near[1], unit_s=self.unit_s)
 
     @cached_property
     def levels_bound(self) -> float | None:
@@ -487,8 +495,8 @@ def _less_first(weights: FloatArray) -> FloatArray:
 def _beyond(change: float, shorter: int, period: int) -> float:
     """Return a bound on the change between a period and an endless one, from that between a shorter and this one.
 
-    The tails of the repetitions fall with the cube of the period (`transfer.repetition_bound`), and what they do
-    to the scores at least as fast.
+    The tails of the repetitions fall with the cube of the period, as those of the Airy pattern do (Watson 1944,
+    section 13.75), and what they do to the scores at least as fast.
     """
     share = (shorter / period) ** 3
     return change * share / (1.0 - share)

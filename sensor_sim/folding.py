@@ -20,7 +20,7 @@ from numpy.typing import DTypeLike, NDArray
 from sensor_sim.reconstruction import axis_matrix
 from sensor_sim.sensor import Sensor
 from todframes._typing import FloatArray
-from todframes.observers.retina import Overlaps, RetinaGrid, overlaps
+from todframes.observers.retina import RetinaGrid, overlaps
 
 PLACES_AT_ONCE = 6
 """Largest number of places along an axis that are folded at once: enough to hide the cost of a call."""
@@ -92,8 +92,10 @@ class Folding:
     @cached_property
     def _along_x_first(self) -> NDArray[Any]:
         images = self._images[:, self._seen, self._seen]
-        images = images[: self.n] - images.mean(axis=0)
-        by_column = np.ascontiguousarray(images.astype(self.dtype).transpose(2, 0, 1))
+        mean = images.mean(axis=0)
+        by_column = np.empty((self.grid.side, self.n, self.grid.side), dtype=self.dtype)
+        for k, image in enumerate(images[: self.n]):
+            np.subtract(image.T, mean.T, out=by_column[:, k], casting="same_kind")
         return by_column.reshape(self.grid.side, self.n * self.grid.side)
 
     def weights_by_row(self, places_x: FloatArray, places_y: FloatArray) -> list[NDArray[Any]]:
@@ -122,30 +124,11 @@ class Folding:
 
         Yields the number of the first place, and (places, field, n).
         """
-        from scipy.sparse import csr_array
-
-        n_pixels = self.field * self.pixels
+        n_pixels, width = self.field * self.pixels, self.pixel_pitch_mrad / self.grid.pitch_mrad
         n_at_once = min(max(VALUES_AT_ONCE // (n_pixels * weights.shape[1]), 1), PLACES_AT_ONCE)
         for start in range(0, len(places), n_at_once):
             at_once = places[start : start + n_at_once]
-            found = [self._overlaps(place) for place in at_once.tolist()]
-            ends = [np.searchsorted(one.pixel, np.arange(1, n_pixels + 1, dtype=np.int32)) for one in found]
-            before = np.cumsum([0, *(len(one.pixel) for one in found)])
-            row_start = np.concatenate([[0], *(first + end for first, end in zip(before, ends, strict=False))])
-            sample, length = (
-                np.concatenate([getattr(one, name) for one in found]) for name in ("sample", "length")
-            )
-            shape = (len(at_once) * n_pixels, self.grid.side)
-            retina = csr_array((length.astype(self.dtype), sample, row_start.astype(np.int32)), shape=shape)
+            edges = self.grid.side / 2.0 - (self.field / 2.0 + at_once) * self.pixels * width
+            retina = overlaps(edges, width, n_pixels, self.grid.side).matrix(self.grid.side, self.dtype)
             on_pixels: NDArray[Any] = np.asarray(retina @ weights).reshape(len(at_once), n_pixels, -1)
             yield start, on_pixels if self.hold is None else np.asarray(self.hold @ on_pixels)
-
-    def _overlaps(self, place: float) -> Overlaps:
-        """Return the overlaps of retina samples and pixels along an axis."""
-        return overlaps(
-            self.grid,
-            centre_px=(self.field / 2.0 + place) * self.pixels - 0.5,
-            pixel_pitch_mrad=self.pixel_pitch_mrad,
-            first_pixel=0,
-            n_pixels=self.field * self.pixels,
-        )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import msgspec
@@ -13,6 +12,7 @@ from sensor_sim.transfer import stages
 from todframes import __version__
 from todframes.report.figure_style import COLOURS, INK
 from todframes.report.figures import Picture, drawn
+from todframes.report.saving import Saving, json_file
 from todframes.report.table import Column, Table
 
 if TYPE_CHECKING:
@@ -28,7 +28,10 @@ TABLE_STEP = 20
 SHOWN_NYQUISTS = 3.0
 """Highest frequency in the figure, in units of the Nyquist frequency."""
 
-MTF_NOTE = "Solid: before sampling; dashed: behind it. Thick: all stages before, and behind, together."
+MTF_NOTE = (
+    "Solid: before sampling; dashed: behind it. Thick: all stages before, and behind, together. Stages of the "
+    "same transfer share a line."
+)
 
 # Stages before sampling are solid, those after it dashed; the two products are thick.
 LINES = {
@@ -43,7 +46,7 @@ LINES = {
 }
 
 
-class SensorMtf(msgspec.Struct, frozen=True, kw_only=True):
+class SensorMtf(msgspec.Struct, Saving, frozen=True, kw_only=True):
     """Transfer of every stage of a sensor along x; its fields are the keys of the command's JSON.
 
     Attributes
@@ -69,7 +72,7 @@ class SensorMtf(msgspec.Struct, frozen=True, kw_only=True):
 
     def to_json(self) -> bytes:
         """Return the record as indented JSON."""
-        return msgspec.json.format(msgspec.json.encode(self), indent=2) + b"\n"
+        return json_file(self)
 
     def table(self, step: int = 1) -> Table:
         """Return the table of every `step`-th frequency."""
@@ -107,7 +110,13 @@ class SensorMtf(msgspec.Struct, frozen=True, kw_only=True):
         nyquist, frequency = self.nyquist_cyc_per_mrad, np.array(self.frequency_cyc_per_mrad)
         end = SHOWN_NYQUISTS * nyquist
         shown = frequency <= end
+        alike: dict[object, list[str]] = {}
         for name, values in self.mtf.items():
+            # A product of stages has its own line, also where it is that of a single stage.
+            key = name if name.endswith("_sample") else tuple(np.round(values, 6))
+            alike.setdefault(key, []).append(name)
+        for names in alike.values():
+            name, values = names[0], self.mtf[names[0]]
             colour, line = LINES[name]
             width = 2.4 if name.endswith("_sample") else 1.3
             axes.plot(
@@ -116,7 +125,7 @@ class SensorMtf(msgspec.Struct, frozen=True, kw_only=True):
                 color=colour,
                 ls=line,
                 lw=width,
-                label=name.replace("_", " "),
+                label=" and ".join(names).replace("_", " "),
             )
         axes.axhline(0.0, color=INK, lw=0.6)
         axes.set(xlabel="frequency in the scene (cycles/mrad)", ylabel="MTF along x", xlim=(0.0, end))
@@ -138,18 +147,6 @@ class SensorMtf(msgspec.Struct, frozen=True, kw_only=True):
         """Return the content of `mtf.csv` and `mtf.png`, by name."""
         picture = Picture(self.sensor, MTF_NOTE, self.draw, "mtf.png")
         return {"mtf.csv": self.table().csv().encode(), picture.file: picture.png()}
-
-    def save(self, folder: Path | str) -> None:
-        """Write `mtf.csv` and `mtf.png` into a folder, both or none.
-
-        Raises
-        ------
-        OutputError
-            If the place cannot be written.
-        """
-        from todframes.output import write_folder
-
-        write_folder(folder, self.files())
 
 
 def sensor_mtf(sensor: Sensor) -> SensorMtf:

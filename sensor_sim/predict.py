@@ -11,26 +11,26 @@ Hogervorst et al. 2001, sections 3 to 5 and 8.
 
 from __future__ import annotations
 
-import copy
 import math
 import time
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
-from typing import Literal, NamedTuple
+from functools import cached_property, partial
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from sensor_sim.curve_plan import ORTHANT_NODES, CurvePlan, centre_offset, linear_readout, plan_curve
+from sensor_sim.curve_plan import ORTHANT_TOLERANCE, CurvePlan, centre_offset, linear_readout, plan_curve
 from sensor_sim.noise import excess_kurtosis
 from sensor_sim.sensor import Sensor
 from todframes._typing import FloatArray
 from todframes.errors import SettingsError
 from todframes.observers.decision import answer_probability
 from todframes.observers.interface import Observer, Readout, non_gaussian_bound
-from todframes.psychometrics.threshold_search import crossing
+from todframes.psychometrics.replicates import REPLICATES, half_width_95
+from todframes.psychometrics.threshold_search import Status, crossing
 from todframes.stimulus import Orientation
-
-REPLICATES = 8
 
 PLACES = (5, 7, 11, 17, 25, 37)
 """Numbers of places along each axis of a detector, in each replicate, tried in turn until the error is small
@@ -42,10 +42,67 @@ KRONECKER_STEPS = np.modf(1.1673039782614187 ** -np.arange(1.0, 5.0))[0].reshape
 """Steps of a four-dimensional low-discrepancy sequence, powers of the root of x⁵ = x + 1 (Roberts 2018); two
 dimensions are counted by the rows and columns of the lattice."""
 
-STANDARD_ERRORS_95 = 2.8412
-"""Half-width of the stated interval in standard errors: the 98.75 % point of Student's t with one degree of
-freedom less than there are replicates. Half of the interval's 5 % is reserved for error estimates that stopped
-the refinement because they were small by chance."""
+VALUES_AT_ONCE = 2**17
+"""Number of weights of a score, on the detectors of several places, that are multiplied with samples at once."""
+
+PLACES_AT_ONCE = 1024
+"""Number of places whose P(correct) is computed at once, a few milliseconds."""
+
+STEP = 0.02
+"""Distance in ln level between the two points from which the slope of P(correct) is taken."""
+
+Level = Literal["snr", "contrast"]
+"""Quantity that is varied: the detectors' noise under a triangle of contrast 1, or, without detector noise, the
+contrast of the triangle."""
+
+
+class Lattice(NamedTuple):
+    """Places of the retina's middle on the detectors, on a square grid, and displacements of the retina there.
+
+    The weights depend on the retina's middle alone: its place is the triangle's on the detectors plus its own
+    displacement, and repeats with the detectors. So a grid covers one detector evenly, and the triangle's place is
+    the difference of the two.
+
+    Attributes
+    ----------
+    x, y : ndarray, shape (places,)
+        Columns and rows of the grid, in detectors from the field's middle.
+    displacement : ndarray, shape (places², displacements, 2)
+        Displacements of the retina along x and y, in detectors, at each place, row after row.
+    """
+
+    x: FloatArray
+    y: FloatArray
+    displacement: FloatArray
+
+    @classmethod
+    def at(cls, places: int, *, shift: FloatArray, first: FloatArray, jitter: float) -> Lattice:
+        """Return a lattice that is shifted as a whole.
+
+        Parameters
+        ----------
+        places : int
+            Places along each axis.
+        shift : ndarray, shape (2,)
+            Shift along x and y, in the distance of two places.
+        first : ndarray, shape (2,)
+            Start of the low-discrepancy sequence of displacements, in [0, 1).
+        jitter : float
+            Largest displacement of the retina along each axis, in detectors. The sequence has both signs.
+        """
+        grid = np.arange(places) / places - 0.5
+        x, y = (grid + along / places for along in shift)
+        row, column = np.divmod(np.arange(places**2)[:, None], places)
+        evenly = (row * KRONECKER_STEPS[0] + column * KRONECKER_STEPS[1] + first) % 1.0
+        signs = np.array([[1.0], [-1.0]]) if jitter > 0.0 else np.zeros((1, 1))
+        return cls(x, y, jitter * (2.0 * evenly[:, None] - 1.0) * signs)
+
+    @property
+    def triangles(self) -> FloatArray:
+        """Places of the triangle at each place and displacement, (2, places² · displacements): x and y."""
+        y, x = np.meshgrid(self.y, self.x, indexing="ij")
+        middle = np.stack([x.ravel(), y.ravel()], axis=-1)[:, None]
+        return np.ascontiguousarray((middle - self.displacement).reshape(-1, 2).T)
 
 
 class Phases(NamedTuple):
@@ -64,6 +121,75 @@ class Phases(NamedTuple):
     signal: FloatArray
     noise: FloatArray
     correct: int
+
+
+def phases_on(
+    lattice: Lattice,
+    plan: CurvePlan,
+    orientations: Sequence[Orientation],
+    *,
+    size_detectors: float,
+    gain: float,
+    weights_by_row: Callable[[FloatArray, FloatArray], Sequence[NDArray[Any]]],
+) -> list[Phases]:
+    """Return the trials of each orientation on a lattice.
+
+    Parameters
+    ----------
+    lattice : Lattice
+    plan : CurvePlan
+    orientations : sequence of Orientation
+    size_detectors : float
+        √(area) of the triangle.
+    gain : float
+        Display contrast per unit of signal.
+    weights_by_row : function of (places_x, places_y)
+        Returns the folded weights as `Folding.weights_by_row` does.
+    """
+    places, n_shown = len(lattice.x), lattice.displacement.shape[1]
+    x, y = lattice.triangles
+    found = []
+    for orientation in orientations:
+        dx, dy = centre_offset(plan.observer, orientation, size_detectors)
+        rows = weights_by_row(lattice.x + dx, lattice.y + dy)
+        at_once = max(VALUES_AT_ONCE // (places * plan.field**2), 1)
+        signal, noise = [], []
+        for start in range(0, places, at_once):
+            some = rows[start : start + at_once]
+            weights = plan.all_four(np.concatenate(some).astype(np.float64)) * gain
+            part = slice(start * places * n_shown, (start + len(some)) * places * n_shown)
+            samples = plan.samples(x[part], y[part], orientation).reshape(len(weights), n_shown, -1)
+            signal.append(samples @ weights.swapaxes(1, 2))
+            noise.append(plan.noise(weights))
+        found.append(Phases(np.concatenate(signal), np.concatenate(noise), orientation.quarter_turns))
+    return found
+
+
+def pooled(replicates: Sequence[Sequence[Phases]]) -> list[Phases]:
+    """Return the trials of each orientation in all replicates, one replicate after the other."""
+    return [
+        Phases(
+            np.concatenate([part.signal for part in parts]),
+            np.concatenate([part.noise for part in parts]),
+            parts[0].correct,
+        )
+        for parts in zip(*replicates, strict=True)
+    ]
+
+
+def covariance_at(level: Level, value: float, internal: FloatArray, detector: FloatArray) -> FloatArray:
+    """Return the covariance of the scores over the square of the triangle's contrast, at a value of the level.
+
+    Parameters
+    ----------
+    level : {"snr", "contrast"}
+    value : float
+    internal : ndarray, shape (4, 4)
+        Covariance from the internal noise.
+    detector : ndarray, shape (..., 4, 4)
+        Covariance from detector noise of standard deviation 1.
+    """
+    return internal + detector / value**2 if level == "snr" else internal / value**2
 
 
 class FoldedChain:
@@ -99,12 +225,6 @@ class FoldedChain:
         self.orientations = self.plan.orientations
         self.drawing_s = 0.0
 
-    def with_internal_noise(self, scale: float) -> FoldedChain:
-        """Return a copy whose internal noise is scaled in standard deviation; computed values are shared."""
-        other = copy.copy(self)
-        other.noise_covariance = scale**2 * self.noise_covariance
-        return other
-
     def replicates(self, places: int, seed: int) -> list[list[Phases]]:
         """Return `phases` for each replicate, from independent streams, kept for chains of other noise."""
         if (places, seed) not in self._drawn:
@@ -114,50 +234,23 @@ class FoldedChain:
             self.drawing_s += time.perf_counter() - started
         return self._drawn[places, seed]
 
+    @cached_property
+    def jitter_detectors(self) -> float:
+        """Largest displacement of the retina along each axis, in detectors."""
+        per_sample = self.readout.grid.pitch_mrad / self.sensor.display.detector_pitch_mrad
+        return self.observer.position_jitter_samples * per_sample
+
     def phases(self, places: int, rng: np.random.Generator) -> list[Phases]:
-        """Return trials of each orientation on a grid of `places` × `places`, displaced as a whole at random.
-
-        The retina's middle lies on this grid, because the weights depend on nothing else: its place is the
-        triangle's on the detectors plus its own displacement, and repeats with the detectors. So the grid
-        covers one detector evenly, the displacements are a shifted low-discrepancy sequence with both
-        signs, and the triangle's place is the difference of the two.
-        """
-        jitter = self.observer.position_jitter_samples
-        detectors_per_sample = self.readout.grid.pitch_mrad / self.sensor.display.detector_pitch_mrad
-        grid = np.arange(places) / places - 0.5
-        middle_x, middle_y = (grid + shift / places for shift in rng.random(2))
-        row, column = np.divmod(np.arange(places**2)[:, None], places)
-        evenly = (row * KRONECKER_STEPS[0] + column * KRONECKER_STEPS[1] + rng.random(2)) % 1.0
-        displacement = jitter * (2.0 * evenly - 1.0)
-        signs = np.array([[1, 1], [-1, -1]]) if jitter > 0 else np.zeros((1, 2))
-        y, x = (m.ravel()[:, None] for m in np.meshgrid(middle_y, middle_x, indexing="ij"))
-        triangle_x = x - detectors_per_sample * displacement[:, :1] * signs[:, 0]
-        triangle_y = y - detectors_per_sample * displacement[:, 1:] * signs[:, 1]
-        return [
-            self._trials(orientation, middle_x, middle_y, triangle_x, triangle_y)
-            for orientation in self.orientations
-        ]
-
-    def _trials(
-        self,
-        orientation: Orientation,
-        middle_x: FloatArray,
-        middle_y: FloatArray,
-        triangle_x: FloatArray,
-        triangle_y: FloatArray,
-    ) -> Phases:
-        dx, dy = centre_offset(self.observer, orientation, self.size_detectors)
-        places, field = len(middle_x), self.field
-        signal, noise = [], []
-        by_row = self.plan.weights_by_row(self.folding, middle_x + dx, middle_y + dy)
-        for row, weights in enumerate(by_row):
-            weights = self.plan.all_four(weights) * self.sensor.display.gain
-            in_row = slice(row * places, (row + 1) * places)
-            at = triangle_x[in_row].ravel(), triangle_y[in_row].ravel()
-            samples = self.plan.samples(*at, orientation).reshape(places, -1, field**2)
-            signal.append(samples @ weights.swapaxes(1, 2))
-            noise.append(self.plan.noise(weights))
-        return Phases(np.concatenate(signal), np.concatenate(noise), orientation.quarter_turns)
+        """Return trials of each orientation on a `Lattice` of `places` × `places`, shifted at random."""
+        shift, first = rng.random(2), rng.random(2)
+        return phases_on(
+            Lattice.at(places, shift=shift, first=first, jitter=self.jitter_detectors),
+            self.plan,
+            self.orientations,
+            size_detectors=self.size_detectors,
+            gain=self.sensor.display.gain,
+            weights_by_row=partial(self.plan.weights_by_row, self.folding),
+        )
 
     def non_gaussian_bound(self) -> float:
         """Return a first-order bound on the error in P(correct) from taking all noise as Gaussian.
@@ -173,65 +266,147 @@ class FoldedChain:
         of_detectors = non_gaussian_bound(excess_kurtosis(self.sensor.noise) * float(participation))
         return max(self.readout.non_gaussian_bound, of_detectors)
 
-    def proportion_correct(self, phases: list[Phases], snr: float, contrast: float = 1.0) -> float:
+    def proportion_correct(self, phases: Sequence[Phases], snr: float, contrast: float = 1.0) -> float:
         """Return the mean P(correct) over trials at a signal-to-noise ratio; infinity means no detector noise.
 
         `contrast` is that of the triangle, in units of the contrast that the sensor's gain gives it.
         """
-        return float(np.mean([self._p_correct(part, snr, contrast).mean() for part in phases]))
+        internal = self.noise_covariance / contrast**2
+        return float(_each_proportion(phases, partial(covariance_at, "snr", snr, internal), 1)[0])
 
-    def _p_correct(self, phases: Phases, snr: float, contrast: float = 1.0) -> FloatArray:
-        covariance = self.noise_covariance + phases.noise[:, None] * (contrast / snr) ** 2
-        return answer_probability(contrast * phases.signal, covariance, phases.correct, nodes=ORTHANT_NODES)
 
-    def error(self, pooled: list[Phases], threshold: float) -> tuple[float, float]:
-        """Return the half-width of the 95 % interval of a threshold, from the spread of P among replicates.
+def _each_proportion(
+    phases: Sequence[Phases],
+    covariance: Callable[[FloatArray], FloatArray],
+    n_replicates: int,
+    *,
+    tolerance: float = ORTHANT_TOLERANCE,
+    check: Callable[[], None] = lambda: None,
+) -> FloatArray:
+    """Return the mean P(correct) over the trials of each replicate and all orientations: (replicates,).
 
-        Parameters
-        ----------
-        pooled : list of Phases
-            Trials of each orientation, with all replicates concatenated.
-        threshold : float
-            Threshold SNR.
+    Parameters
+    ----------
+    phases : sequence of Phases
+        Trials of each orientation, as of `pooled`.
+    covariance : function of an ndarray, shape (..., 4, 4)
+        Returns the covariance of the scores for that from detector noise of standard deviation 1.
+    n_replicates : int
+    tolerance : float
+        Error of each P(correct).
+    check : function of no arguments
+        Called every few milliseconds; it may raise an exception.
+    """
+    of_orientations = []
+    for part in phases:
+        p_correct = np.empty(part.signal.shape[:-1])
+        for start in range(0, len(p_correct), PLACES_AT_ONCE):
+            check()
+            some = slice(start, start + PLACES_AT_ONCE)
+            noise = covariance(part.noise[some, None])
+            p_correct[some] = answer_probability(part.signal[some], noise, part.correct, tolerance=tolerance)
+        of_orientations.append(p_correct.reshape(n_replicates, -1).mean(axis=1))
+    return np.asarray(np.mean(of_orientations, axis=0))
 
-        Returns
-        -------
-        (half_width, slope)
-            Half-width of the interval, and the slope dP/d ln SNR.
-        """
-        step = 0.01
-        low, high = (
-            np.mean(
-                [self._p_correct(p, threshold * factor).reshape(REPLICATES, -1).mean(1) for p in pooled], axis=0
-            )
-            for factor in (math.exp(-step), math.exp(step))
-        )
-        slope = max(float((high - low).mean()) / (2.0 * step), 1e-12)
-        spread = float(((high + low) / 2.0).std(ddof=1)) / math.sqrt(REPLICATES)
-        return STANDARD_ERRORS_95 * spread / slope * threshold, slope
+
+class Found(NamedTuple):
+    """A threshold over several replicates.
+
+    Attributes
+    ----------
+    status : str
+        As of `PredictedThreshold`; if it is not "ok", the others are NaN.
+    threshold : float
+        Of the mean P(correct) of all replicates.
+    deviations : ndarray, shape (replicates,)
+        ln of each replicate's threshold over that of all.
+    slope : float
+        dP / d ln level at the threshold.
+    """
+
+    status: Status
+    threshold: float
+    deviations: FloatArray
+    slope: float
+
+
+def find_threshold(
+    phases: Sequence[Phases],
+    internal: FloatArray,
+    p_correct: float,
+    *,
+    n_replicates: int,
+    level: Level = "snr",
+    near: float | None = None,
+    slope: float = math.nan,
+    tolerance: float = ORTHANT_TOLERANCE,
+    check: Callable[[], None] = lambda: None,
+) -> Found:
+    """Find the threshold of trials, and what it would be with each replicate alone.
+
+    Parameters
+    ----------
+    phases : sequence of Phases
+        Trials of each orientation, as of `pooled`.
+    internal : ndarray, shape (4, 4)
+        Covariance of the internal noise on the scores.
+    p_correct : float
+        Raw proportion correct at threshold.
+    n_replicates : int
+    level : {"snr", "contrast"}
+    near, slope : float
+        A threshold that may be near, to begin with, and the slope dP / d ln level there.
+    tolerance : float
+        Error of each P(correct).
+    check : function of no arguments
+        Called every few milliseconds; it may raise an exception.
+    """
+
+    def of_each(value: float) -> FloatArray:
+        covariance = partial(covariance_at, level, value, internal)
+        return _each_proportion(phases, covariance, n_replicates, tolerance=tolerance, check=check)
+
+    status, threshold = crossing(lambda value: float(of_each(value).mean()), p_correct, near=near, slope=slope)
+    if threshold is None:
+        return Found(status, math.nan, np.full(n_replicates, math.nan), math.nan)
+    low, high = (of_each(threshold * math.exp(way * STEP / 2.0)) for way in (-1.0, 1.0))
+    slope = max(float((high - low).mean()) / STEP, 1e-12)
+    middle = (low + high) / 2.0
+    return Found(status, threshold, (middle.mean() - middle) / slope, slope)
 
 
 @dataclass(frozen=True, slots=True)
 class PredictedThreshold:
     """A threshold computed for a sensor.
 
-    `threshold` is a signal-to-noise ratio. `numerical_error` is the half-width of its 95 % interval over
-    replicates plus the bound on the plan's omissions. `n_phases` is the number of trials averaged over.
-    `points` are pairs of SNR and proportion correct around the threshold.
+    `threshold` is an SNR, or a contrast if that was varied. `numerical_error` is the half-width of
+    its 95 % interval over replicates plus the bound on the plan's omissions. `n_phases` is the number of trials
+    averaged over. `points` are pairs of SNR and proportion correct around the threshold. `reason` says why a
+    threshold cannot be computed, with the status "impossible".
     """
 
     size_detectors: float
-    status: Literal["ok", "never_reached", "always_exceeded"]
-    threshold: float | None
-    numerical_error: float | None
-    n_phases: int
-    points: tuple[tuple[float, float], ...]
+    status: Status | Literal["impossible"]
+    threshold: float | None = None
+    numerical_error: float | None = None
+    n_phases: int = 0
+    points: tuple[tuple[float, float], ...] = ()
+    reason: str = ""
 
 
 def predict_threshold(
-    chain: FoldedChain, *, p_correct: float = 0.75, tolerance: float = 2e-3, seed: int = 1, n_points: int = 7
+    chain: FoldedChain,
+    *,
+    p_correct: float = 0.75,
+    tolerance: float = 2e-3,
+    seed: int = 1,
+    n_points: int = 7,
+    level: Level = "snr",
+    near: float | None = None,
+    slope: float = math.nan,
+    check: Callable[[], None] = lambda: None,
 ) -> PredictedThreshold:
-    """Compute the threshold SNR, with more and more places until its error falls below the tolerance.
+    """Compute a threshold, with more and more places until its error falls below the tolerance.
 
     Parameters
     ----------
@@ -245,6 +420,12 @@ def predict_threshold(
         Seed of the replicates.
     n_points : int
         Number of points of the psychometric function to return.
+    level : {"snr", "contrast"}
+        Quantity whose threshold is computed.
+    near, slope : float
+        A threshold that may be near, and the slope dP / d ln level there; by default those that the plan found.
+    check : function of no arguments
+        Called every few milliseconds; it may raise an exception.
 
     Raises
     ------
@@ -255,28 +436,32 @@ def predict_threshold(
         raise SettingsError(f"tolerance: found {tolerance!r}, expected a number > 0")
     pixels = chain.sensor.display.pixels_per_detector
     ladder = [n for n in PLACES if math.gcd(n, pixels) == 1 and n >= chain.plan.fewest_places]
-    threshold: float | None = None
-    slope = math.nan
+    if near is None and level == "snr":
+        near, slope = chain.plan.near_snr, chain.plan.slope
     for places in ladder:
         parts = chain.replicates(places, seed)
-        pooled = [_pool(list(orientation)) for orientation in zip(*parts, strict=True)]
-        proportion = partial(chain.proportion_correct, pooled)
-        n_phases = sum(part.signal[..., 0].size for part in pooled)
-        status, threshold = crossing(proportion, p_correct, near=threshold, slope=slope)
-        if threshold is None:
-            return PredictedThreshold(chain.size_detectors, status, None, None, n_phases, ())
-        error, slope = chain.error(pooled, threshold)
-        left_out = chain.plan.bound / slope * threshold
+        phases = pooled(parts)
+        n_phases = sum(part.signal[..., 0].size for part in phases)
+        found = find_threshold(
+            phases,
+            chain.noise_covariance,
+            p_correct,
+            n_replicates=REPLICATES,
+            level=level,
+            near=near,
+            slope=slope,
+            check=check,
+        )
+        if found.status != "ok":
+            return PredictedThreshold(chain.size_detectors, found.status, None, None, n_phases, ())
+        near, slope = found.threshold, found.slope
+        error, left_out = half_width_95(found.deviations), chain.plan.bound / found.slope
         # More trials do not reduce the error of the omissions: on a flat curve, the stated error may stay above
         # the tolerance.
-        if error <= max(tolerance * threshold - left_out, tolerance * threshold / 2.0):
+        if error <= max(tolerance - left_out, tolerance / 2.0):
             break
-    assert threshold is not None
+    threshold = found.threshold
     levels = (threshold * 2.0 ** np.linspace(-1.0, 1.0, n_points)).tolist()
-    points = tuple((snr, chain.proportion_correct(parts[0], snr)) for snr in levels)
-    return PredictedThreshold(chain.size_detectors, status, threshold, error + left_out, n_phases, points)
-
-
-def _pool(parts: list[Phases]) -> Phases:
-    signal, noise = (np.concatenate([part[k] for part in parts]) for k in (0, 1))
-    return Phases(signal, noise, parts[0].correct)
+    points = tuple((value, chain.proportion_correct(parts[0], value)) for value in levels)
+    error = (error + left_out) * threshold
+    return PredictedThreshold(chain.size_detectors, found.status, threshold, error, n_phases, points)

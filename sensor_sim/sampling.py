@@ -6,7 +6,7 @@ spectrum × pre-sample MTF at the multiples of 1/period, folded onto the detecto
 and nothing is cut, and a new place of the triangle is one phase factor per frequency.
 
 That sum is the scene repeated with the period. The far tails of the neighbours are an error for a single
-triangle; `wrap_around_bound` says how large it can be in a sample, and a longer period makes it smaller.
+triangle, which falls with the cube of the period.
 `sensor_sim.curve_plan` measures what it does to P(correct), which is part of the error of a threshold.
 
 The samples of one period, times pitch², sum to the triangle's area **at every place** if the detectors are
@@ -23,13 +23,12 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Hashable
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from sensor_sim.sensor import Detector, Optics, Sensor
-from sensor_sim.transfer import band_limit_cyc_per_mrad, pre_sample_mtf, repetition_bound, sharpness_bound
+from sensor_sim.transfer import band_limit_cyc_per_mrad, pre_sample_mtf, sharpness_bound
 from todframes._typing import ComplexArray, FloatArray
 from todframes.errors import SettingsError
 from todframes.stimulus import HEIGHT_PER_SIZE, SIDE_PER_SIZE, Orientation, spectrum
@@ -110,6 +109,7 @@ class TriangleSampler:
         self._optics, self._detector = optics, detector
         self._width = detector.width_mrad / detector.pitch_mrad
         self.neglected_bound = 0.0
+        self._waves: dict[int, tuple[ComplexArray, ComplexArray]] = {}
         self.sharp = optics is None
         if optics is None:
             return
@@ -129,23 +129,6 @@ class TriangleSampler:
                 )
         else:
             self._prepare_spectrum(optics, detector, last)
-
-    @cached_property
-    def wrap_around_bound(self) -> float:
-        """Bound on the difference of a sample from that of a single triangle within half a detector of the middle.
-
-        It falls with the cube of the period. It is 0 if the optics are left out, because nothing is repeated then.
-        """
-        if self.sharp or self._optics is None:
-            return 0.0
-        pitch = self._detector.pitch_mrad
-        return repetition_bound(
-            self._optics,
-            area_mrad2=(self._size * pitch) ** 2,
-            reach_mrad=2.0 / 3.0 * HEIGHT_PER_SIZE * self._size * pitch + self._detector.width_mrad,
-            field_mrad=self._whole_field * pitch,
-            period_mrad=self.period * pitch,
-        )
 
     @property
     def key(self) -> Hashable:
@@ -234,12 +217,19 @@ class TriangleSampler:
         replicas_y = (self._unfolded @ waves_x).reshape(-1, *waves_y.shape)
         replicas_y *= waves_y
         folded = replicas_y.sum(axis=1)
-        place = np.arange(self._field)[:, None]
-        rows = np.exp(-turn * place * self._folded_y) @ folded
-        # Each wave along x but those of its own conjugate stands for two.
-        weight = np.where(2 * self._folded_x % self.period == 0, 1.0, 2.0) / self.period**2
-        samples = (weight * np.exp(-turn * place * self._folded_x)) @ rows.transpose(1, 0, 2)
+        on_rows, on_columns = self._on_places(self._field)
+        samples = on_columns @ (on_rows @ folded).transpose(1, 0, 2)
         return np.asarray(samples.real.transpose(2, 0, 1))
+
+    def _on_places(self, field: int) -> tuple[ComplexArray, ComplexArray]:
+        """Return the folded waves at the places of detectors, along y and, weighted, along x."""
+        if field not in self._waves:
+            turn, place = 2j * np.pi / self.period, np.arange(field)[:, None]
+            # Each wave along x but those of its own conjugate stands for two.
+            weight = np.where(2 * self._folded_x % self.period == 0, 1.0, 2.0) / self.period**2
+            on_rows, on_columns = (np.exp(turn * place * folded) for folded in (self._folded_y, self._folded_x))
+            self._waves[field] = on_rows, weight * on_columns
+        return self._waves[field]
 
     def _covered_area(self, x: FloatArray, y: FloatArray) -> FloatArray:
         """Compute the share of each active area that an upright triangle covers, exactly: (places, field, field).

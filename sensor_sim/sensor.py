@@ -89,11 +89,6 @@ class Detector:
         """Half of the sampling frequency."""
         return 0.5 / self.pitch_mrad
 
-    @property
-    def fill_factor(self) -> float:
-        """Active share of the area."""
-        return (self.width_mrad / self.pitch_mrad) ** 2
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Noise:

@@ -5,8 +5,6 @@ Hogervorst et al. 2001, sections 3 and 5.
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -31,6 +29,7 @@ from todframes.jobs.run import run_stored
 from todframes.jobs.store import Store
 from todframes.jobs.work import Engine, Lost
 from todframes.output import held, remove_others
+from todframes.safe_text import csv_text
 from todframes.stimulus import ORIENTATIONS, Orientation
 
 FrameFormat = Literal["exr", "png"]
@@ -41,6 +40,8 @@ LARGEST_CLIPPED_SHARE = 0.01
 
 LARGEST_SIDE_PX = min(MAX_SIDE_PX, math.isqrt(MAX_FRAME_MB * 2**20 // 2))
 """Largest side of square frames of two bytes a pixel that `todframes` reads."""
+
+MANIFEST_COLUMNS = ("frame", "orientation", "size_mrad", "size_detectors", "snr", "x_px", "y_px", "sha256")
 
 TRIALS_PER_TASK = 32
 
@@ -239,6 +240,9 @@ class SimulationWork:
     def stamp(self, item: list[SimulatedTrial]) -> None:
         """Return None: no file is read."""
 
+    def stamped_key(self, item: list[SimulatedTrial], stamp: object) -> None:
+        """Return None: no file is read."""
+
     def encode(self, result: WrittenFrames) -> bytes:
         """Return the rows of the manifest and the numbers of pixels as bytes."""
         return msgspec.msgpack.encode(result)
@@ -314,7 +318,8 @@ def write_dataset(
     rows = [row for one in written for row in one.rows]
     if store is not None:
         remove_others(folder, {row[0] for row in rows})
-    (folder / "manifest.csv").write_text(_manifest(rows), encoding="utf-8")
+    manifest = csv_text([MANIFEST_COLUMNS, *rows], as_it_is=True)
+    (folder / "manifest.csv").write_text(manifest, encoding="utf-8")
     (folder / "dataset.toml").write_text(_settings(sensor, white, seed), encoding="utf-8")
     return Written(len(rows), share)
 
@@ -330,14 +335,6 @@ def provenance(sensor: Sensor, seed: int, trial: SimulatedTrial) -> dict[str, st
         "sensor_sim:orientation": trial.orientation.value,
         "sensor_sim:trial": "-".join(map(str, trial.key)),
     }
-
-
-def _manifest(rows: list[list[str]]) -> str:
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(["frame", "orientation", "size_mrad", "size_detectors", "snr", "x_px", "y_px", "sha256"])
-    writer.writerows(rows)
-    return text.getvalue()
 
 
 def _settings(sensor: Sensor, white: float, seed: int) -> str:

@@ -4,20 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from sensor_sim.sweep_figures import draw_curves, draw_front, draw_map, page, pictures
 from sensor_sim.sweep_tables import SweepData
 from todframes.report.figures import drawn
 from todframes.report.parquet import has_parquet, parquet_parts
+from todframes.report.saving import Saving
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
-class SweepResult(SweepData):
+class SweepResult(SweepData, Saving):
     """Thresholds of many designs of a sensor, with methods that make tables, figures and files of them.
 
     Its attributes are those of `SweepData`.
@@ -45,15 +45,3 @@ class SweepResult(SweepData):
             "report.html": page(self).encode(),
             "result.json": self.to_json(),
         }
-
-    def save(self, folder: Path | str) -> None:
-        """Write the files that the command writes with `-o`: all of them, or none.
-
-        Raises
-        ------
-        OutputError
-            If the place cannot be written.
-        """
-        from todframes.output import write_folder
-
-        write_folder(folder, self.files())

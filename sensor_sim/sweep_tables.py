@@ -10,7 +10,6 @@ from functools import cached_property
 from itertools import islice
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -20,6 +19,7 @@ from todframes import __version__
 from todframes._typing import FloatArray, Json
 from todframes.config import check_keys
 from todframes.errors import SettingsError
+from todframes.report.saving import json_file
 from todframes.report.table import BLOCK, Column, LongRecords, Table
 from todframes.report.wording import count, listed, plain
 
@@ -433,7 +433,7 @@ class SweepData:
             "records": list(self.records()),
             "run_time_s": self.run_time_s,
         }
-        return msgspec.json.format(msgspec.json.encode(content), indent=2) + b"\n"
+        return json_file(content)
 
 
 def objectives(

@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, is_dataclass, replace
 from functools import lru_cache
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import msgspec
 import numpy as np
@@ -18,13 +18,12 @@ import numpy as np
 from sensor_sim.curve_plan import plan_curve
 from sensor_sim.designs import Base, Changes, Designs
 from sensor_sim.noise import delta_t_mk
-from sensor_sim.predict import FoldedChain, predict_threshold
+from sensor_sim.predict import FoldedChain, PredictedThreshold, predict_threshold
 from sensor_sim.sensor import Noise, Sensor
 from sensor_sim.sharing import Shared
 from todframes._typing import FloatArray
 from todframes.errors import SettingsError, TodframesError
 from todframes.jobs.fingerprint import fingerprint
-from todframes.jobs.processes import ProcessEngine
 from todframes.jobs.run import run_stored
 from todframes.jobs.store import Store
 from todframes.jobs.work import Engine, Lost
@@ -42,7 +41,7 @@ ALIKE_TOGETHER = 8
 OBSERVERS_KEPT = 4
 """Number of observers that are kept, each with its readouts, while sensors change."""
 
-IMPOSSIBLE = "impossible"
+IMPOSSIBLE: Literal["impossible"] = "impossible"
 """Status of a design, or of a size of it, that cannot be computed."""
 
 
@@ -61,16 +60,6 @@ class Chain(NamedTuple):
     sensor: Sensor
     observer_changes: Changes
     size_detectors: float
-
-
-class Computed(NamedTuple):
-    """A threshold SNR with its numerical error, or a status that says why there is none, with the reason."""
-
-    status: str
-    threshold: float | None = None
-    numerical_error: float | None = None
-    n_phases: int = 0
-    reason: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,12 +116,12 @@ class SweepWork:
     shared_mb: int = SHARED_MB
     items_at_once: ClassVar[int] = 1
 
-    def function(self) -> Callable[[Chain], Computed]:
+    def function(self) -> Callable[[Chain], PredictedThreshold]:
         """Return the function of a chain; what chains share is kept as long as the function."""
         shared = Shared.of(self.shared_mb * 2**20)
         observer_of = lru_cache(maxsize=OBSERVERS_KEPT)(self.observers)
 
-        def compute(chain: Chain) -> Computed:
+        def compute(chain: Chain) -> PredictedThreshold:
             sensor, size = chain.sensor, chain.size_detectors
             try:
                 observer = observer_of(chain.observer_changes)
@@ -145,7 +134,7 @@ class SweepWork:
                     p_correct=self.p_correct,
                     shared=shared,
                 )
-                found = predict_threshold(
+                return predict_threshold(
                     FoldedChain(sensor, observer, size, steps),
                     p_correct=self.p_correct,
                     tolerance=self.tolerance,
@@ -153,10 +142,9 @@ class SweepWork:
                     n_points=0,
                 )
             except SettingsError as error:
-                return Computed(IMPOSSIBLE, reason=str(error))
+                return PredictedThreshold(size, IMPOSSIBLE, reason=str(error))
             except MemoryError:
-                return Computed(IMPOSSIBLE, reason="it needs more memory than there is")
-            return Computed(found.status, found.threshold, found.numerical_error, found.n_phases)
+                return PredictedThreshold(size, IMPOSSIBLE, reason="it needs more memory than there is")
 
         return compute
 
@@ -176,13 +164,16 @@ class SweepWork:
         """Return nothing: no file is read."""
         return None
 
-    def encode(self, result: Computed) -> bytes:
+    def stamped_key(self, item: Chain, stamp: object) -> None:
+        """Return None: no file is read."""
+
+    def encode(self, result: PredictedThreshold) -> bytes:
         """Return a result as bytes."""
         return msgspec.json.encode(result)
 
-    def decode(self, encoded: bytes) -> Computed:
+    def decode(self, encoded: bytes) -> PredictedThreshold:
         """Return the result that `encode` made these bytes of."""
-        return msgspec.json.decode(encoded, type=Computed)
+        return msgspec.json.decode(encoded, type=PredictedThreshold)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -271,15 +262,6 @@ def check_sweep(
         raise SettingsError("observer: it is not linear; no curve can be computed, simulate frames instead")
 
 
-def _engine_for(engine: Engine, n_chains: int) -> Engine:
-    """Return the engine for a sweep: processes in place of several threads, which would wait for each other."""
-    if not engine.is_local or engine.n_workers == 1:
-        return engine
-    # Neighbours share parts, but each process gets several tasks, so that all end at about the same time.
-    at_once = min(max(n_chains // (4 * engine.n_workers), 1), ALIKE_TOGETHER)
-    return ProcessEngine(engine.n_workers, items_per_task=at_once)
-
-
 def plan_sweep(base: Base, designs: Designs, sizes: Sequence[float]) -> Plan:
     """Return the computations that designs need, each once, ordered so that neighbours share most."""
     numbers: dict[tuple[Sensor, Changes], int] = {}
@@ -358,16 +340,20 @@ def run_sweep(
     uses = np.bincount(plan.places[plan.places >= 0].ravel(), minlength=len(plan.chains)).tolist()
     if progress is not None:
         progress(len(plan.reasons) * len(sizes))
-    results: list[Computed] = [Computed("")] * len(plan.chains)
-    engine = _engine_for(engine, len(plan.chains))
+    results: list[PredictedThreshold] = [PredictedThreshold(math.nan, IMPOSSIBLE)] * len(plan.chains)
     for number, result in run_stored(work, plan.chains, engine=engine, store=store):
-        results[number] = Computed(IMPOSSIBLE, reason=str(result.error)) if isinstance(result, Lost) else result
+        if isinstance(result, Lost):
+            size = plan.chains[number].size_detectors
+            result = PredictedThreshold(size, IMPOSSIBLE, reason=str(result.error))
+        results[number] = result
         if progress is not None:
             progress(uses[number])
     return _gathered(designs, tuple(sizes), plan, results)
 
 
-def _gathered(designs: Designs, sizes: tuple[float, ...], plan: Plan, results: Sequence[Computed]) -> Swept:
+def _gathered(
+    designs: Designs, sizes: tuple[float, ...], plan: Plan, results: Sequence[PredictedThreshold]
+) -> Swept:
     nothing = len(results)
     status = np.array([*(one.status for one in results), IMPOSSIBLE], dtype=object)
     threshold, error = (

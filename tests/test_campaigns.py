@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -64,6 +65,14 @@ def test_people_who_do_not_behave() -> None:
 @pytest.mark.skipif(getattr(os, "geteuid", lambda: 1)() != 0, reason="only root may mount a disk")
 def test_a_full_disk() -> None:
     assert "1 cases, 0 faults" in campaign("faults", "--only", "disk full, score")
+
+
+def test_the_explorer() -> None:
+    """48 states, requests held back: what the page says belongs to the state that it shows."""
+    pytest.importorskip("playwright.sync_api")
+    if not (shutil.which("chromium") or shutil.which("google-chrome")):
+        pytest.skip("no Chromium is installed")
+    assert "49 states" in campaign("explorer", "48")
 
 
 def test_coverage_of_intervals() -> None:

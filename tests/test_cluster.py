@@ -23,7 +23,9 @@ import pytest
 
 import todframes
 from todframes.errors import ClusterError, DataError, FrameError, SettingsError
+from todframes.jobs import batches as handing
 from todframes.jobs import engine as engines
+from todframes.jobs import worker
 from todframes.jobs.engine import open_engine
 from todframes.jobs.work import Lost
 
@@ -35,7 +37,7 @@ if HAS_DASK:
     import cloudpickle
     import distributed
 
-    from todframes.jobs import cluster, worker
+    from todframes.jobs import cluster
 
     # Workers cannot import this module.
     cloudpickle.register_pickle_by_value(sys.modules[__name__])
@@ -350,7 +352,7 @@ def test_many_poisonous_items_are_named_before_the_rest_is_done(
     local: ClusterEngine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """If all are, the first comes as soon as some were put aside, and the run can be ended there."""
-    monkeypatch.setattr(cluster, "MOST_SUSPECTS", 2)
+    monkeypatch.setattr(handing, "MOST_SUSPECTS", 2)
 
     def call(item: int) -> int:
         os.kill(os.getpid(), signal.SIGKILL)
@@ -539,7 +541,7 @@ def test_a_scheduler_without_workers_or_of_another_version_is_one_line(monkeypat
 
 def _batch_sizes(seconds_per_item: float, n: int) -> list[int]:
     """Sizes of the first `n` batches, each of which is done before the next."""
-    plan = cluster._Plan(Squares(), zip(itertools.count(), itertools.repeat(0), strict=False))
+    plan = handing.Plan(Squares(), zip(itertools.count(), itertools.repeat(0), strict=False), 2.0)
     sizes = []
     for _ in range(n):
         batch = plan.next_batch(is_idle=True)
@@ -567,8 +569,8 @@ def test_a_batch_that_takes_too_long_comes_back_in_part(monkeypatch: pytest.Monk
     assert 1 <= done.n_items <= 3
     assert pickle.loads(done.results) == [0, 1, 4][: done.n_items]
 
-    plan = cluster._Plan(Squares(), [])
-    batch = cluster._Batch([(number, number) for number in range(10)])
+    plan = handing.Plan(Squares(), [], 2.0)
+    batch = handing.Batch([(number, number) for number in range(10)])
     assert list(plan.take(batch, done)) == [[(0, 0), (1, 1), (2, 4)][: done.n_items]]
     left = plan.next_batch(is_idle=False)
     assert left is not None

@@ -516,3 +516,18 @@ def test_fewer_nodes_are_as_good_far_from_singular(monkeypatch: pytest.MonkeyPat
     assert 25 < np.count_nonzero((found != exact).any(axis=1)) < 100, "both numbers of nodes were taken"
     # Sums of 3 × 48 to 3 × 128 terms that are rounded by 1e-16 each.
     assert np.abs(found - exact).max() < 3e-14
+
+
+@pytest.mark.parametrize("tolerance", [1e-3, 1e-5, 1e-8])
+def test_one_answer_is_as_exact_as_its_tolerance(tolerance: float) -> None:
+    """Covariances at all distances from singular ones, alone and together, against the default."""
+    rng = np.random.default_rng(5)
+    near = np.exp(rng.uniform(-4.0, 0.0, (400, 1, 1)))
+    factor = np.concatenate([np.eye(4), np.zeros((4, 1))], axis=1) + near * rng.normal(size=(400, 4, 5))
+    factor[::2] = np.exp(0.5 * rng.normal(size=(200, 4, 1))) * rng.normal(size=(200, 4, 5))
+    score = rng.normal(size=(400, 4)) * np.geomspace(0.3, 3.0, 400)[:, None]
+    covariance = factor @ factor.swapaxes(1, 2)
+    exact = answer_probability(score, covariance, 2)  # to 1e-9, as other tests hold
+    alone = [answer_probability(s, c, 2, tolerance=tolerance) for s, c in zip(score, covariance, strict=True)]
+    assert np.abs(np.array(alone) - exact).max() < tolerance + EXACT
+    assert np.abs(answer_probability(score, covariance, 2, tolerance=tolerance) - exact).max() < tolerance + EXACT

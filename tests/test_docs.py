@@ -272,14 +272,6 @@ def test_documented_files_exist() -> None:
             assert (ROOT / name).exists(), name
 
 
-def test_dependency_groups_are_the_extras() -> None:
-    pyproject = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
-    extras, groups = pyproject["project"]["optional-dependencies"], pyproject["dependency-groups"]
-    assert (groups["test"], groups["docs"]) == (extras["test"], extras["docs"])
-    assert groups["dev"][:2] == [{"include-group": "test"}, {"include-group": "docs"}]
-    assert extras["dev"] == ["todframes[test,docs]", *groups["dev"][2:]]
-
-
 def test_versions_are_one() -> None:
     """That of the package, of its metadata and of the citation."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]

@@ -216,14 +216,8 @@ def test_the_curve_after_300_moves_is_that_of_the_last_state(explore) -> None:
     painted(page, moves)
     values = [float(value_of(page, key)) for key in sliders]
     # The newest state waits until the one before has its estimate: only then it is asked for.
-    while values != [asked_value(asked[-1], key) for key in sliders]:
-        page.wait_for_timeout(20)
-    wait_until(
-        page,
-        "(last) => { const { sequence, stage } = document.querySelector('#curve').dataset;"
-        " return Number(sequence) === last && stage === 'refined'; }",
-        asked[-1]["sequence"],
-    )
+    wait_until(page, f"{IS_DRAWN} && document.querySelector('#curve').dataset.stage === 'refined'")
+    assert (asked[-1]["sequence"], [asked_value(asked[-1], key) for key in sliders]) == (sequence(page), values)
     assert [one["sequence"] for one in asked] == sorted({one["sequence"] for one in asked})
     moved = table(page)
     wait_until(page, "location.hash.length > 1")

@@ -32,7 +32,8 @@ from todframes.report.figure_style import COLOURS
 from todframes.report.figures import draw_psychometric
 from todframes.report.result import read_result
 from todframes.report.summary import verdict
-from todframes.report.wording import phrase, quantity, unit_of
+from todframes.report.tables import thresholds
+from todframes.report.wording import phrase, quantity, threshold_heading, unit_of
 
 COMMANDS = ["score", "curve", "naked-eye", "fit", "compare", "accuracy"]
 NASTY = [
@@ -172,6 +173,32 @@ def test_order_of_the_page(pages) -> None:
 
 
 # What is said --------------------------------------------------------------------------------------------------
+
+
+def test_first_table_holds_what_that_of_the_terminal_holds(results, pages) -> None:
+    """All else about thresholds is behind *Details*; the files of both have all values."""
+    result = read_result(encode(results["score"]), "result")
+    table = thresholds(result)
+    first, *_ = tree(pages["score"]).iter("table")
+    heads = [words(head) for head in first.iter("th") if head.get("scope") == "col"]
+    assert heads == [one.heading for one in table.columns if not (one.is_detail or one.in_file_only)]
+    assert {"α", "β", "Weibull"}.isdisjoint(heads)
+    folded = [words(one) for one in tree(pages["score"]).iter("summary")]
+    assert folded[:2] == ["Details of the thresholds", "Points of the psychometric functions"]
+    assert table.without_details().csv() == table.csv()
+
+
+@pytest.mark.parametrize(
+    ("level", "heading"),
+    [
+        ("contrast", "threshold contrast"),
+        ("snr", "threshold SNR"),
+        ("delta_t_k", "threshold, ΔT (K)"),
+        ("size_mrad", "threshold, size (mrad)"),
+    ],
+)
+def test_headings_have_units(level: str, heading: str) -> None:
+    assert threshold_heading(level) == heading
 
 
 def test_verdict_of_scored_frames(results) -> None:

@@ -192,7 +192,7 @@ def naked_eye():
 
 def of_naked_eye(naked_eye, levels) -> np.ndarray:
     signals, covariance = naked_eye
-    return answer_probability(np.asarray(levels)[:, None, None] * signals, covariance, 0, nodes=24)
+    return answer_probability(np.asarray(levels)[:, None, None] * signals, covariance, 0, tolerance=1e-9)
 
 
 def test_naked_eye_threshold_is_right_to_two_thousandths(naked_eye):
@@ -254,7 +254,7 @@ def test_camera_near_its_acuity(sensor: str, lowest: float, highest: float) -> N
     signal, external = up.signal.reshape(-1, 4), np.repeat(up.noise, up.signal.shape[1], axis=0)
 
     def proportion(snr: float) -> float:
-        return answer_probability(signal, chain.noise_covariance + external / snr**2, 0, nodes=24).mean()
+        return answer_probability(signal, chain.noise_covariance + external / snr**2, 0, tolerance=1e-9).mean()
 
     truth = brentq(lambda snr: proportion(snr) - 0.75, 0.5, 10.0, rtol=1e-6)
     levels = truth * np.geomspace(lowest, highest, 7)
@@ -268,7 +268,8 @@ def test_camera_near_its_acuity(sensor: str, lowest: float, highest: float) -> N
     chosen = rng.integers(len(signal), size=n)
     noise = np.einsum("nij,nj->ni", root[chosen], rng.normal(size=(n, 4)))
     pool = [
-        answer_probability(signal[chosen] + noise / snr, chain.noise_covariance, 0, nodes=24) for snr in levels
+        answer_probability(signal[chosen] + noise / snr, chain.noise_covariance, 0, tolerance=1e-9)
+        for snr in levels
     ]
     for _ in range(300):
         trials = np.array([of_level[rng.integers(n, size=40)] for of_level in pool])

@@ -10,7 +10,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, closing, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,17 @@ import pytest
 
 from todframes import output, signals
 from todframes.errors import ClusterError, OutputError
-from todframes.output import STAGING, beside, new_folder, output_folder, write_file, write_files
+from todframes.jobs.store import Store
+from todframes.output import (
+    STAGING,
+    Going,
+    beside,
+    new_folder,
+    output_folder,
+    store_path,
+    write_file,
+    write_files,
+)
 
 QUICK = "SIGINT", "SIGKILL"
 SIGNALS = [
@@ -322,6 +332,104 @@ def test_a_staging_folder_of_somebody_else(tmp_path: Path, kind: str) -> None:
         with pytest.raises(OutputError, match="was not made by todframes"):
             act()
     assert tree(tmp_path) == before
+
+
+STORE_LINKS = {"store": ".", "new": ".", "lock": "notes.txt"}
+
+
+@pytest.mark.parametrize("name", STORE_LINKS)
+def test_a_link_in_a_hidden_folder_is_not_followed(tmp_path: Path, name: str) -> None:
+    write(tmp_path, {"theirs/notes.txt": "mine", "theirs/results.sqlite": "mine", "theirs/lock": "mine"})
+    path = tmp_path / "out"
+    (path / STAGING).mkdir(mode=0o700, parents=True)
+    (path / STAGING / "lock").touch()
+    (path / STAGING / name).unlink(missing_ok=True)
+    (path / STAGING / name).symlink_to(tmp_path / "theirs" / STORE_LINKS[name])
+    before = tree(tmp_path / "theirs")
+
+    def run() -> None:
+        with output_folder(str(path), Going()) as folder, closing(Store(store_path(folder), "out")) as store:
+            store.begin()
+            write(folder, {"result.json": "{}"})
+
+    if name == "lock":
+        with pytest.raises(OutputError, match="was not made by todframes"):
+            run()
+    else:
+        run()
+        assert contents(path) == {"result.json": "{}"}
+    assert tree(tmp_path / "theirs") == before
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="needs paths of open folders")
+@pytest.mark.parametrize("place", [output_folder, new_folder])
+def test_a_link_that_is_swapped_in_during_the_run_is_not_followed(
+    tmp_path: Path, place: Callable[[str], AbstractContextManager[Path]]
+) -> None:
+    write(tmp_path, {"theirs/result.json": "mine"})
+    write(tmp_path / "theirs", {"new/result.json": "mine", "new/dataset.toml": "mine"})
+    before = tree(tmp_path / "theirs")
+    path = tmp_path / "out"
+    with place(str(path)) as folder:
+        (path / STAGING).rename(tmp_path / "away")
+        (path / STAGING).symlink_to(tmp_path / "theirs")
+        write(folder, {"result.json": "{}", "dataset.toml": "new"})
+    assert tree(tmp_path / "theirs") == before
+    assert (path / "result.json").read_text(encoding="utf-8") == "{}"
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="needs paths of open folders")
+@pytest.mark.parametrize("place", [output_folder, new_folder])
+def test_a_folder_that_is_replaced_during_the_run_gets_nothing(
+    tmp_path: Path, place: Callable[[str], AbstractContextManager[Path]]
+) -> None:
+    write(tmp_path, {"theirs/result.json": "mine"})
+    path = tmp_path / "out"
+
+    def run() -> None:
+        with place(str(path)) as folder:
+            path.rename(tmp_path / "away")
+            path.symlink_to(tmp_path / "theirs")
+            write(folder, {"result.json": "{}"})
+
+    with pytest.raises(OutputError, match="was moved, removed or replaced during the run; nothing was written"):
+        run()
+    assert contents(tmp_path / "theirs") == {"result.json": "mine"}
+
+
+@pytest.mark.parametrize("kind", ["link", "hard link", "pipe"])
+def test_a_planted_result_loses_its_name_and_nothing_else(tmp_path: Path, kind: str) -> None:
+    write(tmp_path, {"theirs/notes.txt": "mine"})
+    theirs, path = tmp_path / "theirs" / "notes.txt", tmp_path / "out"
+    path.mkdir()
+    for name in ("result.json", "report.html"):
+        match kind:
+            case "link":
+                (path / name).symlink_to(theirs)
+            case "hard link":
+                (path / name).hardlink_to(theirs)
+            case "pipe":
+                os.mkfifo(path / name)
+    score(path, {"result.json": "{}", "report.html": "new"})
+    write_file(path / "report.html", b"newer")
+    assert contents(path) == {"result.json": "{}", "report.html": "newer"}
+    assert not any(file.is_symlink() for file in path.iterdir())
+    assert theirs.read_text(encoding="utf-8") == "mine"
+    assert theirs.stat().st_nlink == 1
+
+
+@forks
+@forks_with_threads
+def test_a_hidden_folder_of_another_user_is_refused() -> None:
+    if os.geteuid() != 0:
+        pytest.skip("only root can give files away")
+    with tempfile.TemporaryDirectory() as name:
+        path = Path(name) / "out"
+        (path / STAGING).mkdir(parents=True, mode=0o777)
+        (path / STAGING / "lock").touch()
+        os.chown(path / STAGING, 65534, 65534)
+        with pytest.raises(OutputError, match="was not made by todframes for this user"):
+            score(path, {"result.json": "{}"})
 
 
 # Places -------------------------------------------------------------------------------------------------------

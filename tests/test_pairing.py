@@ -122,7 +122,7 @@ def answers_of_two_alike(*, common: float, own: float, sampled: bool) -> tuple[n
         if sampled:
             right = (scores + noise(readout.noise_covariance, 200, 1)).argmax(axis=2) == 0
         else:
-            right = answer_probability(scores, readout.noise_covariance, 0, nodes=24)
+            right = answer_probability(scores, readout.noise_covariance, 0, tolerance=1e-9)
         answers.append(np.concatenate([right, right[:, ::-1]]))
     return middle * LEVELS, np.array(answers, dtype=np.float64)
 

@@ -315,16 +315,6 @@ def test_gain_and_internal_noise_scaled_together_change_nothing():
     assert thresholds[0] == pytest.approx(thresholds[1], rel=1e-6)
 
 
-def test_internal_noise_can_be_scaled_afterwards():
-    chain = FoldedChain(UNDER_SAMPLED, PyramidObserver(PyramidSettings(internal_noise=0.5)), 4.0)
-    quiet = FoldedChain(UNDER_SAMPLED, PyramidObserver(PyramidSettings(internal_noise=0.25)), 4.0)
-    before = predict_threshold(chain)
-    scaled = predict_threshold(chain.with_internal_noise(0.5))
-    assert scaled.threshold == pytest.approx(predict_threshold(quiet).threshold, rel=1e-9)
-    assert scaled.threshold < before.threshold
-    assert predict_threshold(chain) == before
-
-
 @pytest.mark.slow
 def test_without_detector_noise_the_curve_ends_at_what_the_sampling_leaves(observer):
     chain = FoldedChain(UNDER_SAMPLED, observer, 2.0)

@@ -2,14 +2,24 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import signal
-from collections.abc import Callable
+import subprocess
+import sys
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import pytest
 
-from todframes.errors import DataError
+from todframes.errors import DataError, SettingsError, TodframesError
+from todframes.jobs.engine import open_engine
 from todframes.jobs.processes import ProcessEngine
 from todframes.jobs.work import Lost
 
@@ -18,14 +28,14 @@ pytestmark = pytest.mark.slow  # each process imports Python anew
 
 @dataclass(frozen=True)
 class Squares:
-    """Squares; one number kills its process, and one is refused."""
+    """Squares; some numbers kill their process, and one is refused."""
 
-    deadly: int | None = None
+    deadly: frozenset[int] = frozenset()
     refused: int | None = None
 
     def function(self) -> Callable[[int], int]:
         def square(item: int) -> int:
-            if item == self.deadly:
+            if item in self.deadly:
                 os.kill(os.getpid(), signal.SIGKILL)
             if item == self.refused:
                 raise DataError(f"found {item}, expected another number")
@@ -37,39 +47,144 @@ class Squares:
         return DataError(f"{item}: its process died")
 
 
-def results(work: Squares, n: int) -> dict[int, object]:
-    return dict(
-        pair for batch in ProcessEngine(2, items_per_task=4).run(work, enumerate(range(n))) for pair in batch
-    )
+class Naps(Squares):
+    """Sleep; the result is the process."""
+
+    def function(self) -> Callable[[float], int]:
+        def nap(seconds: float) -> int:
+            time.sleep(seconds)
+            return os.getpid()
+
+        return nap
 
 
-@pytest.mark.parametrize("n", [0, 1, 50])
-def test_all_items_have_their_results(n: int) -> None:
-    assert results(Squares(), n) == {item: item * item for item in range(n)}
+class Elsewhere(Squares):
+    """Work of a module that other processes lack."""
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return __import__, ("nowhere",)
 
 
-def test_an_item_that_kills_its_process_is_lost_alone() -> None:
-    found = results(Squares(deadly=13), 50)
-    lost = found.pop(13)
-    assert isinstance(lost, Lost)
-    assert str(lost.error) == "13: its process died"
-    assert found == {item: item * item for item in range(50) if item != 13}
+@pytest.fixture(scope="module")
+def engine() -> Iterator[ProcessEngine]:
+    with open_engine(None, 2) as opened:
+        assert isinstance(opened, ProcessEngine)
+        yield opened
 
 
-def test_an_exception_of_the_work_ends_the_run() -> None:
+def results(engine: ProcessEngine, work: Any, items: Iterable[Any]) -> dict[int, object]:
+    """Results by number; each number has come once."""
+    pairs = [pair for batch in engine.run(work, enumerate(items)) for pair in batch]
+    assert len(dict(pairs)) == len(pairs)
+    return dict(pairs)
+
+
+@pytest.mark.parametrize("n", [0, 1, 1000])
+def test_all_items_have_their_results(engine: ProcessEngine, n: int) -> None:
+    assert results(engine, Squares(), range(n)) == {item: item * item for item in range(n)}
+
+
+@pytest.mark.parametrize("deadly", [{13}, {0, 999}])
+def test_items_that_kill_their_process_are_lost_alone(engine: ProcessEngine, deadly: set[int]) -> None:
+    found = results(engine, Squares(deadly=frozenset(deadly)), range(1000))
+    lost = {item: str(one.error) for item, one in found.items() if isinstance(one, Lost)}
+    assert lost == {item: f"{item}: its process died" for item in deadly}
+    assert {item: one for item, one in found.items() if item not in deadly} == {
+        item: item * item for item in range(1000) if item not in deadly
+    }
+
+
+def test_an_exception_of_the_work_ends_the_run(engine: ProcessEngine) -> None:
     with pytest.raises(DataError, match="found 20, expected another number"):
-        results(Squares(refused=20), 50)
+        results(engine, Squares(refused=20), range(50))
+    assert results(engine, Squares(), range(50)) == {item: item * item for item in range(50)}
 
 
-def test_items_are_taken_as_they_are_needed_and_dropped_at_the_end() -> None:
-    taken: list[int] = []
-
-    def items():
-        for number in range(10**6):
-            taken.append(number)
-            yield number, number
-
-    run = ProcessEngine(2, items_per_task=4).run(Squares(), items())
+def test_items_are_taken_as_they_are_needed_and_dropped_at_the_end(engine: ProcessEngine) -> None:
+    taken = itertools.count()
+    run = engine.run(Squares(), ((next(taken), 0) for _ in range(10**6)))
     next(run)
     run.close()
-    assert len(taken) <= 8  # a task of each process
+    assert next(taken) <= 1 + 2 * 4  # a first batch of one, and four in flight of twice as many at most
+
+
+def test_two_processes_work_at_the_same_time(engine: ProcessEngine) -> None:
+    processes = Counter(results(engine, Naps(), [0.01] * 100).values())
+    assert len(processes) == 2
+    assert os.getpid() not in processes
+
+
+def test_what_cannot_be_sent_is_one_line(engine: ProcessEngine) -> None:
+    with pytest.raises(SettingsError, match=r"^workers: cannot send this to other processes \(TypeError: .*lock"):
+        results(engine, Squares(), [threading.Lock()])
+
+
+def test_a_work_that_cannot_be_loaded_is_one_line(engine: ProcessEngine) -> None:
+    with pytest.raises(TodframesError, match=r"^workers: cannot load the work \(ModuleNotFoundError.*'nowhere'"):
+        results(engine, Elsewhere(), [0])
+
+
+SCRIPT = """
+import os, sys, time
+from todframes import signals
+from todframes.errors import DataError
+from todframes.jobs.engine import open_engine
+
+class Naps:
+    def function(self):
+        return time.sleep
+    def lost(self, item):
+        return DataError("lost")
+
+def main():
+    try:
+        with signals.raised(), open_engine(None, 2) as engine:
+            for _ in engine.run(Naps(), enumerate([0.1] * 10_000)):
+                print("running", flush=True)
+    except KeyboardInterrupt:
+        print("interrupted", flush=True)
+"""
+GUARDED = SCRIPT + "if __name__ == '__main__':\n    main()\n"
+
+
+@contextmanager
+def running(tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
+    """A run whose processes work, in a session of its own, which is a process group, as a terminal makes it."""
+    script = tmp_path / "run.py"
+    script.write_text(GUARDED, encoding="utf-8")
+    command = [sys.executable, str(script)]
+    with subprocess.Popen(
+        command, start_new_session=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "running\n"
+        yield process
+
+
+@pytest.mark.parametrize("reaches_all", [False, True])
+def test_ctrl_c_ends_all_processes_at_once_and_quietly(tmp_path: Path, reaches_all: bool) -> None:
+    with running(tmp_path) as process:
+        started = time.monotonic()
+        (os.killpg if reaches_all else os.kill)(process.pid, signal.SIGINT)
+        out, err = process.communicate(timeout=20)  # to its end: no worker holds it any more
+        assert time.monotonic() - started < 3.0
+        assert (out.split()[-1], err) == ("interrupted", "")
+
+
+def test_all_processes_end_with_a_client_that_is_killed(tmp_path: Path) -> None:
+    with running(tmp_path) as process:
+        process.kill()
+        started = time.monotonic()
+        process.communicate(timeout=20)  # until no worker holds the pipe any more
+        assert time.monotonic() - started < 3.0
+
+
+def test_a_script_that_its_processes_would_run_is_one_line(tmp_path: Path) -> None:
+    script = tmp_path / "run.py"
+    script.write_text(SCRIPT + "main()\n", encoding="utf-8")
+    process = subprocess.run([sys.executable, script], capture_output=True, text=True, timeout=60, check=False)
+    assert process.returncode == 1
+    last = process.stderr.splitlines()[-1]
+    assert last.endswith(
+        'a script must call this below `if __name__ == "__main__":`, and there must be memory for all'
+    )

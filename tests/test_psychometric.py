@@ -441,7 +441,10 @@ def test_interval_of_expected_decisions_is_honest_for_the_real_observer(
         signals.append(readout.score_deviations(triangle))
     levels = truth * np.geomspace(lowest, highest, 7)
     p_correct = np.stack(
-        [answer_probability(level * np.array(signals), readout.noise_covariance, 0, nodes=32) for level in levels]
+        [
+            answer_probability(level * np.array(signals), readout.noise_covariance, 0, tolerance=1e-9)
+            for level in levels
+        ]
     )
     settings, level = FitSettings(resamples=200), np.repeat(levels, 28)
     held = 0

@@ -22,7 +22,7 @@ from todframes.report.result import read_result
 pytestmark = pytest.mark.slow
 
 SAMPLES = Path(__file__).parent.parent / "sample_frames"
-WIDTHS = (1280, 390)
+WIDTHS = (1280, 1100, 390)
 QUIET = (
     "--headless --no-sandbox --disable-gpu --disable-quic --disable-sync --no-first-run "
     "--disable-background-networking --disable-component-update"
@@ -40,7 +40,8 @@ for (const [name, text] of Object.entries(pages)) for (const width of widths) {
   frame.onload = () => {
     const page = frame.contentDocument, root = page.documentElement;
     for (const details of page.querySelectorAll("details")) details.open = true;
-    const beyond = root.scrollWidth - root.clientWidth;
+    const cut = [...page.querySelectorAll(".scroll")].map((one) => one.scrollWidth - one.clientWidth);
+    const beyond = Math.max(root.scrollWidth - root.clientWidth, ...cut);
     (found[name] ||= {})[width] = [frame.contentWindow.innerWidth, beyond, root.scrollHeight];
     frame.remove();
     waiting -= 1;

@@ -15,8 +15,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import todframes as tod
 from todframes.cli.console import run
 from todframes.cli.main import cli
+from todframes.frames.dataset import Dataset
 from todframes.jobs import run as run_module
 from todframes.output import STAGING, STORE
 from todframes.scoring import work as scoring_work
@@ -276,3 +278,33 @@ def test_a_killed_import_goes_on(tmp_path: Path) -> None:
     err = done(*command, out)
     assert "windows are there from an earlier run; going on with the others" in err
     assert content(out) == content(tmp_path / "undisturbed")
+
+
+def test_frames_that_an_earlier_run_has_read_are_not_read_again(
+    make_dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One that was written again is read, though its size and its time are as before."""
+    monkeypatch.setattr(scoring_work, "SETTLED_NS", -(10**12))
+    monkeypatch.setattr(run_module, "LOOKED_AT_S", 0.0)
+    monkeypatch.setattr(run_module, "WORTH_S", 0.0)
+    path = make_dataset(contrasts=(0.05, 0.1, 0.2), repeats=4).path
+    fit = tod.FitSettings(resamples=0)
+    tod.score(path, fit=fit, store=tmp_path / "store", examples=False)  # the first batch decides on the store
+    whole = tod.score(path, fit=fit, store=tmp_path / "store", examples=False)
+    read = []
+    inner = Dataset.content_id
+
+    def content_id(dataset, frame, **more):
+        read.append(frame.path)
+        return inner(dataset, frame, **more)
+
+    monkeypatch.setattr(Dataset, "content_id", content_id)
+    again = tod.score(path, fit=fit, store=tmp_path / "store", examples=False)
+    assert (read, again.from_store) == ([], 48)
+    assert again.fits[0].threshold == whole.fits[0].threshold
+    first = min((path / "frames").iterdir())
+    status = first.stat()
+    first.write_bytes(first.read_bytes())
+    os.utime(first, ns=(status.st_atime_ns, status.st_mtime_ns))
+    assert tod.score(path, fit=fit, store=tmp_path / "store", examples=False).from_store == 48
+    assert set(read) == {f"frames/{first.name}"}

@@ -9,7 +9,7 @@ from todframes.diagnosis.locate import locate_triangles
 from todframes.errors import SettingsError
 from todframes.frames.dataset import load_dataset
 from todframes.frames.files import read_frame, write_frame
-from todframes.jobs.local import LocalEngine
+from todframes.jobs.engine import open_engine
 from todframes.observers.interface import Readout
 from todframes.observers.pyramid import PyramidObserver, PyramidSettings
 from todframes.psychometrics.fit import FitSettings
@@ -39,10 +39,9 @@ def test_every_orientation_is_seen_alike(make_dataset) -> None:
 def test_workers_change_nothing(make_dataset) -> None:
     path = make_dataset(sizes_mrad=(1.0, 1.5, 2.0), repeats=2).path
     for decisions in ("expected", "sampled"):
-        one, three = (
-            score(path, PyramidObserver(), decisions=decisions, run=Run(LocalEngine(workers)))
-            for workers in (1, 3)
-        )
+        one = score(path, PyramidObserver(), decisions=decisions)
+        with open_engine(None, 2) as engine:
+            three = score(path, PyramidObserver(), decisions=decisions, run=Run(engine))
         assert one.trials == three.trials
         for name in ("displacement_samples", "scores", "probabilities", "answers", "p_correct"):
             assert np.array_equal(getattr(one, name), getattr(three, name)), name

@@ -6,8 +6,6 @@ import math
 from dataclasses import replace
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from sensor_sim.sensor import Detector, Electronics, Noise, Optics, Sensor, SensorDisplay, load_sensor
 from todframes.errors import SettingsError
@@ -207,12 +205,6 @@ def test_cut_off_is_the_diameter_in_wavelengths():
 def test_display_pixel_is_seen_under_its_angle():
     assert math.tan(DISPLAY.pixel_pitch_mrad / 2000) * 2 * 350 == pytest.approx(0.25, rel=1e-14)
     assert pytest.approx(6 * DISPLAY.pixel_pitch_mrad) == DISPLAY.detector_pitch_mrad
-
-
-@given(st.floats(1e-3, 10.0), st.floats(0.01, 1.0))
-def test_fill_factor_is_the_active_share_of_the_area(pitch, fill_factor):
-    detector = Detector(pitch_mrad=pitch, width_mrad=min(pitch, pitch * math.sqrt(fill_factor)))
-    assert detector.fill_factor == pytest.approx(fill_factor, rel=1e-12)
 
 
 def test_magnification_carries_a_detector_into_its_pixels():

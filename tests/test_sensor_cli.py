@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from sensor_sim.api import curve as compute_curve
+from sensor_sim.api import mtf
 from sensor_sim.api import simulate as simulate_dataset
 from sensor_sim.cli import cli
 from sensor_sim.sensor import load_sensor
@@ -572,3 +573,11 @@ def test_python_m_is_the_command() -> None:
         [sys.executable, "-m", "sensor_sim", "--version"], capture_output=True, text=True, check=True
     )
     assert found.stdout.startswith("sensor-sim, version ")
+
+
+def test_stages_of_the_same_transfer_share_a_line() -> None:
+    """With detectors as wide as their pitch, detector and hold are the same sinc."""
+    sensor = load_sensor(Path(__file__).parents[1] / "sample_frames" / "star_like.toml")
+    labels = [line.get_label() for line in mtf(sensor).plot().get_lines()]
+    assert "detector and hold" in labels
+    assert not {"detector", "hold"} & set(labels)

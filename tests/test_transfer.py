@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from repetition import repetition_bound
 from scipy.special import j0, j1
 
 from sensor_sim.sensor import Detector, Electronics, Optics, Sensor, SensorDisplay
@@ -19,7 +20,6 @@ from sensor_sim.transfer import (
     optics_mtf,
     post_sample_mtf,
     pre_sample_mtf,
-    repetition_bound,
     sharpness_bound,
     stages,
 )

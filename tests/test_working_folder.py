@@ -27,24 +27,18 @@ class Name:
         raise ValueError
 """
 
-PROCESSES = {
-    "processes": """\
-from todframes.jobs.processes import ProcessEngine
-from todframes.user_code import import_named
-work = import_named("own_work", "Name", "work")()
-assert list(ProcessEngine(1).run(work, [(0, 1)])) == [[(0, "1")]]
-""",
-    "live curves": """\
-from sensor_sim.explorer.live import LiveCurves
-LiveCurves(1).close()
-""",
-    "cluster": """\
+ENGINE = """\
 from todframes.jobs.engine import open_engine
 from todframes.user_code import import_named
 work = import_named("own_work", "Name", "work")()
-with open_engine("local:1", 1) as engine:
+with open_engine({!r}, 2) as engine:
     assert list(engine.run(work, [(0, 1)])) == [[(0, "1")]]
-""",
+"""
+
+PROCESSES = {
+    "processes": ENGINE.format(None),
+    "live curves": "from sensor_sim.explorer.live import LiveCurves\nLiveCurves(1).close()\n",
+    "cluster": ENGINE.format("local:1"),
 }
 
 

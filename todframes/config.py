@@ -451,15 +451,6 @@ def read_numbers(path: Location, columns: Sequence[str]) -> list[list[float]]:
     return found
 
 
-def csv_text(rows: Sequence[Mapping[str, object]]) -> str:
-    """Return the text of a CSV file; the columns are those of the first row."""
-    text = io.StringIO()
-    writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    return text.getvalue()
-
-
 def check_columns(header: Iterable[str], needed: Iterable[str], path: Location) -> None:
     """Raise DataError if a CSV file lacks a column; the message says if it has one with other letters."""
     found = list(header)

@@ -30,14 +30,17 @@ def visible_json(text: str) -> str:
     return _UNESCAPED_BY_JSON.sub(lambda found: f"\\u{ord(found[0]):04x}", text)
 
 
-def csv_text(rows: Iterable[Iterable[object]]) -> str:
-    """Return rows as CSV; a text that a spreadsheet would compute as a formula gets `'` in front."""
+def csv_text(rows: Iterable[Iterable[object]], *, as_it_is: bool = False) -> str:
+    """Return rows as CSV; a text that a spreadsheet would compute as a formula gets `'` in front.
+
+    Names of files in a manifest have to stay `as_it_is`.
+    """
     # The writer quotes what its line ends are made of; a carriage return that is not quoted would begin a row.
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\r\n")
     lines = []
     for row in rows:
-        writer.writerow([_no_formula(value) for value in row])
+        writer.writerow(row if as_it_is else map(_no_formula, row))
         lines.append(text.getvalue().removesuffix("\r\n"))
         text.seek(0)
         text.truncate()

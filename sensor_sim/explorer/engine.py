@@ -21,25 +21,31 @@ import numpy as np
 from sensor_sim.curve_plan import CurvePlan, plan_curve
 from sensor_sim.explorer.estimate import (
     FEW_PLACES,
+    LATTICES,
     MORE_PLACES,
-    Estimate,
-    Level,
+    ORTHANT_TOLERANCE,
     Reference,
-    covariance_at,
-    estimate,
+    corrected,
     lattice_phases,
     quick_plan,
     seen_samples,
 )
 from sensor_sim.explorer.limits import Shares, decision_shares
 from sensor_sim.explorer.scaled import ScaledObserver, Unit, scaled
-from sensor_sim.predict import FoldedChain, Phases, PredictedThreshold, predict_threshold
+from sensor_sim.predict import (
+    FoldedChain,
+    Found,
+    Level,
+    Phases,
+    PredictedThreshold,
+    find_threshold,
+    predict_threshold,
+)
 from sensor_sim.sampling import field_detectors
 from sensor_sim.sensor import Sensor
 from sensor_sim.sharing import Kept, Shared
 from sensor_sim.sweep_work import as_computed
 from todframes._typing import FloatArray
-from todframes.observers.decision import answer_probability
 from todframes.observers.interface import Observer
 from todframes.psychometrics.fit import FitSettings
 from todframes.stimulus import Stimulus
@@ -55,9 +61,6 @@ THRESHOLDS_KEPT = 2000
 FAR_TOO_LARGE = 1.5
 """Error of an estimate, in tolerances, above which it is worth more time. What is stated is the upper end of the
 error, and mostly several times what it is; the estimate that is there in time then is good enough."""
-
-REFINED_NODES, PLACES_AT_ONCE = 12, 256
-"""Number of quadrature nodes, which gives 1e-7, and of places between two checks."""
 
 
 class Request(NamedTuple):
@@ -135,7 +138,7 @@ class Engine:
         sensor = replace(sensor, display=replace(sensor.display, gain=1.0))
         observer = scaled(partial(pickle.loads, pickled), pickled, scale, self._kept["readouts"])
         rough, fine = request.tolerances
-        todo: list[tuple[float, int, _Task, Hashable]] = []
+        todo: list[tuple[float, int, _Task, Hashable, _OnLattices]] = []
         for index, size in request.sizes:
             task = _Task(sensor, observer, size, request.p_correct, request.level)
             key: Hashable = (sensor, pickled, scale, size, request.p_correct, request.level, fine)
@@ -143,32 +146,33 @@ class Engine:
                 yield Answer(index, *self._known[key], is_refined=True)
                 continue
             self._check()
-            found, shares = self._estimated(task, rough)
+            found, shares, on_few = self._estimated(task, rough)
             yield Answer(index, found, shares, is_refined=False)
             difficulty = (
                 found.numerical_error / found.threshold if found.threshold and found.numerical_error else 0.0
             )
-            todo.append((difficulty, index, task, key))
-        for _, index, task, name in sorted(todo, key=lambda one: one[0]):
-            self._known[name] = self._refined(task, fine)
+            todo.append((difficulty, index, task, key, on_few))
+        for _, index, task, name, on_few in sorted(todo, key=lambda one: one[0]):
+            self._known[name] = self._refined(task, fine, on_few)
             if len(self._known) > THRESHOLDS_KEPT:
                 self._known.popitem(last=False)
             yield Answer(index, *self._known[name], is_refined=True)
 
-    def _estimated(self, task: _Task, tolerance: float) -> tuple[PredictedThreshold, Shares]:
-        """Return an estimate: on more places, which take three times as long, if its error is far too large."""
-        for places in (FEW_PLACES, MORE_PLACES):
-            found = self._on_lattices(task, places)
-            threshold = error = None
-            if found.estimate.status != "ok":
-                break
-            reference = self._references.get((task.level, task.size)) if places == FEW_PLACES else None
-            threshold, error = found.estimate.corrected(reference)
-            if error <= FAR_TOO_LARGE * tolerance * threshold:
-                break
+    def _estimated(self, task: _Task, tolerance: float) -> tuple[PredictedThreshold, Shares, _OnLattices]:
+        """Return an estimate, and that on few places.
+
+        More places, which take three times as long, are for an estimate whose error is far too large.
+        """
+        found = on_few = self._on_lattices(task, FEW_PLACES)
+        threshold = error = None
+        if on_few.found.status == "ok":
+            threshold, error = corrected(on_few.found, self._references.get((task.level, task.size)))
+            if error > FAR_TOO_LARGE * tolerance * threshold:
+                found = self._on_lattices(task, MORE_PLACES)
+                threshold, error = corrected(found.found, None) if found.found.status == "ok" else (None, None)
         n_phases = sum(part.signal[..., 0].size for part in found.phases)
-        of_size = PredictedThreshold(task.size, found.estimate.status, threshold, error, n_phases, ())
-        return of_size, _shares(found, task.level, threshold)
+        of_size = PredictedThreshold(task.size, found.found.status, threshold, error, n_phases)
+        return of_size, _shares(found, task.level, threshold), on_few
 
     def _on_lattices(self, task: _Task, places: int) -> _OnLattices:
         sensor, observer, size, p_correct, level = task
@@ -194,19 +198,29 @@ class Engine:
 
         phases = self._kept["trials"].get((sensor, observer.name, size, places), make).phases
         near, slope = self._near.get((level, size), (None, math.nan))
-        found = estimate(phases, look.noise_covariance, p_correct, level=level, near=near, slope=slope)
+        found = find_threshold(
+            phases,
+            look.noise_covariance,
+            p_correct,
+            n_replicates=LATTICES,
+            level=level,
+            near=near,
+            slope=slope,
+            tolerance=ORTHANT_TOLERANCE,
+        )
         if found.status == "ok":
             self._near[level, size] = found.threshold, found.slope
         return _OnLattices(found, phases, look.noise_covariance)
 
-    def _refined(self, task: _Task, tolerance: float) -> tuple[PredictedThreshold, Shares]:
+    def _refined(self, task: _Task, tolerance: float, on_few: _OnLattices) -> tuple[PredictedThreshold, Shares]:
         sensor, observer, size, p_correct, level = task
-        on_lattices = self._on_lattices(task, FEW_PLACES)
-        is_known = on_lattices.estimate.status == "ok"
-        unit = 1.0
+        is_known = on_few.found.status == "ok"
+        unit, near, slope = 1.0, None, math.nan
         if level == "contrast" and is_known:
             # What a plan leaves out is bounded at the contrast 1, which is to be near the threshold.
-            unit = 2.0 ** round(math.log2(on_lattices.estimate.threshold))
+            unit = 2.0 ** round(math.log2(on_few.found.threshold))
+        if is_known:
+            near, slope = on_few.found.threshold / unit, on_few.found.slope
         judge = cast("Observer", observer.times(1.0 / unit))
         plan = plan_curve(
             sensor,
@@ -218,20 +232,29 @@ class Engine:
             shared=self._shared,
         )
         plan = replace(plan, shared=self._refined_shared)
-        chain = _KeptChain(sensor, judge, size, plan, level=level, trials=self._kept["trials"], check=self._check)
-        found = predict_threshold(chain, p_correct=p_correct, tolerance=tolerance, n_points=0)
+        chain = _KeptChain(sensor, judge, size, plan, trials=self._kept["trials"], check=self._check)
+        found = predict_threshold(
+            chain,
+            p_correct=p_correct,
+            tolerance=tolerance,
+            n_points=0,
+            level=level,
+            near=near,
+            slope=slope,
+            check=self._check,
+        )
         if found.threshold is not None and found.numerical_error is not None:
             threshold, error = unit * found.threshold, unit * found.numerical_error
             found = replace(found, threshold=threshold, numerical_error=error)
             if is_known:
-                self._references[level, size] = on_lattices.estimate.as_reference(threshold, error)
-        return found, _shares(on_lattices, level, found.threshold)
+                self._references[level, size] = Reference.of(on_few.found, threshold, error)
+        return found, _shares(on_few, level, found.threshold)
 
 
 class _OnLattices(NamedTuple):
     """An estimate without correction, its trials, and the covariance of the internal noise."""
 
-    estimate: Estimate
+    found: Found
     phases: list[Phases]
     internal: FloatArray
 
@@ -284,15 +307,15 @@ class _KeptChain(FoldedChain):
         size_detectors: float,
         plan: CurvePlan,
         *,
-        level: Level,
         trials: Kept[list[_Trials]],
         check: Callable[[], None],
     ) -> None:
         super().__init__(sensor, observer, size_detectors, plan)
-        self._level, self._trials_kept, self._check = level, trials, check
+        self._trials_kept, self._check = trials, check
 
     def replicates(self, places: int, seed: int) -> list[list[Phases]]:
-        key = (self.plan.sampler.key, self.folding.key, self.orientations, self._level, places, seed)
+        is_noisy = self.plan.external_noise
+        key = (self.plan.sampler.key, self.folding.key, self.orientations, is_noisy, places, seed)
         make = super().replicates
         kept = self._trials_kept.get(key, lambda: [_Trials(phases) for phases in make(places, seed)])
         return [trials.phases for trials in kept]
@@ -300,14 +323,3 @@ class _KeptChain(FoldedChain):
     def phases(self, places: int, rng: np.random.Generator) -> list[Phases]:
         self._check()
         return super().phases(places, rng)
-
-    def _p_correct(self, phases: Phases, snr: float, contrast: float = 1.0) -> FloatArray:  # noqa: ARG002
-        """Compute P(correct) at a value of the level, given as `snr`; `contrast` is 1."""
-        found = []
-        for start in range(0, len(phases.signal), PLACES_AT_ONCE):
-            self._check()
-            part = slice(start, start + PLACES_AT_ONCE)
-            covariance = covariance_at(self._level, snr, self.noise_covariance, phases.noise[part, None])
-            scores = phases.signal[part]
-            found.append(answer_probability(scores, covariance, phases.correct, nodes=REFINED_NODES))
-        return np.concatenate(found)

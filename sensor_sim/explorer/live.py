@@ -16,12 +16,11 @@ from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from typing import Any
 
-from sensor_sim.explorer.estimate import Level
 from sensor_sim.explorer.limits import Limits, Shares, what_limits
-from sensor_sim.predict import PredictedThreshold
+from sensor_sim.predict import Level, PredictedThreshold
 from sensor_sim.sensor import Sensor
 from todframes.errors import TodframesError
-from todframes.jobs.start import safe_path
+from todframes.jobs.start import starting_processes
 from todframes.observers.interface import Observer
 from todframes.user_code import search_last, searched_last
 
@@ -232,7 +231,7 @@ class _Worker:
         context = multiprocessing.get_context("spawn")
         self.connection, other = context.Pipe()
         self._process = context.Process(target=_serve, args=(other, wanted), daemon=True)
-        with safe_path():
+        with starting_processes():
             self._process.start()
         other.close()
 

@@ -18,13 +18,12 @@ import numpy as np
 from msgspec import Meta
 from starlette.applications import Starlette
 
-from sensor_sim.explorer.estimate import Level
 from sensor_sim.explorer.live import LiveCurve, LiveCurves
 from sensor_sim.explorer.parameters import PARAMETERS
 from sensor_sim.explorer.plots import Format, PlotAsked, curve_plot, mtf_plot
 from sensor_sim.mtf_report import sensor_mtf
 from sensor_sim.noise import delta_t_mk
-from sensor_sim.predict import PredictedThreshold
+from sensor_sim.predict import Level, PredictedThreshold
 from sensor_sim.sampling import field_detectors
 from sensor_sim.sensor import SCHEMA, Sensor, sensor_from, sensor_toml
 from sensor_sim.simulation import SimulatedTrial

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import pickle
 from collections.abc import Callable, Hashable
 from dataclasses import replace
@@ -12,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sensor_sim.curve_plan import is_symmetric, not_linear
-from sensor_sim.explorer.quick_readout import quick_readout
 from sensor_sim.sharing import Kept
 from todframes._typing import FloatArray
 from todframes.observers.interface import Observer, OmittedWeights, Readout, TruncatedObserver
@@ -127,8 +125,8 @@ class ScaledObserver:
     def _parts(self, stimulus: Stimulus, half_width: int) -> tuple[Look, Weights]:
         """Compute the parts of a readout that are kept, and keep both."""
         if type(self._base) is PyramidObserver:
-            quick = quick_readout(self._base, stimulus, half_width, np.float32)
-            look, weights = Look(quick.noise_covariance, is_symmetric=True), Weights(quick.upright[None])
+            upright, covariance = self._base.weights_within(stimulus, half_width, np.float32)
+            look, weights = Look(covariance, is_symmetric=True), Weights(upright[None])
         else:
             whole = self._whole(stimulus)
             if not whole:
@@ -144,15 +142,10 @@ class ScaledObserver:
     def _whole(self, stimulus: Stimulus) -> list[_Whole]:
         """Return the readout on the whole retina, not scaled; none if the observer is not linear."""
         base = self._make()
-        if type(base) is not PyramidObserver:
-            readout = base.readout(stimulus)
-            if hasattr(base.readout, "cache_clear"):
-                base.readout.cache_clear()  # the observer refers to itself through it, and would live on for long
-            return [] if readout is None else [_Whole(readout)]
-        grid = base.grid(stimulus)
-        upright, covariance = quick_readout(base, stimulus, grid.side // 2, np.float64)
-        deviations = np.stack([np.rot90(upright, -k) for k in range(4)])
-        return [_Whole(Readout(grid, lambda: np.zeros_like(upright), deviations, covariance, math.nan))]
+        readout = base.readout(stimulus)
+        if hasattr(base.readout, "cache_clear"):
+            base.readout.cache_clear()  # the observer refers to itself through it, and would live on for long
+        return [] if readout is None else [_Whole(readout)]
 
 
 class _Whole(NamedTuple):

@@ -85,7 +85,7 @@ class Scene:
             own = case.own_noise * rng.normal(size=(n, 4)) @ self.external_root.T
             scores = factor * signal + common + own
             if case.decisions == "expected":
-                answers.append(answer_probability(scores, self.covariance, 0, nodes=24))
+                answers.append(answer_probability(scores, self.covariance, 0, tolerance=1e-9))
             else:
                 answers.append(((scores + internal).argmax(axis=1) == 0).astype(np.float64))
         curve: CurveName = "observer" if case.decisions == "expected" else "weibull"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 import time
 from dataclasses import replace
@@ -35,7 +36,8 @@ for size in {SIZES}:
     plan = plan_curve(sensor, observer, size, tolerance={TOLERANCE})  # as the command `curve` does
     chain = FoldedChain(sensor, observer, size, plan)
     for scale in (1.0, 0.5):  # internal noise 0.5 and 0.25
-        predict_threshold(chain.with_internal_noise(scale), tolerance={TOLERANCE})
+        chain.noise_covariance = scale**2 * chain.noise_covariance
+        predict_threshold(chain, tolerance={TOLERANCE})
 """
 
 
@@ -124,7 +126,8 @@ def rows() -> list[Row]:
     for size in SIZES:
         chain = FoldedChain(sensor, observer, size)
         for scale in (1.0, 0.5):
-            with_noise = chain.with_internal_noise(scale)
+            with_noise = copy.copy(chain)
+            with_noise.noise_covariance = scale**2 * chain.noise_covariance
             found = predict_threshold(with_noise, tolerance=TOLERANCE)
             assert found.threshold is not None
             literal += literal_s(with_noise, found.threshold)

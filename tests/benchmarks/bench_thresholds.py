@@ -53,7 +53,7 @@ class Scene:
         signal, noise = (
             (self.signal, self.external / level**2) if self.is_snr else (level * self.signal, self.external)
         )
-        return float(answer_probability(signal, self.internal + noise, 0, nodes=24).mean())
+        return float(answer_probability(signal, self.internal + noise, 0, tolerance=1e-9).mean())
 
     def level_at(self, p_correct: float) -> float | None:
         """Find the level of a proportion correct; None if it is never reached."""
@@ -65,7 +65,7 @@ class Scene:
         noise = np.einsum("nij,nj->ni", self.root[chosen], rng.normal(size=(POOL, 4)))
         signal = self.signal[chosen]
         scores = signal + noise / level if self.is_snr else level * signal + noise
-        return answer_probability(scores, self.internal, 0, nodes=24)
+        return answer_probability(scores, self.internal, 0, tolerance=1e-9)
 
 
 def naked_eye(size_mrad: float, external: float = 0.0) -> Scene:

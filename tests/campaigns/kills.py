@@ -447,7 +447,7 @@ def commands(folder: Path, *, n_repeats: int = 100) -> dict[str, Command]:
     sweep += ("--size-detectors", "4,6", "--tolerance", "0.05")
     found = [
         Command("score", (*score, "--workers", "1"), 0.003),
-        Command("score, 2 threads", (*score, "--workers", "2"), 0.006),
+        Command("score, 2 workers", (*score, "--workers", "2"), 0.006),
         Command("compare", compare, 0.002),
         Command("simulate", (*simulate, "--trials", str(4 * n_repeats)), 0.1),
         Command("import", ("todframes", "import", str(recording / "frames.npy"), *schedule), 0.01),

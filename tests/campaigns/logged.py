@@ -62,3 +62,5 @@ if __name__ == "__main__":
     module = import_module(f"{sys.argv[0]}.__main__")
     log_items()
     module.main()
+elif __name__ == "__mp_main__":  # a process of `--workers`
+    log_items()

@@ -7,6 +7,7 @@ python tests/campaigns/run.py faults               # full disks, second runs, fi
 python tests/campaigns/run.py planted              # links planted in OUT, and swapped in during the run
 python tests/campaigns/run.py servers              # endless, slow, compressed, cut and moved answers
 python tests/campaigns/run.py decoys               # modules and settings in the working folder
+python tests/campaigns/run.py explorer [N]         # 300 states of the explorer's page, requests held back
 python tests/campaigns/run.py people [N]           # 5 people of each of 8 kinds sit the experiment in Chromium
 """
 
@@ -18,6 +19,7 @@ from collections.abc import Sequence
 
 import damage
 import decoys
+import explorer
 import faults
 import kills
 import planted
@@ -28,10 +30,13 @@ import sitters
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a campaign and print what it has found. Returns the exit status."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    names = ["mutations", "kills", "long-run", "faults", "decoys", "servers", "planted", "people"]
+    names = ["mutations", "kills", "long-run", "faults", "decoys", "servers", "planted", "people", "explorer"]
     parser.add_argument("campaign", choices=names)
     parser.add_argument(
-        "n", nargs="?", type=int, help="number of mutations, kills or people of a kind [default: 10,000, 100, 5]"
+        "n",
+        nargs="?",
+        type=int,
+        help="number of mutations, kills, people of a kind or states [default: 10,000, 100, 5, 300]",
     )
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--first", type=int, default=0, help="number of the first mutation, to repeat a case")
@@ -57,6 +62,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
             print(*found, sep="\n", end="\n" if found else "")
             print(f"{n} commands among {n_decoys} decoys, {len(found)} faults")
             return int(bool(found))
+        case "explorer":
+            walked = explorer.campaign(asked.n or 300, seed=asked.seed)
+            print(walked.line())
+            return int(bool(walked.faults))
         case "servers":
             n, found = servers.campaign(only=asked.only)
         case "planted":

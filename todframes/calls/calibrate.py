@@ -76,7 +76,8 @@ def calibrate(
     on_error : {"stop", "skip"}
         At a frame that cannot be used or has changed since: raise, or leave its trials out and list them.
     workers : int
-        Threads that read and score.
+        Processes that read and score. With more than one, a script calls this below `if __name__ == "__main__":`,
+        because they import the script.
     progress : function of an int, optional
         Called with the number of trials that were just done.
 

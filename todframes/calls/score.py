@@ -90,7 +90,8 @@ def score(
     on_error : {"stop", "skip"}
         At a frame or row that cannot be used: raise, or go on and list it in `Result.skipped`.
     workers : int
-        Threads that read and score.
+        Processes that read and score. With more than one, a script calls this below `if __name__ == "__main__":`,
+        because they import the script.
     cluster : str, optional
         Address of a Dask scheduler, "tcp://…", or "local:N" for N processes; they do the work instead.
     store : path, optional

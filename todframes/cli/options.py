@@ -147,7 +147,7 @@ on_error_option = click.option(
 
 
 workers_option = click.option(
-    "--workers", type=click.IntRange(1), default=1, show_default=True, help="Threads that read and score."
+    "--workers", type=click.IntRange(1), default=1, show_default=True, help="Processes that read and score."
 )
 
 

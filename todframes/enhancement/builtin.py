@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal, TypeVar
 import cv2
 import numpy as np
 
-from todframes.enhancement.algorithm import Image, meaning, parameter
+from todframes.enhancement.algorithm import Image, algorithm, meaning, parameter
 
 F = TypeVar("F", bound=Callable[..., Any])
 

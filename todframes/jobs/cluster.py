@@ -1,54 +1,36 @@
-"""The engine that has work done by a Dask cluster: one that runs already, or processes of this machine.
+"""The engine of a Dask cluster: one that runs already, or processes of this machine.
 
-The client cuts the items into batches of a few seconds, keeps a few of them for each worker in flight, and takes
-the results as they come, so that little is lost with a worker. A batch carries items and the hash of the work. The
-work itself is sent to each process once, when the process asks for it.
-
-A batch whose worker died is given to another one. If workers keep dying with it, its halves are tried, and so on.
-An item that is left alone may still be innocent: Dask blames all batches that were given to a dead worker. Such
-items are put aside, and done one at a time with nothing else in flight. One that is killed then, twice, is lost.
+The executor is that of Dask's client. A plugin gives the work to each process, those that join later included.
 """
 
 from __future__ import annotations
 
 import asyncio
-import hashlib
-import itertools
 import logging
-import os
-import pickle
-import queue
 import re
-import signal
 import tempfile
 import threading
 import time
 import warnings
-from collections import deque
-from collections.abc import AsyncIterator, Coroutine, Generator, Iterable, Iterator, Sequence
-from concurrent.futures import Future, wait
+from collections.abc import AsyncIterator, Coroutine, Iterator
+from concurrent.futures import CancelledError, Future, wait
 from contextlib import AbstractAsyncContextManager, AsyncExitStack, asynccontextmanager, contextmanager, suppress
-from dataclasses import dataclass
-from multiprocessing import resource_tracker
-from typing import Any, Generic, NamedTuple, TypeVar
+from typing import Any, TypeVar
 
-import cloudpickle
 import dask
 import distributed
-from distributed import Client, KilledWorker, LocalCluster
+from distributed import Client, KilledWorker, LocalCluster, Worker, WorkerPlugin
 from distributed.versions import VersionMismatchWarning
 
 from todframes.errors import ClusterError, SettingsError, argument
 from todframes.jobs import worker
-from todframes.jobs.start import SAFE_PATH, safe_path
-from todframes.jobs.work import Lost, Work
-from todframes.jobs.worker import Done
-from todframes.signals import held_back, raise_again
-from todframes.threads import POLL_S
+from todframes.jobs.batches import POLL_S, ExecutorEngine, Killed
+from todframes.jobs.start import ENVIRONMENT, environment_kept, starting_processes
+from todframes.jobs.worker import Done, Unfit, Versions, forget, receive
+from todframes.signals import held_back
 from todframes.user_code import in_words, searched_last
 
 T = TypeVar("T")
-R = TypeVar("R")
 
 LOCAL = "local:"
 
@@ -80,24 +62,8 @@ BATCH_S = 2.0
 """Time that a batch is meant to take."""
 
 
-MOST_ITEMS = 10_000
-"""Largest number of items in a batch."""
-
-
-COLLECT_S = 1.0
-"""Time after which a batch is sent with the items that there are."""
-
-
 BATCHES_PER_THREAD = 4
 """Largest number of batches in flight for each thread of the workers."""
-
-
-DEATHS = 2
-"""Number of times that its process has to die with an item that is alone in flight before the item is lost."""
-
-
-MOST_SUSPECTS = 10
-"""Number of items put aside at which they are done before the rest."""
 
 
 LIBRARIES = ("distributed", "tornado", "bokeh")
@@ -119,7 +85,7 @@ def cluster_engine(cluster: str) -> Iterator[ClusterEngine]:
         yield ClusterEngine(cluster, client, background)
 
 
-class ClusterEngine:
+class ClusterEngine(ExecutorEngine):
     """The engine that has work done by a Dask cluster; `cluster_engine` makes it.
 
     Attributes
@@ -130,65 +96,70 @@ class ClusterEngine:
         URL of the scheduler's dashboard; None if it has none.
     """
 
-    is_local = False
+    name, batch_s, batches_per_worker = "--cluster", BATCH_S, BATCHES_PER_THREAD
 
     def __init__(self, cluster: str, client: Client, background: _Background) -> None:
+        super().__init__(background.result(_count_threads(client)))
         self._cluster = cluster
         self._client = client
-        self._works = _Works(cluster, client)
         self._background = background
-        self.n_workers = background.result(_count_threads(client))
         self.dashboard = _dashboard(client)
         self._last_worker_s = time.monotonic()
         background.start(self._keep_counting())
 
-    def run(
-        self, work: Work[T, R], items: Iterable[tuple[int, T]]
-    ) -> Generator[list[tuple[int, R | Lost]], None, None]:
-        """Yield the results of numbered items with their numbers, in batches, in any order.
-
-        Raises
-        ------
-        SettingsError
-            If the work cannot be pickled.
-        ClusterError
-            If the scheduler is gone, or no workers are left, or one of them cannot do the work.
-        """
-        plan = _Plan(work, items)
+    def _begin(self, key: str, work: bytes) -> None:
         # A cluster that runs already has other machines, which have their own modules.
         folders = searched_last() if self._cluster.startswith(LOCAL) else []
-        key = self._works.add(pickle.dumps((folders, _pickled(work))))
-        outcomes: queue.SimpleQueue[tuple[_Batch[T], Future[Done | _Killed]]] = queue.SimpleQueue()
-        in_flight: set[Future[Done | _Killed]] = set()
+        with self._scheduler_needed():
+            self._background.result(self._register(_Receiver(key, work, folders)))
+        self._executor = self._client.get_executor(pure=False)  # Dask remembers what has failed
 
-        def start(batch: _Batch[T]) -> None:
-            items = _pickled([item for _, item in batch.items])
-            future = self._background.start(self._works.outcome(key, items))
-            in_flight.add(future)
-            future.add_done_callback(lambda future: outcomes.put((batch, future)))
+    def _submit(self, key: str, items: bytes) -> Future[Any]:
+        with self._scheduler_needed():
+            future: Future[Any] = self._executor.submit(_do_batch, key, items, worker.versions())
+            return future
 
-        with held_back() as interrupt_if_asked:
-            try:
-                while True:
-                    raise_again()
-                    interrupt_if_asked()
-                    batch = None
-                    if len(in_flight) < BATCHES_PER_THREAD * max(self.n_workers, 1):
-                        batch = plan.next_batch(is_idle=not in_flight)
-                    if batch is not None:
-                        start(batch)
-                    elif not in_flight:
-                        return
-                    try:
-                        batch, future = outcomes.get(block=batch is None, timeout=POLL_S)
-                    except queue.Empty:
-                        self._check_workers()
-                    else:
-                        in_flight.remove(future)
-                        yield from plan.take(batch, future.result())
-            finally:
-                for future in in_flight:
-                    future.cancel()
+    def _outcome(self, future: Future[Any]) -> Done | Killed:
+        try:
+            with self._scheduler_needed():
+                outcome: Done | Unfit
+                address, outcome = future.result()
+        except KilledWorker as error:
+            return Killed(error.allowed_failures + 1)
+        except ClusterError:
+            raise
+        except Exception as error:  # of a worker that joined later and has another version of something
+            raise ClusterError(f"{self._cluster}: a worker cannot do the work ({in_words(error)})") from None
+        if isinstance(outcome, Unfit):
+            raise ClusterError(f"{self._cluster}: worker {address}: {outcome.problem}")
+        return outcome
+
+    def _end(self, key: str) -> None:
+        with suppress(OSError):
+            self._executor.shutdown(wait=False)
+        wait([self._background.start(self._unregister(key))], timeout=CLOSE_CLIENT_S)
+
+    def _check_workers(self) -> None:
+        if time.monotonic() - self._last_worker_s > WITHOUT_WORKERS_S:
+            raise ClusterError(
+                f"{self._cluster}: all workers have been gone for {WITHOUT_WORKERS_S:g} s; start some, then give "
+                "the same command again"
+            )
+
+    @contextmanager
+    def _scheduler_needed(self) -> Iterator[None]:
+        try:
+            yield
+        except (CancelledError, distributed.CancelledError, OSError):
+            raise ClusterError(
+                f"{self._cluster}: the Dask scheduler is gone; start it, then give the same command again"
+            ) from None
+
+    async def _register(self, receiver: _Receiver) -> None:
+        await self._client.register_plugin(receiver, name=receiver.key)
+
+    async def _unregister(self, key: str) -> None:
+        await self._client.unregister_worker_plugin(key)
 
     async def _keep_counting(self) -> None:
         while True:
@@ -198,167 +169,40 @@ class ClusterEngine:
                 self._last_worker_s = time.monotonic()
             await asyncio.sleep(COUNT_WORKERS_S)
 
-    def _check_workers(self) -> None:
-        if time.monotonic() - self._last_worker_s > WITHOUT_WORKERS_S:
-            raise ClusterError(
-                f"{self._cluster}: all workers have been gone for {WITHOUT_WORKERS_S:g} s; start some, then give "
-                "the same command again"
-            )
+
+class _Receiver(WorkerPlugin):  # type: ignore[misc]
+    """Plugin by which each process of a cluster receives a pickled work, and forgets it at the end of the run."""
+
+    def __init__(self, key: str, work: bytes, folders: list[str]) -> None:
+        self.key, self.work, self.folders = key, work, folders
+
+    def setup(self, worker: Worker) -> None:  # noqa: ARG002
+        """Receive the work."""
+        receive(self.key, self.work, self.folders)
+
+    def teardown(self, worker: Worker) -> None:  # noqa: ARG002
+        """Forget the work."""
+        forget(self.key)
 
 
-@dataclass(frozen=True, slots=True)
-class _Batch(Generic[T]):
-    """Items with their numbers. An item that was put aside has a batch of its own, with the deaths since then."""
-
-    items: Sequence[tuple[int, T]]
-    deaths: int | None = None
-
-
-class _Killed(NamedTuple):
-    """The outcome of a batch with which workers have died."""
-
-    deaths: int
-
-
-class _Plan(Generic[T, R]):
-    """The batches of a run: items not begun, what is left of batches, and items put aside."""
-
-    def __init__(self, work: Work[T, R], items: Iterable[tuple[int, T]]) -> None:
-        self._work = work
-        self._items = iter(items)
-        self._seconds_per_item = BATCH_S
-        self._waiting: deque[_Batch[T]] = deque()
-        self._suspects: deque[_Batch[T]] = deque()
-        self._is_alone = False
-
-    def next_batch(self, *, is_idle: bool) -> _Batch[T] | None:
-        """Return the next batch, or None if there is none now; `is_idle` says that none is in flight."""
-        if self._is_alone:
-            return None
-        if len(self._suspects) < MOST_SUSPECTS:
-            if self._waiting:
-                return self._waiting.popleft()
-            if items := self._collected():
-                return _Batch(items)
-        if self._suspects and is_idle:
-            self._is_alone = True
-            return self._suspects.popleft()
-        return None
-
-    def take(self, batch: _Batch[T], outcome: Done | _Killed) -> Iterator[list[tuple[int, R | Lost]]]:
-        """Yield the results of a batch, if there are any, and plan what is left of it. Raises the items' error."""
-        self._is_alone = False
-        if isinstance(outcome, _Killed):
-            yield from self._take_killed(batch, outcome.deaths)
-            return
-        done, left = batch.items[: outcome.n_items], batch.items[outcome.n_items :]
-        if done:
-            seconds = max(outcome.seconds / len(done), BATCH_S / MOST_ITEMS)
-            self._seconds_per_item = (self._seconds_per_item + seconds) / 2
-            numbers = [number for number, _ in done]
-            yield list(zip(numbers, pickle.loads(outcome.results), strict=True))
-        if outcome.error is not None:
-            raise outcome.error
-        if left:
-            self._waiting.appendleft(_Batch(left))
-
-    def _take_killed(self, batch: _Batch[T], deaths: int) -> Iterator[list[tuple[int, R | Lost]]]:
-        half = len(batch.items) // 2
-        if half:
-            self._waiting += [_Batch(batch.items[:half]), _Batch(batch.items[half:])]
-        elif batch.deaths is None:
-            self._suspects.append(_Batch(batch.items, 0))
-        elif batch.deaths + deaths < DEATHS:
-            self._suspects.append(_Batch(batch.items, batch.deaths + deaths))
-        else:
-            yield [(number, Lost(self._work.lost(item))) for number, item in batch.items]
-
-    def _collected(self) -> list[tuple[int, T]]:
-        found = []
-        started = time.monotonic()
-        for item in itertools.islice(self._items, max(1, int(BATCH_S / self._seconds_per_item))):
-            found.append(item)
-            if time.monotonic() - started > COLLECT_S:
-                break
-        return found
-
-
-class _Works:
-    """The works of an engine, pickled, and the sending of them and of their batches."""
-
-    def __init__(self, cluster: str, client: Client) -> None:
-        self._cluster = cluster
-        self._client = client
-        self._works: dict[str, bytes] = {}
-        self._numbers = itertools.count()
-        self._sending: set[asyncio.Task[None]] = set()
-        client.subscribe_topic(worker.REQUESTS, self._take_request)
-
-    def add(self, work: bytes) -> str:
-        """Add a pickled work. Returns its key."""
-        key = hashlib.sha256(work).hexdigest()
-        self._works[key] = work
-        return key
-
-    async def outcome(self, key: str, items: bytes) -> Done | _Killed:
-        """Have a batch of pickled items done by the work with a key.
-
-        Raises
-        ------
-        ClusterError
-            If the scheduler is gone, or a worker cannot do the work.
-        """
-        # A name of its own: Dask remembers what has failed.
-        name = (f"{self._client.id}-{key[:8]}", next(self._numbers))
-        future = self._client.submit(worker.do_batch, key, items, worker.versions(), key=name)
-        try:
-            # Dask fetches the results of several futures together. If the first task that waits for them were
-            # cancelled, so would be all others, for as long as the client lives.
-            outcome: Done | worker.Unfit = await asyncio.shield(future)
-        except KilledWorker as error:
-            return _Killed(error.allowed_failures + 1)
-        except (distributed.CancelledError, OSError):
-            raise ClusterError(
-                f"{self._cluster}: the Dask scheduler is gone; start it, then give the same command again"
-            ) from None
-        except Exception as error:  # of a worker that joined later and has another version of something
-            raise ClusterError(f"{self._cluster}: a worker cannot do the work ({in_words(error)})") from None
-        finally:
-            future.release()
-        if isinstance(outcome, worker.Unfit):
-            raise ClusterError(f"{self._cluster}: worker {outcome.address}: {outcome.problem}")
-        return outcome
-
-    def _take_request(self, event: tuple[float, list[str]]) -> None:
-        key, address = event[1]
-        if key in self._works:
-            task = asyncio.create_task(self._send(key, address))
-            self._sending.add(task)
-            task.add_done_callback(self._sending.discard)
-
-    async def _send(self, key: str, address: str) -> None:
-        await self._client.run(worker.receive, key, self._works[key], workers=[address], on_error="ignore")
-
-
-def _pickled(value: object) -> bytes:
-    try:
-        return bytes(cloudpickle.dumps(value))
-    except Exception as error:
-        raise SettingsError(
-            f"{argument.cluster}: cannot send this to other processes ({in_words(error)})"
-        ) from None
+def _do_batch(key: str, items: bytes, expected: Versions) -> tuple[str, Done | Unfit]:
+    """Do a batch in a worker of a cluster. Returns the worker's address and the outcome."""
+    address = distributed.get_worker().address
+    if (found := worker.versions()) != expected:
+        return address, Unfit(worker.different_versions(found, expected))
+    worker.keep_libraries_to_one_thread()
+    return address, worker.do_batch(key, items)
 
 
 class _Background:
     """An event loop in a thread of its own; interruptions are noticed while its results are waited for."""
 
     def __enter__(self) -> _Background:
-        with safe_path():
-            resource_tracker.ensure_running()  # it would lift the mask of the thread's signals
         self._loop = asyncio.new_event_loop()
         self._loop.set_exception_handler(lambda *_: None)  # of connections that nobody waits for any more
-        self._thread = threading.Thread(target=self._run, name="todframes cluster", daemon=True)
-        self._thread.start()
+        self._thread = threading.Thread(target=self._loop.run_forever, name="todframes cluster", daemon=True)
+        with starting_processes():  # by this thread; it inherits what processes do from it
+            self._thread.start()
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -393,12 +237,6 @@ class _Background:
         finally:
             with held_back():
                 wait([self.start(context.__aexit__(None, None, None))], timeout=CLOSE_S)
-
-    def _run(self) -> None:
-        if hasattr(signal, "pthread_sigmask"):
-            # Ctrl-C in a terminal reaches all processes; those that are started from here inherit the mask.
-            signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-        self._loop.run_forever()
 
 
 async def _cancel_all() -> None:
@@ -449,16 +287,15 @@ async def _client(address: str) -> AsyncIterator[Client]:
 @asynccontextmanager
 async def _local_cluster(n_workers: int) -> AsyncIterator[str]:
     """Start a scheduler in this process and worker processes, and yield the scheduler's address."""
-    environment = worker.THREADS_ENVIRONMENT | {SAFE_PATH: "1"}
     settings = {
         "distributed.worker.multiprocessing-method": "spawn",
-        "distributed.nanny.pre-spawn-environ": environment,
+        "distributed.nanny.pre-spawn-environ": ENVIRONMENT,
         # Samples of the stack, a hundred each second, and nobody who looks at them.
         "distributed.worker.profile.enabled": False,
         # A process that dies is started again, without end; Dask gives one up that happens to be down after this.
         "distributed.deploy.lost-worker-timeout": "1000 days",
     }
-    with _environment_kept(environment), dask.config.set(settings), tempfile.TemporaryDirectory() as folder:
+    with environment_kept(ENVIRONMENT), dask.config.set(settings), tempfile.TemporaryDirectory() as folder:
         cluster = LocalCluster(
             n_workers=n_workers,
             threads_per_worker=1,
@@ -482,19 +319,6 @@ async def _local_cluster(n_workers: int) -> AsyncIterator[str]:
             closing = (nanny.close(timeout=KILL_S) for nanny in cluster.workers.values())
             await asyncio.gather(*closing, return_exceptions=True)
             await cluster.close()
-
-
-@contextmanager
-def _environment_kept(names: Iterable[str]) -> Iterator[None]:
-    """Restore variables of the environment, which Dask sets in this process before it starts another one."""
-    before = {name: os.environ.get(name) for name in names}
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            os.environ.pop(name, None)
-            if value is not None:
-                os.environ[name] = value
 
 
 async def _check(client: Client, cluster: str) -> None:

@@ -1,9 +1,9 @@
-"""The choice of an engine: threads of this process, or processes of a cluster."""
+"""The choice of an engine: this process, others of this machine, or those of a cluster."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from importlib.util import find_spec
 
 from todframes.errors import SettingsError, argument
@@ -19,9 +19,9 @@ def open_engine(cluster: str | Engine | None, workers: int) -> Iterator[Engine]:
     ----------
     cluster : str, Engine or None
         Address of a Dask scheduler, "local:N" for N processes of this machine, or an engine that is open already.
-        None: threads of this process.
+        None: `workers` processes of this machine.
     workers : int
-        Number of threads without a cluster.
+        Number of processes without a cluster. One: the calling thread does the work.
 
     Raises
     ------
@@ -30,8 +30,13 @@ def open_engine(cluster: str | Engine | None, workers: int) -> Iterator[Engine]:
     ClusterError
         If there is no such cluster, or its workers cannot do this work.
     """
-    if cluster is None:
-        yield LocalEngine(workers)
+    if cluster is None and workers == 1:
+        yield LocalEngine()
+    elif cluster is None:
+        from todframes.jobs.processes import ProcessEngine
+
+        with closing(ProcessEngine(workers)) as processes:
+            yield processes
     elif not isinstance(cluster, str):
         yield cluster
     elif find_spec("distributed") is None:

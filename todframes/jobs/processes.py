@@ -1,180 +1,183 @@
-"""The engine of one machine for work that holds the interpreter lock: processes, each at the end of a pipe."""
+"""The engine of one machine: processes, each with a pool of its own."""
 
 from __future__ import annotations
 
 import multiprocessing
-import pickle
-import signal
-from collections import deque
-from collections.abc import Generator, Iterable, Iterator, Sequence
+import os
+import threading
+from collections.abc import Callable, Mapping
+from concurrent.futures import Executor, Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
-from itertools import islice
-from multiprocessing.connection import Connection, wait
+from functools import partial
+from multiprocessing.process import BaseProcess
 from typing import Any
 
 from todframes.errors import TodframesError
-from todframes.jobs.start import safe_path
-from todframes.jobs.work import Item, Lost, Result, Work
-from todframes.signals import held_back
-from todframes.threads import POLL_S
-from todframes.user_code import search_last, searched_last
+from todframes.jobs import worker
+from todframes.jobs.batches import ExecutorEngine, Killed
+from todframes.jobs.start import starting_processes
+from todframes.jobs.worker import Done, Unfit
+from todframes.user_code import searched_last
 
-ITEMS_PER_TASK = 8
-"""Number of items that a process takes at a time."""
+BATCH_S = 0.5
+"""Time that a batch is meant to take."""
 
-END_S = 1.0
-"""Time that a process has to end by itself, in seconds."""
+BATCHES_PER_PROCESS = 2
+"""Largest number of batches of a process: the one that it works on, and the next."""
 
 
-class ProcessEngine:
-    """Work in new processes of this machine, as an `Engine`; results come in any order.
+class Processes(Executor):
+    """Executor of processes of this machine, each with a pool of its own: one that dies takes only its own tasks.
 
-    It is for work in Python itself and on small arrays, which threads do not speed up. Each process imports the
-    script that runs, so a script calls below `if __name__ == "__main__":`.
+    A process is started when there is a task for it, and again after it has died. Each imports the script that
+    runs, so a script calls below `if __name__ == "__main__":`. All end with this process, however it ends.
+
+    Parameters
+    ----------
+    n_processes : int
+    """
+
+    def __init__(self, n_processes: int) -> None:
+        self._set_ups: dict[str, Callable[[], object]] = {}
+        self._processes = [_Process() for _ in range(n_processes)]
+
+    def submit(self, function: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        """Have the process with the fewest tasks call a function.
+
+        Raises
+        ------
+        TodframesError
+            If a process has died as it started.
+        """
+        process = min(self._processes, key=lambda one: len(one.tasks))
+        return process.submit(self._set_ups, partial(function, *args, **kwargs))
+
+    def set_up(self, name: str, function: Callable[[], object]) -> None:
+        """Have each process call a function once before the tasks that are submitted from now on."""
+        self._set_ups[name] = function
+
+    def tear_down(self, name: str, function: Callable[[], object]) -> None:
+        """Have each process that has called the function of `set_up` call another one."""
+        if self._set_ups.pop(name, None) is not None:
+            for process in self._processes:
+                process.tear_down(name, function)
+
+    def check(self) -> None:
+        """Raise TodframesError if a process has died as it started."""
+        for process in self._processes:
+            process.check()
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:  # noqa: ARG002
+        """End all processes at once."""
+        for process in self._processes:
+            process.end()
+
+
+class _Process:
+    """A process, which starts with its first task, and the tasks that it has."""
+
+    def __init__(self) -> None:
+        self.tasks: set[Future[Any]] = set()
+        self._pool: ProcessPoolExecutor | None = None
+
+    def submit(self, set_ups: Mapping[str, Callable[[], object]], task: Callable[[], Any]) -> Future[Any]:
+        """Have the process do a task, and before it those of `set_ups` that it has not done."""
+        while True:
+            pool = self._pool or self._start()
+            try:
+                for name in set_ups.keys() - self._set_up:
+                    pool.submit(set_ups[name])
+                    self._set_up.add(name)
+                future = pool.submit(task)
+            except BrokenProcessPool:  # it has died
+                self.check()
+                self.end()
+                continue
+            self.tasks.add(future)
+            future.add_done_callback(self.tasks.discard)
+            return future
+
+    def tear_down(self, name: str, function: Callable[[], object]) -> None:
+        """Have the process call a function if it has done the set-up of this name."""
+        if self._pool is not None and name in self._set_up:
+            self._set_up.remove(name)
+            with suppress(BrokenProcessPool):
+                self._pool.submit(function)
+
+    def check(self) -> None:
+        """Raise TodframesError if the process has died as it started."""
+        if self._pool is not None and self._started.done() and self._started.exception() is not None:
+            raise TodframesError(
+                "workers: a process could not start; a script must call this below "
+                '`if __name__ == "__main__":`, and there must be memory for all'
+            )
+
+    def end(self) -> None:
+        """End the process at once."""
+        if self._pool is not None:
+            self._child.kill()
+            self._pool.shutdown(cancel_futures=True)
+            self._pool = None
+
+    def _start(self) -> ProcessPoolExecutor:
+        context = multiprocessing.get_context("spawn")  # a fork would copy the locks of threads
+        self._set_up: set[str] = set()
+        with starting_processes():
+            others = set(multiprocessing.active_children())
+            self._pool = ProcessPoolExecutor(1, context, initializer=_end_with_parent)
+            self._started = self._pool.submit(os.getpid)
+            self._child: BaseProcess
+            (self._child,) = set(multiprocessing.active_children()) - others
+        return self._pool
+
+
+class ProcessEngine(ExecutorEngine):
+    """The engine of processes of this machine.
 
     Parameters
     ----------
     n_workers : int
         Number of processes.
-    items_per_task : int
-        Number of items that a process takes at a time; neighbours may share parts of their computation.
     """
 
-    is_local = False
-    dashboard: str | None = None
+    name, batch_s, batches_per_worker = "workers", BATCH_S, BATCHES_PER_PROCESS
 
-    def __init__(self, n_workers: int, *, items_per_task: int = ITEMS_PER_TASK) -> None:
-        self.n_workers = n_workers
-        self.items_per_task = items_per_task
+    def __init__(self, n_workers: int) -> None:
+        super().__init__(n_workers)
+        self._processes = Processes(n_workers)
 
-    def run(
-        self, work: Work[Item, Result], items: Iterable[tuple[int, Item]]
-    ) -> Generator[list[tuple[int, Result | Lost]], None, None]:
-        """Yield lists of items that are finished, as (number, result).
+    def close(self) -> None:
+        """End the processes."""
+        self._processes.shutdown()
 
-        If a process dies, its items are tried again one at a time. An item whose process dies again is lost.
+    def _begin(self, key: str, work: bytes) -> None:
+        self._processes.set_up(key, partial(worker.receive, key, work, searched_last()))
 
-        Raises
-        ------
-        TodframesError
-            If processes cannot be started.
-        """
-        tasks = self._tasks(items)
-        suspects: deque[list[tuple[int, Item]]] = deque()
-        tried: set[int] = set()
-        workers: list[_Worker] = []
-        with held_back() as interrupt_if_asked:
-            try:
-                workers += [_Worker(work) for _ in range(self.n_workers)]
-                while True:
-                    for worker in workers:
-                        if not worker.task:
-                            worker.begin(suspects.popleft() if suspects else next(tasks, []))
-                    busy = {worker.connection: worker for worker in workers if worker.task}
-                    if not busy:
-                        return
-                    ready = wait(list(busy), timeout=POLL_S)
-                    interrupt_if_asked()
-                    for worker in [busy[connection] for connection in ready]:  # type: ignore[index]
-                        if not worker.is_started:
-                            worker.start()
-                            continue
-                        task, answer = worker.finished()
-                        if answer is not None:
-                            yield answer
-                            continue
-                        worker.end()
-                        workers[workers.index(worker)] = _Worker(work)
-                        number, item = task[0]
-                        if number in tried:
-                            yield [(number, Lost(work.lost(item)))]
-                        else:
-                            tried.update(number for number, _ in task)
-                            suspects.extend([one] for one in task)
-            finally:
-                for worker in workers:
-                    worker.end()
+    def _submit(self, key: str, items: bytes) -> Future[Any]:
+        return self._processes.submit(worker.do_batch, key, items)
 
-    def _tasks(self, items: Iterable[tuple[int, Item]]) -> Iterator[list[tuple[int, Item]]]:
-        items = iter(items)
-        while task := list(islice(items, self.items_per_task)):
-            yield task
-
-
-class _Worker:
-    """A process, and the items that it works on."""
-
-    def __init__(self, work: Work[Any, Any]) -> None:
-        context = multiprocessing.get_context("spawn")  # a fork would copy the locks of threads
-        self.connection, other = context.Pipe()
-        self.task: list[tuple[int, Any]] = []
-        self.is_started = False
-        arguments = (other, searched_last(), pickle.dumps(work))
-        self._process = context.Process(target=_serve, args=arguments, daemon=True)
-        with safe_path():
-            self._process.start()
-        other.close()
-
-    def start(self) -> None:
-        """Take note that the process has started.
-
-        Raises
-        ------
-        TodframesError
-            If it has died instead.
-        """
+    def _outcome(self, future: Future[Any]) -> Done | Killed:
         try:
-            self.is_started = self.connection.recv()
-        except (EOFError, OSError):
-            raise TodframesError(
-                "workers: a process could not start; a script must call this below "
-                '`if __name__ == "__main__":`, and an observer of one\'s own must be in a file'
-            ) from None
+            outcome: Done | Unfit = future.result()
+        except BrokenProcessPool:
+            self._processes.check()
+            return Killed(1)
+        if isinstance(outcome, Unfit):
+            raise TodframesError(f"workers: {outcome.problem}; an observer of one's own must be in a file")
+        return outcome
 
-    def begin(self, task: list[tuple[int, Any]]) -> None:
-        """Give the process items; none if the list is empty."""
-        self.task = task
-        if task:
-            with suppress(OSError):  # if it has died, `finished` tells
-                self.connection.send(task)
-
-    def finished(self) -> tuple[list[tuple[int, Any]], list[tuple[int, Any]] | None]:
-        """Return the items of the process and their results; None if it has died.
-
-        An exception of the work is raised here.
-        """
-        try:
-            answer = self.connection.recv()
-        except (EOFError, OSError):
-            return self.task, None
-        if isinstance(answer, BaseException):
-            raise answer
-        task, self.task = self.task, []
-        return task, answer
-
-    def end(self) -> None:
-        """End the process, at once if it works."""
-        if self.task:
-            self._process.terminate()
-        self.connection.close()
-        self._process.join(END_S)
-        if self._process.is_alive():
-            self._process.kill()
-            self._process.join()
-        self._process.close()
+    def _end(self, key: str) -> None:
+        self._processes.tear_down(key, partial(worker.forget, key))
 
 
-def _serve(connection: Connection, folders: Sequence[str], work: bytes) -> None:
-    """Do the tasks that come through a pipe until it is closed; the other end deals with Ctrl-C."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    search_last(folders)
-    function = pickle.loads(work).function()
-    connection.send(True)
-    with suppress(EOFError, OSError):  # the other end is closed
-        while True:
-            task = connection.recv()
-            try:
-                answer: object = [(number, function(item)) for number, item in task]
-            except Exception as error:  # it is raised at the other end
-                answer = error
-            connection.send(answer)
+def _end_with_parent() -> None:
+    """End this process as soon as its parent has ended, however that was."""
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+
+    def end() -> None:
+        parent.join()
+        os._exit(1)
+
+    threading.Thread(target=end, daemon=True).start()

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import time
 from array import array
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
-from typing import Generic, Protocol, TypeVar
+from functools import partial
+from typing import Any, Generic, Protocol, TypeVar
 
 import msgspec
 
@@ -15,7 +16,6 @@ from todframes.errors import TodframesError
 from todframes.jobs.local import ITEMS_PER_TASK
 from todframes.jobs.store import Store
 from todframes.jobs.work import Engine, Lost, Work
-from todframes.threads import map_in_threads
 
 Item = TypeVar("Item")
 Item_contra = TypeVar("Item_contra", contravariant=True)
@@ -27,10 +27,6 @@ LOOKED_AT_S = 0.5
 
 WORTH_S = 4.0
 """Shortest run whose results are kept as they come, in seconds."""
-
-
-FOUND_AT_ONCE = 512
-"""Number of items whose keys are computed before their results are looked up."""
 
 
 class StoredWork(Work[Item_contra, Result], Protocol[Item_contra, Result]):
@@ -47,6 +43,12 @@ class StoredWork(Work[Item_contra, Result], Protocol[Item_contra, Result]):
 
     def stamp(self, item: Item_contra) -> object:
         """Return what changes when a file of the item is written, without reading it."""
+
+    def stamped_key(self, item: Item_contra, stamp: object) -> bytes | None:
+        """Return a key that stands for the stamp in place of the bytes of files; None if that is not enough.
+
+        It spares the reading of files that an earlier run has read.
+        """
 
     def encode(self, result: Result) -> bytes | None:
         """Return a result as bytes; None if it is not to be kept."""
@@ -129,14 +131,17 @@ def _rows(
             encoded = work.encode(one.result)
             if encoded is not None:
                 rows.append((one.key, encoded))
+                if one.stamped_key is not None:
+                    rows.append((one.stamped_key, one.key))
     return rows
 
 
 @dataclass
 class KeyedResult(Generic[Result]):
-    """A result and its key; None if it is not to be kept."""
+    """A result with its key, None if it is not to be kept, and the key by its stamp, under which `key` is kept."""
 
     key: bytes | None
+    stamped_key: bytes | None
     result: Result
 
 
@@ -152,7 +157,7 @@ class Keyed(Generic[Item, Result]):
 
     @property
     def items_at_once(self) -> int:
-        """Number of items that a thread takes at a time."""
+        """Number of items that come back at a time from the calling thread."""
         return getattr(self.work, "items_at_once", ITEMS_PER_TASK)
 
     def function(self) -> Callable[[Item], KeyedResult[Result]]:
@@ -161,12 +166,13 @@ class Keyed(Generic[Item, Result]):
 
         def do(item: Item) -> KeyedResult[Result]:
             if not self.records:
-                return KeyedResult(None, function(item))
-            before = work.stamp(item)
+                return KeyedResult(None, None, function(item))
+            stamp = work.stamp(item)
+            stamped_key = work.stamped_key(item, stamp)
             result = function(item)
             key = work.key(item, is_done=True)
             # A file that was written meanwhile has another key than the bytes that were worked on.
-            return KeyedResult(key if work.stamp(item) == before else None, result)
+            return KeyedResult(key if work.stamp(item) == stamp else None, stamped_key, result)
 
         return do
 
@@ -180,22 +186,43 @@ def _found(
 ) -> Generator[tuple[int, Result | Lost], None, Sequence[int]]:
     """Yield the results that the store has; return the places of the other items."""
 
-    def keys(places: range) -> list[bytes | None]:
-        return [work.key(items[place], is_done=False) for place in places]
+    def result_of(key: bytes) -> Result | None:
+        encoded = store.get(key)
+        result = None if encoded is None else _decoded(work, encoded)
+        store.n_used += result is not None
+        return result
 
-    def chunks() -> Iterator[range]:
-        for start in range(0, len(items), FOUND_AT_ONCE):
-            yield range(start, min(start + FOUND_AT_ONCE, len(items)))
-
-    left = array("q")
-    with closing(map_in_threads(keys, chunks(), engine.n_workers if engine.is_local else 1)) as computed:
-        for places, of_chunk in zip(chunks(), computed, strict=True):
-            for place, key in zip(places, of_chunk, strict=True):
-                encoded = None if key is None else store.get(key)
-                result = None if encoded is None else _decoded(work, encoded)
+    unread, left = array("q"), array("q")
+    for place, item in enumerate(items):
+        stamped_key = work.stamped_key(item, work.stamp(item))
+        key = None if stamped_key is None else store.get(stamped_key)
+        if key is None:
+            unread.append(place)
+        elif (result := result_of(key)) is None:
+            left.append(place)
+        else:
+            yield place, result
+    with closing(engine.run(_Keys(work), ((place, items[place]) for place in unread))) as batches:
+        for batch in batches:
+            for place, of_content in batch:
+                result = None if of_content is None or isinstance(of_content, Lost) else result_of(of_content)
                 if result is None:
                     left.append(place)
                 else:
-                    store.n_used += 1
                     yield place, result
-    return left
+    return array("q", sorted(left))
+
+
+@dataclass
+class _Keys(Generic[Item]):
+    """Work that computes the keys of items whose files have to be read for it."""
+
+    work: StoredWork[Item, Any]
+
+    def function(self) -> Callable[[Item], bytes | None]:
+        """Return the function of an item that returns its key."""
+        return partial(self.work.key, is_done=False)
+
+    def lost(self, item: Item) -> TodframesError:
+        """Return the error about an item whose process died with it."""
+        return self.work.lost(item)

@@ -1,28 +1,43 @@
-"""Start of other processes, which import nothing from the current folder."""
+"""Start of other processes, which import nothing from the current folder, and leave Ctrl-C to this one."""
 
 from __future__ import annotations
 
 import os
+import signal
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from multiprocessing import resource_tracker
 
 from todframes.errors import SettingsError
 
-SAFE_PATH = "PYTHONSAFEPATH"
+THREADS_ENVIRONMENT = dict.fromkeys(
+    (
+        "OMP_NUM_THREADS",
+        "OPENBLAS_NUM_THREADS",
+        "MKL_NUM_THREADS",
+        "OPENCV_FOR_THREADS_NUM",
+        "OPENIMAGEIO_THREADS",
+    ),
+    "1",
+)
+"""Environment in which native libraries use one thread, as processes share the processors."""
+
+ENVIRONMENT = THREADS_ENVIRONMENT | {"PYTHONSAFEPATH": "1"}
+"""Environment of new processes, which do not search the current folder."""
 
 _lock = threading.RLock()
 """Lock held while the environment of this process is that of a new one."""
 
 
 @contextmanager
-def safe_path() -> Iterator[None]:
-    """Keep the current folder off the import path of processes that are started in the block.
+def starting_processes() -> Iterator[None]:
+    """Keep the current folder off the import path of processes that the block starts, and Ctrl-C from them.
 
     Python starts processes by `python -c`, which searches the current folder first; a dataset of unknown origin
-    may lie there. What starts first may be the resource tracker of `multiprocessing`, so this holds for the making
-    of queues and shared memory, too.
+    may lie there. Ctrl-C in a terminal reaches all processes; new ones inherit the mask of signals of the thread
+    that starts them, as its new threads do.
 
     Raises
     ------
@@ -33,12 +48,25 @@ def safe_path() -> Iterator[None]:
         raise SettingsError(
             "workers: found python -E, whose processes search the current folder; expected python -I"
         )
-    with _lock:
-        before = os.environ.get(SAFE_PATH)
-        os.environ[SAFE_PATH] = "1"
+    with _lock, environment_kept(ENVIRONMENT):
+        os.environ.update(ENVIRONMENT)
+        resource_tracker.ensure_running()  # it would lift the mask
+        mask = getattr(signal, "pthread_sigmask", lambda *_: None)
+        before = mask(getattr(signal, "SIG_BLOCK", 0), {signal.SIGINT})
         try:
             yield
         finally:
-            os.environ.pop(SAFE_PATH, None)
-            if before is not None:
-                os.environ[SAFE_PATH] = before
+            mask(getattr(signal, "SIG_SETMASK", 0), before)
+
+
+@contextmanager
+def environment_kept(names: Iterable[str]) -> Iterator[None]:
+    """Restore variables of the environment at the end of the block."""
+    before = {name: os.environ.get(name) for name in names}
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            os.environ.pop(name, None)
+            if value is not None:
+                os.environ[name] = value

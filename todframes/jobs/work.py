@@ -24,7 +24,7 @@ class Work(Protocol[Item, Result]):
 
     It is sent once to each process, and the items go separately: large data belong in the work, or in files that
     it names, and never in the items. Errors of single items that shall not end the run are results. Work on large
-    items may have an attribute `items_at_once`, the number that a thread takes at a time.
+    items may have an attribute `items_at_once`, the number that come back at a time from the calling thread.
     """
 
     def function(self) -> Callable[[Item], Result]:
@@ -37,7 +37,7 @@ class Work(Protocol[Item, Result]):
 
 
 class Engine(Protocol):
-    """Protocol of what does the work of a run: `n_workers` threads of this process if `is_local`, or processes.
+    """Protocol of what does the work of a run: the calling thread if `is_local`, or `n_workers` processes.
 
     `dashboard` is the address of a page that shows the work; None if there is none.
     """

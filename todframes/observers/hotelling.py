@@ -17,7 +17,7 @@ from typing import Annotated, ClassVar
 
 import numpy as np
 from msgspec import Meta
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 
 from todframes._typing import FloatArray
 from todframes.errors import SettingsError
@@ -157,6 +157,9 @@ class HotellingObserver(PyramidObserver):
         upright = super()._template_deviation(stimulus)
         used = self._informative(upright)
         return self._ideal(tuple(map(np.multiply, upright, used)), used, self.grid(stimulus))
+
+    def _readout_deviation(self, stimulus: Stimulus, dtype: DTypeLike) -> Bands:
+        return tuple(band.astype(dtype) for band in self._template_deviation(stimulus))
 
     def _informative(self, upright: Bands) -> tuple[NDArray[np.bool_], ...]:
         share = self.settings.informative_share

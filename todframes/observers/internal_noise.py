@@ -52,13 +52,14 @@ def summed_noise(turned: Sequence[Bands], noise_sd: float) -> SummedNoise:
         return fourth_cumulants(noise_sd * np.array(rows), excess_kurtosis=UNIFORM_EXCESS_KURTOSIS)
 
     is_gaussian = abs(kurtosis) <= LEAST_KURTOSIS
-    return SummedNoise(noise_sd**2 * _overlaps(turned), kurtosis, None if is_gaussian else find_fourth_cumulants)
+    covariance = summed_covariance(turned, noise_sd)
+    return SummedNoise(covariance, kurtosis, None if is_gaussian else find_fourth_cumulants)
 
 
-def _overlaps(turned: Sequence[Bands]) -> FloatArray:
-    """Compute the inner products of the four template deviations, (4, 4): a circulant matrix by symmetry."""
+def summed_covariance(turned: Sequence[Bands], noise_sd: float) -> FloatArray:
+    """Compute the covariance alone, (4, 4), of the same: a circulant matrix by symmetry."""
     same, beside, opposite = (sum(map(inner_product, turned[0], turned[k])) for k in range(3))
-    row = [same, beside, opposite, beside]
+    row = noise_sd**2 * np.array([same, beside, opposite, beside])
     return np.array([np.roll(row, k) for k in range(4)])
 
 

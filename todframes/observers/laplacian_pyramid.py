@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from todframes._typing import FloatArray
 from todframes.errors import SettingsError
+
+BORDER = 4
+"""Samples of zeros about what is not zero: the filters of the pyramid reach two samples."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,19 +56,71 @@ class LaplacianPyramid:
             image = reduced
         return [*bands, image.copy()]
 
-    def collapse(self, bands: Sequence[FloatArray]) -> FloatArray:
-        """Restore the image from its bands and residual: the inverse of `build`."""
-        image = bands[-1]
-        for band in reversed(bands[:-1]):
-            image = band + self.expand(image, band.shape)
-        return np.array(image)
-
     def adjoint(self, bands: Sequence[FloatArray]) -> FloatArray:
         """Return the image Lᵀy with ⟨y, Lx⟩ = ⟨Lᵀy, x⟩ for every image x, L being `build`."""
         image = bands[-1]
         for band in reversed(bands[:-1]):
             image = band + self.reduce_adjoint(image - self.expand_adjoint(band), band.shape)
         return np.array(image)
+
+    def build_middle(self, image: NDArray[Any], half: int) -> list[NDArray[Any]]:
+        """Compute the bands and the residual of an image that is zero but in its middle, each in its own square.
+
+        Parameters
+        ----------
+        image : ndarray, shape (n, n)
+            Middle of the image, float32 or float64, n odd, with `BORDER` samples of zeros on each side or more.
+        half : int
+            Samples on each side of the whole image's middle one, a multiple of 2 ** levels.
+
+        Returns
+        -------
+        list of ndarray
+            Middles of the bands, with odd sides; beyond them the bands are zero.
+        """
+        bands = []
+        for level in range(self.levels):
+            reduced: NDArray[Any] = np.asarray(self.reduce(image), dtype=image.dtype)
+            bands.append(image - np.asarray(self.expand(reduced, image.shape), dtype=image.dtype))
+            # What is not zero reaches two samples further, that is one of the next level.
+            needed = min(even_half(image.shape[0] // 4 + BORDER), half >> (level + 1))
+            image = framed(reduced, max(needed, reduced.shape[0] // 2))
+        return [*bands, image.copy()]
+
+    def adjoint_middle(self, bands: Sequence[NDArray[Any]], half: int, half_width: int) -> NDArray[Any]:
+        """Compute the middle of `adjoint` of bands that are zero beyond their squares.
+
+        Parameters
+        ----------
+        bands : sequence of ndarray
+            As of `build_middle`.
+        half : int
+            Samples on each side of the whole image's middle one.
+        half_width : int
+            Samples on each side that are asked for.
+
+        Returns
+        -------
+        ndarray, shape (2 · half_width + 1,) * 2
+        """
+        wanted = [even_half(half_width)]
+        for _ in bands[1:]:
+            wanted.append(even_half(wanted[-1] / 2.0 + 2.0))
+        # Near the border it is the whole image, as the border is mirrored.
+        wanted = [needed if needed < (half >> level) - 6 else half >> level for level, needed in enumerate(wanted)]
+        image = framed(bands[-1], wanted[-1])
+        for level in range(len(bands) - 2, -1, -1):
+            band, needed = bands[level], wanted[level]
+            expanded_adjoint = np.asarray(self.expand_adjoint(band), dtype=band.dtype)
+            difference = image - framed(expanded_adjoint, wanted[level + 1])
+            if needed == half >> level:
+                image = np.asarray(self.reduce_adjoint(difference, (2 * needed + 1,) * 2), dtype=band.dtype)
+            else:  # away from the border it is EXPAND less its gain
+                wider = 2 * wanted[level + 1]
+                expanded = np.asarray(self.expand(difference, (2 * wider + 1,) * 2), dtype=band.dtype)
+                image = 0.25 * framed(expanded, needed)
+            image = image + framed(band, needed)
+        return framed(image, half_width)
 
     def reduce(self, image: FloatArray) -> FloatArray:
         """Filter and keep every second sample: (n + 1) // 2 along each axis (REDUCE)."""
@@ -104,16 +162,31 @@ class LaplacianPyramid:
         return np.asarray(filtered)
 
 
+def even_half(half: float) -> int:
+    """Return the half-width of a square, rounded up to an even number: its REDUCE has a middle sample too."""
+    return 2 * math.ceil(half / 2.0)
+
+
+def framed(image: NDArray[Any], half: int) -> NDArray[Any]:
+    """Return the middle of an image, so many samples to each side, with zeros where it ends before."""
+    excess = half - image.shape[0] // 2
+    if excess > 0:
+        return np.pad(image, excess)
+    return image[-excess : image.shape[0] + excess, -excess : image.shape[0] + excess]
+
+
 def _expand_binomial(image: FloatArray, shape: tuple[int, ...]) -> FloatArray:
     """Expand with [1 4 6 4 1]/16 at half the time, on one sample more than needed.
 
     cv2.pyrUp is wrong in its last rows and columns, so it is given the mirror image's first sample to spoil: of an
     odd `shape` the mirror goes through the last sample, of an even one it lies half a sample beyond.
     """
-    for axis, (length, mirrored) in enumerate(zip(image.shape, shape, strict=True)):
-        place = max(length - 2, 0) if mirrored % 2 else length - 1
-        image = np.concatenate([image, image.take([place], axis)], axis)
-    return np.asarray(cv2.pyrUp(image)[: shape[0], : shape[1]])
+    borders = [cv2.BORDER_REFLECT_101 if length % 2 else cv2.BORDER_REFLECT for length in shape]
+    if borders[0] == borders[1]:
+        wider = cv2.copyMakeBorder(image, 0, 1, 0, 1, borders[0])
+    else:
+        wider = cv2.copyMakeBorder(cv2.copyMakeBorder(image, 0, 1, 0, 0, borders[0]), 0, 0, 0, 1, borders[1])
+    return np.asarray(cv2.pyrUp(wider)[: shape[0], : shape[1]])
 
 
 def _spread(image: FloatArray, shape: tuple[int, ...]) -> FloatArray:
@@ -125,9 +198,8 @@ def _spread(image: FloatArray, shape: tuple[int, ...]) -> FloatArray:
 def _weigh_border(image: FloatArray, weight: float, shape: tuple[int, ...], *, every: int = 2) -> FloatArray:
     """Copy an image of this shape, of which every second or each line is there, its outermost lines weighted."""
     weighted = image.copy()
-    for axis, length in enumerate(shape):
+    for length, lines in zip(shape, (weighted, weighted.T), strict=True):
         if length > 1:
-            lines = np.moveaxis(weighted, axis, 0)
             lines[0] *= weight
             if (length - 1) % every == 0:
                 lines[-1] *= weight
@@ -136,4 +208,4 @@ def _weigh_border(image: FloatArray, weight: float, shape: tuple[int, ...], *, e
 
 def _expand_gain(shape: tuple[int, ...]) -> float:
     """Return the gain that makes up for the zeros between samples; along an axis of one sample there are none."""
-    return float(np.prod([2.0 if length > 1 else 1.0 for length in shape]))
+    return math.prod(2.0 if length > 1 else 1.0 for length in shape)

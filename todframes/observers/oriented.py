@@ -13,12 +13,14 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
+from numpy.typing import DTypeLike
 
 from todframes._typing import FloatArray
 from todframes.errors import SettingsError
 from todframes.observers.gabor_pyramid import GaborPyramid, Phases
 from todframes.observers.interface import OmittedWeights
 from todframes.observers.internal_noise import Bands
+from todframes.observers.laplacian_pyramid import framed
 from todframes.observers.pyramid import PyramidObserver, PyramidSettings
 from todframes.observers.retina import RetinaGrid
 from todframes.stimulus import Stimulus
@@ -159,12 +161,16 @@ class OrientedObserver(PyramidObserver):
         turned = [self.turned(bands, turns) for turns in range(4)]
         return tuple(np.asarray(sum(same) / 4.0) for same in zip(*turned, strict=True))
 
-    def _fold(self, bands: Sequence[FloatArray], grid: RetinaGrid) -> FloatArray:
+    def _readout_deviation(self, stimulus: Stimulus, dtype: DTypeLike) -> Bands:
+        return tuple(band.astype(dtype) for band in self._template_deviation(stimulus))
+
+    def _fold(self, bands: Sequence[FloatArray], grid: RetinaGrid, half_width: int | None = None) -> FloatArray:
         weights = [self.settings.band_gain**k * band for k, band in enumerate(bands)]
         filters = self._filters(grid.side)
         if not self.settings.include_residual:
             weights.append(np.zeros((grid.side // 2**filters.levels + 1,) * 2))
-        return filters.adjoint(weights)
+        folded = filters.adjoint(weights)
+        return folded if half_width is None else framed(folded, half_width)
 
     def _filters(self, side: int) -> GaborPyramid:
         return self.settings.filters((side - 1).bit_length() - 3)  # side = 4 · 2^levels + 1

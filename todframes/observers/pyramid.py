@@ -1,8 +1,9 @@
 """The model observer: a Laplacian pyramid, noise on every neuron, correlation with four templates.
 
 Everything from contrast to scores is linear, so the pyramid and the templates fold into one weight image an
-answer (`Readout`), and the noise on thousands of neurons into the covariance of four scores. The literal path
-(`PyramidObserver.respond`) is the definition the folded one is held against.
+answer (`Readout`), and the noise on thousands of neurons into the covariance of four scores. They are folded where
+there is something: about the triangle. The literal path (`PyramidObserver.respond`), whole images through all
+bands, is the definition the folded one is held against.
 
 Hogervorst et al. 2001, section 4.
 """
@@ -17,15 +18,16 @@ from typing import Annotated, Any, ClassVar, Self
 
 import numpy as np
 from msgspec import Meta
+from numpy.typing import DTypeLike, NDArray
 
 from todframes._typing import FloatArray
 from todframes.config import check_keys, check_values
 from todframes.errors import SettingsError
 from todframes.observers.interface import OmittedWeights, Readout
-from todframes.observers.internal_noise import Bands, inner_product, summed_noise
-from todframes.observers.laplacian_pyramid import LaplacianPyramid
+from todframes.observers.internal_noise import Bands, inner_product, summed_covariance, summed_noise
+from todframes.observers.laplacian_pyramid import BORDER, LaplacianPyramid, even_half
 from todframes.observers.retina import RetinaGrid, gaussian_blur
-from todframes.stimulus import HEIGHT_PER_SIZE, ORIENTATIONS, Centre, Orientation, Stimulus, coverage
+from todframes.stimulus import HEIGHT_PER_SIZE, ORIENTATIONS, Centre, Orientation, Stimulus, coverage, vertices
 
 MOST_LEVELS = 11
 """A retina image then takes half a GB."""
@@ -236,12 +238,7 @@ class PyramidObserver:
 
     def activity(self, contrast: FloatArray) -> Bands:
         """Compute the noise-free activity of all neurons, finest band first, for a retina image (side, side)."""
-        settings = self.settings
-        levels = (contrast.shape[0] - 1).bit_length() - 3  # side = 4 · 2^levels + 1
-        bands = LaplacianPyramid(levels, settings.kernel_a).build(contrast)
-        if not settings.include_residual:
-            bands.pop()
-        return tuple(settings.band_gain**k * band for k, band in enumerate(bands))
+        return self._as_activity(self._pyramid(len(contrast)).build(contrast))
 
     def turned(self, bands: Bands, quarter_turns: int) -> Bands:
         """Compute the activity that an image turned clockwise causes, from that of the image.
@@ -270,14 +267,15 @@ class PyramidObserver:
         image = self._upright(stimulus)
         return self._expected(image - _mean_of_turns(image))
 
-    def _upright(self, stimulus: Stimulus) -> FloatArray:
-        """Draw the upright triangle on the retina, times its polarity."""
+    def _upright(self, stimulus: Stimulus, half: int | None = None) -> FloatArray:
+        """Draw the upright triangle, times its polarity, on the retina's middle: by default on all of it."""
         grid = self.grid(stimulus)
+        half = grid.side // 2 if half is None else half
         return stimulus.polarity * coverage(
-            (grid.side, grid.side),
+            (2 * half + 1, 2 * half + 1),
             size_px=stimulus.size_mrad / grid.pitch_mrad,
-            x_px=grid.side // 2,
-            y_px=grid.side // 2,
+            x_px=half,
+            y_px=half,
             orientation=Orientation.UP,
             centre=self.centre,
         )
@@ -286,28 +284,82 @@ class PyramidObserver:
         """Compute the activity that is expected from an image, whose place is not quite known."""
         return self.activity(gaussian_blur(image, self.settings.template_blur_samples))
 
+    def weights_within(
+        self, stimulus: Stimulus, half_width: int, dtype: DTypeLike
+    ) -> tuple[NDArray[Any], FloatArray]:
+        """Compute the part of a readout that is needed where the observer sees the middle of the retina only.
+
+        Parameters
+        ----------
+        stimulus : Stimulus
+        half_width : int
+            Samples on each side of the retina's middle one.
+        dtype : float32 or float64
+
+        Returns
+        -------
+        (ndarray, shape (2 · half_width + 1,) * 2, ndarray, shape (4, 4))
+            Weights of the upright triangle's score less the mean of the four, whose turns are the weights of the
+            other scores; and the covariance of the noise on all four.
+        """
+        upright = self._readout_deviation(stimulus, dtype)
+        # In single precision the sums would be no covariance.
+        exact = tuple(band.astype(np.float64) for band in upright)
+        covariance = summed_covariance(self._all_turns(exact), self.settings.noise_sd)
+        return self._fold(upright, self.grid(stimulus), half_width), covariance
+
     def _readout(self, stimulus: Stimulus) -> Readout:
         """Fold pyramid and templates onto the retina: A_k = Lᵀ t_k."""
         grid = self.grid(stimulus)
-        upright = self._template_deviation(stimulus)
+        upright = self._readout_deviation(stimulus, np.float64)
         folded = self._fold(upright, grid)
-        beside = self.turned(upright, 1)
-        opposite = self.turned(beside, 1)
-        noise = summed_noise((upright, beside, opposite, self.turned(opposite, 1)), self.settings.noise_sd)
         return Readout(
             grid=grid,
             find_common=lambda: self._fold(self._common_template(stimulus), grid),
             deviations=np.stack([np.rot90(folded, -k) for k in range(4)]),
-            **noise._asdict(),
+            **summed_noise(self._all_turns(upright), self.settings.noise_sd)._asdict(),
         )
 
-    def _fold(self, bands: Sequence[FloatArray], grid: RetinaGrid) -> FloatArray:
-        settings = self.settings
-        weights = [settings.band_gain**k * band for k, band in enumerate(bands)]
-        levels = len(bands) - settings.include_residual
-        if not settings.include_residual:
-            weights.append(np.zeros((grid.side // 2**levels + 1,) * 2))
-        return LaplacianPyramid(levels, settings.kernel_a).adjoint(weights)
+    def _all_turns(self, upright: Bands) -> tuple[Bands, ...]:
+        beside = self.turned(upright, 1)
+        opposite = self.turned(beside, 1)
+        return upright, beside, opposite, self.turned(opposite, 1)
+
+    def _readout_deviation(self, stimulus: Stimulus, dtype: DTypeLike) -> Bands:
+        """Compute `_template_deviation` where there is something: each band in its own square.
+
+        The template of a triangle is zero beyond its blurred corners, and so are its fine bands: for a triangle of
+        60 retina samples or more this takes half the time, or less.
+        """
+        settings, side = self.settings, self.grid(stimulus).side
+        corners = vertices(
+            size=stimulus.size_mrad / settings.retina_pitch_mrad, orientation=Orientation.UP, centre=self.centre
+        )
+        reach = float(np.abs(corners).max()) + 8.0 * settings.template_blur_samples + 2.0 + BORDER
+        image = self._upright(stimulus, even_half(min(reach, side // 2)))
+        blurred = gaussian_blur(image - _mean_of_turns(image), settings.template_blur_samples)
+        bands = self._pyramid(side).build_middle(blurred.astype(dtype), side // 2)
+        return self._as_activity(bands)
+
+    def _fold(self, bands: Sequence[FloatArray], grid: RetinaGrid, half_width: int | None = None) -> FloatArray:
+        """Compute the weights on the retina, or its middle, of weights of neurons: the adjoint of `activity`.
+
+        Bands may be given where they are not zero, each in its own square.
+        """
+        weights = [self.settings.band_gain**k * band for k, band in enumerate(bands)]
+        if not self.settings.include_residual:
+            weights.append(np.zeros((1, 1), weights[0].dtype))
+        half = grid.side // 2
+        return self._pyramid(grid.side).adjoint_middle(weights, half, half if half_width is None else half_width)
+
+    def _pyramid(self, side: int) -> LaplacianPyramid:
+        return LaplacianPyramid((side - 1).bit_length() - 3, self.settings.kernel_a)  # side = 4 · 2^levels + 1
+
+    def _as_activity(self, bands: list[FloatArray]) -> Bands:
+        """Return the bands times their gain, with or without the residual."""
+        if not self.settings.include_residual:
+            bands.pop()
+        return tuple(self.settings.band_gain**k * band for k, band in enumerate(bands))
 
     def literal_scores(
         self, contrast: FloatArray, stimulus: Stimulus, rng: np.random.Generator | None = None

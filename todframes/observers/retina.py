@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from todframes._typing import FloatArray
 from todframes.errors import SettingsError
@@ -16,8 +16,9 @@ if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
 
-MOST_DENSE = 2**13
-"""Largest number of values of an overlap matrix that is not kept sparse."""
+MOST_GATHERED = 2
+"""Largest number of pieces of a cell that are added one by one, without a sparse matrix and scipy.
+Pixels that are no narrower than a sample divide it into two at most."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,27 +55,61 @@ class RetinaGrid:
 
 
 class Overlaps(NamedTuple):
-    """Pieces of an axis that lie in one retina sample and on one display pixel each, in the axis's order.
+    """Pieces of equal cells of one axis, each within one of another axis's cells, which are the columns.
 
     Attributes
     ----------
-    sample, pixel : ndarray of int, shape (pieces,)
-        Ascending; pixels are counted from the first one.
-    length : ndarray, shape (pieces,)
-        In widths of a sample.
+    column : ndarray of int, shape (cells, pieces)
+    length : ndarray, shape (cells, pieces)
+        In widths of a column; 0 for pieces that a cell does not have.
     """
 
-    sample: NDArray[np.int32]
-    pixel: NDArray[np.int32]
+    column: NDArray[np.intp]
     length: FloatArray
 
+    def matrix(self, n_columns: int, dtype: DTypeLike = np.float64) -> csr_array:
+        """Return the lengths as a sparse array, (cells, n_columns)."""
+        from scipy.sparse import csr_array
 
-def overlaps(
+        kept = self.length > 0.0
+        row_start = np.concatenate([[0], np.cumsum(np.count_nonzero(kept, axis=1))]).astype(np.int32)
+        entries = self.length[kept].astype(dtype), self.column[kept].astype(np.int32), row_start
+        return csr_array(entries, shape=(len(kept), n_columns))
+
+
+def overlaps(edge: ArrayLike, width: float, n_cells: int, n_columns: int) -> Overlaps:
+    """Divide the cells of one axis at the boundaries of another axis's cells.
+
+    Parameters
+    ----------
+    edge : array_like, shape (places,) or scalar
+        Where the first cell begins, in columns from the first column's outer edge; several places follow each
+        other.
+    width : float
+        Width of a cell in columns, > 0.
+    n_cells, n_columns : int
+
+    Returns
+    -------
+    Overlaps
+        Of places × n_cells cells. The pieces of a cell inside the columns add up to its width, and those of a
+        column inside the cells to one.
+    """
+    edges = np.add.outer(edge, width * np.arange(n_cells + 1.0)).reshape(-1, n_cells + 1)
+    start, stop = edges[:, :-1].reshape(-1, 1), edges[:, 1:].reshape(-1, 1)
+    n_pieces = min(math.ceil(min(width, n_columns)) + 1, n_columns)
+    first = np.minimum(np.maximum(np.floor(start), 0.0), n_columns - 1.0)
+    column = first + np.arange(n_pieces)
+    length = np.minimum(stop, column + 1.0)
+    length -= np.maximum(start, column)
+    length *= (length > 0.0) & (column < n_columns)
+    return Overlaps(np.minimum(column, n_columns - 1.0).astype(np.intp), length)
+
+
+def overlap_matrix(
     grid: RetinaGrid, *, centre_px: float, pixel_pitch_mrad: float, first_pixel: int, n_pixels: int
-) -> Overlaps:
-    """Merge the boundaries of retina samples and display pixels along one axis.
-
-    The pieces of a pixel inside the grid add up to its width, and those of a sample inside the display to one.
+) -> csr_array:
+    """Compute the share of each retina sample's width that lies on each display pixel, along one axis.
 
     Parameters
     ----------
@@ -88,62 +123,26 @@ def overlaps(
 
     Returns
     -------
-    Overlaps
-    """
-    pixel_edges = _pixel_edges(grid, centre_px, pixel_pitch_mrad, first_pixel, n_pixels)
-    inner = pixel_edges[(pixel_edges > 0.0) & (pixel_edges < grid.side)]
-    edges = np.sort(np.concatenate([np.arange(grid.side + 1.0), inner]))
-    length = np.diff(edges)
-    middle = (edges[1:] + edges[:-1]) / 2.0
-    sample = np.minimum(middle.astype(np.int32), grid.side - 1)
-    pixel = (np.searchsorted(pixel_edges, middle) - 1).astype(np.int32)
-    inside = (pixel >= 0) & (pixel < n_pixels) & (length > 0.0)
-    return Overlaps(sample[inside], pixel[inside], length[inside])
-
-
-def overlap_matrix(
-    grid: RetinaGrid, *, centre_px: float, pixel_pitch_mrad: float, first_pixel: int, n_pixels: int
-) -> csr_array:
-    """Compute the share of each retina sample's width that lies on each display pixel, along one axis.
-
-    Parameters
-    ----------
-    grid, centre_px, pixel_pitch_mrad, first_pixel, n_pixels
-        The same as for `overlaps`.
-
-    Returns
-    -------
     sparse array, shape (grid.side, n_pixels)
         Rows sum to the share of the sample that lies on these pixels.
     """
-    from scipy.sparse import csr_array
-
-    sample, pixel, length = overlaps(
-        grid, centre_px=centre_px, pixel_pitch_mrad=pixel_pitch_mrad, first_pixel=first_pixel, n_pixels=n_pixels
-    )
-    row_start = np.searchsorted(sample, np.arange(grid.side + 1, dtype=np.int32)).astype(np.int32)
-    return csr_array((length, pixel, row_start), shape=(grid.side, n_pixels))
+    return _shares(grid, centre_px, pixel_pitch_mrad, first_pixel, n_pixels).matrix(n_pixels)
 
 
-def _dense_overlap(
-    grid: RetinaGrid, *, centre_px: float, pixel_pitch_mrad: float, first_pixel: int, n_pixels: int
-) -> FloatArray:
-    """Compute `overlap_matrix` as an array: if values are few, it takes half the time and no import of scipy."""
-    pixel_edges = _pixel_edges(grid, centre_px, pixel_pitch_mrad, first_pixel, n_pixels)
-    sample_edges = np.arange(grid.side + 1.0)[:, None]
-    overlap = np.minimum(sample_edges[1:], pixel_edges[1:])
-    overlap -= np.maximum(sample_edges[:-1], pixel_edges[:-1])
-    return np.asarray(np.maximum(overlap, 0.0, out=overlap))
-
-
-def _pixel_edges(
-    grid: RetinaGrid, centre_px: float, pixel_pitch_mrad: float, first_pixel: int, n_pixels: int
-) -> FloatArray:
-    """Boundaries of display pixels in retina samples, the outer edge of the first sample at 0: (n_pixels + 1,)."""
-    samples_per_pixel = pixel_pitch_mrad / grid.pitch_mrad
-    return np.asarray(
-        (np.arange(n_pixels + 1.0) + (first_pixel - 0.5 - centre_px)) * samples_per_pixel + grid.side / 2.0
-    )
+def _shares(
+    grid: RetinaGrid,
+    centre_px: float,
+    pixel_pitch_mrad: float,
+    first_pixel: int,
+    n_pixels: int,
+    samples: range | None = None,
+) -> Overlaps:
+    """Divide retina samples, by default all, at the pixels' boundaries; lengths in widths of a sample."""
+    samples = range(grid.side) if samples is None else samples
+    width = grid.pitch_mrad / pixel_pitch_mrad
+    edge = centre_px + 0.5 - first_pixel + (samples.start - grid.side / 2.0) * width
+    pieces = overlaps(edge, width, len(samples), n_pixels)
+    return pieces._replace(length=pieces.length / width)
 
 
 def resample(
@@ -208,57 +207,33 @@ def resampled_rows(
     contrast = contrast[slice(*touched[0]), slice(*touched[1])]
     first_row, first_column = first_row + touched[0][0], first_column + touched[1][0]
     n_rows, n_columns = contrast.shape
-    edges = _pixel_edges(grid, y_px, pixel_pitch_mrad, first_row, n_rows)
-    top = min(max(math.floor(edges[0]), 0), grid.side)
-    bottom = max(min(math.ceil(edges[-1]), grid.side), top)
+    height = grid.pitch_mrad / pixel_pitch_mrad
+    first_edge = y_px + 0.5 - first_row - grid.side / 2.0 * height  # of the first sample, in pixels
+    top = min(max(math.floor(-first_edge / height), 0), grid.side)
+    bottom = max(min(math.ceil((n_rows - first_edge) / height), grid.side), top)
     if not (top < bottom and n_rows and n_columns):
         return top, np.zeros((0, grid.side))
-    if pixel_pitch_mrad >= grid.pitch_mrad:
-        column_edges = _pixel_edges(grid, x_px, pixel_pitch_mrad, first_column, n_columns)
-        across = _averaged(contrast.T, column_edges, 0, grid.side)
-        return top, _averaged(across.T, edges, top, bottom)
-    is_dense = grid.side * max(n_rows, n_columns) <= MOST_DENSE
-    overlap = _dense_overlap if is_dense else overlap_matrix
-    rows = overlap(grid, centre_px=y_px, pixel_pitch_mrad=pixel_pitch_mrad, first_pixel=first_row, n_pixels=n_rows)
-    columns = overlap(
-        grid, centre_px=x_px, pixel_pitch_mrad=pixel_pitch_mrad, first_pixel=first_column, n_pixels=n_columns
-    )
-    if bottom - top < grid.side:
-        rows = rows[top:bottom]
-    if is_dense:
-        return top, np.asarray(rows @ contrast @ columns.T)
+    columns = _shares(grid, x_px, pixel_pitch_mrad, first_column, n_columns)
+    rows = _shares(grid, y_px, pixel_pitch_mrad, first_row, n_rows, range(top, bottom))
+    if columns.column.shape[1] <= MOST_GATHERED:
+        return top, _gathered(_gathered(contrast, columns, axis=1), rows, axis=0)
+    across, down = columns.matrix(n_columns), rows.matrix(n_rows)
     # Either order is exact; the larger array is the one not to make, or to copy.
     if n_rows > grid.side:
-        return top, np.asarray((columns @ (rows @ contrast).T).T)
-    return top, np.asarray(rows @ (columns @ contrast.T).T)
+        return top, np.asarray((across @ (down @ contrast).T).T)
+    return top, np.asarray(down @ (across @ contrast.T).T)
 
 
-def _averaged(values: FloatArray, edges: FloatArray, first: int, stop: int) -> FloatArray:
-    """Average pixels that are no narrower than a sample over each sample's width, along the first axis.
-
-    Such a sample lies on one pixel or on two: this takes half the time of a sparse matrix.
-
-    Parameters
-    ----------
-    values : ndarray, shape (pixels, m)
-    edges : ndarray, shape (pixels + 1,)
-        Boundaries of the pixels in samples; beyond them the values are 0.
-    first, stop : int
-        Samples first ... stop - 1.
-
-    Returns
-    -------
-    ndarray, shape (stop - first, m)
-    """
-    # Row 2k + 1 is what a sample sees of both sides of edge k; the others are the pixels, between rows of zeros.
-    rows = np.zeros((2 * len(values) + 3, values.shape[1]))
-    rows[2:-1:2] = values
-    beyond = (np.ceil(edges) - edges)[:, None]
-    rows[1::2] = (1.0 - beyond) * rows[:-1:2]
-    rows[1::2] += beyond * rows[2::2]
-    start = np.arange(first, stop, dtype=np.float64)
-    row = np.searchsorted(edges, start, side="right") + np.searchsorted(edges, start + 1.0, side="left")
-    return rows.take(row, axis=0)
+def _gathered(values: FloatArray, pieces: Overlaps, *, axis: int) -> FloatArray:
+    """Sum values along an axis over the pieces of each cell."""
+    share = pieces.length.T if axis == 1 else pieces.length.T[..., None]
+    sums: FloatArray = values.take(pieces.column[:, 0], axis)
+    sums *= share[0]
+    for column, of_piece in zip(pieces.column.T[1:], share[1:], strict=True):
+        more = values.take(column, axis)
+        more *= of_piece
+        sums += more
+    return sums
 
 
 def gaussian_blur(image: FloatArray, sigma: float) -> FloatArray:

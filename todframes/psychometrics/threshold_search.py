@@ -7,43 +7,70 @@ from collections.abc import Callable
 from functools import lru_cache
 from typing import Literal
 
-Crossing = tuple[Literal["ok", "never_reached", "always_exceeded"], float | None]
+Status = Literal["ok", "never_reached", "always_exceeded"]
+Crossing = tuple[Status, float | None]
 LEVEL_RANGE = (1e-6, 1e9)
 SATURATED = 1e-3
 """Largest distance of P from its value at the upper bound at which a curve counts as having reached it."""
+
+USUAL_SLOPE, LEAST_SLOPE, LARGEST_SLOPE = 1.5, 0.1, 20.0
+"""Slope of the link of P against ln SNR: about, and the limits beyond which secants are not to be relied on."""
+
+LAST_STEP = 1e-5
+"""Step of a secant in ln level that is the last: the next one would be far smaller."""
 
 
 def crossing(
     proportion: Callable[[float], float], p_correct: float, *, near: float | None, slope: float
 ) -> Crossing:
-    """Find where a rising curve passes `p_correct`: along its slope from nearby, else by a search from 1 on."""
-    if near is not None:
-        for _ in range(8):
-            step = (p_correct - proportion(near)) / slope
-            near *= math.exp(min(max(step, -1.0), 1.0))
-            if abs(step) < 1e-5:
-                return "ok", near
-    if proportion(math.inf) <= p_correct:  # without detector noise
+    """Find where a rising curve passes `p_correct`, along secants from nearby or from 1 on.
+
+    Parameters
+    ----------
+    proportion : callable
+        Proportion correct at a level > 0; at infinity, that without detector noise.
+    p_correct : float
+    near, slope : float
+        A level that may be near, and the slope dP / d ln level there; None and NaN if not known.
+    """
+
+    def is_never_reached() -> bool:
+        return proportion(math.inf) <= p_correct
+
+    if near is None and is_never_reached():
         return "never_reached", None
-    # On this scale P is nearly a straight line of slope 1.5 against ln SNR.
+    # On the scale of the link P is nearly a straight line against ln level.
     target = _link(p_correct)
-    x, slope = 0.0, 1.5
-    excess = _link(proportion(1.0)) - target
+    x = 0.0 if near is None else math.log(near)
+    slope *= _link_slope(p_correct)
+    if near is None or not LEAST_SLOPE < slope < LARGEST_SLOPE:
+        slope = USUAL_SLOPE
+    excess = _link(proportion(math.exp(x))) - target
+    is_secant = False
     for _ in range(10):
         step = min(max(-excess / slope, -2.0), 2.0)
-        before, x = excess, x + step
-        excess = _link(proportion(math.exp(x))) - target
-        if abs(excess) < 1e-6:
+        x += step
+        if abs(step) < (LAST_STEP if is_secant else LAST_STEP / 100.0):
             return "ok", math.exp(x)
-        slope = (excess - before) / step
-        if not 0.1 < slope < 20.0:
+        before, excess = excess, _link(proportion(math.exp(x))) - target
+        slope, is_secant = (excess - before) / step, True
+        if not LEAST_SLOPE < slope < LARGEST_SLOPE:
             break
-    return find_crossing(proportion, p_correct, bounds=LEVEL_RANGE, start=1.0, factor=2.0)
+    if near is not None and is_never_reached():
+        return "never_reached", None
+    start = math.exp(min(max(x, math.log(LEVEL_RANGE[0])), math.log(LEVEL_RANGE[1])))
+    return find_crossing(proportion, p_correct, bounds=LEVEL_RANGE, start=start, factor=2.0)
 
 
 def _link(p_correct: float) -> float:
     share = min(max((p_correct - 0.25) / 0.75, 1e-6), 1.0 - 1e-6)
     return math.log(-math.log1p(-share))
+
+
+def _link_slope(p_correct: float) -> float:
+    """Return d link / dP."""
+    rest = 1.0 - (p_correct - 0.25) / 0.75
+    return -1.0 / (0.75 * rest * math.log(rest)) if 0.0 < rest < 1.0 else math.inf
 
 
 def find_crossing(

@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Literal, Protocol
 
 from todframes import __version__
-from todframes.config import csv_text
 from todframes.errors import DataError, SettingsError, argument
 from todframes.frames.display import Display
 from todframes.frames.display_files import DisplayDescription, find_display, table_of_display
@@ -28,6 +27,7 @@ from todframes.recordings.schedule import read_schedule
 from todframes.recordings.schedule_source import ScheduleSource
 from todframes.recordings.trials import SHAKE_PX, ImportedTrial, TrialDivision, TriangleDescription
 from todframes.recordings.windows import WindowWriter, WrittenWindow, code_range
+from todframes.safe_text import csv_text
 
 LARGEST_TIME_ERROR = 0.1
 """Relative difference of the trials' time from the integration time, above which it is told."""
@@ -242,7 +242,7 @@ def import_recordings(
         }
         remove_others(folder, written)
         _write(folder / REPORT_FILE, json.dumps(report, indent=1, ensure_ascii=False) + "\n")
-        _write(folder / "manifest.csv", csv_text(rows))
+        _write(folder / "manifest.csv", csv_text([rows[0], *(row.values() for row in rows)], as_it_is=True))
         _write(
             folder / "dataset.toml", _settings(source, table_of_display(shown.display, folder, title=shown.title))
         )

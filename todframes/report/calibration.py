@@ -13,9 +13,9 @@ from todframes.report.table import EXACT, Column, Table
 from todframes.report.wording import (
     count,
     interval_phrase,
-    level_heading,
     plain,
     quantity,
+    threshold_heading,
     unit_of,
 )
 
@@ -135,7 +135,7 @@ def curves_table(result: ResultData) -> Table:
         for name in first.group
     ]
     columns += [
-        Column(key="threshold", header=f"threshold {level_heading(first.level)}", digits=3),
+        Column(key="threshold", header=threshold_heading(first.level), digits=3),
         Column(key="threshold_ci95", header="95 % interval", interval="threshold_ci95", digits=3, rank=2),
         Column(key="predicted", header="of the model", digits=3),
         Column(key="predicted_ci95", header="its 95 % interval", interval="predicted_ci95", digits=3, rank=2),

@@ -34,6 +34,7 @@ LONGEST_LABEL = 40
 STYLE: dict[str, Any] = {
     **dict.fromkeys(("text.color", "axes.edgecolor", "axes.labelcolor", "xtick.color", "ytick.color"), INK),
     "axes.linewidth": 0.6,
+    "figure.constrained_layout.w_pad": 0.14,
     "axes.spines.top": False,
     "axes.spines.right": False,
     "axes.grid": True,

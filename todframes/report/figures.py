@@ -29,7 +29,16 @@ from todframes.report.figure_style import (
     within,
 )
 from todframes.report.summary import by_curve, size_column
-from todframes.report.wording import evenly, group_phrase, level_heading, level_name, plain, quantity, unit_of
+from todframes.report.wording import (
+    evenly,
+    group_phrase,
+    level_heading,
+    level_name,
+    plain,
+    quantity,
+    threshold_heading,
+    unit_of,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -131,7 +140,8 @@ def pictures(result: ResultData) -> list[Picture]:
     for title, fits, file in (("Psychometric functions", result.fits, "psychometric.png"), *of_algorithms):
         seen = [fit for fit in fits if fit.points]
         if seen:
-            note = f"Proportion correct against {level_name(seen[0].level)}; dashed: the criterion."
+            guesses = "; dotted: the guess rate" if seen[0].guess_rate is not None else ""
+            note = f"Proportion correct against {level_name(seen[0].level)}; dashed: the criterion{guesses}."
             if len(seen) > MOST_CURVES:
                 note += f" {MOST_CURVES} of {len(seen)} curves are drawn."
             found.append(Picture(title, note, partial(draw_psychometric, fits=seen), file))
@@ -246,7 +256,7 @@ def _label_tod_axes(axes: Axes, name: str, level: str) -> None:
         xscale="log",
         yscale="log",
         xlabel=label_text(f"1 / {quantity(name)} ({unit_of(name)}⁻¹)"),
-        ylabel=label_text(f"threshold {level_heading(level)}"),
+        ylabel=label_text(threshold_heading(level)),
     )
 
 

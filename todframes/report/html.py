@@ -107,18 +107,22 @@ def figure_items(drawn: Sequence[Picture]) -> list[Json]:
 
 
 def _tables(result: ResultData) -> list[Json]:
-    """List the tables under the figures; the reader opens those that are `folded`."""
+    """List the tables under the figures: those of the terminal, then more, which the reader opens."""
     if result.persons:
         folded = tables.points(result)
         told = [table_item(calibration.noise_table(result)), table_item(calibration.curves_table(result))]
         return [*told, *([] if folded is None else [table_item(folded, folded=True)])]
     found = []
-    if result.algorithms:
-        found += [table_item(tables.ratios(result)), table_item(tables.measures(result.algorithms))]
-    if result.thresholds:
-        found.append(table_item(tables.thresholds(result), folded=bool(result.algorithms)))
     answers = tables.answers(result)
+    if result.algorithms:
+        measures = tables.measures(result.algorithms)
+        found += [table_item(tables.ratios(result)), table_item(measures.without_details())]
+        found += [table_item(replace(measures, title="Details of the algorithms"), folded=True)]
+    elif result.thresholds:
+        found.append(table_item(tables.thresholds(result).without_details()))
     found += [table_item(answers)] if answers is not None else []
+    if result.thresholds:
+        found.append(table_item(tables.thresholds(result, "Details of the thresholds"), folded=True))
     points = tables.points(result)
     found += [table_item(points, folded=True)] if points is not None else []
     for scene in result.scenes:
@@ -202,9 +206,8 @@ def _details(result: ResultData) -> list[Json]:
 def notebook_html(result: ResultData) -> str:
     """Return the self-contained HTML that a notebook shows for a result: sentences, table and first figure."""
     table = tables.ratios(result) if result.algorithms else tables.thresholds(result)
-    compact = replace(table, columns=tuple(one for one in table.columns if not one.is_detail))
     drawn = [(one.figure, f"{one.title}. {one.note}") for one in pictures(result)[:1]]
-    return notebook_page(verdict(result), compact, drawn)
+    return notebook_page(verdict(result), table.without_details(), drawn)
 
 
 def notebook_page(

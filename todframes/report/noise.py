@@ -14,6 +14,7 @@ from todframes.recordings.noise3d import PARTS, Noise3D, NoisePart
 from todframes.report.data import ResultWarning
 from todframes.report.figure_style import COLOURS, INK, label_text, style
 from todframes.report.result import Result
+from todframes.report.saving import Saving
 from todframes.report.table import Column, Table
 from todframes.report.wording import interval_phrase, plain
 
@@ -30,7 +31,7 @@ SHOWN_PERCENTILES = (0.5, 99.5)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class NoiseResult:
+class NoiseResult(Saving):
     """The noise of a recording, with methods that make text, figures and files of it.
 
     Attributes
@@ -224,18 +225,6 @@ class NoiseResult:
             **({"sensor_noise.toml": self.sensor_toml().encode()} if known else {}),
             "result.json": self.to_json(),
         }
-
-    def save(self, folder: Path | str) -> None:
-        """Write the files that the command writes with `-o`: all of them, or none.
-
-        Raises
-        ------
-        OutputError
-            If the place cannot be written.
-        """
-        from todframes.output import write_folder
-
-        write_folder(folder, self.files())
 
     def _mk(self, sd: float) -> float | None:
         per_unit = 1000.0 if self.measured.unit == "celsius" else self.mk_per_unit

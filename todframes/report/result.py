@@ -14,7 +14,7 @@ import msgspec
 
 from todframes import __version__
 from todframes.report.data import SCHEMA, ResultData, decode, read_bytes
-from todframes.safe_text import visible_json
+from todframes.report.saving import Saving, json_file
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 LIBRARIES = ("numpy", "scipy", "OpenImageIO", "cv2", "skimage")
 
 
-class Result(ResultData, frozen=True, kw_only=True, dict=True):
+class Result(ResultData, Saving, frozen=True, kw_only=True, dict=True):
     """Thresholds of a command or call, with the data and settings behind them.
 
     `todframes.score`, `compare`, `fit_counts`, `naked_eye` and `sensor_sim.curve` return one, and `load_result`
@@ -170,12 +170,8 @@ class Result(ResultData, frozen=True, kw_only=True, dict=True):
         return drawn(lambda axes: draw_psychometric(axes, self.thresholds), ax)
 
     def to_json(self) -> bytes:
-        """Return the result as indented JSON, the content of `result.json`; NaN becomes null.
-
-        Characters that a terminal would obey are escaped; the values of the JSON are the same.
-        """
-        text = msgspec.json.format(msgspec.json.encode(self), indent=2).decode()
-        return (visible_json(text) + "\n").encode()
+        """Return the result as indented JSON, the content of `result.json`."""
+        return json_file(self)
 
     def to_html(self) -> str:
         """Return the result as one self-contained HTML page, the content of `report.html`.
@@ -206,23 +202,6 @@ class Result(ResultData, frozen=True, kw_only=True, dict=True):
             "report.html": self.to_html().encode(),
             "result.json": self.to_json(),
         }
-
-    def save(self, folder: Path | str) -> None:
-        """Write the files that a command writes with `-o`: all of them, or none.
-
-        Parameters
-        ----------
-        folder : path
-            Folder, which is made if only its parent exists. Files of an earlier result are replaced.
-
-        Raises
-        ------
-        OutputError
-            If the place cannot be written.
-        """
-        from todframes.output import write_folder
-
-        write_folder(folder, self.files())
 
 
 def _calibration_files(result: Result) -> dict[str, bytes]:

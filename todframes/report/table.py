@@ -31,6 +31,9 @@ EXACT = 15
 """Number of digits of a number that is shown unrounded."""
 
 
+MOST_COLUMNS = 10
+"""Largest number of columns that the HTML form shows side by side on a page of middling width."""
+
 LEAST_TEXT_WIDTH = 16
 """Least width, in letters, to which a column of long texts is wrapped in the terminal."""
 
@@ -187,6 +190,11 @@ class Table:
         used = {key for record in self.records for key, value in record.items() if value is not None}
         return replace(self, columns=tuple(one for one in self.columns if one.key in used or one.key in but))
 
+    def without_details(self) -> Table:
+        """Return the table with details in its file only, as a terminal shows it by default."""
+        columns = (replace(one, in_file_only=one.in_file_only or one.is_detail) for one in self.columns)
+        return replace(self, columns=tuple(columns))
+
     def is_numeric(self, column: Column) -> bool:
         """Return whether the values of a column are numbers or intervals."""
         values = (record.get(column.key) for record in self.records)
@@ -237,12 +245,16 @@ class Table:
         )
         body = []
         for row in replace(self, records=self.records[:LONGEST_TABLE]).rows(shown):
-            first, *others = (f"{kind}>{markup(text)}" for kind, text in zip(kinds, row, strict=True))
+            first, *others = (
+                f' data-label="{markup(one.heading)}"{kind}>{markup(text)}'
+                for one, kind, text in zip(shown, kinds, row, strict=True)
+            )
             cells = "".join(f"<td{cell}</td>" for cell in others)
             body.append(f'<tr><th scope="row"{first}</th>{cells}</tr>')
         lines = "\n".join(body)
         mark = f' id="{caption_id}"' if caption_id else ""
-        head = f"<table>\n<caption{mark}>{markup(self.title)}</caption>\n<thead><tr>{heads}</tr></thead>"
+        wide = ' class="wide"' if len(shown) > MOST_COLUMNS else ""
+        head = f"<table{wide}>\n<caption{mark}>{markup(self.title)}</caption>\n<thead><tr>{heads}</tr></thead>"
         return f"{head}\n<tbody>\n{lines}\n</tbody>\n</table>"
 
     def to_dataframe(self) -> DataFrame:

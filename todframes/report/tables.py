@@ -21,7 +21,7 @@ from todframes.report.data import (
     SceneResult,
 )
 from todframes.report.table import BLOCK, EXACT, Column, LongRecords, Table, field_text
-from todframes.report.wording import group_phrase, level_heading, plain, quantity, unit_of
+from todframes.report.wording import group_phrase, level_heading, plain, quantity, threshold_heading, unit_of
 from todframes.scoring.score import ScoredDataset
 from todframes.stimulus import ORIENTATIONS, Stimulus
 
@@ -122,10 +122,10 @@ def thresholds(result: ResultData, title: str = "") -> Table:
     if computed:
         for record in records:
             del record["n_trials"]
-    groups, level, criterion = [], "level", "?"
+    groups, heading, criterion = [], "threshold", "?"
     if fits:
         first = fits[0][1]
-        groups, level = _group_columns(first.group), level_heading(first.level)
+        groups, heading = _group_columns(first.group), threshold_heading(first.level)
         criterion = f"{100 * first.p_correct:g}"
     table = Table.of(
         title or f"Thresholds at {criterion} % correct",
@@ -133,7 +133,7 @@ def thresholds(result: ResultData, title: str = "") -> Table:
         [
             *([ALGORITHM] if result.algorithms else []),
             *groups,
-            Column(key="threshold", header=f"threshold {level}"),
+            Column(key="threshold", header=heading),
             *THRESHOLD_COLUMNS,
         ],
         records,
@@ -218,7 +218,7 @@ def ratios(result: ResultData, title: str = "") -> Table:
         Column(key="spec", in_file_only=True),
         *_group_columns(names),
         Column(key="status", none="", rank=1 if odd else 3),
-        Column(key="threshold", header=f"threshold {level_heading(first.level) if first else ''}"),
+        Column(key="threshold", header=threshold_heading(first.level) if first else "threshold"),
         Column(key="threshold_ci95", interval="threshold", in_file_only=True),
         *RATIO_COLUMNS,
         *(Column(key=key, in_file_only=True) for key in ("psnr_db", "ssim", "n_clipped", "cpu_s")),

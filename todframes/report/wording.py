@@ -73,14 +73,30 @@ def group_phrases(groups: Sequence[Mapping[str, float | str]]) -> str:
     return "; ".join(map(group_phrase, groups))
 
 
+LEVELS = {
+    "snr": ("SNR", ""),
+    "size_mrad": ("size", "mrad"),
+    "delta_t_k": ("ΔT", "K"),
+    "delta_t_mk": ("ΔT", "mK"),
+}
+"""Names and units of stimulus strengths, by column."""
+
+
 def level_name(level: str) -> str:
     """Return the name of a stimulus strength for a sentence."""
-    return {"snr": "SNR", "size_mrad": "size"}.get(level, level)
+    return LEVELS.get(level, (level, ""))[0]
 
 
 def level_heading(level: str) -> str:
     """Return the name of a stimulus strength with its unit, for a column or an axis."""
-    return "size (mrad)" if level == "size_mrad" else level_name(level)
+    name, unit = LEVELS.get(level, (level, ""))
+    return f"{name} ({unit})" if unit else name
+
+
+def threshold_heading(level: str) -> str:
+    """Return the heading of thresholds: "threshold contrast", or with a unit "threshold, ΔT (K)"."""
+    heading = level_heading(level)
+    return f"threshold, {heading}" if heading != level_name(level) else f"threshold {heading}"
 
 
 def interval_phrase(bounds: tuple[float | None, float | None], digits: int = 3) -> str:

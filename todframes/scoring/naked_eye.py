@@ -7,14 +7,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from todframes._typing import FloatArray
 from todframes.errors import SettingsError
 from todframes.observers.interface import Observer, Readout
-from todframes.psychometrics.threshold_search import find_crossing
+from todframes.psychometrics.threshold_search import Status, find_crossing
 from todframes.stimulus import HEIGHT_PER_SIZE, ORIENTATIONS, Stimulus, coverage
 
 NODES = (6, 8, 12, 16, 24, 32, 48)
@@ -44,7 +44,7 @@ class Threshold(NamedTuple):
     number of displacements that it is averaged over, in the same unit.
     """
 
-    status: Literal["ok", "never_reached", "always_exceeded"]
+    status: Status
     threshold: float | None
     numerical_error: float | None
 

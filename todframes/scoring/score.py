@@ -20,11 +20,11 @@ from todframes.frames.position import check_places
 from todframes.frames.trials import Group, Trials, indices_by
 from todframes.observers.interface import Observer
 from todframes.psychometrics.fit import CurveName, FitSettings, PsychometricFit, fit_trials
+from todframes.psychometrics.replicates import REPLICATES, half_width_95
 from todframes.scoring.error_budget import PlanName, Step
 from todframes.scoring.plan import ScorePlan, plan_score
 from todframes.scoring.trials import (
     FIT_STREAMS,
-    REPLICATES,
     Decisions,
     Scoring,
     SeenColumns,
@@ -50,11 +50,6 @@ DEFAULT_TOLERANCE = 2e-3
 
 DECIDED_AT_A_TIME = 4096
 """Number of trials whose answers are computed together; the work on each takes 500 bytes a displacement."""
-
-
-STANDARD_ERRORS_95 = 2.8412
-"""Half-width of a threshold's interval in standard errors: the 98.75 % point of Student's t with `REPLICATES` − 1
-degrees of freedom. Half of the allowed miss rate of 5 % covers errors that were below the tolerance by chance."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -418,4 +413,4 @@ def _numerical_error(
     found = [threshold for threshold in thresholds if threshold is not None]
     if len(found) < REPLICATES:
         return None
-    return float(STANDARD_ERRORS_95 * np.std(found, ddof=1) / math.sqrt(REPLICATES))
+    return half_width_95(found)

@@ -18,6 +18,7 @@ from todframes.frames.trials import Trial, Trials
 from todframes.observers.interface import Observer, Readout
 from todframes.observers.internal_noise import inner_product
 from todframes.observers.retina import RetinaGrid
+from todframes.psychometrics.replicates import REPLICATES
 from todframes.scoring.plan import ScorePlan
 from todframes.scoring.retina_view import Shown, read_trial, retina_image
 
@@ -30,10 +31,6 @@ NO_ANSWER = -1
 
 # First elements of the spawn keys of random streams: they keep the streams of trials and fits apart.
 TRIAL_STREAMS, FIT_STREAMS, DISPLACEMENT_STREAMS, RATIO_STREAMS = range(4)
-
-
-REPLICATES = 8
-"""Number of independent sets of displacements; their spread gives the error of the average."""
 
 
 KRONECKER_STEPS = np.array([0.7548776662466927, 0.5698402909980532])

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import hashlib
 import os
+import sys
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import Any, Generic, NamedTuple, Protocol, TypeVar
+from typing import Any, Generic, NamedTuple, Protocol, TypeVar, cast
 
 import msgspec
 import numpy as np
@@ -29,6 +31,12 @@ from todframes.jobs.work import Engine, Lost
 from todframes.observers.interface import Readout
 from todframes.scoring.trials import Scoring
 from todframes.stimulus import Stimulus
+
+SETTLED_NS = 2_000_000_000
+"""Time after which a file that is written again has another time; the coarsest file system counts 2 s."""
+
+Stamp = tuple[str, int, int, int, int]
+"""Path, size, times of the last changes of content and status in ns, and number of a file."""
 
 T = TypeVar("T")
 T_co = TypeVar("T_co", covariant=True)
@@ -148,9 +156,24 @@ class TrialWork(Generic[T]):
         if self.identity is None:
             return None
         try:
-            contents = [self._contents(frame, is_done) for frame in item.frames]
+            return self._key(item, [self._contents(frame, is_done) for frame in item.frames])
         except FrameError:
             return None
+
+    def stamped_key(self, item: Trial, stamp: object) -> bytes | None:
+        """Return the key by the stamps of the trial's files; None if one may have been written a moment ago.
+
+        Within `SETTLED_NS` a file can be written twice with one time.
+        """
+        stamps = cast("list[Stamp]", stamp)
+        newest = max((max(one[2:4]) for one in stamps or ()), default=sys.maxsize)
+        if self.identity is None or newest > time.time_ns() - SETTLED_NS:
+            return None
+        values = [frame.background_luminance_cd_m2 for frame in item.frames]
+        return self._key(item, ["stamps", stamps, values])
+
+    def _key(self, item: Trial, contents: object) -> bytes:
+        assert self.identity is not None
         plan = self.scoring.plan.stimuli[item.stimulus]
         parts = (
             plan.half_width,
@@ -166,7 +189,7 @@ class TrialWork(Generic[T]):
         # All are numbers and texts, which their representations tell apart; a fingerprint takes far longer.
         return hashlib.sha256(self.identity + repr(parts).encode(errors="surrogatepass")).digest()
 
-    def stamp(self, item: Trial) -> object:
+    def stamp(self, item: Trial) -> list[Stamp] | None:
         """Return what changes when a frame of the trial is written, without reading it."""
         # The content of a file behind a URL is known by what came with it when it was read.
         folder = self.scoring.dataset.path
@@ -267,7 +290,7 @@ def by_stimulus(trials: Trials) -> NDArray[np.intp]:
     return np.lexsort((polarities[codes], sizes[codes]))
 
 
-def _stamp(path: str) -> tuple[str, int, int, int, int]:
+def _stamp(path: str) -> Stamp:
     """Return the path of a file with what the file system changes when it is written."""
     try:
         status = os.stat(path)  # noqa: PTH116 - pathlib is slow
