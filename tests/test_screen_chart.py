@@ -195,7 +195,7 @@ def test_dither_has_no_coarse_grain() -> None:
 def test_the_seed_gives_the_order(tmp_path: Path) -> None:
     texts = []
     for place, seed in enumerate((5, 5, 6)):
-        asked = {"distance_m": 10, "sizes_mrad": [1], "contrasts": [0.2, 0.4], "repeats": 1, "seed": seed}
+        asked = {"distance_m": 10, "sizes_mrad": [1], "contrasts": [0.2, 0.4], "repeats": 1, "rng": seed}
         tod.chart("screen", out=tmp_path / str(place), **asked, **MONITOR)
         texts.append((tmp_path / str(place) / "chart.toml").read_text(encoding="utf-8"))
     assert texts[0] == texts[1] != texts[2]

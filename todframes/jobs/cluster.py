@@ -96,7 +96,7 @@ class ClusterEngine(ExecutorEngine):
         URL of the scheduler's dashboard; None if it has none.
     """
 
-    name, batch_s, batches_per_worker = "--cluster", BATCH_S, BATCHES_PER_THREAD
+    name, batch_s, batches_per_worker = argument.cluster, BATCH_S, BATCHES_PER_THREAD
 
     def __init__(self, cluster: str, client: Client, background: _Background) -> None:
         super().__init__(background.result(_count_threads(client)))

@@ -39,13 +39,17 @@ THRESHOLD_COLUMNS = (
     Column(key="weibull_threshold", header="Weibull", is_detail=True, rank=2),
     Column(key="alpha", header="α", digits=3, is_detail=True),
     Column(key="beta", header="β", digits=3, is_detail=True),
-    Column(key="guess_rate", in_file_only=True),
-    Column(key="lapse_rate", header="δ", digits=3, is_detail=True),
+    Column(key="gamma", in_file_only=True),
+    Column(key="delta", header="δ", digits=3, is_detail=True),
     Column(key="p_correct_error_bound", in_file_only=True),
     Column(key="p_correct_left_out_bound", in_file_only=True),
     Column(key="background_luminance_cd_m2", header="background (cd/m²)", is_detail=True, rank=2),
     Column(key="run_time_s", header="time (s)", digits=2, is_detail=True, rank=1),
 )
+
+
+RATES = {"gamma": "guess_rate", "delta": "lapse_rate"}
+"""Attributes of a fit whose columns have the names of the keys in JSON."""
 
 
 RATIO_COLUMNS = (
@@ -117,7 +121,8 @@ def thresholds(result: ResultData, title: str = "") -> Table:
     computed = not any(fit.n_trials for _, fit in fits)
     names = ("threshold", *(one.key for one in THRESHOLD_COLUMNS))
     records = [
-        more | _group_record(fit.group) | {name: getattr(fit, name) for name in names} for more, fit in fits
+        more | _group_record(fit.group) | {name: getattr(fit, RATES.get(name, name)) for name in names}
+        for more, fit in fits
     ]
     if computed:
         for record in records:
