@@ -96,7 +96,7 @@ def squares(n: int) -> dict[int, int]:
 
 def test_asking_for_a_cluster_without_dask_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(engines, "find_spec", lambda _: None)
-    message = r"^--cluster: needs the package distributed.*: pip install 'todframes\[cluster\]'$"
+    message = r"^cluster: needs the package distributed.*: pip install 'todframes\[cluster\]'$"
     with pytest.raises(SettingsError, match=message), open_engine("local:2", 1):
         pass
 

@@ -560,10 +560,10 @@ def test_a_finished_session_is_followed_by_a_new_one(dataset, out):
 @pytest.mark.parametrize(
     ("design", "message"),
     [
-        (Design(method="quest"), "--method: found quest, the session has constant, but subject P1 has answered"),
-        (Design(trials=9), "--trials: found 9, the session has 8"),
-        (Design(time_limit_s=2.0), "--time-limit-s: found 2.0, the session has None"),
-        (Design(dither=False), "--dither: found False, the session has True"),
+        (Design(method="quest"), "method: found quest, the session has constant, but subject P1 has answered"),
+        (Design(trials=9), "trials: found 9, the session has 8"),
+        (Design(time_limit_s=2.0), "time_limit_s: found 2.0, the session has None"),
+        (Design(dither=False), "dither: found False, the session has True"),
     ],
 )
 def test_settings_of_a_session_that_has_begun_stay(dataset, out, design, message):
