@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 
 from msgspec import Meta
 
-from todframes.config import check_keys, check_values, from_table, read_toml, toml_literal
+from todframes.config import check_keys, check_values, from_table, read_toml, toml_text
 from todframes.errors import SettingsError
 
 SCHEMA = 1
@@ -256,8 +256,6 @@ def sensor_from(content: Mapping[str, Any], where: str) -> Sensor:
 
 def sensor_toml(sensor: Sensor) -> str:
     """Return the text of a `SENSOR.toml` with all keys; every number keeps all its digits."""
-    lines = [f"schema = {SCHEMA}", f"name = {toml_literal(sensor.name)}"]
-    for table in TABLES:
-        values = asdict(getattr(sensor, table)).items()
-        lines += [f"[{table}]", *(f"{key} = {toml_literal(value)}" for key, value in values if value is not None)]
-    return "\n".join([*lines, ""])
+    return toml_text(
+        {"schema": SCHEMA, "name": sensor.name} | {one: asdict(getattr(sensor, one)) for one in TABLES}
+    )

@@ -21,6 +21,7 @@ from sensor_sim.sampling import field_detectors, field_sampler
 from sensor_sim.sensor import Sensor
 from todframes import __version__
 from todframes._typing import FloatArray
+from todframes.config import toml_text
 from todframes.errors import DataError, FrameError, SettingsError
 from todframes.frames.files import MAX_FRAME_MB, MAX_SIDE_PX, frame_sha256, write_frame
 from todframes.jobs.fingerprint import fingerprint
@@ -29,7 +30,7 @@ from todframes.jobs.run import run_stored
 from todframes.jobs.store import Store
 from todframes.jobs.work import Engine, Lost
 from todframes.output import held, remove_others
-from todframes.safe_text import csv_text
+from todframes.safe_text import csv_text, one_line
 from todframes.stimulus import ORIENTATIONS, Orientation
 
 FrameFormat = Literal["exr", "png"]
@@ -338,20 +339,19 @@ def provenance(sensor: Sensor, seed: int, trial: SimulatedTrial) -> dict[str, st
 
 
 def _settings(sensor: Sensor, white: float, seed: int) -> str:
-    name = "".join(character if character.isprintable() else " " for character in sensor.name)
-    return f"""\
-# Simulated by sensor-sim {__version__} with seed {seed}; sensor: {name}
-schema = 1
-
-[display]
-eotf = "linear"
-white_luminance_cd_m2 = {white!r}
-black_luminance_cd_m2 = 0.0
-pixel_pitch_mm = {float(sensor.display.pixel_pitch_mm)!r}
-viewing_distance_mm = {float(sensor.display.viewing_distance_mm)!r}
-background_luminance_cd_m2 = {float(sensor.display.background_luminance_cd_m2)!r}
-
-[experiment]
-level = "snr"
-group_by = ["size_detectors"]
-"""
+    display = sensor.display
+    return toml_text(
+        {
+            "schema": 1,
+            "display": {
+                "eotf": "linear",
+                "white_luminance_cd_m2": white,
+                "black_luminance_cd_m2": 0.0,
+                "pixel_pitch_mm": float(display.pixel_pitch_mm),
+                "viewing_distance_mm": float(display.viewing_distance_mm),
+                "background_luminance_cd_m2": float(display.background_luminance_cd_m2),
+            },
+            "experiment": {"level": "snr", "group_by": ["size_detectors"]},
+        },
+        comment=f"Simulated by sensor-sim {__version__} with seed {seed}; sensor: {one_line(sensor.name)}",
+    )

@@ -34,6 +34,14 @@ def test_mutated_files() -> None:
     assert "40  in all, 0 faults" in out
 
 
+def test_mutated_recordings() -> None:
+    assert "40  in all, 0 faults" in campaign("media", "40", "--seed", "3")
+
+
+def test_bombs() -> None:
+    assert "2 cases, 0 faults" in campaign("bombs", "--only", "ffv1")
+
+
 def test_a_long_run() -> None:
     assert "kills: 1 of the client" in campaign("long-run", "1", "--frames", "160")
 

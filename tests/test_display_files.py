@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 import re
+import tomllib
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import todframes as tod
+from todframes.config import toml_text
 from todframes.errors import SettingsError
 from todframes.frames.dataset import load_dataset
 from todframes.frames.display import Display, LuminanceTable
@@ -120,9 +122,8 @@ LUT = LuminanceTable(np.array([0.0, 0.1, 1.0]), np.array([0.1, 1 / 3, 97.3]))
 )
 def test_a_display_is_read_again_as_written(display: Display, make_dataset) -> None:
     made = make_dataset()
-    table = table_of_display(display, made.path, title="of a\nmonitor")
-    assert table.startswith("# of a monitor\n[display]\n")
-    made.settings_file.write_text(f"schema = 1\n{table}{EXPERIMENT}", encoding="utf-8")
+    text = toml_text({"schema": 1, "display": table_of_display(display, made.path)})
+    made.settings_file.write_text(text + EXPERIMENT, encoding="utf-8")
     again = load_dataset(made.path).display
     code = np.linspace(0.0, 1.0, 41).reshape(1, -1, 1)
     assert np.array_equal(again.luminance(code), display.luminance(code))
@@ -171,3 +172,18 @@ def test_a_file_that_is_wrong(tmp_path: Path, change: tuple[str, str], wanted: s
     path.write_text(MONITOR.replace(*change), encoding="utf-8")
     with pytest.raises(SettingsError, match=wanted):
         read_display(path)
+
+
+def test_settings_are_read_again_as_written() -> None:
+    content = {
+        "schema": 1,
+        "name": 'a "name" \\ with\ttrouble\x7f and ü',
+        "none": [],
+        "on": True,
+        "point": {"x": 1 / 3, "y": -1e-300},
+        "pairs": [[0.1, 2], [1e22, 3]],
+        "pages": [{"number": 1, "items": [{"x": 1.5}, {"x": 2.5, "file": "a.png"}]}, {"number": 2}],
+    }
+    text = toml_text(content | {"left_out": None}, comment="two\nlines")
+    assert text.startswith("# two\n# lines\nschema = 1\n")
+    assert tomllib.loads(text) == content

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import hashlib
+import json
+import os
 import re
+import shutil
 import struct
 import sys
 import zipfile
@@ -15,6 +18,8 @@ import OpenImageIO as oiio
 import pytest
 
 import todframes as tod
+from todframes.cli.console import run
+from todframes.cli.main import cli
 from todframes.recordings import open_recordings, radiometric, raw
 from todframes.recordings.recording import natural_order
 
@@ -547,3 +552,32 @@ def test_the_extras_bring_no_second_opencv():
 
 def test_raw_extensions_are_none_of_flir():
     assert not {".fff", ".tif", ".tiff"} & set(raw.SUFFIXES)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems have names in Unicode")
+def test_folders_whose_names_are_no_utf_8_are_read(tmp_path):
+    folder = Path(os.fsdecode(os.fsencode(tmp_path) + b"/caf\xe9"))
+    folder.mkdir()
+    counts = RNG.integers(600, 16000, (64, 96)).astype(np.uint16)
+    for name in ("a.png", "a.tif"):
+        write_image(tmp_path / name, counts[..., np.newaxis])
+        shutil.move(tmp_path / name, folder / name)
+    dng(folder / "a.dng", counts, black=0, white=16383, mosaic=False)
+    (folder / "a.fff").write_bytes(fff(counts))
+    np.save(folder / "a.npy", counts)
+    for name in ("a.png", "a.tif", "a.dng", "a.fff", "a.npy"):
+        np.testing.assert_array_equal(values_of(folder / name), counts[np.newaxis])
+    (tmp_path / "s.csv").write_text("orientation,size_px,contrast\nup,9,0.5\n")
+    done = tod.import_recordings(folder / "a.npy", schedule=tmp_path / "s.csv", out=folder / "out")
+    assert json.loads((folder / "out" / "import.json").read_text())["n_frames"] == 1
+    assert len(tod.load_dataset(done.path).trials) == 1
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems have names in Unicode")
+def test_results_name_folders_that_are_no_utf_8(tmp_path, make_dataset):
+    folder = Path(os.fsdecode(os.fsencode(tmp_path) + b"/caf\xe9"))
+    shutil.copytree(make_dataset(contrasts=(0.1, 0.9)).path, folder)
+    np.save(folder / "a.npy", RNG.random((3, 20, 20)))
+    for command in (["score", str(folder), "--set", "resamples=0"], ["noise", str(folder / "a.npy")]):
+        assert run(cli, [*command, "--quiet", "-o", str(tmp_path / command[0])]) == 0
+        assert r"caf\\udce9" in (tmp_path / command[0] / "result.json").read_text()

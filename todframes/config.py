@@ -183,16 +183,53 @@ def parse_toml(text: str, where: str) -> dict[str, Any]:
         raise SettingsError(f"{where}: not valid TOML: {error}") from None
 
 
-def toml_literal(value: str | bool | int | float) -> str:
-    """Return a value as it is written in TOML; a number keeps all its digits."""
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, str):
-        import json
+def toml_text(content: Mapping[str, Any], *, comment: str = "") -> str:
+    """Return a file of settings as TOML: comment, values, tables; a number keeps all its digits.
 
-        # A JSON string is a TOML string but for DEL, which TOML wants escaped.
-        return json.dumps(str(value), ensure_ascii=False).replace("\x7f", "\\u007f")
+    A value of None is left out. A list of tables above all tables is one table each; in a table it has a line for
+    each. All other lists and tables are on one line.
+    """
+    lines = [f"# {line}" for line in comment.splitlines()]
+    lines += _assignments({name: value for name, value in content.items() if not _is_tables(value)})
+    for name, value in content.items():
+        if _is_tables(value):
+            header = f"[{name}]" if isinstance(value, Mapping) else f"[[{name}]]"
+            for table in [value] if isinstance(value, Mapping) else value:
+                lines += [*([""] if lines else []), header, *_assignments(table)]
+    return "\n".join([*lines, ""])
+
+
+def toml_literal(value: object) -> str:
+    """Return a value as it is written in TOML, on one line."""
+    match value:
+        case bool():
+            return "true" if value else "false"
+        case str():
+            import json
+
+            # A JSON string is a TOML string but for DEL, which TOML wants escaped.
+            return json.dumps(str(value), ensure_ascii=False).replace("\x7f", "\\u007f")
+        case Mapping():
+            return "{" + ", ".join(_assignments(value)) + "}"
+        case list() | tuple():
+            return f"[{', '.join(map(toml_literal, value))}]"
     return repr(value)
+
+
+def _assignments(table: Mapping[str, Any]) -> list[str]:
+    lines: list[str] = []
+    for name, value in table.items():
+        if isinstance(value, list) and _is_tables(value):
+            lines += [f"{name} = [", *(f"  {toml_literal(one)}," for one in value), "]"]
+        elif value is not None:
+            lines.append(f"{name} = {toml_literal(value)}")
+    return lines
+
+
+def _is_tables(value: object) -> bool:
+    """Return whether a value is a table or a list of tables."""
+    parts = value if isinstance(value, list) and value else [value]
+    return all(isinstance(one, Mapping) for one in parts)
 
 
 def toml_value(text: str) -> Any:

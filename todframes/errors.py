@@ -8,7 +8,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from todframes.locations import Location, without_secrets
+from todframes.locations import Location, in_utf8, without_secrets
 
 _ARGUMENT = re.compile("\x1a([a-z0-9_]+)\x1a")
 """Pattern of an argument in the text of an error."""
@@ -46,12 +46,13 @@ class TodframesError(Exception):
     """Base class of all errors that a user can cause and correct; `exit_status` is the status of the command.
 
     A URL in the message is shown without a user name, password, parameter or query: they may be secrets.
+    Names that are not UTF-8 are escaped, because results keep messages.
     """
 
     exit_status = 1
 
     def __init__(self, message: str) -> None:
-        super().__init__(without_secrets(message))
+        super().__init__(in_utf8(without_secrets(message)))
 
     def __str__(self) -> str:
         return _ARGUMENT.sub(r"\1", self.args[0])

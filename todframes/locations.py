@@ -62,3 +62,8 @@ class RemotePath:
 
 
 Location = Path | RemotePath
+
+
+def in_utf8(text: str) -> str:
+    r"""Return a text in which what UTF-8 cannot encode is escaped: a byte of a file name becomes `\udce9`."""
+    return text.encode(errors="backslashreplace").decode()

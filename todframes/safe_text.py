@@ -25,6 +25,11 @@ def visible(text: str) -> str:
     return "".join(one if one.isprintable() else ascii(one)[1:-1] for one in text)
 
 
+def one_line(text: str) -> str:
+    """Return a text for a comment of one line: without line breaks and characters that are not printable."""
+    return "".join(filter(str.isprintable, " ".join(text.split())))
+
+
 def visible_json(text: str) -> str:
     """Return JSON in which characters that a terminal would obey are escaped; its values are the same."""
     return _UNESCAPED_BY_JSON.sub(lambda found: f"\\u{ord(found[0]):04x}", text)

@@ -39,8 +39,10 @@ LONGEST_LINE = 8000
 
 SHARE_OF_FRAMES = 0.6
 
-ASIDE = re.compile(r"libpng (?:error|warning): |warning: |note: |skipped: ")
-"""Pattern of lines on standard error that may stand beside the one error; the first are libpng's own."""
+LIBRARIES = r"libpng (?:error|warning): |\S+: (?:Unexpected end of file|data corrupted at \S+)$"
+
+ASIDE = re.compile(rf"{LIBRARIES}|warning: |note: |skipped: ")
+"""Pattern of lines on standard error that may stand beside the one error; the first are of libraries."""
 
 FRAMES_OF = {
     "EXR, half": {"suffix": ".exr", "pixel_type": "half"},
@@ -116,8 +118,8 @@ WEIGHTS = (5, 2, 3, 6, 4, 3, 4, 1)
 # The parent ----------------------------------------------------------------------------------------------------
 
 
-def run_campaign(n: int, *, seed: int, first: int = 0) -> list[Outcome]:
-    """Run cases `first` to `first + n − 1`, and return their outcomes."""
+def run_campaign(n: int, *, seed: int, first: int = 0, script: str = __file__) -> list[Outcome]:
+    """Run cases `first` to `first + n − 1` of a script of cases, and return their outcomes."""
     outcomes: list[Outcome] = []
     with tempfile.TemporaryDirectory() as folder:
         while len(outcomes) < n:
@@ -125,7 +127,7 @@ def run_campaign(n: int, *, seed: int, first: int = 0) -> list[Outcome]:
             log = Path(folder, "log")
             log.unlink(missing_ok=True)
             child = subprocess.run(
-                [sys.executable, __file__, str(seed), str(begun), str(first + n), str(log)],
+                [sys.executable, script, str(seed), str(begun), str(first + n), str(log)],
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.PIPE,
                 text=True,
@@ -211,6 +213,8 @@ class Child:
         An empty folder, the present one.
     """
 
+    largest_mb = LARGEST_MB
+
     def __init__(self, seed: int, folder: Path) -> None:
         self._seed, self._folder = seed, folder
         self._frames = {}
@@ -247,15 +251,18 @@ class Child:
         started = time.perf_counter()
         case = "?"
         try:
-            case, judged = self._frame(rng) if rng.random() < SHARE_OF_FRAMES else self._text(rng)
+            case, judged = self._case(rng)
             ending, is_fault, said = judged
         except BaseException as error:
             ending, is_fault, said = f"raised {type(error).__name__}", True, _traceback(error)
         faulthandler.cancel_dump_traceback_later()
         seconds, peak_mb = time.perf_counter() - started, _peak_mb()
-        if peak_mb > LARGEST_MB:
-            ending, is_fault = f"took more than {LARGEST_MB} MB, {ending}", True
+        if peak_mb > self.largest_mb:
+            ending, is_fault = f"took more than {self.largest_mb} MB, {ending}", True
         return Outcome(number, case, ending, is_fault, said, seconds, peak_mb)
+
+    def _case(self, rng: np.random.Generator) -> tuple[str, tuple[str, bool, str]]:
+        return self._frame(rng) if rng.random() < SHARE_OF_FRAMES else self._text(rng)
 
     def _frame(self, rng: np.random.Generator) -> tuple[str, tuple[str, bool, str]]:
         name = list(FRAMES_OF)[rng.integers(len(FRAMES_OF))]
@@ -326,7 +333,7 @@ def _fits(out: str) -> Any:
 def _judge_frame(ran: Ran, frame: Path, right: Any, *, is_same: bool, is_checked: bool) -> tuple[str, bool, str]:
     """Return the ending, whether it is a fault, and what was said."""
     if ran.status:
-        return _judge_refusal(ran, str(frame))
+        return judge_refusal(ran, str(frame))
     result = json.loads(ran.out)
     if skipped := result["skipped"]:
         is_named = [one["frame"] for one in skipped] == [f"frames/{frame.name}"]
@@ -349,7 +356,7 @@ def _judge_validate(ran: Ran, frame: Path, *, may_pass: bool) -> tuple[str, bool
     return "validate named it", not is_told, ran.err
 
 
-def _judge_refusal(ran: Ran, wanted: str = "") -> tuple[str, bool, str]:
+def judge_refusal(ran: Ran, wanted: str = "") -> tuple[str, bool, str]:
     lines = [line for line in ran.err.splitlines() if not ASIDE.match(line)]
     is_clear = (
         len(lines) == 1
@@ -366,15 +373,15 @@ def _judge_refusal(ran: Ran, wanted: str = "") -> tuple[str, bool, str]:
 
 def _judge_text(ran: Ran, *, is_same: bool) -> tuple[str, bool, str]:
     if ran.status:
-        ending, is_fault, said = _judge_refusal(ran)
+        ending, is_fault, said = judge_refusal(ran)
         return ending, is_fault or is_same, said
     others = [line for line in ran.err.splitlines() if not ASIDE.match(line)]
     if ran.out.startswith("{"):
-        json.loads(ran.out, parse_constant=_refuse_constant)
+        json.loads(ran.out, parse_constant=refuse_constant)
     return "a result", bool(others), ran.err
 
 
-def _refuse_constant(name: str) -> None:
+def refuse_constant(name: str) -> None:
     raise ValueError(f"the JSON holds {name}")
 
 
@@ -401,15 +408,15 @@ def _other_formats() -> list[bytes]:
     return [*found, b"GIF89a" + bytes(100), b"PK\3\4" + bytes(100), b"%PDF-1.7\n", b"SIMPLE  =" + bytes(100)]
 
 
-def main(seed: int, first: int, stop: int, log: Path) -> int:
-    """Run cases and write their outcomes, a line each."""
+def main(seed: int, first: int, stop: int, log: Path, *, kind: type[Child] = Child) -> int:
+    """Run cases of a kind and write their outcomes, a line each."""
     from todframes.cli.console import keep_libraries_to_one_thread
 
     keep_libraries_to_one_thread()
     importlib.metadata.entry_points = functools.cache(importlib.metadata.entry_points)  # a third of a case's time
     faulthandler.enable(os.fdopen(os.dup(2), "w"))
     last = min(stop, first + CASES_PER_CHILD)
-    child = Child(seed, Path.cwd())
+    child = kind(seed, Path.cwd())
     with log.open("w", encoding="utf-8") as file:
         for number in range(first, last):
             file.write(json.dumps(child.run(number)) + "\n")

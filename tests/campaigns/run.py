@@ -1,6 +1,8 @@
 """Runs the campaigns of this folder; exit status 1 if a case has not ended as it should.
 
 python tests/campaigns/run.py mutations [N]        # 10,000 mutated frames and settings files; half an hour
+python tests/campaigns/run.py media [N]            # 4,000 mutated recordings
+python tests/campaigns/run.py bombs                # small files that claim much memory
 python tests/campaigns/run.py kills [N]            # 100 kills of clients, workers and schedulers
 python tests/campaigns/run.py long-run [N]         # 100 kills of one run of 20,000 frames
 python tests/campaigns/run.py faults               # full disks, second runs, files that change
@@ -22,6 +24,7 @@ import decoys
 import explorer
 import faults
 import kills
+import media
 import planted
 import servers
 import sitters
@@ -30,7 +33,8 @@ import sitters
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a campaign and print what it has found. Returns the exit status."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    names = ["mutations", "kills", "long-run", "faults", "decoys", "servers", "planted", "people", "explorer"]
+    names = ["mutations", "media", "bombs", "kills", "long-run", "faults"]
+    names += ["decoys", "servers", "planted", "people", "explorer"]
     parser.add_argument("campaign", choices=names)
     parser.add_argument(
         "n",
@@ -48,6 +52,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
             outcomes = damage.run_campaign(asked.n or 10_000, seed=asked.seed, first=asked.first)
             print(damage.table(outcomes))
             return int(any(one.is_fault for one in outcomes))
+        case "media":
+            outcomes = damage.run_campaign(
+                asked.n or 4000, seed=asked.seed, first=asked.first, script=media.__file__
+            )
+            print(damage.table(outcomes))
+            return int(any(one.is_fault for one in outcomes))
+        case "bombs":
+            n, n_faults = media.bombs(asked.only)
+            print(f"{n} cases, {n_faults} faults")
+            return int(bool(n_faults))
         case "kills":
             tallies = kills.campaign(asked.n or 100, seed=asked.seed, only=asked.only)
             return int(any(tally.faults for tally in tallies))

@@ -14,6 +14,7 @@ from todframes.calls.shared import (
     Progress,
 )
 from todframes.errors import DataError, SettingsError
+from todframes.locations import in_utf8
 
 if TYPE_CHECKING:
     from todframes.frames.files import PathLike
@@ -110,4 +111,6 @@ def noise(
     if mk_per_count is None:
         mk_per_count = mk_per_count_of(found[0], measured.mean)
     signals = tuple(np.atleast_1d(np.asarray(signal, np.float64)).tolist())
-    return noise_result(measured, str(found[0].path), mk_per_unit=mk_per_count, signals=signals, started=started)
+    return noise_result(
+        measured, in_utf8(str(found[0].path)), mk_per_unit=mk_per_count, signals=signals, started=started
+    )

@@ -14,7 +14,7 @@ from todframes.frames.dataset import Dataset, DatasetWarning
 from todframes.frames.files import has_own_checksums
 from todframes.frames.memory import MemoryDataset
 from todframes.frames.trials import Trial
-from todframes.locations import RemotePath
+from todframes.locations import RemotePath, in_utf8
 from todframes.output import write_file
 
 COLUMN = "sha256"
@@ -55,7 +55,7 @@ def dataset_warnings(dataset: Dataset, trials: Sequence[Trial]) -> list[DatasetW
     if not unverified:
         return []
     is_remote = isinstance(dataset.path, RemotePath)
-    folder = "FOLDER" if is_remote else shlex.quote(str(dataset.path))
+    folder = "FOLDER" if is_remote else in_utf8(shlex.quote(str(dataset.path)))
     message = (
         f"{unverified} of {n_frames} frames are EXR without a sha256 in manifest.csv: nothing checks these "
         "files, and damage to them would change thresholds unseen; add checksums with "

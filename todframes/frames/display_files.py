@@ -25,6 +25,7 @@ from todframes.config import check_keys, from_table, path_inside, read_numbers, 
 from todframes.errors import DataError, SettingsError
 from todframes.frames.display import Display, LuminanceTable
 from todframes.locations import Location
+from todframes.safe_text import csv_text
 
 SCHEMA = 1
 """Version of the format of display files that this package reads."""
@@ -148,7 +149,7 @@ def display_of_table(table: Mapping[str, Any], where: str, folder: Location) -> 
     return from_table(table, Display, where)
 
 
-def table_of_display(display: Display, folder: Path, *, title: str = "") -> str:
+def table_of_display(display: Display, folder: Path) -> dict[str, object]:
     """Return a display as the table [display] of a dataset; write its LUT, if it has one, into the folder.
 
     Parameters
@@ -157,25 +158,14 @@ def table_of_display(display: Display, folder: Path, *, title: str = "") -> str:
         Display to describe; the same display is read from the table again.
     folder : Path
         Folder of the dataset.
-    title : str
-        Text for a comment above the table.
     """
-    values: dict[str, object] = {
-        field.name: value for field in fields(display) if (value := getattr(display, field.name)) is not None
-    }
+    values: dict[str, object] = {field.name: getattr(display, field.name) for field in fields(display)}
     if display.lut is not None:
         columns = display.lut.code_value.tolist(), display.lut.luminance_cd_m2.tolist()
-        rows = [f"{code!r},{luminance!r}" for code, luminance in zip(*columns, strict=True)]
-        text = "\n".join(["code_value,luminance_cd_m2", *rows, ""])
+        text = csv_text([("code_value", "luminance_cd_m2"), *zip(*columns, strict=True)])
         (folder / LUT_FILE).write_text(text, encoding="utf-8")
-        del values["white_luminance_cd_m2"], values["black_luminance_cd_m2"]
-        values["lut"] = LUT_FILE
-    lines = [
-        f'{name} = "{value}"' if isinstance(value, str) else f"{name} = {value!r}"
-        for name, value in values.items()
-    ]
-    comment = [f"# {' '.join(filter(str.isprintable, title.split()))}"] if title.strip() else []
-    return "\n".join([*comment, "[display]", *lines, ""])
+        values |= {"white_luminance_cd_m2": None, "black_luminance_cd_m2": None, "lut": LUT_FILE}
+    return values
 
 
 def _read_lut(folder: Location, name: str, named: str) -> LuminanceTable:

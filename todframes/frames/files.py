@@ -222,7 +222,6 @@ class FrameFile:
         with ExitStack() as stack:
             try:
                 self._opened = local = _local(self.path, content, stack)
-                str(local).encode()  # OpenImageIO accepts only names that UTF-8 can encode
                 if sha256 is not None and (found := frame_sha256(local)) != sha256:
                     raise FrameError(self.path, f"sha256 is {found}, the manifest says {sha256}")
                 format_name = _recognise(local)
@@ -487,12 +486,25 @@ def _local(path: Location, content: bytes | None, stack: ExitStack) -> Path:
     """
     if content is None:
         if not isinstance(path, RemotePath):
-            return path
+            return path_in_utf8(path, stack)
         content = read_content(path).data
     memory = stack.enter_context(os.fdopen(os.memfd_create("frame"), "wb"))
     memory.write(content)
     memory.flush()
     return Path(f"/proc/self/fd/{memory.fileno()}")
+
+
+def path_in_utf8(path: Path, stack: ExitStack) -> Path:
+    """Return a path that UTF-8 can encode, as libraries need it: of the open file if that of the file cannot be.
+
+    The file is closed with `stack`. Raises FrameError or OSError if it cannot be opened.
+    """
+    try:
+        str(path).encode()
+    except UnicodeEncodeError:
+        _check_is_file(path)
+        return Path(f"/proc/self/fd/{stack.enter_context(path.open('rb')).fileno()}")
+    return path
 
 
 def _check_is_file(path: Path) -> int:

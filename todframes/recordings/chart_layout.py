@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields, is_dataclass, replace
 from pathlib import Path, PurePosixPath
 from typing import Annotated, Any, Literal
 
@@ -17,7 +17,7 @@ import numpy as np
 from msgspec import Meta
 
 from todframes._typing import FloatArray
-from todframes.config import MAX_TOML_MB, check_keys, check_values, from_table, read_toml, toml_literal
+from todframes.config import MAX_TOML_MB, check_keys, check_values, from_table, read_toml, toml_text
 from todframes.errors import SettingsError
 from todframes.frames.display import Display, Eotf, LuminanceTable
 from todframes.recordings.markers import CORNERS, MODULES, MOST_PAGES, N_DIGITS
@@ -486,32 +486,29 @@ def write_chart(path: Path, chart: Chart) -> None:
 def chart_toml(chart: Chart) -> str:
     """Return the text of `chart.toml`; every number keeps all its digits."""
     plain = ("kind", "name", "key", "seed", "distance_m", "page_width_mm", "page_height_mm", "polarity")
-    lines = [f"schema = {SCHEMA}", *_lines(chart, plain)]
+    content: dict[str, Any] = {"schema": SCHEMA, **{name: getattr(chart, name) for name in plain}}
     if chart.screen is not None:
-        names = [field.name for field in fields(Screen) if getattr(chart.screen, field.name) is not None]
-        lines += ["", "[screen]", *_lines(chart.screen, names)]
+        content["screen"] = {field.name: _plain(getattr(chart.screen, field.name)) for field in fields(Screen)}
     if chart.markers is not None:
-        lines += ["", "[markers]", *_lines(chart.markers, ["dictionary", "side_mm", *CORNERS])]
-    for page in chart.pages:
-        lines += ["", "[[pages]]", f"number = {page.number}"]
-        if page.file is not None:
-            lines.append(f"file = {_toml(page.file)}")
-        for name in ("triangles", "patches"):
-            if items := getattr(page, name):
-                lines += [f"{name} = [", *(f"  {_toml(one)}," for one in items), "]"]
-    return "\n".join([*lines, ""])
+        names = ("dictionary", "side_mm", *CORNERS)
+        content["markers"] = {name: _plain(getattr(chart.markers, name)) for name in names}
+    content["pages"] = [
+        {
+            "number": page.number,
+            "file": page.file,
+            "triangles": [*map(_plain, page.triangles)] or None,
+            "patches": [*map(_plain, page.patches)] or None,
+        }
+        for page in chart.pages
+    ]
+    return toml_text(content)
 
 
-def _lines(settings: object, names: tuple[str, ...] | list[str]) -> list[str]:
-    return [f"{name} = {_toml(getattr(settings, name))}" for name in names]
-
-
-def _toml(value: Any) -> str:
-    match value:
-        case LuminanceTable():
-            pairs = zip(value.code_value.tolist(), value.luminance_cd_m2.tolist(), strict=True)
-            return f"[{', '.join(f'[{code!r}, {luminance!r}]' for code, luminance in pairs)}]"
-        case str() | bool() | int() | float():
-            return toml_literal(value)
+def _plain(value: Any) -> Any:
+    """Return a part of a chart as plain values; fields that have their defaults are left out."""
+    if isinstance(value, LuminanceTable):
+        return [*zip(value.code_value.tolist(), value.luminance_cd_m2.tolist(), strict=True)]
+    if not is_dataclass(value):
+        return value
     shown = ((field.name, getattr(value, field.name), field.default) for field in fields(value))
-    return "{" + ", ".join(f"{name} = {_toml(one)}" for name, one, default in shown if one != default) + "}"
+    return {name: _plain(one) for name, one, default in shown if one != default}

@@ -168,7 +168,7 @@ def _counted(clip: Clip, frames: Iterable[ClipFrame]) -> Iterator[tuple[Clip, Cl
 def _without_other(
     clip: Clip, frames: list[ClipFrame], known: list[FloatArray], other: int | None, key: int
 ) -> list[ClipFrame]:
-    """Return the frames without those that hold more of another page than the known ones do."""
+    """Return the frames whose share of another page is not above that of the clip's reference frames."""
     if other is None or not frames:
         return frames
     ids, other_ids = marker_ids(clip.page, key), marker_ids(other, key)

@@ -8,13 +8,13 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
-from todframes.config import number
+from todframes.config import number, toml_text
 from todframes.errors import DataError, OutputError, SettingsError, argument
 from todframes.frames.dataset import SCHEMA, Experiment
 from todframes.frames.display import Display
 from todframes.frames.display_files import LUT_FILE, find_display, table_of_display
 from todframes.output import output_folder
-from todframes.safe_text import csv_text, visible
+from todframes.safe_text import csv_text, one_line, visible
 from todframes.stimulus import ORIENTATIONS
 
 SETTINGS_FILE, MANIFEST_FILE = "dataset.toml", "manifest.csv"
@@ -126,11 +126,14 @@ def new_dataset(
                 f"{folder}: found no file that matches {pattern} ({seen}); expected the path of the frames, "
                 "relative to the dataset"
             )
-        settings = [f"schema = {SCHEMA}", "", table_of_display(shown, staged, title=title)]
-        settings += ["[experiment]", f'level = "{level}"', f"group_by = {list(group_by)}".replace("'", '"'), ""]
+        settings = {
+            "schema": SCHEMA,
+            "display": table_of_display(shown, staged),
+            "experiment": {"level": level, "group_by": list(group_by)},
+        }
         manifest = csv_text([rows[0], *(row.values() for row in rows)], as_it_is=True)
         (staged / MANIFEST_FILE).write_text(manifest, encoding="utf-8")
-        (staged / SETTINGS_FILE).write_text("\n".join(settings), encoding="utf-8")
+        (staged / SETTINGS_FILE).write_text(toml_text(settings, comment=one_line(title)), encoding="utf-8")
     return FramesFound(len(rows), tuple(unmatched))
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ from todframes.frames.files import (
     allow_frames,
     check_decoded_size,
     openimageio_reason,
+    path_in_utf8,
 )
 from todframes.recordings.recording import RecordingWarning, StillHeader, check_size
 
@@ -61,8 +63,7 @@ def read_header(path: Path, max_frame_mb: int) -> StillHeader:
     FrameError
         If the file is damaged or too large, its pages differ, or its pixel type or channels are none of ours.
     """
-    image = _open(path, max_frame_mb)
-    try:
+    with _opened(path, max_frame_mb) as image:
         name = image.format_name()
         if name == "openexr":
             return _exr_header(path, image.spec(), max_frame_mb)
@@ -74,8 +75,6 @@ def read_header(path: Path, max_frame_mb: int) -> StillHeader:
                     path, f"page {n_pages} differs in size or pixel type from page 0, expected equal ones"
                 )
             n_pages += 1
-    finally:
-        image.close()
     shape, n_channels, pixel_type = header
     return StillHeader(
         shape,
@@ -101,8 +100,7 @@ def read_frames(path: Path, max_frame_mb: int) -> Iterator[NDArray[Any]]:
         with FrameFile(path, max_frame_mb=max_frame_mb) as frame:
             yield _as_recorded(path, frame.read().stored)
         return
-    image = _open(path, max_frame_mb)
-    try:
+    with _opened(path, max_frame_mb) as image:
         page = 0
         while image.seek_subimage(page, 0):
             spec = image.spec()
@@ -114,20 +112,20 @@ def read_frames(path: Path, max_frame_mb: int) -> Iterator[NDArray[Any]]:
                 stored = _unscaled(stored, _full_scale(path, spec))
             yield _as_recorded(path, stored)
             page += 1
-    finally:
-        image.close()
 
 
-def _open(path: Path, max_frame_mb: int) -> Any:
+@contextmanager
+def _opened(path: Path, max_frame_mb: int) -> Iterator[Any]:
     allow_frames(max_frame_mb)
-    try:
-        str(path).encode()
-        image = oiio.ImageInput.open(str(path))
-    except (OSError, ValueError) as error:
-        raise FrameError(path, f"cannot be opened: {error}") from None
-    if image is None:
-        raise FrameError(path, f"cannot be opened: {openimageio_reason(None)}")
-    return image
+    with ExitStack() as stack:
+        try:
+            image = oiio.ImageInput.open(str(path_in_utf8(path, stack)))
+        except (OSError, ValueError) as error:
+            raise FrameError(path, f"cannot be opened: {error}") from None
+        if image is None:
+            raise FrameError(path, f"cannot be opened: {openimageio_reason(None)}")
+        stack.callback(image.close)
+        yield image
 
 
 def _exr_header(path: Path, spec: Any, max_frame_mb: int) -> StillHeader:

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Literal, Protocol
 
 from todframes import __version__
+from todframes.config import toml_text
 from todframes.errors import DataError, SettingsError, argument
 from todframes.frames.display import Display
 from todframes.frames.display_files import DisplayDescription, find_display, table_of_display
@@ -27,7 +28,7 @@ from todframes.recordings.schedule import read_schedule
 from todframes.recordings.schedule_source import ScheduleSource
 from todframes.recordings.trials import SHAKE_PX, ImportedTrial, TrialDivision, TriangleDescription
 from todframes.recordings.windows import WindowWriter, WrittenWindow, code_range
-from todframes.safe_text import csv_text
+from todframes.safe_text import csv_text, one_line
 
 LARGEST_TIME_ERROR = 0.1
 """Relative difference of the trials' time from the integration time, above which it is told."""
@@ -244,7 +245,16 @@ def import_recordings(
         _write(folder / REPORT_FILE, json.dumps(report, indent=1, ensure_ascii=False) + "\n")
         _write(folder / "manifest.csv", csv_text([rows[0], *(row.values() for row in rows)], as_it_is=True))
         _write(
-            folder / "dataset.toml", _settings(source, table_of_display(shown.display, folder, title=shown.title))
+            folder / "dataset.toml",
+            toml_text(
+                {
+                    "schema": 1,
+                    "display": table_of_display(shown.display, folder),
+                    "experiment": {"level": source.level, "group_by": [source.group_by]},
+                },
+                comment=f"Imported by todframes {__version__}; {REPORT_FILE} says what was found\n"
+                f"Display: {one_line(shown.title)}",
+            ),
         )
     return Imported(
         path=Path(out),
@@ -448,13 +458,5 @@ def _of_windows(written: dict[str, WrittenWindow], *, is_clipped: bool) -> Itera
         )
 
 
-def _settings(source: Source, display_table: str) -> str:
-    return (
-        f"# Imported by todframes {__version__}; {REPORT_FILE} tells what was found in the recordings\n"
-        f"schema = 1\n\n{display_table}\n[experiment]\n"
-        f"level = {json.dumps(source.level, ensure_ascii=False)}\ngroup_by = [{json.dumps(source.group_by)}]\n"
-    )
-
-
 def _write(path: Path, text: str) -> None:
-    path.write_text(text, encoding="utf-8")
+    path.write_text(text, encoding="utf-8", errors="backslashreplace")  # names may be no UTF-8

@@ -1,4 +1,4 @@
-"""Three-dimensional noise of a recording: variances of time, rows and columns, and of what they share.
+"""Three-dimensional noise of a recording: variances of time, rows, columns and their interactions.
 
 Each value is a mean plus seven independent random parts: one for each frame (t), row (v) and column (h), row of
 a frame (tv), column of a frame (th), pixel (vh), and pixel of a frame (tvh). D'Agostino & Webb 1991, "Three-
@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from todframes._typing import FloatArray
+from todframes.config import toml_text
 from todframes.errors import DataError, SettingsError
 from todframes.frames.display import REC_709_LUMINANCE_WEIGHTS
 from todframes.recordings.recording import INTEGRATION_TIME_S, Recording, RecordingWarning
@@ -211,16 +212,15 @@ class Noise3D:
         """
         dynamic, _ = self._both()
         per_unit = 1000.0 if self.unit == "celsius" else mk_per_unit
-        lines = [
-            "[noise]",
-            'distribution = "gaussian"',
-            "# netd_mk = …                  # unknown: give --mk-per-count"
-            if per_unit is None
-            else f"netd_mk = {dynamic.sd * per_unit:.6g}",
-            f"fixed_pattern_ratio = {self.fixed_pattern_ratio.sd:.6g}",
-            f"frames_integrated = {self.frames_integrated}",
-        ]
-        return "\n".join([*lines, ""])
+        noise = {
+            "distribution": "gaussian",
+            "netd_mk": None if per_unit is None else float(f"{dynamic.sd * per_unit:.6g}"),
+            "fixed_pattern_ratio": float(f"{self.fixed_pattern_ratio.sd:.6g}"),
+            "frames_integrated": self.frames_integrated,
+        }
+        return toml_text(
+            {"noise": noise}, comment="netd_mk is not known: give --mk-per-count" if per_unit is None else ""
+        )
 
 
 def _log_ratio(value: float, end: float) -> float:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from todframes.errors import FrameError
-from todframes.frames.files import check_decoded_size
+from todframes.frames.files import check_decoded_size, path_in_utf8
 from todframes.recordings.recording import RecordingWarning, StillHeader, check_size, missing_extra
 
 if TYPE_CHECKING:
@@ -67,7 +67,7 @@ def _opened(path: Path, max_frame_mb: int) -> Iterator[rawpy.RawPy]:
     except ImportError:
         raise missing_extra(path, "raw", "rawpy") from None
     try:
-        with rawpy.imread(str(path)) as raw:
+        with ExitStack() as stack, rawpy.imread(str(path_in_utf8(path, stack))) as raw:
             check_decoded_size(path, 2 * raw.sizes.raw_width * raw.sizes.raw_height, max_frame_mb)
             yield raw
     except (rawpy.LibRawError, OSError) as error:

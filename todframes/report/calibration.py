@@ -7,6 +7,7 @@ from dataclasses import fields
 
 import msgspec
 
+from todframes.config import toml_text
 from todframes.psychometrics.fit import FitSettings
 from todframes.report.data import Fit, PersonResult, Record, ResultData
 from todframes.report.table import EXACT, Column, Table
@@ -214,15 +215,5 @@ def _toml(result: ResultData, one: PersonResult) -> str:
     values["internal_noise"] = one.internal_noise
     if one.template_blur_samples_ci95 is not None:
         values["template_blur_samples"] = one.template_blur_samples
-    return "".join(
-        [
-            f"# {_sentence(result, one)}\n",
-            f"# todframes score DATASET --observer {result.settings.get('observer')} --observer-settings FILE\n",
-            # Numbers, texts and lists in JSON are TOML too.
-            *(
-                f"{name} = {msgspec.json.encode(value).decode()}\n"
-                for name, value in values.items()
-                if value is not None
-            ),
-        ]
-    )
+    how = f"todframes score DATASET --observer {result.settings.get('observer')} --observer-settings FILE"
+    return toml_text(values, comment=f"{_sentence(result, one)}\n{how}")

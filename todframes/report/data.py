@@ -16,6 +16,7 @@ from msgspec import Meta, Struct, field
 
 from todframes.config import read_file
 from todframes.errors import DataError
+from todframes.locations import in_utf8
 
 if TYPE_CHECKING:
     from todframes.diagnosis.missing_threshold import Explanation
@@ -506,7 +507,7 @@ class DatasetRecord(Struct, frozen=True, kw_only=True):
         """Return the record of a dataset, with what was measured of each stimulus."""
         as_read_again = msgspec.json.decode(msgspec.json.encode(measured))
         return cls(
-            path=str(dataset.path),
+            path=in_utf8(str(dataset.path)),
             display=_display(dataset.display),
             experiment={"level": dataset.experiment.level, "group_by": list(dataset.experiment.group_by)},
             manifest_sha256=dataset.manifest_sha256,
