@@ -20,9 +20,9 @@ from matplotlib.figure import Figure
 import sensor_sim as ss
 import todframes as tod
 from sensor_sim.cli import cli as sensor_cli
+from todframes.base.errors import flag_of
 from todframes.cli.console import run
 from todframes.cli.main import cli
-from todframes.errors import flag_of
 from todframes.report.data import decode
 
 ROOT = Path(__file__).parent.parent

@@ -10,18 +10,18 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from numpy.typing import ArrayLike
 
-from todframes._typing import Json
+from todframes.base._typing import Json
+from todframes.base.errors import SettingsError
+from todframes.base.locations import Location
 from todframes.diagnosis.findings import frame_warnings
 from todframes.diagnosis.inspection import inspect, records
-from todframes.errors import SettingsError
+from todframes.display.display import Display
 from todframes.frames.checksums import dataset_warnings
 from todframes.frames.dataset import Dataset, load_dataset
-from todframes.frames.display import Display
 from todframes.frames.trials import Trial
 from todframes.jobs.engine import open_engine
 from todframes.jobs.store import FILE, Store
 from todframes.jobs.work import Engine
-from todframes.locations import Location
 from todframes.observers.interface import ENTRY_POINT_GROUP, Observer, find_observer
 from todframes.report.data import (
     DatasetRecord,
@@ -85,7 +85,7 @@ def loaded(dataset: Location | str | Dataset) -> Dataset:
 
 def in_memory(frames: Iterable[ArrayLike], display: Display | str, **shown: Any) -> Dataset:
     """Return a dataset of frames in memory; see `todframes.score_frames` for the parameters."""
-    from todframes.frames.display_files import find_display
+    from todframes.display.display_files import find_display
     from todframes.frames.memory import memory_dataset
 
     found = find_display(display).display if isinstance(display, str) else display

@@ -17,7 +17,7 @@ from typing import IO, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from todframes.errors import DataError, FrameError
+from todframes.base.errors import DataError, FrameError
 from todframes.frames.files import check_decoded_size
 from todframes.recordings.recording import RecordedFrame, Recording, StillHeader, check_rate, check_size
 

@@ -1,0 +1,100 @@
+"""The errors that this package raises on purpose; any other exception is a defect.
+
+Each message is one line that names the file, row or key, what was found and what was expected.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from todframes.base.locations import Location, in_utf8, without_secrets
+
+_ARGUMENT = re.compile("\x1a([a-z0-9_]+)\x1a")
+"""Pattern of an argument in the text of an error."""
+_FLAGS = {
+    "integration_time_s": "--integration-time",
+    "dither": "--no-dither",
+    "time_limit_s": "--time-limit",
+    "patches": "--patch",
+    "pattern": "--from",
+    "rng": "--seed",
+    "value_range": "--range",
+}
+"""Options of the command line whose names are not those of the arguments."""
+
+
+class _Arguments:
+    """Names of the arguments of calls, for the messages of errors: `argument.max_frame_mb`.
+
+    A message shows the name that its reader knows: that of the argument, or of the option of the command.
+    """
+
+    def __getattr__(self, name: str) -> str:
+        return f"\x1a{name}\x1a"
+
+
+argument = _Arguments()
+
+
+def flag_of(name: str) -> str:
+    """Return the option of the command line for an argument of a call."""
+    return _FLAGS.get(name, "--" + name.replace("_", "-"))
+
+
+class TodframesError(Exception):
+    """Base class of all errors that a user can cause and correct; `exit_status` is the status of the command.
+
+    A URL in the message is shown without a user name, password, parameter or query: they may be secrets.
+    Names that are not UTF-8 are escaped, because results keep messages.
+    """
+
+    exit_status = 1
+
+    def __init__(self, message: str) -> None:
+        super().__init__(in_utf8(without_secrets(message)))
+
+    def __str__(self) -> str:
+        return _ARGUMENT.sub(r"\1", self.args[0])
+
+    def for_command(self) -> str:
+        """Return the message with the options of the command line in place of arguments."""
+        return _ARGUMENT.sub(lambda found: flag_of(found[1]), self.args[0])
+
+
+class DataError(TodframesError, ValueError):
+    """Error for a file, row or pixel that is invalid."""
+
+
+class FrameError(DataError):
+    """Error for a frame that cannot be used; `path` names it and `problem` says why, without the path."""
+
+    def __init__(self, path: Location | str, problem: str) -> None:
+        super().__init__(f"{path}: {problem}")
+        self.path = Path(path) if isinstance(path, str) else path
+        self.problem = problem
+
+    def __reduce__(self) -> tuple[type, tuple[Location, str]]:
+        return type(self), (self.path, self.problem)
+
+
+class RemoteError(TodframesError, ConnectionError):
+    """Error for a dataset behind a URL that cannot be reached or may not be read; no further frame is tried."""
+
+
+class SettingsError(TodframesError, ValueError):
+    """Error for a setting, option or argument that is invalid."""
+
+    exit_status = 2
+
+
+class OutputError(TodframesError, OSError):
+    """Error for results that cannot be written to the place that was asked for."""
+
+    exit_status = 2
+
+
+class ClusterError(TodframesError, OSError):
+    """Error for a cluster that cannot be reached, cannot do the work, or is gone."""
+
+    exit_status = 2
