@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING
 
 from sensor_sim.chain.sensor import Sensor, load_sensor
 from todframes.base.errors import SettingsError
+from todframes.base.seeds import Rng, seed_of
 from todframes.calls.shared import described
 from todframes.observers.interface import Observer
 from todframes.psychometrics.fit import FitSettings
 from todframes.report.data import Fit, FitPoint
 from todframes.report.result import Result
 from todframes.scoring.error_budget import PlanName, Step, plan_object
-from todframes.base.seeds import Rng, seed_of
 
 if TYPE_CHECKING:
     from sensor_sim.chain.simulation import FrameFormat, Written

@@ -12,6 +12,7 @@ from msgspec.structs import replace as replace_struct
 
 from todframes.base.errors import DataError, SettingsError
 from todframes.base.locations import Location
+from todframes.base.seeds import Rng, seed_of
 from todframes.calls.shared import (
     OnError,
     Progress,
@@ -32,7 +33,6 @@ from todframes.report.data import (
     group_of,
 )
 from todframes.report.result import Result
-from todframes.base.seeds import Rng, seed_of
 
 if TYPE_CHECKING:
     from todframes.experiment.person import Free, GroupCurve, PersonFit

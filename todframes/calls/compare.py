@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from numpy.typing import ArrayLike
 
 from todframes.base.locations import Location
+from todframes.base.seeds import Rng, seed_of
 from todframes.calls.shared import (
     OnError,
     Progress,
@@ -37,7 +38,6 @@ from todframes.report.data import (
 from todframes.report.result import Result
 from todframes.scoring.error_budget import PlanName, plan_object
 from todframes.scoring.seen_trials import Decisions
-from todframes.base.seeds import Rng, seed_of
 
 if TYPE_CHECKING:
     from todframes.diagnosis.locate import Locate

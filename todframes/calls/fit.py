@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from todframes.base.errors import DataError
+from todframes.base.seeds import Rng, seed_of
 from todframes.psychometrics.fit import FitSettings
 from todframes.psychometrics.fit import fit_counts as fit_counts_of_one
 from todframes.report.advice import levels_to_add
@@ -18,7 +19,6 @@ from todframes.report.data import (
     Fit,
 )
 from todframes.report.result import Result
-from todframes.base.seeds import Rng, seed_of
 
 if TYPE_CHECKING:
     pass

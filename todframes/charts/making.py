@@ -10,6 +10,7 @@ from typing import Any
 from todframes.base.errors import SettingsError
 from todframes.base.output import new_folder
 from todframes.base.reading import convert, from_table
+from todframes.base.seeds import Rng, seed_of
 from todframes.charts.design import Design
 from todframes.charts.layout import CHART_FILE, Chart, ChartKind, Screen
 from todframes.charts.print import Paper, design_print_chart, write_print_chart
@@ -17,7 +18,6 @@ from todframes.charts.screen import design_screen_chart, write_screen_chart
 from todframes.charts.thermal import Plate, design_thermal_chart, write_thermal_chart
 from todframes.display.display import Display
 from todframes.display.display_files import find_display
-from todframes.base.seeds import Rng, seed_of
 
 CONTRASTS = (0.02, 0.05, 0.1, 0.2, 0.4, 0.8)
 

@@ -8,11 +8,11 @@ from typing import NamedTuple
 
 from todframes.base.locations import Location
 from todframes.base.reading import read_text
+from todframes.base.seeds import Rng, seed_of
 from todframes.experiment.answers import Method, flagged
 from todframes.experiment.order import n_main_trials
 from todframes.experiment.session import Design, open_sitting
 from todframes.frames.dataset import Dataset, load_dataset
-from todframes.base.seeds import Rng, seed_of
 from todframes.web import check_installed
 
 MAX_CONSENT_MB = 1
