@@ -32,7 +32,9 @@ from .importing.importing import Imported as Imported
 from .importing.importing import import_recordings as import_recordings
 from .observers.decision import answer_probabilities as answer_probabilities
 from .observers.hotelling import HotellingObserver as HotellingObserver
+from .observers.hotelling import HotellingSettings as HotellingSettings
 from .observers.interface import Observer as Observer
+from .observers.interface import OmittedWeights as OmittedWeights
 from .observers.interface import Readout as Readout
 from .observers.interface import find_observer as find_observer
 from .observers.oriented import OrientedObserver as OrientedObserver
@@ -41,6 +43,7 @@ from .observers.retina import RetinaGrid as RetinaGrid
 from .psychometrics.fit import FitSettings as FitSettings
 from .psychometrics.fit import PsychometricFit as PsychometricFit
 from .report.data import Fit as Fit
+from .report.data import ResultWarning as ResultWarning
 from .report.noise_report import NoiseResult as NoiseResult
 from .report.result import Result as Result
 from .report.result import load_result as load_result
