@@ -376,14 +376,16 @@ def test_arrays_in_place_of_files(tmp_path: Path) -> None:
         orientation=[trial.orientation for trial in data.trials],
         level=[trial.level for trial in data.trials],
         size_mrad=[trial.stimulus.size_mrad for trial in data.trials],
+        polarity=[trial.stimulus.polarity for trial in data.trials],
+        position=[(trial.x_px, trial.y_px) for trial in data.trials],
         white=100.0,
         fit=fit,
         examples=False,
     )
     expected = tod.compare(data, ["gaussian:sigma=1"], white=100.0, fit=fit, examples=False)
-    assert [one.ratios[0].verdict for one in result.algorithms[1:]] == [
-        one.ratios[0].verdict for one in expected.algorithms[1:]
-    ]
+    for found, wanted in zip(result.algorithms, expected.algorithms, strict=True):
+        assert found.verdict == wanted.verdict
+        assert [one.threshold for one in found.fits] == [one.threshold for one in wanted.fits]
 
 
 def test_a_result_as_csv_and_sentences(scored) -> None:
