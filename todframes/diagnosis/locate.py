@@ -9,10 +9,10 @@ from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
-from todframes._typing import FloatArray
+from todframes.base._typing import FloatArray
+from todframes.base.errors import DataError, FrameError, SettingsError
 from todframes.diagnosis.arrangement import ARRANGEMENTS, Arrangement
 from todframes.diagnosis.matching import LEAST_SEARCHED_PX, SEARCHED, Matcher, MeanFrames, Place, TrialMatcher
-from todframes.errors import DataError, FrameError, SettingsError
 from todframes.frames.contrast import skipped_frames
 from todframes.frames.dataset import Dataset, DatasetWarning, Skipped
 from todframes.frames.position import from_centroid, size_in_px, to_centroid
