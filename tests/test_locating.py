@@ -263,14 +263,64 @@ def test_faint_trials_have_the_position_of_the_group() -> None:
     data, _ = recording(rng, (23.5, 23.5), levels=levels, noise_sd=0.03, shake_px=2.0)
     placed, (found,) = locate_triangles(data, locate="each")
     assert (found.n_located, found.n_trials) == (8, 16)
-    faint = {(trial.x_px, trial.y_px) for trial in placed.trials if trial.level == 0.001}
-    assert faint == {(found.x_px, found.y_px)}
+    (faint,) = np.unique(placed.trials.positions_px[placed.trials.levels == 0.001], axis=0)
+    assert faint == pytest.approx((found.x_px, found.y_px))
     assert found.standard_error_px == pytest.approx(2.0 / np.sqrt(8.0), rel=0.5)
     result = tod.score(data, locate="each", examples=False)
     assert result.located is not None
     assert result.located[0]["n_located"] == 8
+
+
+def held_by_hand(seed: int, *, noise_sd: float, memory: float = 0.0) -> tuple[Dataset, NDArray[np.float64]]:
+    """Triangles of 9 pixels in noise that is blurred as they are, from levels that show nothing to clear ones."""
+    rng = np.random.default_rng(seed)
+    shown = [(level, turn) for level in (0.03, 0.05, 0.08, 0.13, 0.2, 0.3) for turn in range(4) for _ in range(5)]
+    rng.shuffle(shown)
+    frames, places, away = [], [], 3.0 * rng.normal(size=2)
+    kept = np.exp(-1.0 / memory) if memory else 0.0
+    for level, turn in shown:
+        away = kept * away + np.sqrt(1.0 - kept**2) * 3.0 * rng.normal(size=2)
+        places.append((31.3 + away[0], 32.2 + away[1]))
+        triangle = coverage(
+            (64, 64), size_px=9.0, x_px=places[-1][0], y_px=places[-1][1], orientation=ORIENTATIONS[int(turn)]
+        )
+        scene = level * triangle + noise_sd * rng.normal(size=triangle.shape)
+        frames.append(50.0 * (1.0 + gaussian_filter(scene, 0.8)))
+    display = tod.Display(
+        eotf="linear", white_luminance_cd_m2=1.0, pixel_pitch_mrad=0.25, background_luminance_cd_m2=50.0
+    )
+    data = memory_dataset(
+        frames,
+        orientation=[ORIENTATIONS[int(turn)] for _, turn in shown],
+        level=[level for level, _ in shown],
+        size_mrad=2.25,
+        display=display,
+    )
+    return data, np.array(places)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("memory", [0.0, 10.0])
+def test_faint_triangles_of_a_hand_held_camera_do_not_raise_the_threshold(memory: float) -> None:
+    """By their own frames, or by those before and after: 9 and 12 % high if faint trials have the mean place."""
+    ratios, settings = [], {"examples": False, "fit": tod.FitSettings(resamples=0)}
+    for seed in range(4):
+        data, places = held_by_hand(seed, noise_sd=0.1, memory=memory)
+        result = tod.score(data, locate="each", **settings)
+        assert "position_scatter" not in {one.code for one in result.warnings}
+        ratios.append(
+            result.thresholds[0].threshold / tod.score(placed_at(data, places), **settings).thresholds[0].threshold
+        )
+    # Each ratio has a standard deviation of 2.5 %, that of four 1.3 %; and the 2 % that are asked.
+    assert np.mean(ratios) == pytest.approx(1.0, abs=0.03)
+
+
+def test_faint_triangles_that_raise_a_threshold_are_reported() -> None:
+    data, _ = held_by_hand(0, noise_sd=0.25)
+    result = tod.score(data, locate="each", examples=False, fit=tod.FitSettings(resamples=0))
     (warning,) = [one for one in result.warnings if one.code == "position_scatter"]
-    assert "8 of 16 trials are too faint for a position of their own" in warning.message
+    assert "are too faint for a position of their own" in warning.message
+    assert warning.found == pytest.approx(3.0, rel=0.3)  # 120 trials, of which half are clear
 
 
 def test_a_drift_of_many_sizes_is_followed() -> None:

@@ -111,7 +111,7 @@ def compare(
     found = [find_enhancement(one) for one in enhance]
     data = loaded(dataset)
     screen = Screen(data.display, white, allow_clipping)
-    data, more, found_wrong = located(data, judge, locate, on_error, progress)
+    data, more, placed_wrong = located(data, judge, locate, on_error, progress)
     with opened_run(workers, cluster, store, progress) as run:
         results = compare_dataset(
             data,
@@ -146,7 +146,7 @@ def compare(
         plan=tuple(plan_object(reference.plan, 1.0)),
         skipped=tuple(one._asdict() for one in reference.skipped),
         dataset=record,
-        warnings=each_once(*found_wrong, *shown_wrong, *levels_to_add(thresholds_of(compared))),
+        warnings=each_once(*placed_wrong(reference), *shown_wrong, *levels_to_add(thresholds_of(compared))),
         negative_luminance_pixels=reference.n_negative,
         from_store=run.n_from_store,
         **more,

@@ -132,7 +132,7 @@ def score(
 
     judge, settings = described(observer)
     fit = fit_settings(fit, p_correct)
-    data, more, found_wrong = located(dataset, judge, locate, on_error, progress)
+    data, more, placed_wrong = located(dataset, judge, locate, on_error, progress)
     with opened_run(workers, cluster, store, progress) as run:
         scored = score_dataset(
             data,
@@ -169,7 +169,7 @@ def score(
         plan=tuple(plan_object(scored.plan, 1.0)),
         skipped=tuple(one._asdict() for one in scored.skipped),
         dataset=record,
-        warnings=each_once(*hints, *found_wrong, *shown_wrong, *levels),
+        warnings=each_once(*hints, *placed_wrong(scored), *shown_wrong, *levels),
         negative_luminance_pixels=scored.n_negative,
         from_store=run.n_from_store,
         **more,

@@ -30,6 +30,7 @@ from todframes.stimulus import Centre
 
 if TYPE_CHECKING:
     from todframes.diagnosis.locate import Locate
+    from todframes.scoring.score import ScoredDataset
     from todframes.scoring.work import Run
 
 OnError = Literal["stop", "skip"]
@@ -92,11 +93,14 @@ def located(
     locate: Locate | bool,
     on_error: OnError,
     progress: Progress | None,
-) -> tuple[Dataset, Json, tuple[ResultWarning, ...]]:
-    """Load a dataset and find its positions if asked to. Returns it, the positions and the warnings about them."""
+) -> tuple[Dataset, Json, Callable[[ScoredDataset], tuple[ResultWarning, ...]]]:
+    """Load a dataset and find its positions if asked to.
+
+    Returns it, the positions, and a function that gives the warnings about these once the dataset is scored.
+    """
     data = loaded(dataset)
     if not locate:
-        return data, {}, ()
+        return data, {}, lambda _: ()
     from todframes.diagnosis.locate import locate_triangles, location_warnings
 
     data, locations = locate_triangles(
@@ -114,8 +118,12 @@ def located(
         }
         for one in locations
     )
-    found = tuple(ResultWarning(**one._asdict()) for one in location_warnings(data, locations))
-    return data, {"located": located}, found
+
+    def warnings(scored: ScoredDataset) -> tuple[ResultWarning, ...]:
+        thresholds = {one.group: one.fit.threshold for one in scored.fits}
+        return tuple(ResultWarning(**one._asdict()) for one in location_warnings(data, locations, thresholds))
+
+    return data, {"located": located}, warnings
 
 
 def inspected(

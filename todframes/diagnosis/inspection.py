@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,9 +15,11 @@ from todframes.base.errors import DataError
 from todframes.diagnosis.arrangement import TURNED
 from todframes.diagnosis.triangle import (
     AMPLITUDE,
+    Fit,
     Images,
     Shape,
     Square,
+    TrialEstimates,
     X,
     Y,
     first_guess,
@@ -156,7 +158,7 @@ def inspect(dataset: Dataset, trials: Sequence[Trial], *, centre: Centre = "cent
         One for each stimulus of each group, in the order of the trials.
     """
     trials = Trials.of(trials)
-    of_stimulus = list(_alike(trials))
+    of_stimulus = list(alike(trials))
     in_all = max(SAMPLED, SAMPLED_SHARE * len(trials))
     most = int(min(max(in_all / max(len(of_stimulus), 1), LEAST_SAMPLED), MOST_SAMPLED))
     found = []
@@ -188,11 +190,16 @@ SIZES_ALIKE = 1.15
 tilted by 10° in a field of view of 28° has 1.09."""
 
 
+def strengths(dataset: Dataset, level: FloatArray) -> FloatArray:
+    """Return what the displayed contrast is proportional to: the level if it is a contrast, else not known, 1."""
+    return np.clip(level, *CONTRASTS) if is_contrast(dataset) else np.ones(len(level))
+
+
 def _sizes_mrad(trials: Trials) -> FloatArray:
     return np.array([one.size_mrad for one in trials.stimuli])[trials.stimulus_codes]
 
 
-def _alike(trials: Trials) -> Iterator[NDArray[np.intp]]:
+def alike(trials: Trials) -> Iterator[NDArray[np.intp]]:
     """Yield the trials, ascending, of each group and polarity whose sizes are one size in perspective."""
     sizes, polarity = (
         _sizes_mrad(trials),
@@ -231,8 +238,7 @@ LEAST_SIZE = 1e-9
 
 def _measured(dataset: Dataset, group: Group, stimulus: Stimulus, samples: Sequence[FrameSample]) -> Inspection:
     level = np.array([sample.trial.level for sample in samples])
-    # Of a level that is no contrast it is not known how the contrast follows from it.
-    strength = np.clip(level, *CONTRASTS) if is_contrast(dataset) else np.ones(len(level))
+    strength = strengths(dataset, level)
     ratio = np.array([sample.ring_cd_m2 / sample.background_cd_m2 for sample in samples])
     scatter = float(ratio.std(ddof=1)) if len(ratio) > 1 else 0.0
     block_px = samples[0].block_px
@@ -260,7 +266,7 @@ def _measured(dataset: Dataset, group: Group, stimulus: Stimulus, samples: Seque
         level=float(np.median(level)),
         noise_contrast=float(np.median([sample.noise for sample in samples])),
         **_of_codes(codes),
-        **_of_triangle(samples, strength, sizes, max(size_px / block_px, LEAST_SIZE), stimulus.polarity, block_px),
+        **_of_triangle(samples, strength, sizes, max(size_px / block_px, LEAST_SIZE), block_px),
     )
 
 
@@ -318,29 +324,73 @@ LEAST_SIGNAL = 8.0
 """Least contrast of the triangle, in standard errors, for its place, size and orientation to be measured."""
 
 
+class GroupFit(NamedTuple):
+    """The triangle of a group's frames, and of each of them, in blocks.
+
+    Attributes
+    ----------
+    images : Images
+    fit : Fit
+        The triangle that all share; its contrast is positive if of the stated polarity.
+    trials : TrialEstimates
+    share : ndarray, shape (trial,)
+        Share of each trial in what is measured.
+    stated : ndarray, shape (trial, 3)
+        Stated place from the middle of the window, and logarithm of the size as a share of `size`.
+    error : ndarray, shape (4,)
+        Standard errors of contrast, x, y and size (as a share): by noise, and by the spread over the trials.
+    signal : float
+        Contrast in standard errors by noise alone.
+    """
+
+    images: Images
+    fit: Fit
+    trials: TrialEstimates
+    share: FloatArray
+    stated: FloatArray
+    error: FloatArray
+    signal: float
+
+    @classmethod
+    def of(cls, samples: Sequence[FrameSample], level: FloatArray, sizes: FloatArray, size: float) -> GroupFit:
+        """Fit the triangle of some trials, whose sizes are alike."""
+        turns = np.array([sample.trial.orientation.quarter_turns for sample in samples])
+        even = samples[0].trial.stimulus.polarity * np.array([sample.even for sample in samples])
+        known = np.logical_and.reduce([sample.known for sample in samples])
+        noise = noise_of_frames(even, level, known, size)
+        share = np.square(level / noise) / np.square(level / noise).sum()
+        stated = np.column_stack([[sample.offset for sample in samples], np.log(sizes / size)])
+        frames = {"level": level, "noise": noise, "turns": turns, "apart": stated - share @ stated}
+        images = Images.of(even, known=known, hole=HOLE_IN_SIZES * size, **frames)
+        found = fitted(images, first_guess(images, size), CERTAIN_TURN)
+        each = of_trials(found, images, even, **frames)
+        excess = np.maximum(np.square(share) @ (np.square(each.away) - np.square(each.error)), 0.0)
+        of_noise = np.array([*(found.error((one, 1.0)) for one in (AMPLITUDE, X, Y)), found.size_error])
+        signal = float(abs(found.shape.amplitude) / of_noise[0]) if of_noise[0] > 0.0 else math.inf
+        return cls(images, found, each, share, stated, np.sqrt(np.square(of_noise) + excess), signal)
+
+    @property
+    def middle(self) -> FloatArray:
+        """The mean of what is stated, (3,)."""
+        return np.asarray(self.share @ self.stated)
+
+    @property
+    def offset(self) -> FloatArray:
+        """The way from the stated place to the triangle, (2,)."""
+        return np.array([self.fit.shape.x, self.fit.shape.y]) - self.middle[:2]
+
+
 def _of_triangle(
-    samples: Sequence[FrameSample], level: FloatArray, sizes: FloatArray, size: float, polarity: int, block_px: int
+    samples: Sequence[FrameSample], level: FloatArray, sizes: FloatArray, size: float, block_px: int
 ) -> dict[str, Any]:
     """Measure the triangle; lengths are in blocks until the end."""
+    of_group = GroupFit.of(samples, level, sizes, size)
+    images, found, each, share, stated, error, signal = of_group
+    shape, middle = found.shape, of_group.middle
     turns = np.array([sample.trial.orientation.quarter_turns for sample in samples])
-    even = polarity * np.array([sample.even for sample in samples])
-    known = np.logical_and.reduce([sample.known for sample in samples])
-    noise = _noise_of_frames(even, level, known, size)
-    share = np.square(level / noise) / np.square(level / noise).sum()
-    stated = np.column_stack([[sample.offset for sample in samples], np.log(sizes / size)])
-    middle = share @ stated
-    frames = {"level": level, "noise": noise, "turns": turns, "apart": stated - middle}
-    images = Images.of(even, known=known, hole=HOLE_IN_SIZES * size, **frames)
-    found = fitted(images, first_guess(images, size), CERTAIN_TURN)
-    shape = found.shape
-    each = of_trials(found, images, even, **frames)
-    # The spread over the trials, if that is more than the noise.
-    excess = np.square(share) @ np.maximum(np.square(each.away) - np.square(each.error), 0.0)
-    noise_error = np.array([found.error((AMPLITUDE, 1.0)), found.error((X, 1.0)), found.error((Y, 1.0)),
-                            found.size_error])  # fmt: skip
-    error = np.sqrt(np.square(noise_error) + excess)
+    known = images.weight > 0.0
+    polarity = samples[0].trial.stimulus.polarity
     amplitude = abs(shape.amplitude)
-    signal = float(amplitude / noise_error[0]) if noise_error[0] > 0.0 else math.inf
     # A triangle that is cut off by the edge of some frames has a place, but no sure size and contrast.
     is_whole = bool(known[within(len(known), WHOLE_IN_SIZES * size)].all())
     seen = polarity * np.array([sample.seen for sample in samples])
@@ -361,7 +411,7 @@ def _of_triangle(
     shown = np.array(found.shown)[turns]
     stated_variance = float(share @ np.square(stated[:, :2] - middle[:2]).mean(axis=1))
     return measured | {
-        "offset_px": tuple((block_px * (np.array([shape.x, shape.y]) - middle[:2])).tolist()),
+        "offset_px": tuple((block_px * of_group.offset).tolist()),
         "offset_error_px": tuple((block_px * error[1:3]).tolist()),
         "scatter_px": _scatter(block_px * each.away[clear_place, 1:3], block_px * each.error[clear_place, 1:3]),
         "size_ratio": size_ratio,
@@ -378,7 +428,7 @@ def _of_triangle(
     }
 
 
-def _noise_of_frames(images: FloatArray, level: FloatArray, known: NDArray[np.bool_], size: float) -> FloatArray:
+def noise_of_frames(images: FloatArray, level: FloatArray, known: NDArray[np.bool_], size: float) -> FloatArray:
     """Estimate the standard deviation of the contrast of each frame's blocks around the triangle.
 
     It is at least a twentieth of the level, so that frames without noise count alike.

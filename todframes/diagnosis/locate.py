@@ -1,53 +1,55 @@
-"""Search for triangles whose position the manifest does not give: one position for a group, or one a trial."""
+"""Search for triangles: one position for a group, or one for each trial."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple, get_args
 
 import numpy as np
+from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError, FrameError, SettingsError
 from todframes.diagnosis.arrangement import ARRANGEMENTS, Arrangement
-from todframes.diagnosis.matching import LEAST_SEARCHED_PX, SEARCHED, Matcher, MeanFrames, Place, TrialMatcher
+from todframes.diagnosis.inspection import LEAST_SIGNAL, GroupFit, alike, is_contrast, noise_of_frames, strengths
+from todframes.diagnosis.places import Template, chosen_places
+from todframes.diagnosis.triangle import Shape
+from todframes.diagnosis.whole_frames import MeanFrames, search
+from todframes.diagnosis.windows import FrameSample, measure_frame
 from todframes.frames.contrast import skipped_frames
 from todframes.frames.dataset import Dataset, DatasetWarning, Skipped
 from todframes.frames.position import from_centroid, size_in_px, to_centroid
-from todframes.frames.trials import Group, Trials, indices_by
+from todframes.frames.trials import Group, Trial, Trials, indices_by
 from todframes.stimulus import Centre
 
 Locate = Literal["group", "each"]
 
-
 LEAST_PEAK = 6.0
 """Least height of a correlation peak above its surroundings, in their standard deviations."""
 
-
-LEAST_PEAK_NEARBY = 4.0
-"""The same for a trial whose triangle is near that of other trials."""
-
-
-LEAST_SURE_TRIALS = 4
-"""Least number of trials with a high peak from which the scatter of positions is estimated."""
-
+MOST_FITTED = 256
+"""Largest number of trials, the strongest, that the triangle of a group is fitted to."""
 
 MOST_STRONGEST = 24
-"""Number of the strongest trials that are searched over whole frames, if they have no position in common."""
+"""Number of the strongest trials that are searched over whole frames for positions of their own."""
 
+LEAST_SURE_TRIALS = 4
+"""Least number of these with a high peak from which the middle of the positions is known."""
+
+STRONG = 0.5
+"""Least level, as a share of the highest, of trials in which the triangle is looked for before it is known."""
+
+SEARCHED, LEAST_SEARCHED_PX = 2.5, 8.0
+"""Largest distance of a trial's position from where its search begins: so many sizes, and pixels more."""
 
 NEARBY = 4.0
-"""Largest distance of a trial's position from that of the group along each axis, in standard deviations."""
+"""The same in standard deviations of the positions, if that is more."""
 
-
-LEAST_SCATTER_PX = 1.0
-"""Least standard deviation of the positions that are searched, so that chance cannot shut the search out."""
-
-
-FAINT_SCATTER_MRAD = 0.1
-"""Scatter of the positions from which trials without a position of their own raise a threshold."""
+MOST_ERROR_MRAD = 0.09
+"""Standard error of single positions along an axis from which they raise a threshold by more than 3 %: between
+0.1 and 0.15 of noise in docs/validation.md."""
 
 
 class Location(NamedTuple):
@@ -58,6 +60,7 @@ class Location(NamedTuple):
     `arrangement` tells whether the triangles are as the manifest says. `n_located` of `n_trials` trials have a
     position of their own, whose standard deviation along either axis is `scatter_px`; all three are None if the
     group has one position. `moved_px` is the mean way from the manifest's positions, None if it has none.
+    From `sure_level` on, single positions are known well enough not to raise a threshold; None: nowhere.
     """
 
     group: Group
@@ -69,6 +72,7 @@ class Location(NamedTuple):
     n_located: int | None = None
     scatter_px: float | None = None
     moved_px: tuple[float, float] | None = None
+    sure_level: float | None = None
 
 
 def locate_triangles(
@@ -84,15 +88,13 @@ def locate_triangles(
     Positions in the manifest are where the search begins: all of a group are moved by one displacement, or each
     by its own. They stay if no triangle stands out near them. Of other trials whole frames are searched.
 
-    The position of a group comes from its mean frames by orientation. Their mean contains everything that the
-    orientations share (bezel, overlay, shading, fixed pattern) and is subtracted. The remainder is correlated with
-    the differences of the triangles, first on whole pixels, then between them with exact coverage and a fitted
-    blur. Triangles that are mirrored, turned or of the opposite polarity are found too.
+    Whole frames are searched by what their means by orientation differ in: what the orientations share (bezel,
+    overlay, shading, fixed pattern) is subtracted. There, the triangle is fitted to the group's strongest trials.
+    Triangles that are mirrored, turned or of the opposite polarity are found too.
 
-    The position of a single trial comes from its correlation with the mean triangle of all orientations, near the
-    group's position. So it does not depend on the orientation, and cannot make a right answer more probable. It
-    is drawn towards the group's position by as much as its error exceeds the scatter of all trials. A trial whose
-    triangle is too faint has the group's position.
+    The position of a single trial is where a triangle of any of the four orientations is most likely. So it does
+    not depend on the stated one, and cannot make a right answer more probable. It is weighed against what the
+    group and the trials next to it in time predict. A trial that shows no triangle has the predicted position.
 
     Parameters
     ----------
@@ -130,124 +132,98 @@ def locate_triangles(
     is_placed = np.isfinite(position_px[:, 0])
     locations: list[Location] = []
     skipped: list[Skipped] = []
+
+    def leave_out(k: int, error: FrameError | str) -> None:
+        if not skip_bad_frames:
+            raise error if isinstance(error, FrameError) else DataError(error)
+        is_kept[k] = False
+        skipped.extend(skipped_frames(dataset, trials[k], error))
+
     for members in indices_by(2 * trials.group_codes.astype(np.int64) + is_placed):
-        of_group = trials.select(members)
-        frames = MeanFrames(dataset, _reach_px(dataset, of_group) if is_placed[members[0]] else None)
-        is_usable = np.ones(len(members), bool)
-        for k, trial in enumerate(of_group):
-            try:
-                frames.add(trial)
-            except FrameError as error:
-                if not skip_bad_frames:
-                    raise
-                is_usable[k] = False
-                skipped += skipped_frames(dataset, trial, error)
-            advance(1)
-        is_bad = members[~is_usable]
-        members, usable = members[is_usable], of_group.select(is_usable)
-        is_kept[is_bad] = False
         try:
-            if usable:
-                search = _each if locate == "each" else _common
-                group = usable[0].group
-                if is_placed[members[0]]:
-                    found, position_px[members] = _from_stated(search, dataset, group, frames, usable, advance)
-                else:
-                    found, places_px = search(dataset, group, frames, usable, centre, advance)
-                    position_px[members] = _centroids(usable, places_px, centre, dataset.display.pitch_mrad)
-                locations.append(found)
+            if is_placed[members[0]]:
+                start_px, reach_px = position_px[members], 0.0
+                advance(len(members))
+            else:
+                members, start_px, reach_px = _begun(dataset, members, locate, centre, leave_out, advance)
+            if not len(members):
+                continue
+            found, of_size = [], list(alike(trials.select(members)))
+            for part in of_size:
+                ways = _Ways(dataset, trials.select(members[part]).placed(start_px[part]), reach_px)
+                found.append(
+                    ways.of_each(members[part], leave_out, advance) if locate == "each" else ways.of_all()
+                )
+            if locate == "group":
+                common = _location(trials.select(members), found, 0.0 * start_px, None, 1.0)
+                found = [one._replace(way_px=0.0 * one.way_px + (common.x_px, common.y_px)) for one in found]
+            for part, one in zip(of_size, found, strict=True):
+                position_px[members[part]] = start_px[part] + one.way_px
+            wanted = None if is_placed[members[0]] else centre
+            locations.append(
+                _location(trials.select(members), found, start_px, wanted, dataset.display.pitch_mrad)
+            )
+        except FrameError:
+            raise
         except DataError as error:
-            if not skip_bad_frames:
-                raise
-            is_kept[members] = False
-            for trial in usable:
-                skipped += skipped_frames(dataset, trial, str(error))
+            for k in members[is_kept[members]].tolist():
+                leave_out(k, str(error))
     placed = trials.placed(position_px).select(is_kept)
     return replace(dataset, trials=placed, bad_rows=(*dataset.bad_rows, *skipped)), tuple(locations)
 
 
-Located = tuple[Location, FloatArray]
-"""A group's location, and the position (x, y) of each of its trials in pixels, shape (n, 2)."""
+LeaveOut = Callable[[int, FrameError | str], None]
+"""Leave out the trial at an index because of an error, or raise it."""
 
 
-PLACED_REACH = 4.0
-"""Distance from the manifest's position that is searched, in sizes."""
-
-
-def _reach_px(dataset: Dataset, trials: Trials) -> int:
-    """Return the distance from the manifest's positions that is searched, in pixels, within the first frame."""
-    first = trials[0]
-    assert first.x_px is not None and first.y_px is not None
-    size_px = max(size_in_px(trial, dataset.display.pitch_mrad) for trial in trials)
-    with dataset.open(first.frames[0]) as file:
-        (top, bottom), (left, right) = file.clip(None, None)
-    within = min(first.y_px - top, bottom - 1 - first.y_px, first.x_px - left, right - 1 - first.x_px)
-    return math.ceil(min(PLACED_REACH * size_px + LEAST_SEARCHED_PX, max(within, size_px)))
-
-
-def _from_stated(
-    search: Callable[..., Located],
+def _begun(
     dataset: Dataset,
-    group: Group,
-    frames: MeanFrames,
-    trials: Trials,
-    advance: Callable[[int], None],
-) -> Located:
-    """Find the ways of triangles from the manifest's positions; none if no triangle stands out near them."""
-    assert frames.reach_px is not None
-    stated_px = trials.positions_px
-    try:
-        found, places_px = search(dataset, group, frames, trials, "centroid", advance)
-    except DataError:
-        x_px, y_px = stated_px.mean(axis=0).tolist()
-        return Location(group, x_px, y_px, None, moved_px=(0.0, 0.0)), stated_px
-    if found.n_located is None:  # one way for all, from positions that lie on whole pixels and beside them
-        moved = places_px - frames.reach_px - (stated_px - np.rint(stated_px)).mean(axis=0)
-    else:
-        moved = places_px - frames.reach_px + np.rint(stated_px) - stated_px
-    x_px, y_px = (stated_px + moved).mean(axis=0).tolist()
-    of_all = tuple(moved.mean(axis=0).tolist())
-    return found._replace(x_px=x_px, y_px=y_px, moved_px=of_all), stated_px + moved
-
-
-def _centroids(trials: Trials, places_px: FloatArray, centre: Centre, pitch_mrad: float) -> FloatArray:
-    """Return the centroids of triangles whose `centre` lies at these places, all in pixels, shape (n, 2)."""
-    centroids = (
-        to_centroid(trial, x, y, centre, pitch_mrad) for trial, (x, y) in zip(trials, places_px, strict=True)
-    )
-    return np.fromiter(centroids, np.dtype((np.float64, 2)), len(trials))
-
-
-def _common(
-    dataset: Dataset,
-    group: Group,
-    frames: MeanFrames,
-    trials: Trials,
+    members: NDArray[np.intp],
+    locate: Locate,
     centre: Centre,
-    _: Callable[[int], None],
-) -> Located:
-    """Find the position that a group's trials have in common."""
-    found = _group_place(dataset, group, frames, centre)[0]
-    return found, np.tile([found.x_px, found.y_px], (len(trials), 1))
+    leave_out: LeaveOut,
+    advance: Callable[[int], None],
+) -> tuple[NDArray[np.intp], FloatArray, float]:
+    """Find about where the triangles of a group are, anywhere on the frames.
 
-
-def _group_place(dataset: Dataset, group: Group, frames: MeanFrames, centre: Centre) -> tuple[Location, float]:
-    """Find the position that a group's trials have in common, and the blur in blocks of pixels."""
-    block_px = frames.block_px
-    matcher = Matcher(frames.take_means(), block_px * dataset.display.pitch_mrad, centre)
-    found = matcher.search()
+    Returns
+    -------
+    ndarray of int
+        The trials that can be read.
+    ndarray, shape (trial, 2)
+        Centroids, in pixels.
+    float
+        Distance within which the places of single trials are expected, in pixels; 0: not known.
+    """
+    frames, is_usable = MeanFrames(dataset), np.ones(len(members), bool)
+    for k, (member, trial) in enumerate(zip(members.tolist(), dataset.trials.select(members), strict=True)):
+        try:
+            frames.add(trial)
+        except FrameError as error:
+            leave_out(member, error)
+            is_usable[k] = False
+        advance(1)
+    members = members[is_usable]
+    usable = dataset.trials.select(members)
+    if not len(members):
+        return members, np.zeros((0, 2)), 0.0
+    pitch_mrad = dataset.display.pitch_mrad
+    strongest = _of_strongest(frames, usable, pitch_mrad) if locate == "each" else None
+    if strongest is not None:
+        (x_px, y_px), scatter_px = strongest
+        return members, np.tile([x_px, y_px], (len(members), 1)), NEARBY * scatter_px
+    found = search(frames.take_means(), frames.block_px * pitch_mrad, centre)
     if found.height == -math.inf:
-        size = f"frames of {matcher.shape[1] * block_px} × {matcher.shape[0] * block_px} pixels"
+        rows, columns = frames.shape or (0, 0)
+        size = f"frames of {columns} × {rows} pixels"
         raise DataError(f"{dataset.path}: {size} are smaller than the triangle")
-    if found.peak <= 0.0 or found.height < LEAST_PEAK * found.spread:
+    if not found.height > LEAST_PEAK * found.spread:
         raise DataError(
-            f"{dataset.path}: no triangle stands out in the frames of {_group_name(dataset, group)}; "
+            f"{dataset.path}: no triangle stands out in the frames of {_group_name(dataset, usable[0].group)}; "
             "expected x_px and y_px in the manifest"
         )
-    fitted = matcher.refined_of_twins(found)
-    x_px, y_px = _in_pixels(block_px, (fitted.x, fitted.y))
-    standard_error_px = block_px * math.sqrt(float(fitted.covariance.diagonal().max()))
-    return Location(group, x_px, y_px, standard_error_px, fitted.arrangement), fitted.blur
+    x_px, y_px = frames.in_pixels((found.x, found.y))
+    return members, np.array([to_centroid(one, x_px, y_px, centre, pitch_mrad) for one in usable]), 0.0
 
 
 def _group_name(dataset: Dataset, group: Group) -> str:
@@ -255,154 +231,254 @@ def _group_name(dataset: Dataset, group: Group) -> str:
     return ", ".join(f"{key} {value}" for key, value in names) or "the dataset"
 
 
-def _in_pixels(block_px: int, place: tuple[float, float]) -> tuple[float, float]:
-    """Return a position in pixels from one in blocks, which counts from the middle of the first block."""
-    x_px, y_px = (float(block_px * at + (block_px - 1) / 2.0) for at in place)
-    return x_px, y_px
+def _of_strongest(
+    frames: MeanFrames, trials: Trials, pitch_mrad: float
+) -> tuple[tuple[float, float], float] | None:
+    """Find the middle and the scatter of the positions in the strongest trials, anywhere on the frames, in pixels.
 
-
-def _each(
-    dataset: Dataset,
-    group: Group,
-    frames: MeanFrames,
-    trials: Trials,
-    centre: Centre,
-    advance: Callable[[int], None],
-) -> Located:
-    """Find a position for each trial of a group; trials whose triangle is too faint have the group's."""
-    pitch_mrad = frames.block_px * dataset.display.pitch_mrad
-    guess = _place_of_strongest(dataset, group, frames, trials)
-    try:
-        of_group, blur = _group_place(dataset, group, frames, centre)
-    except DataError:
-        if guess is None:
-            raise
-        of_group, blur = guess[0], 0.0
-    reach = 0.0
-    if guess is not None and guess[1] > SEARCHED * trials[0].stimulus.size_mrad / pitch_mrad:
-        of_group, reach = guess  # the scatter is too large for a position in common
-    block_px = frames.block_px
-    middle = [(at - (block_px - 1) / 2.0) / block_px for at in (of_group.x_px, of_group.y_px)]
-    matcher = TrialMatcher(pitch_mrad, blur, of_group.arrangement.sign)
-    peaks = []
-    for trial in trials:
-        of_trial = matcher.peaks(frames.of_trial(trial), trial.stimulus, middle[0], middle[1], reach)
-        dx, dy = from_centroid(trial, centre, pitch_mrad)
-        peaks.append([one._replace(x=one.x + dx, y=one.y + dy) for one in of_trial])
-        advance(1)
-    mean, scatter, chosen = _scatter(peaks, np.array(middle))
-    places_px = np.empty((len(trials), 2))
-    for k, place in enumerate(chosen):
-        at = mean
-        if place is not None:
-            share = scatter**2 / (scatter**2 + place.variance)
-            at = mean + share * (np.array([place.x, place.y]) - mean)
-        places_px[k] = _in_pixels(block_px, (float(at[0]), float(at[1])))
-    variances = [scatter**2 + place.variance for place in chosen if place is not None]
-    if variances:
-        x_px, y_px = _in_pixels(block_px, (float(mean[0]), float(mean[1])))
-        error_px = block_px * math.sqrt(float(np.mean(variances)) / len(variances))
-        of_group = of_group._replace(x_px=x_px, y_px=y_px, standard_error_px=error_px)
-    found = of_group._replace(n_trials=len(trials), n_located=len(variances), scatter_px=block_px * scatter)
-    return found, places_px
-
-
-def _place_of_strongest(
-    dataset: Dataset, group: Group, frames: MeanFrames, trials: Trials
-) -> tuple[Location, float] | None:
-    """Find the middle of the positions in the strongest trials, anywhere on the frames.
-
-    Returns
-    -------
-    Location
-        Location whose arrangement tells the sign only.
-    reach : float
-        Distance from it within which all positions are expected, in blocks of pixels.
-
-    None if a triangle stands out in less than half of the strongest trials.
+    None if a triangle stands out in less than half of these.
     """
     strongest = trials.select(np.argsort(-trials.levels, kind="stable")[:MOST_STRONGEST])
-    block_px = frames.block_px
-    common = sum(frames.totals.values()) / frames.counts.total()
-    tops: dict[Arrangement, list[Place]] = {}
+    common = frames.mean()
+    tops: dict[int, list[tuple[float, float, float]]] = {1: [], -1: []}
     for trial in strongest:
         image = frames.of_trial(trial) - common
-        for arrangement in ARRANGEMENTS[:2]:
-            matcher = TrialMatcher(block_px * dataset.display.pitch_mrad, 0.0, arrangement.sign)
-            middle = [(n - 1) / 2.0 for n in image.shape]
-            peaks = matcher.peaks(image, trial.stimulus, middle[1], middle[0], max(image.shape))
-            tops.setdefault(arrangement, []).extend(peaks[:1])
-    arrangement = max(tops, key=lambda one: float(np.median([top.height for top in tops[one]] or [0.0])))
-    sure = np.array([(top.x, top.y) for top in tops[arrangement] if top.height >= LEAST_PEAK])
+        n = max(image.shape)
+        size = size_in_px(trial, pitch_mrad) / frames.block_px
+        if size > n / 2.0:
+            return None
+        noise = max(1.4826 * float(np.median(np.abs(image - np.median(image)))), 1e-12)
+        padded = np.zeros((n, n))
+        padded[: image.shape[0], : image.shape[1]] = image - np.median(image)
+        template = Template.of(Shape.upright(1.0, 0.0, 0.0, size), np.ones((2 * n, n + 1)), n)
+        for sign, of_sign in tops.items():
+            signed = sign * trial.stimulus.polarity * padded
+            peaks = template.peaks(signed, contrast=None, noise=noise, reach=n / 2.0 - 2.0)
+            if len(peaks.height):
+                x, y = peaks.places[0] + (n - 1) / 2.0
+                of_sign.append((float(x), float(y), math.sqrt(2.0 * max(float(peaks.height[0]), 0.0))))
+    best = max(tops.values(), key=lambda one: float(np.median([height for *_, height in one] or [0.0])))
+    sure = np.array([(x, y) for x, y, height in best if height >= LEAST_PEAK])
     if len(sure) < max(LEAST_SURE_TRIALS, len(strongest) / 2.0):
         return None
     middle = np.median(sure, axis=0)
     scatter = 1.4826 * float(np.median(np.abs(sure - middle)))
-    x_px, y_px = _in_pixels(block_px, (float(middle[0]), float(middle[1])))
-    error_px = block_px * 1.2533 * scatter / math.sqrt(len(sure))  # the median's, of Gaussian positions
-    return Location(group, x_px, y_px, error_px, arrangement), NEARBY * scatter
+    return frames.in_pixels((float(middle[0]), float(middle[1]))), frames.block_px * scatter
 
 
-def _scatter(peaks: Sequence[Sequence[Place]], middle: FloatArray) -> tuple[FloatArray, float, list[Place | None]]:
-    """Estimate the mean and the scatter of the positions, and choose the peak of each trial.
+class _Found(NamedTuple):
+    """Ways of trials from where their search began, (trial, 2), and their mean, its error and scatter, in pixels.
 
-    Parameters
-    ----------
-    peaks : sequence
-        Peaks of each trial, the highest first.
-    middle : ndarray, shape (2,)
-        The group's position.
-
-    Returns
-    -------
-    mean : ndarray, shape (2,)
-        Mean position; `middle` if too few trials have a high peak.
-    scatter : float
-        Standard deviation of the positions along each axis, without the errors of measurement.
-    chosen : list of Place or None
-        The peak of each trial; None if its triangle is too faint.
+    `error_px` is None if no triangle stands out; `is_own`, (trial,), marks those with a place of their own.
     """
-    sure = [of_trial[0] for of_trial in peaks if of_trial and of_trial[0].height >= LEAST_PEAK]
-    if len(sure) < LEAST_SURE_TRIALS:
-        return middle, 0.0, [None] * len(peaks)
-    places = np.array([(one.x, one.y) for one in sure])
-    mean = np.median(places, axis=0)
-    scatter = 1.4826 * float(np.median(np.abs(places - mean)))
-    chosen: list[Place | None] = []
-    for _ in range(3):
-        reach = max(scatter, LEAST_SCATTER_PX)
-        chosen = [_chosen(of_trial, mean, reach) for of_trial in peaks]
-        found = [one for one in chosen if one is not None]
-        if len(found) < LEAST_SURE_TRIALS:
-            return middle, 0.0, [None] * len(peaks)
-        places = np.array([(one.x, one.y) for one in found])
-        variance = np.array([one.variance for one in found])
-        weight = 1.0 / (variance + scatter**2 + 1e-12)
-        mean = weight @ places / weight.sum()
-        # The errors' share of the squared distances is subtracted: method of moments.
-        excess = np.square(places - mean).mean(axis=1) * len(found) / (len(found) - 1.0) - variance
-        scatter = math.sqrt(max(float(weight @ excess / weight.sum()), 0.0))
-    return mean, scatter, chosen
+
+    way_px: FloatArray
+    mean_px: FloatArray
+    error_px: float | None
+    arrangement: Arrangement
+    is_own: NDArray[np.bool_] | None = None
+    scatter_px: float = 0.0
+    sure_level: float = math.inf
 
 
-def _chosen(peaks: Sequence[Place], mean: FloatArray, scatter: float) -> Place | None:
-    """Return the most probable of a trial's peaks for a mean and a scatter of positions; None if all are low."""
-    possible = [
-        one
-        for one in peaks
-        if one.height >= LEAST_PEAK_NEARBY
-        and max(abs(one.x - mean[0]), abs(one.y - mean[1])) <= NEARBY * math.sqrt(scatter**2 + one.variance)
-    ]
+@dataclass(frozen=True, slots=True)
+class _Ways:
+    """The search for the triangles of trials whose sizes are alike, from about where they are."""
 
-    def log_probability(one: Place) -> float:
-        distance = (one.x - mean[0]) ** 2 + (one.y - mean[1]) ** 2
-        return float(one.height**2 - distance / (scatter**2 + one.variance)) / 2.0
+    dataset: Dataset
+    trials: Trials
+    reach_px: float
 
-    return max(possible, key=log_probability, default=None)
+    def _size_px(self) -> float:
+        pitch_mrad = self.dataset.display.pitch_mrad
+        return min(float(np.median([one.stimulus.size_mrad for one in self.trials])) / pitch_mrad, 1e300)
+
+    def _window(self, trial: Trial, reach_px: float = 0.0) -> FrameSample:
+        """Measure the mean of a trial's frames."""
+        samples = [
+            measure_frame(
+                self.dataset, trial, "centroid", size_px=self._size_px(), reach_px=reach_px, number=number
+            )
+            for number in range(len(trial.frames))
+        ]
+        known = np.logical_and.reduce([one.known for one in samples])
+        return samples[0]._replace(even=np.mean([one.even for one in samples], axis=0), known=known)
+
+    def _windows(self, trials: Trials, reach_px: float = 0.0) -> list[FrameSample]:
+        """Measure the strongest trials; those that cannot be read are reported where all are read."""
+        found = []
+        for trial in trials.select(np.sort(np.argsort(-trials.levels, kind="stable")[:MOST_FITTED])):
+            try:
+                found.append(self._window(trial, reach_px))
+            except DataError:
+                continue
+        return found
+
+    def _fit(self, trials: Trials) -> tuple[GroupFit, int] | None:
+        """Fit the triangle of the strongest trials; returns it and the pixels along a block, or None."""
+        samples = self._windows(trials)
+        if not samples:
+            return None
+        block_px, pitch_mrad = samples[0].block_px, self.dataset.display.pitch_mrad
+        sizes = np.array([size_in_px(one.trial, pitch_mrad) for one in samples]) / block_px
+        level = strengths(self.dataset, np.array([one.trial.level for one in samples]))
+        found = GroupFit.of(samples, level, sizes, self._size_px() / block_px)
+        return (found, block_px) if found.signal >= LEAST_SIGNAL else None
+
+    def _nothing(self) -> _Found:
+        return _Found(np.zeros((len(self.trials), 2)), np.zeros(2), None, ARRANGEMENTS[0])
+
+    def of_all(self) -> _Found:
+        """Find the way that all trials have in common."""
+        fitted = self._fit(self.trials)
+        if fitted is None:
+            return self._nothing()
+        found, block_px = fitted
+        mean = block_px * found.offset
+        way = np.tile(mean, (len(self.trials), 1))
+        return _Found(way, mean, block_px * float(found.error[1:3].max()), _arrangement(found))
+
+    def of_each(self, members: NDArray[np.intp], leave_out: LeaveOut, advance: Callable[[int], None]) -> _Found:
+        """Find the way of each trial."""
+        size_px = self._size_px()
+        reach_px = max(SEARCHED * size_px + LEAST_SEARCHED_PX, self.reach_px)
+        # The place of the strongest, with a triangle as stated, and the picture of the triangle from these.
+        levels = self.trials.levels
+        strong = self._windows(self.trials.select(levels >= STRONG * levels.max()), reach_px)
+        if not strong:
+            advance(len(self.trials))
+            return self._nothing()
+        block_px = strong[0].block_px
+        size, n = size_px / block_px, len(strong[0].known)
+        first = Template.of(Shape.upright(1.0, 0.0, 0.0, size), np.ones((2 * n, n + 1)), n)
+        noise = self._noise(strong, size)
+        rough = max(
+            (
+                [
+                    first.peaks(sign * one.even, contrast=None, noise=spread, reach=reach_px / block_px)
+                    for one, spread in zip(strong, noise.tolist(), strict=True)
+                ]
+                for sign in (1.0, -1.0)
+            ),
+            key=lambda peaks: float(np.median([one.height[0] if len(one.height) else 0.0 for one in peaks])),
+        )
+        offsets = np.array([one.offset for one in strong])
+        times = np.array([float(one.trial.number) for one in strong])
+        chosen = chosen_places(
+            [one._replace(places=one.places - off) for one, off in zip(rough, offsets, strict=True)], times
+        )
+        some = Trials.of([one.trial for one in strong])
+        if chosen is not None:
+            some = some.placed(some.positions_px + block_px * chosen.places)
+        fitted = self._fit(some.select(chosen.is_own) if chosen is not None and chosen.is_own.any() else some)
+        if fitted is None:
+            advance(len(self.trials))
+            return self._nothing()
+        found, _ = fitted
+        polarity = strong[0].trial.stimulus.polarity
+        sign = polarity * math.copysign(1.0, found.fit.shape.amplitude)
+        template = Template.of(found.fit.shape, _isotropic(found.trials.spectrum, 2 * n), n)
+        slope = abs(found.fit.shape.amplitude) if is_contrast(self.dataset) else None
+        peaks, kept = [], []
+        for k, (member, trial) in enumerate(zip(members.tolist(), self.trials, strict=True)):
+            try:
+                sample = self._window(trial, reach_px)
+            except FrameError as error:
+                leave_out(member, error)
+            else:
+                (spread,) = self._noise([sample], size)
+                contrast = None if slope is None else slope * float(strengths(self.dataset, np.array(trial.level)))
+                one = template.peaks(
+                    sign * sample.even, contrast=contrast, noise=spread, reach=reach_px / block_px
+                )
+                peaks.append(one._replace(places=one.places - sample.offset))
+                kept.append(k)
+            advance(1)
+        chosen = chosen_places(peaks, self.trials.numbers[kept].astype(np.float64))
+        if chosen is None:
+            return self.of_all()._replace(is_own=np.zeros(len(self.trials), bool))
+        mean = block_px * chosen.memory.mean
+        way, is_own = np.tile(mean, (len(self.trials), 1)), np.zeros(len(self.trials), bool)
+        way[kept], is_own[kept] = block_px * chosen.places, chosen.is_own
+        scatter_px = block_px * chosen.memory.scatter
+        mean_square = scatter_px**2 + float(np.square(block_px * chosen.error[chosen.is_own]).mean())
+        error_px = math.sqrt(mean_square / int(chosen.is_own.sum()))
+        error_mrad = block_px * self.dataset.display.pitch_mrad * chosen.error
+        sure_level = _sure_level(levels[kept], error_mrad)
+        return _Found(way, mean, error_px, _arrangement(found), is_own, scatter_px, sure_level)
+
+    def _noise(self, samples: Sequence[FrameSample], size: float) -> FloatArray:
+        known = np.logical_and.reduce([one.known for one in samples])
+        level = strengths(self.dataset, np.array([one.trial.level for one in samples]))
+        return noise_of_frames(np.array([one.even for one in samples]), level, known, size)
 
 
-def location_warnings(dataset: Dataset, locations: Sequence[Location]) -> list[DatasetWarning]:
-    """Return warnings about triangles that were found but are not as the manifest says."""
+def _sure_level(levels: FloatArray, error_mrad: FloatArray) -> float:
+    """Return the lowest level from which on single positions are known well; infinite if they are at none."""
+    distinct = np.unique(levels)
+    error = np.array([math.sqrt(float(np.square(error_mrad[levels == one]).mean())) for one in distinct])
+    is_sure = np.logical_and.accumulate((error <= MOST_ERROR_MRAD)[::-1])[::-1]
+    first = int(is_sure.argmax())
+    if not is_sure.any() or first == 0:
+        return float(distinct[0]) if is_sure.any() else math.inf
+    # Errors are powers of the level, very nearly.
+    ends = np.log(np.maximum(error[[first, first - 1]], 1e-9))
+    share = (math.log(MOST_ERROR_MRAD) - ends[0]) / (ends[1] - ends[0])
+    return float(distinct[first] * (distinct[first - 1] / distinct[first]) ** share)
+
+
+def _arrangement(found: GroupFit) -> Arrangement:
+    sign = 1 if found.fit.shape.amplitude > 0.0 else -1
+    return next(one for one in ARRANGEMENTS if (one.shown, one.sign) == (found.fit.shown, sign))
+
+
+def _isotropic(spectrum: FloatArray, length: int) -> FloatArray:
+    """Return a power spectrum on another grid, (length, length/2 + 1), the mean over all directions."""
+
+    def distance(n: int) -> FloatArray:
+        return np.asarray(np.hypot(np.fft.fftfreq(n)[:, None], np.fft.rfftfreq(n)))
+
+    n_rings = 16
+    ring = np.minimum((2.0 * n_rings * distance(len(spectrum))).astype(int), n_rings)
+    power = np.bincount(ring.ravel(), spectrum.ravel()) / np.maximum(np.bincount(ring.ravel()), 1)
+    floor = 1e-3 * float(power.mean()) + 1e-12
+    at = 2.0 * n_rings * distance(length) - 0.5
+    return np.asarray(np.interp(at, np.arange(len(power)), np.maximum(power, floor)), np.float64)
+
+
+def _location(
+    trials: Trials, found: Sequence[_Found], start_px: FloatArray, centre: Centre | None, pitch_mrad: float
+) -> Location:
+    """Return the location of a group from those of its sizes. `centre` is None if the manifest gives positions."""
+    errors = [one.error_px for one in found if one.error_px is not None]
+    weight = np.array([0.0 if one.error_px is None else 1.0 / max(one.error_px, 1e-9) ** 2 for one in found])
+    moved = np.average([one.mean_px for one in found], axis=0, weights=weight if errors else None)
+    middle = start_px.mean(axis=0) + moved
+    if centre is not None:
+        middle += np.mean([from_centroid(one, centre, pitch_mrad) for one in trials], axis=0)
+    own = [one.is_own for one in found if one.is_own is not None]
+    sure_level = max(one.sure_level for one in found)
+    return Location(
+        trials[0].group,
+        float(middle[0]),
+        float(middle[1]),
+        1.0 / math.sqrt(float(weight.sum())) if errors else None,
+        found[int(weight.argmax())].arrangement,
+        len(trials) if own else None,
+        int(sum(one.sum() for one in own)) if own else None,
+        math.sqrt(float(np.mean([one.scatter_px**2 for one in found]))) if own else None,
+        (float(moved[0]), float(moved[1])) if centre is None else None,
+        None if math.isinf(sure_level) else sure_level,
+    )
+
+
+def location_warnings(
+    dataset: Dataset, locations: Sequence[Location], thresholds: Mapping[Group, float | None] | None = None
+) -> list[DatasetWarning]:
+    """Return warnings about triangles that are not as the manifest says, or too faint to be located.
+
+    Without a group's threshold, its faint triangles are not judged.
+    """
     found = []
     for one in locations:
         group = dict(zip(dataset.experiment.group_by, one.group, strict=True))
@@ -417,12 +493,12 @@ def location_warnings(dataset: Dataset, locations: Sequence[Location]) -> list[D
             )
             message = f"the triangles that were located are {what}; {remedy}"
             found.append(DatasetWarning(code, group, message, found=1.0, expected=0.0))
-        n_faint = (one.n_trials or 0) - (one.n_located or 0)
-        if n_faint and one.scatter_px and one.scatter_px * dataset.display.pitch_mrad > FAINT_SCATTER_MRAD:
+        threshold = (thresholds or {}).get(one.group)
+        if threshold is not None and one.n_trials and not threshold >= (one.sure_level or math.inf):
             message = (
-                f"{n_faint} of {one.n_trials} trials are too faint for a position of their own, and the others "
-                f"scatter by {one.scatter_px:.2g} pixels: the observer looks beside faint triangles, and the "
+                f"triangles at the threshold, {threshold:.3g}, are too faint for a position of their own, and the "
+                f"positions scatter by {one.scatter_px:.2g} pixels: the observer looks beside them, and the "
                 "threshold comes out high; fix the camera and record again, or give each frame its x_px and y_px"
             )
-            found.append(DatasetWarning("position_scatter", group, message, one.scatter_px, 0.0))
+            found.append(DatasetWarning("position_scatter", group, message, one.scatter_px or 0.0, 0.0))
     return found

@@ -453,12 +453,15 @@ class TrialEstimates(NamedTuple):
         Standard errors of these.
     likeness, likeness_error : ndarray, shapes (trial, 4) and (trial,)
         Product of each trial, without its background, with the differences of the orientations; its noise.
+    spectrum : ndarray, shape (length, length/2 + 1)
+        Power spectrum of the noise, in units of the trials' noise.
     """
 
     away: FloatArray
     error: FloatArray
     likeness: FloatArray
     likeness_error: FloatArray
+    spectrum: FloatArray
 
 
 def of_trials(
@@ -495,6 +498,7 @@ def of_trials(
         errors[shown] * relative[:, None],
         cut.reshape(len(frames), -1) @ differ.reshape(4, -1).T,
         likeness_error * relative,
+        spectrum,
     )
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray
-from todframes.diagnosis.matching import block_means
+from todframes.diagnosis.whole_frames import block_means
 from todframes.enhancement.compare import AlgorithmResult
 from todframes.enhancement.enhanced_frame import Screen, TrialReader
 from todframes.frames.contrast import Patch, read_contrast

@@ -1,0 +1,255 @@
+"""The places of single triangles in a shaken recording: what each frame shows, and what its neighbours predict.
+
+The likelihood of a place is the mean over the four orientations, so that no place favours the stated one. Peaks
+of its logarithm are weighed against a Gaussian process in time, whose scatter and memory come from the clear
+trials: empirical Bayes. A trial that shows nothing has the place that its neighbours and the group predict.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from todframes.base._typing import ComplexArray, FloatArray
+from todframes.diagnosis.triangle import Shape, Square, picture
+
+MOST_PEAKS = 12
+"""Largest number of peaks of a trial that are kept."""
+
+CLEAR, CLEAR_LEAD = 18.0, 5.0
+"""Least log likelihood of a peak, that of six standard deviations, and its least lead over the next, for a trial
+whose place is clear without the others."""
+
+LIKELY = 0.5
+"""Least probability of a peak for a trial to have a place of its own."""
+
+LEAST_CLEAR = 4
+"""Least number of clear trials from which the scatter is estimated."""
+
+NEIGHBOURS = 16
+"""Number of trials, the nearest in time, from which a place is predicted."""
+
+MOST_FITTED = 240
+"""Largest number of clear trials that memory and scatter are fitted to."""
+
+MEMORIES = (0.0, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0)
+"""Times after which a place is forgotten, in median distances of the trials, that are tried."""
+
+JITTERS = (0.0, 0.03, 0.2)
+"""Shares of the variance without memory that are tried."""
+
+
+class Template(NamedTuple):
+    """A triangle in each orientation, divided by the noise's spectrum, for windows of n × n blocks.
+
+    `spectra` has shape (4, length, length/2 + 1). `energy`, (4,), is the squared signal-to-noise ratio of a
+    triangle of contrast 1 in noise of unit variance.
+    """
+
+    spectra: ComplexArray
+    energy: FloatArray
+    length: int
+
+    @classmethod
+    def of(cls, shape: Shape, noise: FloatArray, n: int) -> Template:
+        """Return the template of a shape, for noise whose power spectrum, (length, length/2 + 1), has mean 1."""
+        centred = shape._replace(amplitude=1.0, x=0.0, y=0.0)
+        square = Square.about(centred, n)
+        images = picture(centred, square, n).images
+        length = len(noise)
+        # The middle of the square goes to (0, 0), so that peaks lie where the centroids are.
+        reach = square.side // 2
+        padded = np.zeros((4, length, length))
+        padded[:, : square.side, : square.side] = images
+        spectrum = np.fft.rfft2(np.roll(padded, (-reach, -reach), axis=(1, 2)))
+        spectrum[:, 0, 0] = 0.0
+        twice = np.full(spectrum.shape[1:], 2.0)
+        twice[:, 0] = 1.0
+        if length % 2 == 0:
+            twice[:, -1] = 1.0
+        energy = (twice * np.square(np.abs(spectrum)) / noise).sum(axis=(1, 2)) / length**2
+        return cls(np.asarray(np.conj(spectrum) / noise, np.complex128), energy, length)
+
+    def peaks(self, window: FloatArray, *, contrast: float | None, noise: float, reach: float) -> Peaks:
+        """Return the peaks of the log likelihood within a distance from the middle, the highest first.
+
+        Parameters
+        ----------
+        window : ndarray, shape (n, n)
+            Contrast.
+        contrast : float or None
+            Contrast of the triangle; None: not known.
+        noise : float
+            Standard deviation of a block.
+        reach : float
+            Largest distance along each axis.
+        """
+        n = len(window)
+        spectrum = np.fft.rfft2(window, (self.length, self.length))
+        heights = np.fft.irfft2(spectrum * self.spectra, (self.length, self.length))[:, :n, :n]
+        energy = self.energy[:, None, None]
+        if contrast is None:
+            of_turn = np.square(np.maximum(heights, 0.0)) / (2.0 * energy * noise**2)
+        else:
+            of_turn = contrast * (heights - contrast * energy / 2.0) / noise**2
+        likelihood = np.logaddexp.reduce(of_turn, axis=0) - math.log(4.0)
+        middle = (n - 1) // 2
+        first = max(middle - math.ceil(reach), 1)
+        inner = slice(first, n - first)
+        around = np.array(
+            [
+                likelihood[first + dy : n - first + dy, first + dx : n - first + dx]
+                for dy in (-1, 0, 1)
+                for dx in (-1, 0, 1)
+            ]
+        )
+        rows, columns = np.nonzero(likelihood[inner, inner] >= around.max(axis=0))
+        order = np.argsort(-around[4][rows, columns], kind="stable")[:MOST_PEAKS]
+        rows, columns = rows[order] + first, columns[order] + first
+        at = likelihood[rows, columns]
+        left, right = likelihood[rows, columns - 1], likelihood[rows, columns + 1]
+        above, below = likelihood[rows - 1, columns], likelihood[rows + 1, columns]
+        bend_x, bend_y = (
+            np.maximum(2.0 * at - one - other, 1e-9) for one, other in ((left, right), (above, below))
+        )
+        places = np.column_stack(
+            [columns + (right - left) / (2.0 * bend_x), rows + (below - above) / (2.0 * bend_y)]
+        )
+        return Peaks(places - (n - 1) / 2.0, 2.0 / (bend_x + bend_y), at)
+
+
+class Peaks(NamedTuple):
+    """Peaks of a trial's log likelihood: places (x, y) from the middle, (peak, 2), variances, heights, (peak,)."""
+
+    places: FloatArray
+    variance: FloatArray
+    height: FloatArray
+
+
+class Memory(NamedTuple):
+    """A Gaussian process of the place in time: scatter along an axis, memory, and the share without memory."""
+
+    mean: FloatArray
+    scatter: float
+    memory: float
+    jitter: float
+
+    def covariance(self, apart: FloatArray) -> FloatArray:
+        """Return the covariance of places at these distances in time."""
+        if self.memory == 0.0:
+            return np.asarray(self.scatter**2 * (apart == 0.0))
+        lasting = np.exp(-np.abs(apart) / self.memory)
+        return np.asarray(self.scatter**2 * ((1.0 - self.jitter) * lasting + self.jitter * (apart == 0.0)))
+
+
+class TrialPlaces(NamedTuple):
+    """Places of trials.
+
+    Attributes
+    ----------
+    places : ndarray, shape (trial, 2)
+    error : ndarray, shape (trial,)
+        Standard error along an axis.
+    is_own : ndarray of bool, shape (trial,)
+        Whether the trial's own frames show its place.
+    memory : Memory
+    """
+
+    places: FloatArray
+    error: FloatArray
+    is_own: NDArray[np.bool_]
+    memory: Memory
+
+
+def chosen_places(peaks: list[Peaks], time: FloatArray) -> TrialPlaces | None:
+    """Choose the place of each trial; None if too few trials are clear.
+
+    Parameters
+    ----------
+    peaks : list of Peaks
+        Peaks of each trial; places from the start of its search.
+    time : ndarray, shape (trial,)
+        Time of each trial, in any unit, ascending.
+    """
+    n = len(peaks)
+    places, variance = np.zeros((n, MOST_PEAKS, 2)), np.ones((n, MOST_PEAKS))
+    height = np.full((n, MOST_PEAKS), -np.inf)
+    for k, of_trial in enumerate(peaks):
+        count = len(of_trial.height)
+        places[k, :count], variance[k, :count], height[k, :count] = of_trial
+    lead = height[:, 0] - np.where(np.isfinite(height[:, 1]), height[:, 1], 0.0)
+    is_clear = (height[:, 0] >= CLEAR) & (lead >= CLEAR_LEAD)
+    if is_clear.sum() < LEAST_CLEAR:
+        return None
+    best = np.zeros(n, np.intp)
+    middle = np.median(places[is_clear, 0], axis=0)
+    scatter = 1.4826 * float(np.median(np.abs(places[is_clear, 0] - middle)))
+    memory = Memory(middle, max(scatter, 1e-3), 0.0, 0.0)
+    each = np.arange(n)
+    for _ in range(3):
+        known = np.flatnonzero(is_clear)
+        memory = _fitted(places[known, best[known]], variance[known, best[known]], time[known], memory.mean)
+        expected, spread = _predicted(places[each, best], variance[each, best], is_clear, time, memory)
+        both = spread[:, None] + variance
+        away = np.square(places - expected[:, None]).sum(axis=2)
+        # A peak of a flat likelihood is no more likely than the rest of what may be: its height counts above 0.
+        score = np.where(np.isfinite(height), height - away / (2.0 * both) - np.log(both / variance), -np.inf)
+        best = score.argmax(axis=1)
+        top = score[each, best]
+        total = np.exp(score - top[:, None]).sum(axis=1) + np.exp(-np.maximum(top, -50.0))
+        likely = 1.0 / total
+        is_clear = (likely > 0.99) & (height[each, best] > CLEAR / 2.0)
+        if is_clear.sum() < LEAST_CLEAR:
+            return None
+    share = (spread / (spread + variance[each, best]))[:, None]
+    is_own = likely >= LIKELY
+    share = np.where(is_own[:, None], share, 0.0)
+    found = expected + share * (places[each, best] - expected)
+    error = np.sqrt(np.where(is_own, share[:, 0] * variance[each, best], spread))
+    return TrialPlaces(found, error, is_own, memory)
+
+
+def _fitted(places: FloatArray, variance: FloatArray, time: FloatArray, middle: FloatArray) -> Memory:
+    """Fit a Gaussian process to places: the scatter by moments, its memory by the likelihood."""
+    weight = 1.0 / (variance + float(np.square(places - middle).mean()) + 1e-12)
+    mean = weight @ places / weight.sum()
+    excess = np.square(places - mean).mean(axis=1) * len(places) / (len(places) - 1.0) - variance
+    scatter = math.sqrt(max(float(weight @ excess / weight.sum()), 1e-8))
+    some = np.unique(np.linspace(0, len(places) - 1, MOST_FITTED).round().astype(int))
+    apart = np.abs(time[some][:, None] - time[some])
+    step = max(float(np.median(np.diff(time[some]))), 1e-9)
+    away = places[some] - mean
+    best, found = -math.inf, Memory(mean, scatter, 0.0, 0.0)
+    for memory in MEMORIES:
+        for jitter in JITTERS if memory else JITTERS[:1]:
+            tried = Memory(mean, scatter, memory * step, jitter)
+            covariance = tried.covariance(apart) + np.diag(variance[some] + 1e-9)
+            sign, log_det = np.linalg.slogdet(covariance)
+            likelihood = -log_det - float((away * np.linalg.solve(covariance, away)).sum()) / 2.0
+            if sign > 0.0 and likelihood > best + (2.0 if memory else 0.0):
+                best, found = likelihood, tried
+    return found
+
+
+def _predicted(
+    places: FloatArray, variance: FloatArray, is_clear: NDArray[np.bool_], time: FloatArray, memory: Memory
+) -> tuple[FloatArray, FloatArray]:
+    """Predict the place and variance of each trial from the clear ones next to it in time, without itself."""
+    n = len(places)
+    if memory.memory == 0.0:
+        return np.tile(memory.mean, (n, 1)), np.full(n, memory.scatter**2)
+    clear = np.flatnonzero(is_clear)
+    count = min(NEIGHBOURS, len(clear))
+    first = np.clip(np.searchsorted(time[clear], time) - count // 2, 0, len(clear) - count)
+    near = clear[first[:, None] + np.arange(count)]
+    noise = np.where(near == np.arange(n)[:, None], 1e12, variance[near])
+    covariance = memory.covariance(time[near][:, :, None] - time[near][:, None])
+    covariance[:, np.arange(count), np.arange(count)] += noise
+    cross = memory.covariance(time[near] - time[:, None])
+    cross[near == np.arange(n)[:, None]] = 0.0
+    weights = np.linalg.solve(covariance, cross[:, :, None])[:, :, 0]
+    expected = memory.mean + np.einsum("kj,kjx->kx", weights, places[near] - memory.mean)
+    return expected, np.maximum(memory.scatter**2 - (weights * cross).sum(axis=1), 1e-9)

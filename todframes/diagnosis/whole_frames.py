@@ -1,0 +1,209 @@
+"""The search of whole frames for triangles, by what the orientations differ in."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from typing import NamedTuple
+
+import numpy as np
+
+from todframes.base._typing import ComplexArray, FloatArray
+from todframes.base.errors import FrameError
+from todframes.diagnosis.arrangement import TURNED
+from todframes.frames.contrast import Patch, read_contrast
+from todframes.frames.dataset import Dataset
+from todframes.frames.trials import FrameReference, Trial
+from todframes.stimulus import ORIENTATIONS, Centre, Orientation, Stimulus, coverage
+
+MOST_LOCATED_PX = 2**21
+"""Largest number of pixels of a frame that is searched pixel by pixel; a larger one is averaged over blocks."""
+
+BLOCKS = 2**19
+"""Number of square blocks of pixels that a large frame is divided into."""
+
+MOST_BLOCKS = 2**24
+"""Largest number of blocks of a frame; more would fill the memory."""
+
+LEAST_BLOCKS = 16
+"""Least number of blocks along a triangle's size, unless blocks are pixels: larger blocks blur its edges."""
+
+Means = dict[Stimulus, dict[Orientation, FloatArray]]
+
+
+class MeanFrames:
+    """Mean contrast of a group's frames by stimulus and orientation; all frames must have one size."""
+
+    def __init__(self, dataset: Dataset) -> None:
+        self.dataset = dataset
+        self.shape: tuple[int, ...] | None = None
+        self.block_px = 1
+        self.totals: dict[tuple[Stimulus, Orientation], FloatArray] = {}
+        self.counts: Counter[tuple[Stimulus, Orientation]] = Counter()
+
+    def add(self, trial: Trial) -> None:
+        """Add all frames of a trial; if one cannot be read, add none."""
+        contrasts = [self._contrast(frame, trial.stimulus) for frame in trial.frames]
+        key = (trial.stimulus, trial.orientation)
+        total = self.totals.setdefault(key, np.zeros(contrasts[0].shape))
+        for contrast in contrasts:
+            total += contrast
+        self.counts[key] += len(contrasts)
+
+    def of_trial(self, trial: Trial) -> FloatArray:
+        """Return the mean contrast of a trial's frames, in blocks."""
+        contrasts = [self._contrast(frame, trial.stimulus) for frame in trial.frames]
+        return contrasts[0] if len(contrasts) == 1 else np.asarray(sum(contrasts) / len(contrasts))
+
+    def mean(self) -> FloatArray:
+        """Return the mean of all frames."""
+        return np.asarray(sum(self.totals.values()) / self.counts.total())
+
+    def take_means(self) -> Means:
+        """Return the mean contrast of each stimulus and orientation; the totals become them, and are given up."""
+        means: Means = {}
+        for (stimulus, orientation), total in self.totals.items():
+            total /= self.counts[stimulus, orientation]
+            means.setdefault(stimulus, {})[orientation] = total
+        self.totals = {}
+        return means
+
+    def in_pixels(self, place: tuple[float, float]) -> tuple[float, float]:
+        """Return a position in pixels from one in blocks, which counts from the middle of the first block."""
+        x_px, y_px = (float(self.block_px * at + (self.block_px - 1) / 2.0) for at in place)
+        return x_px, y_px
+
+    def _contrast(self, frame: FrameReference, stimulus: Stimulus) -> FloatArray:
+        path = self.dataset.frame_path(frame)
+        with self.dataset.open(frame, verify=True) as file:
+            patch = read_contrast(file, self.dataset.display, frame)
+            header = file.header
+        shape = patch.values.shape[:2]
+        if (patch.row, patch.column, *shape) != (0, 0, header.height, header.width):
+            raise FrameError(path, "has no pixels in part of the frame; its triangle cannot be located")
+        if self.shape is None:
+            self.shape = shape
+            size_px = stimulus.size_mrad / self.dataset.display.pitch_mrad
+            self.block_px = _block_px(shape, size_px)
+            if shape[0] * shape[1] / self.block_px**2 > MOST_BLOCKS:
+                raise FrameError(
+                    path,
+                    f"{_size(shape)} pixels are too many to find a triangle of {size_px:.3g} pixels among them, "
+                    f"expected at most {MOST_BLOCKS / 1e6:.1f} million; give x_px and y_px in the manifest",
+                )
+        if self.shape != shape:
+            found, expected = _size(shape), _size(self.shape)
+            raise FrameError(path, f"found {found} pixels, expected {expected} as in the group's other frames")
+        return block_means(patch, self.block_px)
+
+
+def _block_px(shape: tuple[int, ...], size_px: float) -> int:
+    """Return the side of the blocks that a frame is searched in, in pixels: 1 unless the frame is large."""
+    n_px = shape[0] * shape[1]
+    wanted = 1 if n_px <= MOST_LOCATED_PX else math.ceil(math.sqrt(n_px / BLOCKS))
+    return max(min(wanted, int(min(size_px, 1e9) / LEAST_BLOCKS)), 1)
+
+
+def block_means(patch: Patch, block_px: int) -> FloatArray:
+    """Average the contrast of a whole frame over square blocks; incomplete blocks are dropped."""
+    if block_px == 1 and patch.to_contrast is None:
+        return patch.values
+    n_rows, n_columns = (length // block_px for length in patch.values.shape[:2])
+    means = np.zeros((n_rows, n_columns))
+    for band in patch.bands():
+        within = band.values[: max(n_rows * block_px - band.row, 0), : n_columns * block_px]
+        if len(within) == 0:
+            continue
+        by_columns = within.reshape(len(within), n_columns, block_px).sum(axis=2)
+        block_rows = (band.row + np.arange(len(within))) // block_px
+        starts = np.flatnonzero(np.diff(block_rows, prepend=-1))
+        means[block_rows[0] : block_rows[-1] + 1] += np.add.reduceat(by_columns, starts, axis=0)
+    return means / block_px**2
+
+
+def _size(shape: tuple[int, ...]) -> str:
+    """Return the text "columns × rows"."""
+    return f"{shape[1]} × {shape[0]}"
+
+
+class Found(NamedTuple):
+    """The highest correlation on whole blocks: where, and how high.
+
+    `height` is that of the peak above the median of the correlation as stated, `spread` the standard deviation of
+    that correlation over the frame. The height is -inf if the frames are smaller than the triangles.
+    """
+
+    x: int
+    y: int
+    height: float
+    spread: float
+
+
+def search(means: Means, pitch_mrad: float, centre: Centre) -> Found:
+    """Find the highest correlation of triangles with mean frames, over all places, arrangements and polarities.
+
+    The mean over the orientations is subtracted from frames and triangles alike. It contains everything that the
+    orientations share: bezel, overlay, shading, fixed pattern.
+    """
+    shape = next(iter(next(iter(means.values())).values())).shape
+    rows, columns = shape
+    largest_px = max(stimulus.size_mrad for stimulus in means) / pitch_mrad
+    # The centroid is at least a third of the height, 0.439 sizes, away from each edge of the triangle.
+    edge = max(int(np.ceil(0.4386 * largest_px - 0.5)), 0)
+    best = Found(0, 0, -math.inf, 0.0)
+    if 2 * edge >= min(rows, columns):
+        return best
+    spectra = [_spectra(stimulus, images, pitch_mrad, centre) for stimulus, images in means.items()]
+    for arrangement in TURNED:
+        total = np.asarray(sum(_cross(one, arrangement.shown) for one in spectra))
+        correlation = np.fft.fftshift(np.fft.irfft2(total, shape))[edge : rows - edge, edge : columns - edge]
+        median = float(np.median(correlation))
+        spread = best.spread or 1.4826 * float(np.median(np.abs(correlation - median)))
+        row, column = np.unravel_index(np.abs(correlation).argmax(), correlation.shape)
+        height = abs(float(correlation[row, column]) - median)
+        if height > best.height:
+            best = Found(int(column) + edge, int(row) + edge, height, spread)
+    return best
+
+
+class _Spectra(NamedTuple):
+    """Spectra of images by orientation, conjugate spectra of triangles and their inner products, (4, 4)."""
+
+    images: dict[int, ComplexArray]
+    triangles: list[ComplexArray]
+    products: FloatArray
+
+
+def _spectra(
+    stimulus: Stimulus, images: dict[Orientation, FloatArray], pitch_mrad: float, centre: Centre
+) -> _Spectra:
+    """Return the spectra of a stimulus's images and of its triangles in the middle of the frame."""
+    shape = next(iter(images.values())).shape
+    at = {"size_px": stimulus.size_mrad / pitch_mrad, "x_px": shape[1] // 2, "y_px": shape[0] // 2}
+    triangles = np.array(
+        [
+            stimulus.polarity * coverage((shape[0], shape[1]), **at, orientation=one, centre=centre)
+            for one in ORIENTATIONS
+        ]
+    ).reshape(4, -1)
+    products = triangles @ triangles.T
+    if len(images) == 1:  # a single orientation only loses its mean level
+        totals = triangles.sum(axis=1)
+        products = products - np.outer(totals, totals) / triangles.shape[1]
+    common = np.mean(list(images.values()), axis=0) if len(images) > 1 else next(iter(images.values())).mean()
+    return _Spectra(
+        {one.quarter_turns: np.fft.rfft2(image - common) for one, image in images.items()},
+        [np.conj(np.fft.rfft2(one.reshape(shape))) for one in triangles],
+        products,
+    )
+
+
+def _cross(spectra: _Spectra, shown: tuple[int, ...]) -> ComplexArray:
+    """Return the spectrum of the correlation with unit-energy triangle differences in an arrangement."""
+    turns = [shown[turn] for turn in spectra.images]
+    products = spectra.products[np.ix_(turns, turns)]
+    energy = float(np.trace(products) - (products.sum() / len(turns) if len(turns) > 1 else 0.0))
+    # The images add up to zero, so the mean of the triangles needs no subtraction.
+    total = sum(image * spectra.triangles[k] for image, k in zip(spectra.images.values(), turns, strict=True))
+    # Within one pixel all orientations are alike: only rounding is left of their differences.
+    return np.asarray(total / math.sqrt(energy) if energy > 1e-9 * np.trace(products) else 0.0 * total)
