@@ -15,6 +15,7 @@ import OpenImageIO as oiio
 import pytest
 
 from todframes.base.errors import FrameError, OutputError, SettingsError
+from todframes.base.locations import in_utf8
 from todframes.frames.contrast import _extremes
 from todframes.frames.files import FrameFile, frame_sha256, read_frame, read_header, write_frame
 
@@ -475,7 +476,7 @@ def test_interlaced_png(tmp_path):
 def assert_refused(path, problem, read=read_frame):
     with pytest.raises(FrameError, match=problem) as caught:
         read(path)
-    assert str(caught.value).startswith(f"{path}: ")
+    assert str(caught.value).startswith(f"{in_utf8(str(path))}: ")
     assert "\n" not in str(caught.value)
 
 

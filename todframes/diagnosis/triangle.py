@@ -419,7 +419,7 @@ def filter_covariance(filters: NDArray[np.floating], spectrum: FloatArray) -> Fl
 
 
 def _covariance(design: FloatArray, square: Square, weight: FloatArray, spectrum: FloatArray) -> FloatArray:
-    scale = np.maximum(np.linalg.norm(design, axis=1), 1e-300)
+    scale = np.maximum(np.linalg.norm(design, axis=1), 1e-100)  # its square is a number, too
     scaled = design / scale[:, None]
     filters = np.linalg.pinv(scaled @ scaled.T, rcond=1e-10, hermitian=True) @ scaled / scale[:, None]
     root = np.sqrt(square.of(weight))
