@@ -20,7 +20,7 @@ from todframes.errors import DataError, SettingsError
 from todframes.observers.decision import answer_probability
 from todframes.observers.pyramid import PyramidObserver
 from todframes.psychometrics.fit import FitSettings, PsychometricFit, fit_counts, fit_trials
-from todframes.psychometrics.threshold_search import find_crossing
+from todframes.psychometrics.threshold_search import crossing, find_crossing
 from todframes.psychometrics.weibull import weibull, weibull_level
 from todframes.scoring.naked_eye import contrast_threshold
 from todframes.stimulus import Orientation, Stimulus, coverage
@@ -484,3 +484,21 @@ def test_search_goes_on_past_a_level_that_happens_to_be_as_high_as_the_end():
     search = {"bounds": (1e-12, 1e12), "start": 1.0, "factor": 4.0, "saturates": True}
     # Half of the hill's height, 0.95 decades before its top.
     assert find_crossing(proportion, 0.75, **search) == ("ok", pytest.approx(10**1.05, rel=1e-6))
+
+
+@pytest.mark.parametrize("near", [None, 0.3, 1.0, 40.0])
+@pytest.mark.parametrize("ceiling", [0.74, 0.7501, 0.76, 0.95])
+def test_crossing_of_a_curve_that_levels_off(near: float | None, ceiling: float) -> None:
+    """P = ceiling − (ceiling − 1/4) / (1 + x²) has the threshold √((p − 1/4) / (ceiling − p))."""
+
+    def proportion(level: float) -> float:
+        return ceiling - (ceiling - 0.25) / (1.0 + level * level)
+
+    status, level = crossing(proportion, 0.75, near=near, slope=0.4)
+    if ceiling < 0.75:
+        assert (status, level) == ("never_reached", None)
+    else:
+        assert status == "ok"
+        # P is within 1e-6 of the criterion where the curve is flat, and 1e-6 of the level elsewhere.
+        assert level == pytest.approx(math.sqrt(0.5 / (ceiling - 0.75)), rel=1e-6 if ceiling > 0.751 else 1e-2)
+        assert abs(proportion(level) - 0.75) < 1e-6
