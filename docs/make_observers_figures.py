@@ -20,9 +20,9 @@ os.environ.setdefault("OPENCV_FOR_THREADS_NUM", "1")
 import numpy as np
 from matplotlib.figure import Figure
 
-from sensor_sim.matched import matched_settings
-from sensor_sim.predict import FoldedChain, PredictedThreshold, predict_threshold
-from sensor_sim.sensor import Sensor, load_sensor
+from sensor_sim.chain.sensor import Sensor, load_sensor
+from sensor_sim.thresholds.matched import matched_settings
+from sensor_sim.thresholds.predict import FoldedChain, PredictedThreshold, predict_threshold
 from todframes.observers.hotelling import HotellingObserver
 from todframes.observers.interface import Observer
 from todframes.observers.oriented import OrientedObserver

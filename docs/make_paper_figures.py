@@ -27,12 +27,18 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, NullFormatter
 from scipy.optimize import brentq
 
-from sensor_sim.noise import delta_t_as_printed_mk, delta_t_mk, excess_kurtosis, k_factor, noise_parts
+from sensor_sim.chain.detector_noise import (
+    delta_t_as_printed_mk,
+    delta_t_mk,
+    excess_kurtosis,
+    k_factor,
+    noise_parts,
+)
+from sensor_sim.chain.sensor import Sensor, load_sensor
+from sensor_sim.chain.simulation import Simulator, plan_trials
+from sensor_sim.chain.transfer import diffraction_mtf, pre_sample_mtf
 from sensor_sim.pictures import trial_stages
-from sensor_sim.predict import FoldedChain, PredictedThreshold, predict_threshold
-from sensor_sim.sensor import Sensor, load_sensor
-from sensor_sim.simulation import Simulator, plan_trials
-from sensor_sim.transfer import diffraction_mtf, pre_sample_mtf
+from sensor_sim.thresholds.predict import FoldedChain, PredictedThreshold, predict_threshold
 from todframes.observers.decision import answer_probability
 from todframes.observers.laplacian_pyramid import LaplacianPyramid
 from todframes.observers.pyramid import PyramidObserver, PyramidSettings

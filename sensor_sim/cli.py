@@ -10,6 +10,7 @@ from typing import Any
 import click
 
 from todframes import __version__
+from todframes.base.errors import SettingsError
 from todframes.cli.console import (
     Commands,
     echo,
@@ -38,7 +39,6 @@ from todframes.cli.options import (
     seed_option,
     tolerance_option,
 )
-from todframes.errors import SettingsError
 
 sensor_argument = click.argument("sensor", type=click.Path(path_type=Path), metavar="SENSOR.toml")
 
@@ -76,7 +76,7 @@ def cli() -> None:
 @quiet_option
 def simulate(*, sensor: Path, sizes: str, snrs: str, trials: int, out: str, quiet: bool, **asked: Any) -> None:
     """Make a dataset of display frames that `todframes score` reads."""
-    from sensor_sim import api
+    from sensor_sim import calls as api
 
     size_detectors, snr = numbers(sizes, "--size-detectors"), numbers(snrs, "--snr")
     tell = None if quiet else say
@@ -115,8 +115,8 @@ def curve(*, sensor: Path, sizes: str, out: str | None, quiet: bool, **asked: An
     """
     shown = {name: asked.pop(name) for name in ("as_json", "verbose", "explain")}
     observer, fit = make_observer(asked, fitted=False)
-    from sensor_sim import api
-    from sensor_sim.sensor import load_sensor
+    from sensor_sim import calls as api
+    from sensor_sim.chain.sensor import load_sensor
 
     settings, wanted = load_sensor(sensor), numbers(sizes, "--size-detectors")
     with staged(out) as place:
@@ -203,10 +203,10 @@ def sweep(
     reason, and the others go on.
     """
     observer, fit = make_observer(asked, fitted=False)
-    from sensor_sim import api
-    from sensor_sim.designs import Base, make_designs
-    from sensor_sim.sensor import load_sensor
-    from sensor_sim.sweep_work import Variants
+    from sensor_sim import calls as api
+    from sensor_sim.chain.sensor import load_sensor
+    from sensor_sim.sweeps.designs import Base, make_designs
+    from sensor_sim.sweeps.work import Variants
 
     settings, wanted = load_sensor(sensor), numbers(sizes, "--size-detectors")
     base = Base(settings, Variants.of(observer).settings, asked["keep_fill_factor"])
@@ -267,7 +267,7 @@ def _assigned_ranges(ranges: tuple[str, ...]) -> dict[str, str]:
 @json_option
 def mtf(*, sensor: Path, out: str | None, as_json: bool) -> None:
     """Compute the modulation transfer of every stage along x, before and after sampling."""
-    from sensor_sim import api
+    from sensor_sim import calls as api
     from sensor_sim.mtf_report import TABLE_STEP
 
     transfer = api.mtf(sensor)
@@ -289,7 +289,7 @@ def explore(*, sensor: Path, host: str, port: int, no_browser: bool) -> None:
 
     A server on this machine computes the numbers, and sends nothing elsewhere. Ctrl-C ends it.
     """
-    from sensor_sim import api
+    from sensor_sim import calls as api
 
     api.explore(sensor, host=host, port=port, open_browser=not no_browser, tell=echo, warn=say)
 

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import msgspec
 import numpy as np
 
-from sensor_sim.sensor import Sensor
-from sensor_sim.transfer import stages
+from sensor_sim.chain.sensor import Sensor
+from sensor_sim.chain.transfer import stages
 from todframes import __version__
 from todframes.report.figure_style import COLOURS, INK
 from todframes.report.figures import Picture, drawn

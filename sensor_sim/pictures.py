@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from sensor_sim.sampling import sample_image
-from sensor_sim.sensor import Detector, Sensor
-from sensor_sim.simulation import SimulatedTrial, Simulator
-from todframes._typing import FloatArray
+from sensor_sim.chain.sampling import sample_image
+from sensor_sim.chain.sensor import Detector, Sensor
+from sensor_sim.chain.simulation import SimulatedTrial, Simulator
+from todframes.base._typing import FloatArray
 from todframes.frames.contrast import Patch
 from todframes.frames.files import write_frame
 from todframes.observers.interface import Observer

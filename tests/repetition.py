@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
-from sensor_sim.sampling import TriangleSampler
-from sensor_sim.sensor import Optics
+from sensor_sim.chain.sampling import TriangleSampler
+from sensor_sim.chain.sensor import Optics
 from todframes.stimulus import HEIGHT_PER_SIZE
 
 

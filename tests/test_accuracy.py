@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sensor_sim.curve_plan import full_plan
-from sensor_sim.predict import REPLICATES, FoldedChain, Phases, predict_threshold
-from sensor_sim.sensor import Detector, Optics, Sensor, SensorDisplay
+from sensor_sim.chain.sensor import Detector, Optics, Sensor, SensorDisplay
 from sensor_sim.studies.accuracy import STAR_LIKE, Camera
+from sensor_sim.thresholds.curve_plan import full_plan
+from sensor_sim.thresholds.predict import REPLICATES, FoldedChain, Phases, predict_threshold
 from todframes.cli.console import run
 from todframes.cli.main import cli
 from todframes.observers.pyramid import PyramidObserver

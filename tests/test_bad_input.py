@@ -23,12 +23,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sensor_sim.designs import read_designs
-from todframes import output
+from sensor_sim.sweeps.designs import read_designs
+from todframes.base import output
+from todframes.base.errors import DataError, FrameError, SettingsError
 from todframes.cli import main as cli
 from todframes.cli.console import run
 from todframes.cli.options import make_fit, make_observer
-from todframes.errors import DataError, FrameError, SettingsError
 from todframes.frames.contrast import frame_problems
 from todframes.frames.dataset import load_dataset
 from todframes.frames.files import write_frame

@@ -15,9 +15,9 @@ import pytest
 from people import a_monitor, model_person, sit
 
 import todframes as tod
+from todframes.base.errors import DataError, FrameError, SettingsError
 from todframes.cli.console import run
 from todframes.cli.main import cli
-from todframes.errors import DataError, FrameError, SettingsError
 from todframes.experiment.answers import read_answers, sidecar_path
 from todframes.experiment.person import (
     Calibrated,

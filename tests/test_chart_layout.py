@@ -9,9 +9,9 @@ import cv2
 import numpy as np
 import pytest
 
-from todframes.errors import SettingsError
-from todframes.recordings import markers
-from todframes.recordings.chart_layout import (
+from todframes.base.errors import SettingsError
+from todframes.charts import markers
+from todframes.charts.layout import (
     Chart,
     Markers,
     Page,

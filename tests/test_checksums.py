@@ -10,10 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from todframes import output
+from todframes.base import output
+from todframes.base.errors import DataError
 from todframes.cli.console import run
 from todframes.cli.main import cli
-from todframes.errors import DataError
 from todframes.frames import checksums
 from todframes.frames.checksums import dataset_warnings, write_sha256
 from todframes.frames.dataset import load_dataset

@@ -22,7 +22,7 @@ import numpy as np
 import pytest
 
 import todframes
-from todframes.errors import ClusterError, DataError, FrameError, SettingsError
+from todframes.base.errors import ClusterError, DataError, FrameError, SettingsError
 from todframes.jobs import batches as handing
 from todframes.jobs import engine as engines
 from todframes.jobs import worker
@@ -583,8 +583,8 @@ def test_a_batch_that_takes_too_long_comes_back_in_part(monkeypatch: pytest.Monk
 
 RUN = """
 import sys, time
-from todframes import signals
-from todframes.errors import DataError
+from todframes.base import signals
+from todframes.base.errors import DataError
 from todframes.jobs.engine import open_engine
 
 class Naps:

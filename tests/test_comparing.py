@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from skimage.metrics import peak_signal_noise_ratio
 
+from todframes.base.errors import DataError, FrameError, SettingsError
 from todframes.enhancement.algorithm import find_enhancement
 from todframes.enhancement.compare import compare_dataset
 from todframes.enhancement.enhanced_frame import DecodedFrame, EnhancedImage, Screen
-from todframes.errors import DataError, FrameError, SettingsError
 from todframes.frames.contrast import frame_problems
 from todframes.frames.dataset import load_dataset
 from todframes.frames.files import FrameFile, read_frame, write_frame
@@ -300,7 +300,7 @@ def test_a_border_is_the_outermost_ring() -> None:
     values = np.zeros((4, 5, 1), np.float32)
     values[[0, -1]] = values[:, [0, -1]] = 1.0
     dataset_display = {"eotf": "linear", "background_luminance_cd_m2": 50.0, "pixel_pitch_mrad": 0.5}
-    from todframes.frames.display import Display
+    from todframes.display.display import Display
 
     screen = Screen(Display(**dataset_display, white_luminance_cd_m2=80.0))
     assert EnhancedImage(screen, values).border_luminance() == 80.0

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from todframes.errors import DataError
+from todframes.base.errors import DataError
 from todframes.frames.dataset import load_dataset
 from todframes.observers.pyramid import PyramidObserver
 from todframes.psychometrics.counts import read_counts

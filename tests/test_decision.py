@@ -14,7 +14,7 @@ from numpy.polynomial.legendre import leggauss
 from scipy.integrate import quad
 from scipy.special import ndtr
 
-from todframes.errors import SettingsError
+from todframes.base.errors import SettingsError
 from todframes.observers import decision
 from todframes.observers.decision import answer_probabilities, answer_probability
 

@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from todframes.errors import DataError, SettingsError
-from todframes.frames.display import (
+from todframes.base.errors import DataError, SettingsError
+from todframes.display.display import (
     Display,
     LuminanceTable,
     border_values,

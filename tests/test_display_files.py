@@ -11,17 +11,17 @@ import numpy as np
 import pytest
 
 import todframes as tod
-from todframes.config import toml_text
-from todframes.errors import SettingsError
-from todframes.frames.dataset import load_dataset
-from todframes.frames.display import Display, LuminanceTable
-from todframes.frames.display_files import (
+from todframes.base.errors import SettingsError
+from todframes.base.reading import toml_text
+from todframes.display.display import Display, LuminanceTable
+from todframes.display.display_files import (
     FOLDER,
     display_names,
     find_display,
     read_display,
     table_of_display,
 )
+from todframes.frames.dataset import load_dataset
 
 EXPERIMENT = '\n[experiment]\nlevel = "contrast"\ngroup_by = ["size_mrad"]\n'
 MONITOR = """\

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
+from todframes.base.errors import DataError, SettingsError
 from todframes.enhancement import algorithm as enhancement_specs
 from todframes.enhancement.algorithm import (
     Declaration,
@@ -20,7 +21,6 @@ from todframes.enhancement.algorithm import (
     meaning,
     parameter,
 )
-from todframes.errors import DataError, SettingsError
 
 NAMES = enhancement_names()
 BUILT_IN = [

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
-from todframes._typing import FloatArray
+from todframes.base._typing import FloatArray
 from todframes.cli.console import run
 from todframes.cli.main import cli
 from todframes.frames.contrast import Patch

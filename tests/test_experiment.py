@@ -24,9 +24,9 @@ from urllib.parse import urlsplit
 import numpy as np
 import pytest
 
+from todframes.base.errors import DataError, FrameError, OutputError, SettingsError
 from todframes.cli.console import run
 from todframes.cli.main import cli
-from todframes.errors import DataError, FrameError, OutputError, SettingsError
 from todframes.experiment.answers import (
     Flag,
     TrialRow,

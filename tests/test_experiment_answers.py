@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from todframes.errors import DataError, OutputError, SettingsError
+from todframes.base.errors import DataError, OutputError, SettingsError
 from todframes.experiment.answers import (
     AnswerFile,
     Consent,

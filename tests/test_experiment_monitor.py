@@ -10,7 +10,7 @@ from io import BytesIO
 import numpy as np
 import pytest
 
-from todframes.errors import FrameError, SettingsError
+from todframes.base.errors import FrameError, SettingsError
 from todframes.experiment.monitor import (
     Calibration,
     ContrastRange,

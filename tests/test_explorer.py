@@ -27,8 +27,9 @@ from hypothesis import strategies as st
 from matplotlib.figure import Figure
 
 import sensor_sim as ss
+from sensor_sim.chain.sensor import TABLES, Distribution, sensor_toml
+from sensor_sim.chain.simulation import SimulatedTrial
 from sensor_sim.cli import cli
-from sensor_sim.designs import numeric_keys
 from sensor_sim.explorer import routes
 from sensor_sim.explorer.engine import Engine, Request
 from sensor_sim.explorer.limits import Shares
@@ -38,11 +39,10 @@ from sensor_sim.explorer.plots import Drawn, PlotAsked, curve_plot, draw_curves,
 from sensor_sim.explorer.routes import CurveAsked, Explorer, SensorAsked, TextAsked, TomlAsked, TrialAsked
 from sensor_sim.explorer.scaled import unit_of
 from sensor_sim.pictures import trial_stages
-from sensor_sim.predict import PredictedThreshold
-from sensor_sim.sensor import TABLES, Distribution, sensor_toml
-from sensor_sim.simulation import SimulatedTrial
+from sensor_sim.sweeps.designs import numeric_keys
+from sensor_sim.thresholds.predict import PredictedThreshold
+from todframes.base.errors import SettingsError
 from todframes.cli.console import run
-from todframes.errors import SettingsError
 from todframes.observers.pyramid import PyramidObserver, PyramidSettings
 from todframes.stimulus import ORIENTATIONS
 from todframes.web import server
@@ -187,7 +187,7 @@ def test_the_command_computes_what_the_page_shows(tmp_path, monkeypatch):
         asked.update(settings, sensor=sensor)
         raise SettingsError("enough")
 
-    monkeypatch.setattr("sensor_sim.api.curve", curve)
+    monkeypatch.setattr("sensor_sim.calls.curve", curve)
     monkeypatch.chdir(tmp_path)
     assert run(cli, shlex.split(made["command"])[1:]) == 2
     assert asked["sensor"] == SENSOR
@@ -416,7 +416,7 @@ def test_without_the_extra_the_command_is_one_line(capsys, monkeypatch):
 
 @pytest.mark.slow
 def test_the_packages_of_the_page_are_not_imported_without_it():
-    code = "import sys, todframes, sensor_sim, sensor_sim.cli, sensor_sim.api, todframes.web\n"
+    code = "import sys, todframes, sensor_sim, sensor_sim.cli, sensor_sim.calls, todframes.web\n"
     code += "sys.exit(bool({'starlette', 'uvicorn', 'anyio'} & set(sys.modules)))"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 

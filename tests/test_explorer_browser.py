@@ -23,8 +23,8 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 import pytest
 from browser import OpenPage, Server, serving, wait_until
 
+from sensor_sim.chain.sensor import load_sensor
 from sensor_sim.cli import cli
-from sensor_sim.sensor import load_sensor
 from todframes.cli.console import run
 from todframes.web.server import Launch, open_listener
 

@@ -10,10 +10,10 @@ from pathlib import Path
 import pytest
 
 import todframes as tod
+from todframes.base.errors import DataError, OutputError, SettingsError
 from todframes.cli.console import run
 from todframes.cli.main import cli
-from todframes.errors import DataError, OutputError, SettingsError
-from todframes.frames.display_files import find_display
+from todframes.display.display_files import find_display
 from todframes.stimulus import ORIENTATIONS
 
 ROOT = Path(__file__).parent.parent

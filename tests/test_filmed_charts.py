@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 import todframes as tod
 from todframes.cli.console import run
 from todframes.cli.main import cli
-from todframes.recordings.clips import Integration
-from todframes.recordings.importing import Imported
+from todframes.importing.clips import Integration
+from todframes.importing.importing import Imported
 
 pytest.importorskip("av", reason="videos need the extra video")
 

@@ -14,7 +14,7 @@ import numpy as np
 import OpenImageIO as oiio
 import pytest
 
-from todframes.errors import FrameError, OutputError, SettingsError
+from todframes.base.errors import FrameError, OutputError, SettingsError
 from todframes.frames.contrast import _extremes
 from todframes.frames.files import FrameFile, frame_sha256, read_frame, read_header, write_frame
 
@@ -706,7 +706,7 @@ def test_disk_full_leaves_the_old_file(tmp_path, suffix):
         import resource
         from pathlib import Path
         import numpy as np
-        from todframes.errors import OutputError
+        from todframes.base.errors import OutputError
         from todframes.frames.files import write_frame
         values = np.random.default_rng(0).random((100, 100))
         write_frame("whole{suffix}", values)
@@ -770,7 +770,7 @@ def test_damaged_files_give_a_frame_or_an_error(tmp_path):
         import resource
         from pathlib import Path
         import numpy as np
-        from todframes.errors import FrameError
+        from todframes.base.errors import FrameError
         from todframes.frames.files import read_frame
         resource.setrlimit(resource.RLIMIT_AS, (2**32, 2**32))
         rng = np.random.default_rng(20240)

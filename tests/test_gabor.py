@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from todframes.errors import SettingsError
+from todframes.base.errors import SettingsError
 from todframes.observers.gabor_pyramid import GaborPyramid
 
 VARIANTS = [

@@ -22,9 +22,9 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
+from todframes.base.errors import DataError
 from todframes.cli.console import run
 from todframes.cli.main import cli
-from todframes.errors import DataError
 from todframes.psychometrics.fit import FitSettings, fit_trials
 from todframes.psychometrics.observer_curve import observer_curve
 from todframes.report.data import Fit

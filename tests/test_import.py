@@ -14,17 +14,17 @@ import numpy as np
 import pytest
 
 import todframes as tod
+from todframes.base.errors import DataError, OutputError, SettingsError
+from todframes.charts.layout import write_chart
+from todframes.charts.markers import marker_bits, marker_ids
 from todframes.cli.console import run
 from todframes.cli.main import cli
 from todframes.cli.recordings import seconds
-from todframes.errors import DataError, OutputError, SettingsError
-from todframes.recordings.chart_layout import write_chart
-from todframes.recordings.chart_source import page_duration_s
-from todframes.recordings.clips import Clip, ClipFrame, FramePart, Placed, clean_clips, share_of_other
-from todframes.recordings.geometry import Geometry, place_triangle
-from todframes.recordings.markers import marker_bits, marker_ids
-from todframes.recordings.trials import TrialDivision, TriangleDescription, merged_sizes
-from todframes.recordings.windows import CodeRange
+from todframes.importing.chart_source import page_duration_s
+from todframes.importing.clips import Clip, ClipFrame, FramePart, Placed, clean_clips, share_of_other
+from todframes.importing.filmed_trials import TrialDivision, TriangleDescription, merged_sizes
+from todframes.importing.geometry import Geometry, place_triangle
+from todframes.importing.windows import CodeRange
 from todframes.stimulus import Orientation
 
 CHART = film.make_chart()

@@ -8,10 +8,10 @@ import filmed_chart as film
 import numpy as np
 import pytest
 
-from todframes.errors import DataError
-from todframes.recordings.geometry import Geometry, fit_geometry, place_triangle
-from todframes.recordings.marker_finder import MarkerFinder
-from todframes.recordings.markers import marker_ids
+from todframes.base.errors import DataError
+from todframes.charts.markers import marker_ids
+from todframes.importing.geometry import Geometry, fit_geometry, place_triangle
+from todframes.importing.marker_finder import MarkerFinder
 from todframes.stimulus import ORIENTATIONS, Orientation
 
 CHART = film.make_chart()

@@ -8,11 +8,11 @@ from itertools import permutations
 import numpy as np
 import pytest
 
-from sensor_sim.matched import matched_settings
-from sensor_sim.reconstruction import axis_matrix, display_position_px, display_signal
-from sensor_sim.sampling import field_detectors, field_sampler
-from sensor_sim.sensor import Detector, Electronics, Noise, Optics, Sensor, SensorDisplay
-from todframes.errors import SettingsError
+from sensor_sim.chain.reconstruction import axis_matrix, display_position_px, display_signal
+from sensor_sim.chain.sampling import field_detectors, field_sampler
+from sensor_sim.chain.sensor import Detector, Electronics, Noise, Optics, Sensor, SensorDisplay
+from sensor_sim.thresholds.matched import matched_settings
+from todframes.base.errors import SettingsError
 from todframes.observers.decision import answer_probabilities
 from todframes.observers.hotelling import HotellingObserver, HotellingSettings
 from todframes.observers.interface import Readout

@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from todframes import signals
-from todframes.errors import DataError, OutputError
+from todframes.base import signals
+from todframes.base.errors import DataError, OutputError
 from todframes.jobs import run as run_module
 from todframes.jobs.fingerprint import code_fingerprint, fingerprint
 from todframes.jobs.local import LocalEngine
@@ -162,7 +162,7 @@ def test_a_full_disk_keeps_what_was_written(store: Store) -> None:
     script = f"""
         import resource, signal, sys
         from pathlib import Path
-        from todframes.errors import OutputError
+        from todframes.base.errors import OutputError
         from todframes.jobs.store import Store
         signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
         resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, 200_000))

@@ -16,16 +16,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sensor_sim.curve_plan import plan_curve
+from sensor_sim.chain.detector_noise import delta_t_mk
+from sensor_sim.chain.sensor import Detector, Noise, Optics, Sensor, SensorDisplay
 from sensor_sim.explorer.engine import FAR_TOO_LARGE, Engine, Request
 from sensor_sim.explorer.limits import Shares, decision_shares, what_limits
 from sensor_sim.explorer.live import LiveCurves
 from sensor_sim.explorer.scaled import Unit, unit_of
-from sensor_sim.folding import Folding
-from sensor_sim.noise import delta_t_mk
-from sensor_sim.predict import FoldedChain, Level, Phases, PredictedThreshold, predict_threshold
-from sensor_sim.sensor import Detector, Noise, Optics, Sensor, SensorDisplay
-from todframes.errors import SettingsError
+from sensor_sim.thresholds.curve_plan import plan_curve
+from sensor_sim.thresholds.folding import Folding
+from sensor_sim.thresholds.predict import FoldedChain, Level, Phases, PredictedThreshold, predict_threshold
+from todframes.base.errors import SettingsError
 from todframes.observers.hotelling import HotellingObserver
 from todframes.observers.interface import Observer
 from todframes.observers.oriented import OrientedObserver

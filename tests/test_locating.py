@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
 import todframes as tod
+from todframes.base.errors import DataError, SettingsError
 from todframes.cli.main import cli
 from todframes.diagnosis.locate import locate_triangles, location_warnings
-from todframes.errors import DataError, SettingsError
 from todframes.frames.dataset import Dataset, load_dataset
 from todframes.frames.files import write_frame
 from todframes.frames.memory import memory_dataset

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import todframes as tod
-from todframes.output import write_files
+from todframes.base.output import write_files
 from todframes.report import figures, table, tables
 from todframes.report import parquet as parquet_module
 from todframes.report.parquet import parquet_parts

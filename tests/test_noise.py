@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sensor_sim.noise import (
+from sensor_sim.chain.detector_noise import (
     delta_t_as_printed_mk,
     delta_t_mk,
     displayed_noise,
@@ -19,8 +19,8 @@ from sensor_sim.noise import (
     noise_parts,
     unit_fixed_pattern,
 )
-from sensor_sim.sensor import Noise
-from todframes.errors import SettingsError
+from sensor_sim.chain.sensor import Noise
+from todframes.base.errors import SettingsError
 
 PAPER = Noise(distribution="uniform", netd_mk=16.0, fixed_pattern_ratio=0.4, frames_integrated=6)
 SETTINGS = st.builds(

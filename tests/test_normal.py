@@ -6,7 +6,7 @@ import mpmath
 import numpy as np
 import pytest
 
-from todframes.normal import normal_cdf
+from todframes.base.normal import normal_cdf
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from todframes.errors import SettingsError
+from todframes.base.errors import SettingsError
 from todframes.observers.decision import answer_probabilities
 from todframes.observers.interface import ENTRY_POINT_GROUP, Observer, find_observer
 from todframes.observers.laplacian_pyramid import LaplacianPyramid

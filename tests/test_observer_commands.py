@@ -12,10 +12,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from sensor_sim.chain.sensor import load_sensor
 from sensor_sim.cli import cli as sensor_sim
-from sensor_sim.matched import matched_settings
-from sensor_sim.predict import FoldedChain, predict_threshold
-from sensor_sim.sensor import load_sensor
+from sensor_sim.thresholds.matched import matched_settings
+from sensor_sim.thresholds.predict import FoldedChain, predict_threshold
 from todframes.cli.console import run
 from todframes.cli.main import cli as todframes
 from todframes.observers.hotelling import HotellingObserver

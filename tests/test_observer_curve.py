@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import brentq
 
-from sensor_sim.predict import FoldedChain
-from sensor_sim.sensor import load_sensor
+from sensor_sim.chain.sensor import load_sensor
+from sensor_sim.thresholds.predict import FoldedChain
 from todframes.observers.decision import answer_probability
 from todframes.observers.pyramid import PyramidObserver
 from todframes.psychometrics.fit import FitSettings, PsychometricFit, fit_trials

@@ -13,7 +13,7 @@ import math
 import numpy as np
 import pytest
 
-from sensor_sim.transfer import box_mtf, diffraction_mtf, gaussian_mtf
+from sensor_sim.chain.transfer import box_mtf, diffraction_mtf, gaussian_mtf
 
 pytestmark = pytest.mark.oracle
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from todframes.errors import SettingsError
+from todframes.base.errors import SettingsError
 from todframes.frames.dataset import load_dataset
 from todframes.observers.oriented import OrientedObserver, OrientedSettings
 from todframes.observers.pyramid import PyramidObserver

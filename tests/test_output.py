@@ -16,10 +16,9 @@ from typing import Any
 
 import pytest
 
-from todframes import output, signals
-from todframes.errors import ClusterError, OutputError
-from todframes.jobs.store import Store
-from todframes.output import (
+from todframes.base import output, signals
+from todframes.base.errors import ClusterError, OutputError
+from todframes.base.output import (
     STAGING,
     Going,
     beside,
@@ -29,6 +28,7 @@ from todframes.output import (
     write_file,
     write_files,
 )
+from todframes.jobs.store import Store
 
 QUICK = "SIGINT", "SIGKILL"
 SIGNALS = [
@@ -464,7 +464,7 @@ def test_a_mount_point(tmp_path: Path) -> None:
     (tmp_path / "real").mkdir()
     (tmp_path / "out").mkdir()
     mounted = ("unshare", "--mount", "sh", "-c", 'mount --bind real out && exec "$@"', "sh")
-    script = "from todframes.output import new_folder\nwith new_folder('out') as folder: "
+    script = "from todframes.base.output import new_folder\nwith new_folder('out') as folder: "
     script += "print('begun'); (folder / 'dataset.toml').touch()"
     try:
         subprocess.run([*mounted, "true"], cwd=tmp_path, check=True, capture_output=True)
@@ -624,7 +624,7 @@ def test_an_import_is_not_interrupted(tmp_path: Path, monkeypatch: pytest.Monkey
 
 
 @pytest.mark.parametrize("package", ["todframes", "sensor_sim"])
-@pytest.mark.parametrize("module", ["todframes.signals", "click", "todframes.cli.console", "{package}.cli"])
+@pytest.mark.parametrize("module", ["todframes.base.signals", "click", "todframes.cli.console", "{package}.cli"])
 def test_ctrl_c_during_the_first_imports(package: str, module: str) -> None:
     """One line and no traceback, from the first module on that a command imports."""
     module = module.format(package=package)

@@ -12,14 +12,14 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-import sensor_sim.curve_plan
-import sensor_sim.sampling
-import sensor_sim.transfer
+import sensor_sim.chain.sampling
+import sensor_sim.chain.transfer
+import sensor_sim.thresholds.curve_plan
+from sensor_sim.chain.sampling import TriangleSampler
+from sensor_sim.chain.sensor import Optics, load_sensor
 from sensor_sim.cli import cli as sensor_cli
-from sensor_sim.curve_plan import full_plan, plan_curve
-from sensor_sim.predict import FoldedChain, predict_threshold
-from sensor_sim.sampling import TriangleSampler
-from sensor_sim.sensor import Optics, load_sensor
+from sensor_sim.thresholds.curve_plan import full_plan, plan_curve
+from sensor_sim.thresholds.predict import FoldedChain, predict_threshold
 from todframes.cli.main import cli
 from todframes.frames.dataset import load_dataset
 from todframes.frames.files import FrameFile, write_frame
@@ -174,7 +174,7 @@ def test_a_tighter_tolerance_leaves_out_less():
 
 def test_no_optics_blur_no_optics_blur_code(monkeypatch):
     sensor = replace(STAR_LIKE, optics=replace(STAR_LIKE.optics, blur_sigma_mrad=0.0))
-    monkeypatch.setattr(sensor_sim.transfer, "gaussian_mtf", forbidden)
+    monkeypatch.setattr(sensor_sim.chain.transfer, "gaussian_mtf", forbidden)
     assert predict_threshold(FoldedChain(sensor, PyramidObserver(), 4.0), tolerance=0.1).status == "ok"
     with pytest.raises(AssertionError, match="left out"):
         FoldedChain(STAR_LIKE, PyramidObserver(), 4.0)
@@ -182,7 +182,7 @@ def test_no_optics_blur_no_optics_blur_code(monkeypatch):
 
 def test_sharp_optics_are_never_computed(monkeypatch):
     sensor = replace(STAR_LIKE, optics=Optics(aperture_mm=1e9, wavelength_um=1.0))
-    monkeypatch.setattr(sensor_sim.sampling, "pre_sample_mtf", forbidden)
+    monkeypatch.setattr(sensor_sim.chain.sampling, "pre_sample_mtf", forbidden)
     chain = FoldedChain(sensor, PyramidObserver(), 4.0)
     assert predict_threshold(chain, tolerance=0.1).status == "ok"
     assert "optics" in {step.stage for step in chain.plan.steps if not step.kept}
@@ -193,7 +193,7 @@ def test_no_external_noise_no_covariance(monkeypatch):
     plan = plan_curve(STAR_LIKE, observer, 5.0)
     with_noise = FoldedChain(STAR_LIKE, observer, 5.0, plan)
     expected = with_noise.proportion_correct(with_noise.phases(5, np.random.default_rng(1)), np.inf)
-    monkeypatch.setattr(sensor_sim.curve_plan, "noise_covariance", forbidden)
+    monkeypatch.setattr(sensor_sim.thresholds.curve_plan, "noise_covariance", forbidden)
     plan = plan_curve(STAR_LIKE, observer, 5.0, external_noise=False)
     quiet = FoldedChain(STAR_LIKE, observer, 5.0, plan)
     found = quiet.proportion_correct(quiet.phases(5, np.random.default_rng(1)), np.inf)

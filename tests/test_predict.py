@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from sensor_sim.curve_plan import full_plan, plan_curve
-from sensor_sim.predict import FoldedChain, predict_threshold
-from sensor_sim.reconstruction import display_position_px
-from sensor_sim.sampling import field_detectors, field_sampler
-from sensor_sim.sensor import Detector, Electronics, Noise, Optics, Sensor, SensorDisplay, load_sensor
-from sensor_sim.simulation import Simulator, plan_trials
-from todframes.errors import SettingsError
+from sensor_sim.chain.reconstruction import display_position_px
+from sensor_sim.chain.sampling import field_detectors, field_sampler
+from sensor_sim.chain.sensor import Detector, Electronics, Noise, Optics, Sensor, SensorDisplay, load_sensor
+from sensor_sim.chain.simulation import Simulator, plan_trials
+from sensor_sim.thresholds.curve_plan import full_plan, plan_curve
+from sensor_sim.thresholds.predict import FoldedChain, predict_threshold
+from todframes.base.errors import SettingsError
 from todframes.observers.decision import answer_probabilities
 from todframes.observers.interface import Observer, Readout
 from todframes.observers.pyramid import PyramidObserver, PyramidSettings

@@ -14,11 +14,11 @@ import numpy as np
 import pytest
 
 import todframes as tod
+from todframes.charts.layout import Chart, Triangle, read_chart
+from todframes.charts.markers import page_of
 from todframes.cli.console import run
 from todframes.cli.main import cli
-from todframes.recordings.chart_layout import Chart, Triangle, read_chart
-from todframes.recordings.markers import page_of
-from todframes.recordings.schedule import read_schedule
+from todframes.importing.schedule import read_schedule
 
 MM_PER_POINT = 25.4 / 72.0
 SVG = "{http://www.w3.org/2000/svg}"

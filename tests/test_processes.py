@@ -18,7 +18,7 @@ from typing import Any
 
 import pytest
 
-from todframes.errors import DataError, SettingsError, TodframesError
+from todframes.base.errors import DataError, SettingsError, TodframesError
 from todframes.jobs.engine import open_engine
 from todframes.jobs.processes import ProcessEngine
 from todframes.jobs.work import Lost
@@ -126,8 +126,8 @@ def test_a_work_that_cannot_be_loaded_is_one_line(engine: ProcessEngine) -> None
 
 SCRIPT = """
 import os, sys, time
-from todframes import signals
-from todframes.errors import DataError
+from todframes.base import signals
+from todframes.base.errors import DataError
 from todframes.jobs.engine import open_engine
 
 class Naps:

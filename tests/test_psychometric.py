@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from scipy import optimize
 from scipy.special import xlogy
 
-from todframes.errors import DataError, SettingsError
+from todframes.base.errors import DataError, SettingsError
 from todframes.observers.decision import answer_probability
 from todframes.observers.pyramid import PyramidObserver
 from todframes.psychometrics.fit import FitSettings, PsychometricFit, fit_counts, fit_trials

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from todframes.errors import SettingsError
+from todframes.base.errors import SettingsError
 from todframes.observers.laplacian_pyramid import LaplacianPyramid
 
 shapes = st.tuples(st.integers(1, 70), st.integers(1, 70))

@@ -10,15 +10,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.ndimage import gaussian_filter
 
-from sensor_sim.reconstruction import (
+from sensor_sim.chain.reconstruction import (
     axis_matrix,
     display_position_px,
     display_signal,
     gaussian_kernel,
     luminance_cd_m2,
 )
-from sensor_sim.sensor import Electronics, SensorDisplay
-from sensor_sim.transfer import gaussian_mtf
+from sensor_sim.chain.sensor import Electronics, SensorDisplay
+from sensor_sim.chain.transfer import gaussian_mtf
 
 DISPLAY = SensorDisplay(
     pixels_per_detector=6, pixel_pitch_mm=0.25, viewing_distance_mm=350.0, background_luminance_cd_m2=50.0

@@ -24,14 +24,14 @@ import numpy as np
 import pytest
 
 import todframes as tod
-from todframes import remote
+from todframes.base import remote
+from todframes.base.errors import DataError, FrameError, OutputError, RemoteError, SettingsError
+from todframes.base.locations import RemotePath
+from todframes.base.remote import location
 from todframes.cli.main import cli
-from todframes.errors import DataError, FrameError, OutputError, RemoteError, SettingsError
 from todframes.frames.checksums import dataset_warnings, write_sha256
 from todframes.frames.dataset import FrameReference, load_dataset
 from todframes.frames.files import FrameFile, frame_sha256, write_frame
-from todframes.locations import RemotePath
-from todframes.remote import location
 
 fsspec = pytest.importorskip("fsspec", reason="URLs are read by fsspec")
 pytestmark = pytest.mark.skipif(not hasattr(os, "memfd_create"), reason="frames behind URLs need memfd_create")

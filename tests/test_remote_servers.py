@@ -23,8 +23,8 @@ import pytest
 from campaigns import servers
 
 import todframes as tod
-from todframes import remote
-from todframes.errors import FrameError, RemoteError, SettingsError
+from todframes.base import remote
+from todframes.base.errors import FrameError, RemoteError, SettingsError
 from todframes.frames.dataset import Dataset, load_dataset
 from todframes.frames.files import read_header
 from todframes.jobs.store import Store

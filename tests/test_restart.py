@@ -16,11 +16,11 @@ import numpy as np
 import pytest
 
 import todframes as tod
+from todframes.base.output import STAGING, STORE
 from todframes.cli.console import run
 from todframes.cli.main import cli
 from todframes.frames.dataset import Dataset
 from todframes.jobs import run as run_module
-from todframes.output import STAGING, STORE
 from todframes.scoring import work as scoring_work
 
 SAMPLES = Path(__file__).parent.parent / "sample_frames"

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from todframes.errors import SettingsError
+from todframes.base.errors import SettingsError
 from todframes.observers.retina import RetinaGrid, overlap_matrix, resample
 from todframes.stimulus import Orientation, coverage
 

@@ -10,7 +10,7 @@ import unicodedata
 from hypothesis import given
 from hypothesis import strategies as st
 
-from todframes.safe_text import csv_text, visible, visible_json
+from todframes.base.safe_text import csv_text, visible, visible_json
 
 FORMULAS = "=+-@\t\r\n"
 

@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 from repetition import wrap_around_bound
 from scipy.special import j0, j1
 
-from sensor_sim import sampling
-from sensor_sim.sampling import TriangleSampler, sample_image
-from sensor_sim.sensor import Detector, Optics
-from todframes.errors import SettingsError
+from sensor_sim.chain import sampling
+from sensor_sim.chain.sampling import TriangleSampler, sample_image
+from sensor_sim.chain.sensor import Detector, Optics
+from todframes.base.errors import SettingsError
 from todframes.stimulus import ORIENTATIONS, Orientation, coverage, vertices
 
 PITCH_MRAD = 0.25

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from todframes.errors import DataError
-from todframes.recordings.schedule import assign_recordings, read_schedule
+from todframes.base.errors import DataError
+from todframes.importing.schedule import assign_recordings, read_schedule
 from todframes.stimulus import Orientation
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from todframes.base.errors import SettingsError
 from todframes.diagnosis.locate import locate_triangles
-from todframes.errors import SettingsError
 from todframes.frames.dataset import load_dataset
 from todframes.frames.files import read_frame, write_frame
 from todframes.jobs.engine import open_engine

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 import todframes as tod
+from todframes.base.errors import OutputError, SettingsError
+from todframes.charts.layout import Chart, read_chart
+from todframes.charts.markers import page_of
 from todframes.cli.console import run
 from todframes.cli.main import cli
-from todframes.errors import OutputError, SettingsError
-from todframes.recordings.chart_layout import Chart, read_chart
-from todframes.recordings.dither import TILE, blue_noise, dithered
-from todframes.recordings.markers import page_of
+from todframes.display.dither import TILE, blue_noise, dithered
 
 PITCH_MM = 0.25
 MONITOR = {"width_px": 640, "height_px": 481, "pixel_pitch_mm": PITCH_MM, "marker_mm": 17.5}

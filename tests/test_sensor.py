@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import pytest
 
-from sensor_sim.sensor import Detector, Electronics, Noise, Optics, Sensor, SensorDisplay, load_sensor
-from todframes.errors import SettingsError
+from sensor_sim.chain.sensor import Detector, Electronics, Noise, Optics, Sensor, SensorDisplay, load_sensor
+from todframes.base.errors import SettingsError
 
 STAR = """\
 schema = 1

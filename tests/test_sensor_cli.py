@@ -13,16 +13,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sensor_sim.api import curve as compute_curve
-from sensor_sim.api import mtf
-from sensor_sim.api import simulate as simulate_dataset
+from sensor_sim.calls import curve as compute_curve
+from sensor_sim.calls import mtf
+from sensor_sim.calls import simulate as simulate_dataset
+from sensor_sim.chain.sensor import load_sensor
 from sensor_sim.cli import cli
-from sensor_sim.sensor import load_sensor
 from todframes import __version__
+from todframes.base.errors import SettingsError
 from todframes.cli.console import run
 from todframes.cli.main import cli as todframes_cli
 from todframes.cli.options import numbers
-from todframes.errors import SettingsError
 from todframes.frames.files import read_header
 
 BAD_DATA, BAD_SETTINGS = 1, 2

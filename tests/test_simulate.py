@@ -18,13 +18,21 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from sensor_sim import cli, simulation
+from sensor_sim import cli
+from sensor_sim.chain import simulation
+from sensor_sim.chain.sensor import Detector, Electronics, Noise, Optics, Sensor, SensorDisplay
+from sensor_sim.chain.simulation import (
+    SimulatedTrial,
+    Simulator,
+    plan_trials,
+    white_luminance_cd_m2,
+    write_dataset,
+)
 from sensor_sim.pictures import trial_stages
-from sensor_sim.sensor import Detector, Electronics, Noise, Optics, Sensor, SensorDisplay
-from sensor_sim.simulation import SimulatedTrial, Simulator, plan_trials, white_luminance_cd_m2, write_dataset
 from todframes import __version__
+from todframes.base.errors import FrameError, SettingsError
+from todframes.base.signals import SIGNALS
 from todframes.cli.console import run
-from todframes.errors import FrameError, SettingsError
 from todframes.frames import files as frame_writing
 from todframes.frames.contrast import frame_problems
 from todframes.frames.dataset import load_dataset
@@ -33,7 +41,6 @@ from todframes.jobs.engine import open_engine
 from todframes.observers.pyramid import PyramidObserver
 from todframes.psychometrics.fit import FitSettings
 from todframes.scoring.score import score_dataset
-from todframes.signals import SIGNALS
 from todframes.stimulus import ORIENTATIONS, Orientation, coverage
 
 COMMAND = (sys.executable, "-c", "from sensor_sim.cli import main; main()")

@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from todframes.base.errors import SettingsError
 from todframes.cli.console import run
 from todframes.cli.main import cli
-from todframes.errors import SettingsError
 from todframes.studies.stability import case as stability
 from todframes.studies.stability.case import (
     ENTRY_POINT_GROUP,

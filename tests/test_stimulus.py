@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from todframes.errors import SettingsError
+from todframes.base.errors import SettingsError
 from todframes.stimulus import (
     HEIGHT_PER_SIZE,
     ORIENTATIONS,

@@ -17,13 +17,13 @@ from matplotlib.figure import Figure
 import sensor_sim as ss
 import todframes as tod
 from sensor_sim.cli import cli
-from sensor_sim.designs import Base, grid, latin_hypercube, numeric_keys, parse_range
-from sensor_sim.sharing import Kept
-from sensor_sim.sweep_figures import draw_map
-from sensor_sim.sweep_tables import acuity, front
-from sensor_sim.sweep_work import SweepWork, Variants, plan_sweep, run_sweep
+from sensor_sim.sweeps.designs import Base, grid, latin_hypercube, numeric_keys, parse_range
+from sensor_sim.sweeps.figures import draw_map
+from sensor_sim.sweeps.tables import acuity, front
+from sensor_sim.sweeps.work import SweepWork, Variants, plan_sweep, run_sweep
+from sensor_sim.thresholds.sharing import Kept
+from todframes.base.errors import SettingsError
 from todframes.cli.console import run
-from todframes.errors import SettingsError
 from todframes.jobs.local import LocalEngine
 from todframes.observers.pyramid import PyramidObserver, PyramidSettings
 

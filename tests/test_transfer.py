@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from repetition import repetition_bound
 from scipy.special import j0, j1
 
-from sensor_sim.sensor import Detector, Electronics, Optics, Sensor, SensorDisplay
-from sensor_sim.transfer import (
+from sensor_sim.chain.sensor import Detector, Electronics, Optics, Sensor, SensorDisplay
+from sensor_sim.chain.transfer import (
     band_limit_cyc_per_mrad,
     box_mtf,
     diffraction_mtf,

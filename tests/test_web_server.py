@@ -21,7 +21,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from todframes.errors import DataError, SettingsError
+from todframes.base.errors import DataError, SettingsError
 from todframes.web import check_installed, guard, server
 from todframes.web.guard import HEADERS, MOST_BODY_BYTES, MOST_READ_BYTES, guarded
 from todframes.web.pages import SHARED_FILES, call, page, stream

@@ -10,10 +10,10 @@ from pathlib import Path
 import matplotlib as mpl
 import pytest
 
+from todframes.base.user_code import import_named
 from todframes.enhancement.algorithm import ENTRY_POINT_GROUP, find_enhancement
 from todframes.report.figure_style import new_figure, style
 from todframes.report.figures import save_png
-from todframes.user_code import import_named
 
 STAR_LIKE = Path(__file__).parents[1] / "sample_frames" / "star_like.toml"
 
@@ -29,7 +29,7 @@ class Name:
 
 ENGINE = """\
 from todframes.jobs.engine import open_engine
-from todframes.user_code import import_named
+from todframes.base.user_code import import_named
 work = import_named("own_work", "Name", "work")()
 with open_engine({!r}, 2) as engine:
     assert list(engine.run(work, [(0, 1)])) == [[(0, "1")]]

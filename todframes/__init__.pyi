@@ -1,3 +1,9 @@
+from .base.errors import DataError as DataError
+from .base.errors import FrameError as FrameError
+from .base.errors import OutputError as OutputError
+from .base.errors import RemoteError as RemoteError
+from .base.errors import SettingsError as SettingsError
+from .base.errors import TodframesError as TodframesError
 from .calls.calibrate import calibrate as calibrate
 from .calls.compare import compare as compare
 from .calls.fit import fit_counts as fit_counts
@@ -6,19 +12,16 @@ from .calls.noise import noise as noise
 from .calls.score import score as score
 from .calls.score import score_frames as score_frames
 from .calls.validate import validate as validate
+from .charts.making import chart as chart
+from .display.display import Display as Display
 from .enhancement.algorithm import find_enhancement as find_enhancement
 from .enhancement.algorithm import parameter as parameter
-from .errors import DataError as DataError
-from .errors import FrameError as FrameError
-from .errors import OutputError as OutputError
-from .errors import RemoteError as RemoteError
-from .errors import SettingsError as SettingsError
-from .errors import TodframesError as TodframesError
 from .frames.dataset import Dataset as Dataset
 from .frames.dataset import load_dataset as load_dataset
-from .frames.display import Display as Display
 from .frames.files import read_frame as read_frame
 from .frames.files import write_frame as write_frame
+from .importing.file_names import new_dataset as new_dataset
+from .importing.importing import import_recordings as import_recordings
 from .observers.decision import answer_probabilities as answer_probabilities
 from .observers.hotelling import HotellingObserver as HotellingObserver
 from .observers.interface import Observer as Observer
@@ -28,15 +31,12 @@ from .observers.oriented import OrientedObserver as OrientedObserver
 from .observers.pyramid import PyramidObserver as PyramidObserver
 from .psychometrics.fit import FitSettings as FitSettings
 from .psychometrics.fit import PsychometricFit as PsychometricFit
-from .recordings.charts import chart as chart
-from .recordings.file_names import new_dataset as new_dataset
-from .recordings.importing import import_recordings as import_recordings
 from .report.result import Result as Result
 from .report.result import load_result as load_result
 from .stimulus import ORIENTATIONS as ORIENTATIONS
 from .stimulus import Orientation as Orientation
 from .stimulus import Stimulus as Stimulus
 from .stimulus import coverage as coverage
-from .web.api import run_experiment as run_experiment
+from .web.calls import run_experiment as run_experiment
 
 __version__: str

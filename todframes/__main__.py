@@ -17,7 +17,7 @@ if __name__ == "__main__" and not sys.flags.safe_path:
 def start() -> None:
     """Make Ctrl-C end the process with one line from here on, also while modules are imported."""
     try:
-        from todframes.signals import end_at_once
+        from todframes.base.signals import end_at_once
 
         end_at_once()
         _import_matplotlib_elsewhere()

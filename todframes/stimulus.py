@@ -13,8 +13,8 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike
 
-from todframes._typing import ComplexArray, FloatArray
-from todframes.errors import SettingsError
+from todframes.base._typing import ComplexArray, FloatArray
+from todframes.base.errors import SettingsError
 
 Centre = Literal["centroid", "bounding_box"]
 

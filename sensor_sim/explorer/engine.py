@@ -18,7 +18,8 @@ from typing import Any, Generic, NamedTuple, TypeVar, cast
 
 import numpy as np
 
-from sensor_sim.curve_plan import CurvePlan, plan_curve
+from sensor_sim.chain.sampling import field_detectors
+from sensor_sim.chain.sensor import Sensor
 from sensor_sim.explorer.estimate import (
     FEW_PLACES,
     LATTICES,
@@ -32,7 +33,9 @@ from sensor_sim.explorer.estimate import (
 )
 from sensor_sim.explorer.limits import Shares, decision_shares
 from sensor_sim.explorer.scaled import ScaledObserver, Unit, scaled
-from sensor_sim.predict import (
+from sensor_sim.sweeps.work import as_computed
+from sensor_sim.thresholds.curve_plan import CurvePlan, plan_curve
+from sensor_sim.thresholds.predict import (
     FoldedChain,
     Found,
     Level,
@@ -41,11 +44,8 @@ from sensor_sim.predict import (
     find_threshold,
     predict_threshold,
 )
-from sensor_sim.sampling import field_detectors
-from sensor_sim.sensor import Sensor
-from sensor_sim.sharing import Kept, Shared
-from sensor_sim.sweep_work import as_computed
-from todframes._typing import FloatArray
+from sensor_sim.thresholds.sharing import Kept, Shared
+from todframes.base._typing import FloatArray
 from todframes.observers.interface import Observer
 from todframes.psychometrics.fit import FitSettings
 from todframes.stimulus import Stimulus

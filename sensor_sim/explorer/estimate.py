@@ -19,13 +19,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sensor_sim.curve_plan import CurvePlan, centre_offset
-from sensor_sim.folding import Folding, is_unblurred
-from sensor_sim.predict import KRONECKER_STEPS, Found, Lattice, Phases, phases_on, pooled
-from sensor_sim.sampling import TriangleSampler, field_detectors, smallest_field
-from sensor_sim.sensor import Sensor
-from sensor_sim.sharing import Shared
-from todframes._typing import FloatArray
+from sensor_sim.chain.sampling import TriangleSampler, field_detectors, smallest_field
+from sensor_sim.chain.sensor import Sensor
+from sensor_sim.thresholds.curve_plan import CurvePlan, centre_offset
+from sensor_sim.thresholds.folding import Folding, is_unblurred
+from sensor_sim.thresholds.predict import KRONECKER_STEPS, Found, Lattice, Phases, phases_on, pooled
+from sensor_sim.thresholds.sharing import Shared
+from todframes.base._typing import FloatArray
 from todframes.observers.interface import Observer
 from todframes.observers.retina import RetinaGrid
 from todframes.psychometrics.replicates import half_width_95

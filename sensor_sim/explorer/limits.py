@@ -23,8 +23,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sensor_sim.predict import Phases
-from todframes._typing import FloatArray
+from sensor_sim.thresholds.predict import Phases
+from todframes.base._typing import FloatArray
 
 LEADS = 0.5
 """Share from which one of the three limits by itself."""

@@ -16,13 +16,13 @@ from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from typing import Any
 
+from sensor_sim.chain.sensor import Sensor
 from sensor_sim.explorer.limits import Limits, Shares, what_limits
-from sensor_sim.predict import Level, PredictedThreshold
-from sensor_sim.sensor import Sensor
-from todframes.errors import TodframesError
+from sensor_sim.thresholds.predict import Level, PredictedThreshold
+from todframes.base.errors import TodframesError
+from todframes.base.user_code import search_last, searched_last
 from todframes.jobs.start import starting_processes
 from todframes.observers.interface import Observer
-from todframes.user_code import search_last, searched_last
 
 TOLERANCES = (0.03, 0.002)
 """Relative errors of the estimate and of the refined thresholds."""

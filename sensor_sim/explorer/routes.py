@@ -18,18 +18,18 @@ import numpy as np
 from msgspec import Meta
 from starlette.applications import Starlette
 
+from sensor_sim.chain.detector_noise import delta_t_mk
+from sensor_sim.chain.sampling import field_detectors
+from sensor_sim.chain.sensor import SCHEMA, Sensor, sensor_from, sensor_toml
+from sensor_sim.chain.simulation import SimulatedTrial
 from sensor_sim.explorer.live import LiveCurve, LiveCurves
 from sensor_sim.explorer.parameters import PARAMETERS
 from sensor_sim.explorer.plots import Format, PlotAsked, curve_plot, mtf_plot
 from sensor_sim.mtf_report import sensor_mtf
-from sensor_sim.noise import delta_t_mk
-from sensor_sim.predict import Level, PredictedThreshold
-from sensor_sim.sampling import field_detectors
-from sensor_sim.sensor import SCHEMA, Sensor, sensor_from, sensor_toml
-from sensor_sim.simulation import SimulatedTrial
+from sensor_sim.thresholds.predict import Level, PredictedThreshold
 from todframes import __version__
-from todframes.config import from_table, parse_toml, toml_literal
-from todframes.errors import SettingsError
+from todframes.base.errors import SettingsError
+from todframes.base.reading import from_table, parse_toml, toml_literal
 from todframes.observers.pyramid import PyramidObserver, PyramidSettings
 from todframes.psychometrics.fit import FitSettings
 from todframes.stimulus import ORIENTATIONS, Stimulus

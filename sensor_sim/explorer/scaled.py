@@ -10,9 +10,9 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from sensor_sim.curve_plan import is_symmetric, not_linear
-from sensor_sim.sharing import Kept
-from todframes._typing import FloatArray
+from sensor_sim.thresholds.curve_plan import is_symmetric, not_linear
+from sensor_sim.thresholds.sharing import Kept
+from todframes.base._typing import FloatArray
 from todframes.observers.interface import Observer, OmittedWeights, Readout, TruncatedObserver
 from todframes.observers.oriented import OrientedObserver
 from todframes.observers.pyramid import PyramidObserver

@@ -15,13 +15,13 @@ from typing import Literal
 
 import numpy as np
 
-from sensor_sim.curve_plan import CurvePlan, plan_curve
-from sensor_sim.noise import draw
-from sensor_sim.predict import FoldedChain, Phases
-from sensor_sim.reconstruction import axis_matrix, display_position_px, display_signal, luminance_cd_m2
-from sensor_sim.sampling import field_detectors, field_sampler
-from sensor_sim.sensor import Detector, Optics, Sensor, SensorDisplay
-from todframes._typing import FloatArray
+from sensor_sim.chain.detector_noise import draw
+from sensor_sim.chain.reconstruction import axis_matrix, display_position_px, display_signal, luminance_cd_m2
+from sensor_sim.chain.sampling import field_detectors, field_sampler
+from sensor_sim.chain.sensor import Detector, Optics, Sensor, SensorDisplay
+from sensor_sim.thresholds.curve_plan import CurvePlan, plan_curve
+from sensor_sim.thresholds.predict import FoldedChain, Phases
+from todframes.base._typing import FloatArray
 from todframes.observers.pyramid import PyramidObserver
 from todframes.observers.retina import resample
 from todframes.psychometrics.threshold_search import crossing, find_crossing

@@ -11,15 +11,15 @@ from functools import partial
 
 import numpy as np
 
-from sensor_sim.curve_plan import plan_curve
-from sensor_sim.noise import k_factor
-from sensor_sim.predict import FoldedChain, predict_threshold
-from sensor_sim.reconstruction import axis_matrix, display_position_px, display_signal, gaussian_kernel
-from sensor_sim.sampling import TriangleSampler
-from sensor_sim.sensor import Detector, Electronics, Noise, Optics, Sensor, SensorDisplay
-from sensor_sim.simulation import Simulator
-from sensor_sim.transfer import box_mtf, diffraction_mtf, gaussian_mtf
-from todframes._typing import FloatArray
+from sensor_sim.chain.detector_noise import k_factor
+from sensor_sim.chain.reconstruction import axis_matrix, display_position_px, display_signal, gaussian_kernel
+from sensor_sim.chain.sampling import TriangleSampler
+from sensor_sim.chain.sensor import Detector, Electronics, Noise, Optics, Sensor, SensorDisplay
+from sensor_sim.chain.simulation import Simulator
+from sensor_sim.chain.transfer import box_mtf, diffraction_mtf, gaussian_mtf
+from sensor_sim.thresholds.curve_plan import plan_curve
+from sensor_sim.thresholds.predict import FoldedChain, predict_threshold
+from todframes.base._typing import FloatArray
 from todframes.observers.pyramid import PyramidObserver, PyramidSettings
 from todframes.observers.retina import RetinaGrid, resample
 from todframes.stimulus import HEIGHT_PER_SIZE, Orientation

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 from timing import Row
 
-from sensor_sim.curve_plan import plan_curve
-from sensor_sim.predict import FoldedChain, predict_threshold
-from sensor_sim.sensor import Detector, Optics, Sensor, SensorDisplay, load_sensor
+from sensor_sim.chain.sensor import Detector, Optics, Sensor, SensorDisplay, load_sensor
 from sensor_sim.studies.accuracy import external_noise, internal_noise, no_noise
+from sensor_sim.thresholds.curve_plan import plan_curve
+from sensor_sim.thresholds.predict import FoldedChain, predict_threshold
 from todframes.observers.pyramid import PyramidObserver
 from todframes.studies.accuracy.measure import measure
 

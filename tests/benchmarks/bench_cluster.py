@@ -14,7 +14,7 @@ from pathlib import Path
 from bench_scoring import make_dataset
 from timing import Row
 
-from todframes.errors import DataError, TodframesError
+from todframes.base.errors import DataError, TodframesError
 from todframes.frames.dataset import load_dataset
 from todframes.jobs.engine import open_engine
 from todframes.jobs.local import LocalEngine

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 from timing import Row, process
 
-from todframes.recordings.chart_layout import Chart, Markers, Page, Point, Screen, Triangle, write_chart
-from todframes.recordings.markers import CORNERS, marker_bits, marker_ids
+from todframes.charts.layout import Chart, Markers, Page, Point, Screen, Triangle, write_chart
+from todframes.charts.markers import CORNERS, marker_bits, marker_ids
 from todframes.stimulus import ORIENTATIONS, coverage
 
 N_FRAMES, ROWS, COLUMNS, RATE, FRAMES_PER_PAGE = 18_000, 512, 640, 30, 30

@@ -11,12 +11,12 @@ from pathlib import Path
 import numpy as np
 from timing import Row, best_s, process
 
-from sensor_sim.predict import FoldedChain, predict_threshold
-from sensor_sim.reconstruction import axis_matrix, display_signal
-from sensor_sim.sampling import TriangleSampler
-from sensor_sim.sensor import Sensor, load_sensor
+from sensor_sim.chain.reconstruction import axis_matrix, display_signal
+from sensor_sim.chain.sampling import TriangleSampler
+from sensor_sim.chain.sensor import Sensor, load_sensor
+from sensor_sim.chain.transfer import optics_mtf
 from sensor_sim.studies.accuracy import literal_answers
-from sensor_sim.transfer import optics_mtf
+from sensor_sim.thresholds.predict import FoldedChain, predict_threshold
 from todframes.observers.pyramid import PyramidObserver
 from todframes.psychometrics.fit import FitSettings, fit_counts
 from todframes.stimulus import Orientation, coverage
@@ -27,9 +27,9 @@ STANDARD_ERROR = 0.01
 # A 95 % interval of ± 1.96 standard errors of 1 % each.
 TOLERANCE = 1.96 * STANDARD_ERROR
 CURVES = f"""
-from sensor_sim.curve_plan import plan_curve
-from sensor_sim.predict import FoldedChain, predict_threshold
-from sensor_sim.sensor import load_sensor
+from sensor_sim.thresholds.curve_plan import plan_curve
+from sensor_sim.thresholds.predict import FoldedChain, predict_threshold
+from sensor_sim.chain.sensor import load_sensor
 from todframes.observers.pyramid import PyramidObserver
 sensor, observer = load_sensor({str(SENSOR)!r}), PyramidObserver()
 for size in {SIZES}:

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 from timing import Row
 
-from sensor_sim.api import curve, sweep
-from sensor_sim.designs import Base, Designs, grid, latin_hypercube
-from sensor_sim.sensor import load_sensor
-from sensor_sim.sweep_work import Variants
+from sensor_sim.calls import curve, sweep
+from sensor_sim.chain.sensor import load_sensor
+from sensor_sim.sweeps.designs import Base, Designs, grid, latin_hypercube
+from sensor_sim.sweeps.work import Variants
 from todframes.observers.pyramid import PyramidObserver, PyramidSettings
 
 SENSOR = Path(__file__).parents[2] / "sample_frames" / "staring_camera.toml"

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from timing import Row
 
-from sensor_sim.predict import FoldedChain
-from sensor_sim.sensor import load_sensor
+from sensor_sim.chain.sensor import load_sensor
+from sensor_sim.thresholds.predict import FoldedChain
 from todframes.observers.decision import answer_probability
 from todframes.observers.pyramid import PyramidObserver
 from todframes.psychometrics.fit import CurveName, FitSettings, fit_trials

@@ -22,7 +22,7 @@ import numpy as np
 from bench_accuracy import LOW_FILL_FACTOR, STAR_LIKE, UNDER_SAMPLED
 from playwright.sync_api import sync_playwright
 
-from sensor_sim.sensor import Sensor, sensor_toml
+from sensor_sim.chain.sensor import Sensor, sensor_toml
 
 sys.path.append(str(Path(__file__).parents[1]))
 

@@ -23,10 +23,10 @@ keep_libraries_to_one_thread()  # before NumPy is imported, here and in the proc
 
 import numpy as np  # noqa: E402
 
+from sensor_sim.chain.sensor import Detector, Noise, Optics, Sensor, SensorDisplay, load_sensor  # noqa: E402
 from sensor_sim.explorer.engine import Engine, Request  # noqa: E402
 from sensor_sim.explorer.live import LiveCurves, divided  # noqa: E402
 from sensor_sim.explorer.scaled import unit_of  # noqa: E402
-from sensor_sim.sensor import Detector, Noise, Optics, Sensor, SensorDisplay, load_sensor  # noqa: E402
 from todframes.observers.pyramid import PyramidObserver  # noqa: E402
 
 SIZES = (2.0, 3.0, 4.0, 6.0, 8.0)

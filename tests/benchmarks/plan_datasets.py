@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-from todframes.errors import SettingsError
+from todframes.base.errors import SettingsError
 from todframes.frames.dataset import Dataset, load_dataset
 from todframes.frames.files import write_frame
 from todframes.observers.pyramid import PyramidObserver, PyramidSettings

@@ -18,9 +18,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from sensor_sim.curve_plan import plan_curve
-from sensor_sim.predict import FoldedChain, PredictedThreshold, predict_threshold
-from sensor_sim.sensor import Detector, Electronics, Noise, Optics, Sensor, SensorDisplay
+from sensor_sim.chain.sensor import Detector, Electronics, Noise, Optics, Sensor, SensorDisplay
+from sensor_sim.thresholds.curve_plan import plan_curve
+from sensor_sim.thresholds.predict import FoldedChain, PredictedThreshold, predict_threshold
 from todframes.observers.pyramid import PyramidObserver, PyramidSettings
 from todframes.scoring.error_budget import PlanName
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
-from todframes.recordings.chart_layout import Chart, Markers, Page, Point, Screen, Triangle
-from todframes.recordings.markers import marker_bits, marker_ids
+from todframes.charts.layout import Chart, Markers, Page, Point, Screen, Triangle
+from todframes.charts.markers import marker_bits, marker_ids
 from todframes.stimulus import ORIENTATIONS, vertices
 
 ROWS, COLUMNS = 256, 320

@@ -22,8 +22,8 @@ NO_KEY = "-"
 
 def log_items() -> None:
     """Have the items of all work logged by their keys, and the windows of an import by their names."""
+    from todframes.importing import windows
     from todframes.jobs import run
-    from todframes.recordings import windows
 
     log = os.open(os.environ["CAMPAIGN_LOG"], os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o600)
     item_s = float(os.environ.get("CAMPAIGN_ITEM_S", "0"))

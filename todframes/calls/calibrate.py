@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING
 
 from msgspec.structs import replace as replace_struct
 
+from todframes.base.errors import DataError, SettingsError
+from todframes.base.locations import Location
 from todframes.calls.shared import (
     OnError,
     Progress,
@@ -19,9 +21,7 @@ from todframes.calls.shared import (
     loaded,
     opened_run,
 )
-from todframes.errors import DataError, SettingsError
 from todframes.frames.dataset import Dataset
-from todframes.locations import Location
 from todframes.observers.interface import Observer
 from todframes.psychometrics.fit import FitSettings
 from todframes.report.data import (

@@ -8,6 +8,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from todframes.base.locations import Location
 from todframes.calls.shared import (
     OnError,
     Progress,
@@ -23,7 +24,6 @@ from todframes.calls.shared import (
 from todframes.frames.dataset import Dataset
 from todframes.jobs.store import Store
 from todframes.jobs.work import Engine
-from todframes.locations import Location
 from todframes.observers.interface import Observer
 from todframes.psychometrics.fit import CurveName, FitSettings
 from todframes.report.advice import levels_to_add
@@ -33,7 +33,7 @@ from todframes.report.data import (
 )
 from todframes.report.result import Result
 from todframes.scoring.error_budget import PlanName, plan_object
-from todframes.scoring.trials import Decisions
+from todframes.scoring.seen_trials import Decisions
 
 if TYPE_CHECKING:
     from todframes.diagnosis.locate import Locate

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
+from todframes.base.errors import DataError
 from todframes.calls.shared import (
     fit_settings,
 )
-from todframes.errors import DataError
 from todframes.psychometrics.fit import FitSettings
 from todframes.psychometrics.fit import fit_counts as fit_counts_of_one
 from todframes.report.advice import levels_to_add

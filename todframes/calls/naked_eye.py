@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from todframes.base.errors import SettingsError
 from todframes.calls.shared import (
     Progress,
     described,
 )
-from todframes.errors import SettingsError
 from todframes.observers.interface import Observer
 from todframes.psychometrics.fit import FitSettings
 from todframes.report.advice import above_contrast_1

@@ -9,15 +9,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from todframes.base.errors import DataError, SettingsError
+from todframes.base.locations import in_utf8
 from todframes.calls.shared import (
     Progress,
 )
-from todframes.errors import DataError, SettingsError
-from todframes.locations import in_utf8
 
 if TYPE_CHECKING:
     from todframes.frames.files import PathLike
-    from todframes.report.noise import NoiseResult
+    from todframes.report.noise_report import NoiseResult
 
 
 def noise(
@@ -88,7 +88,7 @@ def noise(
     from todframes.recordings.noise3d import FramePatch, measure_noise
     from todframes.recordings.opening import open_recordings
     from todframes.recordings.radiometric import mk_per_count_of
-    from todframes.report.noise import noise_result
+    from todframes.report.noise_report import noise_result
 
     if mk_per_count is not None and not (np.isfinite(mk_per_count) and mk_per_count > 0):
         raise SettingsError(f"mk_per_count: found {mk_per_count}, expected a number > 0")
@@ -98,7 +98,7 @@ def noise(
         raise DataError(f"noise: found {len(found)} recordings ({names} …), expected one")
     levels = [FramePatch(place, float(level)) for place, level in (patches or {}).items()]
     if chart is not None:
-        from todframes.recordings.chart_patches import find_patches
+        from todframes.importing.chart_patches import find_patches
 
         levels += find_patches(found[0], Path(chart))
         region = region or max((one.region for one in levels), key=lambda place: place[2] * place[3])

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from numpy.typing import ArrayLike
 
+from todframes.base.locations import Location
 from todframes.calls.shared import (
     OnError,
     Progress,
@@ -21,11 +22,10 @@ from todframes.calls.shared import (
     located,
     opened_run,
 )
+from todframes.display.display import Display
 from todframes.frames.dataset import Dataset
-from todframes.frames.display import Display
 from todframes.jobs.store import Store
 from todframes.jobs.work import Engine
-from todframes.locations import Location
 from todframes.observers.interface import Observer
 from todframes.psychometrics.fit import CurveName, FitSettings
 from todframes.report.advice import levels_to_add
@@ -36,7 +36,7 @@ from todframes.report.data import (
 )
 from todframes.report.result import Result
 from todframes.scoring.error_budget import PlanName, plan_object
-from todframes.scoring.trials import Decisions
+from todframes.scoring.seen_trials import Decisions
 
 if TYPE_CHECKING:
     from todframes.diagnosis.locate import Locate
@@ -253,7 +253,7 @@ def score_frames(
     >>> result.thresholds[0].status
     'ok'
     """
-    from todframes.frames.display_files import find_display
+    from todframes.display.display_files import find_display
     from todframes.frames.memory import memory_dataset
 
     data = memory_dataset(

@@ -8,17 +8,17 @@ from dataclasses import asdict, is_dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from todframes._typing import Json
+from todframes.base._typing import Json
+from todframes.base.errors import SettingsError
+from todframes.base.locations import Location
 from todframes.diagnosis.findings import frame_warnings
 from todframes.diagnosis.inspection import inspect, records
-from todframes.errors import SettingsError
 from todframes.frames.checksums import dataset_warnings
 from todframes.frames.dataset import Dataset, load_dataset
 from todframes.frames.trials import Trial
 from todframes.jobs.engine import open_engine
 from todframes.jobs.store import FILE, Store
 from todframes.jobs.work import Engine
-from todframes.locations import Location
 from todframes.observers.interface import ENTRY_POINT_GROUP, Observer, find_observer
 from todframes.psychometrics.fit import FitSettings
 from todframes.report.data import (

@@ -5,12 +5,12 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
+from todframes.base.locations import Location
 from todframes.calls.shared import Progress, inspected, loaded
 from todframes.frames.checksums import check_writable, write_sha256
 from todframes.frames.contrast import frame_problems
 from todframes.frames.dataset import Dataset, load_dataset
 from todframes.frames.files import frame_sha256
-from todframes.locations import Location
 from todframes.report.result import Result
 
 

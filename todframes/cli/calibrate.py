@@ -8,6 +8,8 @@ from typing import Any
 
 import click
 
+from todframes.base.locations import Location
+from todframes.base.safe_text import visible
 from todframes.cli.console import (
     check_strict,
     echo,
@@ -34,8 +36,6 @@ from todframes.cli.options import (
     strict_option,
     workers_option,
 )
-from todframes.locations import Location
-from todframes.safe_text import visible
 
 
 @click.command()

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from todframes.base.errors import SettingsError
 from todframes.cli.console import echo, print_table, progress, terminal_width
 from todframes.cli.options import numbers, quiet_option, seed_option
-from todframes.errors import SettingsError
 
 if TYPE_CHECKING:
-    from todframes.recordings.chart_layout import Chart, ChartKind
+    from todframes.charts.layout import Chart, ChartKind
     from todframes.report.table import Table
 
 SCREEN, PRINT, THERMAL, SCREEN_PRINT = "Screen: ", "Print: ", "Thermal: ", "Screen, print: "
@@ -155,7 +155,7 @@ def chart(
     for each page, and play.html, which shows them full-screen in a browser; for print chart.pdf, and an SVG file
     for each sheet; for thermal drawings of the plates, and schedule.csv with the settings to record.
     """
-    from todframes.recordings import charts
+    from todframes.charts import making as charts
     from todframes.stimulus import ORIENTATIONS
 
     settings = {name: value for name, value in asked.items() if value is not None}

@@ -7,6 +7,8 @@ from typing import Any
 
 import click
 
+from todframes.base.errors import SettingsError
+from todframes.base.locations import Location
 from todframes.cli.console import finish, long_run, print_table, prints_go_to_stderr, progress, say
 from todframes.cli.options import (
     PASSES,
@@ -20,8 +22,6 @@ from todframes.cli.options import (
     scoring_options,
     strict_option,
 )
-from todframes.errors import SettingsError
-from todframes.locations import Location
 
 
 @click.command(cls=ScoringCommand)

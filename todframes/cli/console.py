@@ -15,15 +15,15 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 
-from todframes import signals
-from todframes.errors import DataError, TodframesError
-from todframes.locations import without_secrets
-from todframes.safe_text import visible
+from todframes.base import signals
+from todframes.base.errors import DataError, TodframesError
+from todframes.base.locations import without_secrets
+from todframes.base.safe_text import visible
 
 if TYPE_CHECKING:
+    from todframes.base.output import Going
     from todframes.jobs.store import Store
     from todframes.jobs.work import Engine
-    from todframes.output import Going
     from todframes.report.data import ResultWarning
     from todframes.report.result import Result
     from todframes.report.table import Table
@@ -72,7 +72,7 @@ def staged(out: str | None, going: Going | None = None, *, quiet: bool = False) 
     quiet : bool
         Say nothing about results that an earlier run has finished.
     """
-    from todframes.output import output_folder, store_path, write_files
+    from todframes.base.output import output_folder, store_path, write_files
 
     if out is None:
         yield Staged(lambda _: None)
@@ -108,7 +108,7 @@ def long_run(out: str | None, asked: dict[str, Any], *, quiet: bool) -> Iterator
 
     Of `asked`, `restart` and `keep_store` are removed; `cluster` is replaced by the engine, and `store` is set.
     """
-    from todframes.output import Going
+    from todframes.base.output import Going
 
     going = Going(restart=asked.pop("restart"), keep=asked.pop("keep_store"))
     with staged(out, going, quiet=quiet) as place, opened_engine(asked, quiet=quiet):

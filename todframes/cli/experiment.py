@@ -8,9 +8,9 @@ from typing import Any
 
 import click
 
+from todframes.base.locations import Location
 from todframes.cli.console import echo, progress, say
 from todframes.cli.options import dataset_argument, launch_options, max_frame_option
-from todframes.locations import Location
 
 
 @click.command()
@@ -82,7 +82,7 @@ def experiment(
     not finished. Ctrl-C ends the server.
     """
     from todframes.frames.dataset import load_dataset
-    from todframes.web import api
+    from todframes.web import calls as api
 
     data = load_dataset(dataset, max_frame_mb=max_frame_mb)
     with ExitStack() as reading:

@@ -12,6 +12,8 @@ from pathlib import Path
 import click
 
 from todframes import __version__
+from todframes.base.errors import DataError
+from todframes.base.locations import Location
 from todframes.cli.calibrate import calibrate
 from todframes.cli.chart import chart
 from todframes.cli.compare import compare, enhancements
@@ -33,8 +35,6 @@ from todframes.cli.options import dataset_argument, json_option, max_frame_optio
 from todframes.cli.recordings import import_command
 from todframes.cli.score import fit, naked_eye, score
 from todframes.cli.studies import accuracy, stability
-from todframes.errors import DataError
-from todframes.locations import Location
 
 
 @click.command("report")
@@ -45,7 +45,7 @@ def report_command(*, result: Path, out: str | None) -> None:
 
     One page with nothing else to load; the same bytes from the same result.
     """
-    from todframes.output import write_file
+    from todframes.base.output import write_file
     from todframes.report.data import read_bytes
     from todframes.report.result import read_result
 

@@ -44,7 +44,7 @@ def new(*, dataset: Path, pattern: str, display: str, level: str) -> None:
     size_mrad is √(area) as displayed, in mrad at the eye, and orientation one of up, right, down, left, or its
     first letter. Numbers may be written 0.05, 0,05 or 0p05.
     """
-    from todframes.recordings.file_names import new_dataset
+    from todframes.importing.file_names import new_dataset
     from todframes.report.wording import count
 
     found = new_dataset(dataset, pattern, display=display, level=level)

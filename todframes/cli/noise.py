@@ -7,6 +7,7 @@ from pathlib import Path
 
 import click
 
+from todframes.base.errors import SettingsError
 from todframes.cli.console import (
     check_strict,
     echo,
@@ -18,7 +19,6 @@ from todframes.cli.console import (
     warning_lines,
 )
 from todframes.cli.options import json_option, max_frame_option, numbers, quiet_option, strict_option
-from todframes.errors import SettingsError
 
 
 @click.command()

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from todframes.errors import SettingsError
-from todframes.locations import Location
+from todframes.base.errors import SettingsError
+from todframes.base.locations import Location
 
 if TYPE_CHECKING:
     from todframes.observers.interface import Observer
@@ -39,7 +39,7 @@ def options(*decorators: Callable[[F], F]) -> Callable[[F], F]:
 
 
 def _location(_: click.Context, __: click.Parameter, name: str) -> Location:
-    from todframes.remote import location
+    from todframes.base.remote import location
 
     return location(name)
 
@@ -245,8 +245,8 @@ def make_observer(asked: dict[str, Any], *, fitted: bool = True) -> tuple[Observ
     """
     from dataclasses import fields
 
+    from todframes.base.reading import check_keys, from_table, read_toml
     from todframes.cli.console import prints_go_to_stderr
-    from todframes.config import check_keys, from_table, read_toml
     from todframes.observers.interface import find_observer
     from todframes.psychometrics.fit import FitSettings
 
@@ -268,7 +268,7 @@ def make_observer(asked: dict[str, Any], *, fitted: bool = True) -> tuple[Observ
 
 def make_fit(asked: dict[str, Any]) -> FitSettings:
     """Return the fit settings of `--p-correct` and `--set`, which are removed from `asked`."""
-    from todframes.config import from_table
+    from todframes.base.reading import from_table
     from todframes.psychometrics.fit import FitSettings
 
     return from_table(_set(asked, "p_correct"), FitSettings, "settings")
@@ -288,7 +288,7 @@ def assigned(assignments: Sequence[str]) -> dict[str, Any]:
     SettingsError
         If an assignment has no name or no equals sign.
     """
-    from todframes.config import toml_value
+    from todframes.base.reading import toml_value
 
     table: dict[str, Any] = {}
     for assignment in assignments:

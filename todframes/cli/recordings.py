@@ -8,9 +8,9 @@ from typing import Any, Literal
 
 import click
 
+from todframes.base.errors import SettingsError
 from todframes.cli.console import MOST_ALIKE, echo, progress, say, terminal_width
 from todframes.cli.options import max_frame_option, quiet_option, restart_options
-from todframes.errors import SettingsError
 
 UNITS_S = {"": 1.0, "s": 1.0, "ms": 1e-3}
 """Units of a time on the command line, in seconds."""
@@ -89,7 +89,7 @@ def import_command(
     if (asked["chart"] is None) == (asked["schedule"] is None):
         raise SettingsError("import: expected one of --chart and --schedule, which says what is shown")
     time_s, limits = seconds(integration_time), _limits(value_range)
-    from todframes.recordings.importing import import_recordings, open_for_import
+    from todframes.importing.importing import import_recordings, open_for_import
     from todframes.report.wording import count
 
     opened = open_for_import(

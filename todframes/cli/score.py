@@ -7,6 +7,8 @@ from typing import Any
 
 import click
 
+from todframes.base.errors import SettingsError
+from todframes.base.locations import Location
 from todframes.cli.console import finish, long_run, progress, staged
 from todframes.cli.options import (
     PASSES,
@@ -28,8 +30,6 @@ from todframes.cli.options import (
     tolerance_option,
     verbose_option,
 )
-from todframes.errors import SettingsError
-from todframes.locations import Location
 
 
 @click.command(cls=ScoringCommand)

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import click
 
+from todframes.base.errors import DataError, SettingsError
 from todframes.cli.console import echo, print_table, progress, say, staged
 from todframes.cli.options import json_option, quiet_option, seed_option
-from todframes.errors import DataError, SettingsError
 
 RECORDED = "recorded"
 """Name of the scene that needs a dataset."""

@@ -10,7 +10,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from todframes._typing import FloatArray
+from todframes.base._typing import FloatArray
+from todframes.base.errors import DataError
 from todframes.diagnosis.arrangement import TURNED
 from todframes.diagnosis.triangle import (
     AMPLITUDE,
@@ -28,7 +29,6 @@ from todframes.diagnosis.triangle import (
     within,
 )
 from todframes.diagnosis.windows import Codes, FrameSample, measure_frame
-from todframes.errors import DataError
 from todframes.frames.dataset import Dataset
 from todframes.frames.position import size_in_px
 from todframes.frames.surround import HOLE_IN_SIZES

@@ -10,14 +10,14 @@ from typing import Literal, NamedTuple, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from todframes._typing import FloatArray
+from todframes.base._typing import FloatArray
+from todframes.base.errors import DataError, FrameError, SettingsError
 from todframes.diagnosis.arrangement import ARRANGEMENTS, Arrangement
 from todframes.diagnosis.inspection import LEAST_SIGNAL, GroupFit, alike, is_contrast, noise_of_frames, strengths
 from todframes.diagnosis.places import Template, chosen_places
 from todframes.diagnosis.triangle import Shape
 from todframes.diagnosis.whole_frames import MeanFrames, search
 from todframes.diagnosis.windows import FrameSample, measure_frame
-from todframes.errors import DataError, FrameError, SettingsError
 from todframes.frames.contrast import skipped_frames
 from todframes.frames.dataset import Dataset, DatasetWarning, Skipped
 from todframes.frames.position import from_centroid, size_in_px, to_centroid

@@ -11,17 +11,17 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from todframes._typing import FloatArray
+from todframes.base._typing import FloatArray
+from todframes.base.errors import TodframesError
 from todframes.diagnosis.arrangement import ARRANGEMENTS, TURNED, Arrangement
 from todframes.diagnosis.locate import locate_triangles
-from todframes.errors import TodframesError
 from todframes.frames.dataset import Dataset, WarningCode
 from todframes.frames.position import centroid_position
 from todframes.frames.trials import Group, Trial, Trials
 from todframes.observers.interface import Observer
 from todframes.psychometrics.fit import FitSettings, PsychometricFit
 from todframes.scoring.score import ScoredDataset, score_dataset
-from todframes.scoring.trials import Decisions
+from todframes.scoring.seen_trials import Decisions
 
 LEAST_TRIALS, MOST_TRIALS = 8, 32
 """Least number of strong trials, as far as a group has them, and the largest number that are looked at again."""

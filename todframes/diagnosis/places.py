@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from todframes._typing import ComplexArray, FloatArray
+from todframes.base._typing import ComplexArray, FloatArray
 from todframes.diagnosis.triangle import Shape, Square, picture
 
 MOST_PEAKS = 12

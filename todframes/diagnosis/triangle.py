@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from todframes._typing import FloatArray
+from todframes.base._typing import FloatArray
 from todframes.diagnosis.arrangement import TURNED
 from todframes.stimulus import ORIENTATIONS, coverage, moving_coverage, vertices
 

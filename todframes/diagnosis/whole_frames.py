@@ -8,9 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from todframes._typing import ComplexArray, FloatArray
+from todframes.base._typing import ComplexArray, FloatArray
+from todframes.base.errors import FrameError
 from todframes.diagnosis.arrangement import TURNED
-from todframes.errors import FrameError
 from todframes.frames.contrast import Patch, read_contrast
 from todframes.frames.dataset import Dataset
 from todframes.frames.trials import FrameReference, Trial

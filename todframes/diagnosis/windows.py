@@ -8,11 +8,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from todframes._typing import FloatArray
-from todframes.errors import DataError, FrameError
+from todframes.base._typing import FloatArray
+from todframes.base.errors import DataError, FrameError
+from todframes.display.display import border_values
 from todframes.frames.contrast import LuminanceFound
 from todframes.frames.dataset import Dataset
-from todframes.frames.display import border_values
 from todframes.frames.files import FULL_SCALE
 from todframes.frames.position import centroid_position
 from todframes.frames.surround import (

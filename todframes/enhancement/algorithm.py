@@ -22,9 +22,9 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from todframes.config import check_keys, convert, toml_value
-from todframes.errors import DataError, SettingsError
-from todframes.user_code import import_named, in_words
+from todframes.base.errors import DataError, SettingsError
+from todframes.base.reading import check_keys, convert, toml_value
+from todframes.base.user_code import import_named, in_words
 
 Domain = Literal["code_value", "luminance"]
 

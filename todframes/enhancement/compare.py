@@ -16,11 +16,11 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
+from todframes.base.errors import SettingsError
 from todframes.enhancement.algorithm import REFERENCE, Enhancement, find_enhancement
 from todframes.enhancement.contrast_gain import contrast_gains, strongest_levels, triangle_contrasts
 from todframes.enhancement.enhanced_frame import Measured, Screen, TrialReader
 from todframes.enhancement.image_quality import psnr_db
-from todframes.errors import SettingsError
 from todframes.frames.dataset import Dataset
 from todframes.frames.position import check_places
 from todframes.frames.trials import Trial, Trials
@@ -37,7 +37,7 @@ from todframes.scoring.score import (
     settings_of_level,
     usable_trials,
 )
-from todframes.scoring.trials import (
+from todframes.scoring.seen_trials import (
     RATIO_STREAMS,
     Decisions,
     Scoring,

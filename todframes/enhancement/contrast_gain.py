@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
-from todframes._typing import FloatArray
+from todframes.base._typing import FloatArray
 from todframes.frames.trials import Trial
 from todframes.observers.retina import RetinaGrid
 from todframes.scoring.retina_view import Shown, retina_image

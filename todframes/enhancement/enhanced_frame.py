@@ -12,10 +12,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from todframes._typing import FloatArray
+from todframes.base._typing import FloatArray
+from todframes.base.errors import DataError, FrameError, SettingsError
+from todframes.display.display import Display
 from todframes.enhancement.algorithm import ROUNDING, Enhancement, Image
 from todframes.enhancement.image_quality import squared_error_and_ssim
-from todframes.errors import DataError, FrameError, SettingsError
 from todframes.frames.contrast import (
     Background,
     LuminanceFound,
@@ -26,7 +27,6 @@ from todframes.frames.contrast import (
     row_bands,
 )
 from todframes.frames.dataset import Dataset
-from todframes.frames.display import Display
 from todframes.frames.files import FULL_SCALE, FrameSource, read_frame
 from todframes.frames.surround import Surface, SurroundSums, TrianglePlace, surround_window
 from todframes.frames.trials import FrameReference, Trial

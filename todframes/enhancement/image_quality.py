@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from todframes._typing import FloatArray
+from todframes.base._typing import FloatArray
 
 WINDOW_PX = 11
 """Side of the Gaussian window of SSIM in pixels: 3.5 standard deviations of 1.5 pixels on either side."""

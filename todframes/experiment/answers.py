@@ -24,13 +24,13 @@ from typing import Annotated, Literal, Self, get_args
 import msgspec
 from msgspec import Meta
 
-from todframes.config import MAX_CSV_MB, number, number_or_text, read_file
-from todframes.errors import DataError, OutputError, SettingsError
+from todframes.base.errors import DataError, OutputError, SettingsError
+from todframes.base.output import open_own, write_file
+from todframes.base.reading import MAX_CSV_MB, number, number_or_text, read_file
+from todframes.base.safe_text import FORMULA_STARTS, csv_text
 from todframes.experiment.monitor import Monitor
 from todframes.frames.trials import Group
-from todframes.output import open_own, write_file
 from todframes.psychometrics.counts import COLUMNS as COUNT_COLUMNS
-from todframes.safe_text import FORMULA_STARTS, csv_text
 from todframes.stimulus import Orientation
 
 if sys.platform != "win32":

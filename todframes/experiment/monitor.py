@@ -8,8 +8,8 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from todframes._typing import FloatArray
-from todframes.errors import SettingsError
+from todframes.base._typing import FloatArray
+from todframes.base.errors import SettingsError
 
 N_CODES = 256
 """Number of code values of a monitor: 8 bits a channel."""

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from todframes.errors import DataError
+from todframes.base.errors import DataError
 from todframes.experiment.answers import AnswerFile, Phase, SessionRecord, TrialRow, flagged, sidecar_path
 from todframes.frames.trials import Trials
 from todframes.psychometrics.quest import QuestGrid

@@ -16,18 +16,18 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from todframes._typing import FloatArray
-from todframes.errors import DataError, FrameError, SettingsError
+from todframes.base._typing import FloatArray
+from todframes.base.errors import DataError, FrameError, SettingsError
+from todframes.base.locations import Location
+from todframes.display.display import Display
 from todframes.experiment.answers import Session, TrialRow, at_eye
 from todframes.experiment.monitor import Monitor
 from todframes.experiment.session import frames_sha256
 from todframes.experiment.stimuli import shown_codes, shown_contrast, trial_image
 from todframes.frames.dataset import Dataset, Skipped
-from todframes.frames.display import Display
 from todframes.frames.files import FrameSource
 from todframes.frames.memory import ArrayFrame
 from todframes.frames.trials import FrameReference, Group, Trial, Trials, indices_by
-from todframes.locations import Location
 from todframes.observers.interface import Observer, Readout
 from todframes.psychometrics.fit import FitSettings, PsychometricFit, fit_counts, fit_trials
 from todframes.psychometrics.noise_fit import MOST_CERTAIN, AnswerTable, NoiseFit, fit_noise, joined
@@ -35,7 +35,7 @@ from todframes.psychometrics.observer_curve import GUESS_RATE
 from todframes.scoring.plan import ScorePlan, plan_score
 from todframes.scoring.retina_view import read_trial
 from todframes.scoring.score import check_seen, groups_of, settings_of_level
-from todframes.scoring.trials import Scoring, look_at, see
+from todframes.scoring.seen_trials import Scoring, look_at, see
 from todframes.scoring.work import Run, see_trials
 from todframes.stimulus import Stimulus
 

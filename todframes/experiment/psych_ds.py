@@ -7,9 +7,9 @@ from pathlib import Path
 
 import msgspec
 
-from todframes._typing import Json
+from todframes.base._typing import Json
+from todframes.base.output import write_file
 from todframes.experiment.answers import ShownDataset, columns
-from todframes.output import write_file
 
 NAME = "dataset_description.json"
 

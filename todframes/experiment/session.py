@@ -24,9 +24,10 @@ import numpy as np
 from msgspec import Meta
 
 from todframes import __version__
-from todframes._typing import Json
-from todframes.config import check_values
-from todframes.errors import DataError, OutputError, SettingsError
+from todframes.base._typing import Json
+from todframes.base.errors import DataError, OutputError, SettingsError
+from todframes.base.reading import check_values
+from todframes.display.dither import blue_noise
 from todframes.experiment.answers import (
     LEAST_RESPONSE_MS,
     AnswerFile,
@@ -65,7 +66,6 @@ from todframes.experiment.stimuli import clipped, contrast_range, dithered_codes
 from todframes.frames.dataset import Dataset
 from todframes.frames.files import frame_sha256
 from todframes.frames.trials import Trial
-from todframes.recordings.dither import blue_noise
 from todframes.stimulus import ORIENTATIONS, Orientation
 
 CONSENT = """\

@@ -7,15 +7,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from todframes._typing import FloatArray
-from todframes.errors import FrameError, TodframesError
+from todframes.base._typing import FloatArray
+from todframes.base.errors import FrameError, TodframesError
+from todframes.display.dither import TILE, dithered
 from todframes.experiment.monitor import ContrastRange, Monitor
 from todframes.frames.contrast import read_contrast
 from todframes.frames.dataset import Dataset
 from todframes.frames.position import centroid_position, check_on_frame, size_in_px
 from todframes.frames.surround import TrianglePlace
 from todframes.frames.trials import Trial
-from todframes.recordings.dither import TILE, dithered
 from todframes.stimulus import coverage
 
 MEAN_TOLERANCE = 5e-4

@@ -1,5 +1,4 @@
 from .dataset import Dataset as Dataset
 from .dataset import load_dataset as load_dataset
-from .display import Display as Display
 from .files import read_frame as read_frame
 from .files import write_frame as write_frame

@@ -9,13 +9,13 @@ import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from todframes.errors import DataError, OutputError
+from todframes.base.errors import DataError, OutputError
+from todframes.base.locations import RemotePath, in_utf8
+from todframes.base.output import write_file
 from todframes.frames.dataset import Dataset, DatasetWarning
 from todframes.frames.files import has_own_checksums
 from todframes.frames.memory import MemoryDataset
 from todframes.frames.trials import Trial
-from todframes.locations import RemotePath, in_utf8
-from todframes.output import write_file
 
 COLUMN = "sha256"
 """Name of the manifest column with the checksums."""

@@ -11,10 +11,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from todframes._typing import FloatArray
-from todframes.errors import DataError, FrameError
+from todframes.base._typing import FloatArray
+from todframes.base.errors import DataError, FrameError
+from todframes.display.display import BackgroundRule, Display, border_values, weber_contrast
 from todframes.frames.dataset import Dataset, Skipped
-from todframes.frames.display import BackgroundRule, Display, border_values, weber_contrast
 from todframes.frames.files import BAND_VALUES, FrameFile, FrameSource, code_values
 from todframes.frames.position import centroid_position, check_on_frame, size_in_px
 from todframes.frames.surround import Surface, SurroundSums, TrianglePlace, surround_window

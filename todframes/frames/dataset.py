@@ -11,7 +11,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal, NamedTuple
 
-from todframes.config import (
+from todframes.base.errors import DataError, FrameError, RemoteError, SettingsError
+from todframes.base.locations import Location, RemotePath
+from todframes.base.reading import (
     check_columns,
     check_fields,
     check_keys,
@@ -24,9 +26,9 @@ from todframes.config import (
     resolved,
     spelling_hint,
 )
-from todframes.errors import DataError, FrameError, RemoteError, SettingsError
-from todframes.frames.display import Display
-from todframes.frames.display_files import display_of_table, find_display
+from todframes.base.remote import entity_tag, list_folder, location, read_content
+from todframes.display.display import Display
+from todframes.display.display_files import display_of_table, find_display
 from todframes.frames.files import (
     MAX_FRAME_MB,
     FrameFile,
@@ -35,8 +37,6 @@ from todframes.frames.files import (
     frame_sha256,
 )
 from todframes.frames.trials import FrameReference, Trial, Trials, TrialsBuilder
-from todframes.locations import Location, RemotePath
-from todframes.remote import entity_tag, list_folder, location, read_content
 from todframes.stimulus import ORIENTATIONS, Stimulus
 
 SCHEMA = 1

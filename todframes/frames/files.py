@@ -18,9 +18,9 @@ import numpy as np
 import OpenImageIO as oiio
 from numpy.typing import ArrayLike, NDArray
 
-from todframes.errors import FrameError, OutputError, RemoteError, SettingsError
-from todframes.locations import Location, RemotePath
-from todframes.remote import location, read_content
+from todframes.base.errors import FrameError, OutputError, RemoteError, SettingsError
+from todframes.base.locations import Location, RemotePath
+from todframes.base.remote import location, read_content
 
 PathLike = str | os.PathLike[str]
 

@@ -12,12 +12,12 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from todframes.errors import DataError, FrameError
+from todframes.base.errors import DataError, FrameError
+from todframes.base.locations import Location
+from todframes.display.display import Display
 from todframes.frames.dataset import Dataset, Experiment
-from todframes.frames.display import Display
 from todframes.frames.files import Frame, FrameHeader, FrameSource, Range, clip_rectangle
 from todframes.frames.trials import FrameReference, Trial, Trials
-from todframes.locations import Location
 from todframes.stimulus import ORIENTATIONS, Orientation, Stimulus
 
 PIXEL_TYPES: dict[str, Any] = {"uint8": "uint8", "uint16": "uint16", "float16": "half"}

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import lru_cache
 
-from todframes.errors import FrameError
+from todframes.base.errors import FrameError
+from todframes.base.locations import Location
 from todframes.frames.dataset import Dataset
 from todframes.frames.files import FrameHeader
 from todframes.frames.trials import Trial
-from todframes.locations import Location
 from todframes.stimulus import Centre, Orientation, Stimulus, bounding_box_offset, vertices
 
 

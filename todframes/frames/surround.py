@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from todframes._typing import FloatArray
-from todframes.errors import DataError
+from todframes.base._typing import FloatArray
+from todframes.base.errors import DataError
 
 Range = tuple[int, int]
 

@@ -10,7 +10,7 @@ from typing import Any, Generic, NamedTuple, SupportsIndex, TypeVar, overload
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from todframes._typing import FloatArray
+from todframes.base._typing import FloatArray
 from todframes.stimulus import ORIENTATIONS, Orientation, Stimulus
 
 V = TypeVar("V", bound=Hashable)

@@ -20,11 +20,11 @@ from concurrent.futures import Future
 from dataclasses import dataclass
 from typing import Any, Generic, NamedTuple, TypeVar
 
-from todframes.errors import SettingsError
+from todframes.base.errors import SettingsError
+from todframes.base.signals import held_back, raise_again
+from todframes.base.user_code import in_words
 from todframes.jobs.work import Lost, Work
 from todframes.jobs.worker import Done, dumps
-from todframes.signals import held_back, raise_again
-from todframes.user_code import in_words
 
 T = TypeVar("T")
 R = TypeVar("R")

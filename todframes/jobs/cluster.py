@@ -22,13 +22,13 @@ import distributed
 from distributed import Client, KilledWorker, LocalCluster, Worker, WorkerPlugin
 from distributed.versions import VersionMismatchWarning
 
-from todframes.errors import ClusterError, SettingsError
+from todframes.base.errors import ClusterError, SettingsError
+from todframes.base.signals import held_back
+from todframes.base.user_code import in_words, searched_last
 from todframes.jobs import worker
 from todframes.jobs.batches import POLL_S, ExecutorEngine, Killed
 from todframes.jobs.start import ENVIRONMENT, environment_kept, starting_processes
 from todframes.jobs.worker import Done, Unfit, Versions, forget, receive
-from todframes.signals import held_back
-from todframes.user_code import in_words, searched_last
 
 T = TypeVar("T")
 

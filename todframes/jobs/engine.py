@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from importlib.util import find_spec
 
-from todframes.errors import SettingsError
+from todframes.base.errors import SettingsError
 from todframes.jobs.local import LocalEngine
 from todframes.jobs.work import Engine
 

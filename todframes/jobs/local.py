@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Generator, Iterable
 from itertools import islice
 
+from todframes.base.signals import raise_again
 from todframes.jobs.work import Item, Lost, Result, Work
-from todframes.signals import raise_again
 
 ITEMS_PER_TASK = 16
 """Number of items that are done at a time, of work that does not say `items_at_once`."""

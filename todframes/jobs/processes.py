@@ -13,12 +13,12 @@ from functools import partial
 from multiprocessing.process import BaseProcess
 from typing import Any
 
-from todframes.errors import TodframesError
+from todframes.base.errors import TodframesError
+from todframes.base.user_code import searched_last
 from todframes.jobs import worker
 from todframes.jobs.batches import ExecutorEngine, Killed
 from todframes.jobs.start import starting_processes
 from todframes.jobs.worker import Done, Unfit
-from todframes.user_code import searched_last
 
 BATCH_S = 0.5
 """Time that a batch is meant to take."""

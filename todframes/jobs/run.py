@@ -12,7 +12,7 @@ from typing import Any, Generic, Protocol, TypeVar
 
 import msgspec
 
-from todframes.errors import TodframesError
+from todframes.base.errors import TodframesError
 from todframes.jobs.local import ITEMS_PER_TASK
 from todframes.jobs.store import Store
 from todframes.jobs.work import Engine, Lost, Work

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from multiprocessing import resource_tracker
 
-from todframes.errors import SettingsError
+from todframes.base.errors import SettingsError
 
 THREADS_ENVIRONMENT = dict.fromkeys(
     (

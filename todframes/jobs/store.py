@@ -14,9 +14,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from todframes import signals
-from todframes.errors import OutputError
-from todframes.output import locked, open_own
+from todframes.base import signals
+from todframes.base.errors import OutputError
+from todframes.base.output import locked, open_own
 
 IntArray = NDArray[np.int64]
 

@@ -15,9 +15,9 @@ from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 from todframes import __version__
-from todframes.errors import TodframesError
+from todframes.base.errors import TodframesError
+from todframes.base.user_code import in_words, search_last
 from todframes.jobs.start import THREADS_ENVIRONMENT
-from todframes.user_code import in_words, search_last
 
 try:  # it comes with Dask, and also pickles what is defined in a script or a notebook
     from cloudpickle import dumps as dumps

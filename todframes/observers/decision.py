@@ -25,9 +25,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from todframes._typing import FloatArray
-from todframes.errors import SettingsError
-from todframes.normal import normal_cdf
+from todframes.base._typing import FloatArray
+from todframes.base.errors import SettingsError
+from todframes.base.normal import normal_cdf
 
 _ANSWERS = np.arange(4)[:, None]
 OTHERS = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])

@@ -13,9 +13,9 @@ import numpy as np
 from msgspec import Meta
 from numpy.typing import NDArray
 
-from todframes._typing import FloatArray
-from todframes.config import check_values
-from todframes.errors import SettingsError
+from todframes.base._typing import FloatArray
+from todframes.base.errors import SettingsError
+from todframes.base.reading import check_values
 from todframes.observers.laplacian_pyramid import LaplacianPyramid
 
 Phases = Literal["both", "even", "odd"]

@@ -19,8 +19,8 @@ import numpy as np
 from msgspec import Meta
 from numpy.typing import DTypeLike, NDArray
 
-from todframes._typing import FloatArray
-from todframes.errors import SettingsError
+from todframes.base._typing import FloatArray
+from todframes.base.errors import SettingsError
 from todframes.observers.interface import OmittedWeights
 from todframes.observers.internal_noise import Bands
 from todframes.observers.pyramid import LARGEST_SIZE_SAMPLES, PyramidObserver, PyramidSettings

@@ -14,14 +14,14 @@ from typing import Any, ClassVar, NamedTuple, Protocol, cast, runtime_checkable
 
 import numpy as np
 
-from todframes._typing import FloatArray
-from todframes.config import check_keys
-from todframes.errors import SettingsError
+from todframes.base._typing import FloatArray
+from todframes.base.errors import SettingsError
+from todframes.base.reading import check_keys
+from todframes.base.user_code import import_named
 from todframes.observers.decision import answer_probabilities
 from todframes.observers.internal_noise import edgeworth_correction, inner_product
 from todframes.observers.retina import RetinaGrid
 from todframes.stimulus import Centre, Orientation, Stimulus
-from todframes.user_code import import_named
 
 ENTRY_POINT_GROUP = "todframes.observers"
 SECOND_ORDER = 20.0

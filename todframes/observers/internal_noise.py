@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from todframes._typing import FloatArray
-from todframes.normal import normal_cdf
+from todframes.base._typing import FloatArray
+from todframes.base.normal import normal_cdf
 from todframes.observers.decision import OTHERS, PAIRS
 
 _Order = tuple[int, int, int]

@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from todframes._typing import FloatArray
-from todframes.errors import SettingsError
+from todframes.base._typing import FloatArray
+from todframes.base.errors import SettingsError
 
 BORDER = 4
 """Samples of zeros about what is not zero: the filters of the pyramid reach two samples."""

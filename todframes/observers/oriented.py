@@ -15,8 +15,8 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import DTypeLike
 
-from todframes._typing import FloatArray
-from todframes.errors import SettingsError
+from todframes.base._typing import FloatArray
+from todframes.base.errors import SettingsError
 from todframes.observers.gabor_pyramid import GaborPyramid, Phases
 from todframes.observers.interface import OmittedWeights
 from todframes.observers.internal_noise import Bands

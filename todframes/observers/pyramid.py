@@ -20,9 +20,9 @@ import numpy as np
 from msgspec import Meta
 from numpy.typing import DTypeLike, NDArray
 
-from todframes._typing import FloatArray
-from todframes.config import check_keys, check_values
-from todframes.errors import SettingsError
+from todframes.base._typing import FloatArray
+from todframes.base.errors import SettingsError
+from todframes.base.reading import check_keys, check_values
 from todframes.observers.interface import OmittedWeights, Readout
 from todframes.observers.internal_noise import Bands, inner_product, summed_covariance, summed_noise
 from todframes.observers.laplacian_pyramid import BORDER, LaplacianPyramid, even_half

@@ -9,8 +9,8 @@ from statistics import NormalDist
 import numpy as np
 from numpy.typing import NDArray
 
-from todframes._typing import FloatArray
-from todframes.normal import normal_cdf
+from todframes.base._typing import FloatArray
+from todframes.base.normal import normal_cdf
 from todframes.psychometrics.likelihood import CHI2_95, CurveModel, binomial_loglik
 
 CURVE_TRIALS = 5

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from todframes.config import check_columns, check_fields, number, number_or_text, read_csv
-from todframes.errors import DataError
+from todframes.base.errors import DataError
+from todframes.base.reading import check_columns, check_fields, number, number_or_text, read_csv
 
 COLUMNS = ("level", "n_correct", "n_trials")
 

@@ -18,9 +18,9 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from todframes._typing import FloatArray
-from todframes.config import check_values
-from todframes.errors import DataError, SettingsError
+from todframes.base._typing import FloatArray
+from todframes.base.errors import DataError, SettingsError
+from todframes.base.reading import check_values
 from todframes.psychometrics.bootstrap import Observed, crossing_of_points, threshold_interval
 from todframes.psychometrics.likelihood import SLOPE_RANGE, CurveModel, binomial_loglik
 from todframes.psychometrics.observer_curve import GUESS_RATE, SMALLEST_CEILING, ObserverModel

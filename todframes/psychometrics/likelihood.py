@@ -14,7 +14,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from todframes._typing import FloatArray
+from todframes.base._typing import FloatArray
 
 SLOPE_RANGE = (1e-2, 1e3)
 

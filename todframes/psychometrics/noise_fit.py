@@ -20,7 +20,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from todframes._typing import FloatArray
+from todframes.base._typing import FloatArray
 from todframes.psychometrics.likelihood import CHI2_95, binomial_loglik
 from todframes.psychometrics.observer_curve import GUESS_RATE
 

@@ -16,8 +16,8 @@ from functools import cache
 import numpy as np
 from numpy.typing import ArrayLike
 
-from todframes._typing import FloatArray
-from todframes.normal import normal_cdf
+from todframes.base._typing import FloatArray
+from todframes.base.normal import normal_cdf
 from todframes.psychometrics.likelihood import CurveModel
 
 GUESS_RATE = 0.25

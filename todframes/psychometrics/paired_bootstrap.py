@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from todframes._typing import FloatArray
+from todframes.base._typing import FloatArray
 from todframes.psychometrics.bootstrap import (
     ANSWER_TOLERANCE,
     CURVE_TRIALS,

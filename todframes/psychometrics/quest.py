@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from todframes._typing import FloatArray
+from todframes.base._typing import FloatArray
 from todframes.psychometrics.weibull import weibull
 
 GUESS_RATE = 0.25

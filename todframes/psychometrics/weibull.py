@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from todframes._typing import FloatArray
+from todframes.base._typing import FloatArray
 from todframes.psychometrics.likelihood import CurveModel
 
 _LN_LN2 = math.log(math.log(2.0))

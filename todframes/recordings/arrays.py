@@ -17,7 +17,7 @@ from typing import IO, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from todframes.errors import FrameError
+from todframes.base.errors import FrameError
 from todframes.frames.files import check_decoded_size
 from todframes.recordings.recording import StillHeader, check_size
 

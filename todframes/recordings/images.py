@@ -12,7 +12,7 @@ import numpy as np
 import OpenImageIO as oiio
 from numpy.typing import NDArray
 
-from todframes.errors import FrameError
+from todframes.base.errors import FrameError
 from todframes.frames.files import (
     FULL_SCALE,
     FrameFile,

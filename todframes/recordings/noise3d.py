@@ -18,10 +18,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from todframes._typing import FloatArray
-from todframes.config import toml_text
-from todframes.errors import DataError, SettingsError
-from todframes.frames.display import REC_709_LUMINANCE_WEIGHTS
+from todframes.base._typing import FloatArray
+from todframes.base.errors import DataError, SettingsError
+from todframes.base.reading import toml_text
+from todframes.display.display import REC_709_LUMINANCE_WEIGHTS
 from todframes.recordings.recording import INTEGRATION_TIME_S, Recording, RecordingWarning
 
 PARTS = {

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
 
-from todframes.errors import DataError, FrameError
+from todframes.base.errors import DataError, FrameError
 from todframes.frames.files import MAX_FRAME_MB, PathLike, check_max_frame_mb
 from todframes.recordings import arrays, images, radiometric, raw, video
 from todframes.recordings.recording import Recording, StillReader, check_rate, natural_order, still_recording

@@ -18,8 +18,8 @@ from typing import BinaryIO, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from todframes._typing import FloatArray
-from todframes.errors import FrameError
+from todframes.base._typing import FloatArray
+from todframes.base.errors import FrameError
 from todframes.recordings.recording import Recording, StillHeader, check_size, natural_order
 
 FFF_START, JPEG_START = (b"FFF\0", b"AFF\0"), b"\xff\xd8\xff"

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from todframes.errors import FrameError
+from todframes.base.errors import FrameError
 from todframes.frames.files import check_decoded_size, path_in_utf8
 from todframes.recordings.recording import RecordingWarning, StillHeader, check_size, missing_extra
 

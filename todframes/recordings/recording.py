@@ -11,7 +11,7 @@ from typing import Any, Literal, NamedTuple, Protocol
 
 from numpy.typing import NDArray
 
-from todframes.errors import DataError, FrameError, SettingsError
+from todframes.base.errors import DataError, FrameError, SettingsError
 
 INTEGRATION_TIME_S = 0.1
 """Time in which the eye integrates. Hogervorst et al. 2001, section 4."""

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from todframes.errors import DataError, FrameError
+from todframes.base.errors import DataError, FrameError
 from todframes.frames.files import MAX_FRAME_MB, check_decoded_size
 from todframes.recordings.recording import (
     BYTES_PER_PIXEL,

@@ -7,7 +7,7 @@ from dataclasses import fields
 
 import msgspec
 
-from todframes.config import toml_text
+from todframes.base.reading import toml_text
 from todframes.psychometrics.fit import FitSettings
 from todframes.report.data import Fit, PersonResult, Record, ResultData
 from todframes.report.table import EXACT, Column, Table

@@ -14,16 +14,16 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 import msgspec
 from msgspec import Meta, Struct, field
 
-from todframes.config import read_file
-from todframes.errors import DataError
-from todframes.locations import in_utf8
+from todframes.base.errors import DataError
+from todframes.base.locations import in_utf8
+from todframes.base.reading import read_file
 
 if TYPE_CHECKING:
     from todframes.diagnosis.missing_threshold import Explanation
+    from todframes.display.display import Display
     from todframes.enhancement.algorithm import Enhancement
     from todframes.enhancement.compare import AlgorithmResult, Compared
     from todframes.frames.dataset import Dataset
-    from todframes.frames.display import Display
     from todframes.psychometrics.fit import PsychometricFit
     from todframes.scoring.score import GroupFit
 

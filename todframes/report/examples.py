@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from todframes._typing import FloatArray
+from todframes.base._typing import FloatArray
 from todframes.diagnosis.whole_frames import block_means
 from todframes.enhancement.compare import AlgorithmResult
 from todframes.enhancement.enhanced_frame import Screen, TrialReader

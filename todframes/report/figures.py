@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from todframes._typing import FloatArray, Json
+from todframes.base._typing import FloatArray, Json
 from todframes.psychometrics.observer_curve import observer_curve
 from todframes.psychometrics.weibull import weibull
 from todframes.report.calibration import SUBJECT, own_and_model, with_model_curves

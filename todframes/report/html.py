@@ -15,7 +15,7 @@ from urllib.parse import quote
 
 import msgspec
 
-from todframes._typing import Json
+from todframes.base._typing import Json
 from todframes.report import calibration, tables
 from todframes.report.data import DatasetRecord, Example, Record, ResultData, Thumbnail
 from todframes.report.figure_style import style

@@ -124,7 +124,7 @@ class Result(ResultData, Saving, frozen=True, kw_only=True, dict=True):
         DataError
             If there are no thresholds at two sizes.
         """
-        from todframes.errors import DataError
+        from todframes.base.errors import DataError
         from todframes.report.figures import draw_tod, drawn, has_tod_curve
 
         if not has_tod_curve(self.thresholds):
@@ -148,7 +148,7 @@ class Result(ResultData, Saving, frozen=True, kw_only=True, dict=True):
         DataError
             If no threshold has points.
         """
-        from todframes.errors import DataError
+        from todframes.base.errors import DataError
         from todframes.report.figures import draw_psychometric, drawn
 
         if not any(fit.points for fit in self.thresholds):

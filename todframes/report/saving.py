@@ -8,7 +8,7 @@ from typing import Protocol
 
 import msgspec
 
-from todframes.safe_text import visible_json
+from todframes.base.safe_text import visible_json
 
 
 class HasFiles(Protocol):
@@ -36,7 +36,7 @@ class Saving:
         OutputError
             If the place cannot be written.
         """
-        from todframes.output import write_folder
+        from todframes.base.output import write_folder
 
         write_folder(folder, self.files())
 

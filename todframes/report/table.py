@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any, Literal, overload
 
 import msgspec
 
+from todframes.base.safe_text import csv_text, visible
 from todframes.report.wording import interval_phrase, plain
-from todframes.safe_text import csv_text, visible
 
 if TYPE_CHECKING:
     from pandas import DataFrame

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any
 
-from todframes._typing import FloatArray
+from todframes.base._typing import FloatArray
 from todframes.enhancement.compare import AlgorithmResult
 from todframes.frames.dataset import Dataset
 from todframes.frames.trials import Trials

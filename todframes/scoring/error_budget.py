@@ -13,7 +13,7 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from todframes._typing import FloatArray
+from todframes.base._typing import FloatArray
 
 PlanName = Literal["needed", "full"]
 

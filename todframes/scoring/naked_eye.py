@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from todframes._typing import FloatArray
-from todframes.errors import SettingsError
+from todframes.base._typing import FloatArray
+from todframes.base.errors import SettingsError
 from todframes.observers.interface import Observer, Readout
 from todframes.psychometrics.threshold_search import Status, find_crossing
 from todframes.stimulus import HEIGHT_PER_SIZE, ORIENTATIONS, Stimulus, coverage

@@ -16,8 +16,8 @@ from typing import cast
 
 import numpy as np
 
-from todframes._typing import FloatArray
-from todframes.errors import FrameError, SettingsError
+from todframes.base._typing import FloatArray
+from todframes.base.errors import FrameError, SettingsError
 from todframes.frames.dataset import Dataset
 from todframes.frames.position import check_place
 from todframes.frames.trials import Trial, Trials, indices_by

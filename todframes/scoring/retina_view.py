@@ -8,7 +8,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from todframes._typing import FloatArray
+from todframes.base._typing import FloatArray
 from todframes.frames.contrast import (
     Patch,
     read_contrast,

@@ -12,8 +12,8 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from todframes._typing import FloatArray
-from todframes.errors import DataError, SettingsError
+from todframes.base._typing import FloatArray
+from todframes.base.errors import DataError, SettingsError
 from todframes.frames.contrast import skipped_frames
 from todframes.frames.dataset import Dataset, Skipped
 from todframes.frames.position import check_places
@@ -23,7 +23,7 @@ from todframes.psychometrics.fit import CurveName, FitSettings, PsychometricFit,
 from todframes.psychometrics.replicates import REPLICATES, half_width_95
 from todframes.scoring.error_budget import PlanName, Step
 from todframes.scoring.plan import ScorePlan, plan_score
-from todframes.scoring.trials import (
+from todframes.scoring.seen_trials import (
     FIT_STREAMS,
     Decisions,
     Scoring,

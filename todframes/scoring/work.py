@@ -16,7 +16,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from todframes.errors import FrameError, SettingsError
+from todframes.base.errors import FrameError, SettingsError
 from todframes.frames.contrast import skipped_frames
 from todframes.frames.dataset import Skipped
 from todframes.frames.files import frame_sha256
@@ -29,7 +29,7 @@ from todframes.jobs.run import run_stored
 from todframes.jobs.store import Store
 from todframes.jobs.work import Engine, Lost
 from todframes.observers.interface import Readout
-from todframes.scoring.trials import Scoring
+from todframes.scoring.seen_trials import Scoring
 from todframes.stimulus import Stimulus
 
 SETTLED_NS = 2_000_000_000

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from importlib.util import find_spec
 
-from todframes.errors import SettingsError
+from todframes.base.errors import SettingsError
 
 
 def check_installed(what: str) -> None:

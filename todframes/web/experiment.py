@@ -13,7 +13,7 @@ from starlette.requests import Request
 from starlette.responses import Response
 from starlette.routing import Route
 
-from todframes.errors import OutputError
+from todframes.base.errors import OutputError
 from todframes.experiment.answers import NO_RESPONSE
 from todframes.experiment.monitor import Calibration, MonitorError
 from todframes.experiment.session import Sitting, StepError

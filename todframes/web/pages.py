@@ -21,8 +21,8 @@ from starlette.responses import Response
 from starlette.routing import Route
 from starlette.types import Lifespan, Receive, Scope, Send
 
-from todframes.errors import SettingsError, TodframesError
-from todframes.safe_text import visible
+from todframes.base.errors import SettingsError, TodframesError
+from todframes.base.safe_text import visible
 
 SHARED_FILES = ("base.css", "server.js", "icon.svg", "uplot/uPlot.iife.min.js", "uplot/uPlot.min.css")
 """Files of the folder `static` that all pages may load, as `/static/NAME`."""

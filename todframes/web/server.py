@@ -20,8 +20,8 @@ from starlette.types import ASGIApp
 from uvicorn.protocols.http.h11_impl import H11Protocol, RequestResponseCycle
 from uvicorn.server import ServerState
 
-from todframes import signals
-from todframes.errors import SettingsError
+from todframes.base import signals
+from todframes.base.errors import SettingsError
 from todframes.web.guard import LONGEST_HEADERS_BYTES, guarded
 
 MOST_CONNECTIONS = 64

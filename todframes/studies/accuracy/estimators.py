@@ -14,9 +14,9 @@ from typing import NamedTuple, Protocol, cast
 
 import numpy as np
 
-from todframes._typing import FloatArray, IntArray
-from todframes.config import check_keys
-from todframes.errors import SettingsError
+from todframes.base._typing import FloatArray, IntArray
+from todframes.base.errors import SettingsError
+from todframes.base.reading import check_keys
 from todframes.observers.decision import answer_probabilities
 
 ENTRY_POINT_GROUP = "todframes.accuracy_scenes"

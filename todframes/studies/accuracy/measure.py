@@ -19,8 +19,8 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from todframes._typing import FloatArray
-from todframes.errors import SettingsError
+from todframes.base._typing import FloatArray
+from todframes.base.errors import SettingsError
 from todframes.studies.accuracy.estimators import (
     P_CORRECT,
     Converged,

@@ -9,7 +9,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from todframes._typing import FloatArray
+from todframes.base._typing import FloatArray
 from todframes.observers.interface import Readout
 from todframes.observers.pyramid import PyramidObserver, PyramidSettings
 from todframes.psychometrics.threshold_search import find_crossing

@@ -10,8 +10,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from todframes._typing import FloatArray
-from todframes.errors import DataError
+from todframes.base._typing import FloatArray
+from todframes.base.errors import DataError
 from todframes.frames.dataset import Dataset, load_dataset
 from todframes.frames.trials import Trial
 from todframes.observers.interface import Readout
@@ -20,7 +20,7 @@ from todframes.psychometrics.fit import FitSettings, PsychometricFit, fit_trials
 from todframes.psychometrics.weibull import weibull
 from todframes.scoring.plan import plan_score
 from todframes.scoring.retina_view import read_trial, retina_image
-from todframes.scoring.trials import KRONECKER_STEPS
+from todframes.scoring.seen_trials import KRONECKER_STEPS
 from todframes.stimulus import Stimulus
 from todframes.studies.accuracy.estimators import (
     P_CORRECT,

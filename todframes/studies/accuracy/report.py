@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from todframes._typing import Json
+from todframes.base._typing import Json
 from todframes.report.data import Estimator, SceneResult, SpeedRatio
 from todframes.report.figures import pictures
 from todframes.report.result import Result

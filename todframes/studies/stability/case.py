@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from todframes.errors import TodframesError
+from todframes.base.errors import TodframesError
 from todframes.report.table import Column, Table
 
 ENTRY_POINT_GROUP = "todframes.stability_cases"

@@ -12,7 +12,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import ArrayLike
 
-from todframes._typing import FloatArray
+from todframes.base._typing import FloatArray
 from todframes.observers.decision import answer_probabilities
 from todframes.studies.stability import fits_and_frames, observer
 from todframes.studies.stability.case import MPMATH, Case

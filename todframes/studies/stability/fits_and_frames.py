@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from todframes._typing import FloatArray
+from todframes.base._typing import FloatArray
 from todframes.frames.dataset import load_dataset
 from todframes.frames.files import PixelType, write_frame
 from todframes.observers.decision import answer_probabilities

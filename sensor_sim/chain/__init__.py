@@ -1,0 +1,1 @@
+"""The stages of a sensor, from the scene to the displayed frame."""

@@ -1,0 +1,150 @@
+"""Detector noise: a dynamic part, new in every frame, a fixed pattern, and their relation to SNR and ΔT.
+
+The signal of a large triangle is 1, so the standard deviation of the noise in one sample **as displayed** is
+1/SNR. That sample is the mean over the frames the eye integrates: its variance is that of the dynamic part
+over the number of frames, plus that of the fixed pattern, which no integration reduces.
+
+Hogervorst et al. 2001, sections 3.3 and 8.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from sensor_sim.chain.sensor import Distribution, Noise
+from todframes.base._typing import FloatArray
+from todframes.base.errors import SettingsError
+
+UNIFORM_EXCESS_KURTOSIS = -1.2
+
+
+class NoiseParts(NamedTuple):
+    """Standard deviations of the noise parts in one displayed sample; their squares add up to the total's."""
+
+    dynamic: float
+    fixed_pattern: float
+
+
+def k_factor(noise: Noise) -> float:
+    """Return the dynamic noise of a single frame divided by the total noise of the integrated sample.
+
+    σ_tot² = σ_dyn²/n + (ratio·σ_dyn)² with n frames: k = σ_dyn/σ_tot, 1.7496 at ratio 0.4 and 6 frames.
+
+    Hogervorst et al. 2001, section 8.2, below eq. 4 (printed as 1.75).
+    """
+    return 1.0 / math.hypot(1.0 / math.sqrt(noise.frames_integrated), noise.fixed_pattern_ratio)
+
+
+def noise_parts(noise: Noise, *, total_sd: float) -> NoiseParts:
+    """Return the dynamic and fixed parts of a displayed sample's total standard deviation (1/SNR).
+
+    Hogervorst et al. 2001, section 8.2, below eq. 4.
+    """
+    single_frame = k_factor(noise) * total_sd
+    return NoiseParts(
+        dynamic=single_frame / math.sqrt(noise.frames_integrated),
+        fixed_pattern=noise.fixed_pattern_ratio * single_frame,
+    )
+
+
+def delta_t_mk(snr: ArrayLike, *, noise: Noise) -> FloatArray:
+    """Convert a signal-to-noise ratio to a temperature difference: ΔT = SNR · NETD / k.
+
+    NETD is the noise of a single frame, so NETD / k is that of the displayed sample, which the SNR refers to: more
+    frames integrated and less fixed pattern lower ΔT at the same SNR.
+
+    Parameters
+    ----------
+    snr : array_like, any shape
+        Signal of a large triangle divided by the standard deviation of one displayed sample.
+
+    Returns
+    -------
+    ndarray, same shape, mK
+
+    Raises
+    ------
+    SettingsError
+        If the sensor has no NETD.
+
+    Hogervorst et al. 2001, section 8.2, the text below eq. 4.
+    """
+    return np.asarray(snr, dtype=np.float64) * (_netd_mk(noise) / k_factor(noise))
+
+
+def delta_t_as_printed_mk(snr: ArrayLike, *, noise: Noise) -> FloatArray:
+    """Convert a signal-to-noise ratio to a temperature difference by eq. 4 as printed: ΔT = SNR · NETD · k.
+
+    It is k² times `delta_t_mk`, and rises with more frames integrated. Parameters, return value and errors are
+    those of `delta_t_mk`.
+
+    Hogervorst et al. 2001, eq. 4.
+    """
+    return np.asarray(snr, dtype=np.float64) * (_netd_mk(noise) * k_factor(noise))
+
+
+def _netd_mk(noise: Noise) -> float:
+    if noise.netd_mk is None:
+        raise SettingsError("netd_mk: is missing, expected a number of mK to convert SNR to a temperature")
+    return noise.netd_mk
+
+
+def excess_kurtosis(noise: Noise) -> float:
+    """Return the excess kurtosis of a displayed sample: the parts' own, weighted by their squared variances."""
+    if noise.distribution == "gaussian":
+        return 0.0
+    parts = noise_parts(noise, total_sd=1.0)
+    return UNIFORM_EXCESS_KURTOSIS * (parts.dynamic**4 + parts.fixed_pattern**4)
+
+
+def draw(
+    shape: int | tuple[int, ...], *, sd: float, distribution: Distribution, rng: np.random.Generator
+) -> FloatArray:
+    """Draw independent noise of zero mean and standard deviation `sd`; uniform noise reaches to ±√3 sd.
+
+    Hogervorst et al. 2001, section 3.3 and footnote 1; the mean is on the display's background.
+    """
+    if distribution == "gaussian":
+        return rng.normal(0.0, sd, shape)
+    half_width = math.sqrt(3.0) * sd
+    return rng.uniform(-half_width, half_width, shape)
+
+
+def unit_fixed_pattern(shape: tuple[int, int], *, noise: Noise, seed: int | np.random.SeedSequence) -> FloatArray:
+    """Draw the sensor's fixed pattern, of standard deviation 1 over all sensors.
+
+    It is drawn once per sensor: the same seed and shape give the same pattern, whatever frames are made of it.
+
+    Returns
+    -------
+    ndarray, shape `shape`
+    """
+    return draw(shape, sd=1.0, distribution=noise.distribution, rng=np.random.default_rng(seed))
+
+
+def displayed_noise(pattern: FloatArray, *, total_sd: float, noise: Noise, rng: np.random.Generator) -> FloatArray:
+    """Draw the noise of one displayed image: a new dynamic part and the sensor's fixed pattern.
+
+    The dynamic part is one draw of the named distribution with the standard deviation that integration
+    leaves, as in the paper, not the mean of separate draws: `distribution` is that of the displayed sample.
+
+    Parameters
+    ----------
+    pattern : ndarray, shape (n, n)
+        Result of `unit_fixed_pattern`.
+    total_sd : float
+        Total standard deviation, 1/SNR, >= 0.
+    rng : numpy.random.Generator
+        Random generator of the trial.
+
+    Returns
+    -------
+    ndarray, shape (n, n), in units of a large triangle's signal
+    """
+    parts = noise_parts(noise, total_sd=total_sd)
+    dynamic = draw(pattern.shape, sd=parts.dynamic, distribution=noise.distribution, rng=rng)
+    return dynamic + parts.fixed_pattern * pattern

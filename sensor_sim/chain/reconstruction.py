@@ -1,0 +1,137 @@
+"""Conversion of detector samples to display pixels: sample & hold, electronics, display spot; and the adjoint.
+
+The conversion is separable, so a square field of samples X becomes B X Bᵀ with one matrix B, and weights on the
+display, Y, become Bᵀ Y B on the detectors.
+
+Blur acts on pixel values, as a Gaussian sampled at whole pixels. Held samples and the frame are both constant
+over each pixel, and a convolution of pixel values widens the one into the other by just the variance of the
+kernel. Means over pixels of the continuously blurred signal would add 1/6 pixel² on top. Sampling by
+itself makes narrow kernels narrower (0.008 instead of 0.09 pixel² at 0.3 pixel): they are sampled
+from a wider Gaussian such that their variance, and so the transfer at low frequencies, is right.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from sensor_sim.chain.sensor import Electronics, SensorDisplay
+from todframes.base._typing import FloatArray
+
+MAX_PRODUCT = 2**17
+"""Largest number of multiplications in one call of BLAS."""
+
+ALIAS_FREE_SIGMA_PX = 1.5
+"""Smallest σ at which the variance of a sampled Gaussian is σ² to 1e-16 (Poisson summation: e^(−2π²σ²))."""
+
+
+def gaussian_kernel(sigma_px: float) -> FloatArray:
+    """Return non-negative, symmetric weights of sum 1 and variance σ² at whole pixels −m … m.
+
+    The kernel is cut at 9 standard deviations, where a weight is below 1e-17 of the middle one.
+
+    Parameters
+    ----------
+    sigma_px : float
+        Standard deviation in pixels, >= 0; below 1e-8 the result is the single weight 1.
+
+    Returns
+    -------
+    ndarray, shape (2m + 1,)
+
+    Hogervorst et al. 2001, eq. 2, for pixels.
+    """
+    if sigma_px < 1e-8:
+        return np.ones(1)
+    radius = max(math.ceil(9.0 * sigma_px), 10)
+    squares = np.square(np.arange(-radius, radius + 1, dtype=np.float64))
+    if sigma_px >= ALIAS_FREE_SIGMA_PX:
+        return _sampled_gaussian(squares, 0.5 / sigma_px**2)
+    # The variance falls as the exponent rises; its logarithm is bracketed and halved to the last digit.
+    low, high = math.log(0.5 / (sigma_px + 0.5) ** 2), math.log(0.5 / sigma_px**2)
+    for _ in range(60):
+        middle = (low + high) / 2.0
+        if float(_sampled_gaussian(squares, math.exp(middle)) @ squares) > sigma_px**2:
+            low = middle
+        else:
+            high = middle
+    return _sampled_gaussian(squares, math.exp(high))
+
+
+def _sampled_gaussian(squares: FloatArray, exponent: float) -> FloatArray:
+    weights = np.exp(-exponent * squares)
+    return np.asarray(weights / weights.sum())
+
+
+def axis_matrix(n_detectors: int, *, display: SensorDisplay, electronics: Electronics) -> FloatArray:
+    """Return the matrix of sample & hold and post-sample blur along one axis.
+
+    Outside of the field the signal is zero. Electronics and display spot are both Gaussian: their variances
+    add.
+
+    Returns
+    -------
+    ndarray, shape (n_detectors · pixels_per_detector, n_detectors)
+        Rows sum to 1 where the blur does not reach beyond the field, and to less near its border.
+
+    Hogervorst et al. 2001, sections 3.4 and 3.5.
+    """
+    per_detector = display.pixels_per_detector
+    n_px = n_detectors * per_detector
+    kernel = gaussian_kernel(math.hypot(electronics.blur_sigma_px, display.blur_sigma_px))
+    half = np.zeros(max(n_px, kernel.size // 2 + 1))
+    half[: kernel.size // 2 + 1] = kernel[kernel.size // 2 :]
+    # A detector's contribution to a pixel depends on their distance alone, so all such sums are made once.
+    around = np.concatenate([half[n_px - 1 : 0 : -1], half[:n_px]])
+    of_detector = np.lib.stride_tricks.sliding_window_view(around, per_detector).sum(axis=-1)
+    distance = np.subtract.outer(np.arange(n_px - 1, -1, -1), -per_detector * np.arange(n_detectors))
+    return np.asarray(of_detector[distance])
+
+
+def display_signal(samples: FloatArray, matrix: FloatArray) -> FloatArray:
+    """Compute the signal in each display pixel: B X Bᵀ.
+
+    Parameters
+    ----------
+    samples : ndarray, shape (..., n, n)
+    matrix : ndarray, shape (n_px, n)
+        Result of `axis_matrix`.
+
+    Returns
+    -------
+    ndarray, shape (..., n_px, n_px)
+    """
+    return _product(_product(matrix, samples), matrix.T)
+
+
+def _product(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Compute a @ b by blocks of rows so small that BLAS starts no threads.
+
+    When other work keeps the processors busy, threads wait for each other far longer than the product takes.
+    """
+    block = max(1, MAX_PRODUCT // (b.shape[-2] * b.shape[-1]))
+    stack = np.broadcast_shapes(a.shape[:-2], b.shape[:-2])
+    product = np.empty((*stack, a.shape[-2], b.shape[-1]))
+    for i in range(0, a.shape[-2], block):
+        np.matmul(a[..., i : i + block, :], b, out=product[..., i : i + block, :])
+    return product
+
+
+def luminance_cd_m2(signal: FloatArray, *, display: SensorDisplay) -> FloatArray:
+    """Convert a display signal (triangle and noise), of any shape, to luminance: background · (1 + gain · signal).
+
+    The luminance in cd/m² is not clipped; it may be negative if noise is strong.
+    """
+    return display.background_luminance_cd_m2 * (1.0 + display.gain * signal)
+
+
+def display_position_px(offset_detectors: float, *, n_detectors: int, display: SensorDisplay) -> float:
+    """Return the place of a point on the display, along one axis, in pixels with pixel 0's centre at 0.
+
+    Parameters
+    ----------
+    offset_detectors : float
+        Distance from the middle of the field of `n_detectors`, in detectors.
+    """
+    return (n_detectors / 2.0 + offset_detectors) * display.pixels_per_detector - 0.5

@@ -1,0 +1,400 @@
+"""Computation of exact detector samples of triangles.
+
+A sample is the scene after the optics, averaged over the detector's active area; a uniform scene of 1 gives 1.
+A diffraction-limited transfer function ends at its cut-off, so the samples are a finite sum: closed-form
+spectrum × pre-sample MTF at the multiples of 1/period, folded onto the detector grid. Nothing is oversampled
+and nothing is cut, and a new place of the triangle is one phase factor per frequency.
+
+That sum is the scene repeated with the period. The far tails of the neighbours are an error for a single
+triangle, which falls with the cube of the period.
+`sensor_sim.thresholds.curve_plan` measures what it does to P(correct), which is part of the error of a threshold.
+
+The samples of one period, times pitch², sum to the triangle's area **at every place** if the detectors are
+contiguous (their MTF is 0 at multiples of the sampling frequency) or the cut-off lies below the sampling
+frequency. Otherwise detectors miss what falls in between, and it holds for the mean over all places.
+
+Lengths are in detector pitches, frequencies in cycles per detector, unless a name says otherwise.
+
+Hogervorst et al. 2001, sections 3.1, 3.2 and 3.6.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Hashable
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from sensor_sim.chain.sensor import Detector, Optics, Sensor
+from sensor_sim.chain.transfer import band_limit_cyc_per_mrad, pre_sample_mtf, sharpness_bound
+from todframes.base._typing import ComplexArray, FloatArray
+from todframes.base.errors import SettingsError
+from todframes.stimulus import HEIGHT_PER_SIZE, SIDE_PER_SIZE, Orientation, spectrum
+
+MAX_FREQUENCIES = 2**22
+"""Largest number of frequencies in one half plane, 64 MiB; beyond it the optics are sharp enough to leave out."""
+
+MAX_NEGLECTED = 0.05
+"""Largest change of a sample that leaving out the optics may cause; beyond it the field is refused."""
+
+FREQUENCIES_AT_ONCE = 2**16
+"""Number of frequencies whose spectrum is computed at once; it keeps the arrays to some megabytes."""
+
+PLACES_AT_ONCE = 16
+"""Number of places computed at once; partly folded spectra stay in the cache, and BLAS starts no threads."""
+
+FIELD_SIZES, FIELD_MARGIN_DETECTORS, MAX_FIELD_DETECTORS = 4.0, 4, 1024
+"""Side of a trial's field in sizes of the triangle, detectors added to it, and largest side in detectors."""
+
+
+class TriangleSampler:
+    """Detector samples of triangles of one size, at any place and orientation.
+
+    The spectrum is computed once, for the upright triangle. Detectors and optics look the same after a
+    quarter turn, so the other orientations are turned samples, bit for bit.
+
+    If the sum would take more than `MAX_FREQUENCIES` terms, the optics are sharp against the detector: they
+    are left out, and the samples are the exact area of the triangle on each detector. `neglected_bound` bounds
+    the change.
+
+    Parameters
+    ----------
+    optics : Optics or None
+        Optics, or None to leave them out.
+    detector : Detector
+    size_detectors : float
+        √(area) of the triangle, > 0.
+    field_detectors : int
+        Detectors along each side of the square field.
+    period_detectors : int or None
+        Number of detectors after which the scene repeats; at least the field, and by default the field.
+
+    Attributes
+    ----------
+    sharp : bool
+        Whether the optics are left out.
+    neglected_bound : float
+        Bound on the change of a sample from leaving out the optics; 0 if they are not left out.
+
+    Raises
+    ------
+    SettingsError
+        If a value is out of range, the triangle, displaced by half a detector, reaches beyond the field,
+        or the optics pass less than one cycle per period.
+    """
+
+    def __init__(
+        self,
+        *,
+        optics: Optics | None,
+        detector: Detector,
+        size_detectors: float,
+        field_detectors: int,
+        period_detectors: int | None = None,
+    ) -> None:
+        period = field_detectors if period_detectors is None else period_detectors
+        if not (math.isfinite(size_detectors) and size_detectors > 0.0):
+            raise SettingsError(f"size_detectors: found {size_detectors!r}, expected a finite number > 0")
+        smallest = smallest_field(size_detectors)
+        if field_detectors < smallest:
+            needed = f"at least {smallest} for a triangle of size {size_detectors:g} detectors"
+            raise SettingsError(f"field_detectors: found {field_detectors}, expected {needed}")
+        if period < field_detectors:
+            raise SettingsError(f"period_detectors: found {period}, expected at least {field_detectors}")
+        self._size = size_detectors
+        self._field = self._whole_field = field_detectors
+        self.period = period
+        self._optics, self._detector = optics, detector
+        self._width = detector.width_mrad / detector.pitch_mrad
+        self.neglected_bound = 0.0
+        self._waves: dict[int, tuple[ComplexArray, ComplexArray]] = {}
+        self.sharp = optics is None
+        if optics is None:
+            return
+        last = band_limit_cyc_per_mrad(optics) * detector.pitch_mrad * period
+        if last < 1.0:
+            raise SettingsError(_passes_nothing(optics, last))
+        if 2.0 * last**2 > MAX_FREQUENCIES:
+            self.sharp = True
+            self.neglected_bound = sharpness_bound(optics, width_mrad=detector.width_mrad)
+            if self.neglected_bound > MAX_NEGLECTED:
+                largest = detector.pitch_mrad * math.sqrt(MAX_FREQUENCIES / 2.0) / last
+                raise SettingsError(
+                    f"detector.pitch_mrad: found {detector.pitch_mrad:g}, too coarse to compute with a width of "
+                    f"{detector.width_mrad:g} mrad and optics that pass "
+                    f"{band_limit_cyc_per_mrad(optics):.4g} cycles/mrad; expected at most {largest:.3g}, "
+                    "or wider detectors"
+                )
+        else:
+            self._prepare_spectrum(optics, detector, last)
+
+    @property
+    def key(self) -> Hashable:
+        """Everything that the samples depend on."""
+        return self._optics, self._detector, self._size, self._whole_field, self._field, self.period
+
+    @property
+    def nbytes(self) -> int:
+        """Size of the spectrum in bytes."""
+        return 0 if self.sharp else self._unfolded.nbytes
+
+    def _prepare_spectrum(self, optics: Optics, detector: Detector, last: float) -> None:
+        """Compute the spectrum up to `last` cycles per period: [folded x][replica in y, folded y][replica in x].
+
+        Real samples need folded x frequencies from 0 to half of the period only. The upright triangle is its own
+        mirror image, and its spectrum at −f is conjugate to that at f, so a quarter of the plane is computed.
+        """
+        period, half, end = self.period, self.period // 2, math.floor(last) + 1
+        quarter = np.zeros((end + 1, end + 1), dtype=np.complex128)  # the last row and column stay empty
+        below_last = np.argwhere(np.hypot(np.arange(end)[:, None], np.arange(end)) < last)
+        for part in np.array_split(below_last, len(below_last) // FREQUENCIES_AT_ONCE + 1):
+            k_y, k_x = part.T
+            fx, fy = k_x / period, k_y / period
+            pitch = detector.pitch_mrad
+            transfer = pre_sample_mtf(fx / pitch, fy / pitch, optics=optics, detector=detector)
+            quarter[k_y, k_x] = transfer * spectrum(fx, fy, size=self._size, orientation=Orientation.UP)
+        n_y = math.floor((last + half) / period)
+        self._folded_x = np.arange(half + 1)
+        self._folded_y = np.fft.ifftshift(np.arange(period) - half)
+        self._replicas_x = np.arange(-math.floor((last + half) / period), math.floor(last / period) + 1)
+        self._replicas_y = np.arange(-n_y, n_y + 1)
+        k_x = self._folded_x[:, None, None] + self._replicas_x * period
+        k_y = (self._replicas_y[:, None] * period + self._folded_y).reshape(-1, 1)
+        self._unfolded = quarter[np.minimum(np.abs(k_y), end), np.minimum(np.abs(k_x), end)]
+        self._unfolded.imag *= np.sign(k_y)
+
+    def within(self, field_detectors: int) -> TriangleSampler:
+        """Return a sampler of a smaller field with the same middle; its samples are the same.
+
+        Raises
+        ------
+        SettingsError
+            If the field is not smaller by an even number of detectors.
+        """
+        if field_detectors > self._whole_field or (self._whole_field - field_detectors) % 2:
+            expected = f"{self._whole_field} or less by an even number"
+            raise SettingsError(f"field_detectors: found {field_detectors}, expected {expected}")
+        narrow = copy.copy(self)
+        narrow._field = field_detectors
+        return narrow
+
+    def samples(self, x_detectors: ArrayLike, y_detectors: ArrayLike, *, orientation: Orientation) -> FloatArray:
+        """Compute the samples of triangles whose centroids are at these places.
+
+        Parameters
+        ----------
+        x_detectors, y_detectors : array_like, shape (places,) or scalar
+            Centroids in detectors from the middle of the field; x to the right, y down.
+
+        Returns
+        -------
+        ndarray, shape (places, field, field)
+        """
+        x, y = _upright_place(x_detectors, y_detectors, orientation)
+        upright = np.empty((x.size, self._field, self._field))
+        samples_of = self._covered_area if self.sharp else self._band_limited
+        for start in range(0, x.size, PLACES_AT_ONCE):
+            part = slice(start, start + PLACES_AT_ONCE)
+            upright[part] = samples_of(x[part], y[part])
+        return np.rot90(upright, -orientation.quarter_turns, axes=(1, 2))
+
+    def _band_limited(self, x: FloatArray, y: FloatArray) -> FloatArray:
+        """Sum the waves of upright triangles at these places: (places, field, field).
+
+        Places are counted from the field's first detector, so that all replicas of a frequency are alike there.
+        The field is a part of the period: products of matrices take less time than a fast Fourier transform.
+        """
+        turn, first = -2j * np.pi / self.period, -(self._field - 1) / 2.0
+        x, y = x - first, y - first
+        waves_x = _outer(
+            np.exp(turn * np.outer(self._folded_x, x)), np.exp(-2j * np.pi * np.outer(self._replicas_x, x))
+        )
+        waves_y = _outer(
+            np.exp(-2j * np.pi * np.outer(self._replicas_y, y)), np.exp(turn * np.outer(self._folded_y, y))
+        )
+        replicas_y = (self._unfolded @ waves_x).reshape(-1, *waves_y.shape)
+        replicas_y *= waves_y
+        folded = replicas_y.sum(axis=1)
+        on_rows, on_columns = self._on_places(self._field)
+        samples = on_columns @ (on_rows @ folded).transpose(1, 0, 2)
+        return np.asarray(samples.real.transpose(2, 0, 1))
+
+    def _on_places(self, field: int) -> tuple[ComplexArray, ComplexArray]:
+        """Return the folded waves at the places of detectors, along y and, weighted, along x."""
+        if field not in self._waves:
+            turn, place = 2j * np.pi / self.period, np.arange(field)[:, None]
+            # Each wave along x but those of its own conjugate stands for two.
+            weight = np.where(2 * self._folded_x % self.period == 0, 1.0, 2.0) / self.period**2
+            on_rows, on_columns = (np.exp(turn * place * folded) for folded in (self._folded_y, self._folded_x))
+            self._waves[field] = on_rows, weight * on_columns
+        return self._waves[field]
+
+    def _covered_area(self, x: FloatArray, y: FloatArray) -> FloatArray:
+        """Compute the share of each active area that an upright triangle covers, exactly: (places, field, field).
+
+        Each half of the triangle is slope·t wide at the depth t below the apex. The area beyond a column's
+        edge, at u from the axis, is ∫ (slope·t − u)⁺ dt over the row, a difference of squares.
+        """
+        height, slope = HEIGHT_PER_SIZE * self._size, SIDE_PER_SIZE / HEIGHT_PER_SIZE / 2.0
+        place = np.arange(self._field) - (self._field - 1) / 2.0
+        edges = place + np.array([[-0.5], [0.5]]) * self._width
+        from_apex = edges[:, None, :] - (y[:, None] - 2.0 / 3.0 * height)
+        top, bottom = slope * np.clip(from_apex, 0.0, height)[..., None]
+        left, right = edges[:, None, None, :] - x[:, None, None]
+
+        def beyond(edge: FloatArray) -> FloatArray:
+            u = np.maximum(edge, 0.0)
+            squares = np.square(np.maximum(bottom - u, 0.0)) - np.square(np.maximum(top - u, 0.0))
+            return np.asarray(squares / (2.0 * slope))
+
+        covered = beyond(left) - beyond(right) + beyond(-right) - beyond(-left)
+        return np.asarray(covered / self._width**2)
+
+
+def field_detectors(sensor: Sensor, size_detectors: float) -> int:
+    """Return the number of detectors along each side of a triangle's field: four sizes and a margin.
+
+    The observer looks at about as much of the display.
+
+    Raises
+    ------
+    SettingsError
+        If the size is not a positive number.
+    """
+    if not (math.isfinite(size_detectors) and size_detectors > 0.0):
+        raise SettingsError(f"size_detectors: found {size_detectors!r}, expected a finite number > 0")
+    blur = 3.0 * sensor.optics.blur_sigma_mrad / sensor.detector.pitch_mrad
+    field = FIELD_SIZES * size_detectors + 2.0 * blur + FIELD_MARGIN_DETECTORS
+    if field > MAX_FIELD_DETECTORS:
+        room = MAX_FIELD_DETECTORS - FIELD_MARGIN_DETECTORS
+        if (of_blur := room - FIELD_SIZES * size_detectors) <= 0.0:
+            raise SettingsError(
+                f"size_detectors: found {size_detectors:g}, expected at most {room / FIELD_SIZES:g}"
+            )
+        raise SettingsError(
+            f"optics.blur_sigma_mrad: found {sensor.optics.blur_sigma_mrad:g}, expected at most "
+            f"{of_blur / 6.0 * sensor.detector.pitch_mrad:.4g} with detectors {sensor.detector.pitch_mrad:g} mrad "
+            f"apart and a triangle of {size_detectors:g} detectors"
+        )
+    return math.ceil(field)
+
+
+def smallest_field(size_detectors: float) -> int:
+    """Return the detectors along a side of the smallest field for a triangle half a detector off its middle."""
+    return math.ceil(4.0 / 3.0 * HEIGHT_PER_SIZE * size_detectors + 1.0)
+
+
+def field_sampler(sensor: Sensor, size_detectors: float) -> TriangleSampler:
+    """Return a sampler of the size `field_detectors`; the scene repeats after two fields, almost unseen.
+
+    Raises
+    ------
+    SettingsError
+        If `TriangleSampler` refuses the optics or the field.
+    """
+    field = field_detectors(sensor, size_detectors)
+    return TriangleSampler(
+        optics=sensor.optics,
+        detector=sensor.detector,
+        size_detectors=size_detectors,
+        field_detectors=field,
+        period_detectors=2 * field,
+    )
+
+
+def _outer(first: ComplexArray, second: ComplexArray) -> ComplexArray:
+    """Return the products of waves (n, places) and (m, places): (n, m, places)."""
+    return np.asarray(first[:, None] * second)
+
+
+def _upright_place(
+    x_detectors: ArrayLike, y_detectors: ArrayLike, orientation: Orientation
+) -> tuple[FloatArray, FloatArray]:
+    """Return places in the field after the turn that makes the triangle upright."""
+    x, y = np.broadcast_arrays(np.atleast_1d(np.asarray(x_detectors, float)), np.asarray(y_detectors, float))
+    for _ in range(orientation.quarter_turns):
+        x, y = y, -x
+    return x, y
+
+
+def _passes_nothing(optics: Optics, cycles: float) -> str:
+    """Return the message that optics pass less than one cycle per period: `cycles`."""
+    if band_limit_cyc_per_mrad(optics) < optics.cut_off_cyc_per_mrad:
+        return (
+            f"optics.blur_sigma_mrad: found {optics.blur_sigma_mrad:g}, which passes nothing of a triangle to "
+            f"such detectors; expected at most {cycles * optics.blur_sigma_mrad:.4g}"
+        )
+    return (
+        f"optics.aperture_mm: found {optics.aperture_mm:g}, which passes nothing of a triangle to such detectors "
+        f"at a wavelength of {optics.wavelength_um:g} µm; expected at least {optics.aperture_mm / cycles:.4g}"
+    )
+
+
+def sample_image(
+    image: FloatArray,
+    *,
+    pixel_pitch_mrad: float,
+    optics: Optics,
+    detector: Detector,
+    field_detectors: int,
+    x_detectors: float = 0.0,
+    y_detectors: float = 0.0,
+) -> FloatArray:
+    """Compute the detector samples of any scene, by FFT.
+
+    The scene is constant over each pixel and repeats with the image's sides. Its spectrum, the pixels' sinc
+    included, is summed up to the optics' cut-off: exact for such a scene, at any ratio of the pitches.
+
+    Parameters
+    ----------
+    image : ndarray, shape (rows, columns)
+    pixel_pitch_mrad : float
+        Visual angle of a pixel in the scene, > 0.
+    optics : Optics
+    detector : Detector
+    field_detectors : int
+        Detectors along each side of the square field.
+    x_detectors, y_detectors : float
+        Place of the image's middle, in detectors from the middle of the field.
+
+    Returns
+    -------
+    ndarray, shape (field, field)
+
+    Raises
+    ------
+    SettingsError
+        If the pitch is not a positive number, the image is smaller than the field, or the optics pass too
+        many frequencies.
+    """
+    if not (math.isfinite(pixel_pitch_mrad) and pixel_pitch_mrad > 0.0):
+        raise SettingsError(f"pixel_pitch_mrad: found {pixel_pitch_mrad!r}, expected a finite number > 0")
+    pixel = pixel_pitch_mrad / detector.pitch_mrad
+    sides = [n * pixel for n in image.shape]
+    if min(sides) < field_detectors * (1.0 - 1e-12):
+        largest = f"at most the image's smaller side, {min(sides):g} detectors"
+        raise SettingsError(f"field_detectors: found {field_detectors}, expected {largest}")
+    highest = band_limit_cyc_per_mrad(optics) * detector.pitch_mrad
+    place = np.arange(field_detectors) - (field_detectors - 1) / 2.0
+    from_corner = [
+        (place - at + side / 2.0) / pixel for at, side in zip((y_detectors, x_detectors), sides, strict=True)
+    ]
+    n_frequencies = 2.0 * highest**2 * sides[0] * sides[1]
+    if n_frequencies > MAX_FREQUENCIES:
+        raise SettingsError(
+            f"image: the optics pass {n_frequencies:.2g} spatial frequencies of it, expected at most "
+            f"{MAX_FREQUENCIES:.2g}; take a smaller image"
+        )
+    n_y, n_x = image.shape
+    k_y = np.arange(-math.floor(highest * sides[0]), math.floor(highest * sides[0]) + 1)
+    k_x = np.arange(math.floor(highest * sides[1]) + 1)
+    transfer = pre_sample_mtf(
+        k_x / (n_x * pixel_pitch_mrad), k_y[:, None] / (n_y * pixel_pitch_mrad), optics=optics, detector=detector
+    )
+    transfer *= np.sinc(k_x / n_x) * np.sinc(k_y / n_y)[:, None] * np.where(k_x == 0, 1.0, 2.0)
+    scene = np.fft.fft2(image)[np.ix_(k_y % n_y, k_x % n_x)] / image.size
+    waves_y = np.exp(2j * np.pi / n_y * np.outer(from_corner[0] - 0.5, k_y))
+    waves_x = np.exp(2j * np.pi / n_x * np.outer(from_corner[1] - 0.5, k_x))
+    return np.asarray((waves_y @ (scene * transfer) @ waves_x.T).real)

@@ -1,0 +1,1 @@
+"""Thresholds of many designs of a sensor."""

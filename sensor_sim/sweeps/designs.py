@@ -1,0 +1,405 @@
+"""Designs of a sweep: values of varied keys, from ranges, a CSV file or a Latin hypercube, and their sensors."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
+from pathlib import Path
+from types import NoneType, UnionType
+from typing import Any, Literal, NamedTuple, get_args, get_origin, get_type_hints
+
+import numpy as np
+
+from sensor_sim.chain.sensor import TABLES, Sensor
+from todframes.base._typing import FloatArray
+from todframes.base.errors import DataError, SettingsError
+from todframes.base.reading import MAX_ROWS, check_fields, check_keys, number, read_csv
+
+FILL_FACTOR = "detector.fill_factor"
+"""Key for the active share of a detector's area; it sets `detector.width_mrad` from the pitch."""
+
+WIDTH, PITCH = "detector.width_mrad", "detector.pitch_mrad"
+
+NETD = "noise.netd_mk"
+
+MOST_DESIGNS = MAX_ROWS
+
+NAME = "name"
+"""Column of a CSV file of designs that names them."""
+
+Changes = tuple[tuple[str, Any], ...]
+"""Settings by name, of an observer that differs from the usual one."""
+
+Spacing = Literal["linear", "log"]
+
+
+class Range(NamedTuple):
+    """Values of one key from `low` to `high`; `n` of them, or any of them if `n` is None."""
+
+    low: float
+    high: float
+    n: int | None
+    spacing: Spacing
+
+
+class Designs(NamedTuple):
+    """Values of some keys for each design.
+
+    Attributes
+    ----------
+    keys : tuple of str
+        Keys of SENSOR.toml and of the observer.
+    values : ndarray, shape (designs, keys)
+    names : tuple of str, or None
+        Names of the designs, where they have some.
+    """
+
+    keys: tuple[str, ...]
+    values: FloatArray
+    names: tuple[str, ...] | None = None
+
+
+def numeric_keys(observer_settings: type) -> dict[str, bool]:
+    """Return the keys that can be varied, and for each whether its values are whole numbers.
+
+    `observer_settings` is the type of the observer's settings; that of None if it has none.
+    """
+    found = {FILL_FACTOR: False}
+    kinds_of = {**TABLES, **({} if observer_settings is NoneType else {"observer": observer_settings})}
+    for table, kind in kinds_of.items():
+        hints = get_type_hints(kind)
+        for field in fields(kind):
+            kinds = _kinds(hints[field.name])
+            if int in kinds or float in kinds:
+                found[f"{table}.{field.name}"] = float not in kinds
+    return found
+
+
+def _kinds(hint: Any) -> tuple[Any, ...]:
+    """Return the type that an annotation names, or those of its union."""
+    return get_args(hint) if get_origin(hint) in (UnionType, Literal) else (hint,)
+
+
+def parse_range(text: str, where: str) -> Range:
+    """Return the range of a text FROM:TO:N, FROM:TO:N:log, FROM:TO or FROM:TO:log.
+
+    Raises
+    ------
+    SettingsError
+        If it is none; `where` begins the message.
+    """
+    *parts, last = text.split(":")
+    if is_log := last.strip() == "log":
+        spacing: Spacing = "log"
+    else:
+        parts, spacing = [*parts, last], "linear"
+    try:
+        low, high, *more = parts
+        n = int(more.pop(0)) if more else None
+        found = Range(float(low), float(high), n, spacing)
+        if more:
+            raise ValueError(text)
+    except ValueError:
+        expected = "FROM:TO:N or FROM:TO:N:log, such as 50:200:7"
+        raise SettingsError(f"{where}: found {text!r}, expected {expected}") from None
+    shown = f"{where}: found {text!r}"
+    if not (math.isfinite(found.low) and math.isfinite(found.high)):
+        raise SettingsError(f"{shown}, expected finite numbers")
+    if found.low == found.high:
+        raise SettingsError(f"{shown}, a range of zero width; expected FROM below TO")
+    if found.low > found.high:
+        raise SettingsError(f"{shown}, a range that falls; expected FROM below TO")
+    if is_log and found.low <= 0.0:
+        raise SettingsError(f"{shown}, expected FROM above 0 with log")
+    if n is not None and n < 2:
+        raise SettingsError(f"{shown}, expected N of 2 or more")
+    return found
+
+
+def grid(vary: Mapping[str, str | Sequence[float]], known: Mapping[str, bool]) -> Designs:
+    """Return all combinations of some values of each key; the last key's values change fastest.
+
+    Parameters
+    ----------
+    vary : mapping
+        For each key the text of a range, or its values.
+    known : mapping
+        Keys that can be varied, from `numeric_keys`.
+
+    Raises
+    ------
+    SettingsError
+        If there is no such key, a range is invalid, or there are too many designs.
+    """
+    _check(vary, known)
+    axes = [_axis(key, of_key, is_whole=known[key]) for key, of_key in vary.items()]
+    _check_number(math.prod(len(axis) for axis in axes))
+    values = np.stack([axis.ravel() for axis in np.meshgrid(*axes, indexing="ij")], axis=1)
+    return Designs(tuple(vary), values)
+
+
+def _axis(key: str, of_key: str | Sequence[float], *, is_whole: bool) -> FloatArray:
+    where = f"vary {key}"
+    if not isinstance(of_key, str):
+        values = _finite(of_key, where, is_whole=is_whole)
+        if len(np.unique(values)) < len(values):
+            raise SettingsError(f"{where}: found a value twice in {of_key!r}, expected each once")
+        return values
+    span = parse_range(of_key, where)
+    if span.n is None:
+        raise SettingsError(f"{where}: found {of_key!r}, expected a number of values N: FROM:TO:N")
+    _check_number(span.n)
+    space = np.geomspace if span.spacing == "log" else np.linspace
+    values = np.asarray(space(span.low, span.high, span.n))
+    if is_whole:
+        values = np.rint(values)
+        if len(np.unique(values)) < span.n:
+            most = math.floor(span.high) - math.ceil(span.low) + 1
+            raise SettingsError(
+                f"{where}: found {of_key!r}, in which some values are the same whole number; expected fewer, at "
+                f"most {max(most, 1)}"
+            )
+    return values
+
+
+def _finite(of_key: Sequence[float], where: str, *, is_whole: bool) -> FloatArray:
+    try:
+        values = np.array(of_key, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise SettingsError(f"{where}: found {of_key!r}, expected numbers or a text FROM:TO:N") from None
+    if values.ndim != 1 or not len(values) or not np.isfinite(values).all():
+        raise SettingsError(f"{where}: found {of_key!r}, expected one or more finite numbers")
+    if is_whole and (values != np.rint(values)).any():
+        raise SettingsError(f"{where}: found {of_key!r}, expected whole numbers")
+    return values
+
+
+def latin_hypercube(
+    vary: Mapping[str, str | Sequence[float]], known: Mapping[str, bool], *, n: int, seed: int
+) -> Designs:
+    """Return designs that cover ranges evenly: each key's range in `n` equal parts has one design in each.
+
+    Raises
+    ------
+    SettingsError
+        If there is no such key, or a range is invalid or has a number of values.
+    """
+    from scipy.stats import qmc
+
+    _check(vary, known)
+    _check_number(n)
+    columns = []
+    unit = qmc.LatinHypercube(len(vary), seed=np.random.default_rng(seed)).random(n)
+    for (key, text), share in zip(vary.items(), unit.T, strict=True):
+        where = f"vary {key}"
+        if not isinstance(text, str):
+            raise SettingsError(f"{where}: found {text!r}, expected FROM:TO or FROM:TO:log for a sample")
+        span = parse_range(text, where)
+        if span.n is not None:
+            raise SettingsError(
+                f"{where}: found {text!r}, expected FROM:TO or FROM:TO:log: N is that of the sample"
+            )
+        low, high = span.low, span.high
+        if known[key]:  # the whole numbers nearest to half a number further: each has the same share
+            low, high = (low - 0.5, high + 0.5) if span.spacing == "linear" else (low, high)
+        drawn = low * (high / low) ** share if span.spacing == "log" else low + (high - low) * share
+        if known[key]:
+            drawn = np.clip(np.rint(drawn), math.ceil(span.low), math.floor(span.high))
+        columns.append(drawn)
+    return Designs(tuple(vary), np.stack(columns, axis=1))
+
+
+def read_designs(path: Path, known: Mapping[str, bool]) -> Designs:
+    """Return the designs of a CSV file: a column for each key, a row for each design, and perhaps a column `name`.
+
+    Raises
+    ------
+    DataError
+        If the file cannot be read, a column is no key, or a value is no number.
+    """
+    rows = read_csv(path)
+    _, header = next(rows)
+    keys = [name for name in header if name != NAME]
+    try:
+        _check(keys, known)
+    except SettingsError as error:
+        raise DataError(f"{path}: {error}") from None
+    values, names = [], []
+    for where, row in rows:
+        check_fields(row, len(header), where)
+        of_row = [number(row[key], f"{where}: {key}") for key in keys]
+        for key, value in zip(keys, of_row, strict=True):
+            if known[key] and value != round(value):
+                raise DataError(f"{where}: {key}: found {row[key]!r}, expected a whole number")
+        values.append(of_row)
+        names.append(row.get(NAME, ""))
+    if not values:
+        raise DataError(f"{path}: found no design, expected a row for each")
+    return Designs(tuple(keys), np.array(values), tuple(names) if NAME in header else None)
+
+
+def make_designs(
+    base: Base,
+    *,
+    vary: Mapping[str, str | Sequence[float]] | None,
+    design: Path | str | Sequence[Mapping[str, float]] | Designs | None,
+    sample: int | None,
+    seed: int,
+) -> Designs:
+    """Return the designs that a call or command asks for, in one of three ways.
+
+    Raises
+    ------
+    SettingsError
+        If it asks in none of them or in several, or for a design that `grid` or `latin_hypercube` refuses.
+    DataError
+        If a file of designs is refused.
+    """
+    if design is None:
+        if not vary:
+            raise SettingsError(
+                "sweep: found nothing to vary, expected keys with their ranges, or a file of designs"
+            )
+        if sample is not None:
+            return latin_hypercube(vary, base.keys, n=sample, seed=seed)
+        return grid(vary, base.keys)
+    if vary or sample is not None:
+        raise SettingsError("sweep: found designs and also keys to vary or a sample, expected one of them")
+    if isinstance(design, Designs):
+        return design
+    if isinstance(design, Path | str):
+        return read_designs(Path(design), base.keys)
+    return _listed(design, base.keys)
+
+
+def _listed(design: Sequence[Mapping[str, float]], known: Mapping[str, bool]) -> Designs:
+    keys = list(design[0]) if len(design) else []
+    _check(keys, known)
+    _check_number(len(design))
+    for number_of_design, one in enumerate(design, 1):
+        if set(one) != set(keys):
+            raise SettingsError(
+                f"design {number_of_design}: found keys {', '.join(one)}, expected {', '.join(keys)}"
+            )
+    columns = [_finite([one[key] for one in design], f"design {key}", is_whole=known[key]) for key in keys]
+    return Designs(tuple(keys), np.stack(columns, axis=1))
+
+
+def _check(keys: Iterable[str], known: Mapping[str, bool]) -> None:
+    """Raise SettingsError if a key cannot be varied, there is none, or two set the same value."""
+    keys = list(keys)
+    if not keys:
+        raise SettingsError("vary: found no key, expected one or more, such as optics.aperture_mm")
+    check_keys(keys, known, "vary")
+    for alike in ((FILL_FACTOR, WIDTH), ("observer.internal_noise", "observer.internal_noise_sd")):
+        if set(alike) <= set(keys):
+            found = " and ".join(alike)
+            raise SettingsError(f"vary: found {found}, expected one of them: they set the same value")
+
+
+def check_coupling(sensor: Sensor, keys: Iterable[str]) -> None:
+    """Check that the NETD of designs can follow their aperture and detectors.
+
+    Raises
+    ------
+    SettingsError
+        If the sensor has no NETD, or the designs have NETDs of their own.
+    """
+    if NETD in keys:
+        raise SettingsError(
+            f"couple_netd: found {NETD} among the keys, expected it to follow aperture and detectors"
+        )
+    if sensor.noise.netd_mk is None:
+        raise SettingsError(f"couple_netd: needs {NETD} of the sensor")
+
+
+def _with_coupled_netd(sensor: Sensor, base: Sensor) -> Sensor:
+    """Return a sensor with the NETD that follows from a base: NETD ∝ (f-number)² / (area of a detector).
+
+    The f-number is focal length / aperture, and the side of a detector its angular width · focal length. The focal
+    length cancels: NETD · (aperture · angular width)² stays the same.
+    """
+    etendue, of_base = (one.optics.aperture_mm * one.detector.width_mrad for one in (sensor, base))
+    assert base.noise.netd_mk is not None  # `check_coupling`
+    netd_mk = base.noise.netd_mk * (of_base / etendue) ** 2
+    return replace(sensor, noise=replace(sensor.noise, netd_mk=netd_mk))
+
+
+def _check_number(n: int) -> None:
+    if n < 1:
+        raise SettingsError(f"sample: found {n}, expected 1 or more designs")
+    if n > MOST_DESIGNS:
+        raise SettingsError(f"designs: found {n}, expected at most {MOST_DESIGNS}")
+
+
+@dataclass(frozen=True)
+class Base:
+    """The sensor and observer that designs differ from.
+
+    Attributes
+    ----------
+    sensor : Sensor
+    observer_settings : object
+        Settings of the observer, a frozen dataclass; None if it has no settings.
+    keep_fill_factor : bool
+        Whether the detectors' width follows a varied pitch.
+    couple_netd : bool
+        Whether the NETD follows (f-number)² / (area of a detector).
+    """
+
+    sensor: Sensor
+    observer_settings: Any
+    keep_fill_factor: bool
+    couple_netd: bool = False
+
+    @cached_property
+    def keys(self) -> dict[str, bool]:
+        """Keys that can be varied, and for each whether its values are whole numbers."""
+        return numeric_keys(type(self.observer_settings))
+
+    def design(self, values: Mapping[str, float]) -> tuple[Sensor, Changes]:
+        """Return the sensor of a design, and the changes of the observer's settings.
+
+        Raises
+        ------
+        SettingsError
+            If there is no such design.
+        """
+        whole = self.keys
+        tables: dict[str, dict[str, Any]] = {}
+        for key, value in values.items():
+            table, _, name = key.partition(".")
+            tables.setdefault(table, {})[name] = int(value) if whole[key] else float(value)
+        if "detector" in tables:
+            tables["detector"] = self._with_width(tables["detector"])
+        parts = {}
+        for table, changes in tables.items():
+            before = self.observer_settings if table == "observer" else getattr(self.sensor, table)
+            if "internal_noise" in changes and getattr(before, "internal_noise_sd", None) is not None:
+                changes["internal_noise_sd"] = None  # it would take precedence
+            try:
+                parts[table] = replace(before, **changes)
+            except SettingsError as error:
+                too_narrow = PITCH in values and WIDTH not in values and "pitch_mrad (" in str(error)
+                hint = "; with --keep-fill-factor the width follows the pitch" if too_narrow else ""
+                raise SettingsError(f"{table}.{error}{hint}") from None
+        parts.pop("observer", None)
+        sensor = replace(self.sensor, **parts)
+        if self.couple_netd:
+            sensor = _with_coupled_netd(sensor, self.sensor)
+        return sensor, tuple(tables.get("observer", {}).items())
+
+    def _with_width(self, changes: dict[str, float]) -> dict[str, float]:
+        """Return the changes of the detector with a width in place of a fill factor."""
+        changes = dict(changes)
+        detector = self.sensor.detector
+        pitch, share = changes.get("pitch_mrad", detector.pitch_mrad), changes.pop("fill_factor", None)
+        if share is not None:
+            if not 0.0 < share <= 1.0:
+                raise SettingsError(f"{FILL_FACTOR}: found {share:g}, expected a number above 0 and at most 1")
+            changes["width_mrad"] = pitch * math.sqrt(share)
+        elif self.keep_fill_factor and "width_mrad" not in changes:
+            changes["width_mrad"] = pitch * (detector.width_mrad / detector.pitch_mrad)
+        return changes

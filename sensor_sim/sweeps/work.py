@@ -1,0 +1,385 @@
+"""Thresholds of many designs of a sensor: each computation once, in an order in which neighbours share parts.
+
+The numbers of a design are those of its curve alone, to the last bit: what is shared is found by all that its
+value depends on, and each size has the same places of the triangle, plan and seed.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, is_dataclass, replace
+from functools import lru_cache
+from typing import Any, ClassVar, Literal, NamedTuple
+
+import msgspec
+import numpy as np
+
+from sensor_sim.chain.detector_noise import delta_t_mk
+from sensor_sim.chain.sensor import Noise, Sensor
+from sensor_sim.sweeps.designs import Base, Changes, Designs
+from sensor_sim.thresholds.curve_plan import plan_curve
+from sensor_sim.thresholds.predict import FoldedChain, PredictedThreshold, predict_threshold
+from sensor_sim.thresholds.sharing import Shared
+from todframes.base._typing import FloatArray
+from todframes.base.errors import SettingsError, TodframesError
+from todframes.jobs.fingerprint import fingerprint
+from todframes.jobs.run import run_stored
+from todframes.jobs.store import Store
+from todframes.jobs.work import Engine, Lost
+from todframes.observers.interface import Observer
+from todframes.psychometrics.fit import FitSettings
+from todframes.scoring.error_budget import PlanName
+from todframes.stimulus import Stimulus
+
+SHARED_MB = 512
+"""Largest size of the parts that are shared, in each process, in units of 2**20 bytes."""
+
+ALIKE_TOGETHER = 8
+"""Number of displays whose weights are kept while the sensors before them change; more may not fit."""
+
+OBSERVERS_KEPT = 4
+"""Number of observers that are kept, each with its readouts, while sensors change."""
+
+IMPOSSIBLE: Literal["impossible"] = "impossible"
+"""Status of a design, or of a size of it, that cannot be computed."""
+
+
+class Chain(NamedTuple):
+    """All that a threshold depends on.
+
+    Attributes
+    ----------
+    sensor : Sensor
+        With the default noise and background: thresholds in SNR do not depend on them.
+    observer_changes : tuple of (str, value)
+        Settings of the observer that are not the usual ones.
+    size_detectors : float
+    """
+
+    sensor: Sensor
+    observer_changes: Changes
+    size_detectors: float
+
+
+@dataclass(frozen=True, slots=True)
+class Variants:
+    """Observers of one class that differ in their settings.
+
+    Attributes
+    ----------
+    kind : type, or Observer
+        Class, which is called with settings; an observer that has no settings.
+    settings : object
+        Settings without changes, a frozen dataclass; None if the observer has none.
+    """
+
+    kind: Any
+    settings: Any
+
+    @classmethod
+    def of(cls, observer: Observer) -> Variants:
+        """Return the variants of an observer."""
+        settings = getattr(observer, "settings", None)
+        return cls(type(observer), settings) if is_dataclass(settings) else cls(observer, None)
+
+    def __call__(self, changes: Changes) -> Observer:
+        """Return the observer with some settings changed.
+
+        Raises
+        ------
+        SettingsError
+            If a value is refused.
+        """
+        observer: Observer = self.kind
+        return observer if self.settings is None else self.kind(replace(self.settings, **dict(changes)))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SweepWork:
+    """Work that computes the threshold of a `Chain`.
+
+    Attributes
+    ----------
+    observers : Variants
+    p_correct, tolerance, seed, plan
+        As for `sensor_sim.curve`.
+    shared_mb : int
+        Largest size of the parts that are shared, in units of 2**20 bytes; no number depends on it.
+    """
+
+    observers: Variants
+    p_correct: float
+    tolerance: float
+    seed: int
+    plan: PlanName = "needed"
+    shared_mb: int = SHARED_MB
+    items_at_once: ClassVar[int] = 1
+
+    def function(self) -> Callable[[Chain], PredictedThreshold]:
+        """Return the function of a chain; what chains share is kept as long as the function."""
+        shared = Shared.of(self.shared_mb * 2**20)
+        observer_of = lru_cache(maxsize=OBSERVERS_KEPT)(self.observers)
+
+        def compute(chain: Chain) -> PredictedThreshold:
+            sensor, size = chain.sensor, chain.size_detectors
+            try:
+                observer = observer_of(chain.observer_changes)
+                steps = plan_curve(
+                    sensor,
+                    observer,
+                    size,
+                    name=self.plan,
+                    tolerance=self.tolerance,
+                    p_correct=self.p_correct,
+                    shared=shared,
+                )
+                return predict_threshold(
+                    FoldedChain(sensor, observer, size, steps),
+                    p_correct=self.p_correct,
+                    tolerance=self.tolerance,
+                    seed=self.seed,
+                    n_points=0,
+                )
+            except SettingsError as error:
+                return PredictedThreshold(size, IMPOSSIBLE, reason=str(error))
+            except MemoryError:
+                return PredictedThreshold(size, IMPOSSIBLE, reason="it needs more memory than there is")
+
+        return compute
+
+    def lost(self, chain: Chain) -> TodframesError:
+        """Return the error about a chain whose process died with it."""
+        return SettingsError(f"{chain.size_detectors:g} detectors: the process died that computed it")
+
+    def key(self, item: Chain, *, is_done: bool) -> bytes | None:  # noqa: ARG002
+        """Return the key of a threshold, which stands for all that it depends on; None if code cannot be told."""
+        try:
+            of_work = (self.observers, self.p_correct, self.tolerance, self.seed, self.plan)
+            return fingerprint(of_work, tuple(item))
+        except TypeError:
+            return None
+
+    def stamp(self, item: Chain) -> object:  # noqa: ARG002
+        """Return nothing: no file is read."""
+        return None
+
+    def stamped_key(self, item: Chain, stamp: object) -> None:
+        """Return None: no file is read."""
+
+    def encode(self, result: PredictedThreshold) -> bytes:
+        """Return a result as bytes."""
+        return msgspec.json.encode(result)
+
+    def decode(self, encoded: bytes) -> PredictedThreshold:
+        """Return the result that `encode` made these bytes of."""
+        return msgspec.json.decode(encoded, type=PredictedThreshold)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Swept:
+    """Thresholds of all designs.
+
+    Attributes
+    ----------
+    designs : Designs
+    size_detectors : tuple of float
+    pitch_mrad, netd_mk : ndarray, shape (designs,)
+        Pitch of the detectors in the scene, and NETD; NaN where there is no such design, or no NETD.
+    mk_per_snr : ndarray, shape (designs,)
+        ΔT of a signal-to-noise ratio of 1; NaN where NETD is not known.
+    threshold_snr, numerical_error : ndarray, shape (designs, sizes)
+        NaN where there is no threshold.
+    n_phases : ndarray of int, shape (designs, sizes)
+    status, reason : list of list of str
+        For each design and size.
+    n_computed : int
+        Number of thresholds that were computed; designs that differ in noise alone have theirs in common.
+    """
+
+    designs: Designs
+    size_detectors: tuple[float, ...]
+    pitch_mrad: FloatArray
+    netd_mk: FloatArray
+    mk_per_snr: FloatArray
+    threshold_snr: FloatArray
+    numerical_error: FloatArray
+    n_phases: FloatArray
+    status: list[list[str]]
+    reason: list[list[str]]
+    n_computed: int
+
+    @property
+    def delta_t_mk(self) -> FloatArray:
+        """Thresholds in mK, (designs, sizes)."""
+        return self.threshold_snr * self.mk_per_snr[:, None]
+
+
+class Plan(NamedTuple):
+    """Computations of a sweep.
+
+    Attributes
+    ----------
+    chains : list of Chain
+        In the order in which they share most.
+    places : ndarray of int, shape (designs, sizes)
+        Place in `chains` of each threshold; −1 if there is no such design.
+    sensors : list of Sensor or None
+        For each design.
+    reasons : dict of str
+        By design, why there is no such design.
+    """
+
+    chains: list[Chain]
+    places: np.ndarray[Any, np.dtype[np.intp]]
+    sensors: list[Sensor | None]
+    reasons: dict[int, str]
+
+
+def check_sweep(
+    sensor: Sensor, observer: Observer, sizes: Sequence[float], *, p_correct: float, tolerance: float
+) -> None:
+    """Check what is the same for all designs.
+
+    Raises
+    ------
+    SettingsError
+        If a value is out of its range, a size is there twice, or the observer is not linear.
+    """
+    FitSettings(p_correct=p_correct)  # checks it
+    if not tolerance > 0.0:
+        raise SettingsError(f"tolerance: found {tolerance!r}, expected a number > 0")
+    shown = ",".join(f"{size:g}" for size in sizes)
+    if not sizes or not all(math.isfinite(size) and size > 0.0 for size in sizes):
+        raise SettingsError(f"size_detectors: found {shown!r}, expected finite numbers > 0")
+    if len(set(sizes)) < len(sizes):
+        raise SettingsError(f"size_detectors: found a value twice in {shown!r}, expected each once")
+    try:
+        readout = observer.readout(Stimulus(sizes[0] * sensor.display.detector_pitch_mrad))
+    except SettingsError:
+        return  # this size is impossible for the sensor as it is, but perhaps not for all designs
+    if readout is None:
+        raise SettingsError("observer: it is not linear; no curve can be computed, simulate frames instead")
+
+
+def plan_sweep(base: Base, designs: Designs, sizes: Sequence[float]) -> Plan:
+    """Return the computations that designs need, each once, ordered so that neighbours share most."""
+    numbers: dict[tuple[Sensor, Changes], int] = {}
+    of_design = np.full(len(designs.values), -1)
+    sensors: list[Sensor | None] = []
+    reasons = {}
+    for row, values in enumerate(designs.values.tolist()):
+        try:
+            sensor, changes = base.design(dict(zip(designs.keys, values, strict=True)))
+        except SettingsError as error:
+            sensors.append(None)
+            reasons[row] = str(error)
+            continue
+        sensors.append(sensor)
+        of_design[row] = numbers.setdefault((as_computed(sensor), changes), len(numbers))
+    order = _order(list(numbers))
+    place_of = np.empty(len(order) + 1, dtype=np.intp)
+    place_of[order], place_of[-1] = np.arange(len(order)), -1
+    unique = list(numbers)
+    chains = [Chain(*unique[number], size) for size in sizes for number in order]
+    first = place_of[of_design][:, None]
+    places = np.where(first < 0, -1, first + len(order) * np.arange(len(sizes)))
+    return Plan(chains, places, sensors, reasons)
+
+
+def as_computed(sensor: Sensor) -> Sensor:
+    """Return a sensor with the same thresholds in SNR, in which all that they do not depend on is the default."""
+    display = replace(sensor.display, background_luminance_cd_m2=1.0)
+    return replace(sensor, noise=Noise(), display=display, name="")
+
+
+def _order(unique: Sequence[tuple[Sensor, Changes]]) -> list[int]:
+    """Return the order of sensors in which neighbours share most.
+
+    Samples depend on what is before the detectors, weights on what is behind them. A few observers, and the
+    weights of a few displays, stay in memory while the samples change.
+    """
+    before: dict[Any, int] = {}
+    behind: dict[Any, int] = {}
+    places = []
+    observers: dict[Changes, int] = {}
+    for number, (sensor, changes) in enumerate(unique):
+        sampled = before.setdefault((sensor.optics, sensor.detector), len(before))
+        # Displays that differ in gain alone, and observers in noise alone, share weights and stay neighbours.
+        weighed = behind.setdefault((replace(sensor.display, gain=1.0), sensor.electronics), len(behind))
+        observer = observers.setdefault(changes, len(observers))
+        places.append((observer // OBSERVERS_KEPT, weighed // ALIKE_TOGETHER, sampled, weighed, number))
+    return [place[-1] for place in sorted(places)]
+
+
+def run_sweep(
+    base: Base,
+    designs: Designs,
+    sizes: Sequence[float],
+    work: SweepWork,
+    engine: Engine,
+    *,
+    store: Store | None = None,
+    progress: Callable[[int], None] | None = None,
+) -> Swept:
+    """Compute the thresholds of all designs.
+
+    Parameters
+    ----------
+    store : Store, optional
+        Thresholds of an earlier run, and of this one.
+    progress : function of an int, optional
+        Called with the number of designs × sizes that were just done.
+
+    Raises
+    ------
+    OutputError
+        If the store cannot be written.
+    """
+    plan = plan_sweep(base, designs, sizes)
+    uses = np.bincount(plan.places[plan.places >= 0].ravel(), minlength=len(plan.chains)).tolist()
+    if progress is not None:
+        progress(len(plan.reasons) * len(sizes))
+    results: list[PredictedThreshold] = [PredictedThreshold(math.nan, IMPOSSIBLE)] * len(plan.chains)
+    for number, result in run_stored(work, plan.chains, engine=engine, store=store):
+        if isinstance(result, Lost):
+            size = plan.chains[number].size_detectors
+            result = PredictedThreshold(size, IMPOSSIBLE, reason=str(result.error))
+        results[number] = result
+        if progress is not None:
+            progress(uses[number])
+    return _gathered(designs, tuple(sizes), plan, results)
+
+
+def _gathered(
+    designs: Designs, sizes: tuple[float, ...], plan: Plan, results: Sequence[PredictedThreshold]
+) -> Swept:
+    nothing = len(results)
+    status = np.array([*(one.status for one in results), IMPOSSIBLE], dtype=object)
+    threshold, error = (
+        np.array([*(math.nan if value is None else value for value in column), math.nan])
+        for column in ((one.threshold for one in results), (one.numerical_error for one in results))
+    )
+    phases = np.array([*(one.n_phases for one in results), 0])
+    places = np.where(plan.places < 0, nothing, plan.places)
+    reasons = [[results[place].reason if place >= 0 else plan.reasons[row] for place in of_row]
+               for row, of_row in enumerate(plan.places.tolist())]  # fmt: skip
+    return Swept(
+        designs=designs,
+        size_detectors=sizes,
+        pitch_mrad=np.array([math.nan if one is None else one.detector.pitch_mrad for one in plan.sensors]),
+        netd_mk=np.array([math.nan if one is None else one.noise.netd_mk or math.nan for one in plan.sensors]),
+        mk_per_snr=np.array([_mk_per_snr(one) for one in plan.sensors]),
+        threshold_snr=threshold[places],
+        numerical_error=error[places],
+        n_phases=phases[places],
+        status=status[places].tolist(),
+        reason=reasons,
+        n_computed=len(results),
+    )
+
+
+def _mk_per_snr(sensor: Sensor | None) -> float:
+    if sensor is None or sensor.noise.netd_mk is None:
+        return math.nan
+    return float(delta_t_mk(1.0, noise=sensor.noise))

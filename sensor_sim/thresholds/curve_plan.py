@@ -1,0 +1,512 @@
+"""Plan of a curve's computation: the parts of the chain that the threshold of one size needs.
+
+`plan_curve` computes the whole chain at a few places of the triangle and bounds there the change that leaving out
+each part would cause. `sensor_sim.thresholds.predict` computes the threshold with the parts that are kept.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+from sensor_sim.chain.sampling import TriangleSampler, field_detectors, field_sampler, smallest_field
+from sensor_sim.chain.sensor import Sensor
+from sensor_sim.thresholds.folding import Folding, is_unblurred
+from sensor_sim.thresholds.sharing import NOTHING, Shared
+from todframes.base._typing import FloatArray
+from todframes.base.errors import SettingsError
+from todframes.observers.decision import answer_probability
+from todframes.observers.interface import Observer, Readout, TruncatedObserver
+from todframes.psychometrics.threshold_search import crossing
+from todframes.scoring.error_budget import LEFT_OUT_SHARE, SAFETY, PlanName, Step, decision_change, total_bound
+from todframes.stimulus import ORIENTATIONS, Orientation, Stimulus, bounding_box_offset
+
+FULL_PLACES = 17
+"""Number of places along each axis that a full plan begins with: twelve times the trials of most thresholds."""
+
+ORTHANT_TOLERANCE = 1e-8
+"""Error of each P(correct): in a threshold it is 1e-7 of it at most, a ten-thousandth of what is asked for."""
+
+TRIED_AT = ((0.0, 0.0), (0.5, 0.5), (0.25, -0.375))
+"""Places, in detectors from the field's middle, at which the omissions are bounded."""
+
+FIELDS_IN_SIZES = (2.0, 2.5, 3.0)
+
+LARGEST_SHARE = 0.6
+"""Largest share of the budget that one omission may take."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CurvePlan:
+    """Choices for the computation of a sensor's threshold at one size.
+
+    Attributes
+    ----------
+    observer : Observer
+        Observer with the pyramid levels that are needed.
+    field : int
+        Detectors along each side of the field.
+    sampler : TriangleSampler
+        Samples of the triangle in this field.
+    dtype : float32 or float64
+        Precision of the folding.
+    orientations : tuple of Orientation
+        Orientations that are computed; one stands for all where the others are the same, turned.
+    three_templates : bool
+        Whether three of the four score deviations are folded: they add up to zero.
+    merge_pixels : bool
+        Whether display pixels that must be alike count as one.
+    external_noise : bool
+        Whether there is detector noise.
+    fewest_places : int
+        Places along each axis of a detector to begin with.
+    steps : tuple of Step
+        Parts that are left out, with their bounds, and parts that are kept.
+    repetition_bound : float
+        Bound on the change of P(correct) because the scene repeats, with the longest period that is considered.
+    near_snr, slope : float
+        Threshold at the places that were tried, and the slope dP / d ln SNR there; None and NaN if there is none.
+    unit_s : float
+        Time that folding and sampling took at each place tried, in seconds.
+    shared : Shared
+        Parts of this computation that others may have in common with it.
+    """
+
+    observer: Observer
+    field: int
+    sampler: TriangleSampler
+    dtype: DTypeLike = np.float64
+    orientations: tuple[Orientation, ...] = ORIENTATIONS
+    three_templates: bool = False
+    merge_pixels: bool = False
+    external_noise: bool = True
+    fewest_places: int = 1
+    steps: tuple[Step, ...] = ()
+    repetition_bound: float = 0.0
+    near_snr: float | None = None
+    slope: float = math.nan
+    unit_s: float = math.inf
+    shared: Shared = NOTHING
+
+    @property
+    def bound(self) -> float:
+        """Bound on the change of P(correct) from all omissions and from the repetition of the scene together."""
+        return total_bound(self.steps) + self.repetition_bound
+
+    def folding(self, sensor: Sensor, readout: Readout, size_detectors: float) -> Folding:
+        """Return a `Folding` of the readout's weights onto the detectors."""
+        offsets = [centre_offset(self.observer, orientation, size_detectors) for orientation in ORIENTATIONS]
+        n = 3 if self.three_templates else 4
+        reach = 0.5 + max(map(abs, np.ravel(offsets)))
+        key: Hashable = None
+        if self.shared is not NOTHING:
+            # Gain and background do not change how a readout folds.
+            display = replace(sensor.display, gain=1.0, background_luminance_cd_m2=1.0)
+            choices = (n, self.field, reach, np.dtype(self.dtype), self.merge_pixels)
+            key = (readout.weights_key, display, sensor.electronics, choices)
+        return Folding(
+            sensor,
+            readout.grid,
+            readout.deviations,
+            n=n,
+            field=self.field,
+            reach_detectors=reach,
+            dtype=self.dtype,
+            merge_pixels=self.merge_pixels,
+            key=key,
+        )
+
+    def samples(self, x_detectors: FloatArray, y_detectors: FloatArray, orientation: Orientation) -> FloatArray:
+        """Return the samples of triangles at these places: (places, field, field)."""
+        return self.shared.samples.get(
+            (self.sampler.key, orientation, x_detectors.tobytes(), y_detectors.tobytes()),
+            lambda: self.sampler.samples(x_detectors, y_detectors, orientation=orientation),
+        )
+
+    def weights_by_row(
+        self, folding: Folding, places_x: FloatArray, places_y: FloatArray
+    ) -> Sequence[NDArray[Any]]:
+        """Return the folded weights as `Folding.weights_by_row` does."""
+        rows: Sequence[NDArray[Any]] = self.shared.weights.get(
+            (folding.key, places_x.tobytes(), places_y.tobytes()),
+            lambda: folding.weights_by_row(places_x, places_y),
+        )
+        return rows
+
+    def all_four(self, weights: FloatArray) -> FloatArray:
+        """Return the weights of all four scores, (..., 4, n), from the folded ones."""
+        if not self.three_templates:
+            return weights
+        return np.concatenate([weights, -weights.sum(axis=-2, keepdims=True)], axis=-2)
+
+    def noise(self, weights: FloatArray) -> FloatArray:
+        """Compute the covariance of the scores, (..., 4, 4), under detector noise of standard deviation 1."""
+        return noise_covariance(weights) if self.external_noise else np.zeros((*weights.shape[:-1], 4))
+
+
+def plan_curve(
+    sensor: Sensor,
+    observer: Observer,
+    size_detectors: float,
+    *,
+    name: PlanName = "needed",
+    tolerance: float = 2e-3,
+    p_correct: float = 0.75,
+    external_noise: bool = True,
+    shared: Shared = NOTHING,
+) -> CurvePlan:
+    """Plan the computation of a threshold.
+
+    Parameters
+    ----------
+    sensor : Sensor
+    observer : Observer
+        Linear observer.
+    size_detectors : float
+        √(area) of the triangle, > 0.
+    name : {"needed", "full"}
+        Leave out the parts that the threshold does not need, or leave out none.
+    tolerance : float
+        Relative error of the threshold; omissions may take half of it.
+    p_correct : float
+        Raw proportion correct at threshold.
+    external_noise : bool
+        Whether there is detector noise.
+    shared : Shared
+        Parts that this computation may have in common with others, in which it looks for its own and leaves them.
+
+    Returns
+    -------
+    CurvePlan
+
+    Raises
+    ------
+    SettingsError
+        If the observer is not linear, or the size or field is out of range.
+    """
+    if name == "full":
+        full = full_plan(
+            sensor,
+            observer.with_extra_level() if isinstance(observer, TruncatedObserver) else observer,
+            size_detectors,
+            shared,
+        )
+        planner = _CurvePlanner(sensor, size_detectors, full, p_correct, tolerance)
+        return replace(full, repetition_bound=planner.repetition_bound(full))
+    full = replace(
+        full_plan(sensor, observer, size_detectors, shared),
+        external_noise=external_noise,
+        fewest_places=1,
+        steps=(),
+    )
+    stimulus = Stimulus(size_detectors * sensor.display.detector_pitch_mrad)
+    fewer_levels = observer.with_fewer_levels(stimulus) if isinstance(observer, TruncatedObserver) else None
+    if fewer_levels is not None:
+        planner = _CurvePlanner(sensor, size_detectors, replace(full, observer=fewer_levels), p_correct, tolerance)
+        if planner.levels_suffice():
+            return planner.plan()
+    return _CurvePlanner(sensor, size_detectors, full, p_correct, tolerance).plan()
+
+
+def full_plan(sensor: Sensor, observer: Observer, size_detectors: float, shared: Shared = NOTHING) -> CurvePlan:
+    """Return the plan that computes everything except exact identities.
+
+    Raises
+    ------
+    SettingsError
+        If the size or field is out of range.
+    """
+    detectors = field_detectors(sensor, size_detectors)
+    return CurvePlan(
+        observer=observer,
+        field=detectors,
+        sampler=shared.samplers.get(
+            (sensor.optics, sensor.detector, size_detectors), lambda: field_sampler(sensor, size_detectors)
+        ),
+        fewest_places=FULL_PLACES,
+        steps=(Step("everything", True, f"as --plan full asks; the field is {detectors} detectors"),),
+        shared=shared,
+    )
+
+
+def linear_readout(sensor: Sensor, observer: Observer, size_detectors: float) -> Readout:
+    """Return the readout for a triangle as displayed.
+
+    Raises
+    ------
+    SettingsError
+        If the observer is not linear.
+    """
+    readout = observer.readout(Stimulus(size_detectors * sensor.display.detector_pitch_mrad))
+    if readout is None:
+        raise not_linear()
+    return readout
+
+
+def not_linear() -> SettingsError:
+    """Return the error that an observer without readout causes."""
+    return SettingsError("observer: it is not linear; no curve can be computed, simulate frames instead")
+
+
+def centre_offset(observer: Observer, orientation: Orientation, size_detectors: float) -> FloatArray:
+    """Return the vector from the triangle's centroid to the point the retina is centred on, in detectors."""
+    offset = bounding_box_offset(orientation) if observer.centre == "bounding_box" else (0.0, 0.0)
+    return np.array(offset) * size_detectors
+
+
+def noise_covariance(weights: FloatArray) -> FloatArray:
+    """Return the covariance, (..., n, n), of sums of white noise of deviation 1 with weights (..., n, m)."""
+    return np.asarray(weights @ weights.swapaxes(-1, -2))
+
+
+class _CurvePlanner:
+    """Planner that bounds the change from leaving out each part, on the whole chain at a few places."""
+
+    def __init__(
+        self, sensor: Sensor, size_detectors: float, full: CurvePlan, p_correct: float, tolerance: float
+    ) -> None:
+        self.sensor, self.observer, self.size = sensor, full.observer, size_detectors
+        self.full = full
+        started = time.perf_counter()
+        self.readout = linear_readout(sensor, self.observer, size_detectors)
+        self.readout_s = time.perf_counter() - started
+        self.weights, self.fold_s = self._weights(self.full, self.readout)
+        self.samples, self.sample_s = self._samples(self.full.sampler)
+        self.covariance = np.zeros((4, 4))
+        self._find_covariance(p_correct)
+        self.budget = LEFT_OUT_SHARE * tolerance * self.slope
+
+    def _affordable(self, bound: float) -> bool:
+        """Return whether an omission fits into the budget, and subtract it from the budget if it does."""
+        if bound > LARGEST_SHARE * self.budget:
+            return False
+        self.budget -= bound
+        return True
+
+    def _weights(
+        self, plan: CurvePlan, readout: Readout, places: Sequence[tuple[float, float]] = TRIED_AT
+    ) -> tuple[FloatArray, float]:
+        """Return the weights at some places, (places, 4, field²), and the time for each, in seconds."""
+        folding = plan.folding(self.sensor, readout, self.size)
+        dx, dy = centre_offset(self.observer, Orientation.UP, self.size)
+        started = time.perf_counter()
+        weights = plan.shared.weights.get(
+            (folding.key, dx, dy, places),
+            lambda: np.stack([folding.weights(x + dx, y + dy) for x, y in places]),
+        )
+        spent = (time.perf_counter() - started) / len(places)
+        return plan.all_four(weights) * self.sensor.display.gain, spent
+
+    def _samples(self, sampler: TriangleSampler) -> tuple[FloatArray, float]:
+        started = time.perf_counter()
+        x, y = np.transpose(TRIED_AT)
+        samples = replace(self.full, sampler=sampler).samples(x, y, Orientation.UP)
+        spent = (time.perf_counter() - started) / len(TRIED_AT)
+        return samples.reshape(len(TRIED_AT), -1), spent
+
+    def _scores(self, weights: FloatArray, samples: FloatArray) -> FloatArray:
+        return np.asarray((weights @ samples[..., None])[..., 0])
+
+    def _find_covariance(self, p_correct: float) -> None:
+        """Find the covariance of the scores near threshold, the SNR there and the slope of P(correct)."""
+        signal, noise = self._scores(self.weights, self.samples), self.full.noise(self.weights)
+
+        def proportion(snr: float) -> float:
+            covariance = self.readout.noise_covariance + noise / snr**2
+            return float(answer_probability(signal, covariance, 0, tolerance=ORTHANT_TOLERANCE).mean())
+
+        _, threshold = crossing(proportion, p_correct, near=None, slope=math.nan)
+        self.snr = threshold if threshold is not None and self.full.external_noise else math.inf
+        self.covariance = self.readout.noise_covariance + noise / self.snr**2
+        step = 0.05
+        rise = 0.0
+        if threshold is not None and math.isfinite(self.snr):
+            rise = proportion(self.snr * math.exp(step)) - proportion(self.snr * math.exp(-step))
+        self.slope = rise / (2.0 * step) if rise > 0.0 else 0.5
+
+    def bound(self, scores: FloatArray, noise: FloatArray | None = None) -> float:
+        """Return a bound on the change of P(correct) from changes of the scores and of their noise covariance."""
+        change = np.zeros((1, 4, 4)) if noise is None else noise
+        return SAFETY * float(decision_change(scores, self.covariance, change)[..., 0].max())
+
+    def plan(self) -> CurvePlan:
+        """Return the plan, with a decision on every part in turn."""
+        plan, levels = self._levels(self.full)
+        plan, field_step = self._field(plan)
+        plan, period = self._period(plan)
+        plan, precision = self._precision(plan)
+        plan, identities = self._identities(plan)
+        steps = (*levels, self._optics(self.full), field_step, *period, precision, *identities)
+        near = (self.snr, self.slope) if math.isfinite(self.snr) else (None, math.nan)
+        return replace(plan, steps=steps, near_snr=near[0], slope=near[1], unit_s=self.unit_s)
+
+    @cached_property
+    def levels_bound(self) -> float | None:
+        """Bound on the change of P(correct) from further levels; None if the observer leaves none out."""
+        stimulus = Stimulus(self.size * self.sensor.display.detector_pitch_mrad)
+        omitted = self.observer.omitted_bands(stimulus) if isinstance(self.observer, TruncatedObserver) else None
+        if omitted is None:
+            return None
+        plan = self.full
+        added, _ = self._weights(plan, replace(self.readout, grid=omitted.grid, deviations=omitted.deviations))
+        noise = (plan.noise(self.weights + added) - plan.noise(self.weights)) / self.snr**2
+        return self.bound(self._scores(added, self.samples), noise + omitted.noise_covariance)
+
+    def levels_suffice(self) -> bool:
+        """Return whether the observer's bound shows that no further levels are needed."""
+        return self.levels_bound is not None and self.levels_bound <= LARGEST_SHARE * self.budget
+
+    def _levels(self, plan: CurvePlan) -> tuple[CurvePlan, Sequence[Step]]:
+        bound, stage, side = self.levels_bound, "pyramid levels", self.readout.grid.side
+        if bound is None:
+            return plan, ()
+        if self._affordable(bound):
+            why = f"a retina of {side} × {side} samples is wide enough for this tolerance"
+            return plan, [Step(stage, False, why, bound, saves_once_s=3.0 * self.readout_s)]
+        assert isinstance(self.observer, TruncatedObserver)
+        why = f"one level more than for {side} × {side} samples, which would change P by up to {bound:.1g}"
+        return replace(plan, observer=self.observer.with_extra_level()), [Step(stage, True, why)]
+
+    def _optics(self, plan: CurvePlan) -> Step:
+        if not plan.sampler.sharp:
+            return Step("optics", True, "they shape the samples")
+        change = np.abs(_less_first(self.weights)).sum(axis=-1) * plan.sampler.neglected_bound
+        why = "too sharp against the detectors for their frequencies to be counted"
+        return Step("optics", False, why, self.bound(change) / SAFETY)
+
+    def _field(self, plan: CurvePlan) -> tuple[CurvePlan, Step]:
+        full, stage = plan.field, "field"
+        blur = self.sensor.optics.blur_sigma_mrad / self.sensor.detector.pitch_mrad
+        for sizes in FIELDS_IN_SIZES:
+            side = max(math.ceil(sizes * self.size + 6.0 * blur) + 2, smallest_field(self.size))
+            side += (full - side) % 2  # so that it lies in the middle of the full one
+            if side >= full:
+                break
+            outside = np.ones((full, full), dtype=bool)
+            margin = (full - side) // 2
+            outside[margin:-margin, margin:-margin] = False
+            weights = self.weights * outside.ravel()
+            noise = plan.noise(weights) / self.snr**2
+            # The signal outside may have, at each detector, the sign of the weight that it meets.
+            largest = self._scores(np.abs(_less_first(weights)), np.abs(self.samples))
+            bound = self.bound(largest, noise)
+            if self._affordable(bound):
+                share_saved = 1.0 - (side / full) ** 2
+                why = f"{side} × {side} of {full} × {full} detectors; the others' weights are next to nothing"
+                self.weights = self._cut(self.weights, full, margin)
+                self.samples = self._cut(self.samples, full, margin)
+                plan = replace(plan, field=side, sampler=plan.sampler.within(side))
+                return plan, Step(stage, False, why, bound, share_saved * self.fold_s)
+        return plan, Step(stage, True, f"{full} × {full} detectors")
+
+    @staticmethod
+    def _cut(images: FloatArray, full: int, margin: int) -> FloatArray:
+        square = images.reshape(*images.shape[:-1], full, full)[..., margin:-margin, margin:-margin]
+        return square.reshape(*images.shape[:-1], -1)
+
+    def _period(self, plan: CurvePlan) -> tuple[CurvePlan, Sequence[Step]]:
+        stage, period = "period", plan.sampler.period
+        if plan.sampler.sharp:  # nothing is repeated
+            return plan, ()
+        sampler, change, saved_s = self._shorter_period(plan)
+        plan = replace(plan, repetition_bound=_beyond(change, sampler.period, period))
+        if sampler.period >= 2 * plan.field and self._affordable(change):
+            why = f"the scene repeats after {sampler.period} detectors, not {period}"
+            return replace(plan, sampler=sampler), [Step(stage, False, why, change, saved_s)]
+        why = f"the scene repeats after {period} detectors, which changes P by up to {plan.repetition_bound:.1g}"
+        return plan, [Step(stage, True, why)]
+
+    def repetition_bound(self, plan: CurvePlan) -> float:
+        """Return a bound on the change of P(correct) because the scene repeats after the plan's period."""
+        if plan.sampler.sharp:
+            return 0.0
+        sampler, change, _ = self._shorter_period(plan)
+        return _beyond(change, sampler.period, plan.sampler.period)
+
+    def _shorter_period(self, plan: CurvePlan) -> tuple[TriangleSampler, float, float]:
+        """Return a sampler of a shorter period, a bound on its change of P(correct), and the time it saves."""
+        period = plan.sampler.period
+        shorter = 2 * plan.field if 2 * plan.field < period else period // 2
+        sampler = plan.shared.samplers.get(
+            (self.sensor.optics, self.sensor.detector, self.size, plan.field, shorter),
+            lambda: TriangleSampler(
+                optics=self.sensor.optics,
+                detector=self.sensor.detector,
+                size_detectors=self.size,
+                field_detectors=plan.field,
+                period_detectors=shorter,
+            ),
+        )
+        samples, spent = self._samples(sampler)
+        return sampler, self.bound(self._scores(self.weights, samples - self.samples)), self.sample_s - spent
+
+    def _precision(self, plan: CurvePlan) -> tuple[CurvePlan, Step]:
+        stage, single = "double precision", replace(plan, dtype=np.float32)
+        weights, single_s = self._weights(single, self.readout, TRIED_AT[:1])
+        exact, double_s = self.weights[:1], self.fold_s
+        noise = (plan.noise(weights) - plan.noise(exact)) / self.snr**2
+        bound = self.bound(self._scores(weights - exact, self.samples[:1]), noise)
+        self.unit_s = self.sample_s + min(single_s, double_s)
+        if self._affordable(bound):
+            return single, Step(stage, False, "single is enough for folding", bound, double_s - single_s)
+        return plan, Step(stage, True, f"single would change P by up to {bound:.1g}")
+
+    def _identities(self, plan: CurvePlan) -> tuple[CurvePlan, Sequence[Step]]:
+        """Leave out the parts that change nothing. Returns the plan and its steps."""
+        steps = []
+        if is_symmetric(self.readout):
+            # Square detectors and a symmetric observer look the same to all orientations.
+            plan = replace(plan, orientations=ORIENTATIONS[:1])
+            saved = 3.0 * self.unit_s
+            steps.append(Step("orientations", False, "one stands for all four, which are its turns", 0.0, saved))
+        else:
+            steps.append(Step("orientations", True, "all four: the observer is not symmetric"))
+        plan = replace(plan, three_templates=True)
+        why = "the four score deviations add up to zero"
+        steps.append(Step("fourth template", False, why, 0.0, self.unit_s / 4.0))
+        if is_unblurred(self.sensor):
+            plan = replace(plan, merge_pixels=True)
+            why = "nothing blurs the display: a detector's pixels are alike"
+            steps.append(Step("display pixels", False, why))
+        else:
+            steps.append(Step("display pixels", True, "the display or the electronics blur"))
+        if self.sensor.optics.blur_sigma_mrad == 0.0:
+            steps.append(Step("optics blur", False, "its standard deviation is 0"))
+        noise = "the threshold is a signal-to-noise ratio" if plan.external_noise else "there is none"
+        steps.append(Step("noise covariance", plan.external_noise, noise))
+        return plan, steps
+
+
+def _less_first(weights: FloatArray) -> FloatArray:
+    """Return the weights, (..., 4, n), of the score differences that decide on the first answer.
+
+    Absolute values of the four would cancel in the differences of the scores.
+    """
+    return weights - weights[..., :1, :]
+
+
+def _beyond(change: float, shorter: int, period: int) -> float:
+    """Return a bound on the change between a period and an endless one, from that between a shorter and this one.
+
+    The tails of the repetitions fall with the cube of the period, as those of the Airy pattern do (Watson 1944,
+    section 13.75), and what they do to the scores at least as fast.
+    """
+    share = (shorter / period) ** 3
+    return change * share / (1.0 - share)
+
+
+def is_symmetric(readout: Readout) -> bool:
+    """Return whether the templates of the four scores are turns of each other, to the last bit."""
+    first, covariance = readout.deviations[0], readout.noise_covariance
+    return all(
+        np.array_equal(readout.deviations[k], np.rot90(first, -k))
+        and np.allclose(np.roll(covariance[0], k), covariance[k], rtol=1e-12)
+        for k in range(1, 4)
+    )

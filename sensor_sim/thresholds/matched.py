@@ -1,0 +1,42 @@
+"""Settings of the observer `informative` that describe a sensor and its display."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from sensor_sim.chain.sensor import Sensor
+from sensor_sim.chain.transfer import optics_mtf
+from todframes.observers.hotelling import HotellingSettings
+
+
+def matched_settings(sensor: Sensor, **others: Any) -> HotellingSettings:
+    """Return the settings of the observer `informative` that describe a sensor and its display.
+
+    The observer makes its templates from these settings. Optics are replaced by the Gaussian blur with the same
+    transfer at the detectors' Nyquist frequency, or at half the optics' cut-off if that is lower.
+
+    Parameters
+    ----------
+    sensor : Sensor
+    **others
+        Any other settings, such as internal_noise. With `sample_noise_sd`, the display's gain over a
+        signal-to-noise ratio, the weights are ideal for that noise too.
+
+    Raises
+    ------
+    SettingsError
+        If a value is out of its range.
+    """
+    display, detector, optics = sensor.display, sensor.detector, sensor.optics
+    as_seen = display.detector_pitch_mrad / detector.pitch_mrad
+    frequency = min(detector.nyquist_cyc_per_mrad, optics.cut_off_cyc_per_mrad / 2.0)
+    transfer = max(float(optics_mtf(frequency, optics=optics)), 1e-300)
+    return HotellingSettings(
+        presample_blur_mrad=as_seen * math.sqrt(-math.log(transfer) / 2.0) / (math.pi * frequency),
+        sample_width_mrad=as_seen * detector.width_mrad,
+        sample_pitch_mrad=display.detector_pitch_mrad,
+        display_blur_mrad=display.pixel_pitch_mrad
+        * math.hypot(sensor.electronics.blur_sigma_px, display.blur_sigma_px),
+        **others,
+    )

@@ -1,0 +1,539 @@
+"""Readers of the files that users write: text, TOML tables as frozen dataclasses, fields of CSV files."""
+
+from __future__ import annotations
+
+import csv
+import difflib
+import io
+import math
+import os
+import posixpath
+import re
+import stat
+import tomllib
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import MISSING, fields, is_dataclass
+from functools import cache
+from numbers import Integral, Real
+from types import NoneType
+from typing import Any, BinaryIO, Literal, TypeVar, get_args, get_origin, get_type_hints
+
+import msgspec
+
+from todframes.base.errors import DataError, RemoteError, SettingsError
+from todframes.base.locations import Location, RemotePath
+from todframes.base.remote import read_content
+
+T = TypeVar("T")
+
+MAX_TOML_MB, MAX_CSV_MB = 1, 256
+"""Largest sizes of TOML and CSV files that are read, in units of 2**20 bytes."""
+MAX_ROWS = 100_000
+"""Largest number of rows of a CSV file that is not a manifest."""
+MAX_NESTING, MAX_DOTS = 16, 500
+COLUMNS_SHOWN = 20
+LONGEST_KEY = 100
+"""Number of characters of an unknown key that are compared with valid keys; the time grows with its square."""
+FIELDS_FOUND = "\0fields"
+"""Key of the number of fields in a row of `read_csv` that has more or fewer fields than the header."""
+
+
+def read_file(path: Location, *, most_mb: int) -> bytes:
+    """Return the bytes of a file. Pipes and devices are refused: reading them may never end.
+
+    Raises
+    ------
+    DataError
+        If it is not a regular file, cannot be read, or is longer than `most_mb` · 2**20 bytes.
+    RemoteError
+        If it is behind a URL that cannot be reached or may not be read.
+    """
+    with _opened(path, most_mb) as file:
+        content = file.read(most_mb * 2**20 + 1)
+        _check_length(path, len(content), most_mb)
+    return content
+
+
+def _check_length(path: Location, n_bytes: int, most_mb: int) -> None:
+    if n_bytes > most_mb * 2**20:
+        raise DataError(f"{path}: is longer than {most_mb} MB, the limit for such files")
+
+
+@contextmanager
+def _opened(path: Location, most_mb: int) -> Iterator[BinaryIO]:
+    """Open a file for reading; see `read_file` for the errors."""
+    try:
+        if isinstance(path, RemotePath):
+            yield io.BytesIO(read_content(path, most_mb=most_mb).data)
+            return
+        status = path.stat()
+        if stat.S_ISDIR(status.st_mode):
+            raise DataError(f"{path}: is a folder, expected a file")
+        if not stat.S_ISREG(status.st_mode):
+            raise DataError(
+                f"{path}: is a pipe or device, expected a file; save what comes from it to a file first"
+            )
+        _check_length(path, status.st_size, most_mb)
+        with path.open("rb") as file:
+            yield file
+    except (DataError, RemoteError):
+        raise
+    except FileNotFoundError:
+        raise DataError(f"{path}: no such file") from None
+    except OSError as error:
+        raise DataError(f"{path}: cannot be read ({error.strerror})") from None
+    except ValueError as error:  # a NUL in the name
+        raise DataError(f"{str(path)!r}: cannot be read ({error})") from None
+
+
+def resolved(folder: Location) -> str | RemotePath:
+    """Return a folder for `path_inside`: a local path with its symbolic links resolved, as a text; or the URL."""
+    return folder if isinstance(folder, RemotePath) else os.path.realpath(folder)
+
+
+def path_inside(
+    folder: str | RemotePath, name: str, where: str, real_folders: dict[str, str] | None = None
+) -> str:
+    """Return the full path or URL of a file that a file of the user names, with symbolic links resolved.
+
+    `folder` is that of `resolved`. `real_folders` caches resolved folders: without it a million rows would take a
+    minute.
+
+    Raises
+    ------
+    DataError
+        If the file is not in the dataset's folder: an error message might show its content.
+    """
+    if not name or "\0" in name:
+        raise DataError(f"{where}: found {name!r}, expected a path")
+    if isinstance(folder, RemotePath):
+        first = posixpath.normpath(name).partition("/")[0]
+        if first in ("", os.curdir, os.pardir) or "://" in name or "::" in name:
+            raise DataError(
+                f"{where} {name} lies outside of the dataset: expected a path relative to {folder}; copy it there"
+            )
+        return str(folder / name)
+    real_folders = {} if real_folders is None else real_folders
+    parent, last = os.path.split(name)  # pathlib is slow
+    if parent not in real_folders:
+        # Path.resolve would raise for a link that leads to itself.
+        real_folders[parent] = os.path.realpath(os.path.join(folder, parent))  # noqa: PTH118
+    full = os.path.join(real_folders[parent], last)  # noqa: PTH118
+    if last in ("", os.curdir, os.pardir) or os.path.islink(full):  # noqa: PTH114
+        full = os.path.realpath(full)
+    if not f"{full}{os.sep}".startswith(folder.rstrip(os.sep) + os.sep):
+        raise DataError(
+            f"{where} {name} lies outside of the dataset: it is {full}, expected a file in {folder}; copy it there"
+        )
+    return full
+
+
+def read_text(path: Location, *, most_mb: int) -> str:
+    """Return the text of a UTF-8 file, with or without a byte-order mark.
+
+    Raises
+    ------
+    DataError
+        If `read_file` raises it, or the file is not UTF-8.
+    """
+    try:
+        return read_file(path, most_mb=most_mb).decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise DataError(f"{path}: not UTF-8 (byte {error.start})") from None
+
+
+def _lines(path: Location, *, most_mb: int) -> Iterator[str]:
+    """Yield the lines of a UTF-8 file with their ends; the errors are those of `read_text`, some in the middle."""
+    with _opened(path, most_mb) as file, io.TextIOWrapper(file, encoding="utf-8-sig", newline="") as text:
+        try:
+            yield from text
+        except UnicodeDecodeError as error:
+            place = file.tell() - len(error.object) + error.start
+            raise DataError(f"{path}: not UTF-8 (byte {place})") from None
+
+
+def read_toml(path: Location) -> dict[str, Any]:
+    """Return the content of a TOML file.
+
+    Raises
+    ------
+    SettingsError
+        If it cannot be read or is not TOML.
+    """
+    try:
+        text = read_text(path, most_mb=MAX_TOML_MB)
+    except DataError as error:
+        raise SettingsError(str(error)) from None
+    return parse_toml(text, str(path))
+
+
+def parse_toml(text: str, where: str) -> dict[str, Any]:
+    """Return the content of a TOML text.
+
+    Raises
+    ------
+    SettingsError
+        If it is not TOML; the message begins with `where`.
+    """
+    try:
+        return _parsed_toml(text)
+    except tomllib.TOMLDecodeError as error:
+        raise SettingsError(f"{where}: not valid TOML: {error}") from None
+
+
+def toml_text(content: Mapping[str, Any], *, comment: str = "") -> str:
+    """Return a file of settings as TOML: comment, values, tables; a number keeps all its digits.
+
+    A value of None is left out. A list of tables above all tables is one table each; in a table it has a line for
+    each. All other lists and tables are on one line.
+    """
+    lines = [f"# {line}" for line in comment.splitlines()]
+    lines += _assignments({name: value for name, value in content.items() if not _is_tables(value)})
+    for name, value in content.items():
+        if _is_tables(value):
+            header = f"[{name}]" if isinstance(value, Mapping) else f"[[{name}]]"
+            for table in [value] if isinstance(value, Mapping) else value:
+                lines += [*([""] if lines else []), header, *_assignments(table)]
+    return "\n".join([*lines, ""])
+
+
+def toml_literal(value: object) -> str:
+    """Return a value as it is written in TOML, on one line."""
+    match value:
+        case bool():
+            return "true" if value else "false"
+        case str():
+            import json
+
+            # A JSON string is a TOML string but for DEL, which TOML wants escaped.
+            return json.dumps(str(value), ensure_ascii=False).replace("\x7f", "\\u007f")
+        case Mapping():
+            return "{" + ", ".join(_assignments(value)) + "}"
+        case list() | tuple():
+            return f"[{', '.join(map(toml_literal, value))}]"
+    return repr(value)
+
+
+def _assignments(table: Mapping[str, Any]) -> list[str]:
+    lines: list[str] = []
+    for name, value in table.items():
+        if isinstance(value, list) and _is_tables(value):
+            lines += [f"{name} = [", *(f"  {toml_literal(one)}," for one in value), "]"]
+        elif value is not None:
+            lines.append(f"{name} = {toml_literal(value)}")
+    return lines
+
+
+def _is_tables(value: object) -> bool:
+    """Return whether a value is a table or a list of tables."""
+    parts = value if isinstance(value, list) and value else [value]
+    return all(isinstance(one, Mapping) for one in parts)
+
+
+def toml_value(text: str) -> Any:
+    """Return the TOML value that a text stands for, or the text itself if it is not TOML.
+
+    Raises
+    ------
+    ValueError
+        If the text is more than one value.
+    """
+    try:
+        parsed = _parsed_toml(f"value = {text}")
+    except tomllib.TOMLDecodeError:
+        return text.strip()
+    if list(parsed) != ["value"]:
+        raise ValueError(text)
+    return parsed["value"]
+
+
+def _parsed_toml(text: str) -> dict[str, Any]:
+    """Return the content of a TOML text; integers beyond 64 bits and too deep nesting are refused.
+
+    Raises
+    ------
+    tomllib.TOMLDecodeError
+        If the text is not such TOML. Without these checks Python would raise other errors, here or when a value
+        is printed.
+    """
+    # The time for a key grows with the square of the number of its parts.
+    for number_of_line, line in enumerate(text.split("\n"), 1):
+        if line.count(".") > MAX_DOTS:
+            raise tomllib.TOMLDecodeError(f"line {number_of_line} has more than {MAX_DOTS} dots")
+    try:
+        content = tomllib.loads(text)
+    except RecursionError:
+        raise tomllib.TOMLDecodeError("nested too deep") from None
+    except tomllib.TOMLDecodeError:
+        raise
+    except ValueError:
+        raise tomllib.TOMLDecodeError("a whole number of too many digits") from None
+    level: list[tuple[str, Any]] = list(content.items())
+    for _ in range(MAX_NESTING):
+        for name, value in level:
+            if isinstance(value, int) and not -(2**63) <= value < 2**63:
+                raise tomllib.TOMLDecodeError(f"{name}: found a whole number of more than 64 bits")
+        level = [
+            (f"{name}.{key}", inner)
+            for name, value in level
+            if isinstance(value, dict | list)
+            for key, inner in (value.items() if isinstance(value, dict) else enumerate(value))
+        ]
+    if level:
+        raise tomllib.TOMLDecodeError(f"nested more than {MAX_NESTING} deep")
+    return content
+
+
+def check_keys(found: Iterable[str], known: Iterable[str], where: str) -> None:
+    """Raise SettingsError if a key is unknown.
+
+    Raises
+    ------
+    SettingsError
+        If a key is not known; the message names the nearest known key.
+    """
+    known = {key.lower(): key for key in known}
+    for key in found:
+        if key not in known.values():
+            nearest = difflib.get_close_matches(key[:LONGEST_KEY].lower(), known, n=1, cutoff=0.0)
+            hint = f"; the nearest valid one is {known[nearest[0]]!r}" if nearest else ""
+            raise SettingsError(f"{where}: unknown key {_shortened(key)!r}{hint}")
+
+
+def _shortened(text: str) -> str:
+    return text if len(text) <= LONGEST_KEY else f"{text[:LONGEST_KEY]}…"
+
+
+def check_values(settings: object) -> None:
+    """Raise SettingsError if the annotations of a settings dataclass do not allow one of its values.
+
+    The check covers numbers, with their ranges if these are annotated (`msgspec.Meta`), and choices (`Literal`).
+
+    Raises
+    ------
+    SettingsError
+        If a field is of another type or out of its range.
+    """
+    kind: Any = type(settings)
+    for name, hint in _hints(kind).items():
+        value = getattr(settings, name)
+        if expected := _unmet(value, hint):
+            raise SettingsError(f"{name}: found {value!r}, expected {expected}")
+
+
+@cache
+def _hints(kind: Any) -> dict[str, Any]:
+    hints = get_type_hints(kind, include_extras=True)
+    return {field.name: hints[field.name] for field in fields(kind)}
+
+
+def _unmet(value: Any, hint: Any) -> str | None:
+    """Return a description of the value that was expected, or None if the value is as annotated."""
+    (meta,) = getattr(hint, "__metadata__", (None,))
+    kind = hint if meta is None else hint.__origin__
+    parts = get_args(kind) or (kind,)
+    if get_origin(kind) is Literal:
+        return None if value in parts else f"one of {', '.join(map(str, parts))}"
+    if (value is None and NoneType in parts) or not {int, float} & set(parts) or get_origin(kind) is tuple:
+        return None
+    number, noun = (Integral, "a whole number") if int in parts else (Real, "a number")
+    low, high = (None, None) if meta is None else (meta.ge, meta.le)
+    is_number = isinstance(value, number) and not isinstance(value, bool)
+    if is_number and (low is None or value >= low) and (high is None or value <= high):
+        return None
+    if low is None:
+        return noun
+    return f"{noun} >= {low:g}" if high is None else f"{noun} from {low:g} to {high:g}"
+
+
+def from_table(table: Mapping[str, Any], kind: type[T], where: str) -> T:
+    """Return a frozen dataclass made from a table of plain values.
+
+    Parameters
+    ----------
+    table : mapping
+        Values by field name.
+    kind : type
+        A dataclass that checks its own values.
+    where : str
+        File and table, or option; every message begins with it.
+
+    Raises
+    ------
+    SettingsError
+        If a key is unknown or missing, or a value is of the wrong type or refused by the dataclass.
+    """
+    all_fields = fields(kind)  # type: ignore[arg-type]
+    check_keys(table, [field.name for field in all_fields], where)
+    types = get_type_hints(kind)
+    values = {}
+    for field in all_fields:
+        if field.name in table:
+            values[field.name] = convert(table[field.name], types[field.name], f"{where}: {field.name}")
+        elif field.default is MISSING and field.default_factory is MISSING:
+            raise SettingsError(f"{where}: {field.name} is missing")
+    try:
+        return kind(**values)
+    except SettingsError as error:
+        raise SettingsError(f"{where}: {error}") from None
+
+
+def convert(value: object, kind: Any, where: str) -> object:
+    """Return a plain value converted to a type: `float`, a Literal, a number with a range (`msgspec.Meta`), ….
+
+    Raises
+    ------
+    SettingsError
+        If it is of another type or out of range; the message begins with `where`.
+    """
+    if is_dataclass(value) or (isinstance(value, tuple) and value and all(map(is_dataclass, value))):
+        return value  # made and checked by the caller
+    literals = [part for part in (kind, *get_args(kind)) if get_origin(part) is Literal]
+    try:
+        return msgspec.convert(value, kind)
+    except msgspec.ValidationError as error:
+        problem = (
+            str(error).split(" - at ")[0].replace("`", "").replace(" | null", "").replace("expected", "Expected")
+        )
+        for kind_of_python, name in (
+            ("array", "a list"),
+            ("str", "text"),
+            ("int", "a whole number"),
+            ("float", "a number"),
+        ):
+            problem = re.sub(rf"\b{kind_of_python}\b", name, problem)
+        if isinstance(value, str) and literals:
+            choices = ", ".join(map(str, get_args(literals[0])))
+            problem = (
+                f"expected one of {choices}" if kind is literals[0] else f"expected a number or one of {choices}"
+            )
+            problem += spelling_hint(value, get_args(literals[0]))
+        if isinstance(value, str) and float in (kind, *get_args(kind)) and _is_number(value):
+            problem += f"; write {value} without quotation marks"
+        raise SettingsError(f"{where}: found {value!r} ({problem[0].lower()}{problem[1:]})") from None
+
+
+def _is_number(text: str) -> bool:
+    try:
+        return math.isfinite(float(text))
+    except ValueError:
+        return False
+
+
+def spelling_hint(text: str, choices: Iterable[str]) -> str:
+    """Return "; write srgb" for a text such as sRGB, whose letters and digits are those of a choice; else ""."""
+
+    def letters(word: str) -> str:
+        return re.sub("[^a-z0-9]", "", word.lower())
+
+    meant = [choice for choice in choices if letters(choice) == letters(text)]
+    return f"; write {meant[0]}" if meant else ""
+
+
+def read_csv(path: Location, *, most_rows: int | None = MAX_ROWS) -> Iterator[tuple[str, dict[str, str]]]:
+    """Yield the rows of a CSV file with a header as they are read, each with its place: file and line.
+
+    The first item is the header: a row with all keys and empty values.
+
+    Raises
+    ------
+    DataError
+        If the file cannot be read or is not CSV, two columns have the same name, or there are more rows than
+        `most_rows`, empty lines included.
+    """
+    reader, name_of_file = csv.reader(_lines(path, most_mb=MAX_CSV_MB), strict=True), str(path)
+    try:
+        header = [name.strip() for name in next(reader, [])]
+        if len(header) == 1 and (other := re.search("[;\t]", header[0])):
+            mark = "semicolons" if other[0] == ";" else "tabs"
+            raise DataError(
+                f"{path}: found {mark} between the columns ({_shortened(header[0])}), expected commas, and points "
+                "in numbers; save it again as CSV with commas"
+            )
+        for name, count in Counter(header).items():
+            if count > 1:
+                raise DataError(f"{path}: found column {name!r} {count} times, expected once")
+        yield str(path), dict.fromkeys(header, "")
+        for n_rows, fields_found in enumerate(reader, 1):
+            if most_rows is not None and n_rows > most_rows:
+                raise DataError(f"{path}: found more than {most_rows} rows, expected at most that many")
+            if not fields_found:
+                continue  # an empty line
+            row = dict(zip(header, fields_found, strict=False))
+            where = f"{name_of_file}, line {reader.line_num}"
+            if len(fields_found) != len(header):
+                row[FIELDS_FOUND] = str(len(fields_found))
+            yield where, row
+    except csv.Error as error:
+        raise DataError(f"{path}, line {reader.line_num}: not valid CSV ({error})") from None
+
+
+def read_numbers(path: Location, columns: Sequence[str]) -> list[list[float]]:
+    """Return the numbers in the named columns of a CSV file, row by row.
+
+    Raises
+    ------
+    DataError
+        If the file cannot be read, a column is missing, or a value is not a finite number.
+    """
+    rows = read_csv(path)
+    _, header = next(rows)
+    check_columns(header, columns, path)
+    found = []
+    for where, row in rows:
+        check_fields(row, len(header), where)
+        found.append([number(row[name], f"{where}: {name}") for name in columns])
+    return found
+
+
+def check_columns(header: Iterable[str], needed: Iterable[str], path: Location) -> None:
+    """Raise DataError if a CSV file lacks a column; the message says if it has one with other letters."""
+    found = list(header)
+    for name in needed:
+        if name not in found:
+            alike = [other for other in found if other.lower() == name.lower()]
+            hint = f"; write {name}, not {alike[0]}" if alike else ""
+            raise DataError(f"{path}: column {name!r} is missing; found {_column_names(found)}{hint}")
+
+
+def _column_names(names: Sequence[str]) -> str:
+    """Return the names of columns for a message; only the first ones if there are many."""
+    more = f" and {len(names) - COLUMNS_SHOWN} more" if len(names) > COLUMNS_SHOWN else ""
+    return (", ".join(map(_shortened, names[:COLUMNS_SHOWN])) or "none") + more
+
+
+def check_fields(row: Mapping[str, str], n_columns: int, where: str) -> None:
+    """Raise DataError if a row of `read_csv` has more or fewer fields than the header."""
+    if FIELDS_FOUND in row:
+        raise DataError(f"{where}: found {row[FIELDS_FOUND]} fields, expected {n_columns} as in the header")
+
+
+def number(text: str, where: str, *, positive: bool = False) -> float:
+    """Return the finite number in a field of a CSV file.
+
+    Raises
+    ------
+    DataError
+        If the text is not a finite number, or `positive` and not above zero; `where` names file, line and column.
+    """
+    text = text.strip()
+    try:
+        value = math.nan if "_" in text else float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value) or (positive and value <= 0):
+        hint = ", with a point, not a comma" if re.fullmatch(r"[+-]?[0-9]*,[0-9]+", text) else ""
+        raise DataError(f"{where}: found {text!r}, expected a finite number{' > 0' if positive else ''}{hint}")
+    return value
+
+
+def number_or_text(text: str) -> float | str:
+    """Return a group's value: a number if the text is a finite number, otherwise the text."""
+    text = text.strip()
+    try:
+        value = math.nan if "_" in text else float(text)  # Python reads 1_0 as 10
+    except ValueError:
+        return text
+    return value if math.isfinite(value) else text

@@ -1,0 +1,71 @@
+"""Import of code that a user names on the command line as `module:name`.
+
+It is the only code that a command runs from the current folder, where a dataset of unknown origin may lie.
+"""
+
+from __future__ import annotations
+
+import importlib
+import os
+import sys
+from collections.abc import Iterable, Sequence
+from importlib.machinery import ModuleSpec, PathFinder
+from types import ModuleType
+from typing import Any
+
+from todframes.base.errors import SettingsError
+from todframes.base.reading import check_keys
+
+
+class _LastFinder:
+    """Finder of modules in one folder, for the end of `sys.meta_path`.
+
+    A folder on `sys.path` would also be searched for the metadata of packages, which register names. No module
+    takes the name of one of the standard library, because some of those are missing on each platform.
+    """
+
+    def __init__(self, folder: str) -> None:
+        self.folder = folder
+
+    def find_spec(
+        self, name: str, path: Sequence[str] | None = None, target: ModuleType | None = None
+    ) -> ModuleSpec | None:
+        """Return the spec of a module that lies in the folder, or None."""
+        if path is not None or name in sys.stdlib_module_names:
+            return None
+        return PathFinder.find_spec(name, [self.folder], target)
+
+
+def search_last(folders: Iterable[str]) -> None:
+    """Have folders searched for modules after all others, in this process."""
+    sys.meta_path += [_LastFinder(folder) for folder in folders if folder not in searched_last()]
+
+
+def searched_last() -> list[str]:
+    """Return the folders of `search_last`, which another process needs to import the same modules."""
+    return [finder.folder for finder in sys.meta_path if isinstance(finder, _LastFinder)]
+
+
+def import_named(module: str, name: str, where: str) -> Any:
+    """Import a module, which runs its code, and return its attribute of the given name.
+
+    The current folder is searched last, so that no file in it takes the place of an installed module.
+
+    Raises
+    ------
+    SettingsError
+        If the module cannot be imported or has no such attribute; the message begins with `where`.
+    """
+    try:
+        search_last([os.getcwd()])  # noqa: PTH109 - a text, as the finder has them
+        found: Any = importlib.import_module(module)
+    except (Exception, SystemExit) as error:  # whatever a user's module does when it is imported
+        raise SettingsError(f"{where}: module {module!r} cannot be imported ({in_words(error)})") from None
+    if not hasattr(found, name):
+        check_keys([name], [key for key, value in vars(found).items() if callable(value)], f"{where}: {module}")
+    return getattr(found, name)
+
+
+def in_words(error: BaseException) -> str:
+    """Return the type and message of an exception from a user's code, in one line."""
+    return f"{type(error).__name__}: {' '.join(str(error).split())}".removesuffix(": ")

@@ -1,0 +1,116 @@
+"""The triangles of a chart, and the order in which they are shown.
+
+All combinations of size, level and orientation appear once in each block, in an order of its own. So they are
+equally frequent, also in a recording that ends early, and a slow drift of camera or light favours none of them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Annotated, Literal, NamedTuple
+
+import numpy as np
+from msgspec import Meta
+
+from todframes.base.errors import SettingsError
+from todframes.base.reading import check_values
+from todframes.charts.layout import LARGEST, Length
+from todframes.charts.markers import MOST_PAGES
+from todframes.stimulus import ORIENTATIONS, Orientation
+
+FIELD_PER_SIZE = 5.0
+"""Side of the square around a triangle that is kept free, in sizes: the width of the observer's field."""
+
+
+class Condition(NamedTuple):
+    """A triangle to show: its size, its level without sign, and its orientation."""
+
+    size_mrad: float
+    level: float
+    orientation: Orientation
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Design:
+    """Triangles, distance and order of a chart.
+
+    Attributes
+    ----------
+    distance_m : float
+        From the camera to the chart, > 0.
+    sizes_mrad : tuple of float
+        √(area) in object space, > 0, each once.
+    levels : tuple of float
+        Contrasts, or temperature differences in K, > 0, each once.
+    repeats : int
+        Number of blocks, >= 1.
+    seed : int
+        Seed of the order.
+    polarity : {1, -1}
+        Triangles are brighter (warmer) or darker (colder) than their background.
+    name : str
+        Title of the chart, in one line.
+
+    Raises
+    ------
+    SettingsError
+        If a value is out of range, or there are more triangles than pages can be numbered.
+    """
+
+    distance_m: Length
+    sizes_mrad: tuple[float, ...]
+    levels: tuple[float, ...]
+    repeats: Annotated[int, Meta(ge=1)] = 1
+    seed: Annotated[int, Meta(ge=0)] = 1
+    polarity: Literal[1, -1] = 1
+    name: str = "todframes chart"
+
+    def __post_init__(self) -> None:
+        check_values(self)
+        for name, values in (("sizes_mrad", self.sizes_mrad), ("contrasts or delta_t_k", self.levels)):
+            if not values:
+                raise SettingsError(f"{name}: found none, expected at least one")
+            for value in values:
+                if not (math.isfinite(value) and 1.0 / LARGEST <= value <= LARGEST):
+                    raise SettingsError(
+                        f"{name}: found {value!r}, expected numbers from {1.0 / LARGEST:g} to {LARGEST:g}"
+                    )
+            if len(set(values)) < len(values):
+                raise SettingsError(f"{name}: found {', '.join(map(repr, values))}, expected each value once")
+        if not self.name.isprintable():
+            raise SettingsError(
+                f"name: found {self.name!r}, expected a text of one line without control characters"
+            )
+        if self.n_triangles > MOST_PAGES:
+            raise SettingsError(
+                f"found {self.n_triangles} triangles (sizes × levels × 4 orientations × repeats), expected at "
+                f"most {MOST_PAGES}, the number of pages that markers can tell apart"
+            )
+
+    @property
+    def n_triangles(self) -> int:
+        """Number of triangles in all blocks."""
+        return len(self.sizes_mrad) * len(self.levels) * len(ORIENTATIONS) * self.repeats
+
+    def size_mm(self, size_mrad: float) -> float:
+        """Return √(area) on the page."""
+        return size_mrad * self.distance_m
+
+    @property
+    def conditions(self) -> list[Condition]:
+        """All combinations of size, level and orientation."""
+        return [
+            Condition(size, level, orientation)
+            for size in self.sizes_mrad
+            for level in self.levels
+            for orientation in ORIENTATIONS
+        ]
+
+    def blocks(self) -> Iterator[list[Condition]]:
+        """Yield `repeats` blocks: all conditions, each block in a random order of its own."""
+        conditions = self.conditions
+        for child in np.random.SeedSequence(self.seed).spawn(self.repeats):
+            order = np.random.default_rng(child).permutation(len(conditions))
+            yield [conditions[k] for k in order]

@@ -1,0 +1,514 @@
+"""The description of a chart, `chart.toml`: what stands where on each of its pages.
+
+Places on a page are in millimetres from its top left corner, x to the right and y down. The centre of the pixel in
+column c of a monitor lies at x_mm = (c + 0.5) · pixel_pitch_mm.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, is_dataclass, replace
+from pathlib import Path, PurePosixPath
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from msgspec import Meta
+
+from todframes.base._typing import FloatArray
+from todframes.base.errors import SettingsError
+from todframes.base.reading import MAX_TOML_MB, check_keys, check_values, from_table, read_toml, toml_text
+from todframes.charts.markers import CORNERS, MODULES, MOST_PAGES, N_DIGITS
+from todframes.display.display import Display, Eotf, LuminanceTable
+from todframes.stimulus import Orientation
+
+SCHEMA = 1
+"""Version of the format of `chart.toml` that this package reads and writes."""
+
+
+CHART_FILE = "chart.toml"
+
+
+ChartKind = Literal["screen", "print", "thermal"]
+
+
+SIZE_TOLERANCE = 1e-3
+"""Largest relative difference between size_mm and size_mrad · distance_m."""
+
+
+LARGEST = 1e6
+"""Largest length in mm or m, size in mrad or ΔT in K; a larger one is a mistake."""
+
+
+Length = Annotated[float, Meta(ge=1.0 / LARGEST, le=LARGEST)]
+
+
+Place = Annotated[float, Meta(ge=0.0, le=LARGEST)]
+
+
+Bits = Literal[8, 10]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Point:
+    """A place on a page, in mm from its top left corner."""
+
+    x_mm: Place
+    y_mm: Place
+
+    def __post_init__(self) -> None:
+        check_values(self)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Markers:
+    """The ArUco markers in the corners of all pages.
+
+    Attributes
+    ----------
+    dictionary : {"5x5_1000"}
+    side_mm : float
+        Side of a marker with its black border, > 0.
+    top_left, top_right, bottom_right, bottom_left : Point
+        Centre of each marker.
+
+    Raises
+    ------
+    SettingsError
+        If a value is out of range, or the corners are not where their names say.
+    """
+
+    side_mm: Length
+    top_left: Point
+    top_right: Point
+    bottom_right: Point
+    bottom_left: Point
+    dictionary: Literal["5x5_1000"] = "5x5_1000"
+
+    def __post_init__(self) -> None:
+        check_values(self)
+        left = max(self.top_left.x_mm, self.bottom_left.x_mm)
+        right = min(self.top_right.x_mm, self.bottom_right.x_mm)
+        top = max(self.top_left.y_mm, self.top_right.y_mm)
+        bottom = min(self.bottom_left.y_mm, self.bottom_right.y_mm)
+        if right - left < self.side_mm or bottom - top < self.side_mm:
+            raise SettingsError(
+                "top_left, top_right, bottom_right, bottom_left: found markers that overlap or are exchanged, "
+                "expected each in the corner of its name, at least side_mm apart"
+            )
+
+    @classmethod
+    def in_corners(cls, *, width_mm: float, height_mm: float, module_mm: float, margin_mm: float) -> Markers:
+        """Return markers whose white borders, of one module, keep a margin to the edges of a page."""
+        near = margin_mm + (1.0 + MODULES / 2.0) * module_mm
+        far_x, far_y = width_mm - near, height_mm - near
+        return cls(
+            side_mm=MODULES * module_mm,
+            top_left=Point(x_mm=near, y_mm=near),
+            top_right=Point(x_mm=far_x, y_mm=near),
+            bottom_right=Point(x_mm=far_x, y_mm=far_y),
+            bottom_left=Point(x_mm=near, y_mm=far_y),
+        )
+
+    @property
+    def centres_mm(self) -> FloatArray:
+        """Centres (x, y) in the order of `CORNERS`, shape (4, 2)."""
+        points = (getattr(self, corner) for corner in CORNERS)
+        return np.array([(point.x_mm, point.y_mm) for point in points])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Triangle:
+    """A triangle on a page.
+
+    Attributes
+    ----------
+    orientation : Orientation
+        Direction of the apex on the page.
+    size_mrad : float
+        √(area) as an angle at the camera, in object space.
+    size_mm : float
+        √(area) on the page: size_mrad · distance_m.
+    x_mm, y_mm : float
+        Place of the centroid.
+    contrast : float or None
+        Weber contrast to the background that the page really has, below zero if darker.
+    contrast_asked : float or None
+        Contrast that was asked for, if it differs.
+    dithered : bool
+        Whether the contrast is a mean over pixels of two code values.
+    delta_t_k : float or None
+        Temperature difference of a thermal chart instead of the contrast, below zero if colder.
+
+    Raises
+    ------
+    SettingsError
+        If a value is out of range, or not just one of contrast and delta_t_k is given.
+    """
+
+    orientation: Orientation
+    size_mrad: Length
+    size_mm: Length
+    x_mm: Place
+    y_mm: Place
+    contrast: Annotated[float | None, Meta(ge=-1.0, le=LARGEST)] = None
+    contrast_asked: Annotated[float | None, Meta(ge=-1.0, le=LARGEST)] = None
+    dithered: bool = False
+    delta_t_k: Annotated[float | None, Meta(ge=-LARGEST, le=LARGEST)] = None
+
+    def __post_init__(self) -> None:
+        check_values(self)
+        if (self.contrast is None) == (self.delta_t_k is None):
+            found = "none" if self.contrast is None else "both"
+            raise SettingsError(f"contrast and delta_t_k: found {found}, expected one of them")
+        if self.strength == 0.0:
+            raise SettingsError(
+                "contrast or delta_t_k: found 0, expected a triangle that differs from its background"
+            )
+
+    @property
+    def strength(self) -> float:
+        """Contrast or temperature difference in K, with its sign."""
+        strength = self.delta_t_k if self.contrast is None else self.contrast
+        assert strength is not None
+        return strength
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Patch:
+    """A uniform grey rectangle on a page, to measure. `x_mm` and `y_mm` are its centre.
+
+    `luminance_cd_m2` or `reflectance` is its nominal value.
+
+    Raises
+    ------
+    SettingsError
+        If a value is out of range, or not just one of luminance and reflectance is given.
+    """
+
+    x_mm: Place
+    y_mm: Place
+    width_mm: Length
+    height_mm: Length
+    reflectance: Annotated[float | None, Meta(ge=0.0, le=2.0)] = None
+    luminance_cd_m2: Annotated[float | None, Meta(ge=0.0, le=1e12)] = None
+
+    def __post_init__(self) -> None:
+        check_values(self)
+        if (self.reflectance is None) == (self.luminance_cd_m2 is None):
+            found = "none" if self.reflectance is None else "both"
+            raise SettingsError(f"reflectance and luminance_cd_m2: found {found}, expected one of them")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Page:
+    """A page of a chart: an image on the monitor, a sheet of paper, or a setting of the plate.
+
+    `file` is its path in the chart's folder; None for a setting of the plate.
+
+    Raises
+    ------
+    SettingsError
+        If there is no triangle, or the file lies outside of the chart's folder.
+    """
+
+    number: Annotated[int, Meta(ge=0, le=MOST_PAGES - 1)]
+    triangles: tuple[Triangle, ...]
+    patches: tuple[Patch, ...] = ()
+    file: str | None = None
+
+    def __post_init__(self) -> None:
+        check_values(self)
+        if not self.triangles:
+            raise SettingsError("triangles: found none, expected at least one")
+        if self.file is not None:
+            path = PurePosixPath(self.file)
+            if not path.parts or path.is_absolute() or ".." in path.parts or "\0" in self.file:
+                raise SettingsError(f"file: found {self.file!r}, expected a path inside the chart's folder")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Screen:
+    """The monitor that shows a chart.
+
+    Attributes
+    ----------
+    width_px, height_px : int
+        Pixels of the monitor, which are those of each page.
+    pixel_pitch_mm : float
+        Distance from one pixel to the next, > 0.
+    background_luminance_cd_m2 : float
+        Luminance around the triangles, > 0.
+    page_duration_s : float
+        Time for which each page is shown, > 0.
+    eotf, white_luminance_cd_m2, black_luminance_cd_m2, gamma
+        As in the [display] of a dataset.
+    lut : LuminanceTable or None
+        Table for "lut"; in chart.toml its pairs of code value and luminance in cd/m².
+    bits : {8, 10}
+        Bits of a code value.
+
+    Raises
+    ------
+    SettingsError
+        If a value is out of range, missing, or contradicts another.
+    """
+
+    width_px: Annotated[int, Meta(ge=1, le=32768)]
+    height_px: Annotated[int, Meta(ge=1, le=32768)]
+    pixel_pitch_mm: Length
+    background_luminance_cd_m2: float
+    page_duration_s: Length
+    eotf: Eotf = "srgb"
+    white_luminance_cd_m2: float = 100.0
+    black_luminance_cd_m2: float = 0.0
+    gamma: float | None = None
+    lut: LuminanceTable | None = None
+    bits: Bits = 8
+
+    def __post_init__(self) -> None:
+        check_values(self)
+        _ = self.display  # checks the rest
+
+    @property
+    def display(self) -> Display:
+        """The monitor as a display; pixels are given in an angle of 1 mrad, since no eye looks at it."""
+        return Display(
+            eotf=self.eotf,
+            white_luminance_cd_m2=self.white_luminance_cd_m2,
+            black_luminance_cd_m2=self.black_luminance_cd_m2,
+            gamma=self.gamma,
+            lut=self.lut,
+            background_luminance_cd_m2=self.background_luminance_cd_m2,
+            pixel_pitch_mrad=1.0,
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Chart:
+    """A chart: pages of one size in mm, shown to a camera at a distance.
+
+    Attributes
+    ----------
+    kind : {"screen", "print", "thermal"}
+    name : str
+    key : int
+        0 to 249; a marker of each page carries it, so that recordings of another chart are noticed.
+    seed : int
+        Seed of the order of the pages.
+    distance_m : float
+        From the camera to the page, > 0.
+    page_width_mm, page_height_mm : float
+    polarity : {1, -1}
+        Triangles are brighter (warmer) or darker (colder) than their background.
+    pages : tuple of Page
+        Numbered from 0 on.
+    markers : Markers or None
+        None for a thermal chart.
+    screen : Screen or None
+        None unless the kind is "screen".
+
+    Raises
+    ------
+    SettingsError
+        If a value is out of range or contradicts another.
+    """
+
+    kind: ChartKind
+    name: str
+    distance_m: Length
+    page_width_mm: Length
+    page_height_mm: Length
+    pages: tuple[Page, ...]
+    key: Annotated[int, Meta(ge=0, le=N_DIGITS - 1)] = 0
+    seed: Annotated[int, Meta(ge=0)] = 1
+    polarity: Literal[1, -1] = 1
+    markers: Markers | None = None
+    screen: Screen | None = None
+
+    def __post_init__(self) -> None:
+        check_values(self)
+        if (self.screen is None) == (self.kind == "screen"):
+            raise SettingsError(
+                f'[screen]: expected it with kind = "screen", and only there; found kind = "{self.kind}"'
+            )
+        if (self.markers is None) != (self.kind == "thermal"):
+            raise SettingsError(f'[markers]: expected it unless kind = "thermal"; found kind = "{self.kind}"')
+        if not self.pages:
+            raise SettingsError("pages: found none, expected at least one")
+        if self.screen is not None:
+            for name, pixels in (
+                ("page_width_mm", self.screen.width_px),
+                ("page_height_mm", self.screen.height_px),
+            ):
+                _check_equal(name, getattr(self, name), pixels * self.screen.pixel_pitch_mm, "the pixels give")
+        if self.markers is not None:
+            half = self.markers.side_mm / 2.0
+            for name, (x, y) in zip(CORNERS, self.markers.centres_mm, strict=True):
+                if min(x, self.page_width_mm - x, y, self.page_height_mm - y) < half:
+                    raise SettingsError(f"[markers]: {name}: reaches beyond the page, expected it on the page")
+        for place, page in enumerate(self.pages):
+            where = f"pages, number {place}"
+            if page.number != place:
+                raise SettingsError(f"{where}: number: found {page.number}, expected {place}")
+            if self.kind == "screen" and page.file is None:
+                raise SettingsError(f"{where}: file is missing")
+            for one in page.triangles:
+                self._check_triangle(one, where)
+
+    def _check_triangle(self, one: Triangle, where: str) -> None:
+        if (self.kind == "thermal") != (one.delta_t_k is not None):
+            name = "delta_t_k" if self.kind == "thermal" else "contrast"
+            raise SettingsError(f'{where}: {name} is missing with kind = "{self.kind}"')
+        if one.strength * self.polarity < 0:
+            raise SettingsError(
+                f"{where}: found {one.strength:g}, expected the sign of polarity = {self.polarity}"
+            )
+        if one.x_mm > self.page_width_mm or one.y_mm > self.page_height_mm:
+            raise SettingsError(f"{where}: found a triangle beyond the page, expected its centroid on the page")
+        try:
+            _check_equal("size_mm", one.size_mm, one.size_mrad * self.distance_m, "size_mrad and distance_m give")
+        except SettingsError as error:
+            raise SettingsError(f"{where}: {error}") from None
+
+    @property
+    def level(self) -> str:
+        """Name of the stimulus strength: contrast, or delta_t_k for a thermal chart."""
+        return "delta_t_k" if self.kind == "thermal" else "contrast"
+
+    def with_key(self) -> Chart:
+        """Return the chart with the key that a hash of its content gives."""
+        digest = hashlib.sha256(chart_toml(replace(self, key=0)).encode()).digest()
+        return replace(self, key=int.from_bytes(digest[:8]) % N_DIGITS)
+
+
+def _check_equal(name: str, found: float, expected: float, origin: str) -> None:
+    if not math.isclose(found, expected, rel_tol=SIZE_TOLERANCE):
+        raise SettingsError(f"{name}: found {found:g}, but {origin} {expected:g}; expected equal values")
+
+
+# chart.toml ---------------------------------------------------------------------------------------------------
+
+
+def read_chart(path: Path | str) -> Chart:
+    """Read and check a `chart.toml`; no page is opened.
+
+    Parameters
+    ----------
+    path : path
+        The file, or the folder that holds it.
+
+    Returns
+    -------
+    Chart
+
+    Raises
+    ------
+    SettingsError
+        If the file cannot be read, or has an unknown, missing or contradictory key.
+    """
+    path = Path(path)
+    if path.is_dir():
+        path = path / CHART_FILE
+    content = read_toml(path)
+    check_keys(content, ["schema", *(field.name for field in fields(Chart))], str(path))
+    if content.pop("schema", None) != SCHEMA:
+        raise SettingsError(f"{path}: schema: is missing or unknown, expected {SCHEMA}")
+    if "screen" in content:
+        content["screen"] = _screen(content["screen"], f"{path}: [screen]")
+    if "markers" in content:
+        where = f"{path}: [markers]"
+        table = dict(_table(content["markers"], where))
+        for corner in set(CORNERS) & table.keys():
+            table[corner] = _made(table[corner], Point, f"{where}: {corner}")
+        content["markers"] = from_table(table, Markers, where)
+    if "pages" in content:
+        pages = _list(content["pages"], f"{path}: pages")
+        content["pages"] = tuple(_page(one, f"{path}: pages, number {place}") for place, one in enumerate(pages))
+    return from_table(content, Chart, str(path))
+
+
+def _screen(found: object, where: str) -> Screen:
+    table = dict(_table(found, where))
+    if "lut" in table:
+        try:
+            pairs = np.asarray(table["lut"], np.float64).reshape(-1, 2)
+            table["lut"] = LuminanceTable(*pairs.T)
+        except (ValueError, TypeError) as error:
+            problem = error if isinstance(error, SettingsError) else "lut: expected pairs of numbers"
+            raise SettingsError(f"{where}: {problem}") from None
+    return from_table(table, Screen, where)
+
+
+def _page(found: object, where: str) -> Page:
+    table = dict(_table(found, where))
+    for name, kind in (("triangles", Triangle), ("patches", Patch)):
+        if name in table:
+            items = _list(table[name], f"{where}: {name}")
+            table[name] = tuple(_made(one, kind, f"{where}: {name}") for one in items)
+    return from_table(table, Page, where)
+
+
+def _made(found: object, kind: type[Any], where: str) -> Any:
+    return from_table(_table(found, where), kind, where)
+
+
+def _table(found: object, where: str) -> Mapping[str, Any]:
+    if not isinstance(found, dict):
+        raise SettingsError(f"{where}: found {found!r}, expected a table")
+    return found
+
+
+def _list(found: object, where: str) -> list[Any]:
+    if not isinstance(found, list):
+        raise SettingsError(f"{where}: found {found!r}, expected a list of tables")
+    return found
+
+
+def write_chart(path: Path, chart: Chart) -> None:
+    """Write a chart as `chart.toml`; `read_chart` gives the same chart, number for number.
+
+    Raises
+    ------
+    SettingsError
+        If the text would be longer than what is read again.
+    """
+    text = chart_toml(chart)
+    if len(text.encode()) > MAX_TOML_MB * 2**20:
+        raise SettingsError(
+            f"found {len(chart.pages)} pages, whose {CHART_FILE} would be longer than {MAX_TOML_MB} MB; "
+            "take fewer sizes, levels or repeats, or make several charts"
+        )
+    path.write_text(text, encoding="utf-8")
+
+
+def chart_toml(chart: Chart) -> str:
+    """Return the text of `chart.toml`; every number keeps all its digits."""
+    plain = ("kind", "name", "key", "seed", "distance_m", "page_width_mm", "page_height_mm", "polarity")
+    content: dict[str, Any] = {"schema": SCHEMA, **{name: getattr(chart, name) for name in plain}}
+    if chart.screen is not None:
+        content["screen"] = {field.name: _plain(getattr(chart.screen, field.name)) for field in fields(Screen)}
+    if chart.markers is not None:
+        names = ("dictionary", "side_mm", *CORNERS)
+        content["markers"] = {name: _plain(getattr(chart.markers, name)) for name in names}
+    content["pages"] = [
+        {
+            "number": page.number,
+            "file": page.file,
+            "triangles": [*map(_plain, page.triangles)] or None,
+            "patches": [*map(_plain, page.patches)] or None,
+        }
+        for page in chart.pages
+    ]
+    return toml_text(content)
+
+
+def _plain(value: Any) -> Any:
+    """Return a part of a chart as plain values; fields that have their defaults are left out."""
+    if isinstance(value, LuminanceTable):
+        return [*zip(value.code_value.tolist(), value.luminance_cd_m2.tolist(), strict=True)]
+    if not is_dataclass(value):
+        return value
+    shown = ((field.name, getattr(value, field.name), field.default) for field in fields(value))
+    return {name: _plain(one) for name, one, default in shown if one != default}

@@ -1,0 +1,79 @@
+"""The markers in the corners of a chart's pages: their ids, which name page and chart, and their drawing.
+
+The marker at corner k (see `CORNERS`) of a page has the id 4·digit + k, where 0 ≤ digit < 250. The digits are the
+page's number modulo 250, the number divided by 250, again the number modulo 250, and the key of the chart. So each
+marker tells its corner, and a blend of two pages is noticed: it has markers of both.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from todframes.base.errors import SettingsError
+
+CORNERS = ("top_left", "top_right", "bottom_right", "bottom_left")
+"""Names of the corners in the order of the markers, clockwise."""
+
+
+DICTIONARY = "5x5_1000"
+"""Name of the markers' dictionary in chart.toml; OpenCV calls it DICT_5X5_1000."""
+
+
+MODULES = 7
+"""Side of a marker in modules, its black border of one module included."""
+
+
+N_DIGITS = 250
+"""Number of values of a digit: the dictionary has 1000 markers, and there are four corners."""
+
+
+MOST_PAGES = N_DIGITS**2
+
+
+def marker_ids(page: int, key: int) -> tuple[int, int, int, int]:
+    """Return the ids of the markers of a page, in the order of `CORNERS`.
+
+    Parameters
+    ----------
+    page : int
+        Number of the page, 0 to 62,499.
+    key : int
+        Key of the chart, 0 to 249.
+
+    Raises
+    ------
+    SettingsError
+        If the page or the key is out of its range.
+    """
+    for name, value, count in (("page", page, MOST_PAGES), ("key", key, N_DIGITS)):
+        if not 0 <= value < count:
+            raise SettingsError(f"{name}: found {value!r}, expected a whole number from 0 to {count - 1}")
+    low, high = page % N_DIGITS, page // N_DIGITS
+    return 4 * low, 4 * high + 1, 4 * low + 2, 4 * key + 3
+
+
+def page_of(ids: Sequence[int]) -> tuple[int, int] | None:
+    """Return (page, key) for the ids of four markers in the order of `CORNERS`; None if no page has them."""
+    if len(ids) != len(CORNERS) or any(not 0 <= one < 4 * N_DIGITS or one % 4 != k for k, one in enumerate(ids)):
+        return None
+    low, high, again, key = (one // 4 for one in ids)
+    return (high * N_DIGITS + low, key) if low == again else None
+
+
+def marker_bits(marker: int) -> NDArray[np.bool_]:
+    """Return the modules of a marker, shape (7, 7), True where it is white; its border is black.
+
+    Raises
+    ------
+    SettingsError
+        If the dictionary has no such marker.
+    """
+    import cv2
+
+    if not 0 <= marker < 4 * N_DIGITS:
+        raise SettingsError(f"marker: found {marker!r}, expected a whole number from 0 to {4 * N_DIGITS - 1}")
+    dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_5X5_1000)
+    return np.asarray(cv2.aruco.generateImageMarker(dictionary, marker, MODULES)) > 0

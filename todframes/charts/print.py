@@ -1,0 +1,416 @@
+"""Charts on paper, in true millimetres: sheets with triangles of one size, markers, grey patches and a ruler."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from msgspec import Meta
+from numpy.typing import NDArray
+
+from todframes.base._typing import FloatArray
+from todframes.base.errors import DataError, SettingsError
+from todframes.base.reading import check_values, read_numbers
+from todframes.charts.design import FIELD_PER_SIZE, Condition, Design
+from todframes.charts.layout import (
+    CHART_FILE,
+    Chart,
+    Length,
+    Markers,
+    Page,
+    Patch,
+    Triangle,
+    write_chart,
+)
+from todframes.charts.markers import MODULES, marker_bits, marker_ids
+from todframes.charts.page_drawing import Drawing, Outline, Shape, Text, area, pdf, rectangle, svg
+from todframes.display.display import srgb_to_linear
+from todframes.stimulus import vertices
+
+PDF_FILE = "chart.pdf"
+
+
+SPACING_PER_SIZE = 3.8
+"""Distance between triangles of a sheet in sizes. The corners of one stay out of the field around the other, with
+0.4 sizes to spare for the blur and the perspective of a camera."""
+
+
+MARKER_SHARE = 0.08
+"""Side of a marker relative to the smaller side of the sheet."""
+
+
+GAP_MM = 2.0
+"""Distance between the grey field and the bands above and below it."""
+
+
+N_PATCHES = 12
+"""Number of grey patches; the first has the grey of the background."""
+
+
+RULER_MM, RULER_STEP_MM, LEAST_RULER_MM = 200.0, 10.0, 50.0
+"""Longest ruler, distance of its marks, and step of its length, which is also the shortest ruler."""
+
+
+TICK_MM, LINE_MM = 3.0, 0.2
+
+
+LINE_SPACING = 1.3
+"""Distance of lines of text in heights of a letter."""
+
+
+WHITE = 255
+
+LEAST_SIZE_MM = 2.0
+"""Smallest √(area) on paper: the dots by which a printer makes grey would show in smaller triangles."""
+
+
+PaperLength = Annotated[float, Meta(ge=10.0, le=2000.0)]
+
+Reflectance = Annotated[float, Meta(ge=0.0, le=2.0)]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Paper:
+    """Sheets of paper and the printer's greys.
+
+    Attributes
+    ----------
+    paper_width_mm, paper_height_mm : float
+        Size of a sheet; by default A3 across.
+    margin_mm : float
+        Border that the printer leaves white.
+    paper_reflectance, black_reflectance : float
+        Reflectance of code values 255 and 0. Greys between are taken to follow sRGB.
+    reflectances : str or None
+        CSV file with the columns code_value (0 to 255) and reflectance, measured on a print, instead of the two.
+    background_reflectance : float
+        Reflectance around the triangles.
+    marker_mm : float or None
+        Side of the markers. Default: 8 % of the smaller side of the sheet.
+
+    Raises
+    ------
+    SettingsError
+        If a value is out of range or contradicts another.
+    """
+
+    paper_width_mm: PaperLength = 420.0
+    paper_height_mm: PaperLength = 297.0
+    margin_mm: Annotated[float, Meta(ge=0.0, le=1e3)] = 10.0
+    paper_reflectance: Reflectance = 0.85
+    black_reflectance: Reflectance = 0.04
+    reflectances: str | None = None
+    background_reflectance: Reflectance = 0.3
+    marker_mm: Length | None = None
+
+    def __post_init__(self) -> None:
+        check_values(self)
+        if self.black_reflectance >= self.paper_reflectance:
+            raise SettingsError(
+                f"black_reflectance: found {self.black_reflectance:g}, expected less than paper_reflectance "
+                f"({self.paper_reflectance:g})"
+            )
+
+    def reflectance_of_code(self) -> FloatArray:
+        """Return the reflectance of the code values 0 … 255, strictly rising."""
+        code = np.arange(WHITE + 1.0)
+        if self.reflectances is None:
+            rise = self.paper_reflectance - self.black_reflectance
+            return self.black_reflectance + rise * srgb_to_linear(code / WHITE)
+        path = Path(self.reflectances)
+        try:
+            rows = read_numbers(path, ("code_value", "reflectance"))
+        except DataError as error:
+            raise SettingsError(str(error)) from None
+        measured = np.array(rows, np.float64).reshape(-1, 2)
+        if measured.shape[0] < 2 or (np.diff(measured, axis=0) <= 0.0).any():
+            raise SettingsError(f"{path}: expected two rows or more, with rising code_value and reflectance")
+        if measured[0, 0] != 0.0 or measured[-1, 0] != WHITE:
+            raise SettingsError(f"{path}: code_value: found no row for 0 or none for {WHITE}, expected both")
+        return np.asarray(np.interp(code, *measured.T))
+
+
+@dataclass(frozen=True, slots=True)
+class PrintChart:
+    """A chart on paper with a drawing of each sheet."""
+
+    chart: Chart
+    drawings: tuple[Drawing, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class _Sheet:
+    """The parts of a sheet: markers in the corners, a grey field, and bands above and below it."""
+
+    markers: Markers
+    band_mm: float
+    left_mm: float
+    top_mm: float
+    width_mm: float
+    height_mm: float
+    inner_left_mm: float
+    inner_width_mm: float
+
+    @property
+    def ruler_mm(self) -> float:
+        """Length of the ruler between the markers."""
+        return min(RULER_MM, math.floor(self.inner_width_mm / LEAST_RULER_MM) * LEAST_RULER_MM)
+
+
+def design_print_chart(design: Design, paper: Paper) -> PrintChart:
+    """Lay out a chart on paper: sheets with triangles of one size each, in blocks of random order.
+
+    Parameters
+    ----------
+    design : Design
+        Its levels are contrasts.
+    paper : Paper
+
+    Raises
+    ------
+    SettingsError
+        If the paper is too small for a size, or its greys do not have a contrast.
+    """
+    reflectance = paper.reflectance_of_code()
+    background_code = int(np.argmin(np.abs(reflectance - paper.background_reflectance)))
+    background = float(reflectance[background_code])
+    if background_code in (0, WHITE):
+        raise SettingsError(
+            f"background_reflectance: found {paper.background_reflectance:g}, which is black or paper; expected a "
+            f"value between {reflectance[0]:g} and {reflectance[-1]:g}"
+        )
+    least = abs(float(reflectance[background_code + design.polarity]) / background - 1.0)
+    largest = abs(float(reflectance[WHITE if design.polarity > 0 else 0]) / background - 1.0)
+    code_of_level = _codes(design, reflectance, background_code, least, largest)
+    sheet = _sheet(paper)
+    order = [condition for block in design.blocks() for condition in block]
+    sheets: list[list[tuple[Condition, float, float]]] = []
+    for size_mrad in design.sizes_mrad:
+        places = _places(design, size_mrad, sheet)
+        ours = [condition for condition in order if condition.size_mrad == size_mrad]
+        for first in range(0, len(ours), len(places)):
+            some = ours[first : first + len(places)]
+            sheets.append([(one, *place) for one, place in zip(some, places, strict=False)])
+    patches, patch_codes = _patches(sheet, paper, reflectance, background_code)
+    pages = []
+    for page_number, content in enumerate(sheets):
+        triangles = []
+        for condition, x_mm, y_mm in content:
+            contrast = float(f"{reflectance[code_of_level[condition.level]] / background - 1.0:.6g}")
+            asked = design.polarity * condition.level
+            triangles.append(
+                Triangle(
+                    orientation=condition.orientation,
+                    size_mrad=condition.size_mrad,
+                    size_mm=design.size_mm(condition.size_mrad),
+                    x_mm=x_mm,
+                    y_mm=y_mm,
+                    contrast=contrast,
+                    contrast_asked=None if contrast == asked else asked,
+                )
+            )
+        name = f"sheets/{page_number:02d}.svg"
+        pages.append(Page(number=page_number, file=name, triangles=tuple(triangles), patches=patches))
+    chart = Chart(
+        kind="print",
+        name=design.name,
+        seed=design.seed,
+        distance_m=design.distance_m,
+        page_width_mm=paper.paper_width_mm,
+        page_height_mm=paper.paper_height_mm,
+        polarity=design.polarity,
+        markers=sheet.markers,
+        pages=tuple(pages),
+    ).with_key()
+    origin = "nominal" if paper.reflectances is None else "as measured"
+    drawings = []
+    for page, content in zip(chart.pages, sheets, strict=True):
+        shapes: list[Shape] = [
+            rectangle(sheet.left_mm, sheet.top_mm, sheet.width_mm, sheet.height_mm, background_code)
+        ]
+        for one, (condition, _, _) in zip(page.triangles, content, strict=True):
+            corners = vertices(size=one.size_mm, orientation=one.orientation, x=one.x_mm, y=one.y_mm)
+            shapes.append(area(corners, code_of_level[condition.level]))
+        shapes += _marker_shapes(chart, page)
+        shapes += _patch_shapes(page, patch_codes)
+        shapes += _ruler(sheet)
+        shapes += _text(chart, page, sheet, f"{least:.2g} to {largest:.2g}, {origin}")
+        drawings.append(Drawing(chart.page_width_mm, chart.page_height_mm, tuple(shapes)))
+    return PrintChart(chart, tuple(drawings))
+
+
+def _codes(
+    design: Design, reflectance: FloatArray, background_code: int, least: float, largest: float
+) -> dict[float, int]:
+    """Return the nearest code value of each level. Raises SettingsError if there is none of its own."""
+    codes: dict[float, int] = {}
+    for level in design.levels:
+        contrast = design.polarity * level
+        wanted = reflectance[background_code] * (1.0 + contrast)
+        code = int(np.argmin(np.abs(reflectance - wanted)))
+        if level > largest * (1.0 + 1e-9) or code == background_code:
+            raise SettingsError(
+                f"contrasts: found {contrast:g}, expected {least:.2g} to {largest:.3g}, which the paper's greys "
+                "have; change background_reflectance, or take a screen for weaker ones"
+            )
+        for other, its in codes.items():
+            if its == code:
+                raise SettingsError(
+                    f"contrasts: {other:g} and {level:g} have the same printed grey (code value {code}); expected "
+                    f"contrasts at least {least:.2g} apart"
+                )
+        codes[level] = code
+    return codes
+
+
+def _sheet(paper: Paper) -> _Sheet:
+    width_mm, height_mm, margin_mm = paper.paper_width_mm, paper.paper_height_mm, paper.margin_mm
+    marker_mm = MARKER_SHARE * min(width_mm, height_mm) if paper.marker_mm is None else paper.marker_mm
+    module_mm = marker_mm / MODULES
+    band_mm = (MODULES + 2) * module_mm
+    inner_width_mm = width_mm - 2.0 * (margin_mm + band_mm + GAP_MM)
+    field_height_mm = height_mm - 2.0 * (margin_mm + band_mm + GAP_MM)
+    if inner_width_mm < LEAST_RULER_MM or field_height_mm <= 0.0:
+        raise SettingsError(
+            f"paper_width_mm × paper_height_mm: found {width_mm:g} × {height_mm:g}, too small for markers of "
+            f"{marker_mm:g} mm and margins of {margin_mm:g} mm; expected larger paper or smaller markers"
+        )
+    markers = Markers.in_corners(width_mm=width_mm, height_mm=height_mm, module_mm=module_mm, margin_mm=margin_mm)
+    return _Sheet(
+        markers=markers,
+        band_mm=band_mm,
+        left_mm=margin_mm,
+        top_mm=margin_mm + band_mm + GAP_MM,
+        width_mm=width_mm - 2.0 * margin_mm,
+        height_mm=field_height_mm,
+        inner_left_mm=margin_mm + band_mm + GAP_MM,
+        inner_width_mm=inner_width_mm,
+    )
+
+
+def _places(design: Design, size_mrad: float, sheet: _Sheet) -> list[tuple[float, float]]:
+    """Return the places for triangles of one size on a sheet, from the middle out; SettingsError if none."""
+    size_mm = design.size_mm(size_mrad)
+    if size_mm < LEAST_SIZE_MM:
+        raise SettingsError(
+            f"sizes_mrad: {size_mrad:g} mrad at {design.distance_m:g} m are {size_mm:.3g} mm, in which the "
+            f"printer's dots show; expected at least {LEAST_SIZE_MM:g} mm "
+            f"({LEAST_SIZE_MM / design.distance_m:.3g} mrad), or a larger distance"
+        )
+    field_mm = FIELD_PER_SIZE * size_mm
+    axes = []
+    for start_mm, length_mm in ((sheet.top_mm, sheet.height_mm), (sheet.left_mm, sheet.width_mm)):
+        if field_mm > length_mm:
+            most_mrad = min(sheet.height_mm, sheet.width_mm) / FIELD_PER_SIZE / design.distance_m
+            raise SettingsError(
+                f"sizes_mrad: {size_mrad:g} mrad at {design.distance_m:g} m are {size_mm:.4g} mm, and with the "
+                f"background that the observer needs {field_mm:.4g} mm; the paper has {length_mm:.4g} mm; "
+                f"expected at most {most_mrad:.3g} mrad, larger paper or a smaller distance"
+            )
+        count = 1 + math.floor((length_mm - field_mm) / (SPACING_PER_SIZE * size_mm))
+        ends = (field_mm / 2.0, length_mm - field_mm / 2.0) if count > 1 else (length_mm / 2.0, length_mm / 2.0)
+        axes.append(start_mm + np.linspace(*ends, count))
+    middle_x, middle_y = sheet.left_mm + sheet.width_mm / 2.0, sheet.top_mm + sheet.height_mm / 2.0
+    places = [(float(x), float(y)) for y in axes[0] for x in axes[1]]
+    return sorted(places, key=lambda place: math.hypot(place[0] - middle_x, place[1] - middle_y))
+
+
+def _patches(
+    sheet: _Sheet, paper: Paper, reflectance: FloatArray, background_code: int
+) -> tuple[tuple[Patch, ...], list[int]]:
+    """Return the grey patches of every sheet, from left to right, and their code values."""
+    codes = [background_code, *np.linspace(0, WHITE, N_PATCHES - 1).round().astype(int).tolist()]
+    pitch_mm = sheet.inner_width_mm / N_PATCHES
+    height_mm = 0.7 * sheet.band_mm
+    patches = tuple(
+        Patch(
+            x_mm=sheet.inner_left_mm + (k + 0.5) * pitch_mm,
+            y_mm=paper.margin_mm + height_mm / 2.0,
+            width_mm=pitch_mm,
+            height_mm=height_mm,
+            reflectance=float(f"{reflectance[code]:.6g}"),
+        )
+        for k, code in enumerate(codes)
+    )
+    return patches, codes
+
+
+def _marker_shapes(chart: Chart, page: Page) -> list[Shape]:
+    assert chart.markers is not None
+    side_mm = chart.markers.side_mm
+    module_mm = side_mm / MODULES
+    shapes: list[Shape] = []
+    ids = marker_ids(page.number, chart.key)
+    for marker, (x_mm, y_mm) in zip(ids, chart.markers.centres_mm.tolist(), strict=True):
+        left, top = x_mm - side_mm / 2.0, y_mm - side_mm / 2.0
+        shapes.append(rectangle(left, top, side_mm, side_mm, 0))
+        # Runs of white modules along rows and along columns: where they only touch, programs may show a line.
+        bits = marker_bits(marker)
+        for row, start, stop in _runs(bits):
+            place = left + start * module_mm, top + row * module_mm
+            shapes.append(rectangle(*place, (stop - start) * module_mm, module_mm, WHITE))
+        for column, start, stop in _runs(bits.T):
+            place = left + column * module_mm, top + start * module_mm
+            shapes.append(rectangle(*place, module_mm, (stop - start) * module_mm, WHITE))
+    return shapes
+
+
+def _runs(bits: NDArray[np.bool_]) -> Iterator[tuple[int, int, int]]:
+    """Yield (row, start, stop) of each run of True in each row."""
+    for row, values in enumerate(bits):
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], values, [False]])))
+        for start, stop in edges.reshape(-1, 2).tolist():
+            yield row, start, stop
+
+
+def _patch_shapes(page: Page, codes: list[int]) -> list[Shape]:
+    shapes: list[Shape] = []
+    for patch, code in zip(page.patches, codes, strict=True):
+        left, top = patch.x_mm - patch.width_mm / 2.0, patch.y_mm - patch.height_mm / 2.0
+        grey = rectangle(left, top, patch.width_mm, patch.height_mm, code)
+        shapes += [grey, Outline(grey.corners_mm)]
+        shapes.append(Text(patch.x_mm, top + patch.height_mm + 3.5, str(code), 3.0, "middle"))
+    return shapes
+
+
+def _ruler(sheet: _Sheet) -> list[Shape]:
+    """Return the ruler below the grey field; the left edge of each tick is its mark."""
+    left, top = sheet.inner_left_mm, sheet.top_mm + sheet.height_mm + GAP_MM
+    ticks = range(round(sheet.ruler_mm / RULER_STEP_MM) + 1)
+    return [
+        rectangle(left, top + TICK_MM, sheet.ruler_mm, LINE_MM, 0),
+        *(rectangle(left + k * RULER_STEP_MM, top, LINE_MM, TICK_MM, 0) for k in ticks),
+    ]
+
+
+def _text(chart: Chart, page: Page, sheet: _Sheet, contrasts: str) -> list[Shape]:
+    """Return the lines of text below the ruler."""
+    one = page.triangles[0]
+    lines = [
+        f"{sheet.ruler_mm:g} mm from the first to the last mark. Print at 100 %, without fitting to the page.",
+        f"{chart.name}, key {chart.key}: sheet {page.number + 1} of {len(chart.pages)}, for a distance of "
+        f"{chart.distance_m:g} m; {one.size_mrad:g} mrad = {one.size_mm:.4g} mm",
+        f"Contrasts of 8-bit greys: {contrasts}. Numbers at the patches are code values; measure the patches.",
+    ]
+    top = sheet.top_mm + sheet.height_mm + GAP_MM + TICK_MM + 1.0
+    height_mm = min(3.0, (sheet.band_mm - TICK_MM - 2.0) / len(lines) / LINE_SPACING)
+    return [
+        Text(sheet.inner_left_mm, top + height_mm * (LINE_SPACING * k + 1.0), line, height_mm)
+        for k, line in enumerate(lines)
+    ]
+
+
+def write_print_chart(folder: Path, made: PrintChart, *, progress: Callable[[int], None] | None = None) -> None:
+    """Write `chart.toml`, an SVG for each sheet, and a PDF with all of them into an existing, empty folder."""
+    write_chart(folder / CHART_FILE, made.chart)
+    (folder / "sheets").mkdir()
+    for page, drawing in zip(made.chart.pages, made.drawings, strict=True):
+        assert page.file is not None
+        (folder / page.file).write_text(svg(drawing), encoding="utf-8")
+        if progress is not None:
+            progress(len(page.triangles))
+    (folder / PDF_FILE).write_bytes(pdf(made.drawings, made.chart.name))

@@ -1,0 +1,307 @@
+"""Charts for a monitor: an image of its pixels for each page, and an HTML page that plays them."""
+
+from __future__ import annotations
+
+import base64
+import html
+import json
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from importlib import resources
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from todframes.base._typing import FloatArray
+from todframes.base.errors import DataError, SettingsError
+from todframes.charts.design import FIELD_PER_SIZE, Condition, Design
+from todframes.charts.layout import CHART_FILE, Chart, Markers, Page, Screen, Triangle, write_chart
+from todframes.charts.markers import MODULES, marker_bits, marker_ids
+from todframes.display.dither import dithered
+from todframes.stimulus import ORIENTATIONS, Orientation, coverage
+
+PLAYER = "play.html"
+
+
+LEAST_SIZE_PX = 8.0
+"""Smallest √(area) in pixels of the monitor: a pixel, which blurs the edges, is an eighth of it."""
+
+
+LEAST_STEPS = 36.0
+"""Smallest number of pixels that a dithered triangle raises by a code step: fewer are some dots, no triangle."""
+
+
+LARGEST_ROUNDING = 0.01
+"""Largest relative change of a contrast by rounding to a code value; where it is larger, pixels are dithered."""
+
+
+MARKER_SHARE, LARGEST_MARKER_SHARE = 0.15, 0.2
+"""Side of a marker relative to the smaller side of the page: if none is asked for, and the largest."""
+
+
+REACH_PER_SIZE = 2.0 / 3.0**0.75
+"""Distance from the centroid of a triangle to its corners, in sizes."""
+
+
+class DrawnTriangle(NamedTuple):
+    """The code values of a triangle and some background around it, and whether they are dithered.
+
+    `contrast` is their mean contrast over the triangle's area.
+    """
+
+    code: NDArray[np.uint16]
+    contrast: float
+    is_dithered: bool
+
+
+@dataclass(frozen=True, slots=True)
+class ScreenChart:
+    """A chart for a monitor, ready to be drawn: its description, and the triangle of each page."""
+
+    chart: Chart
+    order: tuple[Condition, ...]
+    drawn: dict[Condition, DrawnTriangle]
+    background_code: int
+
+    def page_codes(self) -> Iterator[NDArray[np.uint16]]:
+        """Yield the code values of each page, shape (rows, columns)."""
+        screen, markers = self.chart.screen, self.chart.markers
+        assert screen is not None and markers is not None
+        module_px = round(markers.side_mm / screen.pixel_pitch_mm / MODULES)
+        for page, condition in zip(self.chart.pages, self.order, strict=True):
+            codes = np.full((screen.height_px, screen.width_px), self.background_code, np.uint16)
+            ids = marker_ids(page.number, self.chart.key)
+            for marker, centre_mm in zip(ids, markers.centres_mm, strict=True):
+                bits = np.pad(marker_bits(marker), 1, constant_values=True)  # with its white border
+                modules = np.where(bits, 2**screen.bits - 1, 0).astype(np.uint16)
+                drawn = np.kron(modules, np.ones((module_px, module_px), np.uint16))
+                _put(codes, drawn, *(centre_mm / screen.pixel_pitch_mm))
+            _put(codes, self.drawn[condition].code, screen.width_px / 2.0, screen.height_px / 2.0)
+            yield codes
+
+
+def _put(codes: NDArray[np.uint16], patch: NDArray[np.uint16], x_edge_px: float, y_edge_px: float) -> None:
+    """Write a patch into a page; its centre is given in pixels from the page's top left corner."""
+    rows, columns = patch.shape
+    top, left = round(y_edge_px - rows / 2.0), round(x_edge_px - columns / 2.0)
+    codes[top : top + rows, left : left + columns] = patch
+
+
+def design_screen_chart(design: Design, screen: Screen, *, marker_mm: float | None = None) -> ScreenChart:
+    """Lay out a chart for a monitor: one triangle in the middle of each page, in blocks of random order.
+
+    Parameters
+    ----------
+    design : Design
+        Its levels are contrasts.
+    screen : Screen
+        The monitor. Its background luminance is replaced by that of the nearest code value.
+    marker_mm : float, optional
+        Side of the markers, rounded to whole pixels a module. Default: 15 % of the smaller side of the page.
+
+    Raises
+    ------
+    SettingsError
+        If the monitor cannot show a size or a contrast, or there is no place for the markers.
+    """
+    luminance_of_code = _luminance_of_code(screen)
+    background_code = int(np.argmin(np.abs(luminance_of_code - screen.background_luminance_cd_m2)))
+    if background_code in (0, luminance_of_code.size - 1):
+        raise SettingsError(
+            f"background_luminance_cd_m2: found {screen.background_luminance_cd_m2:g}, which is black or white; "
+            f"expected a luminance between {luminance_of_code[0]:g} and {luminance_of_code[-1]:g}, such as a "
+            "quarter of white"
+        )
+    screen = replace(screen, background_luminance_cd_m2=float(luminance_of_code[background_code]))
+    pitch_mm = screen.pixel_pitch_mm
+    width_mm, height_mm = screen.width_px * pitch_mm, screen.height_px * pitch_mm
+    asked_mm = MARKER_SHARE * min(width_mm, height_mm) if marker_mm is None else marker_mm
+    least_mm, most_mm = 2 * MODULES * pitch_mm, LARGEST_MARKER_SHARE * min(width_mm, height_mm)
+    if not least_mm <= asked_mm <= most_mm:
+        raise SettingsError(
+            f"marker_mm: found {asked_mm:g}, expected {least_mm:g} (two pixels a module) to {most_mm:.3g} (a "
+            "fifth of the page)"
+        )
+    module_mm = round(asked_mm / pitch_mm / MODULES) * pitch_mm
+    markers = Markers.in_corners(width_mm=width_mm, height_mm=height_mm, module_mm=module_mm, margin_mm=module_mm)
+    for size_mrad in design.sizes_mrad:
+        _check_size(design, size_mrad, markers, width_mm, height_mm, pitch_mm)
+    drawn = {one: _drawn(one, design, screen, luminance_of_code, background_code) for one in design.conditions}
+    order = [condition for block in design.blocks() for condition in block]
+    pages = [
+        Page(
+            number=number,
+            file=f"pages/{number:0{max(4, len(str(len(order) - 1)))}d}.png",
+            triangles=(_triangle(condition, design, drawn, x_mm=width_mm / 2.0, y_mm=height_mm / 2.0),),
+        )
+        for number, condition in enumerate(order)
+    ]
+    chart = Chart(
+        kind="screen",
+        name=design.name,
+        seed=design.seed,
+        distance_m=design.distance_m,
+        page_width_mm=width_mm,
+        page_height_mm=height_mm,
+        polarity=design.polarity,
+        screen=screen,
+        markers=markers,
+        pages=tuple(pages),
+    )
+    return ScreenChart(chart.with_key(), tuple(order), drawn, background_code)
+
+
+def _luminance_of_code(screen: Screen) -> FloatArray:
+    white = 2**screen.bits - 1
+    code = np.arange(white + 1.0) / white
+    try:
+        luminance = screen.display.luminance(code[:, np.newaxis, np.newaxis])[:, 0]
+    except DataError as error:
+        raise SettingsError(f"eotf: {error}") from None
+    if not (np.diff(luminance) > 0.0).all():
+        raise SettingsError("lut: found luminances that do not rise with the code value, expected them to")
+    return luminance
+
+
+def _check_size(
+    design: Design, size_mrad: float, markers: Markers, width_mm: float, height_mm: float, pitch_mm: float
+) -> None:
+    """Raise SettingsError if a triangle has too few pixels, or its surround no place on the page."""
+    size_mm = design.size_mm(size_mrad)
+    what = f"sizes_mrad: {size_mrad:g} mrad at {design.distance_m:g} m are {size_mm:.4g} mm"
+    if size_mm < LEAST_SIZE_PX * pitch_mm:
+        raise SettingsError(
+            f"{what}, {size_mm / pitch_mm:.3g} pixels of the monitor, whose edges are then too coarse; expected "
+            f"at least {LEAST_SIZE_PX:g} pixels ({LEAST_SIZE_PX * pitch_mm / design.distance_m:.3g} mrad), or a "
+            "larger distance"
+        )
+    half_mm = FIELD_PER_SIZE / 2.0 * size_mm
+    # Half of a square that keeps clear of the page's edge, and of each marker in x or in y.
+    border_mm = (0.5 + 1.0 / MODULES) * markers.side_mm
+    from_middle_mm = np.abs(markers.centres_mm - [width_mm / 2.0, height_mm / 2.0]) - border_mm
+    room_mm = min(width_mm / 2.0, height_mm / 2.0, float(from_middle_mm.max(axis=1).min()))
+    if half_mm > room_mm:
+        raise SettingsError(
+            f"{what}, and with the background that the observer needs {2.0 * half_mm:.4g} mm; the page has "
+            f"{2.0 * room_mm:.4g} mm between its edges and markers; expected at most "
+            f"{2.0 * room_mm / FIELD_PER_SIZE / design.distance_m:.3g} mrad, or a smaller distance"
+        )
+
+
+def _drawn(
+    condition: Condition, design: Design, screen: Screen, luminance_of_code: FloatArray, background_code: int
+) -> DrawnTriangle:
+    """Draw a triangle in code values. Raises SettingsError if the monitor cannot show its contrast."""
+    background = luminance_of_code[background_code]
+    contrast = design.polarity * condition.level
+    wanted = background * (1.0 + contrast)
+    if not luminance_of_code[0] <= wanted <= luminance_of_code[-1]:
+        most = luminance_of_code[0 if contrast < 0 else -1] / background - 1.0
+        raise SettingsError(
+            f"contrasts: found {contrast:g}, expected {abs(most):.3g} at most, the range of the monitor with a "
+            f"background of {background:.4g} cd/m²; change background_luminance_cd_m2 for more"
+        )
+    size_px = design.size_mm(condition.size_mrad) / screen.pixel_pitch_mm
+    step = abs(luminance_of_code[background_code + design.polarity] - background)
+    n_steps = condition.level * background * size_px**2 / step
+    if n_steps < LEAST_STEPS:
+        smallest = condition.level * LEAST_STEPS / n_steps
+        raise SettingsError(
+            f"contrasts: {contrast:g} at {condition.size_mrad:g} mrad would raise {n_steps:.2g} of the triangle's "
+            f"{size_px**2:.0f} pixels by a code step, which are some dots and no triangle; expected a contrast of "
+            f"at least {smallest:.2g}, or --bits 10 on a monitor that has them"
+        )
+    nearest = luminance_of_code[int(np.argmin(np.abs(luminance_of_code - wanted)))]
+    is_dithered = bool(abs(nearest - wanted) > LARGEST_ROUNDING * abs(wanted - background))
+    # The patch has an even number of rows if the page has, so that their middles meet.
+    reach = int(np.ceil(REACH_PER_SIZE * size_px)) + 1
+    rows, columns = (2 * reach + pixels % 2 for pixels in (screen.height_px, screen.width_px))
+    covered = coverage(
+        (rows, columns),
+        size_px=size_px,
+        x_px=(columns - 1) / 2.0,
+        y_px=(rows - 1) / 2.0,
+        orientation=condition.orientation,
+    )
+    luminance = background + ((wanted if is_dithered else nearest) - background) * covered
+    code = dithered(luminance, luminance_of_code)
+    shown = float(np.sum(luminance_of_code[code] - background)) / (background * size_px**2)
+    return DrawnTriangle(code, shown, is_dithered)
+
+
+def _triangle(
+    condition: Condition, design: Design, drawn: dict[Condition, DrawnTriangle], *, x_mm: float, y_mm: float
+) -> Triangle:
+    """Return the description of a triangle.
+
+    The four orientations of a level have one contrast, the mean of theirs; they differ by at most the luminance of
+    a code step of one pixel.
+    """
+    alike = [drawn[condition._replace(orientation=orientation)] for orientation in ORIENTATIONS]
+    # The area of covered pixels is off by 1e-5, which must not make black darker than black.
+    contrast = max(-1.0, float(f"{np.mean([one.contrast for one in alike]):.6g}"))
+    asked = design.polarity * condition.level
+    return Triangle(
+        orientation=Orientation(condition.orientation),
+        size_mrad=condition.size_mrad,
+        size_mm=design.size_mm(condition.size_mrad),
+        x_mm=x_mm,
+        y_mm=y_mm,
+        contrast=contrast,
+        contrast_asked=None if contrast == asked else asked,
+        dithered=alike[0].is_dithered,
+    )
+
+
+def write_screen_chart(folder: Path, made: ScreenChart, *, progress: Callable[[int], None] | None = None) -> None:
+    """Write `chart.toml`, the pages as PNG files and the player into an existing, empty folder.
+
+    The PNG files have one channel. 8-bit code values are stored as they are; of 10 bits, code · 65535 / 1023,
+    rounded, in 16 bits, so that any reader that divides by full scale gets code / 1023.
+
+    Raises
+    ------
+    SettingsError
+        If there are more pages than a `chart.toml` can hold.
+    """
+    import cv2
+
+    screen = made.chart.screen
+    assert screen is not None
+    write_chart(folder / CHART_FILE, made.chart)
+    (folder / "pages").mkdir()
+    head, foot = _player(made)
+    white = 2**screen.bits - 1
+    with (folder / PLAYER).open("w", encoding="utf-8") as player:
+        player.write(head)
+        for page, codes in zip(made.chart.pages, made.page_codes(), strict=True):
+            stored = (
+                codes.astype(np.uint8) if screen.bits == 8 else np.rint(codes * (65535 / white)).astype(np.uint16)
+            )
+            _, png = cv2.imencode(".png", stored, [cv2.IMWRITE_PNG_COMPRESSION, 6])
+            assert page.file is not None
+            (folder / page.file).write_bytes(png.tobytes())
+            player.write(f'"{base64.b64encode(png.tobytes()).decode()}",\n')
+            if progress is not None:
+                progress(1)
+        player.write(foot)
+
+
+def _player(made: ScreenChart) -> tuple[str, str]:
+    """Return the parts of the player before and after its list of pages."""
+    screen = made.chart.screen
+    assert screen is not None
+    grey = round(made.background_code * 255 / (2**screen.bits - 1))
+    settings = {
+        "width_px": screen.width_px,
+        "height_px": screen.height_px,
+        "page_duration_s": screen.page_duration_s,
+        "bits": screen.bits,
+        "background": f"rgb({grey}, {grey}, {grey})",
+    }
+    template = resources.files("todframes.charts").joinpath("templates", "player.html")
+    head, _, foot = template.read_text(encoding="utf-8").partition("{{ pages }}")
+    head = head.replace("{{ settings }}", json.dumps(settings)).replace("{{ name }}", html.escape(made.chart.name))
+    return head, foot

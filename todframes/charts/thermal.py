@@ -1,0 +1,194 @@
+"""Thermal charts: plates with a triangular hole in front of a black body, and the settings to record."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from msgspec import Meta
+
+from todframes.base.errors import SettingsError
+from todframes.base.reading import check_values
+from todframes.charts.design import FIELD_PER_SIZE, Condition, Design
+from todframes.charts.layout import CHART_FILE, LARGEST, Chart, Page, Triangle, write_chart
+from todframes.charts.page_drawing import Drawing, Outline, Shape, Text, pdf, rectangle, svg
+from todframes.stimulus import HEIGHT_PER_SIZE, SIDE_PER_SIZE, Orientation, vertices
+
+PDF_FILE, SCHEDULE_FILE = "plates.pdf", "schedule.csv"
+
+
+LEAST_SIZE_MM = 1.0
+"""Smallest √(area) of a hole: corners of smaller ones cannot be cut sharp enough."""
+
+
+BORDER_MM = 20.0
+"""Border of the drawing around the plate, for the text."""
+
+
+PLATE_STEP_MM = 10.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Plate:
+    """Square plates of one size.
+
+    Attributes
+    ----------
+    plate_mm : float or None
+        Side of the plates. Default: five sizes of the largest triangle, rounded up to whole centimetres.
+
+    Raises
+    ------
+    SettingsError
+        If the value is out of range.
+    """
+
+    plate_mm: Annotated[float | None, Meta(ge=1.0, le=LARGEST)] = None
+
+    def __post_init__(self) -> None:
+        check_values(self)
+
+
+@dataclass(frozen=True, slots=True)
+class ThermalChart:
+    """A thermal chart: its description, a drawing of each plate by size, and the settings in order."""
+
+    chart: Chart
+    drawings: dict[float, Drawing]
+    order: tuple[Condition, ...]
+
+
+def design_thermal_chart(design: Design, plate: Plate) -> ThermalChart:
+    """Lay out plates with one hole each, and order their settings.
+
+    The settings of a plate follow each other. In each block of a plate, the temperature differences are in random
+    order, and for each of them the four orientations, to which the plate is turned, are in random order too.
+
+    Parameters
+    ----------
+    design : Design
+        Its levels are temperature differences in K.
+    plate : Plate
+
+    Raises
+    ------
+    SettingsError
+        If a hole is too small to be cut, or the plate too small for a hole.
+    """
+    largest_mm = design.size_mm(max(design.sizes_mrad))
+    needed_mm = FIELD_PER_SIZE * largest_mm
+    side_mm = math.ceil(needed_mm / PLATE_STEP_MM) * PLATE_STEP_MM if plate.plate_mm is None else plate.plate_mm
+    smallest_mm = design.size_mm(min(design.sizes_mrad))
+    if smallest_mm < LEAST_SIZE_MM:
+        raise SettingsError(
+            f"sizes_mrad: {min(design.sizes_mrad):g} mrad at {design.distance_m:g} m are {smallest_mm:.3g} mm, "
+            f"whose corners cannot be cut; expected at least {LEAST_SIZE_MM:g} mm "
+            f"({LEAST_SIZE_MM / design.distance_m:.3g} mrad), or a larger distance"
+        )
+    if side_mm < needed_mm:
+        raise SettingsError(
+            f"plate_mm: found {side_mm:g}, expected at least {needed_mm:.4g}: five sizes of the largest triangle "
+            f"({largest_mm:.4g} mm), the part of the background that the observer needs"
+        )
+    middle_mm = side_mm / 2.0
+    order = _order(design)
+    pages = tuple(
+        Page(
+            number=number,
+            triangles=(
+                Triangle(
+                    orientation=condition.orientation,
+                    size_mrad=condition.size_mrad,
+                    size_mm=design.size_mm(condition.size_mrad),
+                    x_mm=middle_mm,
+                    y_mm=middle_mm,
+                    delta_t_k=design.polarity * condition.level,
+                ),
+            ),
+        )
+        for number, condition in enumerate(order)
+    )
+    chart = Chart(
+        kind="thermal",
+        name=design.name,
+        seed=design.seed,
+        distance_m=design.distance_m,
+        page_width_mm=side_mm,
+        page_height_mm=side_mm,
+        polarity=design.polarity,
+        pages=pages,
+    )
+    drawings = {size: _drawing(design, size, side_mm) for size in design.sizes_mrad}
+    return ThermalChart(chart.with_key(), drawings, tuple(order))
+
+
+def _order(design: Design) -> list[Condition]:
+    generator = np.random.default_rng(design.seed)
+    order = []
+    for size in generator.permutation(design.sizes_mrad):
+        for _ in range(design.repeats):
+            for level in generator.permutation(design.levels):
+                turns = generator.permutation(len(Orientation))
+                order += [Condition(float(size), float(level), tuple(Orientation)[turn]) for turn in turns]
+    return order
+
+
+def _drawing(design: Design, size_mrad: float, side_mm: float) -> Drawing:
+    """Draw a plate with its hole, upright, and the lengths that it is cut by."""
+    size_mm = design.size_mm(size_mrad)
+    x_mm, y_mm = BORDER_MM + side_mm / 2.0, BORDER_MM + side_mm / 2.0
+    corners = vertices(size=size_mm, orientation=Orientation.UP, x=x_mm, y=y_mm)
+    hole = [(float(x), float(y)) for x, y in corners]
+    far = BORDER_MM + side_mm
+    lines = [
+        f"{design.name}: {size_mrad:g} mrad at {design.distance_m:g} m, scale 1 : 1, plate {side_mm:g} mm",
+        f"Hole: equilateral, side {SIDE_PER_SIZE * size_mm:.3f} mm, height {HEIGHT_PER_SIZE * size_mm:.3f} mm, "
+        f"area ({size_mm:.4g} mm)²",
+        f"Centroid in the middle of the plate, {HEIGHT_PER_SIZE * size_mm / 3.0:.3f} mm from each side",
+    ]
+    height_mm = min(3.0, (side_mm + 2.0 * BORDER_MM - 6.0) / 0.55 / max(map(len, lines)))
+    shapes: list[Shape] = [
+        Outline(rectangle(BORDER_MM, BORDER_MM, side_mm, side_mm, 0).corners_mm),
+        Outline(hole),
+        *(Text(3.0, 4.0 + 1.5 * height_mm * k, line, height_mm) for k, line in enumerate(lines)),
+    ]
+    # Marks at the plate's edges show its middle, also when it is turned.
+    for left, top, width, height in (
+        (x_mm, BORDER_MM - 3.0, 0.1, 3.0),
+        (x_mm, far, 0.1, 3.0),
+        (BORDER_MM - 3.0, y_mm, 3.0, 0.1),
+        (far, y_mm, 3.0, 0.1),
+    ):
+        shapes.append(rectangle(left, top, width, height, 0))
+    page_mm = side_mm + 2.0 * BORDER_MM
+    return Drawing(page_mm, page_mm, tuple(shapes))
+
+
+def write_thermal_chart(
+    folder: Path, made: ThermalChart, *, progress: Callable[[int], None] | None = None
+) -> None:
+    """Write `chart.toml`, the plates' drawings and the schedule to fill in into an existing, empty folder."""
+    write_chart(folder / CHART_FILE, made.chart)
+    (folder / "plates").mkdir()
+    for size_mrad, drawing in made.drawings.items():
+        (folder / "plates" / f"plate_{size_mrad:g}_mrad.svg").write_text(svg(drawing), encoding="utf-8")
+    (folder / PDF_FILE).write_bytes(pdf(made.drawings.values(), made.chart.name))
+    (folder / SCHEDULE_FILE).write_text(_schedule(made), encoding="utf-8")
+    if progress is not None:
+        progress(len(made.order))
+
+
+def _schedule(made: ThermalChart) -> str:
+    """Return the table of settings as `todframes import --schedule` reads it, files and times still empty."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(["file", "start_s", "end_s", "orientation", "size_mrad", "delta_t_k", "polarity"])
+    for one in made.order:
+        writer.writerow(["", "", "", one.orientation, repr(one.size_mrad), repr(one.level), made.chart.polarity])
+    return text.getvalue()

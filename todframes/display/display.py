@@ -1,0 +1,267 @@
+"""Displays: the conversion of code values to luminance and contrast, and the viewing geometry."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from todframes.base._typing import FloatArray
+from todframes.base.errors import DataError, SettingsError
+from todframes.base.reading import spelling_hint
+
+Eotf = Literal["linear", "srgb", "bt1886", "gamma", "lut"]
+
+
+BackgroundRule = Literal["surround", "border", "frame_mean", "column"]
+
+
+REC_709_LUMINANCE_WEIGHTS = np.array([0.2126, 0.7152, 0.0722])
+"""Weights of linear red, green and blue in the luminance, of ITU-R BT.709."""
+
+
+LARGEST_LUMINANCE_CD_M2 = 1e12
+"""Largest luminance accepted, a thousand times that of the sun; a larger one is a mistake in the input."""
+
+
+PITCH_RANGE_MRAD = (1e-6, 1e6)
+"""Smallest and largest pixel pitch accepted; others are a mistake in the input and might overflow."""
+
+
+PITCH_TOLERANCE = 1e-3
+"""Largest relative difference between two pitches that count as equal when both are given."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LuminanceTable:
+    """The measured luminance of a display by code value, interpolated linearly.
+
+    Attributes
+    ----------
+    code_value : ndarray, shape (n,)
+        Rising, within [0, 1].
+    luminance_cd_m2 : ndarray, shape (n,)
+        Luminance at each code value, in cd/m².
+
+    Raises
+    ------
+    SettingsError
+        If there are fewer than two rows, code values do not rise or leave [0, 1], or a luminance is negative.
+    """
+
+    code_value: FloatArray
+    luminance_cd_m2: FloatArray
+
+    def __post_init__(self) -> None:
+        code, luminance = self.code_value, self.luminance_cd_m2
+        if code.size < 2:
+            raise SettingsError(f"lut: found {code.size} rows, expected at least 2")
+        if not (np.isfinite(code).all() and np.isfinite(luminance).all()):
+            raise SettingsError("lut: found a value that is not finite")
+        if code.min() < 0.0 or code.max() > 1.0:
+            raise SettingsError(
+                f"lut: code_value runs from {code.min():g} to {code.max():g}, expected 0 to 1 "
+                "(integers divided by full scale)"
+            )
+        if (np.diff(code) <= 0).any():
+            raise SettingsError("lut: code_value does not rise from row to row")
+        if luminance.min() < 0.0:
+            raise SettingsError(f"lut: found luminance_cd_m2 {luminance.min():g}, expected >= 0")
+        if luminance.max() > LARGEST_LUMINANCE_CD_M2:
+            most = f"at most {LARGEST_LUMINANCE_CD_M2:g}"
+            raise SettingsError(f"lut: found luminance_cd_m2 {luminance.max():g}, expected {most}")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Display:
+    """A display: its conversion of code values to luminance and its viewing geometry.
+
+    Attributes
+    ----------
+    eotf : {"linear", "srgb", "bt1886", "gamma", "lut"}
+        Electro-optical transfer function.
+    white_luminance_cd_m2, black_luminance_cd_m2 : float
+        Luminance of code values 1 and 0; not used with "lut", whose luminances are absolute.
+    pixel_pitch_mrad : float or None
+        Visual angle of one pixel; or `pixel_pitch_mm` and `viewing_distance_mm`.
+    background_luminance_cd_m2 : float or {"surround", "border", "frame_mean", "column"}
+        Luminance that contrast refers to: a smooth surface fitted around the triangle (recommended); a number; the
+        mean over the outermost ring of pixels or over the whole frame; or the manifest's column of this name.
+    gamma : float or None
+        Exponent for "gamma".
+    lut : LuminanceTable or None
+        Table for "lut".
+
+    Raises
+    ------
+    SettingsError
+        If a value is out of range, missing, or contradicts another.
+    """
+
+    eotf: Eotf
+    background_luminance_cd_m2: float | BackgroundRule
+    white_luminance_cd_m2: float = 1.0
+    black_luminance_cd_m2: float = 0.0
+    pixel_pitch_mrad: float | None = None
+    pixel_pitch_mm: float | None = None
+    viewing_distance_mm: float | None = None
+    gamma: float | None = None
+    lut: LuminanceTable | None = None
+
+    def __post_init__(self) -> None:
+        if self.eotf not in get_args(Eotf):
+            hint = spelling_hint(str(self.eotf), get_args(Eotf))
+            raise SettingsError(f"eotf: found {self.eotf!r}, expected one of {', '.join(get_args(Eotf))}{hint}")
+        for name in (
+            "white_luminance_cd_m2",
+            "pixel_pitch_mrad",
+            "pixel_pitch_mm",
+            "viewing_distance_mm",
+            "gamma",
+        ):
+            value = getattr(self, name)
+            if value is not None and not (math.isfinite(value) and value > 0):
+                raise SettingsError(f"{name}: found {value!r}, expected a finite number > 0")
+        if self.white_luminance_cd_m2 > LARGEST_LUMINANCE_CD_M2:
+            most = f"at most {LARGEST_LUMINANCE_CD_M2:g}"
+            raise SettingsError(f"white_luminance_cd_m2: found {self.white_luminance_cd_m2!r}, expected {most}")
+        if not 0.0 <= self.black_luminance_cd_m2 < self.white_luminance_cd_m2:
+            raise SettingsError(
+                f"black_luminance_cd_m2: found {self.black_luminance_cd_m2!r}, expected a number >= 0 and below "
+                f"white_luminance_cd_m2 ({self.white_luminance_cd_m2!r})"
+            )
+        background = self.background_luminance_cd_m2
+        if isinstance(background, str):
+            if background not in get_args(BackgroundRule):
+                raise SettingsError(
+                    f"background_luminance_cd_m2: found {background!r}, expected a number or one of "
+                    f"{', '.join(get_args(BackgroundRule))}"
+                )
+        elif not (math.isfinite(background) and background > 0):
+            raise SettingsError(f"background_luminance_cd_m2: found {background!r}, expected a finite number > 0")
+        for name in ("gamma", "lut"):
+            if (self.eotf == name) != (getattr(self, name) is not None):
+                wanted = "is missing" if self.eotf == name else "is given but not used"
+                raise SettingsError(f'{name}: {wanted} with eotf = "{self.eotf}"')
+        self._check_geometry()
+
+    def _check_geometry(self) -> None:
+        lengths = (self.pixel_pitch_mm, self.viewing_distance_mm)
+        if self.pixel_pitch_mrad is None and None in lengths:
+            raise SettingsError(
+                "pixel_pitch_mrad: is missing, expected it or both of pixel_pitch_mm and viewing_distance_mm"
+            )
+        if lengths.count(None) == 1:
+            raise SettingsError("pixel_pitch_mm and viewing_distance_mm: found one of them, expected both or none")
+        if self.pixel_pitch_mrad is not None and None not in lengths:
+            other = self._pitch_from_lengths()
+            if abs(other - self.pixel_pitch_mrad) > PITCH_TOLERANCE * self.pixel_pitch_mrad:
+                raise SettingsError(
+                    f"pixel_pitch_mrad: found {self.pixel_pitch_mrad:g}, but pixel_pitch_mm and "
+                    f"viewing_distance_mm give {other:g}; expected one of the two or equal values"
+                )
+        low, high = PITCH_RANGE_MRAD
+        if not low <= self.pitch_mrad <= high:
+            name = "pixel_pitch_mm" if self.pixel_pitch_mrad is None else "pixel_pitch_mrad"
+            raise SettingsError(f"{name}: found a pitch of {self.pitch_mrad:g} mrad, expected {low:g} to {high:g}")
+
+    def _pitch_from_lengths(self) -> float:
+        assert self.pixel_pitch_mm is not None and self.viewing_distance_mm is not None
+        return 2000.0 * math.atan(self.pixel_pitch_mm / self.viewing_distance_mm / 2.0)
+
+    @property
+    def pitch_mrad(self) -> float:
+        """Visual angle of one pixel in mrad, as given or from pixel pitch and viewing distance."""
+        return self.pixel_pitch_mrad if self.pixel_pitch_mrad is not None else self._pitch_from_lengths()
+
+    def luminance(self, code_value: NDArray[np.floating]) -> FloatArray:
+        """Compute the luminance of code values.
+
+        Parameters
+        ----------
+        code_value : ndarray, shape (rows, columns, channels)
+            One channel, or red, green and blue. Integer code values are divided by their full scale.
+
+        Returns
+        -------
+        ndarray, shape (rows, columns)
+            Luminance in cd/m². Three channels are linearised, then weighted as in Rec. 709.
+
+        Raises
+        ------
+        DataError
+            If a code value lies outside the range of the transfer function.
+        """
+        light = self._light(code_value.astype(np.float64))
+        if light.shape[-1] == 1:
+            return light[..., 0]
+        return np.asarray(light @ REC_709_LUMINANCE_WEIGHTS)
+
+    def _light(self, code: FloatArray) -> FloatArray:
+        white, black = self.white_luminance_cd_m2, self.black_luminance_cd_m2
+        if self.eotf == "linear":
+            return black + (white - black) * code
+        low, high = 0.0, 1.0
+        if self.lut is not None:
+            low, high = float(self.lut.code_value[0]), float(self.lut.code_value[-1])
+        if code.size and (code.min() < low or code.max() > high):
+            raise DataError(
+                f"code values run from {code.min():g} to {code.max():g}, "
+                f'expected {low:g} to {high:g} with eotf = "{self.eotf}"'
+            )
+        if self.lut is not None:
+            return np.interp(code, self.lut.code_value, self.lut.luminance_cd_m2)
+        if self.eotf == "bt1886":
+            return bt1886_luminance(code, white_luminance_cd_m2=white, black_luminance_cd_m2=black)
+        linear = srgb_to_linear(code) if self.gamma is None else code**self.gamma
+        return np.asarray(black + (white - black) * linear)
+
+
+def srgb_to_linear(code_value: FloatArray) -> FloatArray:
+    """Compute the relative luminance in [0, 1] of sRGB code values in [0, 1], of any shape (IEC 61966-2-1)."""
+    return np.where(code_value <= 0.04045, code_value / 12.92, ((code_value + 0.055) / 1.055) ** 2.4)
+
+
+def bt1886_luminance(
+    code_value: FloatArray, *, white_luminance_cd_m2: float, black_luminance_cd_m2: float
+) -> FloatArray:
+    """Compute the luminance in cd/m² of code values in [0, 1], of any shape, by ITU-R BT.1886, Annex 1."""
+    white_root, black_root = white_luminance_cd_m2 ** (1 / 2.4), black_luminance_cd_m2 ** (1 / 2.4)
+    return np.asarray((black_root + (white_root - black_root) * code_value) ** 2.4)
+
+
+def border_values(pixels: NDArray[Any], *, top: bool = True, bottom: bool = True) -> NDArray[Any]:
+    """Return the pixels of a band of rows that lie on the border of the frame.
+
+    Parameters
+    ----------
+    pixels : ndarray, shape (rows, columns) or (rows, columns, channels)
+        A band of whole rows.
+    top, bottom : bool
+        Whether the band's first row is the frame's first, and its last row the frame's last.
+
+    Returns
+    -------
+    ndarray, shape (n,) or (n, channels)
+    """
+    on_border = np.zeros(pixels.shape[:2], np.bool_)
+    on_border[:, [0, -1]] = True
+    on_border[0] |= top
+    on_border[-1] |= bottom
+    return pixels[on_border]
+
+
+def weber_contrast(luminance: FloatArray, background_luminance_cd_m2: float) -> FloatArray:
+    """Compute the signed contrast L / L_background − 1, of the shape of `luminance`.
+
+    Raises
+    ------
+    DataError
+        If the background is not a positive number.
+    """
+    if not (math.isfinite(background_luminance_cd_m2) and background_luminance_cd_m2 > 0):
+        raise DataError(f"background luminance is {background_luminance_cd_m2:g} cd/m², expected > 0")
+    return luminance / background_luminance_cd_m2 - 1.0

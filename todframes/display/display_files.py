@@ -1,0 +1,190 @@
+"""Descriptions of displays: the table [display] of a dataset, files to share, and the displays of this package.
+
+A file has the table as a dataset has it, and texts that say what it is and where its numbers come from:
+
+    schema = 1
+    title = "Monitor in room 3"
+    source = "measured on 4 May"
+    [display]
+    eotf = "srgb"
+    …
+
+The background that contrast refers to is the surround of the triangle unless the file says otherwise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from todframes.base.errors import DataError, SettingsError
+from todframes.base.locations import Location
+from todframes.base.reading import (
+    check_keys,
+    from_table,
+    path_inside,
+    read_numbers,
+    read_toml,
+    resolved,
+    spelling_hint,
+)
+from todframes.base.safe_text import csv_text
+from todframes.display.display import Display, LuminanceTable
+
+SCHEMA = 1
+"""Version of the format of display files that this package reads."""
+
+
+SUFFIX = ".toml"
+"""End of the names of display files; any other text is the name of a display of this package."""
+
+
+LUT_FILE = "lut.csv"
+"""Name that a display's table of luminances gets in a dataset."""
+
+
+FOLDER = Path(__file__).with_name("displays")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DisplayDescription:
+    """A display with what it is and where its numbers come from."""
+
+    display: Display
+    title: str = ""
+    source: str = ""
+
+
+def display_names() -> tuple[str, ...]:
+    """Return the names of the displays that this package provides, in alphabetical order."""
+    return tuple(sorted(path.stem for path in FOLDER.glob(f"*{SUFFIX}")))
+
+
+def find_display(name: str, *, where: str = "display", folder: Location | None = None) -> DisplayDescription:
+    """Return the display of this package with a name, or that of a file.
+
+    Parameters
+    ----------
+    name : str
+        A name of `display_names`, or the path of a file that ends with ".toml".
+    where : str
+        Start of messages about the name: the option, or the file and key.
+    folder : Path, RemotePath or None
+        Folder that a file's path is relative to and may not leave: that of a dataset. None: any file, relative to
+        the working folder.
+
+    Raises
+    ------
+    SettingsError
+        If there is no such display, or its file cannot be read or has a wrong value.
+    """
+    if name.endswith(SUFFIX):
+        if folder is None:
+            return read_display(Path(name))
+        try:
+            path_inside(resolved(folder), name, f"{where}:")
+        except DataError as error:
+            raise SettingsError(str(error)) from None
+        return read_display(folder / name)
+    names = display_names()
+    if name not in names:
+        hint = spelling_hint(name, names)
+        raise SettingsError(
+            f"{where}: found {name!r}, expected the name of a file that ends with {SUFFIX}, or one of "
+            f"{', '.join(names)}{hint}"
+        )
+    return read_display(FOLDER / f"{name}{SUFFIX}")
+
+
+def read_display(path: Location) -> DisplayDescription:
+    """Return the display that a TOML file describes; the path of its LUT is relative to the file's folder.
+
+    Raises
+    ------
+    SettingsError
+        If the file cannot be read or has a wrong value.
+    """
+    content = read_toml(path)
+    check_keys(content, ["schema", "title", "source", "display"], str(path))
+    if content.get("schema") != SCHEMA:
+        raise SettingsError(f"{path}: schema: found {content.get('schema')!r}, expected {SCHEMA}")
+    texts = {name: content.get(name, "") for name in ("title", "source")}
+    for name, text in texts.items():
+        if not isinstance(text, str):
+            raise SettingsError(f"{path}: {name}: found {text!r}, expected text")
+    table = content.get("display")
+    if not isinstance(table, dict):
+        raise SettingsError(f"{path}: table [display] is missing")
+    table = {"background_luminance_cd_m2": "surround"} | table
+    display = display_of_table(table, f"{path}: [display]", path.parent)
+    return DisplayDescription(display=display, **texts)
+
+
+def display_of_table(table: Mapping[str, Any], where: str, folder: Location) -> Display:
+    """Return the display that a table [display] describes.
+
+    Parameters
+    ----------
+    table : mapping
+        Values by key.
+    where : str
+        File and table; every message begins with it.
+    folder : Path or RemotePath
+        Folder that the path of a LUT is relative to and may not leave.
+
+    Raises
+    ------
+    SettingsError
+        If a key is unknown or missing, a value is refused, or the LUT cannot be read.
+    """
+    check_keys(table, [field.name for field in fields(Display)], where)
+    table, eotf = dict(table), table.get("eotf")
+    if eotf == "lut":  # luminances of a table are absolute
+        table.pop("white_luminance_cd_m2", None)
+        table.pop("black_luminance_cd_m2", None)
+    elif "white_luminance_cd_m2" not in table:
+        raise SettingsError(f"{where}: white_luminance_cd_m2 is missing")
+    if "lut" in table:
+        if eotf != "lut":
+            raise SettingsError(f"{where}: lut: is given but not used with eotf = {eotf!r}")
+        if not isinstance(table["lut"], str):
+            raise SettingsError(f"{where}: lut: found {table['lut']!r}, expected the name of a CSV file")
+        table["lut"] = _read_lut(folder, table["lut"], f"{where}: lut")
+    return from_table(table, Display, where)
+
+
+def table_of_display(display: Display, folder: Path) -> dict[str, object]:
+    """Return a display as the table [display] of a dataset; write its LUT, if it has one, into the folder.
+
+    Parameters
+    ----------
+    display : Display
+        Display to describe; the same display is read from the table again.
+    folder : Path
+        Folder of the dataset.
+    """
+    values: dict[str, object] = {field.name: getattr(display, field.name) for field in fields(display)}
+    if display.lut is not None:
+        columns = display.lut.code_value.tolist(), display.lut.luminance_cd_m2.tolist()
+        text = csv_text([("code_value", "luminance_cd_m2"), *zip(*columns, strict=True)])
+        (folder / LUT_FILE).write_text(text, encoding="utf-8")
+        values |= {"white_luminance_cd_m2": None, "black_luminance_cd_m2": None, "lut": LUT_FILE}
+    return values
+
+
+def _read_lut(folder: Location, name: str, named: str) -> LuminanceTable:
+    path, columns = folder / name, ("code_value", "luminance_cd_m2")
+    try:
+        path_inside(resolved(folder), name, named)
+        values = read_numbers(path, columns)
+    except DataError as error:
+        raise SettingsError(str(error)) from None
+    code, luminance = np.array(values, dtype=np.float64).reshape(-1, 2).T
+    try:
+        return LuminanceTable(code, luminance)
+    except SettingsError as error:
+        raise SettingsError(f"{path}: {error}") from None

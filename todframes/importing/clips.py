@@ -1,0 +1,259 @@
+"""Clips and trials: the runs of frames in which a chart shows one page, and the parts that an observer integrates.
+
+Frames of transitions are left out. A frame whose markers are of two pages, or of none, tells so itself. A frame
+that holds a small share of the page before or after (a slow display, an exposure across the change) does not: its
+markers read well. The modules in which the markers of the two pages differ tell the share, and it is compared
+with that of the other frames of the clip.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from todframes.base._typing import FloatArray
+from todframes.charts.markers import marker_bits, marker_ids
+from todframes.stimulus import Orientation
+
+EDGE_FRAMES = 3
+"""Frames at the beginning and the end of a clip that may hold a share of another page."""
+
+
+REFERENCE_FRAMES = 7
+"""Frames of a clip whose median share the edge frames are compared with."""
+
+
+MOST_OF_OTHER = 0.03
+"""Share of another page, beyond the median, from which a frame is left out: 3 % of a triangle's contrast."""
+
+
+SCATTER = 6.0
+"""The same in median deviations of the shares; noise alone hardly reaches it."""
+
+
+GAP = 1.5
+"""Interval between frames, in frames, from which frames are missing."""
+
+
+TIME_TOLERANCE = 0.05
+"""Part of a frame's interval by which its time may be off: containers round times to 1 ms. Without it, the number
+of frames in 0.1 s would depend on that rounding at 25 frames/s, where 2 and 3 are as near."""
+
+
+Rectangle = tuple[int, int, int, int]
+"""Half-open ranges of rows and columns: top, bottom, left, right."""
+
+
+class FramePart(NamedTuple):
+    """A rectangle of a recorded frame, values untouched; its first pixel is at (row, column) of the frame."""
+
+    values: NDArray[np.generic]
+    row: int
+    column: int
+
+
+class Placed(NamedTuple):
+    """A triangle in a recorded frame, with the part of the frame about it.
+
+    `x_px` and `y_px` are its centroid in the frame, None if nothing tells it; `size_px` is √(area). `window` are
+    the rows and columns that the observer needs, top, bottom, left, right; `part` reaches beyond them, since the
+    next frames may show the triangle elsewhere.
+    """
+
+    x_px: float | None
+    y_px: float | None
+    size_px: float
+    orientation: Orientation
+    window: Rectangle
+    part: FramePart
+
+
+class ClipFrame(NamedTuple):
+    """A frame that shows a page of the chart.
+
+    `modules` are the values in the markers' modules, as in `Sighting`. `triangles` has one for each triangle of
+    the page, None where it does not lie on the frame.
+    """
+
+    page: int
+    time_s: float | None
+    source: str
+    triangles: tuple[Placed | None, ...]
+    modules: FloatArray
+
+
+@dataclass(slots=True)
+class Clip:
+    """A run of frames of one page. `n_transition` counts frames left out at its ends."""
+
+    number: int
+    page: int
+    n_frames: int = 0
+    n_transition: int = 0
+    n_gaps: int = 0
+    n_trials: int = 0
+    first_source: str = ""
+    last_source: str = ""
+    start_s: float | None = None
+    end_s: float | None = None
+
+    def count(self, frame: ClipFrame) -> None:
+        """Count a frame of the clip."""
+        self.n_frames += 1
+        self.first_source = self.first_source or frame.source
+        self.last_source = frame.source
+        self.start_s = frame.time_s if self.start_s is None else self.start_s
+        self.end_s = frame.time_s
+
+
+def clean_clips(frames: Iterable[ClipFrame], *, key: int, first_number: int) -> Iterator[tuple[Clip, ClipFrame]]:
+    """Yield the frames of each clip that show nothing but its page, each with its clip.
+
+    Frames are held back only as long as needed for the comparison, so memory does not grow with the clip.
+
+    Parameters
+    ----------
+    frames : iterable of ClipFrame
+        Frames of one recording that show a page, in the order of time.
+    key : int
+        Key of the chart.
+    first_number : int
+        Number of the first clip.
+    """
+    clip: Clip | None = None
+    held: list[ClipFrame] = []
+    before: int | None = None
+    known: list[FloatArray] = []
+    n_seen = 0
+    for frame in frames:
+        if clip is None or frame.page != clip.page:
+            if clip is not None:
+                yield from _released(clip, held, known, before if n_seen == len(held) else None, frame.page, key)
+                before = clip.page
+            number = first_number if clip is None else clip.number + 1
+            clip, held, known, n_seen = Clip(number, frame.page), [], [], 0
+        held.append(frame)
+        known = [*known, frame.modules][-REFERENCE_FRAMES:]
+        n_seen += 1
+        if n_seen == REFERENCE_FRAMES:
+            good = _without_other(clip, held[:EDGE_FRAMES], known, before, key)
+            yield from _counted(clip, [*good, *held[EDGE_FRAMES:-EDGE_FRAMES]])
+            held = held[-EDGE_FRAMES:]
+        elif n_seen > REFERENCE_FRAMES:
+            yield from _counted(clip, [held.pop(0)])
+    if clip is not None:
+        yield from _released(clip, held, known, before if n_seen == len(held) else None, None, key)
+
+
+def _released(
+    clip: Clip, held: list[ClipFrame], known: list[FloatArray], before: int | None, after: int | None, key: int
+) -> Iterator[tuple[Clip, ClipFrame]]:
+    """Yield the last frames of a clip without those that hold a share of the page before or after."""
+    early = _without_other(clip, held[:EDGE_FRAMES], known, before, key)
+    rest = [*early, *held[EDGE_FRAMES:]]
+    cut = max(len(rest) - EDGE_FRAMES, 0)
+    yield from _counted(clip, [*rest[:cut], *_without_other(clip, rest[cut:], known, after, key)])
+
+
+def _counted(clip: Clip, frames: Iterable[ClipFrame]) -> Iterator[tuple[Clip, ClipFrame]]:
+    for frame in frames:
+        clip.count(frame)
+        yield clip, frame
+
+
+def _without_other(
+    clip: Clip, frames: list[ClipFrame], known: list[FloatArray], other: int | None, key: int
+) -> list[ClipFrame]:
+    """Return the frames whose share of another page is not above that of the clip's reference frames."""
+    if other is None or not frames:
+        return frames
+    ids, other_ids = marker_ids(clip.page, key), marker_ids(other, key)
+    shares = np.array([share_of_other(one, ids, other_ids) for one in known])
+    middle = float(np.median(shares))
+    most = middle + max(MOST_OF_OTHER, SCATTER * float(np.median(np.abs(shares - middle))))
+    good = [frame for frame in frames if share_of_other(frame.modules, ids, other_ids) <= most]
+    clip.n_transition += len(frames) - len(good)
+    return good
+
+
+def share_of_other(modules: FloatArray, ids: tuple[int, ...], other_ids: tuple[int, ...]) -> float:
+    """Estimate the share of another page in a frame, from the modules in which the markers of the two differ.
+
+    Parameters
+    ----------
+    modules : ndarray, shape (4, 7, 7)
+        Values in the modules of the four markers.
+    ids, other_ids : tuple of int
+        The markers of the page that the frame shows, and those of the other page.
+
+    Returns
+    -------
+    float
+        The largest share among the markers, which the change of a display that is read line by line reaches at
+        different times; about 0 for a clean frame, up to what blur spreads from module to module. 0 if the
+        markers are the same.
+    """
+    shares = [0.0]
+    for values, marker, other in zip(modules, ids, other_ids, strict=True):
+        bits, other_bits = marker_bits(marker), marker_bits(other)
+        changed, white = bits != other_bits, bits & other_bits
+        if not changed.any():
+            continue
+        black_level = values[~bits & ~other_bits].mean()
+        white_level = values[white].mean() if white.any() else values[bits].mean()
+        level = (values[changed] - black_level) / (white_level - black_level)
+        shares.append(float(np.where(bits[changed], 1.0 - level, level).mean()))
+    return max(shares)
+
+
+class TrialEnd(NamedTuple):
+    """The end of a trial: whether it has the whole integration time, and whether frames are missing then."""
+
+    is_whole: bool
+    is_gap: bool
+
+
+class Integration:
+    """The division of a clip's frames into trials of the observer's integration time.
+
+    Parameters
+    ----------
+    time_s : float or None
+        Integration time; None: a clip is one trial, and so is each still without a time.
+    frame_s : float or None
+        Interval from frame to frame; None if nothing tells it, then each frame is a trial unless `time_s` is None.
+    """
+
+    def __init__(self, time_s: float | None, frame_s: float | None) -> None:
+        self.time_s = time_s
+        self.frame_s = frame_s
+        self._start_s: float | None = None
+        self._last_s: float | None = None
+
+    def ends_before(self, time_s: float | None) -> TrialEnd | None:
+        """Return how the present trial ends if it ends before a frame of this time; None if it goes on."""
+        start, last = self._start_s, self._last_s
+        if self.frame_s is None or time_s is None or start is None or last is None:
+            return None if self.time_s is None else TrialEnd(is_whole=True, is_gap=False)
+        is_gap = time_s - last > GAP * self.frame_s
+        if self.time_s is None:
+            return None
+        if is_gap or time_s - start >= self.time_s - (0.5 + TIME_TOLERANCE) * self.frame_s:
+            return TrialEnd(self.is_whole, is_gap)
+        return None
+
+    def add(self, time_s: float | None, *, first: bool) -> None:
+        """Take a frame into the present trial, or begin one with it."""
+        self._start_s = time_s if first else self._start_s
+        self._last_s = time_s
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether the present trial covers the integration time, which a single frame does if it is short."""
+        if self.time_s is None or self.frame_s is None or self._start_s is None or self._last_s is None:
+            return True
+        return self._last_s - self._start_s >= self.time_s - (1.5 + TIME_TOLERANCE) * self.frame_s

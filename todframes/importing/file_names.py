@@ -1,0 +1,208 @@
+"""Datasets from the names of files: `frames/s{size_mrad}_c{contrast}_{orientation}_{n}.png` becomes a manifest."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import NamedTuple
+
+from todframes.base.errors import DataError, OutputError, SettingsError
+from todframes.base.output import output_folder
+from todframes.base.reading import number, toml_text
+from todframes.base.safe_text import csv_text, one_line, visible
+from todframes.display.display import Display
+from todframes.display.display_files import LUT_FILE, find_display, table_of_display
+from todframes.frames.dataset import SCHEMA, Experiment
+from todframes.stimulus import ORIENTATIONS
+
+SETTINGS_FILE, MANIFEST_FILE = "dataset.toml", "manifest.csv"
+"""Files that make a folder of frames a dataset."""
+
+
+NOT_FROM_NAMES = ("frame", "sha256", "reference_frame")
+"""Columns of a manifest that names of files cannot give."""
+
+
+NUMBERS = ("size_mrad", "x_px", "y_px")
+"""Columns of a manifest, beside the level, whose values are numbers."""
+
+
+ORIENTATION_WORDS = {word: one.value for one in ORIENTATIONS for word in (one.value, one.value[0])}
+"""Orientations by the words for them in names of files, in small letters."""
+
+
+POLARITY_WORDS = {"1": "1", "+1": "1", "pos": "1", "-1": "-1", "neg": "-1"}
+"""Polarities by the words for them in names of files, in small letters."""
+
+
+_FIELD = re.compile(r"\{([^{}]*)\}|(\*)")
+_NUMBER = r"[+-]?[0-9]+(?:[.,p][0-9]+)?(?:e[+-]?[0-9]+)?"
+
+
+class FramesFound(NamedTuple):
+    """Frames whose names gave a manifest, and the files beside them whose names do not match the pattern."""
+
+    n_frames: int
+    unmatched: tuple[str, ...]
+
+
+def new_dataset(
+    dataset: Path | str,
+    pattern: str,
+    *,
+    display: Display | str = "reference_sdr",
+    level: str = "contrast",
+) -> FramesFound:
+    """Make a folder of frames a dataset: write `manifest.csv` and `dataset.toml` from the names of its files.
+
+    Parameters
+    ----------
+    dataset : path
+        Folder that exists; the frames are in it or in folders below.
+    pattern : str
+        Path of the frames relative to `dataset`. `{size_mrad}`, `{orientation}` and the level have to be in it.
+        Other names in braces become columns, too; those of a manifest have the meaning that they have there. `*`
+        stands for any text that matters to nobody; neither matches a slash. Numbers may have a point, a comma or a
+        p before the decimals; an orientation is a word or its first letter.
+    display : Display or str
+        Display, the name of one, or a file that describes one; its numbers are written into `dataset.toml`.
+    level : str
+        Name of the stimulus strength in the pattern.
+
+    Returns
+    -------
+    FramesFound
+
+    Raises
+    ------
+    SettingsError
+        If the pattern lacks something, or there is no such display.
+    DataError
+        If no file matches, or a value is wrong.
+    OutputError
+        If there is a manifest or settings already, or they cannot be written.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> import numpy as np
+    >>> import todframes as tod
+    >>> folder = Path(tempfile.mkdtemp())
+    >>> for turn in tod.ORIENTATIONS:
+    ...     tod.write_frame(folder / f"s4_c0p2_{turn}.png", np.full((48, 48), 0.5))
+    >>> tod.new_dataset(folder, "s{size_mrad}_c{contrast}_{orientation}.png")
+    FramesFound(n_frames=4, unmatched=())
+    >>> (folder / "manifest.csv").read_text().splitlines()[:2]
+    ['frame,orientation,size_mrad,contrast', 's4_c0p2_down.png,down,4,0.2']
+    """
+    folder = Path(dataset)
+    if not folder.is_dir():
+        raise DataError(f"{folder}: not a folder; expected one with frames")
+    group_by = () if level == "size_mrad" else ("size_mrad",)
+    Experiment(level=level, group_by=group_by)  # checks the name
+    expression = _expression(pattern, level)
+    shown, title = (display, "")
+    if isinstance(display, str):
+        description = find_display(display)
+        shown, title = description.display, f"{display}: {description.title}"
+    assert isinstance(shown, Display)
+    for name in (SETTINGS_FILE, MANIFEST_FILE, *([] if shown.lut is None else [LUT_FILE])):
+        if (folder / name).exists():
+            raise OutputError(f"{folder / name}: is there already; move it away or remove it")
+    with output_folder(str(folder)) as staged:
+        rows, unmatched = [], []
+        for file in _files(folder, pattern):
+            is_text = file.encode(errors="ignore").decode() == file
+            if is_text and (found := expression.fullmatch(file)):
+                rows.append({"frame": file, **_values(found.groupdict(), level, f"{folder / file}")})
+            else:
+                unmatched.append(file)
+        if not rows:
+            seen = f"such as {visible(unmatched[0])}" if unmatched else "there is none in that folder"
+            raise DataError(
+                f"{folder}: found no file that matches {pattern} ({seen}); expected the path of the frames, "
+                "relative to the dataset"
+            )
+        settings = {
+            "schema": SCHEMA,
+            "display": table_of_display(shown, staged),
+            "experiment": {"level": level, "group_by": list(group_by)},
+        }
+        manifest = csv_text([rows[0], *(row.values() for row in rows)], as_it_is=True)
+        (staged / MANIFEST_FILE).write_text(manifest, encoding="utf-8")
+        (staged / SETTINGS_FILE).write_text(toml_text(settings, comment=one_line(title)), encoding="utf-8")
+    return FramesFound(len(rows), tuple(unmatched))
+
+
+def _expression(pattern: str, level: str) -> re.Pattern[str]:
+    """Return the regular expression of a pattern, with a group for each column.
+
+    Raises
+    ------
+    SettingsError
+        If a column is missing, is there twice, or cannot come from a name.
+    """
+    parts, names, end = [], [], 0
+    for field in _FIELD.finditer(pattern):
+        parts.append(re.escape(pattern[end : field.start()]))
+        end, name = field.end(), field[1]
+        if field[2]:
+            parts.append("[^/]*?")
+            continue
+        if not name.isidentifier() or name in NOT_FROM_NAMES:
+            raise SettingsError(f"--from: found {{{name}}}, expected the name of a column, such as {{size_mrad}}")
+        if name in names:
+            raise SettingsError(f"--from: found {{{name}}} twice, expected each column once")
+        names.append(name)
+        parts.append(f"(?P<{name}>{_expected(name, level)})")
+    parts.append(re.escape(pattern[end:]))
+    for name in ("orientation", "size_mrad", level):
+        if name not in names:
+            found = ", ".join(f"{{{one}}}" for one in names) or "no names in braces"
+            hint = "; --level names another one" if name == level != "size_mrad" else ""
+            raise SettingsError(f"--from: {{{name}}} is missing in {pattern}; found {found}{hint}")
+    return re.compile("".join(parts))
+
+
+def _expected(name: str, level: str) -> str:
+    """Return the regular expression of a column's values in names of files."""
+    if name in (*NUMBERS, level):
+        return _NUMBER
+    words = {"orientation": ORIENTATION_WORDS, "polarity": POLARITY_WORDS}.get(name)
+    if words is None:
+        return "[^/]+?"
+    return "(?i:" + "|".join(map(re.escape, sorted(words, key=len, reverse=True))) + ")"
+
+
+def _values(texts: Mapping[str, str], level: str, where: str) -> dict[str, str]:
+    """Return the columns of a row from the texts in a file's name, those with a meaning first."""
+    values = {**{name: texts[name] for name in ("orientation", "size_mrad", level)}, **texts}
+    values["orientation"] = ORIENTATION_WORDS[values["orientation"].lower()]
+    if "polarity" in values:
+        values["polarity"] = POLARITY_WORDS[values["polarity"].lower()]
+    for name in (*NUMBERS, level):
+        if name in values:
+            values[name] = values[name].replace("p", ".").replace(",", ".")
+            number(values[name], f"{where}: {name}", positive=name in ("size_mrad", level))
+    if "trial" in values:  # numbers of trials may begin again with each stimulus
+        shown = ("orientation", "size_mrad", level, "x_px", "y_px", "polarity", "trial")
+        values["trial"] = " ".join(values[name] for name in dict.fromkeys(shown) if name in values)
+    return values
+
+
+def _files(folder: Path, pattern: str) -> Iterator[str]:
+    """Yield the paths of the files that a pattern may mean, relative to the folder: numbers in their order."""
+    fixed = _FIELD.split(pattern)[0].rpartition("/")[0]
+
+    def by_number(path: str) -> list[tuple[int, str]]:
+        return [(int(part) if part.isdecimal() else -1, part) for part in re.split(r"([0-9]+)", path)]
+
+    found = []
+    for parent, folders, files in os.walk(folder / fixed):
+        folders[:] = [name for name in folders if not name.startswith(".")]
+        inside = os.path.relpath(parent, folder)
+        found += [Path(inside, name).as_posix() for name in files if not name.startswith(".")]
+    yield from sorted(set(found) - {SETTINGS_FILE, MANIFEST_FILE}, key=by_number)

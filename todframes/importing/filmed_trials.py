@@ -1,0 +1,220 @@
+"""The trials of an imported dataset: frames are divided into integration times, and each trial gets a window."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from todframes.importing.clips import Clip, ClipFrame, Integration, Placed, Rectangle
+from todframes.importing.windows import CodeRange, Window, WrittenWindow, narrowed, suffix
+from todframes.stimulus import Orientation
+
+OBJECT_SIZE = "object_size_mrad"
+"""Column with the size at the camera. It groups, because the displayed size varies a little with perspective."""
+
+
+SAME_SIZE = 0.005
+"""Relative difference of displayed sizes below which they count as one; thresholds change by a quarter of it."""
+
+
+SHAKE_PX = 0.25
+"""Root mean square motion within a trial from which it is told; it blurs like half of a pixel's width."""
+
+
+class TriangleDescription(NamedTuple):
+    """A triangle of a page: its level, polarity, and its further columns in the manifest."""
+
+    level: float
+    polarity: int
+    columns: Mapping[str, object]
+
+
+Described = Callable[[int, int], TriangleDescription]
+"""Function of the number of a page and of a triangle on it."""
+
+
+@dataclass(slots=True, kw_only=True)
+class ImportedTrial:
+    """Frames of one triangle that the observer integrates, with its places in the windows.
+
+    `window` and `start_px` are the window and the triangle's place in the first frame.
+    """
+
+    name: str
+    stimulus: TriangleDescription
+    orientation: Orientation
+    window: Rectangle
+    start_px: tuple[float, float]
+    frames: list[str] = field(default_factory=list)
+    sources: list[str] = field(default_factory=list)
+    times_s: list[float | None] = field(default_factory=list)
+    places_px: list[tuple[float, float]] = field(default_factory=list)
+    sizes_px: list[float] = field(default_factory=list)
+
+    @property
+    def motion_px(self) -> float:
+        """Root mean square distance of the places from their mean."""
+        if len(self.places_px) < 2:
+            return 0.0
+        places = np.array(self.places_px)
+        return float(np.sqrt(((places - places.mean(axis=0)) ** 2).sum(axis=1).mean()))
+
+
+def _followed(trial: ImportedTrial, placed: Placed) -> Rectangle:
+    """Return the window of a trial's first frame, moved with the triangle by whole pixels."""
+    if placed.x_px is None or placed.y_px is None:
+        return trial.window
+    right, down = round(placed.x_px - trial.start_px[0]), round(placed.y_px - trial.start_px[1])
+    top, bottom, left, far = trial.window
+    return top + down, bottom + down, left + right, far + right
+
+
+def merged_sizes(sizes: Sequence[float]) -> list[float]:
+    """Return sizes in which those that differ by less than `SAME_SIZE` share their mean.
+
+    Measured sizes of equal triangles differ by 1e-4, and each size costs the observer templates of its own.
+    """
+    order = np.argsort(sizes)
+    merged = np.array(sizes, np.float64)
+    first = 0
+    for stop in range(1, len(order) + 1):
+        if stop == len(order) or sizes[order[stop]] > sizes[order[first]] * (1.0 + SAME_SIZE):
+            merged[order[first:stop]] = merged[order[first:stop]].mean()
+            first = stop
+    return [float(size) for size in merged]
+
+
+class TrialDivision:
+    """The division of clips into trials.
+
+    All frames of a trial have the same window of the recorded frames, as they have on the display: if the triangle
+    moves there within the integration time, the eye sees it blurred, and so does the observer. With `steady` the
+    window follows the triangle by whole pixels instead.
+
+    Parameters
+    ----------
+    described : function
+        Tells what a triangle on a page is.
+    integration_time_s : float or None
+        None: each clip is a trial.
+    steady : bool
+
+    Attributes
+    ----------
+    trials : list of ImportedTrial
+        All trials that have the whole integration time.
+    left_out : list of str
+        Names of frames that were written for a trial that turned out not to be whole.
+    n_moved : int
+        Number of trials left out since the triangle went farther than a window may, or off the frame.
+    """
+
+    def __init__(self, described: Described, integration_time_s: float | None, *, steady: bool) -> None:
+        self.trials: list[ImportedTrial] = []
+        self.left_out: list[str] = []
+        self.n_moved = 0
+        self._described = described
+        self._time_s = integration_time_s
+        self._steady = steady
+        # By triangle; None for one that was lost before the end of the present trial.
+        self._open: dict[int, ImportedTrial | None] = {}
+
+    def windows(
+        self, frames: Iterable[tuple[Clip, ClipFrame]], scale: CodeRange, frame_s: float | None
+    ) -> Iterator[Window]:
+        """Yield the windows of the frames of one recording, in the order of time."""
+        integration = Integration(self._time_s, frame_s)
+        clip: Clip | None = None
+        number = 0
+        for now, frame in frames:
+            if clip is not now:
+                self._end(clip, integration.is_whole)
+                clip, number = now, 0
+            elif self._open and (end := integration.ends_before(frame.time_s)) is not None:
+                self._end(clip, end.is_whole)
+                clip.n_gaps += end.is_gap
+            is_first = not any(self._open.values())
+            number += is_first
+            integration.add(frame.time_s, first=is_first)
+            if is_first:
+                self._open = {
+                    index: self._begun(clip, frame, index, number) for index in range(len(frame.triangles))
+                }
+            for index, placed in enumerate(frame.triangles):
+                yield from self._taken(frame, index, placed, scale)
+        self._end(clip, integration.is_whole)
+
+    def _begun(self, clip: Clip, frame: ClipFrame, index: int, number: int) -> ImportedTrial | None:
+        """Begin a trial of a triangle; None if it does not lie on the frame."""
+        placed = frame.triangles[index]
+        if placed is None:
+            return None
+        which = f"_{index + 1}" if len(frame.triangles) > 1 else ""
+        return ImportedTrial(
+            name=f"clip_{clip.number:04d}/trial_{number:02d}{which}",
+            stimulus=self._described(frame.page, index),
+            orientation=placed.orientation,
+            window=placed.window,
+            start_px=(placed.x_px or 0.0, placed.y_px or 0.0),
+        )
+
+    def _taken(self, frame: ClipFrame, index: int, placed: Placed | None, scale: CodeRange) -> Iterator[Window]:
+        """Yield the window of a triangle, unless its trial has ended early or does now."""
+        trial = self._open[index]
+        if trial is None:
+            return
+        window = _followed(trial, placed) if self._steady and placed is not None else trial.window
+        values = None if placed is None else narrowed(placed.part, window)
+        if placed is None or values is None:
+            self.n_moved += 1
+            self._discard(index)
+            return
+        name = f"frames/{trial.name}_{len(trial.frames)}{suffix(scale, values.dtype)}"
+        trial.frames.append(name)
+        trial.sources.append(frame.source)
+        trial.times_s.append(frame.time_s)
+        trial.sizes_px.append(placed.size_px)
+        if placed.x_px is not None and placed.y_px is not None:
+            trial.places_px.append((placed.x_px - window[2], placed.y_px - window[0]))
+        yield Window(name, values, scale)
+
+    def _end(self, clip: Clip | None, is_whole: bool) -> None:
+        """End the present trials; keep them if they are whole."""
+        for index, trial in self._open.items():
+            if trial is not None and clip is not None and is_whole:
+                self.trials.append(trial)
+                clip.n_trials += 1
+            else:
+                self._discard(index)
+        self._open = {}
+
+    def _discard(self, index: int) -> None:
+        trial, self._open[index] = self._open[index], None
+        self.left_out += [] if trial is None else trial.frames
+
+    def rows(
+        self, written: Mapping[str, WrittenWindow], *, level: str, pitch_mrad: float
+    ) -> Iterator[dict[str, object]]:
+        """Yield the rows of the manifest, given the windows as written."""
+        sizes_px = merged_sizes([float(np.mean(trial.sizes_px)) for trial in self.trials])
+        for trial, size_px in zip(self.trials, sizes_px, strict=True):
+            size_mrad = size_px * pitch_mrad
+            x, y = (f"{at:.4f}" for at in np.mean(trial.places_px, axis=0)) if trial.places_px else ("", "")
+            for name, source, time_s in zip(trial.frames, trial.sources, trial.times_s, strict=True):
+                row: dict[str, object] = {
+                    "frame": name,
+                    "orientation": trial.orientation.value,
+                    "size_mrad": f"{size_mrad:.7g}",
+                    level: repr(trial.stimulus.level),
+                    "polarity": trial.stimulus.polarity,
+                    "x_px": x,
+                    "y_px": y,
+                    "trial": trial.name,
+                    "sha256": written[name].sha256,
+                    "time_s": "" if time_s is None else f"{time_s:.6f}",
+                    "source": source,
+                }
+                yield row | {name: text for name, text in trial.stimulus.columns.items() if name not in row}

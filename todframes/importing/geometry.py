@@ -1,0 +1,160 @@
+"""The geometry of a chart in a recorded frame: the homography from its millimetres to pixels, and triangles in it.
+
+Coordinates of the chart are in millimetres from the top left corner of its page, x to the right, y down. Pixels
+are those of the recorded frame, (0, 0) is the centre of the top left one, y down.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from todframes.base._typing import FloatArray
+from todframes.base.errors import DataError
+from todframes.stimulus import ORIENTATIONS, Orientation, vertices
+
+
+class View(NamedTuple):
+    """The local geometry of a chart in a frame, about a place on the chart.
+
+    `turn_degrees` is the direction in the frame of what points up on the chart, clockwise from up. `stretch` is
+    the ratio of the largest to the smallest scale among all directions: 1 for a chart seen squarely, and 1 / cos
+    φ for one that is tilted by φ, far away.
+    """
+
+    scale_px_per_mm: float
+    turn_degrees: float
+    is_mirrored: bool
+    stretch: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Geometry:
+    """A page of a chart as a camera sees it.
+
+    Attributes
+    ----------
+    homography : ndarray, shape (3, 3)
+        Matrix that maps homogeneous chart coordinates in millimetres to pixels.
+    residual_px : float
+        Root mean square distance of the points that the homography was fitted to from where it puts them, per
+        degree of freedom; 0 for four points.
+    """
+
+    homography: FloatArray
+    residual_px: float
+
+    def to_px(self, places_mm: ArrayLike) -> FloatArray:
+        """Map places on the chart, (…, 2) in millimetres, to pixels of the frame, (…, 2)."""
+        places = np.asarray(places_mm, np.float64)
+        mapped = places @ self.homography[:, :2].T + self.homography[:, 2]
+        return np.asarray(mapped[..., :2] / mapped[..., 2:])
+
+    def jacobian(self, place_mm: ArrayLike) -> FloatArray:
+        """Return the derivative of the map at a place on the chart, in pixels per millimetre: (2, 2)."""
+        x, y, w = self.homography @ np.append(np.asarray(place_mm, np.float64), 1.0)
+        top = self.homography[:2, :2]
+        return np.asarray(top / w - np.outer([x, y], self.homography[2, :2]) / w**2)
+
+    def scale_px_per_mm(self, place_mm: ArrayLike) -> float:
+        """Return the scale at a place on the chart: the root of how it maps areas, in pixels per millimetre."""
+        return math.sqrt(abs(float(np.linalg.det(self.jacobian(place_mm)))))
+
+    def view(self, place_mm: ArrayLike) -> View:
+        """Return how the frame shows the chart about a place on it."""
+        (a, b), (c, d) = self.jacobian(place_mm).tolist()
+        # Singular values of a matrix: the sum and the difference of those of its turning and its mirroring part.
+        turning, mirroring = math.hypot(a + d, c - b) / 2.0, math.hypot(a - d, c + b) / 2.0
+        determinant = a * d - b * c
+        return View(
+            scale_px_per_mm=math.sqrt(abs(determinant)),
+            turn_degrees=math.degrees(math.atan2(-b, d)),
+            is_mirrored=determinant < 0.0,
+            stretch=(turning + mirroring) / abs(turning - mirroring),
+        )
+
+
+def fit_geometry(places_mm: ArrayLike, places_px: ArrayLike) -> Geometry:
+    """Fit the homography that maps places on a chart to pixels with the least sum of squared distances.
+
+    Parameters
+    ----------
+    places_mm, places_px : array_like, shape (n, 2)
+        At least four places, no three of four on a line.
+
+    Returns
+    -------
+    Geometry
+
+    Raises
+    ------
+    DataError
+        If the places do not determine a homography.
+    """
+    import cv2
+
+    source, target = (np.asarray(places, np.float64).reshape(-1, 2) for places in (places_mm, places_px))
+    # Coordinates about 1 keep the linear step well conditioned whatever the units are.
+    middle, spread = source.mean(axis=0), max(float(source.std()), 1e-12)
+    matrix = None
+    if len(source) >= 4 and np.isfinite(target).all():
+        matrix, _ = cv2.findHomography((source - middle) / spread, target, 0)
+    if matrix is None or not np.isfinite(matrix).all() or abs(np.linalg.det(matrix)) < 1e-12:
+        raise DataError(f"found {len(source)} places that determine no homography, expected 4 in general position")
+    scaled = np.array([[1.0, 0.0, -middle[0]], [0.0, 1.0, -middle[1]], [0.0, 0.0, spread]]) / spread
+    geometry = Geometry(matrix @ scaled, 0.0)
+    free = 2 * len(source) - 8
+    square = float(((geometry.to_px(source) - target) ** 2).sum())
+    return Geometry(geometry.homography, math.sqrt(2.0 * square / free) if free else 0.0)
+
+
+class PlacedTriangle(NamedTuple):
+    """A triangle of a chart as recorded.
+
+    `x_px` and `y_px` are the centroid of what the frame shows, `size_px` is √(area) there. `orientation` is the
+    direction of the four that its apex points nearest to, `roll_degrees` the angle from there, clockwise.
+    `corners_px` has shape (3, 2), apex first.
+    """
+
+    x_px: float
+    y_px: float
+    size_px: float
+    orientation: Orientation
+    roll_degrees: float
+    corners_px: FloatArray
+
+
+def place_triangle(
+    geometry: Geometry, *, orientation: Orientation, size_mm: float, x_mm: float, y_mm: float
+) -> PlacedTriangle:
+    """Place a triangle of a chart in the frame.
+
+    A homography maps a triangle to a triangle, so its corners give centroid and area exactly; the mapped centroid
+    would be off by the second order of the perspective.
+
+    Parameters
+    ----------
+    orientation : Orientation
+        Where its apex points on the chart.
+    size_mm : float
+        √(area) on the chart.
+    x_mm, y_mm : float
+        Its centroid on the chart.
+
+    Returns
+    -------
+    PlacedTriangle
+    """
+    corners = geometry.to_px(vertices(size=size_mm, orientation=orientation, x=x_mm, y=y_mm))
+    (x, y), (apex_x, apex_y) = corners.mean(axis=0).tolist(), corners[0].tolist()
+    (ax, ay), (bx, by) = corners[1] - corners[0], corners[2] - corners[0]
+    area = abs(float(ax * by - ay * bx)) / 2.0
+    clockwise_from_up = math.degrees(math.atan2(apex_x - x, y - apex_y))
+    quarters = round(clockwise_from_up / 90.0)
+    return PlacedTriangle(
+        x, y, math.sqrt(area), ORIENTATIONS[quarters % 4], clockwise_from_up - 90.0 * quarters, corners
+    )

@@ -1,0 +1,456 @@
+"""Import: recordings of a chart, or with a schedule, become a dataset."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, Protocol
+
+from todframes import __version__
+from todframes.base.errors import DataError, SettingsError
+from todframes.base.output import Going, new_folder, remove_others, store_path
+from todframes.base.reading import toml_text
+from todframes.base.safe_text import csv_text, one_line
+from todframes.display.display import Display
+from todframes.display.display_files import DisplayDescription, find_display, table_of_display
+from todframes.frames.files import MAX_FRAME_MB
+from todframes.importing.chart_source import ChartSource
+from todframes.importing.clips import TIME_TOLERANCE, Clip, ClipFrame
+from todframes.importing.filmed_trials import SHAKE_PX, ImportedTrial, TrialDivision, TriangleDescription
+from todframes.importing.schedule import read_schedule
+from todframes.importing.schedule_source import ScheduleSource
+from todframes.importing.windows import WindowWriter, WrittenWindow, code_range
+from todframes.jobs.store import Store
+from todframes.recordings.opening import open_recordings
+from todframes.recordings.recording import INTEGRATION_TIME_S, Recording, RecordingWarning, natural_order
+
+LARGEST_TIME_ERROR = 0.1
+"""Relative difference of the trials' time from the integration time, above which it is told."""
+
+
+LARGEST_SIZE_RATIO = 1.15
+"""Ratio of the displayed sizes of one curve that is told; a tilt of 10° in a field of view of 28° has 1.09."""
+
+
+LARGEST_IMBALANCE = 3.0
+"""Ratio of the numbers of trials of two orientations at one level that is told."""
+
+
+DEFAULT_LEVEL = "contrast"
+
+
+REPORT_FILE = "import.json"
+
+
+PathLike = str | os.PathLike[str]
+
+
+class Source(Protocol):
+    """Protocol of what finds the clips in recordings: by a chart's markers, or by a schedule.
+
+    `level` and `group_by` are columns of the manifest, `clips` are those found so far.
+    """
+
+    level: str
+    group_by: str
+    clips: list[Clip]
+
+    def described(self, page: int, index: int) -> TriangleDescription:
+        """Return what a triangle of a page is."""
+
+    def frames(self, recording: Recording, number: int) -> Iterator[tuple[Clip, ClipFrame]]:
+        """Yield the frames of a recording that show one page, each with its clip."""
+
+    def why_nothing(self) -> str | None:
+        """Return why there is no clip at all; None if there are some."""
+
+    def warnings(self) -> Iterator[RecordingWarning]:
+        """Yield what makes the dataset less certain."""
+
+    def notes(self) -> Iterator[str]:
+        """Yield what was found and needs no action."""
+
+    def report(self) -> list[dict[str, object]]:
+        """Return what was found, as it is written into import.json."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Imported:
+    """The dataset that an import has written, in numbers and messages.
+
+    Attributes
+    ----------
+    path : Path
+        The dataset.
+    n_frames, n_trials, n_clips : int
+        Windows in the dataset, trials, and clips that gave trials.
+    notes : tuple of str
+        What was found and needs no action.
+    warnings : tuple of RecordingWarning
+        What makes a result from the dataset less certain: a code, and a sentence.
+    """
+
+    path: Path
+    n_frames: int
+    n_trials: int
+    n_clips: int
+    notes: tuple[str, ...]
+    warnings: tuple[RecordingWarning, ...]
+
+
+def import_recordings(
+    recordings: PathLike | Sequence[PathLike] | Sequence[Recording],
+    *,
+    out: PathLike,
+    chart: PathLike | None = None,
+    schedule: PathLike | None = None,
+    display: str | Display = "reference_sdr",
+    integration_time_s: float | Literal["all"] = INTEGRATION_TIME_S,
+    steady: bool = False,
+    value_range: tuple[float, float] | None = None,
+    frames_per_second: float | None = None,
+    max_frame_mb: int = MAX_FRAME_MB,
+    ifov_mrad: float | None = None,
+    level: str | None = None,
+    restart: bool = False,
+    keep_store: bool = False,
+    tell: Callable[[str], None] | None = None,
+    progress: Callable[[int], None] | None = None,
+) -> Imported:
+    """Make a dataset from recordings of a chart, or with a schedule, as `todframes import` does.
+
+    Parameters
+    ----------
+    recordings : path, or sequence of path or of Recording
+        Files and folders: videos, image sequences, camera raw, radiometric files, arrays. Or what
+        `open_recordings` returns.
+    out : path
+        Folder of the dataset, new or empty.
+    chart : path, optional
+        The `chart.toml` of the chart that was recorded; either it or `schedule`.
+    schedule : path, optional
+        CSV file that tells what each part of the recordings shows.
+    display : str or Display
+        Display that shows the frames: the name of one of this package, a TOML file, or a `Display`.
+    integration_time_s : float or "all"
+        Time in which the observer averages frames; "all": each clip is one trial. Frames without times are a trial
+        each, unless it is "all".
+    steady : bool
+        Let the windows follow the triangle by whole pixels within a trial, which takes out shake that the camera
+        in use would not have.
+    value_range : (float, float), optional
+        Recorded values that the display shows black and white. Needed for values without a white: temperatures.
+    frames_per_second : float, optional
+        Frame rate in place of what the files say.
+    max_frame_mb : int
+        Largest size of a frame in 2**20 bytes: all channels in their own pixel types, at least 8 bytes a pixel.
+    ifov_mrad : float, optional
+        With a schedule: angle of a recorded pixel at the camera; sizes in mrad are then angles at the camera.
+        Without it they are angles on the display.
+    level : str, optional
+        With a schedule: column of the stimulus strength. Default: contrast.
+    restart : bool
+        Begin anew even if an earlier call with the same `out` was interrupted. Otherwise the windows that it has
+        written are not written again; the recordings are read again from their beginning, as the frames of a video
+        follow from those before.
+    keep_store : bool
+        Keep the list of the windows that are finished after the dataset is whole.
+    tell : function of a text, optional
+        Called with a remark if an earlier call has written some of the windows.
+    progress : function of an int, optional
+        Called with the number of recorded frames that were just done.
+
+    Returns
+    -------
+    Imported
+
+    Raises
+    ------
+    DataError, FrameError
+        If a recording cannot be read, or shows nothing of the chart.
+    SettingsError
+        If a setting is invalid.
+    OutputError
+        If `out` cannot be written.
+    """
+    if (chart is None) == (schedule is None):
+        found = "neither" if chart is None else "both"
+        raise SettingsError(f"chart, schedule: found {found}, expected one, which says what is shown")
+    time_s = _checked_time(integration_time_s)
+    _check_settings(value_range, ifov_mrad, level, has_schedule=schedule is not None)
+    shown = DisplayDescription(display=display) if isinstance(display, Display) else find_display(display)
+    pitch_mrad = shown.display.pitch_mrad
+    opened = open_for_import(
+        recordings, schedule, level=level, frames_per_second=frames_per_second, max_frame_mb=max_frame_mb
+    )
+    source: Source
+    if schedule is None:
+        source = ChartSource(Path(str(chart)), pitch_mrad=pitch_mrad, progress=progress)
+    else:
+        source = ScheduleSource(
+            Path(schedule),
+            opened,
+            pitch_mrad=pitch_mrad,
+            ifov_mrad=ifov_mrad,
+            level=level or DEFAULT_LEVEL,
+            progress=progress,
+        )
+    scales = [code_range(one, value_range) for one in opened]
+    is_clipped = shown.display.eotf != "linear"
+    division = TrialDivision(source.described, time_s, steady=steady)
+
+    going = Going(restart=restart, keep=keep_store)
+    with (
+        new_folder(str(out), going=going) as folder,
+        closing(Store(store_path(folder), str(out), tell)) as store,
+    ):
+        if store.is_begun:
+            store.tell(f"{len(store)} windows are there from an earlier run; going on with the others")
+        writer = WindowWriter(folder, clip=is_clipped, store=store)
+        written: dict[str, WrittenWindow] = {}
+        for number, (recording, scale) in enumerate(zip(opened, scales, strict=True)):
+            for window in division.windows(source.frames(recording, number), scale, _interval_s(recording)):
+                written[window.name] = writer.write(window)
+        if not division.trials:
+            raise DataError(source.why_nothing() or _why_no_trial(division, source, time_s))
+        for name in division.left_out:
+            del written[name]
+            (folder / name).unlink()
+        rows = list(division.rows(written, level=source.level, pitch_mrad=pitch_mrad))
+        warnings = (
+            *_of_recordings(opened),
+            *source.warnings(),
+            *_of_trials(division, source, opened, time_s, steady=steady),
+            *_of_design(division.trials, written, source),
+            *_of_windows(written, is_clipped=is_clipped),
+        )
+        notes = (*source.notes(), *_of_time(opened, time_s))
+        n_clips = sum(clip.n_trials > 0 for clip in source.clips)
+        report = {
+            "version": __version__,
+            "n_frames": len(rows),
+            "n_trials": len(division.trials),
+            "n_clips": n_clips,
+            "from_store": store.n_used,
+            "warnings": [one._asdict() for one in warnings],
+            "found": source.report(),
+        }
+        remove_others(folder, written)
+        _write(folder / REPORT_FILE, json.dumps(report, indent=1, ensure_ascii=False) + "\n")
+        _write(folder / "manifest.csv", csv_text([rows[0], *(row.values() for row in rows)], as_it_is=True))
+        _write(
+            folder / "dataset.toml",
+            toml_text(
+                {
+                    "schema": 1,
+                    "display": table_of_display(shown.display, folder),
+                    "experiment": {"level": source.level, "group_by": [source.group_by]},
+                },
+                comment=f"Imported by todframes {__version__}; {REPORT_FILE} says what was found\n"
+                f"Display: {one_line(shown.title)}",
+            ),
+        )
+    return Imported(
+        path=Path(out),
+        n_frames=len(rows),
+        n_trials=len(division.trials),
+        n_clips=n_clips,
+        notes=notes,
+        warnings=warnings,
+    )
+
+
+def open_for_import(
+    recordings: PathLike | Sequence[PathLike] | Sequence[Recording],
+    schedule: PathLike | None = None,
+    *,
+    level: str | None = None,
+    frames_per_second: float | None = None,
+    max_frame_mb: int = MAX_FRAME_MB,
+) -> tuple[Recording, ...]:
+    """Open recordings; with a schedule one by one, so that a row can name an image, and folders by their files.
+
+    Raises
+    ------
+    DataError, FrameError
+        If a recording cannot be opened, or the schedule cannot be read.
+    """
+    listed = [recordings] if isinstance(recordings, str | os.PathLike) else list(recordings)
+    opened = [one for one in listed if isinstance(one, Recording)]
+    paths = [Path(one) for one in listed if not isinstance(one, Recording)]
+    if not paths:
+        return tuple(opened)
+    if schedule is None:
+        return (*opened, *open_recordings(paths, frames_per_second=frames_per_second, max_frame_mb=max_frame_mb))
+    rows = read_schedule(Path(schedule), level=level or DEFAULT_LEVEL)
+    named = {Path(row.file).name for row in rows if row.file is not None}
+    for path in paths:
+        inside = natural_order(path.iterdir()) if path.is_dir() and path.resolve().name not in named else []
+        for one in [file for file in inside if file.name in named] or [path]:
+            opened += open_recordings([one], frames_per_second=frames_per_second, max_frame_mb=max_frame_mb)
+    return tuple(opened)
+
+
+def _checked_time(integration_time_s: float | str) -> float | None:
+    """Return the integration time in seconds; None for "all"."""
+    if integration_time_s == "all":
+        return None
+    if isinstance(integration_time_s, str) or not (math.isfinite(integration_time_s) and integration_time_s > 0):
+        raise SettingsError(f"--integration-time: found {integration_time_s!r}, expected a time > 0, or all")
+    return integration_time_s
+
+
+def _check_settings(
+    value_range: tuple[float, float] | None, ifov_mrad: float | None, level: str | None, *, has_schedule: bool
+) -> None:
+    if value_range is not None and not (all(map(math.isfinite, value_range)) and value_range[0] < value_range[1]):
+        low, high = value_range
+        raise SettingsError(f"--range: found {low:g}:{high:g}, expected two numbers, the lower one first")
+    if level is not None and not has_schedule:
+        raise SettingsError("--level: is given but not used with a chart, which tells its levels")
+    if ifov_mrad is not None and not has_schedule:
+        raise SettingsError("--ifov-mrad: is given but not used with a chart, whose markers tell the scale")
+    if ifov_mrad is not None and not (math.isfinite(ifov_mrad) and ifov_mrad > 0):
+        raise SettingsError(f"--ifov-mrad: found {ifov_mrad!r}, expected a number > 0")
+
+
+def _interval_s(recording: Recording) -> float | None:
+    rate = recording.frames_per_second
+    return None if rate is None else 1.0 / rate
+
+
+def _why_no_trial(division: TrialDivision, source: Source, time_s: float | None) -> str:
+    if division.n_moved:
+        return "in every trial the triangle moves farther than a window may; hold the camera still"
+    timed = [clip for clip in source.clips if clip.end_s is not None]
+    if time_s is None or not timed:
+        return "no triangle lies on the frames; expected all of the page in the picture"
+    clip = max(timed, key=lambda one: (one.end_s or 0.0) - (one.start_s or 0.0))
+    return (
+        f"{clip.first_source}: the longest clip goes from {clip.start_s:.3f} to {clip.end_s:.3f} s "
+        f"(frames: {clip.n_frames}), shorter than the integration time of {time_s:g} s; record each page longer, "
+        "or give a shorter --integration-time"
+    )
+
+
+def _of_recordings(opened: Sequence[Recording]) -> Iterator[RecordingWarning]:
+    for recording in opened:
+        for code, message in recording.warnings:
+            yield RecordingWarning(code, message)
+
+
+def _of_trials(
+    division: TrialDivision, source: Source, opened: Sequence[Recording], time_s: float | None, *, steady: bool
+) -> Iterator[RecordingWarning]:
+    """Yield what the division into trials has left out, and motion within them."""
+    short = [clip for clip in source.clips if clip.n_frames and not clip.n_trials]
+    if short and time_s is not None:
+        yield RecordingWarning(
+            "short_clips",
+            f"{len(short)} of {len(source.clips)} clips are shorter than the integration time of {time_s:g} s and "
+            f"were left out, the first at {short[0].first_source}",
+        )
+    if division.n_moved:
+        yield RecordingWarning(
+            "moved", f"{division.n_moved} trials were left out: the triangle moves farther than a window may"
+        )
+    if time_s is not None:
+        for recording in opened:
+            interval_s = _interval_s(recording)
+            if interval_s is None:
+                yield RecordingWarning(
+                    "no_times",
+                    f"{recording.path}: has no times, so each frame is a trial of its own; "
+                    "--frames-per-second gives them",
+                )
+            elif interval_s > 1.5 * time_s:
+                yield RecordingWarning(
+                    "slow_frames",
+                    f"{recording.path}: frames are {interval_s:.3g} s apart, more than the integration time of "
+                    f"{time_s:g} s, so each is a trial of its own",
+                )
+    motions = [trial.motion_px for trial in division.trials]
+    moving = [motion for motion in motions if motion > SHAKE_PX]
+    if moving and steady:
+        yield RecordingWarning(
+            "shake",
+            f"in {len(moving)} of {len(motions)} trials the triangle moves within the windows, by up to "
+            f"{max(moving):.2g} px (rms), although they follow it by whole pixels; it is blurred by that",
+        )
+    elif moving:
+        yield RecordingWarning(
+            "shake",
+            f"in {len(moving)} of {len(motions)} trials the triangle moves on the display within the integration "
+            f"time, by up to {max(moving):.2g} px (rms); the eye sees it blurred, and so does the observer; if "
+            "the camera in use does not shake, take a tripod, or --steady",
+        )
+
+
+def _of_design(
+    trials: Sequence[ImportedTrial], written: Mapping[str, WrittenWindow], source: Source
+) -> Iterator[RecordingWarning]:
+    """Yield what makes trials unfit for one curve: repeats, two magnifications, more of one orientation."""
+    n_repeats = len(trials) - len({tuple(written[name].sha256 for name in trial.frames) for trial in trials})
+    if n_repeats:
+        yield RecordingWarning(
+            "repeated_trials",
+            f"{n_repeats} of {len(trials)} trials repeat another one bit by bit: they add nothing, and intervals "
+            "come out too narrow; give each recording once",
+        )
+    sizes_px: dict[object, list[float]] = defaultdict(list)
+    numbers: dict[tuple[object, float], Counter[str]] = defaultdict(Counter)
+    for trial in trials:
+        size = trial.stimulus.columns.get(source.group_by)
+        sizes_px[size] += trial.sizes_px
+        numbers[size, trial.stimulus.level][trial.orientation.value] += 1
+    size, of_size = max(sizes_px.items(), key=lambda one: max(one[1]) / min(one[1]))
+    if size is not None and max(of_size) > LARGEST_SIZE_RATIO * min(of_size):
+        yield RecordingWarning(
+            "sizes_differ",
+            f"triangles of {size} mrad are displayed with {min(of_size):.3g} to {max(of_size):.3g} px, so their "
+            "curve mixes cameras, distances or zooms; import these one by one",
+        )
+    for (size, level), of_orientation in numbers.items():
+        (more, n_more), *_, (less, n_less) = [*of_orientation.most_common(), *of_orientation.most_common()[-1:]]
+        if n_more > LARGEST_IMBALANCE * n_less:
+            yield RecordingWarning(
+                "uneven_orientations",
+                f"{source.level} {level:g}{'' if size is None else f' at {size} mrad'} has {n_more} trials of "
+                f"{more} and {n_less} of {less}, so one orientation decides; show each page equally long: aim "
+                "before the recording, or cut it",
+            )
+
+
+def _of_time(opened: Sequence[Recording], time_s: float | None) -> Iterator[str]:
+    """Yield the time that trials have where whole frames do not make up the integration time."""
+    for recording in opened:
+        frame_s = _interval_s(recording)
+        if time_s is None or frame_s is None:
+            continue
+        n_frames = max(1, math.ceil(time_s / frame_s - 0.5 - TIME_TOLERANCE))
+        if abs(n_frames * frame_s / time_s - 1.0) > LARGEST_TIME_ERROR:
+            yield (
+                f"{recording.path}: {n_frames} frames a trial, {n_frames * frame_s:.3g} s: the nearest to the "
+                f"integration time of {time_s:g} s"
+            )
+
+
+def _of_windows(written: dict[str, WrittenWindow], *, is_clipped: bool) -> Iterator[RecordingWarning]:
+    n_beyond, n_values = (sum(getattr(one, name) for one in written.values()) for name in ("n_beyond", "n_values"))
+    if n_beyond:
+        done = "and were clipped, as the display does" if is_clipped else "and were kept"
+        yield RecordingWarning(
+            "beyond_range",
+            f"{100 * n_beyond / n_values:.2g} % of the values lie beyond black and white {done}; a wider --range "
+            "keeps them",
+        )
+
+
+def _write(path: Path, text: str) -> None:
+    path.write_text(text, encoding="utf-8", errors="backslashreplace")  # names may be no UTF-8

@@ -1,0 +1,342 @@
+"""The markers of a chart in recorded frames: found anew in the first frame, and followed from frame to frame.
+
+A search of a whole frame for ArUco markers takes longer than the decoding of the frame. It is needed only where
+the four markers are not near their places in the frame before. From there, or from where ArUco has found them,
+the homography is adjusted until the outer edges of the markers lie in the middle of the slopes from black to
+white. That place does not depend on the blur, and averages the noise over the whole length of the edges.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+from itertools import product
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from todframes.base._typing import FloatArray
+from todframes.base.errors import DataError
+from todframes.charts.markers import CORNERS, DICTIONARY, MODULES, N_DIGITS, marker_bits
+from todframes.importing.geometry import Geometry, fit_geometry
+
+PIECES, POINTS = 3, 6
+"""Pieces of a marker's edge, and points along each piece whose profiles across the edge are averaged."""
+
+
+EDGE = 0.76
+"""Middle part of an edge that is measured; beside it blur brings in the corner."""
+
+
+REACH = 0.5
+"""Length of a profile on either side of an edge, in modules: to the middle of the black border, where black is
+measured, and of the white around, which is as wide."""
+
+
+STEPS = 8
+"""Samples of a profile on either side of an edge."""
+
+
+MOST_STEPS, CONVERGED_PX = 8, 0.02
+"""Number of adjustments of a homography, and the motion of the edges after which there is no further one: each
+leaves a small part of the motion that it corrects."""
+
+
+CORNER_OF_KEY = 3
+"""Corner whose marker carries the key of the chart."""
+
+
+ENOUGH_MARKERS = 3
+"""Number of markers that a search has to find; the fourth's place follows from these, and its edges tell if it is
+there."""
+
+
+LARGEST_RESIDUAL = 0.2
+"""Residual of the edges, in modules, above which the four markers are no chart."""
+
+
+LEAST_CONTRAST_IN_ERRORS = 3.0
+"""Least difference of a marker's white and black modules, in standard deviations of its black ones."""
+
+
+SAMPLES, SAMPLED = 3, 0.5
+"""Samples along a module's side that are averaged to its value, and the part of the side that they cover."""
+
+
+MOST_WRONG_BITS = 1
+"""Number of modules of a marker that may read wrong; two markers of the dictionary differ in five or more."""
+
+
+class Sighting(NamedTuple):
+    """The four markers of a page in one frame.
+
+    `modules` has shape (4, 7, 7): the mean values in the modules of the markers. `ids` are the identities that
+    they spell, -1 for one that is no marker; a blend of two pages spells nonsense.
+    """
+
+    geometry: Geometry
+    ids: tuple[int, ...]
+    modules: FloatArray
+
+
+class MarkerFinder:
+    """Finder of a chart's four markers in a sequence of frames.
+
+    Parameters
+    ----------
+    centres_mm : ndarray, shape (4, 2)
+        Places of the markers' centres on the chart: top left, top right, bottom right, bottom left.
+    side_mm : float
+        Side of a marker.
+
+    Attributes
+    ----------
+    n_searched : int
+        Number of frames that were searched whole.
+    most_found : int
+        Largest number of corners of the chart of which one frame showed a marker.
+    key : int or None
+        Key of the chart in the present frame if it was searched and the marker that carries the key was found.
+        Markers of another chart are no sighting where they stand at other places.
+    """
+
+    def __init__(self, centres_mm: FloatArray, side_mm: float) -> None:
+        import cv2
+
+        self.n_searched = 0
+        self.most_found = 0
+        self.key: int | None = None
+        self._module_mm = side_mm / MODULES
+        corner = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]]) * side_mm
+        self._corners_mm = centres_mm[:, None, :] + corner
+        self._edges = _Edges(self._corners_mm, self._module_mm)
+        within = np.linspace(-0.5, 0.5, SAMPLES) * SAMPLED
+        along = (np.arange(MODULES) - (MODULES - 1) / 2)[:, None] + within
+        grid = np.stack(np.meshgrid(along.ravel(), along.ravel()), axis=-1) * self._module_mm
+        self._samples_mm = centres_mm[:, None, None, :] + grid
+        dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{DICTIONARY.upper()}"))
+        self._detector = cv2.aruco.ArucoDetector(dictionary, _search_parameters())
+        self._last: Geometry | None = None
+        # Ways to prepare a frame for the search: how often enlarged, and whether mirrored.
+        self._ways = list(product((1, 2), (False, True)))
+
+    def look(self, frame: NDArray[Any]) -> Sighting | None:
+        """Find the markers in a frame of any number type, (rows, columns) or (rows, columns, 3).
+
+        Returns
+        -------
+        Sighting or None
+            None if the frame does not show all four.
+        """
+        grey, self.key = _grey(frame), None
+        seen = self._sighting(grey, self._last) if self._last is not None else None
+        seen = seen or self._search(grey)
+        if seen is not None:
+            self._last = seen.geometry
+        return seen
+
+    def _search(self, grey: NDArray[np.float32]) -> Sighting | None:
+        """Search the whole frame, and its mirror image unless something was found the right way round before."""
+        self.n_searched += 1
+        eight_bits = _eight_bits(grey)
+        for way in self._ways:
+            corners = self._detected(eight_bits, *way)
+            self.most_found = max(self.most_found, len(corners))
+            if len(corners) < ENOUGH_MARKERS:
+                continue
+            known = sorted(corners)
+            try:
+                start = fit_geometry(self._corners_mm[known], np.array([corners[k] for k in known]))
+            except DataError:
+                continue
+            seen = self._sighting(grey, start)
+            if seen is not None:
+                self._ways = [one for one in self._ways if one[1] == way[1]]
+                return seen
+        return None
+
+    def _detected(self, image: NDArray[np.uint8], times: int, mirrored: bool) -> dict[int, FloatArray]:
+        """Return the corners of the markers that ArUco finds, (4, 2) each, by the corner of the chart."""
+        import cv2
+
+        prepared: NDArray[Any] = np.ascontiguousarray(image[:, ::-1]) if mirrored else image
+        if times > 1:
+            prepared = cv2.resize(prepared, None, fx=times, fy=times, interpolation=cv2.INTER_LINEAR)
+        found, ids, _ = self._detector.detectMarkers(prepared)
+        corners: dict[int, FloatArray] = {}
+        for quad, marker in zip(found, np.ravel(ids).tolist() if found else [], strict=True):
+            places = (quad.reshape(4, 2).astype(np.float64) + 0.5) / times - 0.5
+            if mirrored:
+                places[:, 0] = image.shape[1] - 1 - places[:, 0]
+            corners.setdefault(int(marker) % len(CORNERS), places)
+            if int(marker) % len(CORNERS) == CORNER_OF_KEY:
+                self.key = int(marker) // len(CORNERS)
+        return corners
+
+    def _sighting(self, grey: NDArray[np.float32], start: Geometry) -> Sighting | None:
+        """Adjust a geometry to the edges of the markers, and read these; None if they are not there."""
+        geometry = self._edges.adjusted(grey, start)
+        if geometry is None:
+            return None
+        modules = self._read(grey, geometry)
+        ids = []
+        for one in modules:
+            black = one[_BORDER]
+            white = float(np.sort(one[~_BORDER])[-3:].mean())
+            if not white - black.mean() > LEAST_CONTRAST_IN_ERRORS * black.std():
+                return None
+            wrong = np.count_nonzero(_all_bits() != (one > (white + black.mean()) / 2.0), axis=(1, 2))
+            nearest = int(wrong.argmin())
+            ids.append(nearest if wrong[nearest] <= MOST_WRONG_BITS else -1)
+        return Sighting(geometry, tuple(ids), modules)
+
+    def _read(self, grey: NDArray[np.float32], geometry: Geometry) -> FloatArray:
+        side = MODULES * SAMPLES
+        values = _sampled(grey, geometry.to_px(self._samples_mm).reshape(4 * side, side, 2))
+        parts = values.reshape(4, MODULES, SAMPLES, MODULES, SAMPLES)
+        return np.asarray(parts.mean(axis=(2, 4), dtype=np.float64))
+
+
+@cache
+def _all_bits() -> NDArray[np.bool_]:
+    return np.array([marker_bits(marker) for marker in range(len(CORNERS) * N_DIGITS)])
+
+
+_BORDER = np.ones((MODULES, MODULES), np.bool_)
+_BORDER[1:-1, 1:-1] = False
+
+
+class _Edges:
+    """The outer edges of four markers, which homographies are adjusted to.
+
+    Each of the 16 edges has `PIECES` pieces. The profile of a piece, averaged along it, is antisymmetric about the
+    edge whatever the blur, so its integral above the middle of black and white over as far on either side vanishes
+    there. White that spreads (a display that glares, a non-linear camera) moves all edges outwards or inwards
+    alike; that is fitted besides.
+    """
+
+    def __init__(self, corners_mm: FloatArray, module_mm: float) -> None:
+        after = np.roll(corners_mm, -1, axis=1)
+        along = ((np.arange(PIECES * POINTS) + 0.5) / (PIECES * POINTS) - 0.5) * EDGE + 0.5
+        middles = corners_mm[:, :, None] + along[:, None] * (after - corners_mm)[:, :, None]
+        inwards = corners_mm.mean(axis=1)[:, None] - (corners_mm + after) / 2.0
+        outwards = -inwards / np.linalg.norm(inwards, axis=-1, keepdims=True)
+        distances = np.linspace(-REACH, REACH, 2 * STEPS + 1) * module_mm
+        self._module_mm = module_mm
+        self._places_mm = middles.reshape(16 * PIECES * POINTS, 1, 2) + distances[:, None] * np.repeat(
+            outwards.reshape(16, 1, 2), PIECES * POINTS, axis=0
+        )
+        self._pieces_mm = middles.reshape(16 * PIECES, POINTS, 2).mean(axis=1)
+        self._outwards = np.repeat(outwards.reshape(16, 2), PIECES, axis=0)
+        self._tangents = self._outwards @ np.array([[0.0, 1.0], [-1.0, 0.0]])
+        self._middle_mm = corners_mm.mean(axis=(0, 1))
+        self._spread_mm = float(corners_mm.std())
+
+    def adjusted(self, grey: NDArray[np.float32], start: Geometry) -> Geometry | None:
+        """Return the geometry whose edges lie in the middles of the slopes; None if there are no such edges."""
+        geometry, module_px = start, 0.0
+        for _ in range(MOST_STEPS):
+            module_px = geometry.scale_px_per_mm(self._middle_mm) * self._module_mm
+            shifts = self._shifts_px(grey, geometry)
+            if shifts is None:
+                return None
+            geometry, moved_px = self._moved(geometry, shifts)
+            if not np.isfinite(geometry.homography).all():
+                return None
+            if moved_px < CONVERGED_PX:
+                break
+        return geometry if geometry.residual_px <= LARGEST_RESIDUAL * module_px else None
+
+    def _shifts_px(self, grey: NDArray[np.float32], geometry: Geometry) -> FloatArray | None:
+        """Measure how far outwards each piece lies of where the geometry has it, along the mapped normal."""
+        places = geometry.to_px(self._places_mm)
+        height, width = grey.shape
+        lowest, highest = places.min(axis=(0, 1)), places.max(axis=(0, 1))
+        if not (lowest > 0.0).all() or not (highest < (width - 1, height - 1)).all():
+            return None
+        profiles = _sampled(grey, places).reshape(16 * PIECES, POINTS, -1).mean(axis=1)
+        # Black and white of an edge, from all of its pieces: a level is as sharp as it is long.
+        levels = profiles[:, [0, -1]].reshape(16, PIECES, 2).mean(axis=1)
+        if not (levels[:, 1] > levels[:, 0]).all():
+            return None
+        black, white = np.repeat(levels, PIECES, axis=0).T
+        above = (profiles - black[:, None]) / (white - black)[:, None] - 0.5
+        integral = above.sum(axis=1) - (above[:, 0] + above[:, -1]) / 2.0
+        length_px = np.linalg.norm(places[:, -1] - places[:, 0], axis=1).reshape(16 * PIECES, POINTS).mean(axis=1)
+        return np.asarray(-integral * length_px / (2 * STEPS))
+
+    def _moved(self, geometry: Geometry, shifts_px: FloatArray) -> tuple[Geometry, float]:
+        """Move a geometry's edges by the least squares of the shifts; return it and how far they moved at most."""
+        x, y, w = geometry.homography @ np.column_stack([self._pieces_mm, np.ones(len(self._pieces_mm))]).T
+        at = np.column_stack([x / w, y / w])
+        top, bottom = geometry.homography[:2, :2], geometry.homography[2, :2]
+        jacobian = (top - at[:, :, None] * bottom) / w[:, None, None]
+        normals = np.einsum("nij,nj->ni", jacobian, self._tangents) @ np.array([[0.0, 1.0], [-1.0, 0.0]])
+        outwards = np.einsum("nij,nj->ni", jacobian, self._outwards)
+        outwards /= np.linalg.norm(outwards, axis=1, keepdims=True)
+        normals *= np.sign((normals * outwards).sum(axis=1))[:, None] / np.linalg.norm(normals, axis=1)[:, None]
+        # A change of the homography after a map to coordinates about 1: ξ' = (I + E) ξ with E[2, 2] = 0.
+        u, v = ((self._pieces_mm - self._middle_mm) / self._spread_mm).T
+        one, none = np.ones_like(u), np.zeros_like(u)
+        to_px = _scaled(self._middle_mm, self._spread_mm)
+        base = geometry.homography @ np.linalg.inv(to_px)
+        base /= base[2, 2]
+        depth = base[2] @ np.array([u, v, one])
+        columns_x = [u, v, one, none, none, none, -u * at[:, 0], -v * at[:, 0]]
+        columns_y = [none, none, none, u, v, one, -u * at[:, 1], -v * at[:, 1]]
+        design = (normals[:, 0] * np.array(columns_x) + normals[:, 1] * np.array(columns_y)) / depth
+        design = np.column_stack([design.T, one])
+        wanted = shifts_px * (normals * outwards).sum(axis=1)
+        solution, *_ = np.linalg.lstsq(design, wanted, rcond=None)
+        left = wanted - design @ solution
+        base += np.append(solution[:8], 0.0).reshape(3, 3)
+        residual = math.sqrt(float(left @ left) / (len(left) - len(solution)))
+        return Geometry(base @ to_px, residual), float(np.abs(design[:, :8] @ solution[:8]).max())
+
+
+def _scaled(middle_mm: FloatArray, spread_mm: float) -> FloatArray:
+    x, y = middle_mm.tolist()
+    return np.array([[1.0, 0.0, -x], [0.0, 1.0, -y], [0.0, 0.0, spread_mm]]) / spread_mm
+
+
+def _search_parameters() -> Any:
+    """Return the parameters of a search for small, blurred and noisy markers; later steps notice errors."""
+    import cv2
+
+    parameters = cv2.aruco.DetectorParameters()
+    parameters.perspectiveRemovePixelPerCell = 8
+    parameters.perspectiveRemoveIgnoredMarginPerCell = 0.3
+    parameters.maxErroneousBitsInBorderRate = 0.5
+    parameters.errorCorrectionRate = 1.0
+    return parameters
+
+
+def _sampled(grey: NDArray[np.float32], places_px: FloatArray) -> FloatArray:
+    """Interpolate a frame linearly at places, (…, 2), all of which lie on it.
+
+    OpenCV's `remap` rounds places to 1/32 of a pixel.
+    """
+    columns, rows = np.floor(places_px[..., 0]).astype(np.intp), np.floor(places_px[..., 1]).astype(np.intp)
+    right, down = places_px[..., 0] - columns, places_px[..., 1] - rows
+    first = rows * grey.shape[1] + columns
+    flat = grey.ravel()
+    above = flat[first] * (1.0 - right) + flat[first + 1] * right
+    first += grey.shape[1]
+    below = flat[first] * (1.0 - right) + flat[first + 1] * right
+    return np.asarray(above * (1.0 - down) + below * down)
+
+
+def _grey(frame: NDArray[Any]) -> NDArray[np.float32]:
+    """Return a frame's values, of colours their mean, as 32-bit floats; values that are not finite become 0."""
+    grey = frame if frame.ndim == 2 else frame.mean(axis=2, dtype=np.float32)
+    grey = np.ascontiguousarray(grey, np.float32)
+    return grey if frame.dtype.kind in "ui" or np.isfinite(grey).all() else np.nan_to_num(grey, posinf=0, neginf=0)
+
+
+def _eight_bits(grey: NDArray[np.float32]) -> NDArray[np.uint8]:
+    """Spread the range of the values, without the outermost percent, over 8 bits."""
+    step = max(1, math.isqrt(grey.size // 50_000))
+    low, high = np.percentile(grey[::step, ::step], [1.0, 99.0])
+    spread = 255.0 / max(float(high - low), 1e-30)
+    return np.asarray(np.clip((grey - low) * np.float32(spread), 0.0, 255.0).astype(np.uint8))

@@ -1,0 +1,227 @@
+"""The frames of an imported dataset: windows cut from recorded frames, written with their values untouched."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from todframes.base.errors import FrameError, OutputError, SettingsError
+from todframes.frames.files import frame_sha256, write_frame
+from todframes.frames.surround import TrianglePlace, surround_window
+from todframes.importing.clips import FramePart, Rectangle
+from todframes.jobs.fingerprint import fingerprint
+from todframes.jobs.run import WORTH_S
+from todframes.jobs.store import Store
+from todframes.observers.pyramid import PyramidObserver
+from todframes.recordings.recording import Recording
+from todframes.stimulus import Stimulus
+
+MARGIN_PX = 2
+"""Pixels of a window beyond what the observer and the background need."""
+
+
+WINDOWS_A_COMMIT = 64
+"""Number of windows that are entered into the store together."""
+
+
+EVERYWHERE = (-(10**9), 10**9)
+
+
+@lru_cache(maxsize=256)
+def field_reach_px(size_px: int, pitch_mrad: float) -> int:
+    """Return the distance from a triangle's centroid to the edges of the window that the observer needs.
+
+    It holds the retina of the paper's observer with its displacement, and the ring in which the background is
+    measured. A size in whole pixels, rounded up, spares the computation for each frame.
+    """
+    observer = PyramidObserver()
+    grid = observer.grid(Stimulus(size_px * pitch_mrad))
+    retina = grid.width_mrad / 2.0 + observer.position_jitter_samples * grid.pitch_mrad
+    ring = surround_window(TrianglePlace(0.0, 0.0, size_px), rows=EVERYWHERE, columns=EVERYWHERE)
+    return math.ceil(max(retina / pitch_mrad, ring.rows[1])) + MARGIN_PX
+
+
+def window_about(x_px: float, y_px: float, reach_px: int) -> Rectangle:
+    """Return the square window of pixels about a place, not clipped to the frame."""
+    row, column = round(y_px), round(x_px)
+    return row - reach_px, row + reach_px + 1, column - reach_px, column + reach_px + 1
+
+
+def clipped(window: Rectangle, shape: Sequence[int]) -> Rectangle:
+    """Return the part of a window that lies on a frame."""
+    top, bottom, left, right = window
+    return max(top, 0), min(bottom, shape[0]), max(left, 0), min(right, shape[1])
+
+
+def part_of(values: NDArray[Any], window: Rectangle) -> FramePart:
+    """Copy a window out of a frame."""
+    top, bottom, left, right = window
+    return FramePart(values[top:bottom, left:right].copy(), top, left)
+
+
+def narrowed(part: FramePart, window: Rectangle) -> NDArray[Any] | None:
+    """Return the values of a window within a part of a frame; None if it reaches beyond the part."""
+    top, bottom, left, right = window
+    rows, columns = part.values.shape[:2]
+    top, bottom, left, right = top - part.row, bottom - part.row, left - part.column, right - part.column
+    if min(top, left) < 0 or bottom > rows or right > columns:
+        return None
+    return part.values[top:bottom, left:right]
+
+
+@dataclass(frozen=True, slots=True)
+class CodeRange:
+    """Recorded values that become code values 0 and 1 of the display."""
+
+    low: float
+    high: float
+
+
+def code_range(recording: Recording, asked: tuple[float, float] | None) -> CodeRange:
+    """Return the range of a recording: the one asked for, or black and white of the recording.
+
+    Raises
+    ------
+    SettingsError
+        If the recording has no white and none is asked for.
+    """
+    if asked is not None:
+        return CodeRange(*asked)
+    if recording.full_scale is None:
+        what = {"celsius": "temperatures", "counts": "counts"}.get(recording.unit, "values")
+        raise SettingsError(
+            f"{recording.path}: has {what} without a black and a white, expected --range LOW:HIGH, the values "
+            "that the display shows black and white"
+        )
+    return CodeRange(recording.zero, recording.full_scale)
+
+
+class Window(NamedTuple):
+    """A window to write: its path in the dataset, its values as recorded, and their range."""
+
+    name: str
+    values: NDArray[Any]
+    scale: CodeRange
+
+
+class WrittenWindow(NamedTuple):
+    """Checksum of a written window, and its numbers of values, and of values beyond black and white."""
+
+    sha256: str
+    n_values: int
+    n_beyond: int
+
+
+def suffix(scale: CodeRange, dtype: np.dtype[Any]) -> str:
+    """Return the end of a window's name: .png where that format holds the values as they are, else .exr."""
+    is_full = dtype.kind == "u" and scale == CodeRange(0, np.iinfo(dtype).max)
+    return ".png" if is_full else ".exr"
+
+
+def write_window(folder: Path, window: Window, *, clip: bool) -> WrittenWindow:
+    """Write a window into a dataset's folder: 8 or 16 bits as PNG, all else as EXR of the code values.
+
+    Parameters
+    ----------
+    clip : bool
+        Clip code values to [0, 1], as a display with this transfer function does.
+
+    Raises
+    ------
+    OutputError
+        If the file cannot be written.
+    """
+    path = folder / window.name
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if path.suffix == ".png":
+        content = encoded_png(window.values)
+        try:
+            path.write_bytes(content)
+        except OSError as error:
+            raise OutputError(f"{path}: cannot be written: {error.strerror}") from None
+        return WrittenWindow(hashlib.sha256(content).hexdigest(), window.values.size, 0)
+    low, high = window.scale.low, window.scale.high
+    code = ((window.values.astype(np.float64) - low) / (high - low)).astype(np.float32)
+    n_beyond = int(np.count_nonzero((code < 0.0) | (code > 1.0)))
+    if clip and n_beyond:
+        code = np.clip(code, 0.0, 1.0)
+    write_frame(path, code, pixel_type="float", compression="zips")
+    with path.open("rb") as file:
+        sha256 = hashlib.file_digest(file, "sha256").hexdigest()
+    return WrittenWindow(sha256, code.size, n_beyond)
+
+
+class WindowWriter:
+    """Writer of the windows of a dataset; those that an earlier run has written are not written again.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of the dataset.
+    clip : bool
+        As in `write_window`.
+    store : Store or None
+        Store that tells which windows of the folder are finished.
+    """
+
+    def __init__(self, folder: Path, *, clip: bool, store: Store | None) -> None:
+        self._folder, self._clip, self._store = folder, clip, store
+        self._finds = store is not None and store.is_begun
+        self._rows: list[tuple[bytes, bytes]] = []
+        self._started = time.perf_counter()
+
+    def write(self, window: Window) -> WrittenWindow:
+        """Write a window, unless it is there as it would be; raise OutputError if it cannot be written."""
+        if self._store is None:
+            return write_window(self._folder, window, clip=self._clip)
+        key = fingerprint(window.name, window.values, window.scale, self._clip)
+        found = self._found(key, self._folder / window.name) if self._finds else None
+        if found is not None:
+            return found
+        written = write_window(self._folder, window, clip=self._clip)
+        self._rows.append((key, msgspec.msgpack.encode(written)))
+        if len(self._rows) >= WINDOWS_A_COMMIT and time.perf_counter() - self._started > WORTH_S:
+            self.flush()
+        return written
+
+    def flush(self) -> None:
+        """Enter the windows written so far into the store."""
+        if self._store is not None:
+            self._store.add(self._rows)
+            self._rows.clear()
+
+    def _found(self, key: bytes, path: Path) -> WrittenWindow | None:
+        assert self._store is not None
+        encoded = self._store.get(key)
+        if encoded is None:
+            return None
+        try:
+            written = msgspec.msgpack.decode(encoded, type=WrittenWindow)
+            is_there = frame_sha256(path) == written.sha256
+        except (FrameError, msgspec.MsgspecError):
+            return None
+        self._store.n_used += is_there
+        return written if is_there else None
+
+
+def encoded_png(values: NDArray[Any]) -> bytes:
+    """Return the bytes of a PNG file with these values, uint8 or uint16, (rows, columns) or (rows, columns, 3)."""
+    import cv2
+
+    # Noise does not compress; run lengths find what does in a fraction of the time.
+    options = [cv2.IMWRITE_PNG_COMPRESSION, 1, cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_RLE]
+    shown = values if values.ndim == 2 else values[..., ::-1]
+    done, content = cv2.imencode(".png", np.ascontiguousarray(shown), options)
+    if not done:
+        raise OutputError(f"a window of shape {values.shape} cannot be encoded as PNG")
+    return content.tobytes()

@@ -1,0 +1,249 @@
+"""The scores of single trials: frames are shown to the observer with one or many displacements."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from todframes.base._typing import FloatArray
+from todframes.base.errors import SettingsError
+from todframes.frames.dataset import Dataset
+from todframes.frames.trials import Trial, Trials
+from todframes.observers.interface import Observer, Readout
+from todframes.observers.internal_noise import inner_product
+from todframes.observers.retina import RetinaGrid
+from todframes.psychometrics.replicates import REPLICATES
+from todframes.scoring.plan import ScorePlan
+from todframes.scoring.retina_view import Shown, read_trial, retina_image
+
+Decisions = Literal["expected", "sampled"]
+
+
+NO_ANSWER = -1
+"""Answer of a trial for which none was drawn."""
+
+
+# First elements of the spawn keys of random streams: they keep the streams of trials and fits apart.
+TRIAL_STREAMS, FIT_STREAMS, DISPLACEMENT_STREAMS, RATIO_STREAMS = range(4)
+
+
+KRONECKER_STEPS = np.array([0.7548776662466927, 0.5698402909980532])
+"""Steps of a two-dimensional low-discrepancy sequence, powers of the root of x³ = x + 1 (Roberts 2018)."""
+
+
+class SeenTrial(NamedTuple):
+    """The observer's scores of a trial and, if drawn, its answer.
+
+    Attributes
+    ----------
+    displacement_samples : ndarray, shape (d, 2)
+        Displacements of the retina grid along x and y, in retina samples.
+    scores, deviations : ndarray, shape (d, 4)
+        Noise-free inner products with the templates, and their deviations from their mean, computed without
+        cancellation; NaN if the observer is not linear.
+    answer : int
+        Answer drawn, an index into `ORIENTATIONS`, or `NO_ANSWER`.
+    n_negative : int
+        Number of display pixels with a luminance below zero.
+    background_luminance_cd_m2 : float
+        Luminance that contrast refers to, averaged over the trial's frames.
+    seconds : float
+        Time that the trial took.
+    """
+
+    displacement_samples: FloatArray
+    scores: FloatArray
+    deviations: FloatArray
+    answer: int
+    n_negative: int
+    background_luminance_cd_m2: float
+    seconds: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SeenTrials:
+    """The observer's scores of many trials with as many displacements each: a `SeenTrial` a row, in columns."""
+
+    trials: Trials
+    displacement_samples: FloatArray
+    scores: FloatArray
+    deviations: FloatArray
+    answer: NDArray[np.intp]
+    n_negative: NDArray[np.int64]
+    background_luminance_cd_m2: FloatArray
+    seconds: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.answer)
+
+    def select(self, rows: NDArray[np.intp]) -> SeenTrials:
+        """Return some of the trials, by row."""
+        columns = (getattr(self, name)[rows] for name in SeenTrial._fields)
+        return SeenTrials(self.trials.select(rows), *columns)
+
+    def amplified(self, gain: FloatArray) -> SeenTrials:
+        """Return the scores as a plain gain of contrast, one a trial, would make them: they are linear in it."""
+        each = gain[:, None, None]
+        return replace(self, scores=each * self.scores, deviations=each * self.deviations)
+
+
+class SeenColumns:
+    """Columns that are filled with the scores of trials in any order.
+
+    Parameters
+    ----------
+    trials : Trials
+    """
+
+    def __init__(self, trials: Trials) -> None:
+        self._trials = trials
+        self._columns: dict[str, NDArray[Any]] = {}
+        self._is_seen = np.zeros(len(trials), bool)
+
+    def put(self, row: int, seen: SeenTrial) -> None:
+        """Set the scores of a trial; all trials have as many displacements as the first."""
+        if not self._columns:
+            for name, value in seen._asdict().items():
+                one = np.asarray(value)
+                self._columns[name] = np.zeros((len(self._trials), *one.shape), one.dtype)
+        for name, value in zip(self._columns, seen, strict=True):
+            self._columns[name][row] = value
+        self._is_seen[row] = True
+
+    def seen(self) -> SeenTrials | None:
+        """Return the trials whose scores were set, in the order of the trials; None if there are none."""
+        if not self._columns:
+            return None
+        if self._is_seen.all():
+            return SeenTrials(self._trials, **self._columns)
+        rows = np.flatnonzero(self._is_seen)
+        return SeenTrials(self._trials.select(rows), **{name: v[rows] for name, v in self._columns.items()})
+
+
+@dataclass(frozen=True, slots=True)
+class Scoring:
+    """The settings for the scoring of all trials of a dataset; they do not change, so threads share them.
+
+    `displacements` is the number of displacements of each trial in each replicate; 0: a single one, from the
+    trial's own random stream.
+    """
+
+    dataset: Dataset
+    plan: ScorePlan
+    decisions: Decisions
+    seed: int
+    displacements: int = 0
+
+
+class Look(NamedTuple):
+    """The observer, retina grid and displacements for a trial, the same for all ways in which it is shown.
+
+    `displacement_samples`, (d, 2), are the displacements of the retina grid in retina samples; `rng` is the
+    trial's own random stream after they were drawn. `readout` is None if the observer is not linear.
+    """
+
+    observer: Observer
+    grid: RetinaGrid
+    displacement_samples: FloatArray
+    rng: np.random.Generator
+    readout: Readout | None
+
+
+def look_at(scoring: Scoring, trial: Trial, readout: Readout | None) -> Look:
+    """Return the observer, retina grid and displacements for a trial.
+
+    Raises
+    ------
+    SettingsError
+        If the observer is not linear and its answer is not drawn.
+    """
+    if readout is None and scoring.decisions == "expected":
+        raise SettingsError("decisions: found 'expected', but this observer is not linear; expected 'sampled'")
+    observer = scoring.plan.observer_of(trial.stimulus)
+    rng = np.random.default_rng(np.random.SeedSequence(scoring.seed, spawn_key=(TRIAL_STREAMS, trial.number)))
+    displaced = _displacements(scoring, trial, rng, observer.position_jitter_samples)
+    grid = observer.grid(trial.stimulus) if readout is None else readout.grid
+    return Look(observer, grid, displaced, rng, readout)
+
+
+def see(scoring: Scoring, trial: Trial, look: Look, ways: Sequence[Shown], started: float) -> list[SeenTrial]:
+    """Show a trial to the observer in each of several ways, with the same displacements and the same noise.
+
+    Parameters
+    ----------
+    ways : sequence of Shown
+        The trial as shown in each way.
+    started : float
+        Value of `time.perf_counter` at the start of the trial; the time since then is divided among the ways.
+
+    Returns
+    -------
+    list of SeenTrial
+        One for each way.
+    """
+    reading_s = (time.perf_counter() - started) / len(ways)
+    displaced, is_sampled = look.displacement_samples, scoring.decisions == "sampled"
+    state = look.rng.bit_generator.state if is_sampled else {}
+    seen = []
+    for shown in ways:
+        started = time.perf_counter()
+        scores = deviations = np.full((len(displaced), 4), np.nan)
+        answer = NO_ANSWER
+        if look.readout is not None:
+            pairs = [_scores(look.readout, retina_image(shown, look.grid, (dx, dy))) for dx, dy in displaced]
+            scores, deviations = (np.array(part) for part in zip(*pairs, strict=True))
+        if is_sampled:
+            image = retina_image(shown, look.grid, (displaced[0, 0], displaced[0, 1]))
+            look.rng.bit_generator.state = state
+            answer = look.observer.respond(image, trial.stimulus, look.rng).quarter_turns
+        seconds = reading_s + time.perf_counter() - started
+        background = shown.background_luminance_cd_m2
+        seen.append(SeenTrial(displaced, scores, deviations, answer, shown.n_negative, background, seconds))
+    return seen
+
+
+def score_trial(scoring: Scoring, trial: Trial, readout: Readout | None) -> SeenTrial:
+    """Read a trial and show it to the observer.
+
+    Raises
+    ------
+    FrameError
+        If a frame cannot be used.
+    SettingsError
+        If the observer is not linear and its answer is not drawn.
+    """
+    started = time.perf_counter()
+    look = look_at(scoring, trial, readout)
+    shown = read_trial(
+        scoring.dataset,
+        trial,
+        look.observer,
+        look.grid,
+        look.displacement_samples,
+        whole=scoring.plan.whole_frames,
+    )
+    (seen,) = see(scoring, trial, look, [shown], started)
+    return seen
+
+
+def _displacements(scoring: Scoring, trial: Trial, rng: np.random.Generator, jitter: float) -> FloatArray:
+    if not scoring.displacements:
+        return rng.uniform(-jitter, jitter, (1, 2))
+    key = (DISPLACEMENT_STREAMS, scoring.displacements, trial.number)
+    shifts = np.random.default_rng(np.random.SeedSequence(scoring.seed, spawn_key=key)).random((REPLICATES, 1, 2))
+    evenly = (shifts + np.arange(scoring.displacements)[:, None] * KRONECKER_STEPS) % 1.0
+    return np.asarray(jitter * (2.0 * evenly.reshape(-1, 2) - 1.0))
+
+
+def _scores(readout: Readout, contrast: FloatArray) -> tuple[FloatArray, FloatArray]:
+    deviations = readout.score_deviations(contrast)
+    # Without noise or with huge contrast, equal scores may differ by rounding alone.
+    rounding = 1e-13 * readout.norm * math.sqrt(inner_product(contrast, contrast))
+    deviations = np.where(np.abs(deviations) < rounding, 0.0, deviations)
+    return deviations + readout.common_score(contrast), deviations
