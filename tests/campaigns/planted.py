@@ -185,7 +185,7 @@ def commands(lab: Lab) -> dict[str, list[str]]:
     chart = ["--distance-m", "10", "--sizes-mrad", "1", "--contrasts", "0.2", *monitor]
     return {
         **lab.commands,
-        "curve": ["sensor_sim", "curve", sensor, "--size-detectors", "4"],
+        "curve": ["sensor_sim", "curve", sensor, "--size-detectors", "4", "--tolerance", "0.1"],
         "mtf": ["sensor_sim", "mtf", sensor],
         "naked-eye": ["todframes", "naked-eye", "--size-mrad", "1"],
         "noise": ["todframes", "noise", str(lab.folder / "recording" / "frames.npy")],
@@ -207,7 +207,7 @@ def planted(lab: Lab, command: list[str], plant: Callable[[Plant], None]) -> str
     if plant in (_result_names_notes, _list_of_moves):
         expect((case.out / "notes.txt").exists(), "a file of a stranger in OUT has gone")
     if not ended.status:
-        last = [case.out / name for name in ("result.json", "dataset.toml", "chart.toml")]
+        last = [case.out / name for name in ("result.json", "dataset.toml", "chart.toml", "mtf.csv")]
         expect(any(one.is_file() and not one.is_symlink() for one in last), "no result was written")
     return "refused" if ended.status else "written"
 
