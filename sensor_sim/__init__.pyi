@@ -10,4 +10,7 @@ from .chain.sensor import Optics as Optics
 from .chain.sensor import Sensor as Sensor
 from .chain.sensor import SensorDisplay as SensorDisplay
 from .chain.sensor import load_sensor as load_sensor
+from .chain.simulation import Written as Written
+from .mtf_report import SensorMtf as SensorMtf
+from .sweeps.result import SweepResult as SweepResult
 from .thresholds.matched import matched_settings as matched_settings

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 from sensor_sim.chain.sensor import Sensor, load_sensor
 from todframes.base.errors import SettingsError
+from todframes.base.seeds import Rng, seed_of
 from todframes.calls.shared import described
 from todframes.observers.interface import Observer
 from todframes.psychometrics.fit import FitSettings
@@ -35,7 +36,7 @@ def curve(
     p_correct: float = 0.75,
     tolerance: float = 2e-3,
     plan: PlanName = "needed",
-    seed: int = 1,
+    rng: Rng = 1,
     examples: bool = True,
     progress: Callable[[int], None] | None = None,
 ) -> Result:
@@ -55,7 +56,7 @@ def curve(
         Relative error of the thresholds to reach.
     plan : {"needed", "full"}
         Leave out the computations that the sensor does not need, or leave out none.
-    seed : int
+    rng : int, SeedSequence or Generator
         Seed of the places of the triangle on the detectors.
     examples : bool
         Also draw a triangle at threshold, for the page.
@@ -79,7 +80,7 @@ def curve(
     >>> [round(one.threshold, 1) for one in result.thresholds]
     [3.2, 1.1]
     """
-    started = time.perf_counter()
+    started, seed = time.perf_counter(), seed_of(rng)
     from sensor_sim.chain.detector_noise import delta_t_as_printed_mk, delta_t_mk
     from sensor_sim.thresholds.curve_plan import plan_curve
     from sensor_sim.thresholds.predict import FoldedChain, predict_threshold
@@ -150,7 +151,7 @@ def sweep(
     p_correct: float = 0.75,
     tolerance: float = 2e-3,
     plan: PlanName = "needed",
-    seed: int = 1,
+    rng: Rng = 1,
     workers: int = 1,
     cluster: str | Engine | None = None,
     store: Store | None = None,
@@ -183,7 +184,7 @@ def sweep(
         "threshold_snr", "acuity_mrad", "acuity_detectors". The first orders the designs.
     acuity_snr, acuity_delta_t_mk : float, optional
         Signal of a large triangle for which the smallest visible size is interpolated, as an SNR or in mK.
-    observer, p_correct, tolerance, plan, seed
+    observer, p_correct, tolerance, plan, rng
         As for `curve`; the seed is also that of `sample`.
     workers : int
         Processes to compute in. A script then calls this below `if __name__ == "__main__":`.
@@ -215,7 +216,7 @@ def sweep(
     >>> [round(row["delta_t_mk"]) for row in result.records()]
     [12, 25, 10, 21]
     """
-    started = time.perf_counter()
+    started, seed = time.perf_counter(), seed_of(rng)
     from sensor_sim.sweeps.designs import Base, check_coupling, make_designs
     from sensor_sim.sweeps.result import SweepResult
     from sensor_sim.sweeps.tables import Criterion, objectives
@@ -272,7 +273,7 @@ def simulate(
     snr: Sequence[float],
     out: Path | str,
     trials: int = 40,
-    seed: int = 1,
+    rng: Rng = 1,
     frame_format: FrameFormat = "exr",
     allow_clipping: bool = False,
     stages: bool = False,
@@ -297,7 +298,7 @@ def simulate(
         Folder to make, new or empty.
     trials : int
         Frames of each size and SNR.
-    seed : int
+    rng : int, SeedSequence or Generator
         Seed of all random draws.
     frame_format : {"exr", "png"}
         Half-float EXR in cd/m², or 16-bit PNG.
@@ -340,6 +341,7 @@ def simulate(
     >>> ss.simulate(camera, size_detectors=[4], snr=[2, 8], trials=4, out=out).n_frames
     8
     """
+    seed = seed_of(rng)
     from sensor_sim.chain.simulation import plan_trials, write_dataset
     from todframes.base.output import Going, new_folder, store_path
     from todframes.jobs.engine import open_engine

@@ -211,7 +211,7 @@ def sweep(
     settings, wanted = load_sensor(sensor), numbers(sizes, "--size-detectors")
     base = Base(settings, Variants.of(observer).settings, asked["keep_fill_factor"])
     vary = _assigned_ranges(ranges)
-    designs = make_designs(base, vary=vary, design=design, sample=sample, seed=asked["seed"])
+    designs = make_designs(base, vary=vary, design=design, sample=sample, seed=asked["rng"])
     with long_run(out, asked, quiet=quiet) as place:
         with progress("sweeping", len(designs.values) * len(wanted), quiet=quiet) as advance:
             result = api.sweep(

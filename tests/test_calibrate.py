@@ -379,7 +379,7 @@ def test_a_free_blur(two_people) -> None:
     """The templates of the people are blurred by 1.2 samples."""
     folder, frames = two_people
     result = tod.calibrate(
-        folder, frames, free=["blur", "lapse"], subjects=["a1"], fit=tod.FitSettings(resamples=0)
+        frames, folder, free=["blur", "lapse"], subjects=["a1"], fit=tod.FitSettings(resamples=0)
     )
     (person,) = result.persons
     low, high = person.template_blur_samples_ci95

@@ -96,7 +96,7 @@ def squares(n: int) -> dict[int, int]:
 
 def test_asking_for_a_cluster_without_dask_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(engines, "find_spec", lambda _: None)
-    message = r"^--cluster: needs the package distributed.*: pip install 'todframes\[cluster\]'$"
+    message = r"^cluster: needs the package distributed.*: pip install 'todframes\[cluster\]'$"
     with pytest.raises(SettingsError, match=message), open_engine("local:2", 1):
         pass
 
@@ -270,13 +270,9 @@ def test_an_error_that_cannot_be_pickled_is_told_in_words(local: ClusterEngine) 
 @dask
 def test_what_cannot_be_pickled_is_one_line(local: ClusterEngine) -> None:
     lock = threading.Lock()
-    with pytest.raises(
-        SettingsError, match=r"^--cluster: cannot send this to other processes \(TypeError: .*lock"
-    ):
+    with pytest.raises(SettingsError, match=r"^cluster: cannot send this to other processes \(TypeError: .*lock"):
         results_of(local, Calls(lambda _: lock), [0])
-    with pytest.raises(
-        SettingsError, match=r"^--cluster: cannot send this to other processes \(TypeError: .*lock"
-    ):
+    with pytest.raises(SettingsError, match=r"^cluster: cannot send this to other processes \(TypeError: .*lock"):
         results_of(local, Squares(), [lock])
 
 

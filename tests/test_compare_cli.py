@@ -21,7 +21,7 @@ from todframes.stimulus import Orientation, coverage
 
 OWN = """
 from typing import Annotated
-from todframes.enhancement.algorithm import enhancement, parameter
+from todframes.enhancement.algorithm import algorithm, parameter
 
 def leaves(image):
     raise SystemExit(7)
@@ -32,7 +32,7 @@ def shouts(image):
 def twice(image, gain=2.0):
     return 0.5 + gain * (image - 0.5)
 
-@enhancement(domain="luminance")
+@algorithm(domain="luminance")
 def flat(image, *, note: object = object()):
     return 0.0 * image + 0.5
 """

@@ -31,7 +31,7 @@ SCORED = ("scores", "probabilities", "p_correct", "answers", "displacement_sampl
 
 OWN = """
 import numpy as np
-from todframes.enhancement.algorithm import enhancement
+from todframes.enhancement.algorithm import algorithm
 
 def same(image):
     return image
@@ -45,20 +45,20 @@ def gain(image, by=2.0, middle=0.5):
 def brighter(image, by=1.25):
     return by * image
 
-@enhancement(magnification="factor")
+@algorithm(magnification="factor")
 def pixels_divided(image, *, factor: int = 3):
     return np.repeat(np.repeat(image, factor, axis=0), factor, axis=1)
 
-@enhancement(magnification=0.5)
+@algorithm(magnification=0.5)
 def pixels_joined(image):
     return image.reshape(image.shape[0] // 2, 2, image.shape[1] // 2, 2).mean(axis=(1, 3))
 
-@enhancement(domain="luminance")
+@algorithm(domain="luminance")
 def light(image):
     assert image.ndim == 2
     return image
 
-@enhancement(domain="luminance")
+@algorithm(domain="luminance")
 def half_light(image, by=0.5):
     return by * image
 
@@ -339,7 +339,7 @@ def test_linear_exr_has_no_upper_end(make_dataset) -> None:
 def test_white_must_be_said_of_frames_in_luminance(make_dataset) -> None:
     made = make_dataset(contrasts=(0.2,))
     with pytest.raises(
-        FrameError, match=r"code values have a mean of 50.\d+, above white \(1\); say which .*--white"
+        FrameError, match=r"code values have a mean of 50.\d+, above white \(1\); say which .*white"
     ):
         compare(made.path, "gaussian")
     assert compare(made.path, "gaussian", white=100.0)[1].scored.fits

@@ -15,7 +15,7 @@ from todframes.base.errors import DataError, SettingsError
 from todframes.enhancement import algorithm as enhancement_specs
 from todframes.enhancement.algorithm import (
     Declaration,
-    enhancement,
+    algorithm,
     enhancement_names,
     find_enhancement,
     meaning,
@@ -367,7 +367,7 @@ def test_own_functions_that_give_something_else(name: str, message: str) -> None
 # Declarations
 
 
-@enhancement(domain="luminance", magnification="factor")
+@algorithm(domain="luminance", magnification="factor")
 def finer(
     image,
     *,
@@ -412,7 +412,7 @@ def test_a_registered_function_that_cannot_be_loaded(monkeypatch) -> None:
 
 
 def test_a_magnification_that_is_no_parameter(monkeypatch) -> None:
-    register(monkeypatch, odd=lambda: enhancement(magnification="scale")(lambda image: image))
+    register(monkeypatch, odd=lambda: algorithm(magnification="scale")(lambda image: image))
     with pytest.raises(SettingsError, match="magnification 'scale': found None, expected a number > 0"):
         find_enhancement("odd")
 
@@ -420,9 +420,9 @@ def test_a_magnification_that_is_no_parameter(monkeypatch) -> None:
 @pytest.mark.parametrize("magnification", [0.0, -1.0, math.nan, math.inf])
 def test_a_magnification_must_be_positive(magnification: float) -> None:
     with pytest.raises(SettingsError, match=r"magnification: found .*, expected a finite number > 0"):
-        enhancement(magnification=magnification)
+        algorithm(magnification=magnification)
 
 
 def test_a_domain_that_there_is_not() -> None:
     with pytest.raises(SettingsError, match="domain: found 'contrast', expected one of code_value, luminance"):
-        enhancement(domain="contrast")
+        algorithm(domain="contrast")

@@ -537,7 +537,7 @@ def test_which_of_several_unfinished_sessions_is_asked(dataset, out):
         with open_sitting(dataset, out, subject=subject, design=SHORT):
             pass
     with (
-        pytest.raises(SettingsError, match="the sessions of P1, P2 are not finished; say which with --subject"),
+        pytest.raises(SettingsError, match="the sessions of P1, P2 are not finished; say which with subject"),
         open_sitting(dataset, out),
     ):
         pass
@@ -549,7 +549,7 @@ def test_a_finished_session_is_followed_by_a_new_one(dataset, out):
         finish(sitting)
         first = sitting.record.subject
     with (
-        pytest.raises(SettingsError, match=f"--subject: {first} has finished; leave it out"),
+        pytest.raises(SettingsError, match=f"subject: {first} has finished; leave it out"),
         open_sitting(dataset, out, subject=first),
     ):
         pass
@@ -560,10 +560,10 @@ def test_a_finished_session_is_followed_by_a_new_one(dataset, out):
 @pytest.mark.parametrize(
     ("design", "message"),
     [
-        (Design(method="quest"), "--method: found quest, the session has constant, but subject P1 has answered"),
-        (Design(trials=9), "--trials: found 9, the session has 8"),
-        (Design(time_limit_s=2.0), "--time-limit-s: found 2.0, the session has None"),
-        (Design(dither=False), "--dither: found False, the session has True"),
+        (Design(method="quest"), "method: found quest, the session has constant, but subject P1 has answered"),
+        (Design(trials=9), "trials: found 9, the session has 8"),
+        (Design(time_limit_s=2.0), "time_limit_s: found 2.0, the session has None"),
+        (Design(dither=False), "dither: found False, the session has True"),
     ],
 )
 def test_settings_of_a_session_that_has_begun_stay(dataset, out, design, message):
@@ -649,7 +649,7 @@ def test_settings_are_checked(design, message):
 
 def test_more_trials_than_there_are_is_told(dataset, out):
     with (
-        pytest.raises(SettingsError, match="--trials: found 25, expected at most 24, the trials of the dataset"),
+        pytest.raises(SettingsError, match="trials: found 25, expected at most 24, the trials of the dataset"),
         open_sitting(dataset, out, design=Design(trials=25)),
     ):
         pass

@@ -132,7 +132,7 @@ def test_luminance_rises_with_the_code_whatever_the_readings():
         ),
         ({"photometer": ((0, 0.0), (1, 1.0), (2, 1e6), (255, 1e7))}, "calibration", "beyond 0 to 100000"),
         ({"photometer": ((0, 0.0), (1, 1e-320), (2, 1.0), (255, 9.0))}, "calibration", "to rise with the code"),
-        ({"photometer": ((0, 60.0), (9, 70.0), (99, 80.0), (255, 90.0))}, "range", "take another --background"),
+        ({"photometer": ((0, 60.0), (9, 70.0), (99, 80.0), (255, 90.0))}, "range", "take another background"),
     ],
 )
 def test_refusals_have_a_reason(changes, reason, message):
@@ -157,7 +157,7 @@ RANGE = ContrastRange("frames/a.exr", -0.1, 0.2, -0.05, 0.3)
         (
             {"ranges": [RANGE, RANGE._replace(high=1.5)]},
             "range",
-            "contrast 1.5 of frames/a.exr.*--background 0.39",
+            "contrast 1.5 of frames/a.exr.*background of 0.39",
         ),
         ({"ranges": [RANGE._replace(triangle_low=-1.2)]}, "range", "contrast -1.2 .*less contrast or noise"),
     ],
@@ -173,7 +173,7 @@ def test_monitors_that_cannot_show_the_trials_are_refused(changes, reason, messa
 def test_the_background_that_a_refusal_proposes_is_accepted():
     asked = {"frame_px": (1, 1), "pixel_pitch_mrad": 0.25}
     for high in (1.1, 1.5, 3.0, 20.0):
-        with pytest.raises(MonitorError, match="--background") as caught:
+        with pytest.raises(MonitorError, match="background of") as caught:
             check_shows(MONITOR, ranges=[RANGE._replace(high=high)], **asked)
         proposed = float(str(caught.value).rpartition(" ")[2])
         check_shows(made(background=proposed), ranges=[RANGE._replace(high=high)], **asked)
@@ -183,7 +183,7 @@ def test_without_dither_a_contrast_below_half_a_code_step_is_refused():
     faint = ContrastRange("frames/a.exr", 0.0, 0.001, 0.0, 0.001)
     asked = {"frame_px": (1, 1), "pixel_pitch_mrad": 0.25, "ranges": [faint]}
     check_shows(MONITOR, **asked)
-    with pytest.raises(MonitorError, match=r"below half of a code step, 0\.0059: .*leave out --no-dither"):
+    with pytest.raises(MonitorError, match=r"below half of a code step, 0\.0059: .*without dither"):
         check_shows(made(dither=False), **asked)
 
 

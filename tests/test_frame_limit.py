@@ -63,7 +63,7 @@ FILES = {
 @pytest.mark.parametrize("name", FILES)
 def test_every_reader_keeps_the_limit(tmp_path, name) -> None:
     FILES[name](tmp_path / name)
-    with pytest.raises(tod.FrameError, match=f"{name}.*decodes to 8 MB a frame, .*--max-frame-mb 8$"):
+    with pytest.raises(tod.FrameError, match=f"{name}.*decodes to 8 MB a frame, .*max_frame_mb 8$"):
         open_recordings(tmp_path / name, max_frame_mb=7)
     (recording,) = open_recordings(tmp_path / name, max_frame_mb=8)
     (frame,) = recording.frames()
@@ -81,7 +81,7 @@ def test_the_limit_may_be_larger_than_the_usual_one(tmp_path) -> None:
 @pytest.mark.parametrize("limit", [0, 0.5, 2**20 + 1])
 def test_a_limit_is_a_whole_number(tmp_path, limit) -> None:
     for read in (open_recordings, tod.load_dataset):
-        with pytest.raises(tod.SettingsError, match=r"--max-frame-mb: found .*, expected a whole number from 1"):
+        with pytest.raises(tod.SettingsError, match=r"max_frame_mb: found .*, expected a whole number from 1"):
             read(tmp_path, max_frame_mb=limit)
 
 

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import ast
 import doctest
 import inspect
 import json
+import re
 import subprocess
 import sys
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,6 +20,7 @@ from matplotlib.figure import Figure
 import sensor_sim as ss
 import todframes as tod
 from sensor_sim.cli import cli as sensor_cli
+from todframes.base.errors import flag_of
 from todframes.cli.console import run
 from todframes.cli.main import cli
 from todframes.report.data import decode
@@ -56,7 +60,7 @@ def same(result: tod.Result, made: dict[str, object]) -> bool:
 
 
 def test_names() -> None:
-    assert 25 <= len(dir(tod)) <= 40
+    assert 25 <= len(dir(tod)) <= 60
     assert {"score", "compare", "fit_counts", "naked_eye", "load_result", "Result", "PyramidObserver"} <= set(
         dir(tod)
     )
@@ -223,3 +227,181 @@ def test_result_of_the_least_fields() -> None:
     fit = {"group": {}, "level": "contrast", "status": "ok", "p_correct": 0.75, "threshold": 0.2}
     content = json.dumps({"schema": 1, "command": "score", "fits": [fit]}).encode()
     assert decode(content, "result", tod.Result).thresholds[0].threshold_ci95 is None
+
+
+FLAG = re.compile(r"(?<![-\w`])--[a-z]")
+COMMANDS_ALONE = ("cli", "cli.py", "studies")
+"""Rooms and modules whose errors only commands raise."""
+
+
+def errors_in_source() -> Iterator[tuple[str, ast.Call]]:
+    """All calls of errors in the packages, with their places."""
+    for package in (tod, ss):
+        folder = Path(package.__file__).parent
+        for path in folder.rglob("*.py"):
+            if path.relative_to(folder).parts[0] in COMMANDS_ALONE:
+                continue
+            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+                if isinstance(node, ast.Call) and ast.unparse(node.func).endswith("Error"):
+                    yield f"{path}:{node.lineno}", node
+
+
+def arguments_named(call: ast.Call) -> set[str]:
+    """The arguments that the message of an error names."""
+    found = [one for one in ast.walk(call) if isinstance(one, ast.Attribute)]
+    return {one.attr for one in found if ast.unparse(one.value) == "argument"}
+
+
+def test_errors_of_calls_name_arguments() -> None:
+    """No error of the library names an option, and each argument that one names is that of a call."""
+    calls = [getattr(package, name) for package, name in NAMES]
+    known = {name for one in calls if inspect.isfunction(one) for name in inspect.signature(one).parameters}
+    known |= {"bits"}  # a setting of `chart` for a screen
+    n_named = 0
+    for place, call in errors_in_source():
+        for node in ast.walk(call):
+            if isinstance(node, ast.Constant) and isinstance(node.value, str):
+                assert not FLAG.search(node.value), place
+        named = arguments_named(call)
+        assert named <= known, place
+        n_named += len(named)
+    assert n_named > 20
+
+
+def test_options_of_arguments_exist() -> None:
+    """Each argument that an error names has the option of a command, which shows it in its place."""
+    options = {
+        option
+        for group in (cli, sensor_cli)
+        for command in group.commands.values()
+        for parameter in command.params
+        for option in parameter.opts
+    }
+    named = {name for _, call in errors_in_source() for name in arguments_named(call)}
+    assert {flag_of(name) for name in named} <= options
+
+
+@pytest.mark.parametrize(
+    ("call", "arguments", "command", "named", "option"),
+    [
+        (tod.naked_eye, {}, ["naked-eye"], "contrast", "--contrast"),
+        (
+            tod.noise,
+            {"recording": "x.npy", "frames_per_second": -1},
+            ["noise", "x.npy", "--frames-per-second", "-1"],
+            "frames_per_second: found -1",
+            "--frames-per-second: found -1",
+        ),
+        (
+            tod.score,
+            {"dataset": NAKED_EYE, "cluster": "nowhere"},
+            ["score", str(NAKED_EYE), "--cluster", "nowhere"],
+            "cluster: found 'nowhere'",
+            "--cluster: found 'nowhere'",
+        ),
+    ],
+)
+def test_an_error_names_what_its_reader_wrote(capsys, call, arguments, command, named, option) -> None:
+    with pytest.raises(tod.SettingsError, match=named) as caught:
+        call(**arguments)
+    assert "--" not in str(caught.value)
+    assert run(cli, command) == 2
+    assert option in capsys.readouterr().err
+
+
+def test_every_command_has_a_call() -> None:
+    renamed = {
+        "fit": "fit_counts",
+        "import": "import_recordings",
+        "new": "new_dataset",
+        "experiment": "run_experiment",
+    }
+    renamed |= {"report": "load_result", "enhancements": "find_enhancement"}
+    alone = {"accuracy", "stability"}  # studies of this package
+    for package, group in ((tod, cli), (ss, sensor_cli)):
+        for name in set(group.commands) - alone:
+            assert callable(getattr(package, renamed.get(name, name.replace("-", "_")))), name
+
+
+OTHERS_TYPES = {
+    *("Any", "Axes", "Bands", "Callable", "Centre", "DataFrame", "Figure", "FloatArray", "Group", "Image"),
+    *("Iterable", "Iterator", "Location", "Meta", "NDArray", "None", "Range", "Self"),
+}
+"""Types that public calls and methods return and that are not of these packages, or only names for such types."""
+
+
+def test_types_that_calls_return_can_be_imported() -> None:
+    """By calls, and by the methods and properties of public classes."""
+    known = {name for _, name in NAMES} | OTHERS_TYPES
+    for package, name in NAMES:
+        found = getattr(package, name)
+        members = [found] if inspect.isfunction(found) else []
+        if inspect.isclass(found) and not issubclass(found, Exception):
+            public = [one for key, one in vars(found).items() if not key.startswith("_")]
+            members = [one.fget if isinstance(one, property) else getattr(one, "__func__", one) for one in public]
+        for member in filter(inspect.isfunction, members):
+            returned = str(inspect.signature(member).return_annotation)
+            types = re.findall(r"\b[A-Z]\w+", re.sub(r"'[^']*'|\w+\.", "", returned))
+            assert set(types) <= known, (name, returned)
+
+
+@pytest.mark.parametrize("rng", [np.random.default_rng(5), np.random.SeedSequence(5), np.int64(5)])
+def test_rng_is_a_seed_or_gives_one(rng) -> None:
+    counts = [0.1, 0.2, 0.4, 0.8], [12, 18, 30, 38], [40] * 4
+    found = tod.fit_counts(*counts, rng=rng)
+    again = tod.fit_counts(*counts, rng=json.loads(found.to_json())["seed"])
+    assert again.fits[0].threshold_ci95 == found.fits[0].threshold_ci95
+    for bad in (-1, 0.5, "1", True, None):
+        with pytest.raises(tod.SettingsError, match=r"rng: found .*, expected a whole number >= 0"):
+            tod.fit_counts(*counts, rng=bad)
+
+
+def test_arrays_in_place_of_files(tmp_path: Path) -> None:
+    """Noise and comparisons of arrays are those of files with the same values."""
+    frames = np.random.default_rng(2).normal(100.0, 2.0, (20, 16, 24)).astype(np.float32)
+    np.save(tmp_path / "frames.npy", frames)
+    from_file, measured = tod.noise(tmp_path / "frames.npy"), tod.noise(frames)
+    assert measured.measured.dynamic.sd == from_file.measured.dynamic.sd
+    assert measured.plot() is not None and "<svg" in measured._repr_html_()
+    with pytest.raises(tod.DataError, match=r"found an array of shape \(4,\), expected \(frames, rows, columns\)"):
+        tod.noise(np.zeros(4))
+    data = tod.load_dataset(NAKED_EYE)
+    data = replace(data, trials=data.trials[: len(data.trials) // 4])
+    images = [tod.read_frame(data.frame_path(trial.frames[0])).stored[..., 0] for trial in data.trials]
+    fit = tod.FitSettings(resamples=100)
+    result = tod.compare_frames(
+        images,
+        ["gaussian:sigma=1"],
+        display=data.display,
+        orientation=[trial.orientation for trial in data.trials],
+        level=[trial.level for trial in data.trials],
+        size_mrad=[trial.stimulus.size_mrad for trial in data.trials],
+        polarity=[trial.stimulus.polarity for trial in data.trials],
+        position=[(trial.x_px, trial.y_px) for trial in data.trials],
+        white=100.0,
+        fit=fit,
+        examples=False,
+    )
+    expected = tod.compare(data, ["gaussian:sigma=1"], white=100.0, fit=fit, examples=False)
+    for found, wanted in zip(result.algorithms, expected.algorithms, strict=True):
+        assert found.verdict == wanted.verdict
+        assert [one.threshold for one in found.fits] == [one.threshold for one in wanted.fits]
+
+
+def test_a_result_as_csv_and_sentences(scored) -> None:
+    assert scored.to_csv().splitlines()[0].startswith("size_mrad,threshold,")
+    assert len(scored.to_csv().splitlines()) == 5
+    assert scored.summary().splitlines()[0] in repr(scored)
+    assert scored.summary().count("warning: ") == len(scored.warnings)
+
+
+def test_answers_before_the_dataset_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "dataset_description.json").write_text("{}")
+    with pytest.raises(tod.SettingsError, match=r"holds answers, expected calibrate\(dataset, answers\)"):
+        tod.calibrate(tmp_path, NAKED_EYE)
+
+
+def test_pages_import_no_internal_name() -> None:
+    for path in [ROOT / "README.md", *(ROOT / "docs").glob("*.md")]:
+        found = re.findall(r"^[> .]*(?:from|import) (?:todframes|sensor_sim)\.\S+", path.read_text(), re.MULTILINE)
+        assert not found, path

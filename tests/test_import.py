@@ -301,7 +301,7 @@ def test_the_time_that_whole_frames_allow_is_told(tmp_path: Path, chart: Path, p
         ({"integration_time_s": "long"}, "expected a time > 0"),
         ({"value_range": (2.0, 1.0)}, "the lower one first"),
         ({"ifov_mrad": 1.0}, "not used with a chart"),
-        ({"level": "contrast"}, "--level: is given but not used with a chart"),
+        ({"level": "contrast"}, "level: is given but not used with a chart"),
         ({"display": "none_such"}, "expected the name of a file"),
     ],
 )
@@ -314,7 +314,7 @@ def test_settings_that_are_refused(tmp_path: Path, chart: Path, settings: dict, 
 def test_values_without_a_white_need_a_range(tmp_path: Path, chart: Path, pages: list[np.ndarray]) -> None:
     kelvin = np.array([280.0 + 40.0 * pages[0]], np.float32)
     path = saved(tmp_path, kelvin)
-    with pytest.raises(SettingsError, match="expected --range LOW:HIGH"):
+    with pytest.raises(SettingsError, match="expected value_range LOW:HIGH"):
         imported(path, chart)
     done, rows = imported(path, chart, value_range=(270.0, 330.0), integration_time_s=0.01)
     stored = tod.read_frame(done.path / rows[0]["frame"]).values[..., 0]
@@ -387,7 +387,7 @@ def test_a_schedule_with_times_needs_times(tmp_path: Path) -> None:
     (tmp_path / "s.csv").write_text(
         "start_s,end_s,orientation,size_mrad,contrast\n0,1,left,4.0,0.2\n", encoding="utf-8"
     )
-    with pytest.raises(DataError, match="the frames have no times; give --frames-per-second"):
+    with pytest.raises(DataError, match="the frames have no times; give frames_per_second"):
         tod.import_recordings(path, schedule=tmp_path / "s.csv", out=tmp_path / "d")
     (tmp_path / "s.csv").write_text(
         "start_s,end_s,orientation,size_mrad,contrast\n5,6,left,4.0,0.2\n", encoding="utf-8"

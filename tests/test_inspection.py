@@ -361,7 +361,7 @@ def test_simulated_cameras_have_no_warning(tmp_path, seed) -> None:
         size_detectors=sizes,
         snr=[0.5, 1.0, 2.0, 4.0, 8.0],
         trials=12,
-        seed=seed,
+        rng=seed,
         out=tmp_path / "made",
     )
     assert codes(tod.load_dataset(tmp_path / "made")) == set()

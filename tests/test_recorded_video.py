@@ -184,7 +184,7 @@ def test_frames_without_times_are_refused_unless_a_rate_is_given(tmp_path):
     (recording,) = open_recordings(tmp_path / "a.h264")
     assert recording.frames_per_second is None
     with pytest.raises(
-        tod.DataError, match="frame 0 has no time, so the frame rate may vary; give --frames-per-sec"
+        tod.DataError, match="frame 0 has no time, so the frame rate may vary; give frames_per_sec"
     ):
         list(recording.frames())
     (recording,) = open_recordings(tmp_path / "a.h264", frames_per_second=50)

@@ -195,7 +195,7 @@ def test_dither_has_no_coarse_grain() -> None:
 def test_the_seed_gives_the_order(tmp_path: Path) -> None:
     texts = []
     for place, seed in enumerate((5, 5, 6)):
-        asked = {"distance_m": 10, "sizes_mrad": [1], "contrasts": [0.2, 0.4], "repeats": 1, "seed": seed}
+        asked = {"distance_m": 10, "sizes_mrad": [1], "contrasts": [0.2, 0.4], "repeats": 1, "rng": seed}
         tod.chart("screen", out=tmp_path / str(place), **asked, **MONITOR)
         texts.append((tmp_path / str(place) / "chart.toml").read_text(encoding="utf-8"))
     assert texts[0] == texts[1] != texts[2]
@@ -271,13 +271,13 @@ def test_an_interrupted_chart_leaves_nothing_and_a_finished_one_stays(tmp_path: 
     assert not (tmp_path / "c").exists()
     first = tod.chart("screen", **asked, **MONITOR)
     with pytest.raises(OutputError, match=r"is not empty, found .*; expected a new name"):
-        tod.chart("screen", seed=2, **asked, **MONITOR)
+        tod.chart("screen", rng=2, **asked, **MONITOR)
     assert read_chart(tmp_path / "c") == first
     # What a killed run leaves does not make the chart look unfinished.
     (tmp_path / "c" / ".todframes-staging").mkdir()
     (tmp_path / "c" / ".todframes-staging" / "lock").touch()
     with pytest.raises(OutputError, match=r"is not empty"):
-        tod.chart("screen", seed=2, **asked, **MONITOR)
+        tod.chart("screen", rng=2, **asked, **MONITOR)
     assert read_chart(tmp_path / "c") == first
 
 

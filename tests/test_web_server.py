@@ -413,7 +413,7 @@ def test_the_end_does_not_wait_for_who_listens(monkeypatch):
 def test_a_port_in_use_and_hosts_that_are_no_address_of_this_machine_are_refused():
     with open_listener(Launch()) as other:
         port = other.getsockname()[1]
-        with pytest.raises(SettingsError, match=rf"^--port: found {port}, which is in use on 127.0.0.1"):
+        with pytest.raises(SettingsError, match=rf"^port: found {port}, which is in use on 127.0.0.1"):
             open_listener(Launch(port=port))
     for host, problem in {
         "no-such-host.invalid": "expected the address or name of this machine",
@@ -421,9 +421,9 @@ def test_a_port_in_use_and_hosts_that_are_no_address_of_this_machine_are_refused
         "::": "expected one address",
         "192.0.2.1": "expected an address of this machine",
     }.items():
-        with pytest.raises(SettingsError, match=rf"^--host: found '{re.escape(host)}'.*{problem}"):
+        with pytest.raises(SettingsError, match=rf"^host: found '{re.escape(host)}'.*{problem}"):
             open_listener(Launch(host=host))
-    with pytest.raises(SettingsError, match=r"^--port: found 65536, expected a whole number"):
+    with pytest.raises(SettingsError, match=r"^port: found 65536, expected a whole number"):
         Launch(port=65536)
 
 

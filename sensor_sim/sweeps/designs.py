@@ -14,7 +14,7 @@ import numpy as np
 
 from sensor_sim.chain.sensor import TABLES, Sensor
 from todframes.base._typing import FloatArray
-from todframes.base.errors import DataError, SettingsError
+from todframes.base.errors import DataError, SettingsError, argument
 from todframes.base.reading import MAX_ROWS, check_fields, check_keys, number, read_csv
 
 FILL_FACTOR = "detector.fill_factor"
@@ -383,7 +383,7 @@ class Base:
                 parts[table] = replace(before, **changes)
             except SettingsError as error:
                 too_narrow = PITCH in values and WIDTH not in values and "pitch_mrad (" in str(error)
-                hint = "; with --keep-fill-factor the width follows the pitch" if too_narrow else ""
+                hint = f"; with {argument.keep_fill_factor} the width follows the pitch" if too_narrow else ""
                 raise SettingsError(f"{table}.{error}{hint}") from None
         parts.pop("observer", None)
         sensor = replace(self.sensor, **parts)

@@ -33,6 +33,8 @@ MOST_MB = {"dataset.toml": 320, "manifest.csv": 640, "frame": 1000}
 ZEROS = bytes(2**20)
 DEFECT = re.compile(r"\((Type|Key|Attribute|Index|Name)Error")
 """Pattern of a message about an exception that no server should be able to cause."""
+LIST = "list"
+"""Target of a server that misbehaves about lists of files."""
 RIGHT, REFUSED = "right", "refused"
 
 
@@ -114,9 +116,12 @@ class Server:
                 self.asked.append(f"{method} {name}")
                 path = self.folder / name.lstrip("/").partition("?")[0]
                 asked = Asked(connection, self, path.read_bytes() if path.is_file() else b"")
-                if path.name.endswith(self.target) or "list-type" in name:
+                is_list = "list-type" in name
+                if is_list and self.target != LIST:
+                    asked.send("Content-Length: 0", status="403 Forbidden")  # each frame is then asked for
+                elif is_list or path.name.endswith(self.target):
                     self.answer(asked)
-                    if "list-type" in name or self.answer not in KEPT_OPEN:
+                    if self.answer not in KEPT_OPEN:
                         break
                 elif asked.content:
                     body = asked.content if method == "GET" else b""
@@ -201,6 +206,17 @@ def endless_gzip(asked: Asked) -> None:
     while not asked.server.closing.is_set():
         if piece := squeezed.compress(ZEROS):
             asked.connection.sendall(chunk(piece))
+
+
+def gzip_with_a_tail(asked: Asked) -> None:
+    asked.send("Content-Encoding: gzip", CHUNKED, body=chunk(gzip.compress(asked.content)))
+    asked.endless(chunk(ZEROS))
+
+
+def endless_empty_gzip(asked: Asked) -> None:
+    """Blocks of gzip without content."""
+    asked.send("Content-Encoding: gzip", CHUNKED, body=chunk(b"\x1f\x8b\x08\0\0\0\0\0\0\xff"))
+    asked.endless(chunk(b"\0\0\0\xff\xff" * 200_000))
 
 
 def endless_headers(asked: Asked) -> None:
@@ -392,6 +408,8 @@ CASES = {
     "gzip bomb called deflate": Case(partial(gzip_bomb, encoding="deflate")),
     "gzip bomb twice": Case(gzip_bomb_twice),
     "endless gzip": Case(endless_gzip),
+    "gzip with an endless tail": Case(gzip_with_a_tail),
+    "endless gzip of nothing": Case(endless_empty_gzip),
     "endless headers": Case(endless_headers),
     "endless header": Case(endless_header),
     "endless status": Case(endless_status),
@@ -540,9 +558,9 @@ def attempts() -> Iterator[tuple[str, str, Case, str]]:
     for target in MOST_MB:
         yield from (("http", name, case, target) for name, case in CASES.items())
         yield from (("s3", name, case, target) for name, case in S3_CASES.items())
-    yield "s3", "list without an end", Case(s3_endless_list), "list"
-    yield "s3", "list of endless chunks", Case(endless_chunks), "list"
-    yield "s3", "list with an endless error", Case(endless_error), "list"
+    yield "s3", "list without an end", Case(s3_endless_list), LIST
+    yield "s3", "list of endless chunks", Case(endless_chunks), LIST
+    yield "s3", "list with an endless error", Case(endless_error), LIST
 
 
 BOMB = b""

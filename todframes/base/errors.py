@@ -5,9 +5,41 @@ Each message is one line that names the file, row or key, what was found and wha
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 from todframes.base.locations import Location, in_utf8, without_secrets
+
+_ARGUMENT = re.compile("\x1a([a-z0-9_]+)\x1a")
+"""Pattern of an argument in the text of an error."""
+_FLAGS = {
+    "integration_time_s": "--integration-time",
+    "dither": "--no-dither",
+    "time_limit_s": "--time-limit",
+    "patches": "--patch",
+    "pattern": "--from",
+    "rng": "--seed",
+    "value_range": "--range",
+}
+"""Options of the command line whose names are not those of the arguments."""
+
+
+class _Arguments:
+    """Names of the arguments of calls, for the messages of errors: `argument.max_frame_mb`.
+
+    A message shows the name that its reader knows: that of the argument, or of the option of the command.
+    """
+
+    def __getattr__(self, name: str) -> str:
+        return f"\x1a{name}\x1a"
+
+
+argument = _Arguments()
+
+
+def flag_of(name: str) -> str:
+    """Return the option of the command line for an argument of a call."""
+    return _FLAGS.get(name, "--" + name.replace("_", "-"))
 
 
 class TodframesError(Exception):
@@ -21,6 +53,13 @@ class TodframesError(Exception):
 
     def __init__(self, message: str) -> None:
         super().__init__(in_utf8(without_secrets(message)))
+
+    def __str__(self) -> str:
+        return _ARGUMENT.sub(r"\1", self.args[0])
+
+    def for_command(self) -> str:
+        """Return the message with the options of the command line in place of arguments."""
+        return _ARGUMENT.sub(lambda found: flag_of(found[1]), self.args[0])
 
 
 class DataError(TodframesError, ValueError):

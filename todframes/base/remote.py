@@ -41,7 +41,7 @@ MOST_WORDS_MB = 16
 """Largest size of a list or an error that S3 sends, in units of 2**20 bytes."""
 PIECE_BYTES = 2**20
 MOST_REDIRECTS = 5
-MOST_PAGES = 100_000
+MOST_PAGES = 20_000
 """Largest number of pages of a list that S3 sends, each of a thousand files."""
 ATTEMPTS, ATTEMPTS_AT_ONCE = 3, 2
 """Attempts of a request, each of which asks S3 that often at once."""
@@ -69,6 +69,7 @@ TRANSIENT = (NO_CONNECTION, NO_ANSWER, CLOSED)
 """Problems after which a request is tried again."""
 PROBLEMS = {
     "RedirectedError": ELSEWHERE,
+    "LongWordsError": f"the server sends a list or error that is longer than {MOST_WORDS_MB} MB, the limit",
     "NoCredentialsError": NO_CREDENTIALS,
     "PartialCredentialsError": NO_CREDENTIALS,
     "CredentialRetrievalError": NO_CREDENTIALS,
@@ -104,6 +105,10 @@ servers that do not answer questions about headers."""
 
 class RedirectedError(Exception):
     """Error for a server that redirects to another one."""
+
+
+class LongWordsError(Exception):
+    """Error for a list or an error of S3 that is too long."""
 
 
 class Content(NamedTuple):
@@ -236,8 +241,10 @@ def _list_s3(folder: RemotePath) -> Iterator[tuple[str, str]]:
         yield from ((one["Key"].rpartition("/")[2], one["ETag"]) for one in page.get("Contents", ()))
         if not page.get("IsTruncated"):
             return
-        more = {"ContinuationToken": page["NextContinuationToken"]}
-    raise RemoteError(f"{folder}: found more than {MOST_PAGES} pages of file names, expected an end")
+        before, more = more, {"ContinuationToken": page["NextContinuationToken"]}
+        if more == before:
+            break
+    raise RemoteError(f"{folder}: found a list of files without an end, expected {MOST_PAGES} pages at most")
 
 
 def _entity_tag(path: RemotePath) -> str | None:
@@ -312,9 +319,16 @@ async def _ask_web(limit: asyncio.Timeout, method: str, path: RemotePath, most_b
             if method == "HEAD":
                 return Content(b"", tag)
             _check_length(_stated_length(path, answer.headers), most_bytes)
-            data = await _received(answer.content.read, most_bytes, limit)
-            if encoding := answer.headers.get("Content-Encoding", "").replace("identity", ""):
-                data = _inflated(path, data, encoding, most_bytes)
+            encoding = answer.headers.get("Content-Encoding", "identity").lower()
+            if encoding not in ("identity", "gzip"):
+                raise RemoteError(f"{path}: {COMPRESSED}")
+            inflater = zlib.decompressobj(wbits=16 + zlib.MAX_WBITS) if encoding == "gzip" else None
+            try:
+                data = await _received(answer.content.read, most_bytes, limit, inflater)
+            except zlib.error:
+                raise RemoteError(f"{path}: {COMPRESSED}") from None
+            if inflater and not inflater.eof:
+                raise RemoteError(f"{path}: {COMPRESSED}")
             return Content(data, tag)
     raise RemoteError(f"{path}: found more than {MOST_REDIRECTS} redirections, expected the file")
 
@@ -335,30 +349,26 @@ def _stated_length(path: RemotePath, headers: Mapping[str, str]) -> int:
 
 
 async def _received(
-    read: Callable[[int], Awaitable[bytes]], most_bytes: int, limit: asyncio.Timeout | None = None
+    read: Callable[[int], Awaitable[bytes]],
+    most_bytes: int,
+    limit: asyncio.Timeout | None = None,
+    inflater: Any = None,
 ) -> bytes:
-    """Return all bytes of a stream. Each piece of it extends its time limit."""
+    """Return all bytes of a stream, inflated if it is compressed. Each piece that arrives extends its time."""
     pieces: list[bytes] = []
-    n_bytes = 0
+    n_arrived = n_bytes = 0
     while piece := await read(PIECE_BYTES):
-        pieces.append(piece)
-        n_bytes += len(piece)
-        _check_length(n_bytes, most_bytes)
+        n_arrived += len(piece)
         if limit is not None:
             limit.reschedule((limit.when() or 0.0) + len(piece) * S_PER_MB / 2**20)
+        if inflater is not None:
+            piece = inflater.decompress(piece, most_bytes - n_bytes + 1)
+            if inflater.unused_data:
+                raise zlib.error("found bytes after the end")
+        pieces.append(piece)
+        n_bytes += len(piece)
+        _check_length(max(n_arrived, n_bytes), most_bytes)
     return b"".join(pieces)
-
-
-def _inflated(path: RemotePath, data: bytes, encoding: str, most_bytes: int) -> bytes:
-    inflater = zlib.decompressobj(wbits=16 + zlib.MAX_WBITS)
-    try:
-        whole = inflater.decompress(data, most_bytes + 1) if encoding == "gzip" else b""
-    except zlib.error:
-        raise RemoteError(f"{path}: {COMPRESSED}") from None
-    _check_length(len(whole), most_bytes)
-    if not inflater.eof or inflater.unused_data:
-        raise RemoteError(f"{path}: {COMPRESSED}")
-    return whole
 
 
 def _check_length(n_bytes: int, most_bytes: int) -> None:
@@ -438,7 +448,10 @@ def _s3_session() -> type:
             if is_file and answer.status_code < 300:
                 return answer
             async with answer.raw as body:
-                words = _Words(await _received(body.content.read, MOST_WORDS_MB * 2**20))
+                try:
+                    words = _Words(await _received(body.content.read, MOST_WORDS_MB * 2**20))
+                except OSError as error:
+                    raise (LongWordsError if error.errno == errno.EFBIG else error) from None
             return AioAWSResponse(answer.url, answer.status_code, answer.headers, words)
 
     return Session

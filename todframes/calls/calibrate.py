@@ -12,11 +12,11 @@ from msgspec.structs import replace as replace_struct
 
 from todframes.base.errors import DataError, SettingsError
 from todframes.base.locations import Location
+from todframes.base.seeds import Rng, seed_of
 from todframes.calls.shared import (
     OnError,
     Progress,
     described,
-    fit_settings,
     is_skip,
     loaded,
     opened_run,
@@ -39,16 +39,15 @@ if TYPE_CHECKING:
 
 
 def calibrate(
-    answers: Path | str,
     dataset: Location | str | Dataset,
+    answers: Path | str,
     *,
     observer: str | Observer = "pyramid",
     free: Sequence[Free] = (),
     subjects: Sequence[str] = (),
     include_flagged: bool = False,
-    p_correct: float | None = None,
     fit: FitSettings | None = None,
-    seed: int = 1,
+    rng: Rng = 1,
     on_error: OnError = "stop",
     workers: int = 1,
     progress: Progress | None = None,
@@ -57,10 +56,10 @@ def calibrate(
 
     Parameters
     ----------
-    answers : path
-        Folder that `todframes experiment` wrote.
     dataset : path, str or Dataset
         The dataset that was shown.
+    answers : path
+        Folder that `todframes experiment` wrote.
     observer : str or Observer
         A linear observer with a setting `internal_noise`, whose value is not used.
     free : sequence of {"lapse", "blur"}
@@ -70,11 +69,9 @@ def calibrate(
         Ids of the persons. Default: all.
     include_flagged : bool
         Whether answers count that came within 150 ms, or while the page was hidden or had lost the focus.
-    p_correct : float, optional
-        Raw proportion correct at threshold, in place of that of `fit`.
     fit : FitSettings, optional
         Fixed and free parameters of the persons' own curves. A fixed `lapse_rate` is that of the model too.
-    seed : int
+    rng : int, SeedSequence or Generator
         Seed of the displacements of the retina and of repeated experiments.
     on_error : {"stop", "skip"}
         At a frame that cannot be used or has changed since: raise, or leave its trials out and list them.
@@ -97,12 +94,15 @@ def calibrate(
     SettingsError
         If a setting is invalid, or the observer's noise cannot be fitted.
     """
-    started = time.perf_counter()
+    started, seed = time.perf_counter(), seed_of(rng)
     from todframes.experiment.answers import read_answers
     from todframes.experiment.person import calibrate_persons
+    from todframes.experiment.psych_ds import NAME as DESCRIPTION_NAME
 
+    if isinstance(dataset, str | Path) and (Path(dataset) / DESCRIPTION_NAME).exists():
+        raise SettingsError(f"dataset: {dataset} holds answers, expected calibrate(dataset, answers)")
     judge, settings = described(observer)
-    fit = fit_settings(fit, p_correct)
+    fit = fit or FitSettings()
     for name in free:
         if name not in ("lapse", "blur"):
             raise SettingsError(f"free: found {name!r}, expected lapse or blur")

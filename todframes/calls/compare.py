@@ -8,19 +8,23 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from numpy.typing import ArrayLike
+
 from todframes.base.locations import Location
+from todframes.base.seeds import Rng, seed_of
 from todframes.calls.shared import (
     OnError,
     Progress,
     described,
     each_once,
-    fit_settings,
+    in_memory,
     inspected,
     is_skip,
     loaded,
     located,
     opened_run,
 )
+from todframes.display.display import Display
 from todframes.frames.dataset import Dataset
 from todframes.jobs.store import Store
 from todframes.jobs.work import Engine
@@ -39,6 +43,10 @@ if TYPE_CHECKING:
     from todframes.diagnosis.locate import Locate
 
 
+SHOWN = ("orientation", "level", "size_mrad", "group", "position", "polarity", "trial", "level_name")
+"""Parameters of `score_frames` that say what frames show."""
+
+
 def compare(
     dataset: Location | str | Dataset,
     enhance: Iterable[str | Callable[..., Any]],
@@ -49,8 +57,7 @@ def compare(
     decisions: Decisions = "expected",
     curve: CurveName | None = None,
     plan: PlanName = "needed",
-    seed: int = 1,
-    p_correct: float | None = None,
+    rng: Rng = 1,
     fit: FitSettings | None = None,
     locate: Locate | bool = False,
     on_error: OnError = "stop",
@@ -66,7 +73,7 @@ def compare(
 
     Parameters
     ----------
-    dataset, observer, decisions, curve, plan, seed, p_correct, fit, locate, on_error, workers, cluster, store, \
+    dataset, observer, decisions, curve, plan, rng, fit, locate, on_error, workers, cluster, store, \
     examples, progress
         Parameters as in `score`.
     enhance : iterable of str or function
@@ -99,7 +106,7 @@ def compare(
     >>> [one.verdict for one in result.algorithms]
     [None, 'no difference shown']
     """
-    started = time.perf_counter()
+    started, seed = time.perf_counter(), seed_of(rng)
     from todframes.enhancement.algorithm import find_enhancement
     from todframes.enhancement.compare import compare_dataset
     from todframes.enhancement.enhanced_frame import Screen
@@ -107,7 +114,7 @@ def compare(
     from todframes.report.summary import comparison
 
     judge, settings = described(observer)
-    fit = fit_settings(fit, p_correct)
+    fit = fit or FitSettings()
     found = [find_enhancement(one) for one in enhance]
     data = loaded(dataset)
     screen = Screen(data.display, white, allow_clipping)
@@ -151,3 +158,38 @@ def compare(
         from_store=run.n_from_store,
         **more,
     ).with_trials(lambda: tables.compared_trials(data, results))
+
+
+def compare_frames(
+    frames: Iterable[ArrayLike],
+    enhance: Iterable[str | Callable[..., Any]],
+    *,
+    display: Display | str,
+    **settings: Any,
+) -> Result:
+    """Compare enhancement algorithms on frames that are in memory, without touching a disk.
+
+    Parameters
+    ----------
+    frames : array_like, shape (n, rows, columns), or iterable of n arrays (rows, columns)
+        Frames as in `score_frames`.
+    enhance : iterable of str or function
+        Algorithms as in `compare`.
+    display : Display or str
+        Display as in `score_frames`.
+    **settings
+        What the frames show, as for `score_frames`: orientation, level, size_mrad, group, position, polarity,
+        trial and level_name. All other settings are those of `compare`.
+
+    Returns
+    -------
+    Result
+        Result as that of `compare`.
+
+    Raises
+    ------
+    DataError, FrameError, SettingsError
+        As `score_frames` and `compare` do.
+    """
+    shown = {name: settings.pop(name) for name in SHOWN if name in settings}
+    return compare(in_memory(frames, display, **shown), enhance, **settings)

@@ -11,9 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from todframes.base.errors import DataError
-from todframes.calls.shared import (
-    fit_settings,
-)
+from todframes.base.seeds import Rng, seed_of
 from todframes.psychometrics.fit import FitSettings
 from todframes.psychometrics.fit import fit_counts as fit_counts_of_one
 from todframes.report.advice import levels_to_add
@@ -32,9 +30,8 @@ def fit_counts(
     n_trials: ArrayLike,
     *,
     groups: Mapping[str, Sequence[float | str]] | None = None,
-    p_correct: float | None = None,
     fit: FitSettings | None = None,
-    seed: int = 1,
+    rng: Rng = 1,
 ) -> Result:
     """Fit psychometric functions to counts of correct answers, as `todframes fit` does.
 
@@ -44,11 +41,9 @@ def fit_counts(
         Stimulus strength, > 0; whole numbers with 0 <= n_correct <= n_trials and n_trials >= 1.
     groups : mapping, optional
         Columns of n values each by name; rows with the same values share a curve. Default: one curve.
-    p_correct : float, optional
-        Raw proportion correct at threshold, in place of that of `fit`.
     fit : FitSettings, optional
-        Fixed and free parameters of the fits.
-    seed : int
+        Criterion (`p_correct`), fixed and free parameters of the fits.
+    rng : int, SeedSequence or Generator
         Seed of the resamples.
 
     Returns
@@ -68,8 +63,8 @@ def fit_counts(
     >>> result
     <Result of fit: At 75 % correct the threshold level is 0.399 (95 % interval 0.315 to 0.528).>
     """
-    started = time.perf_counter()
-    fit = fit_settings(fit, p_correct)
+    started, seed = time.perf_counter(), seed_of(rng)
+    fit = fit or FitSettings()
     columns = [np.asarray(values) for values in (level, n_correct, n_trials)]
     names = {name: list(values) for name, values in (groups or {}).items()}
     for name, values in names.items():
@@ -81,9 +76,9 @@ def fit_counts(
         rows.setdefault(tuple(one if isinstance(one, str) else float(one) for one in key), []).append(row)
     fits = []
     for number, (key, of_group) in enumerate((rows or {(): []}).items()):
-        rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number,)))
+        of_curve = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number,)))
         counts = columns if len(rows) < 2 else [column[of_group] for column in columns]
-        one = fit_counts_of_one(*counts, settings=fit, rng=rng)
+        one = fit_counts_of_one(*counts, settings=fit, rng=of_curve)
         fits.append(Fit.of_counts(dict(zip(names, key, strict=True)), "level", one))
     return Result.made(
         "fit", started, settings=asdict(fit), seed=seed, fits=tuple(fits), warnings=levels_to_add(fits)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from todframes.base.errors import SettingsError
+from todframes.base.errors import SettingsError, argument
 from todframes.calls.shared import (
     Progress,
     described,
@@ -70,7 +70,7 @@ def naked_eye(
     from todframes.scoring.naked_eye import acuity, contrast_threshold
 
     if (contrast is None) == (size_mrad is None):
-        raise SettingsError("naked-eye: expected one of --contrast and --size-mrad")
+        raise SettingsError(f"expected one of {argument.contrast} and {argument.size_mrad}")
     judge, settings = described(observer)
     FitSettings(p_correct=p_correct)  # checks it
     values = np.atleast_1d(np.asarray(size_mrad if contrast is None else contrast, dtype=np.float64)).tolist()

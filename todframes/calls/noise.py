@@ -5,9 +5,10 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from todframes.base.errors import DataError, SettingsError
 from todframes.base.locations import in_utf8
@@ -17,11 +18,12 @@ from todframes.calls.shared import (
 
 if TYPE_CHECKING:
     from todframes.frames.files import PathLike
+    from todframes.recordings.recording import Recording
     from todframes.report.noise_report import NoiseResult
 
 
 def noise(
-    recording: PathLike | Sequence[PathLike],
+    recording: PathLike | Sequence[PathLike] | NDArray[Any],
     *,
     region: tuple[int, int, int, int] | None = None,
     patches: Mapping[tuple[int, int, int, int], float] | None = None,
@@ -38,8 +40,9 @@ def noise(
 
     Parameters
     ----------
-    recording : path or sequence of path
-        A video, image files or a folder of them, camera raw or radiometric files, or a NumPy array.
+    recording : path, sequence of path, or ndarray
+        A video, image files or a folder of them, camera raw or radiometric files, or a file of a NumPy array; or
+        the array itself, of shape (frames, rows, columns), or (frames, rows, columns, 3) in colour.
     region : (int, int, int, int), optional
         Left column, top row, width and height in pixels. Default: the whole frame.
     patches : mapping, optional
@@ -74,17 +77,16 @@ def noise(
 
     Examples
     --------
-    >>> import tempfile
     >>> import numpy as np
     >>> import todframes as tod
     >>> rng = np.random.default_rng(1)
-    >>> path = tempfile.mkdtemp() + "/frames.npy"
-    >>> np.save(path, 100 + rng.normal(0, 1, (64, 64)) + rng.normal(0, 2, (50, 64, 64)))
-    >>> measured = tod.noise(path).measured
+    >>> frames = 100 + rng.normal(0, 1, (64, 64)) + rng.normal(0, 2, (50, 64, 64))
+    >>> measured = tod.noise(frames).measured
     >>> f"{measured.dynamic.sd:.1f} from frame to frame, {measured.fixed.sd:.1f} fixed"
     '2.0 from frame to frame, 1.0 fixed'
     """
     started = time.perf_counter()
+    from todframes.recordings.arrays import memory_recording
     from todframes.recordings.noise3d import FramePatch, measure_noise
     from todframes.recordings.opening import open_recordings
     from todframes.recordings.radiometric import mk_per_count_of
@@ -92,7 +94,10 @@ def noise(
 
     if mk_per_count is not None and not (np.isfinite(mk_per_count) and mk_per_count > 0):
         raise SettingsError(f"mk_per_count: found {mk_per_count}, expected a number > 0")
-    found = open_recordings(recording, frames_per_second=frames_per_second, max_frame_mb=max_frame_mb)
+    if isinstance(recording, np.ndarray):
+        found: Sequence[Recording] = [memory_recording(recording, frames_per_second=frames_per_second)]
+    else:
+        found = open_recordings(recording, frames_per_second=frames_per_second, max_frame_mb=max_frame_mb)
     if len(found) != 1:
         names = ", ".join(str(one.path) for one in found[:3])
         raise DataError(f"noise: found {len(found)} recordings ({names} …), expected one")

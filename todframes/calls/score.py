@@ -11,12 +11,13 @@ from typing import TYPE_CHECKING, Any
 from numpy.typing import ArrayLike
 
 from todframes.base.locations import Location
+from todframes.base.seeds import Rng, seed_of
 from todframes.calls.shared import (
     OnError,
     Progress,
     described,
     each_once,
-    fit_settings,
+    in_memory,
     inspected,
     is_skip,
     located,
@@ -50,8 +51,7 @@ def score(
     curve: CurveName | None = None,
     tolerance: float | None = None,
     plan: PlanName = "needed",
-    seed: int = 1,
-    p_correct: float | None = None,
+    rng: Rng = 1,
     fit: FitSettings | None = None,
     locate: Locate | bool = False,
     on_error: OnError = "stop",
@@ -80,12 +80,10 @@ def score(
         of each frame is chosen to meet it. Default: one displacement for each frame.
     plan : {"needed", "full"}
         Leave out the computations that the scene does not need, or leave out none.
-    seed : int
+    rng : int, SeedSequence or Generator
         Seed of all random draws.
-    p_correct : float, optional
-        Raw proportion correct at threshold, in place of that of `fit`.
     fit : FitSettings, optional
-        Fixed and free parameters of the fits.
+        Criterion (`p_correct`), fixed and free parameters of the fits.
     locate : {"group", "each"} or bool
         Find the triangle's position, from that in the manifest if there is one: one for each group (also True), or
         one for each trial, for hand-held or drifting recordings.
@@ -125,13 +123,13 @@ def score(
     >>> result.thresholds[0].group, result.thresholds[0].status
     ({'size_mrad': 0.6}, 'extrapolated')
     """
-    started = time.perf_counter()
+    started, seed = time.perf_counter(), seed_of(rng)
     from todframes.diagnosis.missing_threshold import explain_missing
     from todframes.report import tables
     from todframes.scoring.score import score_dataset
 
     judge, settings = described(observer)
-    fit = fit_settings(fit, p_correct)
+    fit = fit or FitSettings()
     data, more, placed_wrong = located(dataset, judge, locate, on_error, progress)
     with opened_run(workers, cluster, store, progress) as run:
         scored = score_dataset(
@@ -222,7 +220,7 @@ def score_frames(
     level_name : str
         Name of the level, for tables and pictures.
     **settings
-        Settings as for `score`: observer, decisions, seed, p_correct, locate, workers and so on.
+        Settings as for `score`: observer, decisions, rng, fit, locate, workers and so on.
 
     Returns
     -------
@@ -253,15 +251,12 @@ def score_frames(
     >>> result.thresholds[0].status
     'ok'
     """
-    from todframes.display.display_files import find_display
-    from todframes.frames.memory import memory_dataset
-
-    data = memory_dataset(
+    data = in_memory(
         frames,
+        display,
         orientation=orientation,
         level=level,
         size_mrad=size_mrad,
-        display=find_display(display).display if isinstance(display, str) else display,
         group=group,
         position=position,
         polarity=polarity,

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import asdict, is_dataclass, replace
+from dataclasses import asdict, is_dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
+
+from numpy.typing import ArrayLike
 
 from todframes.base._typing import Json
 from todframes.base.errors import SettingsError
 from todframes.base.locations import Location
 from todframes.diagnosis.findings import frame_warnings
 from todframes.diagnosis.inspection import inspect, records
+from todframes.display.display import Display
 from todframes.frames.checksums import dataset_warnings
 from todframes.frames.dataset import Dataset, load_dataset
 from todframes.frames.trials import Trial
@@ -20,7 +23,6 @@ from todframes.jobs.engine import open_engine
 from todframes.jobs.store import FILE, Store
 from todframes.jobs.work import Engine
 from todframes.observers.interface import ENTRY_POINT_GROUP, Observer, find_observer
-from todframes.psychometrics.fit import FitSettings
 from todframes.report.data import (
     DatasetRecord,
     ResultWarning,
@@ -60,12 +62,6 @@ def _name(kind: type) -> str:
     return f"{kind.__module__}:{kind.__qualname__}"
 
 
-def fit_settings(fit: FitSettings | None, p_correct: float | None) -> FitSettings:
-    """Return the settings of fits, with another criterion if one is given."""
-    fit = fit or FitSettings()
-    return fit if p_correct is None else replace(fit, p_correct=p_correct)
-
-
 @contextmanager
 def opened_run(
     workers: int, cluster: str | Engine | None, store: Store | Path | str | None, progress: Progress | None
@@ -85,6 +81,15 @@ def opened_run(
 def loaded(dataset: Location | str | Dataset) -> Dataset:
     """Return a dataset, read from its folder or URL unless it is one."""
     return dataset if isinstance(dataset, Dataset) else load_dataset(dataset)
+
+
+def in_memory(frames: Iterable[ArrayLike], display: Display | str, **shown: Any) -> Dataset:
+    """Return a dataset of frames in memory; see `todframes.score_frames` for the parameters."""
+    from todframes.display.display_files import find_display
+    from todframes.frames.memory import memory_dataset
+
+    found = find_display(display).display if isinstance(display, str) else display
+    return memory_dataset(frames, display=found, **shown)
 
 
 def located(

@@ -10,6 +10,7 @@ from typing import Any
 from todframes.base.errors import SettingsError
 from todframes.base.output import new_folder
 from todframes.base.reading import convert, from_table
+from todframes.base.seeds import Rng, seed_of
 from todframes.charts.design import Design
 from todframes.charts.layout import CHART_FILE, Chart, ChartKind, Screen
 from todframes.charts.print import Paper, design_print_chart, write_print_chart
@@ -56,7 +57,7 @@ def chart(
     contrasts: Iterable[float] | None = None,
     delta_t_k: Iterable[float] | None = None,
     repeats: int = 2,
-    seed: int = 1,
+    rng: Rng = 1,
     polarity: int = 1,
     name: str = "TOD chart",
     progress: Progress | None = None,
@@ -80,7 +81,7 @@ def chart(
         Temperature differences of a thermal chart in K, without sign. Default: 0.02 to 2.
     repeats : int
         Number of times that each triangle is shown, in each of its four orientations.
-    seed : int
+    rng : int, SeedSequence or Generator
         Seed of the order.
     polarity : {1, -1}
         Triangles are brighter (warmer) or darker (colder) than their background.
@@ -135,7 +136,7 @@ def chart(
             "sizes_mrad": list(sizes_mrad),
             "levels": list(LEVELS[kind] if levels is None else levels),
             "repeats": repeats,
-            "seed": seed,
+            "seed": seed_of(rng),
             "polarity": polarity,
             "name": name,
         },

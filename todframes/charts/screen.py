@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray
-from todframes.base.errors import DataError, SettingsError
+from todframes.base.errors import DataError, SettingsError, argument
 from todframes.charts.design import FIELD_PER_SIZE, Condition, Design
 from todframes.charts.layout import CHART_FILE, Chart, Markers, Page, Screen, Triangle, write_chart
 from todframes.charts.markers import MODULES, marker_bits, marker_ids
@@ -211,7 +211,7 @@ def _drawn(
         raise SettingsError(
             f"contrasts: {contrast:g} at {condition.size_mrad:g} mrad would raise {n_steps:.2g} of the triangle's "
             f"{size_px**2:.0f} pixels by a code step, which are some dots and no triangle; expected a contrast of "
-            f"at least {smallest:.2g}, or --bits 10 on a monitor that has them"
+            f"at least {smallest:.2g}, or {argument.bits} 10 on a monitor that has them"
         )
     nearest = luminance_of_code[int(np.argmin(np.abs(luminance_of_code - wanted)))]
     is_dithered = bool(abs(nearest - wanted) > LARGEST_ROUNDING * abs(wanted - background))

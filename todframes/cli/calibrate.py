@@ -99,7 +99,7 @@ def calibrate(
     )
     with staged(out) as place:
         with progress("scoring", n_trials, quiet=quiet) as advance:
-            result = tod.calibrate(answers, data, observer=observer, fit=fit, progress=advance, **asked)
+            result = tod.calibrate(data, answers, observer=observer, fit=fit, progress=advance, **asked)
         place.write(result.files)
     if not quiet:
         for one in result.skipped:

@@ -354,7 +354,7 @@ def run(command: click.Command, arguments: Sequence[str] | None) -> int:
         sys.stdout.flush()
         return status if isinstance(status, int) else 0
     except TodframesError as error:
-        return _fail(str(error), error.exit_status)
+        return _fail(error.for_command(), error.exit_status)
     except click.exceptions.NoArgsIsHelpError as error:
         click.echo(error.format_message(), err=True)
         return 2

@@ -61,7 +61,7 @@ from todframes.cli.options import dataset_argument, launch_options, max_frame_op
     default=None,
     help="Count answers within 150 ms, or while the page was hidden or had lost the focus, as all others.",
 )
-@click.option("--seed", type=int, help="Seed of the order.  [default: a random one]")
+@click.option("--seed", "rng", type=int, help="Seed of the order.  [default: a random one]")
 @max_frame_option
 @launch_options
 def experiment(

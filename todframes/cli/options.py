@@ -74,7 +74,7 @@ p_correct_option = click.option(
 
 
 seed_option = click.option(
-    "--seed", type=click.IntRange(0), default=1, show_default=True, help="Seed of all random draws."
+    "--seed", "rng", type=click.IntRange(0), default=1, show_default=True, help="Seed of all random draws."
 )
 
 

@@ -100,7 +100,7 @@ def naked_eye(
 @seed_option
 @verbose_option
 @json_option
-def fit(*, counts: Path, seed: int, as_json: bool, verbose: bool, **asked: Any) -> None:
+def fit(*, counts: Path, rng: int, as_json: bool, verbose: bool, **asked: Any) -> None:
     """Fit psychometric functions to COUNTS, a CSV file.
 
     Its columns are level, n_correct and n_trials; any other column names groups, with one curve each. Settings
@@ -115,5 +115,5 @@ def fit(*, counts: Path, seed: int, as_json: bool, verbose: bool, **asked: Any) 
     curves = read_counts(counts)
     columns = np.concatenate([rows for _, rows in curves]).T
     groups = {name: [group[name] for group, rows in curves for _ in rows] for name in curves[0][0]}
-    result = tod.fit_counts(*columns, groups=groups, fit=settings, seed=seed)
+    result = tod.fit_counts(*columns, groups=groups, fit=settings, rng=rng)
     finish(result, str(counts), as_json=as_json, verbose=verbose)

@@ -80,7 +80,7 @@ def accuracy(
     names: tuple[str, ...],
     dataset: Path | None,
     seconds: float,
-    seed: int,
+    rng: int,
     out: str | None,
     as_json: bool,
     quiet: bool,
@@ -118,13 +118,13 @@ def accuracy(
         measured = []
         with progress("measuring", len(scenes), quiet=quiet) as advance:
             for scene in scenes:
-                measured.append(measure(scene, seconds=seconds, seed=seed))
+                measured.append(measure(scene, seconds=seconds, seed=rng))
                 advance(1)
         result = Result.made(
             "accuracy",
             start,
             settings={"seconds": seconds, "dataset": None if dataset is None else str(dataset)},
-            seed=seed,
+            seed=rng,
             scenes=tuple(map(accuracy_report.scene_result, measured)),
         )
         place.write(lambda: accuracy_report.files(result))

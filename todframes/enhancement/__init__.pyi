@@ -1,5 +1,4 @@
 from .algorithm import Enhancement as Enhancement
-from .algorithm import enhancement as enhancement
 from .algorithm import enhancement_names as enhancement_names
 from .algorithm import find_enhancement as find_enhancement
 from .algorithm import parameter as parameter

@@ -1,6 +1,6 @@
 """Enhancement algorithms: functions of an image and named parameters, with an optional declaration.
 
-    @enhancement(domain="luminance")
+    @algorithm(domain="luminance")
     def brighten(image, *, gain: Annotated[float, parameter(0.1, 10.0, what="factor")] = 2.0):
         \"\"\"Multiply all pixels by a factor.\"\"\"
         return gain * image
@@ -79,7 +79,7 @@ class Declaration:
             raise SettingsError(f"magnification: found {self.magnification!r}, expected a finite number > 0")
 
 
-def enhancement(
+def algorithm(
     *,
     domain: Domain = "code_value",
     magnification: float | str = 1.0,

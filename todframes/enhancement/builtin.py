@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal, TypeVar
 import cv2
 import numpy as np
 
-from todframes.enhancement.algorithm import Image, enhancement, meaning, parameter
+from todframes.enhancement.algorithm import Image, algorithm, meaning, parameter
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -32,7 +32,7 @@ Iterations = Annotated[int, parameter(1, 1000, what="iterations")]
 
 def _built_in(library: str, *, magnification: float | str = 1.0) -> Callable[[F], F]:
     """Declare an algorithm of code values that takes one channel at a time and does not write into its input."""
-    return enhancement(each_channel=True, writes=False, magnification=magnification, library=library)
+    return algorithm(each_channel=True, writes=False, magnification=magnification, library=library)
 
 
 @_built_in("–")

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray
-from todframes.base.errors import DataError, FrameError, SettingsError
+from todframes.base.errors import DataError, FrameError, SettingsError, argument
 from todframes.display.display import Display
 from todframes.enhancement.algorithm import ROUNDING, Enhancement, Image
 from todframes.enhancement.image_quality import squared_error_and_ssim
@@ -153,7 +153,7 @@ class DecodedFrame:
         if (mean := float(values.mean())) > white:
             raise DataError(
                 f"code values have a mean of {mean:g}, above white ({white:g}); say which code value is white to "
-                "the algorithms (--white)"
+                f"the algorithms ({argument.white})"
             )
         grey = values.shape[2] == 1 or bool((values == values[..., :1]).all())
         image = np.ascontiguousarray(values[..., 0] if grey else values)
@@ -199,7 +199,7 @@ class DecodedFrame:
         if n_outside and not self.screen.allow_clipping:
             raise DataError(
                 f"{enhancement.spec}: {n_outside} of {found.size} values lie beyond {low:g} to {high:g}, from "
-                f"{smallest:g} to {largest:g}; expected none, or leave to clip them (--allow-clipping)"
+                f"{smallest:g} to {largest:g}; expected none, or leave to clip them ({argument.allow_clipping})"
             )
         return np.clip(found, low, high), n_outside
 

@@ -24,7 +24,7 @@ from typing import Annotated, Literal, Self, get_args
 import msgspec
 from msgspec import Meta
 
-from todframes.base.errors import DataError, OutputError, SettingsError
+from todframes.base.errors import DataError, OutputError, SettingsError, argument
 from todframes.base.output import open_own, write_file
 from todframes.base.reading import MAX_CSV_MB, number, number_or_text, read_file
 from todframes.base.safe_text import FORMULA_STARTS, csv_text
@@ -483,7 +483,7 @@ class AnswerFile:
         elif not self.path.read_bytes().startswith(header):
             raise DataError(
                 f"{self.path}: found a session of an earlier version, without the column flag; expected one of "
-                "this version, so take another --subject"
+                f"this version, so take another {argument.subject}"
             )
 
     def append(self, row: TrialRow) -> None:
@@ -505,7 +505,7 @@ class AnswerFile:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             raise OutputError(
-                f"{self.path}: another server is writing this session; end it, or take another --subject"
+                f"{self.path}: another server is writing this session; end it, or take another {argument.subject}"
             ) from None
         except OSError:
             pass  # a file system without locks

@@ -304,7 +304,7 @@ def calibrated(found: Calibration, *, background: float, dither: bool) -> Monito
         raise MonitorError(
             "range",
             f"the background of {background:g} × white is not between the monitor's black ({luminance[0]:.2g} × "
-            "white) and white; take another --background",
+            "white) and white; take another background",
         )
     relative = float(luminance[code])
     white_cd_m2 = max(cd_m2 for _, cd_m2 in found.photometer) if found.photometer else None
@@ -386,14 +386,14 @@ def check_shows(
             raise MonitorError(
                 "range",
                 f"the monitor cannot show the contrast {high:.3g} of {one.frame}: {shown} on this background; "
-                f"take --background {_below(1.0 / (1.0 + high)):g}",
+                f"take a background of {_below(1.0 / (1.0 + high)):g}",
             )
         step = of_code[monitor.background_code + 1] / 2.0
         if not monitor.dither and max(-low, high) < step:
             raise MonitorError(
                 "range",
                 f"the contrast {max(-low, high):.2g} of {one.frame} is below half of a code step, {step:.2g}: it "
-                "would not be seen at all; leave out --no-dither",
+                "would not be seen at all without dither",
             )
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray
-from todframes.base.errors import DataError, FrameError, SettingsError
+from todframes.base.errors import DataError, FrameError, SettingsError, argument
 from todframes.base.locations import Location
 from todframes.display.display import Display
 from todframes.experiment.answers import Session, TrialRow, at_eye
@@ -98,7 +98,7 @@ class SeenDataset(Dataset):
             raise FrameError(
                 self.frame_path(frame),
                 f"has changed since trial {row.number} showed it: found the SHA-256 {found[:12]}…, expected "
-                f"{row.sha256[:12]}…; restore it, or leave its trials out with --on-error skip",
+                f"{row.sha256[:12]}…; restore it, or leave its trials out with {argument.on_error} skip",
             )
         codes = shown_codes(trial_image(self.shown, trial).contrast, self.monitor, row.dither_seed)
         return ArrayFrame(self.frame_path(frame), 1.0 + shown_contrast(codes, self.monitor))

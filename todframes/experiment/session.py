@@ -25,7 +25,7 @@ from msgspec import Meta
 
 from todframes import __version__
 from todframes.base._typing import Json
-from todframes.base.errors import DataError, OutputError, SettingsError
+from todframes.base.errors import DataError, OutputError, SettingsError, argument
 from todframes.base.reading import check_values
 from todframes.display.dither import blue_noise
 from todframes.experiment.answers import (
@@ -567,7 +567,9 @@ def open_sitting(
     if subject is None:
         subject = _unfinished_subject(folder, records) or secrets.token_hex(4)
     elif not re.fullmatch("[A-Za-z0-9]{1,64}", subject):
-        raise SettingsError(f"--subject: found {subject!r}, expected letters and digits, at most 64, and no name")
+        raise SettingsError(
+            f"{argument.subject}: found {subject!r}, expected letters and digits, at most 64, and no name"
+        )
     new = _new_record(dataset, shown, subject, software, design)
     _make_folders(folder, shown, software)
     with AnswerFile(data_path(folder, subject)) as file:
@@ -579,14 +581,16 @@ def open_sitting(
             record = new
             write_sidecar(sidecar, record)
         elif differs:
-            raise SettingsError(f"--{differs}, but subject {subject} has answered trials; take another --subject")
+            raise SettingsError(
+                f"{differs}, but subject {subject} has answered trials; take another {argument.subject}"
+            )
         elif record.stopped_at is not None:
             record = replace(record, stopped_at=None)
             write_sidecar(sidecar, record)
         order = TrialOrder(dataset.trials, record)
         order.check(file)
         if order.next(file.rows) is None:
-            raise SettingsError(f"--subject: {subject} has finished; leave it out, or take another one")
+            raise SettingsError(f"{argument.subject}: {subject} has finished; leave it out, or take another one")
         contact = contact or CONTACT
         text = record.consent.text if record.consent else consent_text or CONSENT.format(contact=contact)
         material = _material(dataset, order.candidates, text, contact, progress)
@@ -647,7 +651,8 @@ def _unfinished_subject(folder: Path, records: Sequence[tuple[Path, SessionRecor
             unfinished.append(record.subject)
     if len(unfinished) > 1:
         raise SettingsError(
-            f"{folder}: the sessions of {', '.join(unfinished)} are not finished; say which with --subject, or a "
+            f"{folder}: the sessions of {', '.join(unfinished)} are not finished; say which with "
+            f"{argument.subject}, or a "
             "new one"
         )
     return unfinished[0] if unfinished else None
@@ -676,7 +681,9 @@ def _new_record(
     default = n_trials if method == "constant" else min(QUEST_TRIALS * len(dataset.trials.groups), n_trials)
     trials = default if design.trials is None else design.trials
     if trials > n_trials:
-        raise SettingsError(f"--trials: found {trials}, expected at most {n_trials}, the trials of the dataset")
+        raise SettingsError(
+            f"{argument.trials}: found {trials}, expected at most {n_trials}, the trials of the dataset"
+        )
     return SessionRecord(
         subject=subject,
         started=_now(),
@@ -696,7 +703,7 @@ def _new_record(
 
 
 def _difference(record: SessionRecord, design: Design) -> str | None:
-    """Return the name of the first setting in which the session differs from the design, or None."""
+    """Return the first setting in which the session differs from the design, with both values; or None."""
     for field in fields(design):
         asked = getattr(design, field.name)
         if field.name == "time_limit_s":
@@ -704,7 +711,7 @@ def _difference(record: SessionRecord, design: Design) -> str | None:
         else:
             found = getattr(record, field.name)
         if asked is not None and asked != found:
-            return f"{field.name.replace('_', '-')}: found {asked}, the session has {found}"
+            return f"{getattr(argument, field.name)}: found {asked}, the session has {found}"
     return None
 
 

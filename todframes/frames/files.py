@@ -18,7 +18,7 @@ import numpy as np
 import OpenImageIO as oiio
 from numpy.typing import ArrayLike, NDArray
 
-from todframes.base.errors import FrameError, OutputError, RemoteError, SettingsError
+from todframes.base.errors import FrameError, OutputError, RemoteError, SettingsError, argument
 from todframes.base.locations import Location, RemotePath
 from todframes.base.remote import location, read_content
 
@@ -385,7 +385,9 @@ class FrameFile:
 def check_max_frame_mb(max_frame_mb: int) -> int:
     """Return a limit of the size of frames. Raises SettingsError if it is no whole number from 1 to 2**20."""
     if int(max_frame_mb) != max_frame_mb or not 1 <= max_frame_mb <= 2**20:
-        raise SettingsError(f"--max-frame-mb: found {max_frame_mb!r}, expected a whole number from 1 to {2**20}")
+        raise SettingsError(
+            f"{argument.max_frame_mb}: found {max_frame_mb!r}, expected a whole number from 1 to {2**20}"
+        )
     return max_frame_mb
 
 
@@ -399,7 +401,7 @@ def _too_large(found_mb: float, max_frame_mb: int) -> str:
     found = math.ceil(found_mb)
     return (
         f"decodes to {found} MB a frame, expected at most {max_frame_mb} MB; if you trust the file, give "
-        f"--max-frame-mb {found}"
+        f"{argument.max_frame_mb} {found}"
     )
 
 

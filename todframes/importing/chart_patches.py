@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from todframes.base._typing import FloatArray
-from todframes.base.errors import DataError, SettingsError
+from todframes.base.errors import DataError, SettingsError, argument
 from todframes.charts.layout import Patch, read_chart
 from todframes.charts.markers import page_of
 from todframes.importing.geometry import Geometry
@@ -42,7 +42,9 @@ def find_patches(recording: Recording, chart: Path) -> list[FramePatch]:
     """
     layout = read_chart(chart)
     if layout.markers is None:
-        raise SettingsError(f"{chart}: a thermal chart has no markers; name its parts of the frame with --patch")
+        raise SettingsError(
+            f"{chart}: a thermal chart has no markers; name its parts of the frame with {argument.patches}"
+        )
     frame = next(recording.frames(), None)
     if frame is None:
         raise DataError(f"{recording.path}: found no frame, expected at least one")
@@ -58,7 +60,7 @@ def find_patches(recording: Recording, chart: Path) -> list[FramePatch]:
         )
     patches = layout.pages[page].patches
     if not patches:
-        raise DataError(f"{chart}: page {page} has no patches; name parts of the frame with --patch")
+        raise DataError(f"{chart}: page {page} has no patches; name parts of the frame with {argument.patches}")
     return [FramePatch(_inner(patch, seen.geometry), _level(patch)) for patch in patches]
 
 

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from todframes.base.errors import SettingsError
+from todframes.base.errors import SettingsError, argument
 from todframes.charts.layout import Chart, read_chart
 from todframes.charts.markers import CORNERS, page_of
 from todframes.importing.clips import GAP, Clip, ClipFrame, Placed, clean_clips
@@ -109,7 +109,9 @@ class ChartSource:
         self.path = path
         self.chart: Chart = read_chart(path)
         if self.chart.markers is None:
-            raise SettingsError(f"{path}: a thermal chart has no markers; give --schedule, and the places found")
+            raise SettingsError(
+                f"{path}: a thermal chart has no markers; give {argument.schedule}, and the places found"
+            )
         self.level = self.chart.level
         self.group_by = OBJECT_SIZE
         self.clips: list[Clip] = []
@@ -280,7 +282,7 @@ class ChartSource:
             found = f"found the 4 markers of no single page in {n_frames} frames"
         return (
             f"{names}: {found}, expected the four of the chart, whole and sharp in the picture, each at least 25 "
-            "pixels wide; without them give --schedule"
+            f"pixels wide; without them give {argument.schedule}"
         )
 
     def warnings(self) -> Iterator[RecordingWarning]:

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
-from todframes.base.errors import DataError, OutputError, SettingsError
+from todframes.base.errors import DataError, OutputError, SettingsError, argument
 from todframes.base.output import output_folder
 from todframes.base.reading import number, toml_text
 from todframes.base.safe_text import csv_text, one_line, visible
@@ -153,17 +153,19 @@ def _expression(pattern: str, level: str) -> re.Pattern[str]:
             parts.append("[^/]*?")
             continue
         if not name.isidentifier() or name in NOT_FROM_NAMES:
-            raise SettingsError(f"--from: found {{{name}}}, expected the name of a column, such as {{size_mrad}}")
+            raise SettingsError(
+                f"{argument.pattern}: found {{{name}}}, expected the name of a column, such as {{size_mrad}}"
+            )
         if name in names:
-            raise SettingsError(f"--from: found {{{name}}} twice, expected each column once")
+            raise SettingsError(f"{argument.pattern}: found {{{name}}} twice, expected each column once")
         names.append(name)
         parts.append(f"(?P<{name}>{_expected(name, level)})")
     parts.append(re.escape(pattern[end:]))
     for name in ("orientation", "size_mrad", level):
         if name not in names:
             found = ", ".join(f"{{{one}}}" for one in names) or "no names in braces"
-            hint = "; --level names another one" if name == level != "size_mrad" else ""
-            raise SettingsError(f"--from: {{{name}}} is missing in {pattern}; found {found}{hint}")
+            hint = f"; {argument.level} names another one" if name == level != "size_mrad" else ""
+            raise SettingsError(f"{argument.pattern}: {{{name}}} is missing in {pattern}; found {found}{hint}")
     return re.compile("".join(parts))
 
 

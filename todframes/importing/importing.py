@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Literal, Protocol
 
 from todframes import __version__
-from todframes.base.errors import DataError, SettingsError
+from todframes.base.errors import DataError, SettingsError, argument
 from todframes.base.output import Going, new_folder, remove_others, store_path
 from todframes.base.reading import toml_text
 from todframes.base.safe_text import csv_text, one_line
@@ -302,7 +302,9 @@ def _checked_time(integration_time_s: float | str) -> float | None:
     if integration_time_s == "all":
         return None
     if isinstance(integration_time_s, str) or not (math.isfinite(integration_time_s) and integration_time_s > 0):
-        raise SettingsError(f"--integration-time: found {integration_time_s!r}, expected a time > 0, or all")
+        raise SettingsError(
+            f"{argument.integration_time_s}: found {integration_time_s!r}, expected a time > 0, or all"
+        )
     return integration_time_s
 
 
@@ -311,13 +313,17 @@ def _check_settings(
 ) -> None:
     if value_range is not None and not (all(map(math.isfinite, value_range)) and value_range[0] < value_range[1]):
         low, high = value_range
-        raise SettingsError(f"--range: found {low:g}:{high:g}, expected two numbers, the lower one first")
+        raise SettingsError(
+            f"{argument.value_range}: found {low:g}:{high:g}, expected two numbers, the lower one first"
+        )
     if level is not None and not has_schedule:
-        raise SettingsError("--level: is given but not used with a chart, which tells its levels")
+        raise SettingsError(f"{argument.level}: is given but not used with a chart, which tells its levels")
     if ifov_mrad is not None and not has_schedule:
-        raise SettingsError("--ifov-mrad: is given but not used with a chart, whose markers tell the scale")
+        raise SettingsError(
+            f"{argument.ifov_mrad}: is given but not used with a chart, whose markers tell the scale"
+        )
     if ifov_mrad is not None and not (math.isfinite(ifov_mrad) and ifov_mrad > 0):
-        raise SettingsError(f"--ifov-mrad: found {ifov_mrad!r}, expected a number > 0")
+        raise SettingsError(f"{argument.ifov_mrad}: found {ifov_mrad!r}, expected a number > 0")
 
 
 def _interval_s(recording: Recording) -> float | None:
@@ -335,7 +341,7 @@ def _why_no_trial(division: TrialDivision, source: Source, time_s: float | None)
     return (
         f"{clip.first_source}: the longest clip goes from {clip.start_s:.3f} to {clip.end_s:.3f} s "
         f"(frames: {clip.n_frames}), shorter than the integration time of {time_s:g} s; record each page longer, "
-        "or give a shorter --integration-time"
+        f"or give a shorter {argument.integration_time_s}"
     )
 
 

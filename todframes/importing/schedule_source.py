@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from todframes.base.errors import DataError
+from todframes.base.errors import DataError, argument
 from todframes.importing.clips import Clip, ClipFrame, FramePart, Placed
 from todframes.importing.filmed_trials import OBJECT_SIZE, TriangleDescription
 from todframes.importing.schedule import ScheduledTrial, assign_recordings, read_schedule
@@ -120,7 +120,7 @@ class ScheduleSource:
         if time_s is None:
             raise DataError(
                 f"{self._rows[row].where}: found start_s and end_s, but the frames have no times; give "
-                "--frames-per-second"
+                f"{argument.frames_per_second}"
             )
         return time_s >= end_s
 

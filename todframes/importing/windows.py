@@ -15,7 +15,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from todframes.base.errors import FrameError, OutputError, SettingsError
+from todframes.base.errors import FrameError, OutputError, SettingsError, argument
 from todframes.frames.files import frame_sha256, write_frame
 from todframes.frames.surround import TrianglePlace, surround_window
 from todframes.importing.clips import FramePart, Rectangle
@@ -100,7 +100,8 @@ def code_range(recording: Recording, asked: tuple[float, float] | None) -> CodeR
     if recording.full_scale is None:
         what = {"celsius": "temperatures", "counts": "counts"}.get(recording.unit, "values")
         raise SettingsError(
-            f"{recording.path}: has {what} without a black and a white, expected --range LOW:HIGH, the values "
+            f"{recording.path}: has {what} without a black and a white, expected {argument.value_range} "
+            "LOW:HIGH, the values "
             "that the display shows black and white"
         )
     return CodeRange(recording.zero, recording.full_scale)

@@ -22,7 +22,7 @@ import distributed
 from distributed import Client, KilledWorker, LocalCluster, Worker, WorkerPlugin
 from distributed.versions import VersionMismatchWarning
 
-from todframes.base.errors import ClusterError, SettingsError
+from todframes.base.errors import ClusterError, SettingsError, argument
 from todframes.base.signals import held_back
 from todframes.base.user_code import in_words, searched_last
 from todframes.jobs import worker
@@ -96,7 +96,7 @@ class ClusterEngine(ExecutorEngine):
         URL of the scheduler's dashboard; None if it has none.
     """
 
-    name, batch_s, batches_per_worker = "--cluster", BATCH_S, BATCHES_PER_THREAD
+    name, batch_s, batches_per_worker = argument.cluster, BATCH_S, BATCHES_PER_THREAD
 
     def __init__(self, cluster: str, client: Client, background: _Background) -> None:
         super().__init__(background.result(_count_threads(client)))
@@ -254,7 +254,7 @@ async def _connected(cluster: str) -> AsyncIterator[Client]:
         elif re.fullmatch("(tcp|tls|ws|wss)://.+:[0-9]{1,5}", cluster):
             address = cluster
         else:
-            raise SettingsError(f"--cluster: found {cluster!r}, expected local:N or tcp://HOST:PORT")
+            raise SettingsError(f"{argument.cluster}: found {cluster!r}, expected local:N or tcp://HOST:PORT")
         client = await stack.enter_async_context(_client(address))
         await _check(client, cluster)
         yield client

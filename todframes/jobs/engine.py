@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from importlib.util import find_spec
 
-from todframes.base.errors import SettingsError
+from todframes.base.errors import SettingsError, argument
 from todframes.jobs.local import LocalEngine
 from todframes.jobs.work import Engine
 
@@ -41,7 +41,8 @@ def open_engine(cluster: str | Engine | None, workers: int) -> Iterator[Engine]:
         yield cluster
     elif find_spec("distributed") is None:
         raise SettingsError(
-            "--cluster: needs the package distributed, which is not installed: pip install 'todframes[cluster]'"
+            f"{argument.cluster}: needs the package distributed, which is not installed: pip install "
+            "'todframes[cluster]'"
         )
     else:
         from todframes.jobs.cluster import cluster_engine

@@ -13,7 +13,7 @@ from functools import partial
 from multiprocessing.process import BaseProcess
 from typing import Any
 
-from todframes.base.errors import TodframesError
+from todframes.base.errors import TodframesError, argument
 from todframes.base.user_code import searched_last
 from todframes.jobs import worker
 from todframes.jobs.batches import ExecutorEngine, Killed
@@ -141,7 +141,7 @@ class ProcessEngine(ExecutorEngine):
         Number of processes.
     """
 
-    name, batch_s, batches_per_worker = "workers", BATCH_S, BATCHES_PER_PROCESS
+    name, batch_s, batches_per_worker = argument.workers, BATCH_S, BATCHES_PER_PROCESS
 
     def __init__(self, n_workers: int) -> None:
         super().__init__(n_workers)

@@ -108,11 +108,11 @@ class PsychometricFit:
         more likely than a flat line at the mean proportion, which is below or not below the criterion.
         `too_few_levels`: fewer than two distinct levels.
         Only `ok` and `extrapolated` have a threshold and an interval. With a flat line or too few levels there is
-        no curve either: `alpha`, `beta`, `delta` and `observer_curve` are None.
+        no curve either: `alpha`, `beta`, `lapse_rate` and `observer_curve` are None.
     threshold_ci95
         A bound is None where the data do not determine it: it is infinite or more than a factor of 2 outside the
         levels. None altogether without a threshold or with `resamples=0`.
-    alpha, beta, gamma, delta
+    alpha, beta, guess_rate, lapse_rate
         Parameters of Weibull's curve, whichever curve the threshold is from.
     points_threshold
         Level where the points themselves cross the criterion, with no fitted curve; for probabilities, with three
@@ -132,8 +132,8 @@ class PsychometricFit:
     p_correct: float
     alpha: float | None
     beta: float | None
-    gamma: float
-    delta: float | None
+    guess_rate: float
+    lapse_rate: float | None
     n_trials: int
     points: tuple[LevelCount, ...]
     points_threshold: float | None = None
@@ -323,8 +323,8 @@ def _fit(observed: Observed, curve: CurveName, settings: FitSettings, rng: np.ra
         p_correct=settings.p_correct,
         alpha=None,
         beta=None,
-        gamma=settings.guess_rate,
-        delta=None,
+        guess_rate=settings.guess_rate,
+        lapse_rate=None,
         n_trials=int(observed.n_trials.sum()),
         points=points,
     )
@@ -335,7 +335,7 @@ def _fit(observed: Observed, curve: CurveName, settings: FitSettings, rng: np.ra
     found = replace(nothing, status=best.status, threshold=best.threshold, weibull_threshold=weibull.threshold)
     if weibull.theta is not None:
         alpha, beta, lapse_rate = weibull.parameters
-        found = replace(found, alpha=alpha, beta=beta, delta=lapse_rate)
+        found = replace(found, alpha=alpha, beta=beta, lapse_rate=lapse_rate)
     if best.theta is None:
         return found
     if curve == "observer":

@@ -232,10 +232,12 @@ def _fitted(fit: PsychometricFit, level: FloatArray) -> FloatArray:
     """Evaluate the fitted curve at some levels; the mean proportion where none was fitted."""
     if fit.observer_curve is not None:
         curve = observer_curve(level, **fit.observer_curve._asdict())
-    elif fit.curve == "observer" or fit.alpha is None or fit.beta is None or fit.delta is None:
+    elif fit.curve == "observer" or fit.alpha is None or fit.beta is None or fit.lapse_rate is None:
         curve = np.full(len(level), sum(point.p_correct * point.n_trials for point in fit.points) / fit.n_trials)
     else:
-        curve = weibull(level, alpha=fit.alpha, beta=fit.beta, guess_rate=fit.gamma, lapse_rate=fit.delta)
+        curve = weibull(
+            level, alpha=fit.alpha, beta=fit.beta, guess_rate=fit.guess_rate, lapse_rate=fit.lapse_rate
+        )
     return np.asarray(np.clip(curve, 1e-6, 1 - 1e-6))
 
 

@@ -17,9 +17,9 @@ from typing import IO, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from todframes.base.errors import FrameError
+from todframes.base.errors import DataError, FrameError
 from todframes.frames.files import check_decoded_size
-from todframes.recordings.recording import StillHeader, check_size
+from todframes.recordings.recording import RecordedFrame, Recording, StillHeader, check_rate, check_size
 
 NPY_START, ZIP_START = b"\x93NUMPY", b"PK\x03\x04"
 """First bytes of .npy files and of zip files, .npz among them."""
@@ -87,6 +87,42 @@ def read_frames(path: Path, max_frame_mb: int) -> Iterator[NDArray[Any]]:
                     path, f"frame {number}: {np.count_nonzero(~np.isfinite(values))} values are no numbers"
                 )
             yield values
+
+
+def memory_recording(values: NDArray[Any], *, frames_per_second: float | None) -> Recording:
+    """Return the recording of an array in memory; shapes and types are those of files.
+
+    Raises
+    ------
+    DataError
+        If the shape or type is another, or a value is NaN or infinite.
+    """
+    where = "recording: an array"
+    if values.dtype.name not in TYPES:
+        raise DataError(f"{where}: found values of type {values.dtype}, expected one of {', '.join(TYPES)}")
+    frames = values if values.ndim > 2 else values[None]
+    if frames.ndim not in (3, 4) or frames.shape[3:] not in ((), (3,)) or not frames.size:
+        found = f"found an array of shape {values.shape}"
+        raise DataError(f"{where}: {found}, expected (frames, rows, columns) and 3 if in colour")
+    is_code = values.dtype.kind == "u"
+    frames = frames if is_code else frames.astype(np.float32)
+    if not is_code and not np.isfinite(frames).all():
+        raise DataError(f"{where}: {np.count_nonzero(~np.isfinite(frames))} values are no numbers")
+    rate = check_rate(frames_per_second)
+
+    def read() -> Iterator[RecordedFrame]:
+        for number, frame in enumerate(frames):
+            yield RecordedFrame(frame, None if rate is None else number / rate, f"frame {number}")
+
+    return Recording(
+        path=Path("array"),
+        shape=(frames.shape[1], frames.shape[2]),
+        is_colour=frames.ndim == 4,
+        n_frames=len(frames),
+        frames_per_second=rate,
+        full_scale=float(np.iinfo(values.dtype).max) if is_code else None,
+        read=read,
+    )
 
 
 @contextmanager

@@ -11,7 +11,7 @@ from typing import Any, Literal, NamedTuple, Protocol
 
 from numpy.typing import NDArray
 
-from todframes.base.errors import DataError, FrameError, SettingsError
+from todframes.base.errors import DataError, FrameError, SettingsError, argument
 
 INTEGRATION_TIME_S = 0.1
 """Time in which the eye integrates. Hogervorst et al. 2001, section 4."""
@@ -120,7 +120,7 @@ class StillReader(Protocol):
 def check_rate(frames_per_second: float | None) -> float | None:
     """Return a frame rate. Raises SettingsError if it is not a positive number."""
     if frames_per_second is not None and not (math.isfinite(frames_per_second) and frames_per_second > 0):
-        raise SettingsError(f"--frames-per-second: found {frames_per_second}, expected a number > 0")
+        raise SettingsError(f"{argument.frames_per_second}: found {frames_per_second}, expected a number > 0")
     return frames_per_second
 
 

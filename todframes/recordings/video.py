@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from todframes.base.errors import DataError, FrameError
+from todframes.base.errors import DataError, FrameError, argument
 from todframes.frames.files import MAX_FRAME_MB, check_decoded_size
 from todframes.recordings.recording import (
     BYTES_PER_PIXEL,
@@ -366,13 +366,14 @@ def _frames(
                 time_s = number / frames_per_second
             elif time_s is None:
                 raise DataError(
-                    f"{path}: frame {number} has no time, so the frame rate may vary; give --frames-per-second "
+                    f"{path}: frame {number} has no time, so the frame rate may vary; give "
+                    f"{argument.frames_per_second} "
                     "if it does not"
                 )
             elif last_s is not None and time_s <= last_s:
                 raise DataError(
                     f"{path}: frame {number} has the time {time_s:g} s, expected one after {last_s:g} s; "
-                    "give --frames-per-second if the frame rate is constant"
+                    f"give {argument.frames_per_second} if the frame rate is constant"
                 )
             if last_s is not None:
                 longest_s = max(longest_s, time_s - last_s)

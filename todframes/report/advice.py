@@ -112,7 +112,7 @@ def _estimate(fit: Fit) -> float:
     if fit.threshold is not None:
         return fit.threshold
     nearest = min(fit.points, key=lambda point: abs(point.p_correct - fit.p_correct))
-    guess_rate = 0.25 if fit.gamma is None else fit.gamma
+    guess_rate = 0.25 if fit.guess_rate is None else fit.guess_rate
 
     def distance(p_correct: float) -> float:
         """Return level / α of a curve without lapses."""

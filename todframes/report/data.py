@@ -127,8 +127,8 @@ class Fit(Struct, frozen=True, kw_only=True, omit_defaults=True):
         Level at which the points themselves cross the criterion.
     weibull_threshold : float or None
         Threshold of the Weibull curve, which `threshold` is too if `curve` is "weibull".
-    alpha, beta, gamma, delta : float or None
-        Parameters of the Weibull curve, Hogervorst et al. 2001, eq. 3.
+    alpha, beta, guess_rate, lapse_rate : float or None
+        Parameters α, β, γ and δ of the Weibull curve, Hogervorst et al. 2001, eq. 3; `gamma` and `delta` in JSON.
     observer_curve : CurveParameters or None
         Parameters of the observer's curve.
     points : tuple of FitPoint
@@ -159,8 +159,8 @@ class Fit(Struct, frozen=True, kw_only=True, omit_defaults=True):
     observer_curve: CurveParameters | None = NULL
     alpha: Positive | None = NULL
     beta: Positive | None = NULL
-    gamma: Proportion | None = NULL
-    delta: Proportion | None = NULL
+    guess_rate: Proportion | None = field(default_factory=_null, name="gamma")
+    lapse_rate: Proportion | None = field(default_factory=_null, name="delta")
     n_trials: int = field(default_factory=int)
     points: tuple[FitPoint, ...] = EMPTY
     points_threshold: Positive | None = NULL

@@ -140,7 +140,7 @@ def pictures(result: ResultData) -> list[Picture]:
     for title, fits, file in (("Psychometric functions", result.fits, "psychometric.png"), *of_algorithms):
         seen = [fit for fit in fits if fit.points]
         if seen:
-            guesses = "; dotted: the guess rate" if seen[0].gamma is not None else ""
+            guesses = "; dotted: the guess rate" if seen[0].guess_rate is not None else ""
             note = f"Proportion correct against {level_name(seen[0].level)}; dashed: the criterion{guesses}."
             if len(seen) > MOST_CURVES:
                 note += f" {MOST_CURVES} of {len(seen)} curves are drawn."
@@ -318,7 +318,7 @@ def draw_psychometric(axes: Axes, fits: Sequence[Fit]) -> None:
     levels = [within(point.level) for fit in fits for point in fit.points]
     for number, fit in enumerate(fits):
         _draw_psychometric_curve(axes, fit, look_of(number, len(fits)))
-    for height, line in ((fits[0].p_correct, "--"), (fits[0].gamma, ":")):
+    for height, line in ((fits[0].p_correct, "--"), (fits[0].guess_rate, ":")):
         if height is not None:
             axes.axhline(height, color=INK, alpha=0.6, ls=line, lw=0.8)
     axes.set(
@@ -341,7 +341,7 @@ def fitted_curve(fit: Fit) -> Callable[[FloatArray], FloatArray] | None:
     if fit.curve == "observer" or fit.alpha is None or fit.beta is None:
         return None
     return partial(
-        weibull, alpha=fit.alpha, beta=fit.beta, guess_rate=fit.gamma or 0.0, lapse_rate=fit.delta or 0.0
+        weibull, alpha=fit.alpha, beta=fit.beta, guess_rate=fit.guess_rate or 0.0, lapse_rate=fit.lapse_rate or 0.0
     )
 
 

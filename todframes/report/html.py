@@ -7,13 +7,11 @@ from __future__ import annotations
 
 import base64
 import zlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cache
 from typing import TYPE_CHECKING
 from urllib.parse import quote
-
-import msgspec
 
 from todframes.base._typing import Json
 from todframes.report import calibration, tables
@@ -27,6 +25,7 @@ from todframes.report.wording import group_phrase, level_name, plain, warning_te
 
 if TYPE_CHECKING:
     from jinja2 import Environment
+    from matplotlib.figure import Figure
 
 
 MOST_FIGURES = 12
@@ -206,14 +205,20 @@ def _details(result: ResultData) -> list[Json]:
 
 def notebook_html(result: ResultData) -> str:
     """Return the self-contained HTML that a notebook shows for a result: sentences, table and first figure."""
-    told = "".join(f"<p>{markup(sentence)}</p>" for sentence in verdict(result))
     table = tables.ratios(result) if result.algorithms else tables.thresholds(result)
-    drawn = pictures(result)[:1]
+    drawn = [(one.figure, f"{one.title}. {one.note}") for one in pictures(result)[:1]]
+    return notebook_page(verdict(result), table.without_details(), drawn)
+
+
+def notebook_page(
+    sentences: Sequence[str], table: Table, figures: Sequence[tuple[Callable[[], Figure], str]]
+) -> str:
+    """Return self-contained HTML of sentences, a table and figures, each with a label."""
+    text = "".join(f"<p>{markup(sentence)}</p>" for sentence in sentences)
+    content = table.html()
     # Names inside a drawing are valid in the whole notebook, so another result must have other names.
-    name = f"tod-{zlib.crc32(msgspec.json.encode(result)):08x}"
+    name = f"tod-{zlib.crc32((text + content).encode()):08x}"
     with style():
-        svg = "".join(
-            inline_svg(one.figure(), name=name, label=_shown(f"{one.title}. {one.note}")) for one in drawn
-        )
+        svg = "".join(inline_svg(figure(), name=name, label=_shown(label)) for figure, label in figures)
     paper = "--paper: var(--jp-layout-color0, Canvas); max-width: 40rem"
-    return f'<div style="{paper}">{told}{table.without_details().html()}{svg}</div>'
+    return f'<div style="{paper}">{text}{content}{svg}</div>'

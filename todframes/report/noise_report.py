@@ -188,6 +188,27 @@ class NoiseResult(Saving):
             figure.suptitle(label_text(Path(self.recording).name), fontsize="medium")
         return figure
 
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Draw the parts of the noise with their 95 % intervals.
+
+        Parameters
+        ----------
+        ax : matplotlib Axes, optional
+            Axes to draw into. Default: a new figure.
+
+        Returns
+        -------
+        matplotlib Axes
+        """
+        from todframes.report.figures import drawn
+
+        return drawn(self._draw_parts, ax)
+
+    def _repr_html_(self) -> str:
+        from todframes.report.html import notebook_page
+
+        return notebook_page(self.sentences(), self.table(), [(self.figure, "Noise of the recording")])
+
     def files(self) -> dict[str, bytes]:
         """Return the content of all files by name; without a table for a sensor if dynamic noise is not known."""
         from todframes.report.figures import save_png

@@ -107,6 +107,20 @@ class Result(ResultData, Saving, frozen=True, kw_only=True, dict=True):
 
         return thresholds(self).to_dataframe()
 
+    def to_csv(self) -> str:
+        """Return the thresholds as the text of a CSV file with a row for each; columns as in `to_dataframe`."""
+        from todframes.report.tables import thresholds
+
+        return thresholds(self).csv()
+
+    def summary(self) -> str:
+        """Return the findings, cautions and warnings as sentences, a line each, as the command prints them."""
+        from todframes.report.summary import cautions, verdict
+        from todframes.report.wording import warning_text
+
+        warnings = (f"warning: {warning_text(one.group, one.message)}" for one in self.warnings)
+        return "\n".join([*verdict(self), *cautions(self), *warnings])
+
     def plot_tod(self, ax: Axes | None = None) -> Axes:
         """Draw the TOD curve: threshold against 1 / size, with 95 % intervals.
 

@@ -48,6 +48,10 @@ THRESHOLD_COLUMNS = (
 )
 
 
+RATES = {"gamma": "guess_rate", "delta": "lapse_rate"}
+"""Attributes of a fit whose columns have the names of the keys in JSON."""
+
+
 RATIO_COLUMNS = (
     Column(key="ratio", none="1", digits=3),
     Column(key="ratio_ci95", header="95 % interval", interval="ratio", none="", digits=3),
@@ -117,7 +121,8 @@ def thresholds(result: ResultData, title: str = "") -> Table:
     computed = not any(fit.n_trials for _, fit in fits)
     names = ("threshold", *(one.key for one in THRESHOLD_COLUMNS))
     records = [
-        more | _group_record(fit.group) | {name: getattr(fit, name) for name in names} for more, fit in fits
+        more | _group_record(fit.group) | {name: getattr(fit, RATES.get(name, name)) for name in names}
+        for more, fit in fits
     ]
     if computed:
         for record in records:

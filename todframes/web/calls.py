@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 from todframes.base.locations import Location
 from todframes.base.reading import read_text
+from todframes.base.seeds import Rng, seed_of
 from todframes.experiment.answers import Method, flagged
 from todframes.experiment.order import n_main_trials
 from todframes.experiment.session import Design, open_sitting
@@ -18,7 +19,7 @@ MAX_CONSENT_MB = 1
 """Largest size of a text of consent, in units of 2**20 bytes."""
 
 
-class Progress(NamedTuple):
+class SessionProgress(NamedTuple):
     """The subject of a session, its numbers of answers and of all trials, and the number of flagged answers."""
 
     subject: str
@@ -41,7 +42,7 @@ def run_experiment(
     background: float | None = None,
     dither: bool | None = None,
     include_flagged: bool | None = None,
-    seed: int | None = None,
+    rng: Rng | None = None,
     consent: Path | str | None = None,
     contact: str | None = None,
     host: str = "127.0.0.1",
@@ -50,7 +51,7 @@ def run_experiment(
     tell: Callable[[str], None] = print,
     warn: Callable[[str], None] | None = None,
     progress: Callable[[int], None] | None = None,
-) -> Progress:
+) -> SessionProgress:
     """Serve a page on which a person does the test on the frames of a dataset, as `todframes experiment` does.
 
     The call returns when Ctrl-C is pressed, or the process is asked to end. A session that is not finished goes on
@@ -81,7 +82,7 @@ def run_experiment(
     include_flagged : bool, optional
         Count answers that came within 150 ms, or while the page was hidden or had lost the focus, as all others.
         Default: False; their trials are shown again later.
-    seed : int, optional
+    rng : int, SeedSequence or Generator, optional
         Seed of the order. Default: a random one.
     consent : path, optional
         File of the text that the person is to agree to. Default: a text of this package.
@@ -100,7 +101,7 @@ def run_experiment(
 
     Returns
     -------
-    Progress
+    SessionProgress
         How far the session is.
 
     Raises
@@ -123,7 +124,7 @@ def run_experiment(
         background=background,
         dither=dither,
         include_flagged=include_flagged,
-        seed=seed,
+        seed=None if rng is None else seed_of(rng),
     )
     from todframes.web.experiment import experiment_app
     from todframes.web.server import Launch, serve
@@ -143,4 +144,4 @@ def run_experiment(
         serve(experiment_app(sitting), launch, tell=tell, warn=warn)
     rows, record = sitting.rows, sitting.record
     n_answered = sum(row.phase == "main" for row in rows)
-    return Progress(record.subject, n_answered, n_main_trials(record, rows), sum(flagged(rows).values()))
+    return SessionProgress(record.subject, n_answered, n_main_trials(record, rows), sum(flagged(rows).values()))

@@ -21,7 +21,7 @@ from uvicorn.protocols.http.h11_impl import H11Protocol, RequestResponseCycle
 from uvicorn.server import ServerState
 
 from todframes.base import signals
-from todframes.base.errors import SettingsError
+from todframes.base.errors import SettingsError, argument
 from todframes.web.guard import LONGEST_HEADERS_BYTES, guarded
 
 MOST_CONNECTIONS = 64
@@ -56,7 +56,7 @@ class Launch:
 
     def __post_init__(self) -> None:
         if not 0 <= self.port <= 65535:
-            raise SettingsError(f"--port: found {self.port}, expected a whole number from 0 to 65535")
+            raise SettingsError(f"{argument.port}: found {self.port}, expected a whole number from 0 to 65535")
 
 
 def serve(
@@ -201,10 +201,12 @@ def open_listener(launch: Launch) -> socket.socket:
     try:
         family, *_, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
     except (OSError, UnicodeError):
-        raise SettingsError(f"--host: found {host!r}, expected the address or name of this machine") from None
+        raise SettingsError(
+            f"{argument.host}: found {host!r}, expected the address or name of this machine"
+        ) from None
     if ipaddress.ip_address(address[0]).is_unspecified:
         raise SettingsError(
-            f"--host: found {host!r}, expected one address: requests that name another host are refused; "
+            f"{argument.host}: found {host!r}, expected one address: requests that name another host are refused; "
             "give the address by which the browser's machine reaches this one"
         )
     try:
@@ -212,12 +214,13 @@ def open_listener(launch: Launch) -> socket.socket:
     except OSError as error:
         if error.errno == errno.EADDRINUSE:
             problem = (
-                f"--port: found {port}, which is in use on {host}; choose another, or leave it out for a free one"
+                f"{argument.port}: found {port}, which is in use on {host}; choose another, or leave it out "
+                "for a free one"
             )
         elif error.errno == errno.EADDRNOTAVAIL:
-            problem = f"--host: found {host!r}, expected an address of this machine"
+            problem = f"{argument.host}: found {host!r}, expected an address of this machine"
         else:
-            problem = f"--port: cannot listen on {host}, port {port} ({error.strerror})"
+            problem = f"{argument.port}: cannot listen on {host}, port {port} ({error.strerror})"
         raise SettingsError(problem) from None
     # Or each answer waits 40 ms for the acknowledgement of its headers. Connections inherit it; asyncio sets it
     # only where the socket names its protocol.

@@ -259,8 +259,10 @@ def _sequence(n: int, trials: int, rng: np.random.Generator) -> FloatArray:
 
 
 def _curve(fit: PsychometricFit, level: float) -> float:
-    assert fit.alpha is not None and fit.beta is not None and fit.delta is not None
-    return float(weibull(level, alpha=fit.alpha, beta=fit.beta, guess_rate=fit.gamma, lapse_rate=fit.delta))
+    assert fit.alpha is not None and fit.beta is not None and fit.lapse_rate is not None
+    return float(
+        weibull(level, alpha=fit.alpha, beta=fit.beta, guess_rate=fit.guess_rate, lapse_rate=fit.lapse_rate)
+    )
 
 
 def recorded(path: Path | None = None) -> Recorded:

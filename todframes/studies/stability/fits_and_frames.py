@@ -105,7 +105,7 @@ def fit_cases() -> list[Case]:
     def lapse_beyond() -> list[float]:
         p = weibull(LEVELS, alpha=0.9, beta=3.0, guess_rate=0.25, lapse_rate=0.2)
         found = fit_trials(LEVELS, p, settings=FitSettings(resamples=200), rng=np.random.default_rng(1))
-        return [found.threshold or math.nan, found.delta or math.nan]
+        return [found.threshold or math.nan, found.lapse_rate or math.nan]
 
     return [
         case("all right: status", "always_exceeded", mean, lambda: fit([30] * 7).status),
