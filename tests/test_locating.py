@@ -122,6 +122,16 @@ def test_positions_in_the_manifest_stay_if_nothing_stands_out() -> None:
     assert np.array_equal(placed.trials.positions_px, places)
 
 
+@pytest.mark.parametrize("locate", ["group", "each"])
+def test_frames_in_which_nothing_stands_out_are_refused(locate) -> None:
+    """Positions in the manifest stay instead, and no trial has one of its own."""
+    data, places = recording(np.random.default_rng(10), (23.5, 23.5), levels=(1e-4, 2e-4))
+    with pytest.raises(DataError, match="no triangle stands out"):
+        locate_triangles(data, locate=locate)
+    _, (found,) = locate_triangles(placed_at(data, places), locate=locate)
+    assert (found.standard_error_px, found.n_located) == (None, 0 if locate == "each" else None)
+
+
 def test_command_says_how_far_positions_are_from_the_manifest(make_dataset) -> None:
     made = make_dataset(side_px=64)
     redraw(made, 31.5, 31.5, side_px=64, noise_sd=0.01)

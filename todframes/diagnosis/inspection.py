@@ -13,6 +13,22 @@ from numpy.typing import NDArray
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError
 from todframes.diagnosis.arrangement import TURNED
+from todframes.diagnosis.limits import (
+    CERTAIN_TURN,
+    CLEAR,
+    CLEARLY_TURNED,
+    CONTRASTS,
+    LEAST_SAMPLED,
+    LEAST_SIGNAL,
+    LEAST_SIZE,
+    MOST_SAMPLED,
+    OFF_LEVEL,
+    SAMPLED,
+    SAMPLED_SHARE,
+    SCATTER_ERRORS,
+    SIZES_ALIKE,
+    WHOLE_IN_SIZES,
+)
 from todframes.diagnosis.triangle import (
     AMPLITUDE,
     Fit,
@@ -34,13 +50,6 @@ from todframes.frames.position import size_in_px
 from todframes.frames.surround import HOLE_IN_SIZES
 from todframes.frames.trials import Group, Trial, Trials
 from todframes.stimulus import ORIENTATIONS, Centre, Stimulus
-
-MOST_SAMPLED, LEAST_SAMPLED = 24, 8
-"""Most and fewest trials of a stimulus in a group that are measured."""
-
-
-SAMPLED, SAMPLED_SHARE = 96, 0.04
-"""Number of trials that are measured in all, and their share of the trials if that is more."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -176,18 +185,9 @@ CONTRAST_LEVELS = ("contrast", "weber_contrast")
 """Names of levels that are the displayed contrast of the triangle."""
 
 
-CONTRASTS = (1e-9, 1e9)
-"""Range of contrasts that are computed with; beyond it are mistakes in a manifest, whose squares may overflow."""
-
-
 def is_contrast(dataset: Dataset) -> bool:
     """Tell whether the level of a dataset is the triangle's contrast, by its name."""
     return dataset.experiment.level.strip().lower() in CONTRAST_LEVELS
-
-
-SIZES_ALIKE = 1.15
-"""Ratio of the largest stated size of a curve to the least up to which they are one size in perspective: a chart
-tilted by 10° in a field of view of 28° has 1.09."""
 
 
 def strengths(dataset: Dataset, level: FloatArray) -> FloatArray:
@@ -230,10 +230,6 @@ def _samples(dataset: Dataset, trials: Trials, centre: Centre, size_mrad: float)
             yield measure_frame(dataset, trial, centre, size_px=size_px)
         except DataError:
             continue
-
-
-LEAST_SIZE = 1e-9
-"""Least size in blocks that is computed with; smaller ones are mistakes, and ratios to them overflow."""
 
 
 def _measured(dataset: Dataset, group: Group, stimulus: Stimulus, samples: Sequence[FrameSample]) -> Inspection:
@@ -308,20 +304,6 @@ def _of_codes(codes: Sequence[Codes]) -> dict[str, Any]:
         "code_step": min(one.step for one in codes),
         "code_step_contrast": float(np.median([one.step_contrast for one in codes])),
     }
-
-
-CLEAR, OFF_LEVEL = 0.1, 0.4
-"""Largest error of a trial's contrast or place that shows it clearly, relative to the contrast and the size, and
-the relative deviation of a contrast that does not follow its level."""
-
-CERTAIN_TURN, CLEARLY_TURNED = 5.0, 8.0
-"""Least advantage of another orientation than stated, in standard errors: of a group, and of a single trial."""
-
-WHOLE_IN_SIZES = 1.2
-"""Distance from the centroid within which all frames must have pixels for size and contrast to be judged."""
-
-LEAST_SIGNAL = 8.0
-"""Least contrast of the triangle, in standard errors, for its place, size and orientation to be measured."""
 
 
 class GroupFit(NamedTuple):
@@ -438,10 +420,6 @@ def noise_of_frames(images: FloatArray, level: FloatArray, known: NDArray[np.boo
         return np.ones(len(images))
     apart = np.abs(images[:, around] - np.median(images[:, around], axis=1)[:, None])
     return np.maximum(1.4826 * np.median(apart, axis=1), level / 20.0)
-
-
-SCATTER_ERRORS = 5.0
-"""Least scatter over trials that is more than noise, in standard errors."""
 
 
 def _scatter(apart: FloatArray, noise: FloatArray) -> float | None:

@@ -13,7 +13,19 @@ from numpy.typing import NDArray
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError, FrameError, SettingsError
 from todframes.diagnosis.arrangement import ARRANGEMENTS, Arrangement
-from todframes.diagnosis.inspection import LEAST_SIGNAL, GroupFit, alike, is_contrast, noise_of_frames, strengths
+from todframes.diagnosis.inspection import GroupFit, alike, is_contrast, noise_of_frames, strengths
+from todframes.diagnosis.limits import (
+    LEAST_PEAK,
+    LEAST_SEARCHED_PX,
+    LEAST_SIGNAL,
+    LEAST_SURE_TRIALS,
+    MOST_ERROR_MRAD,
+    MOST_FITTED,
+    MOST_STRONGEST,
+    NEARBY,
+    SEARCHED,
+    STRONG,
+)
 from todframes.diagnosis.places import Template, chosen_places
 from todframes.diagnosis.triangle import Shape
 from todframes.diagnosis.whole_frames import MeanFrames, search
@@ -25,31 +37,6 @@ from todframes.frames.trials import Group, Trial, Trials, indices_by
 from todframes.stimulus import Centre
 
 Locate = Literal["group", "each"]
-
-LEAST_PEAK = 6.0
-"""Least height of a correlation peak above its surroundings, in their standard deviations."""
-
-MOST_FITTED = 256
-"""Largest number of trials, the strongest, that the triangle of a group is fitted to."""
-
-MOST_STRONGEST = 24
-"""Number of the strongest trials that are searched over whole frames for positions of their own."""
-
-LEAST_SURE_TRIALS = 4
-"""Least number of these with a high peak from which the middle of the positions is known."""
-
-STRONG = 0.5
-"""Least level, as a share of the highest, of trials in which the triangle is looked for before it is known."""
-
-SEARCHED, LEAST_SEARCHED_PX = 2.5, 8.0
-"""Largest distance of a trial's position from where its search begins: so many sizes, and pixels more."""
-
-NEARBY = 4.0
-"""The same in standard deviations of the positions, if that is more."""
-
-MOST_ERROR_MRAD = 0.09
-"""Standard error of single positions along an axis from which they raise a threshold by more than 3 %: between
-0.1 and 0.15 of noise in docs/validation.md."""
 
 
 class Location(NamedTuple):
@@ -154,6 +141,8 @@ def locate_triangles(
                 found.append(
                     ways.of_each(members[part], leave_out, advance) if locate == "each" else ways.of_all()
                 )
+            if not is_placed[members[0]] and all(one.error_px is None for one in found):
+                raise _nothing_stands_out(dataset, trials[int(members[0])].group)
             if locate == "group":
                 common = _location(trials.select(members), found, 0.0 * start_px, None, 1.0)
                 found = [one._replace(way_px=0.0 * one.way_px + (common.x_px, common.y_px)) for one in found]
@@ -218,17 +207,17 @@ def _begun(
         size = f"frames of {columns} × {rows} pixels"
         raise DataError(f"{dataset.path}: {size} are smaller than the triangle")
     if not found.height > LEAST_PEAK * found.spread:
-        raise DataError(
-            f"{dataset.path}: no triangle stands out in the frames of {_group_name(dataset, usable[0].group)}; "
-            "expected x_px and y_px in the manifest"
-        )
+        raise _nothing_stands_out(dataset, usable[0].group)
     x_px, y_px = frames.in_pixels((found.x, found.y))
     return members, np.array([to_centroid(one, x_px, y_px, centre, pitch_mrad) for one in usable]), 0.0
 
 
-def _group_name(dataset: Dataset, group: Group) -> str:
+def _nothing_stands_out(dataset: Dataset, group: Group) -> DataError:
     names = zip(dataset.experiment.group_by, group, strict=True)
-    return ", ".join(f"{key} {value}" for key, value in names) or "the dataset"
+    name = ", ".join(f"{key} {value}" for key, value in names) or "the dataset"
+    return DataError(
+        f"{dataset.path}: no triangle stands out in the frames of {name}; expected x_px and y_px in the manifest"
+    )
 
 
 def _of_strongest(
@@ -326,13 +315,14 @@ class _Ways:
         return (found, block_px) if found.signal >= LEAST_SIGNAL else None
 
     def _nothing(self) -> _Found:
-        return _Found(np.zeros((len(self.trials), 2)), np.zeros(2), None, ARRANGEMENTS[0])
+        n = len(self.trials)
+        return _Found(np.zeros((n, 2)), np.zeros(2), None, ARRANGEMENTS[0], np.zeros(n, bool))
 
     def of_all(self) -> _Found:
         """Find the way that all trials have in common."""
         fitted = self._fit(self.trials)
         if fitted is None:
-            return self._nothing()
+            return self._nothing()._replace(is_own=None)
         found, block_px = fitted
         mean = block_px * found.offset
         way = np.tile(mean, (len(self.trials), 1))

@@ -14,6 +14,16 @@ from numpy.typing import NDArray
 from todframes.base._typing import FloatArray
 from todframes.base.errors import TodframesError
 from todframes.diagnosis.arrangement import ARRANGEMENTS, TURNED, Arrangement
+from todframes.diagnosis.limits import (
+    LEAST_EVIDENCE,
+    LEAST_GAIN,
+    LEAST_OFFSET,
+    LEAST_RIGHT,
+    LEAST_TRIALS,
+    MOST_GRID_SIDE,
+    MOST_TRIALS,
+    STRONG_SHARE,
+)
 from todframes.diagnosis.locate import locate_triangles
 from todframes.frames.dataset import Dataset, WarningCode
 from todframes.frames.position import centroid_position
@@ -22,30 +32,6 @@ from todframes.observers.interface import Observer
 from todframes.psychometrics.fit import FitSettings, PsychometricFit
 from todframes.scoring.score import ScoredDataset, score_dataset
 from todframes.scoring.seen_trials import Decisions
-
-LEAST_TRIALS, MOST_TRIALS = 8, 32
-"""Least number of strong trials, as far as a group has them, and the largest number that are looked at again."""
-
-
-STRONG_SHARE = 1.0 / 3.0
-"""Share of the levels, the highest ones, whose trials are strong."""
-
-
-LEAST_RIGHT, LEAST_GAIN = 0.75, 0.2
-"""Least share of right answers after a change, and least gain, for a hint."""
-
-
-LEAST_OFFSET = 0.1
-"""Least distance from the stated position, and least scatter of positions, in sizes, for a hint at positions."""
-
-
-LEAST_EVIDENCE = math.log(1e4)
-"""Least log likelihood ratio against guessing, for a hint; some thirty changes are tried."""
-
-
-MOST_GRID_SIDE = 2049
-"""Largest side of the retina grid, in samples, with which another size is tried."""
-
 
 SIZE_UNITS = (
     (1000.0 * math.pi / 180.0, "Is size_mrad in degrees?"),

@@ -14,32 +14,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from todframes.base._typing import ComplexArray, FloatArray
+from todframes.diagnosis.limits import (
+    CLEAR_LEAD,
+    CLEAR_LIKELIHOOD,
+    JITTERS,
+    LEAST_CLEAR,
+    LIKELY,
+    MEMORIES,
+    MOST_CLEAR_FITTED,
+    MOST_PEAKS,
+    NEIGHBOURS,
+)
 from todframes.diagnosis.triangle import Shape, Square, picture
-
-MOST_PEAKS = 12
-"""Largest number of peaks of a trial that are kept."""
-
-CLEAR, CLEAR_LEAD = 18.0, 5.0
-"""Least log likelihood of a peak, that of six standard deviations, and its least lead over the next, for a trial
-whose place is clear without the others."""
-
-LIKELY = 0.5
-"""Least probability of a peak for a trial to have a place of its own."""
-
-LEAST_CLEAR = 4
-"""Least number of clear trials from which the scatter is estimated."""
-
-NEIGHBOURS = 16
-"""Number of trials, the nearest in time, from which a place is predicted."""
-
-MOST_FITTED = 240
-"""Largest number of clear trials that memory and scatter are fitted to."""
-
-MEMORIES = (0.0, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0)
-"""Times after which a place is forgotten, in median distances of the trials, that are tried."""
-
-JITTERS = (0.0, 0.03, 0.2)
-"""Shares of the variance without memory that are tried."""
 
 
 class Template(NamedTuple):
@@ -181,7 +167,7 @@ def chosen_places(peaks: list[Peaks], time: FloatArray) -> TrialPlaces | None:
         count = len(of_trial.height)
         places[k, :count], variance[k, :count], height[k, :count] = of_trial
     lead = height[:, 0] - np.where(np.isfinite(height[:, 1]), height[:, 1], 0.0)
-    is_clear = (height[:, 0] >= CLEAR) & (lead >= CLEAR_LEAD)
+    is_clear = (height[:, 0] >= CLEAR_LIKELIHOOD) & (lead >= CLEAR_LEAD)
     if is_clear.sum() < LEAST_CLEAR:
         return None
     best = np.zeros(n, np.intp)
@@ -201,7 +187,7 @@ def chosen_places(peaks: list[Peaks], time: FloatArray) -> TrialPlaces | None:
         top = score[each, best]
         total = np.exp(score - top[:, None]).sum(axis=1) + np.exp(-np.maximum(top, -50.0))
         likely = 1.0 / total
-        is_clear = (likely > 0.99) & (height[each, best] > CLEAR / 2.0)
+        is_clear = (likely > 0.99) & (height[each, best] > CLEAR_LIKELIHOOD / 2.0)
         if is_clear.sum() < LEAST_CLEAR:
             return None
     share = (spread / (spread + variance[each, best]))[:, None]
@@ -218,7 +204,7 @@ def _fitted(places: FloatArray, variance: FloatArray, time: FloatArray, middle: 
     mean = weight @ places / weight.sum()
     excess = np.square(places - mean).mean(axis=1) * len(places) / (len(places) - 1.0) - variance
     scatter = math.sqrt(max(float(weight @ excess / weight.sum()), 1e-8))
-    some = np.unique(np.linspace(0, len(places) - 1, MOST_FITTED).round().astype(int))
+    some = np.unique(np.linspace(0, len(places) - 1, MOST_CLEAR_FITTED).round().astype(int))
     apart = np.abs(time[some][:, None] - time[some])
     step = max(float(np.median(np.diff(time[some]))), 1e-9)
     away = places[some] - mean

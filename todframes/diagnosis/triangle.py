@@ -19,6 +19,19 @@ from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray
 from todframes.diagnosis.arrangement import TURNED
+from todframes.diagnosis.limits import (
+    CELL,
+    DEGREE,
+    FOUND,
+    LEAST_VARIANCE,
+    MOST_BESIDE_TURN_RAD,
+    MOST_ROUNDS,
+    MOST_STRETCH,
+    REACH,
+    SEPARABLE,
+    SIZES_TRIED,
+    UNSTEADY,
+)
 from todframes.stimulus import ORIENTATIONS, coverage, moving_coverage, vertices
 
 N_PARAMETERS = 8
@@ -28,37 +41,6 @@ AMPLITUDE, X, Y, XX, XY, YX, YY, BLUR = range(N_PARAMETERS)
 OF_TRIAL = np.zeros((4, N_PARAMETERS))
 OF_TRIAL[0, AMPLITUDE] = OF_TRIAL[1, X] = OF_TRIAL[2, Y] = OF_TRIAL[3, XX] = OF_TRIAL[3, YY] = 1.0
 """Parameters that are measured of single trials: amplitude, place, and size as a ratio."""
-
-DEGREE = 2
-"""Degree of the polynomial background."""
-
-REACH = 2.2
-"""Half of the side of the square that is fitted, in sizes; corners lie at 0.88."""
-
-MOST_ROUNDS = 12
-"""Largest number of steps of a fit."""
-
-FOUND = 2e-4
-"""Last step of the fit, in sizes and radians; the errors that matter are a hundred times as large."""
-
-LEAST_VARIANCE = -0.05
-"""Least variance of the blur, in blocks: sharpened pictures have a negative one."""
-
-MOST_STRETCH = 1.5
-"""Largest ratio of an axis of the map to the mean of the two: a picture seen from 60° to the side has 1.41."""
-
-MOST_BESIDE_TURN_RAD = math.radians(8.0)
-"""Largest rotation beside a quarter turn: a triangle turned by 25° is one turned by -90° and by 5° back."""
-
-SEPARABLE = 1.2
-"""Least ratio of the highest level to the lowest for what all frames share to be known."""
-
-UNSTEADY = 2.0
-"""Standard deviation of a block around the triangle over trials, in those of the noise there, beyond which it
-counts less: letters that change from frame to frame then count no more than the noise does elsewhere."""
-
-SIZES_TRIED = np.geomspace(0.25, 5.0, 11)
-"""Sizes that are tried, as multiples of the stated one."""
 
 
 class Shape(NamedTuple):
@@ -357,7 +339,10 @@ def fit(images: Images, start: Shape, shown: tuple[int, ...] = (0, 1, 2, 3)) -> 
     left = images.triangles.copy()
     subtract(left, model.images[order] + _displaced(model.slopes[order], images.apart), square)
     spectrum = noise_spectrum(np.tensordot(factors, left, 1), images.weight, square.side)
+    # The fit has taken the noise of its parameters out of what it leaves.
+    cells = np.linalg.matrix_rank(images.information) * float(images.weight.sum()) / (CELL * shape.size) ** 2
     covariance = _covariance(design, square, images.weight, spectrum)
+    covariance *= cells / max(cells - N_PARAMETERS, cells / 4.0)
     return Fit(shape, covariance, shown, model, square)
 
 
