@@ -13,7 +13,7 @@ LEVEL_RANGE = (1e-6, 1e9)
 SATURATED = 1e-3
 """Largest distance of P from its value at the upper bound at which a curve counts as having reached it."""
 
-USUAL_SLOPE, LEAST_SLOPE, LARGEST_SLOPE = 1.5, 0.1, 20.0
+USUAL_SLOPE, LEAST_SLOPE, LARGEST_SLOPE = 1.5, 0.01, 20.0
 """Slope of the link of P against ln SNR: about, and the limits beyond which secants are not to be relied on."""
 
 LAST_STEP = 1e-5

@@ -188,7 +188,8 @@ def see(scoring: Scoring, trial: Trial, look: Look, ways: Sequence[Shown], start
         One for each way.
     """
     reading_s = (time.perf_counter() - started) / len(ways)
-    displaced, state = look.displacement_samples, look.rng.bit_generator.state
+    displaced, is_sampled = look.displacement_samples, scoring.decisions == "sampled"
+    state = look.rng.bit_generator.state if is_sampled else {}
     seen = []
     for shown in ways:
         started = time.perf_counter()
@@ -197,7 +198,7 @@ def see(scoring: Scoring, trial: Trial, look: Look, ways: Sequence[Shown], start
         if look.readout is not None:
             pairs = [_scores(look.readout, retina_image(shown, look.grid, (dx, dy))) for dx, dy in displaced]
             scores, deviations = (np.array(part) for part in zip(*pairs, strict=True))
-        if scoring.decisions == "sampled":
+        if is_sampled:
             image = retina_image(shown, look.grid, (displaced[0, 0], displaced[0, 1]))
             look.rng.bit_generator.state = state
             answer = look.observer.respond(image, trial.stimulus, look.rng).quarter_turns
