@@ -396,20 +396,16 @@ def noise_spectrum(noise: FloatArray, weight: FloatArray, side: int) -> FloatArr
 
     It is periodic over n + side blocks; its mean is the variance of a block.
     """
-    import scipy.fft
-
-    length = scipy.fft.next_fast_len(weight.shape[0] + side, real=True)
-    spectra = scipy.fft.rfft2(noise * weight, (length, length))
+    length = 16 * math.ceil((weight.shape[0] + side) / 16)  # a product of small primes: fast
+    spectra = np.fft.rfft2(noise * weight, (length, length))
     power = np.square(np.abs(spectra)).reshape(-1, length, length // 2 + 1).mean(axis=0)
     return np.asarray(power / max(float(np.square(weight).sum()), 1e-300))
 
 
 def filter_covariance(filters: NDArray[np.floating], spectrum: FloatArray) -> FloatArray:
     """Return the covariance of what filters, (…, p, side, side), measure of noise with this spectrum: (p, p)."""
-    import scipy.fft
-
     length = spectrum.shape[0]
-    seen = scipy.fft.rfft2(filters, (length, length)).reshape(-1, filters.shape[-3], spectrum.size)
+    seen = np.fft.rfft2(filters, (length, length)).reshape(-1, filters.shape[-3], spectrum.size)
     twice = np.full(spectrum.shape, 2.0)
     twice[:, 0] = 1.0
     if length % 2 == 0:
