@@ -157,7 +157,7 @@ def test_a_table_of_luminances_comes_along_but_not_over_another(folder, tmp_path
         (
             "s{size_mrad}_{orientation}.png",
             SettingsError,
-            r"\{contrast\} is missing in s.*; --level names another one",
+            r"\{contrast\} is missing in s.*; level names another one",
         ),
         (
             "{contrast}_{orientation}.png",

@@ -11,6 +11,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from dataclasses import replace
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -292,12 +293,13 @@ def test_options_of_arguments_exist() -> None:
             "frames_per_second: found -1",
             "--frames-per-second: found -1",
         ),
-        (
+        pytest.param(
             tod.score,
             {"dataset": NAKED_EYE, "cluster": "nowhere"},
             ["score", str(NAKED_EYE), "--cluster", "nowhere"],
             "cluster: found 'nowhere'",
             "--cluster: found 'nowhere'",
+            marks=pytest.mark.skipif(find_spec("distributed") is None, reason="distributed is not installed"),
         ),
     ],
 )
