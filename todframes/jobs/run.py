@@ -95,24 +95,20 @@ def run_stored(
                 f"{len(items) - len(left)} of {len(items)} parts of the work are there from an earlier run; "
                 + ("going on with the others" if left else "nothing is left to do")
             )
-    keyed = Keyed(work, store.is_begun or not engine.is_local)
-    waiting: list[tuple[bytes, bytes]] = []  # of processes, which cannot learn later that their results are kept
+    elif not engine.is_local:
+        store.begin()
+    keyed = Keyed(work, store.is_begun)
     started = time.perf_counter()
     n_done = 0
     numbered = enumerate(items) if len(left) == len(items) else ((number, items[number]) for number in left)
     with closing(engine.run(keyed, numbered)) as keyed_batches:
         for keyed_batch in keyed_batches:
-            if not n_done and not engine.is_local:
-                started = time.perf_counter()  # the start of processes says nothing of the rate
-            waiting += _rows(work, keyed_batch)
-            if store.is_begun:
-                store.add(waiting)
-                waiting = []
+            store.add(_rows(work, keyed_batch))
             for number, one in keyed_batch:
                 yield number, one if isinstance(one, Lost) else one.result
             n_done += len(keyed_batch)
             elapsed = time.perf_counter() - started
-            if not store.is_begun and elapsed > max(LOOKED_AT_S, WORTH_S * n_done / len(left)):
+            if not keyed.records and elapsed > max(LOOKED_AT_S, WORTH_S * n_done / len(left)):
                 store.begin()
                 keyed.records = True
 
