@@ -342,7 +342,7 @@ def fitted_curve(fit: PsychometricFit, level: np.ndarray) -> np.ndarray:
     """The curve of a fit."""
     if fit.observer_curve is not None:
         return observer_curve(level, **fit.observer_curve._asdict())
-    return weibull(level, alpha=fit.alpha, beta=fit.beta, guess_rate=fit.gamma, lapse_rate=fit.delta)
+    return weibull(level, alpha=fit.alpha, beta=fit.beta, guess_rate=fit.guess_rate, lapse_rate=fit.lapse_rate)
 
 
 @cache
@@ -665,7 +665,7 @@ def figure_4() -> Figure:
     fine = np.geomspace(0.5 * levels[0], 1.5 * levels[-1], 200)
     figure = Figure(figsize=(6.0, 5.4), layout="constrained")
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1))
-    legend = f"Weibull fit: α {fit.alpha:.4f}, β {fit.beta:.3f}, δ {fit.delta:.4f}"
+    legend = f"Weibull fit: α {fit.alpha:.4f}, β {fit.beta:.3f}, δ {fit.lapse_rate:.4f}"
     upper.plot(fine, fitted_curve(fit, fine), color="C1", lw=1.4, label=legend)
     upper.plot(levels, points, "o", color="C0", label="computed")
     drawn = np.array([literal_naked_eye(level) for level in levels[1::2].tolist()])

@@ -108,7 +108,12 @@ def test_weibull_s_curve_is_kept_beside():
     fit = fitted(LEVELS, p_correct)
     other = fit_trials(LEVELS, p_correct, settings=POINT, rng=np.random.default_rng(0))
     assert (other.curve, other.observer_curve) == ("weibull", None)
-    assert (fit.alpha, fit.beta, fit.gamma, fit.delta) == (other.alpha, other.beta, other.gamma, other.delta)
+    assert (fit.alpha, fit.beta, fit.guess_rate, fit.lapse_rate) == (
+        other.alpha,
+        other.beta,
+        other.guess_rate,
+        other.lapse_rate,
+    )
     assert fit.weibull_threshold == other.weibull_threshold == other.threshold
     assert fit.threshold != fit.weibull_threshold
 

@@ -84,13 +84,13 @@ def test_exact_probabilities_give_back_their_curve(threshold, beta, lapse_rate, 
     assert fit.threshold == pytest.approx(unit * expected, rel=1e-6)
     assert fit.alpha == pytest.approx(unit * alpha, rel=1e-6)
     assert fit.beta == pytest.approx(beta, rel=1e-6)
-    assert fit.delta == pytest.approx(lapse_rate, abs=1e-6)
+    assert fit.lapse_rate == pytest.approx(lapse_rate, abs=1e-6)
 
 
 def test_fixed_lapse_rate_is_kept():
     p = weibull(LEVELS, alpha=0.9, beta=2.0, guess_rate=0.25, lapse_rate=0.08)
     fit = fit_trials(LEVELS, p, settings=replace(POINT, lapse_rate=0.08), rng=generator())
-    assert fit.delta == 0.08
+    assert fit.lapse_rate == 0.08
     assert (fit.alpha, fit.beta) == pytest.approx((0.9, 2.0), rel=1e-6)
 
 
@@ -142,7 +142,7 @@ def test_no_curve_of_a_brute_force_search_is_more_likely(seed):
                           bounds=bounds, options={"xatol": 1e-7, "fatol": 1e-9})
         for k in np.argsort(scores)[-3:]
     ]  # fmt: skip
-    reached = loglik((math.log(fit.alpha), math.log(fit.beta), fit.delta), level, n_correct, n_trials)
+    reached = loglik((math.log(fit.alpha), math.log(fit.beta), fit.lapse_rate), level, n_correct, n_trials)
     # fatol is 1e-9; a likelihood that rises for ever with the slope is followed to within 1e-6 of its limit.
     assert reached >= max(-search.fun for search in searches) - 1e-6
 
@@ -181,13 +181,13 @@ def test_criterion_above_the_lapse_ceiling_is_never_reached():
     p = weibull(LEVELS, alpha=0.8, beta=4.0, guess_rate=0.25, lapse_rate=0.04)
     fit = fit_trials(LEVELS, p, settings=replace(POINT, p_correct=0.97), rng=generator())
     assert (fit.status, fit.threshold) == ("never_reached", None)
-    assert fit.delta == pytest.approx(0.04, abs=1e-6)
+    assert fit.lapse_rate == pytest.approx(0.04, abs=1e-6)
 
 
 def test_one_level_is_too_few():
     fit = counts([10, 20], level=[1.0, 1.0])
     assert fit.status == "too_few_levels"
-    assert (fit.threshold, fit.threshold_ci95, fit.alpha, fit.beta, fit.delta) == (None,) * 5
+    assert (fit.threshold, fit.threshold_ci95, fit.alpha, fit.beta, fit.lapse_rate) == (None,) * 5
     assert [(point.level, point.n_trials, point.p_correct) for point in fit.points] == [(1.0, 60, 0.5)]
 
 
@@ -233,7 +233,7 @@ def test_any_answers_give_a_threshold_or_a_reason(data):
         fit_counts(level, n_correct, n_trials, settings=chosen, rng=generator()),
         fit_trials(level, np.array(n_correct) / n_trials, settings=chosen, rng=generator()),
     ):
-        numbers = [fit.threshold, fit.alpha, fit.beta, fit.delta, *(fit.threshold_ci95 or ())]
+        numbers = [fit.threshold, fit.alpha, fit.beta, fit.lapse_rate, *(fit.threshold_ci95 or ())]
         assert all(math.isfinite(number) for number in numbers if number is not None)
         assert (fit.threshold is not None) == (fit.status in ("ok", "extrapolated"))
         if fit.threshold is not None:

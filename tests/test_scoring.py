@@ -243,7 +243,7 @@ def test_the_curve_is_the_observer_s_for_its_probabilities_only(make_dataset) ->
     own, weibull = fits["expected", None], fits["expected", "weibull"]
     assert own.weibull_threshold == weibull.threshold
     assert own.threshold != weibull.threshold
-    assert (own.alpha, own.beta, own.delta) == (weibull.alpha, weibull.beta, weibull.delta)
+    assert (own.alpha, own.beta, own.lapse_rate) == (weibull.alpha, weibull.beta, weibull.lapse_rate)
     with pytest.raises(SettingsError, match=r"curve: found 'observer' with sampled decisions, expected 'weibull'"):
         score(path, PyramidObserver(), decisions="sampled", curve="observer")
     with pytest.raises(SettingsError, match="this observer is not linear"):

@@ -134,7 +134,7 @@ def test_impossible_designs_have_a_reason_and_the_others_go_on() -> None:
     reasons = [one[0] for one in result.swept.reason]
     assert reasons[0] == (
         "detector.width_mrad: found 0.0681, expected at most pitch_mrad (0.05); "
-        "with --keep-fill-factor the width follows the pitch"
+        "with keep_fill_factor the width follows the pitch"
     )
     assert reasons[3].startswith("optics.blur_sigma_mrad: found 30, expected at most ")
     assert "3 designs cannot be made or computed" in " ".join(result.sentences())
