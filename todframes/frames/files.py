@@ -379,7 +379,7 @@ class FrameFile:
 
     def _reason(self) -> str:
         """Return OpenImageIO's error message; it names a file in memory by a path of this process."""
-        return openimageio_reason(self._image).replace(str(self._opened), str(self.path))
+        return openimageio_reason(self._image, self._max_frame_mb).replace(str(self._opened), str(self.path))
 
 
 def check_max_frame_mb(max_frame_mb: int) -> int:
@@ -584,14 +584,17 @@ def _luminance_or_rgb(names: tuple[str, ...]) -> list[int]:
     return []
 
 
-def openimageio_reason(source: Any) -> str:
-    """Return OpenImageIO's error message in one line; `source` is None if no input or output was created."""
+def openimageio_reason(source: Any, max_frame_mb: int = MAX_FRAME_MB) -> str:
+    """Return OpenImageIO's error message in one line; `source` is None if no input or output was created.
+
+    Its own limit of a frame is the largest that this process has been given, so the message names `max_frame_mb`.
+    """
     try:
         message = oiio.geterror() if source is None else source.geterror()
     except UnicodeDecodeError:
         message = ""
-    if (beyond := re.search(r"image size ([\d.]+) MB exceeds the (\d+) MB limit", message)) is not None:
-        return _too_large(float(beyond[1]), int(beyond[2]))
+    if (beyond := re.search(r"image size ([\d.]+) MB exceeds the \d+ MB limit", message)) is not None:
+        return _too_large(float(beyond[1]), max_frame_mb)
     # The rest of the message asks users to raise limits of OpenImageIO.
     message = message.partition("Possible corrupt input?")[0]
     return " ".join(message.split()) or "OpenImageIO gives no reason"

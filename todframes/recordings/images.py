@@ -107,7 +107,7 @@ def read_frames(path: Path, max_frame_mb: int) -> Iterator[NDArray[Any]]:
             _, n_channels, pixel_type = _layout(path, spec, max_frame_mb)
             stored = image.read_image(page, 0, 0, n_channels, pixel_type)
             if stored is None or image.has_error:
-                raise FrameError(path, f"page {page} cannot be decoded: {openimageio_reason(image)}")
+                raise FrameError(path, f"page {page} cannot be decoded: {openimageio_reason(image, max_frame_mb)}")
             if pixel_type in FULL_SCALE:
                 stored = _unscaled(stored, _full_scale(path, spec))
             yield _as_recorded(path, stored)
@@ -123,7 +123,7 @@ def _opened(path: Path, max_frame_mb: int) -> Iterator[Any]:
         except (OSError, ValueError) as error:
             raise FrameError(path, f"cannot be opened: {error}") from None
         if image is None:
-            raise FrameError(path, f"cannot be opened: {openimageio_reason(None)}")
+            raise FrameError(path, f"cannot be opened: {openimageio_reason(None, max_frame_mb)}")
         stack.callback(image.close)
         yield image
 
