@@ -1,4 +1,4 @@
-"""What calls have in common: the observer, the engine of a run, the dataset and the warnings about it."""
+"""Parts that several calls share: the observer, the engine of a run, the dataset and the warnings about it."""
 
 from __future__ import annotations
 

@@ -9,7 +9,7 @@ from todframes.stimulus import ORIENTATIONS, Orientation
 
 
 class Arrangement(NamedTuple):
-    """What a camera may do to the orientations of its picture, and the words for it.
+    """A change of all orientations that a camera or an import may cause, with its words.
 
     Attributes
     ----------

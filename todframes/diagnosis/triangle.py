@@ -424,7 +424,7 @@ def _covariance(design: FloatArray, square: Square, weight: FloatArray, spectrum
 
 
 class TrialEstimates(NamedTuple):
-    """What single trials show: one step of the fit from the picture that all share.
+    """Estimates of single trials by one step of the fit from the picture that all share.
 
     Attributes
     ----------

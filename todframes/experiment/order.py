@@ -32,7 +32,7 @@ class NextTrial(NamedTuple):
 
 
 class Practised(NamedTuple):
-    """How the last complete block of practice went: the blocks so far, its correct answers, and those needed."""
+    """Progress of the practice: complete blocks, correct answers in the last of them, and those needed."""
 
     blocks: int
     n_correct: int

@@ -1,4 +1,4 @@
-"""What all results have in common: they can be saved as files."""
+"""Saving of results: one class gives all of them their files and `save`."""
 
 from __future__ import annotations
 
