@@ -449,7 +449,7 @@ def test_a_run_without_workers_ends_with_one_line(tmp_path: Path, monkeypatch: p
 @dask
 @pytest.mark.parametrize("name", ["", "local", "local:0", "local:x", "foo", "http://h:1", "tcp://h", "tcp://:"])
 def test_what_names_no_cluster_is_one_line(name: str) -> None:
-    message = rf"^--cluster: found '{name}', expected local:N or tcp://HOST:PORT$"
+    message = rf"^cluster: found '{name}', expected local:N or tcp://HOST:PORT$"
     with pytest.raises(SettingsError, match=message), open_engine(name, 1):
         pass
 
