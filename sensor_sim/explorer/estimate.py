@@ -23,7 +23,7 @@ from sensor_sim.chain.sampling import TriangleSampler, field_detectors, smallest
 from sensor_sim.chain.sensor import Sensor
 from sensor_sim.thresholds.curve_plan import CurvePlan, centre_offset
 from sensor_sim.thresholds.folding import Folding, is_unblurred
-from sensor_sim.thresholds.predict import KRONECKER_STEPS, Found, Lattice, Phases, phases_on, pooled
+from sensor_sim.thresholds.predict import KRONECKER_STEPS, Lattice, Phases, PooledThreshold, phases_on, pooled
 from sensor_sim.thresholds.sharing import Shared
 from todframes.base._typing import FloatArray
 from todframes.observers.interface import Observer
@@ -62,7 +62,7 @@ class Reference(NamedTuple):
     Attributes
     ----------
     deviations : ndarray, shape (LATTICES,)
-        As of `Found`.
+        As of `PooledThreshold`.
     correction : float
         ln of the known threshold over the estimate.
     error : float
@@ -74,12 +74,12 @@ class Reference(NamedTuple):
     error: float
 
     @classmethod
-    def of(cls, found: Found, threshold: float, error: float) -> Reference:
+    def of(cls, found: PooledThreshold, threshold: float, error: float) -> Reference:
         """Return the reference that a sensor is whose threshold is known better than its estimate `found`."""
         return cls(found.deviations, math.log(threshold / found.threshold), error / threshold)
 
 
-def corrected(found: Found, reference: Reference | None) -> tuple[float, float]:
+def corrected(found: PooledThreshold, reference: Reference | None) -> tuple[float, float]:
     """Return a threshold and the half-width of its 95 % interval, by the reference if that is narrower."""
     half_width, correction = half_width_95(found.deviations, is_refined=False), 0.0
     if reference is not None:

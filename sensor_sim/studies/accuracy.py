@@ -32,9 +32,9 @@ from todframes.studies.accuracy.estimators import (
     P_CORRECT,
     Converged,
     Estimate,
+    FoldedTrials,
     MonteCarlo,
     Quadrature,
-    Trials,
     Variant,
     estimate_at_one_level,
     monte_carlos,
@@ -125,14 +125,14 @@ class Camera:
         # Each place is seen with two opposite displacements of the retina.
         budgets = tuple(2 * places**2 for places in PLACES if self._is_fair(places))
 
-        def trials() -> Callable[[int, np.random.Generator], Trials]:
+        def trials() -> Callable[[int, np.random.Generator], FoldedTrials]:
             chain = self._chain(self._plan())
 
-            def draw(n: int, rng: np.random.Generator) -> Trials:
+            def draw(n: int, rng: np.random.Generator) -> FoldedTrials:
                 drawn = [chain.phases(1, rng)[0] for _ in range(n)]
                 score = np.stack([contrast * part.signal[0, :1] for part in drawn])
                 noise = np.stack([(contrast / snr) ** 2 * part.noise for part in drawn])
-                return Trials(score, chain.noise_covariance + noise, np.array([drawn[0].correct]))
+                return FoldedTrials(score, chain.noise_covariance + noise, np.array([drawn[0].correct]))
 
             return draw
 

@@ -13,8 +13,8 @@ from sensor_sim.sweeps.work import IMPOSSIBLE
 from todframes import __version__
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError
-from todframes.report.figure_style import COLOURS, INK, add_legend, label_text, look_of, plain_ticks
-from todframes.report.figures import Picture
+from todframes.report.figure_style import COLOURS, INK, add_legend, curve_style, label_text, plain_ticks
+from todframes.report.figures import ReportFigure
 from todframes.report.html import figure_items, render, table_item
 from todframes.report.tables import records_table
 from todframes.report.wording import evenly
@@ -37,7 +37,7 @@ LOG_SPAN = 10.0
 """Smallest ratio of the largest to the smallest value on a logarithmic axis."""
 
 
-def pictures(result: SweepData) -> list[Picture]:
+def pictures(result: SweepData) -> list[ReportFigure]:
     """List the figures of a sweep, the most important first."""
     keys, sizes = result.swept.designs.keys, result.swept.size_detectors
     found = []
@@ -47,19 +47,21 @@ def pictures(result: SweepData) -> list[Picture]:
             f"{', '.join(one.column for one in result.objectives)}."
         )
         title = f"Trade-off at {sizes[0]:g} detectors"
-        found.append(Picture(title, note, partial(draw_front, result=result, size=0), "front.png"))
+        found.append(ReportFigure(title, note, partial(draw_front, result=result, size=0), "front.png"))
     if len(varied(result)) > 1:
         for size in evenly(range(len(sizes)), MOST_MAPS):
             note = "Threshold over the first two keys that vary. Hatched once: impossible; crossed: never reached."
             note += " The lowest over the other keys." * (len(keys) > 2)
             draw = partial(draw_map, result=result, size=size)
-            found.append(Picture(f"Map at {sizes[size]:g} detectors", note, draw, "" if size else "map.png"))
+            found.append(ReportFigure(f"Map at {sizes[size]:g} detectors", note, draw, "" if size else "map.png"))
     elif varied(result):
         note = "A line for each size."
-        found.append(Picture("Threshold against the key", note, partial(draw_lines, result=result), "by_key.png"))
+        found.append(
+            ReportFigure("Threshold against the key", note, partial(draw_lines, result=result), "by_key.png")
+        )
     if (np.isfinite(result.swept.threshold_snr).sum(axis=1) > 1).any():
         note = f"Threshold against 1 / size of up to {MOST_CURVES} designs, coloured by the first key that varies."
-        found.append(Picture("TOD curves", note, partial(draw_curves, result=result), "tod_curves.png"))
+        found.append(ReportFigure("TOD curves", note, partial(draw_curves, result=result), "tod_curves.png"))
     return found
 
 
@@ -172,7 +174,7 @@ def draw_lines(axes: Axes, result: SweepData) -> None:
     order = np.argsort(x)
     sizes = result.swept.size_detectors
     for place, size in enumerate(sizes):
-        look = look_of(place, len(sizes))
+        look = curve_style(place, len(sizes))
         axes.plot(
             x[order], shown[order, place], color=look.colour, marker=look.marker, label=f"{size:g} detectors"
         )

@@ -315,7 +315,7 @@ def _each_proportion(
     return np.asarray(np.mean(of_orientations, axis=0))
 
 
-class Found(NamedTuple):
+class PooledThreshold(NamedTuple):
     """A threshold over several replicates.
 
     Attributes
@@ -347,7 +347,7 @@ def find_threshold(
     slope: float = math.nan,
     tolerance: float = ORTHANT_TOLERANCE,
     check: Callable[[], None] = lambda: None,
-) -> Found:
+) -> PooledThreshold:
     """Find the threshold of trials, and what it would be with each replicate alone.
 
     Parameters
@@ -374,11 +374,11 @@ def find_threshold(
 
     status, threshold = crossing(lambda value: float(of_each(value).mean()), p_correct, near=near, slope=slope)
     if threshold is None:
-        return Found(status, math.nan, np.full(n_replicates, math.nan), math.nan)
+        return PooledThreshold(status, math.nan, np.full(n_replicates, math.nan), math.nan)
     low, high = (of_each(threshold * math.exp(way * STEP / 2.0)) for way in (-1.0, 1.0))
     slope = max(float((high - low).mean()) / STEP, 1e-12)
     middle = (low + high) / 2.0
-    return Found(status, threshold, (middle.mean() - middle) / slope, slope)
+    return PooledThreshold(status, threshold, (middle.mean() - middle) / slope, slope)
 
 
 @dataclass(frozen=True, slots=True)

@@ -438,7 +438,7 @@ def _s3_session() -> type:
     from aiobotocore.awsrequest import AioAWSResponse
     from aiobotocore.httpsession import AIOHTTPSession
 
-    class Session(AIOHTTPSession):  # type: ignore[misc]  # its package has no types
+    class StreamingSession(AIOHTTPSession):  # type: ignore[misc]  # its package has no types
         async def send(self, request: Any) -> Any:
             is_file, request.stream_output = request.stream_output, True  # the body is not yet read
             answer = await super().send(request)
@@ -454,7 +454,7 @@ def _s3_session() -> type:
                     raise (LongWordsError if error.errno == errno.EFBIG else error) from None
             return AioAWSResponse(answer.url, answer.status_code, answer.headers, words)
 
-    return Session
+    return StreamingSession
 
 
 class _Words(NamedTuple):

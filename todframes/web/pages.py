@@ -41,6 +41,10 @@ LEAST_COMPRESSED_BYTES = 4096
 T = TypeVar("T")
 
 
+class EmptyRequest(msgspec.Struct):
+    """A request that asks for no more than its path says."""
+
+
 def page(folder: Traversable, calls: Sequence[Route], lifespan: Lifespan[Starlette] | None = None) -> Starlette:
     """Return an app that serves the files of a folder and answers calls.
 

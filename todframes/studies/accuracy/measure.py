@@ -75,7 +75,7 @@ class TimeAt(NamedTuple):
     at_most: bool = False
 
 
-class Ratio(NamedTuple):
+class CostRatio(NamedTuple):
     """CPU time of the literal Monte Carlo over that of the fastest closed form, at equal error.
 
     `closed_form` is its name; None if none of them has this error.
@@ -113,7 +113,7 @@ class Change(NamedTuple):
     threshold_change: float
 
 
-class Measured(NamedTuple):
+class MeasuredScene(NamedTuple):
     """A scene with everything measured."""
 
     name: str
@@ -123,11 +123,11 @@ class Measured(NamedTuple):
     converged: Converged
     estimators: tuple[Curve, ...]
     variants: tuple[Change, ...]
-    ratios: tuple[Ratio, ...]
+    ratios: tuple[CostRatio, ...]
     p_correct_error_bound: float
 
 
-def measure(scene: StudyScene, *, seconds: float, seed: int = 1) -> Measured:
+def measure(scene: StudyScene, *, seconds: float, seed: int = 1) -> MeasuredScene:
     """Run all estimators of a scene.
 
     Parameters
@@ -155,7 +155,7 @@ def measure(scene: StudyScene, *, seconds: float, seed: int = 1) -> Measured:
         else:
             curves.append(_measure_rule(estimator, converged, share, rng))
             closed_forms.append(curves[-1])
-    return Measured(
+    return MeasuredScene(
         scene.name,
         scene.title,
         scene.description,
@@ -228,13 +228,13 @@ def time_of_rule(points: Sequence[BudgetPoint], error: float) -> TimeAt:
     return TimeAt(error, before.cpu_s * (after.cpu_s / before.cpu_s) ** share)
 
 
-def speed_ratio(literal: TimeAt, closed_forms: Mapping[str, TimeAt]) -> Ratio:
+def speed_ratio(literal: TimeAt, closed_forms: Mapping[str, TimeAt]) -> CostRatio:
     """Compare the CPU time of one with that of the fastest of the others by name, all at the same error."""
     times = {at.cpu_s: (name, at.at_most) for name, at in closed_forms.items() if at.cpu_s is not None}
     if literal.cpu_s is None or not times:
-        return Ratio(literal.error, None, None, literal.extrapolated, at_least=False)
+        return CostRatio(literal.error, None, None, literal.extrapolated, at_least=False)
     name, at_most = times[min(times)]
-    return Ratio(literal.error, literal.cpu_s / min(times), name, literal.extrapolated, at_most)
+    return CostRatio(literal.error, literal.cpu_s / min(times), name, literal.extrapolated, at_most)
 
 
 class _Clock:

@@ -19,9 +19,9 @@ from todframes.studies.accuracy.estimators import (
     P_CORRECT,
     Converged,
     Estimate,
+    FoldedTrials,
     MonteCarlo,
     Quadrature,
-    Trials,
     Variant,
     estimate_at_one_level,
     monte_carlos,
@@ -80,18 +80,18 @@ class NakedEye:
 
             return draw
 
-        def trials() -> Callable[[int, np.random.Generator], Trials]:
+        def trials() -> Callable[[int, np.random.Generator], FoldedTrials]:
             observer = PyramidObserver()
             readout = self._readout(observer)
 
-            def draw(n: int, rng: np.random.Generator) -> Trials:
+            def draw(n: int, rng: np.random.Generator) -> FoldedTrials:
                 correct = rng.integers(4, size=n)
                 places = rng.uniform(-1.0, 1.0, (n, 2))
                 score = [
                     readout.score_deviations(self._retina(observer, x, y, ORIENTATIONS[k]))
                     for (x, y), k in zip(places, correct, strict=True)
                 ]
-                return Trials(
+                return FoldedTrials(
                     converged.threshold * np.array(score)[:, None],
                     readout.noise_covariance,
                     correct[:, None],

@@ -26,9 +26,9 @@ from todframes.studies.accuracy.estimators import (
     P_CORRECT,
     Converged,
     Estimate,
+    FoldedTrials,
     MonteCarlo,
     Quadrature,
-    Trials,
     Variant,
     monte_carlos,
 )
@@ -170,13 +170,13 @@ class Recorded:
 
             return draw
 
-        def trials() -> Callable[[int, np.random.Generator], Trials]:
+        def trials() -> Callable[[int, np.random.Generator], FoldedTrials]:
             frames = self._planned()
 
-            def draw(n: int, rng: np.random.Generator) -> Trials:
+            def draw(n: int, rng: np.random.Generator) -> FoldedTrials:
                 displacements = rng.uniform(-1.0, 1.0, (n, len(self.trials), 2))
                 score = frames.score(displacements)
-                return Trials(score, frames.covariance, frames.correct, frames.answer_probabilities)
+                return FoldedTrials(score, frames.covariance, frames.correct, frames.answer_probabilities)
 
             return draw
 
