@@ -63,7 +63,7 @@ class TodframesError(Exception):
 
     @property
     def marked(self) -> str:
-        """The message for another error of this package: arguments in it still get the name that its reader knows."""
+        """The message for another error of this package; arguments in it get the name that its reader knows."""
         return str(self.args[0])
 
     def for_command(self) -> str:
