@@ -30,7 +30,7 @@ MOST_MAPS = 4
 MOST_VECTORS = 400
 """Largest number of cells or points that a page shows as vectors; more become one picture."""
 
-MARKS = {IMPOSSIBLE: ("////", "_"), "never_reached": ("xx", "x")}
+MARKS = {IMPOSSIBLE: ("////", "_"), "never_reached": ("xx", "x"), "always_exceeded": ("..", ".")}
 """Hatch of a cell, and marker of a point, without a threshold, by status."""
 
 LOG_SPAN = 10.0
@@ -50,7 +50,8 @@ def pictures(result: SweepData) -> list[ReportFigure]:
         found.append(ReportFigure(title, note, partial(draw_front, result=result, size=0), "front.png"))
     if len(varied(result)) > 1:
         for size in evenly(range(len(sizes)), MOST_MAPS):
-            note = "Threshold over the first two keys that vary. Hatched once: impossible; crossed: never reached."
+            note = "Threshold over the first two keys that vary. Hatched once: impossible; crossed: never reached; "
+            note += "dotted: always exceeded."
             note += " The lowest over the other keys." * (len(keys) > 2)
             draw = partial(draw_map, result=result, size=size)
             found.append(ReportFigure(f"Map at {sizes[size]:g} detectors", note, draw, "" if size else "map.png"))
