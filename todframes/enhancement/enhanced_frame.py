@@ -403,7 +403,7 @@ class TrialReader:
             except FrameError:
                 raise
             except DataError as error:
-                raise FrameError(file.path, str(error)) from None
+                raise FrameError(file.path, error.marked) from None
             frames.append(looked)
         return [_of_trial(of_algorithm, n_rows[0]) for of_algorithm in zip(*frames, strict=True)]
 
@@ -423,7 +423,7 @@ class TrialReader:
         except FrameError:
             raise
         except DataError as error:
-            raise FrameError(path, str(error)) from None
+            raise FrameError(path, error.marked) from None
 
 
 def _of_trial(frames: Sequence[tuple[CroppedImage, FrameMeasurements]], n_rows: int) -> EnhancedTrial:
