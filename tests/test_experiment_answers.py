@@ -131,7 +131,7 @@ def test_files_of_a_stranger_are_not_written(path, tmp_path, place, kind):
     planted = {
         "data file": path,
         "sidecar": sidecar_path(path),
-        "description": folder / NAME,
+        "description": folder / DESCRIPTION_FILE,
         "counts": count_file(folder, "P1"),
     }[place]
     planted.parent.mkdir(exist_ok=True)
