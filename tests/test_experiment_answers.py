@@ -32,7 +32,7 @@ from todframes.experiment.answers import (
     write_sidecar,
 )
 from todframes.experiment.monitor import Calibration, calibrated
-from todframes.experiment.psych_ds import NAME, write_description
+from todframes.experiment.psych_ds import DESCRIPTION_FILE, write_description
 from todframes.psychometrics.counts import read_counts
 from todframes.stimulus import Orientation
 
@@ -131,7 +131,7 @@ def test_files_of_a_stranger_are_not_written(path, tmp_path, place, kind):
     planted = {
         "data file": path,
         "sidecar": sidecar_path(path),
-        "description": folder / NAME,
+        "description": folder / DESCRIPTION_FILE,
         "counts": count_file(folder, "P1"),
     }[place]
     planted.parent.mkdir(exist_ok=True)
@@ -404,7 +404,7 @@ def test_folder_is_psych_ds(path):
     folder = path.parent.parent
     write(path, rows(2))
     write_description(folder, SHOWN, {"todframes": "0"})
-    found = json.loads((folder / NAME).read_text())
+    found = json.loads((folder / DESCRIPTION_FILE).read_text())
     # The rules of Psych-DS 1.5 whose breach is an error.
     assert found["@context"].rstrip("/") == "https://schema.org"
     assert found["@type"] == "Dataset"

@@ -24,7 +24,7 @@ from sensor_sim.explorer.estimate import (
     FEW_PLACES,
     LATTICES,
     MORE_PLACES,
-    ORTHANT_TOLERANCE,
+    QUICK_ORTHANT_TOLERANCE,
     Reference,
     corrected,
     lattice_phases,
@@ -206,7 +206,7 @@ class ThresholdEngine:
             level=level,
             near=near,
             slope=slope,
-            tolerance=ORTHANT_TOLERANCE,
+            tolerance=QUICK_ORTHANT_TOLERANCE,
         )
         if found.status == "ok":
             self._near[level, size] = found.threshold, found.slope

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sensor_sim.sweeps.tables import BY_SIZE, UNITS, SweepData
+from sensor_sim.sweeps.tables import BY_SIZE, CRITERION_UNITS, SweepData
 from sensor_sim.sweeps.work import IMPOSSIBLE
 from todframes import __version__
 from todframes.base._typing import FloatArray
@@ -210,7 +210,7 @@ def draw_front(axes: Axes, result: SweepData, size: int) -> None:
 
 
 def _with_unit(column: str) -> str:
-    unit = UNITS.get(column, "")
+    unit = CRITERION_UNITS.get(column, "")
     name = {"delta_t_mk": "threshold ΔT", "threshold_snr": "threshold SNR"}.get(column, column.replace("_", " "))
     name = name.removesuffix(f" {unit}") if unit else name
     return label_text(f"{name} ({unit})" if unit else column if column not in BY_SIZE else name)

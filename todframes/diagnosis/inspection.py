@@ -17,7 +17,6 @@ from todframes.diagnosis.limits import (
     CERTAIN_TURN,
     CLEAR,
     CLEARLY_TURNED,
-    CONTRASTS,
     LEAST_SAMPLED,
     LEAST_SIGNAL,
     LEAST_SIZE,
@@ -27,6 +26,7 @@ from todframes.diagnosis.limits import (
     SAMPLED_SHARE,
     SCATTER_ERRORS,
     SIZES_ALIKE,
+    USABLE_CONTRASTS,
     WHOLE_IN_SIZES,
 )
 from todframes.diagnosis.triangle import (
@@ -192,7 +192,7 @@ def is_contrast(dataset: Dataset) -> bool:
 
 def strengths(dataset: Dataset, level: FloatArray) -> FloatArray:
     """Return what the displayed contrast is proportional to: the level if it is a contrast, else not known, 1."""
-    return np.clip(level, *CONTRASTS) if is_contrast(dataset) else np.ones(len(level))
+    return np.clip(level, *USABLE_CONTRASTS) if is_contrast(dataset) else np.ones(len(level))
 
 
 def _sizes_mrad(trials: Trials) -> FloatArray:

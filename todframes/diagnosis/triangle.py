@@ -22,12 +22,12 @@ from todframes.diagnosis.arrangement import TURNED
 from todframes.diagnosis.limits import (
     CELL,
     DEGREE,
+    FITTED_REACH_IN_SIZES,
     FOUND,
     LEAST_VARIANCE,
     MOST_BESIDE_TURN_RAD,
     MOST_ROUNDS,
     MOST_STRETCH,
-    REACH,
     SEPARABLE,
     SIZES_TRIED,
     UNSTEADY,
@@ -102,7 +102,7 @@ class Square(NamedTuple):
     @classmethod
     def about(cls, shape: Shape, n: int) -> Square:
         """Return the square about a triangle that is fitted; it may reach beyond the window."""
-        reach = math.ceil(REACH * shape.size + 1.0)
+        reach = math.ceil(FITTED_REACH_IN_SIZES * shape.size + 1.0)
         middle = (n - 1) // 2
         return cls(middle + round(shape.y) - reach, middle + round(shape.x) - reach, 2 * reach + 1)
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError, FrameError
-from todframes.diagnosis.limits import BLOCKS_PER_SIZE, REACH_IN_SIZES
+from todframes.diagnosis.limits import PICTURE_BLOCKS_PER_SIZE, REACH_IN_SIZES
 from todframes.display.display import border_values
 from todframes.frames.contrast import LuminanceFound
 from todframes.frames.dataset import Dataset
@@ -196,7 +196,7 @@ class _BlockMeans:
 
     @classmethod
     def about(cls, triangle: TrianglePlace, reach_px: float) -> _BlockMeans:
-        block_px = max(int(triangle.size_px / BLOCKS_PER_SIZE), 1)
+        block_px = max(int(triangle.size_px / PICTURE_BLOCKS_PER_SIZE), 1)
         reach = max(REACH_IN_SIZES * triangle.size_px, hole_radius_px(triangle.size_px) + 8.0, reach_px)
         return cls(triangle, block_px, 2 * math.ceil(reach / block_px) + 1)
 

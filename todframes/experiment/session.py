@@ -60,7 +60,7 @@ from todframes.experiment.monitor import (
     check_shows,
 )
 from todframes.experiment.order import NextTrial, TrialOrder, n_main_trials
-from todframes.experiment.psych_ds import NAME as DESCRIPTION_NAME
+from todframes.experiment.psych_ds import DESCRIPTION_FILE as DESCRIPTION_NAME
 from todframes.experiment.psych_ds import write_description
 from todframes.experiment.stimuli import clipped, contrast_range, dithered_codes, png, trial_image
 from todframes.frames.dataset import Dataset

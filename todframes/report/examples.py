@@ -33,7 +33,7 @@ from todframes.stimulus import Stimulus, vertices
 MOST_EXAMPLES, MOST_BANDS = 4, 8
 
 
-REACH_PER_SIZE = 1.5
+PICTURE_REACH_PER_SIZE = 1.5
 
 
 LEAST_REACH_PX, LEAST_REACH_SAMPLES = 8, 12
@@ -197,7 +197,7 @@ def _shown(dataset: Dataset, trial: Trial, observer: Observer) -> list[ExamplePa
 def _reach_px(observer: Observer, stimulus: Stimulus, pixel_pitch_mrad: float) -> int:
     """Return the number of display pixels shown on each side of the triangle's centroid."""
     reach_mrad = max(
-        REACH_PER_SIZE * stimulus.size_mrad,
+        PICTURE_REACH_PER_SIZE * stimulus.size_mrad,
         LEAST_REACH_PX * pixel_pitch_mrad,
         LEAST_REACH_SAMPLES * observer.grid(stimulus).pitch_mrad,
     )

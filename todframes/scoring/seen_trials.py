@@ -33,7 +33,7 @@ NO_ANSWER = -1
 TRIAL_STREAMS, FIT_STREAMS, DISPLACEMENT_STREAMS, RATIO_STREAMS = range(4)
 
 
-KRONECKER_STEPS = np.array([0.7548776662466927, 0.5698402909980532])
+KRONECKER_STEPS_2D = np.array([0.7548776662466927, 0.5698402909980532])
 """Steps of a two-dimensional low-discrepancy sequence, powers of the root of x³ = x + 1 (Roberts 2018)."""
 
 
@@ -239,7 +239,7 @@ def _displacements(scoring: Scoring, trial: Trial, rng: np.random.Generator, jit
         return rng.uniform(-jitter, jitter, (1, 2))
     key = (DISPLACEMENT_STREAMS, scoring.displacements, trial.number)
     shifts = np.random.default_rng(np.random.SeedSequence(scoring.seed, spawn_key=key)).random((REPLICATES, 1, 2))
-    evenly = (shifts + np.arange(scoring.displacements)[:, None] * KRONECKER_STEPS) % 1.0
+    evenly = (shifts + np.arange(scoring.displacements)[:, None] * KRONECKER_STEPS_2D) % 1.0
     return np.asarray(jitter * (2.0 * evenly.reshape(-1, 2) - 1.0))
 
 

@@ -41,7 +41,7 @@ FEWEST_BLOCKS = 4
 
 BLOCK_GROWTH = 2
 
-MOST_TRIALS = 2**17
+MOST_DRAWN_TRIALS = 2**17
 """Drawn of an estimator; their blocks of all sizes then take seconds to estimate from."""
 
 LARGEST_SHOWN = 0.5
@@ -272,7 +272,7 @@ def _measure_draws(
     drawn: list[FloatArray] = []
     n, total = estimator.smallest, 0
     clock = _Clock()
-    while ((spent := clock.read()[0]) < seconds and total < MOST_TRIALS) or total < estimator.fewest:
+    while ((spent := clock.read()[0]) < seconds and total < MOST_DRAWN_TRIALS) or total < estimator.fewest:
         if total:  # so many that the time is just used up, but not more than there are already
             n = min(max(int((seconds - spent) / spent * total), 1), total)
         drawn.append(draw(n, rng))

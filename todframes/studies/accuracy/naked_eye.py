@@ -27,7 +27,7 @@ from todframes.studies.accuracy.estimators import (
     monte_carlos,
 )
 
-NODES = (1, 2, 3, 4, 6, 8, 12, 16, 24)
+STUDIED_NODES = (1, 2, 3, 4, 6, 8, 12, 16, 24)
 """Gauss–Legendre displacements along each axis."""
 
 VARIANT_NODES = 8
@@ -105,7 +105,7 @@ class NakedEye:
             self._readout(observer)
             return lambda n, _: _estimate(self._proportion(observer, math.isqrt(n)), converged)
 
-        trials_of = tuple(nodes**2 for nodes in NODES)
+        trials_of = tuple(nodes**2 for nodes in STUDIED_NODES)
         label = "closed form, Gauss–Legendre nodes"
         return (*monte_carlos(answers, trials), Quadrature("closed_form", label, closed_form, trials_of, 0.3))
 
