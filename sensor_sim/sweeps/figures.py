@@ -50,8 +50,8 @@ def pictures(result: SweepData) -> list[ReportFigure]:
         found.append(ReportFigure(title, note, partial(draw_front, result=result, size=0), "front.png"))
     if len(varied(result)) > 1:
         for size in evenly(range(len(sizes)), MOST_MAPS):
-            note = "Threshold over the first two keys that vary. Hatched once: impossible; crossed: never reached; "
-            note += "dotted: always exceeded."
+            note = "Threshold over the first two keys that vary. Hatched once: impossible; crossed: never reached;"
+            note += " dotted: always exceeded."
             note += " The lowest over the other keys." * (len(keys) > 2)
             draw = partial(draw_map, result=result, size=size)
             found.append(ReportFigure(f"Map at {sizes[size]:g} detectors", note, draw, "" if size else "map.png"))
