@@ -314,7 +314,7 @@ class ChartSource:
                     f"chart shows each for {screen.page_duration_s:.3g} s: {rate:.4g} frames/s here, "
                     f"{rate * ratio:.4g} by the chart; trials average {1 / ratio:.2g} times as many frames "
                     "as the eye does; give "
-                    f"--frames-per-second {rate * ratio:.4g} if the chart is right",
+                    f"{argument.frames_per_second} {rate * ratio:.4g} if the chart is right",
                 )
 
         def worst(name: str) -> float:

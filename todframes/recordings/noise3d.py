@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray
-from todframes.base.errors import DataError, SettingsError
+from todframes.base.errors import DataError, SettingsError, argument, for_reader
 from todframes.base.reading import toml_text
 from todframes.display.display import REC_709_LUMINANCE_WEIGHTS
 from todframes.recordings.recording import INTEGRATION_TIME_S, Recording, RecordingWarning
@@ -218,9 +218,8 @@ class Noise3D:
             "fixed_pattern_ratio": float(f"{self.fixed_pattern_ratio.sd:.6g}"),
             "frames_integrated": self.frames_integrated,
         }
-        return toml_text(
-            {"noise": noise}, comment="netd_mk is not known: give --mk-per-count" if per_unit is None else ""
-        )
+        hint = for_reader(f"netd_mk is not known: give {argument.mk_per_count}")
+        return toml_text({"noise": noise}, comment=hint if per_unit is None else "")
 
 
 def _log_ratio(value: float, end: float) -> float:

@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import msgspec
 from msgspec import Meta, Struct, field
+from msgspec.structs import force_setattr
 
-from todframes.base.errors import DataError
+from todframes.base.errors import DataError, for_reader
 from todframes.base.locations import in_utf8
 from todframes.base.reading import read_file
 
@@ -536,6 +537,9 @@ class ResultWarning(Struct, frozen=True, kw_only=True):
     message: str
     found: Any = None
     expected: Any = None
+
+    def __post_init__(self) -> None:
+        force_setattr(self, "message", for_reader(self.message))
 
 
 class ResultData(Struct, frozen=True, kw_only=True, omit_defaults=True):

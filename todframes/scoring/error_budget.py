@@ -14,6 +14,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from todframes.base._typing import FloatArray
+from todframes.base.errors import for_reader
 
 PlanName = Literal["needed", "full"]
 
@@ -57,7 +58,7 @@ def plan_object(steps: Sequence[Step], places: float) -> list[dict[str, Any]]:
         {
             "stage": step.stage,
             "kept": step.kept,
-            "why": step.why,
+            "why": for_reader(step.why),
             "bound": step.bound,
             "saves_s": round(step.saves_once_s + max(step.saves_s, 0.0) * places, 3),
         }

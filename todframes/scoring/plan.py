@@ -17,7 +17,7 @@ from typing import cast
 import numpy as np
 
 from todframes.base._typing import FloatArray
-from todframes.base.errors import FrameError, SettingsError
+from todframes.base.errors import FrameError, SettingsError, argument
 from todframes.frames.dataset import Dataset
 from todframes.frames.position import check_place
 from todframes.frames.trials import Trial, Trials, indices_by
@@ -130,7 +130,7 @@ def plan_score(
     if name == "full" or not expected:
         full = name == "full" and isinstance(observer, TruncatedObserver)
         plans = {stimulus: StimulusPlan(full_observer=full) for stimulus in of_stimulus}
-        why = "as --plan full asks" if name == "full" else "answers are drawn with noise on every neuron"
+        why = f"as {argument.plan} full asks" if name == "full" else "answers are drawn with noise on every neuron"
         return ScorePlan(observer, plans, name == "full", (Step("everything", True, why),))
     budget = LEFT_OUT_SHARE * tolerance * SLOPE / 2.0
     weighed = {
