@@ -33,7 +33,7 @@ N_CLOCK = 161
 DAY_S = 86400.0
 
 
-class _Layout(NamedTuple):
+class _FilmLayout(NamedTuple):
     """Layout of a film: bytes of the main header, a frame's header and both it and its frame; frames; shape."""
 
     n_header: int
@@ -86,7 +86,7 @@ def _opened(path: Path) -> Iterator[BinaryIO]:
         raise FrameError(path, f"cannot be read: {error.strerror}") from None
 
 
-def _layout(path: Path, file: BinaryIO, max_frame_mb: int) -> _Layout:
+def _layout(path: Path, file: BinaryIO, max_frame_mb: int) -> _FilmLayout:
     """Return the layout that the main header gives, if all of it lies in the file."""
     file.seek(0)
     header = file.read(N_HEADER)
@@ -107,10 +107,10 @@ def _layout(path: Path, file: BinaryIO, max_frame_mb: int) -> _Layout:
     n_there = max(n_bytes - n_header, 0) // (2 * n_words)
     if n_there < n_frames:
         raise FrameError(path, f"found {n_there} whole frames, expected {n_frames}: truncated")
-    return _Layout(n_header, n_frame_header, 2 * n_words, n_frames, (rows, columns))
+    return _FilmLayout(n_header, n_frame_header, 2 * n_words, n_frames, (rows, columns))
 
 
-def _times_s(file: BinaryIO, layout: _Layout) -> tuple[float, ...] | None:
+def _times_s(file: BinaryIO, layout: _FilmLayout) -> tuple[float, ...] | None:
     """Return the times of day of the frames, across midnight; None if they have none."""
     if layout.n_frame_header < N_CLOCK:
         return None

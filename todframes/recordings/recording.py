@@ -225,7 +225,7 @@ def still_recording(
     )
 
 
-class _Clock(NamedTuple):
+class _SequenceTimes(NamedTuple):
     """Times of the frames of a sequence: of each frame, or by a rate; neither if nothing gives them."""
 
     frames_per_second: float | None = None
@@ -239,23 +239,23 @@ class _Clock(NamedTuple):
         return None if self.frames_per_second is None else number / self.frames_per_second
 
 
-def _clock(paths: Sequence[Path], headers: Sequence[StillHeader], asked: float | None) -> _Clock:
+def _clock(paths: Sequence[Path], headers: Sequence[StillHeader], asked: float | None) -> _SequenceTimes:
     """Return the times of a sequence: by the rate asked for or in the first header, else those of the files."""
     rate = asked or headers[0].frames_per_second
     if rate is not None:
-        return _Clock(rate)
+        return _SequenceTimes(rate)
     if any(header.times_s is None for header in headers) or sum(header.n_frames for header in headers) < 2:
-        return _Clock()
+        return _SequenceTimes()
     moments_s = list(chain.from_iterable(header.times_s or () for header in headers))
     times_s = tuple(round(moment_s - moments_s[0], 6) for moment_s in moments_s)  # seconds since 1970 have no more
     steps_s = [after - before for before, after in pairwise(times_s)]
     if min(steps_s) > 0:
         usual_s = median(steps_s)
-        return _Clock(1.0 / fmean(one for one in steps_s if one <= GAP * usual_s), times_s)
+        return _SequenceTimes(1.0 / fmean(one for one in steps_s if one <= GAP * usual_s), times_s)
     number = next(k for k, step_s in enumerate(steps_s) if step_s <= 0)
     names = [path.name for path, header in zip(paths, headers, strict=True) for _ in range(header.n_frames)]
     found = "the time of" if steps_s[number] == 0 else f"a time {-steps_s[number]:.6g} s before"
-    return _Clock(
+    return _SequenceTimes(
         warnings=(
             RecordingWarning(
                 "times_not_used",
