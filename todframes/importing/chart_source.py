@@ -17,12 +17,12 @@ from numpy.typing import NDArray
 from todframes.base.errors import SettingsError, argument
 from todframes.charts.layout import Chart, read_chart
 from todframes.charts.markers import CORNERS, page_of
-from todframes.importing.clips import GAP, Clip, ClipFrame, Placed, clean_clips
+from todframes.importing.clips import Clip, ClipFrame, Placed, clean_clips
 from todframes.importing.filmed_trials import OBJECT_SIZE, TriangleDescription
 from todframes.importing.geometry import PlacedTriangle, place_triangle
 from todframes.importing.marker_finder import MarkerFinder, Sighting
 from todframes.importing.windows import clipped, field_reach_px, part_of, window_about
-from todframes.recordings.recording import Recording, RecordingWarning
+from todframes.recordings.recording import GAP, Recording, RecordingWarning
 
 SLACK_PX = 16
 """Distance that a triangle may move within a trial."""

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray
 from todframes.charts.markers import marker_bits, marker_ids
+from todframes.recordings.recording import GAP
 from todframes.stimulus import Orientation
 
 EDGE_FRAMES = 3
@@ -33,10 +34,6 @@ MOST_OF_OTHER = 0.03
 
 SCATTER = 6.0
 """The same in median deviations of the shares; noise alone hardly reaches it."""
-
-
-GAP = 1.5
-"""Interval between frames, in frames, from which frames are missing."""
 
 
 TIME_TOLERANCE = 0.05

@@ -6,6 +6,7 @@ import re
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
+from types import ModuleType
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -76,6 +77,10 @@ REPACKED = {
     "p010le": "yuv420p10le",
 }
 """Packed pixel formats and the planar ones with the same samples."""
+
+
+END_OF_IMAGE = b"\xff\xd9"
+"""Last bytes of a JPEG-LS image."""
 
 
 LATE_INTERVALS = 2.0
@@ -258,19 +263,30 @@ def open_video(
     )
 
 
+def pyav(path: Path) -> ModuleType:
+    """Return the module of PyAV. Raises DataError if it is not installed."""
+    try:
+        import av
+    except ImportError:
+        raise missing_extra(path, "video", "av (PyAV)") from None
+    return av
+
+
+def _limit(max_frame_mb: int) -> dict[str, str]:
+    """Return the option by which FFmpeg refuses frames with more pixels than a limit."""
+    return {"max_pixels": str(max_frame_mb * 2**20 // BYTES_PER_PIXEL)}
+
+
 @contextmanager
 def _opened(path: Path, max_frame_mb: int) -> Iterator[tuple[InputContainer, VideoStream]]:
     """Open a file and its first video stream, to decode in as many threads as there are processors.
 
     FFmpeg decodes frames already when it opens a file, so it is given the largest number of pixels before.
     """
-    try:
-        import av
-    except ImportError:
-        raise missing_extra(path, "video", "av (PyAV)") from None
+    av = pyav(path)
     with path.open("rb") as file:
         name = format_of(file.read(N_START))
-    options = {"max_pixels": str(max_frame_mb * 2**20 // BYTES_PER_PIXEL)}
+    options = _limit(max_frame_mb)
     try:
         # The prefix keeps FFmpeg from taking a file name for an address.
         with _logged() as complaints:
@@ -386,6 +402,55 @@ def _frames(
                 f"is truncated: it ends at {last_s:.6g} s, expected {duration_s:.6g} s; {_good(number + 1)}; "
                 "copy the file again, or cut it to its good part",
             )
+
+
+def decoded_jpeg_ls(path: Path, data: bytes, shape: tuple[int, int], max_frame_mb: int) -> NDArray[np.uint16]:
+    """Decode a grey JPEG-LS image of 16 bits, which may have zeros behind its end.
+
+    Parameters
+    ----------
+    path : path
+        The file, for messages.
+    data : bytes
+        The image.
+    shape : (int, int)
+        Rows and columns that it has to have.
+    max_frame_mb : int
+        Largest size of a frame in 2**20 bytes; a pixel counts as `BYTES_PER_PIXEL`.
+
+    Raises
+    ------
+    DataError
+        If PyAV is not installed.
+    FrameError
+        If the image is damaged or has another size.
+    """
+    av = pyav(path)
+    data = data.rstrip(b"\0")
+    if not data.endswith(END_OF_IMAGE):
+        raise FrameError(path, "the JPEG-LS image has no end: truncated")
+
+    def decoded(image: bytes) -> NDArray[np.uint16]:
+        with _logged() as complaints:
+            try:
+                decoder = av.CodecContext.create("jpegls", "r")
+                decoder.options = _limit(max_frame_mb)
+                frames = [*decoder.decode(av.Packet(image)), *decoder.decode(None)]
+            except (av.FFmpegError, ValueError) as error:
+                raise FrameError(path, f"the JPEG-LS image cannot be decoded ({_reason(error)})") from None
+        if complaints or len(frames) != 1 or frames[0].is_corrupt:
+            raise FrameError(path, "the JPEG-LS image is damaged")
+        (frame,) = frames
+        if (frame.height, frame.width, frame.format.name) != (*shape, "gray16le"):
+            found = f"{frame.width} x {frame.height} pixels, {frame.format.name}"
+            raise FrameError(path, f"the JPEG-LS image has {found}, expected {shape[1]} x {shape[0]}, gray16le")
+        return _plane(frame, 0, np.dtype("<u2"))
+
+    values = decoded(data)
+    # FFmpeg goes on with zeros where data are missing: then others behind the data make another image.
+    if not np.array_equal(values, decoded(data[: -len(END_OF_IMAGE)] + bytes([0x55]) * 64 + END_OF_IMAGE)):
+        raise FrameError(path, "the JPEG-LS image is damaged")
+    return values
 
 
 def _good(n_frames: int) -> str:
