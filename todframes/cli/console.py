@@ -31,18 +31,14 @@ if TYPE_CHECKING:
 
 STDOUT, STDERR = 1, 2
 
-
 LONGEST_REMARK = 8000
 """Largest number of characters of a line on standard error; of longer lines the two ends are shown."""
-
 
 MOST_ALIKE = 10
 """Largest number of problems of one kind that are printed."""
 
-
 MOST_ANSWERS = 12
 """Largest number of rows of the table of answers that is printed unless details are asked for."""
-
 
 WHOLE = 10_000
 """Width of a line, in letters, if standard output is not a terminal."""

@@ -41,7 +41,6 @@ from todframes.frames.trials import Group
 
 Value = float | tuple[float, float]
 
-
 Told = tuple[WarningCode, Value, Value, str]
 """A code, what was found, what was expected, and the message."""
 

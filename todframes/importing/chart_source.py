@@ -27,30 +27,23 @@ from todframes.recordings.recording import GAP, Recording, RecordingWarning
 SLACK_PX = 16
 """Distance that a triangle may move within a trial."""
 
-
 SIZE_MARGIN = 1.1
 """Factor by which a window is larger than a triangle needs, so that those of a size have windows of a size."""
-
 
 MOST_RESIDUAL_PX = 0.3
 """Residual of the markers' edges from which the places of triangles are doubtful."""
 
-
 MOST_ROLL_DEGREES, LARGEST_ROLL_DEGREES = 3.0, 30.0
 """Angle between a triangle and the nearest of the four orientations that is told, and that is too large."""
-
 
 REPORTED_STRETCH = 1.05
 """Ratio of the largest to the smallest scale that is told; a chart tilted by 18° has it."""
 
-
 LARGEST_CLOCK_ERROR = 0.1
 """Relative difference of the pages' duration in a film from that of the chart, from which there is a warning."""
 
-
 FEWEST_PAGE_CHANGES = 3
 """Number of changes to the next page from which the duration of pages is measured."""
-
 
 MOST_UNEVEN_CHANGES = 0.2
 """Share of page changes at other intervals up to which a program, and no person, has turned the pages."""

@@ -33,20 +33,15 @@ from todframes.recordings.recording import INTEGRATION_TIME_S, Recording, Record
 LARGEST_TIME_ERROR = 0.1
 """Relative difference of the trials' time from the integration time, above which it is told."""
 
-
 LARGEST_SIZE_RATIO = 1.15
 """Ratio of the displayed sizes of one curve that is told; a tilt of 10° in a field of view of 28° has 1.09."""
-
 
 LARGEST_IMBALANCE = 3.0
 """Ratio of the numbers of trials of two orientations at one level that is told."""
 
-
 DEFAULT_LEVEL = "contrast"
 
-
 REPORT_FILE = "import.json"
-
 
 PathLike = str | os.PathLike[str]
 

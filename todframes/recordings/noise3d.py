@@ -35,21 +35,16 @@ PARTS = {
 }
 """Names of the parts of the noise, and their meanings."""
 
-
 DYNAMIC, STATIC = ("tv", "th", "tvh"), ("v", "h", "vh")
 """Parts of the dynamic noise of a pixel, and of the fixed pattern. Flicker of whole frames (t) is in neither."""
-
 
 MOST_SATURATED = 1e-3
 """Largest share of values at the ends of the scale that gives no warning."""
 
-
 SMALLEST_STEPS = 0.5
 """Standard deviation in steps of the recording, below which quantisation decides what is measured."""
 
-
 Region = tuple[int, int, int, int]
-
 
 Combination = Mapping[str, float]
 """Weights of mean squares, by the name of the part."""

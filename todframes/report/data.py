@@ -30,12 +30,9 @@ if TYPE_CHECKING:
 
 SCHEMA = 1
 
-
 MAX_MB = 64
 
-
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
-
 
 CONTENT = {
     "score": "fits",
@@ -48,24 +45,17 @@ CONTENT = {
 }
 """Commands with a report, and the key that the result of each must have."""
 
-
 Positive = Annotated[float, Meta(gt=0)]
-
 
 Proportion = Annotated[float, Meta(ge=0, le=1)]
 
-
 Interval = tuple[Positive | None, Positive | None]
-
 
 Group = dict[str, float | str]
 
-
 Record = dict[str, Any]
 
-
 NO_DIFFERENCE = "no difference shown"
-
 
 PSNR_STEP_DB, SSIM_STEP = 0.1, 0.005
 """Largest changes of PSNR and SSIM that count as no change."""
@@ -82,7 +72,6 @@ def _empty() -> tuple[()]:
 # JSON leaves out a value that equals its default, but not one that equals the value of a default factory.
 NULL: Any = field(default_factory=_null)
 """Field that may be missing when a result is read, and is written as null if it has no value."""
-
 
 EMPTY: Any = field(default_factory=_empty)
 """Field of a list that may be missing when a result is read, and is written even if it is empty."""

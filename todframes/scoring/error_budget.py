@@ -18,10 +18,8 @@ from todframes.base.errors import for_reader
 
 PlanName = Literal["needed", "full"]
 
-
 LEFT_OUT_SHARE = 0.5
 """Share of the tolerance for the stages that are left out; the rest is for the number of trials."""
-
 
 SAFETY = 2.0
 """Safety factor of a bound: it is estimated on a few trials, and others may differ from them by less than this."""

@@ -30,18 +30,14 @@ from todframes.stimulus import ORIENTATIONS, Stimulus, bounding_box_offset
 HALF_FIELDS_IN_SIZES = (1.5, 2.0, 2.5)
 """Half-widths of the fields that are tried, in triangle sizes."""
 
-
 SLOPE = 0.5
 """Approximate slope dP / d ln level of a psychometric function at its threshold."""
-
 
 MOST_TRIED, ONE_TRIED_OF = 4, 40
 """Largest number and share of a stimulus' trials read with a wide field, besides those nearest to the edges."""
 
-
 MOST_BAD = 100
 """Number of unusable frames after which the plan of a stimulus leaves nothing out."""
-
 
 OUTWARDS = np.array([[1.0, 1.0, 1.0, 0.0, 0.0, -1.0, -1.0, -1.0], [1.0, 0.0, -1.0, 1.0, -1.0, 1.0, 0.0, -1.0]])
 """Eight directions from the middle of a frame, as x and y, shape (2, 8)."""
