@@ -43,17 +43,13 @@ BAND_VALUES = 2**19
 MOST_ROWS_PER_CHUNK = 256
 """Largest number of rows in a chunk of an EXR for any compression; smaller chunk sizes divide it."""
 
-
 # OpenImageIO checks these, and `limits:imagesize_MB`, before it allocates anything.
 oiio.attribute("limits:resolution", MAX_SIDE_PX)
 oiio.attribute("limits:channels", MAX_CHANNELS)
 oiio.attribute("limits:imagesize_MB", MAX_FRAME_MB)
 
 _OPEN_OPTIONS = oiio.ImageSpec()
-
-
 _OPEN_OPTIONS.attribute("oiio:UnassociatedAlpha", 1)  # or OpenImageIO multiplies PNG colours by alpha
-
 
 NUMPY_TYPES: dict[PixelType, Any] = {
     "half": np.float16, "float": np.float32, "uint8": np.uint8, "uint16": np.uint16
