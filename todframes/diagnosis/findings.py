@@ -41,14 +41,14 @@ from todframes.frames.trials import Group
 
 Value = float | tuple[float, float]
 
-Told = tuple[WarningCode, Value, Value, str]
+Finding = tuple[WarningCode, Value, Value, str]
 """A code, what was found, what was expected, and the message."""
 
 
 def frame_warnings(dataset: Dataset, inspections: Sequence[Inspection]) -> list[DatasetWarning]:
     """Return the warnings about frames that do not show what the dataset says.
 
-    A deviation is told if it is larger than its error by far and changes a threshold by more than some per cent.
+    A deviation is reported if it is far larger than its error and changes a threshold by more than some per cent.
 
     Parameters
     ----------
@@ -90,7 +90,7 @@ def _several_sizes(dataset: Dataset, inspections: Sequence[Inspection]) -> Itera
             )
 
 
-def _geometry(dataset: Dataset, one: Inspection) -> Iterator[Told]:
+def _geometry(dataset: Dataset, one: Inspection) -> Iterator[Finding]:
     if one.size_px < LEAST_DISPLAYED_SIZE_PX:
         yield (
             "size_unit",
@@ -111,7 +111,7 @@ def _geometry(dataset: Dataset, one: Inspection) -> Iterator[Told]:
         )
 
 
-def _codes(dataset: Dataset, one: Inspection) -> Iterator[Told]:
+def _codes(dataset: Dataset, one: Inspection) -> Iterator[Finding]:
     ends: tuple[tuple[WarningCode, float | None, str], ...] = (
         ("saturated", one.saturated_share, "the largest code value"),
         ("crushed", one.crushed_share, "code value 0"),
@@ -138,7 +138,7 @@ def _codes(dataset: Dataset, one: Inspection) -> Iterator[Told]:
         )
 
 
-def _background(dataset: Dataset, one: Inspection) -> Iterator[Told]:
+def _background(dataset: Dataset, one: Inspection) -> Iterator[Finding]:
     rule = dataset.display.background_luminance_cd_m2
     by_noise = SKEWED if one.noise_contrast > LOUD else SKEW * one.noise_contrast
     by_pattern = min(
@@ -185,7 +185,7 @@ def _container_bits(one: Inspection) -> int | None:
     return next((bits for bits in BIT_DEPTHS if one.peak_code < 2**bits), None)
 
 
-def _contrast(dataset: Dataset, one: Inspection) -> Iterator[Told]:
+def _contrast(dataset: Dataset, one: Inspection) -> Iterator[Finding]:
     slope, error = one.contrast_slope, one.contrast_slope_error
     if slope is None or error is None:
         return
@@ -222,7 +222,7 @@ def _contrast(dataset: Dataset, one: Inspection) -> Iterator[Told]:
         )
 
 
-def _orientation(_: Dataset, one: Inspection) -> Iterator[Told]:
+def _orientation(_: Dataset, one: Inspection) -> Iterator[Finding]:
     if one.shown_as is None or one.turned_rad is None or one.turned_error_rad is None:
         return
     shown = next(turned for turned in TURNED if turned.name == one.shown_as)
@@ -253,7 +253,7 @@ def _orientation(_: Dataset, one: Inspection) -> Iterator[Told]:
         )
 
 
-def _place(dataset: Dataset, one: Inspection) -> Iterator[Told]:
+def _place(dataset: Dataset, one: Inspection) -> Iterator[Finding]:
     if one.offset_px is None or one.offset_error_px is None:
         return
     pitch, error = dataset.display.pitch_mrad, math.hypot(*one.offset_error_px)
@@ -280,7 +280,7 @@ def _place(dataset: Dataset, one: Inspection) -> Iterator[Told]:
 
 
 def _is_other_size(one: Inspection) -> bool:
-    """Tell whether the triangles are larger or smaller than stated, beyond what their blur may hide."""
+    """Return whether the triangles are larger or smaller than stated, beyond what their blur may hide."""
     if one.size_ratio is None or one.size_ratio_error is None or one.blur_px is None:
         return False
     hidden = LEAST_SIZE_ERROR + (one.blur_px / one.size_px) ** 2
@@ -288,7 +288,7 @@ def _is_other_size(one: Inspection) -> bool:
     return abs(one.size_ratio - 1.0) > least
 
 
-def _size(_: Dataset, one: Inspection) -> Iterator[Told]:
+def _size(_: Dataset, one: Inspection) -> Iterator[Finding]:
     ratio = one.size_ratio
     if ratio is None:
         return
@@ -313,6 +313,6 @@ def _size(_: Dataset, one: Inspection) -> Iterator[Told]:
         )
 
 
-JUDGES: tuple[Callable[[Dataset, Inspection], Iterator[Told]], ...] = (
+JUDGES: tuple[Callable[[Dataset, Inspection], Iterator[Finding]], ...] = (
     _geometry, _codes, _background, _contrast, _orientation, _place, _size
 )  # fmt: skip

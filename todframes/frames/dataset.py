@@ -157,14 +157,14 @@ class Dataset:
         return self.path / frame.path
 
     def has_frame(self, frame: FrameReference) -> bool:
-        """Tell whether the frame's file exists."""
+        """Return whether the frame's file exists."""
         # A million paths take seconds; as Path objects, half a minute.
         return os.path.exists(os.path.join(str(self.path), frame.path))  # noqa: PTH110, PTH118
 
     def content_id(self, frame: FrameReference, *, is_read: bool = False) -> str:
         """Return a text that changes whenever the bytes of the frame do: the SHA-256 of its file.
 
-        `is_read` tells whether this thread has just opened the frame with `verify`.
+        `is_read` states whether this thread has just opened the frame with `verify`.
 
         Raises
         ------
@@ -250,7 +250,7 @@ class RemoteDataset(Dataset):
     contents: RemoteContents = field(default_factory=RemoteContents, compare=False, repr=False)
 
     def has_frame(self, frame: FrameReference) -> bool:
-        """Tell whether the frame's file exists; True if its folder cannot be listed."""
+        """Return whether the frame's file exists; True if its folder cannot be listed."""
         path = self.path / frame.path
         listed = self.contents.listed(path.parent)
         return listed is None or path.name in listed
@@ -472,7 +472,7 @@ class _Manifest:
         return frame
 
     def _is_there(self, frame: str) -> bool:
-        """Tell whether there is a local file of this name."""
+        """Return whether there is a local file of this name."""
         return isinstance(self.folder, str) and os.path.lexists(os.path.join(self.folder, frame))  # noqa: PTH118
 
     def _real_path(self, number_of_path: int) -> str:

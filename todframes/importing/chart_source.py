@@ -34,10 +34,10 @@ MOST_RESIDUAL_PX = 0.3
 """Residual of the markers' edges from which the places of triangles are doubtful."""
 
 MOST_ROLL_DEGREES, LARGEST_ROLL_DEGREES = 3.0, 30.0
-"""Angle between a triangle and the nearest of the four orientations that is told, and that is too large."""
+"""Angle between a triangle and the nearest of the four orientations that is reported, and that is too large."""
 
 REPORTED_STRETCH = 1.05
-"""Ratio of the largest to the smallest scale that is told; a chart tilted by 18° has it."""
+"""Ratio of the largest to the smallest scale that is reported; a chart tilted by 18° has it."""
 
 LARGEST_CLOCK_ERROR = 0.1
 """Relative difference of the pages' duration in a film from that of the chart, from which there is a warning."""
@@ -432,6 +432,6 @@ def page_duration_s(starts: Sequence[tuple[int, float]], frame_s: float) -> floa
 
 
 def _is_same(one: NDArray[np.generic], other: NDArray[np.generic]) -> bool:
-    """Tell whether two frames are equal bit by bit; a row in the middle tells nearly always."""
+    """Return whether two frames are equal bit by bit; a row in the middle nearly always differs."""
     middle = len(one) // 2
     return np.array_equal(one[middle], other[middle]) and np.array_equal(one, other)
