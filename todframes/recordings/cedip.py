@@ -21,14 +21,11 @@ from todframes.recordings.recording import StillHeader, check_size
 START = b"CED\0"
 """First bytes of a film."""
 
-
 N_HEADER = 2106
 """Number of bytes of the main header that are read."""
 
-
 N_CLOCK = 161
 """Number of bytes of a frame's header that the clock is in."""
-
 
 DAY_S = 86400.0
 

@@ -35,14 +35,11 @@ IMAGE_FORMATS = {
 }
 """Patterns of the first bytes of the files that this module reads, and OpenImageIO's names of their formats."""
 
-
 PIXEL_TYPES = ("uint8", "uint16", "int16", "half", "float", "double")
 """Stored types that are read; all others have values that 32-bit floats cannot hold."""
 
-
 RATE_ATTRIBUTES = ("FramesPerSecond", "dpx:FrameRate", "dpx:TemporalFrameRate")
 """Attributes with the frame rate."""
-
 
 LOSSY = RecordingWarning(
     "lossy_compression",

@@ -23,9 +23,7 @@ from todframes.recordings.recording import (
 
 StillKind = Literal["image", "camera raw", "radiometric", "Cedip film", "array"]
 
-
 Kind = StillKind | Literal["video"]
-
 
 READERS: dict[StillKind, StillReader] = {
     "image": images,
@@ -36,10 +34,8 @@ READERS: dict[StillKind, StillReader] = {
 }
 """Modules that read still frames, by kind of file."""
 
-
 SEQUENCES: tuple[StillKind, ...] = ("image", "camera raw", "radiometric")
 """Kinds of which all files together are one recording; each file of another kind is a recording of its own."""
-
 
 EXPECTED = "expected an image, video, camera raw, radiometric (FLIR, Cedip) or NumPy file"
 

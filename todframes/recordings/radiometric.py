@@ -28,42 +28,32 @@ from todframes.recordings.video import decoded_jpeg_ls, pyav
 FFF_START, JPEG_START = (b"FFF\0", b"AFF\0"), b"\xff\xd8\xff"
 """First bytes of FLIR's containers, and of JPEG files, which may contain one."""
 
-
 MAX_JPEG_MB = 256
 """Largest size of a radiometric JPEG, in 2**20 bytes."""
-
 
 MOST_RECORDS = 1000
 """Number of records of a container that are looked at."""
 
-
 JPEG_LS_START = b"\xff\xd8\xff\xf7"
 """First bytes of counts that are compressed by JPEG-LS, as in CSQ: the start of the image, and of its frame."""
-
 
 N_START = 256
 """Number of bytes of a record of counts in which the headers of a PNG or JPEG-LS are looked for."""
 
-
 START_OF_SCAN = 0xDA
 """Marker of the header of a JPEG-LS scan, which has one component here."""
-
 
 LONGEST_REST = 2**20
 """Bytes that compressed counts may have besides twice those of plain ones; more are not read."""
 
-
 BYTE_ORDERS: dict[bytes, Literal["<", ">"]] = {b"\2\0": "<", b"\0\2": ">"}
 """Byte orders of a record by its first two bytes, which are the number 2."""
-
 
 RAW_DATA, CAMERA_INFO = 1, 32
 """Types of the records with the counts, and with the constants of the camera."""
 
-
 TIME_AT = 0x384
 """Place of the time in the record of the camera: seconds since 1970, and milliseconds."""
-
 
 ABSOLUTE_ZERO_CELSIUS = -273.15
 

@@ -18,19 +18,15 @@ from todframes.base.errors import DataError, FrameError, SettingsError, argument
 INTEGRATION_TIME_S = 0.1
 """Time in which the eye integrates. Hogervorst et al. 2001, section 4."""
 
-
 BYTES_PER_PIXEL = 8
 """Bytes that a pixel of a recording counts as at least, whatever its type: as much is taken to look at it, and the
 pixel format of a video is known from a decoded frame only."""
 
-
 GAP = 1.5
 """Interval between frames, in frames, from which frames are missing."""
 
-
 TIMES_FILE = "times.csv"
 """File in a folder of stills that has their times."""
-
 
 Unit = Literal["code", "counts", "celsius"]
 """Code values of a picture, counts of a detector, or temperatures."""

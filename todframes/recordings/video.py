@@ -48,26 +48,20 @@ VIDEO_FORMATS = {
 FFmpeg is told the format: playlists and scripts, which name other files or addresses, are none of them.
 """
 
-
 N_START = 189
 """Number of first bytes that `format_of` needs."""
-
 
 MATRICES = {1: (0.2126, 0.0722), 5: (0.299, 0.114), 6: (0.299, 0.114), 7: (0.212, 0.087), 9: (0.2627, 0.0593)}
 """Weights of R' and B' in luma by number of the matrix in H.273: BT.709, BT.601 (twice), 240M, BT.2020."""
 
-
 MATRIX_NAMES = {1: "BT.709", 6: "BT.601"}
 """Names of the matrices that are assumed if the stream declares none."""
-
 
 LIMITED, UNSPECIFIED_MATRIX = 1, 2
 """FFmpeg's numbers of the limited range, and of a matrix that is not declared."""
 
-
 HD_ROWS = 720
 """Smallest number of rows for which BT.709 is assumed; BT.601 for fewer."""
-
 
 REPACKED = {
     "yuyv422": "yuv422p",
@@ -78,10 +72,8 @@ REPACKED = {
 }
 """Packed pixel formats and the planar ones with the same samples."""
 
-
 END_OF_IMAGE = b"\xff\xd9"
 """Last bytes of a JPEG-LS image."""
-
 
 LATE_INTERVALS = 2.0
 """Number of the longest intervals between frames by which a video may end before its declared duration."""
