@@ -44,7 +44,7 @@ from todframes.diagnosis.triangle import (
     picture,
     within,
 )
-from todframes.diagnosis.windows import Codes, FrameSample, measure_frame
+from todframes.diagnosis.windows import Codes, TrialSample, measure_trial
 from todframes.frames.dataset import Dataset
 from todframes.frames.position import size_in_px
 from todframes.frames.surround import HOLE_IN_SIZES
@@ -168,8 +168,9 @@ def inspect(dataset: Dataset, trials: Sequence[Trial], *, centre: Centre = "cent
     """
     trials = Trials.of(trials)
     of_stimulus = list(alike(trials))
-    in_all = max(SAMPLED, SAMPLED_SHARE * len(trials))
-    most = int(min(max(in_all / max(len(of_stimulus), 1), LEAST_SAMPLED), MOST_SAMPLED))
+    frames_a_trial = max(trials.n_frames / max(len(trials), 1), 1.0)
+    of_each = max(SAMPLED, SAMPLED_SHARE * trials.n_frames) / frames_a_trial / max(len(of_stimulus), 1)
+    most = int(min(max(of_each, LEAST_SAMPLED), MOST_SAMPLED))
     found = []
     for members in of_stimulus:
         ours = trials.select(members)
@@ -223,16 +224,16 @@ def _spread(trials: Trials, most: int) -> Trials:
     return trials.select(ordered[np.linspace(0, len(trials) - 1, most).round().astype(int)])
 
 
-def _samples(dataset: Dataset, trials: Trials, centre: Centre, size_mrad: float) -> Iterator[FrameSample]:
+def _samples(dataset: Dataset, trials: Trials, centre: Centre, size_mrad: float) -> Iterator[TrialSample]:
     size_px = min(size_mrad / dataset.display.pitch_mrad, 1e300)
     for trial in trials:
         try:
-            yield measure_frame(dataset, trial, centre, size_px=size_px)
+            yield measure_trial(dataset, trial, centre, size_px=size_px)
         except DataError:
             continue
 
 
-def _measured(dataset: Dataset, group: Group, stimulus: Stimulus, samples: Sequence[FrameSample]) -> Inspection:
+def _measured(dataset: Dataset, group: Group, stimulus: Stimulus, samples: Sequence[TrialSample]) -> Inspection:
     level = np.array([sample.trial.level for sample in samples])
     strength = strengths(dataset, level)
     ratio = np.array([sample.ring_cd_m2 / sample.background_cd_m2 for sample in samples])
@@ -266,7 +267,7 @@ def _measured(dataset: Dataset, group: Group, stimulus: Stimulus, samples: Seque
     )
 
 
-def _static_error(samples: Sequence[FrameSample], scatter: float, size: float) -> float:
+def _static_error(samples: Sequence[TrialSample], scatter: float, size: float) -> float:
     """Estimate the relative error of the luminance around the triangle from a pattern that all frames share.
 
     It is that of the mean of eight sectors around the triangle. On a small frame a blurred pattern makes all
@@ -334,7 +335,7 @@ class GroupFit(NamedTuple):
     signal: float
 
     @classmethod
-    def of(cls, samples: Sequence[FrameSample], level: FloatArray, sizes: FloatArray, size: float) -> GroupFit:
+    def of(cls, samples: Sequence[TrialSample], level: FloatArray, sizes: FloatArray, size: float) -> GroupFit:
         """Fit the triangle of some trials, whose sizes are alike."""
         turns = np.array([sample.trial.orientation.quarter_turns for sample in samples])
         even = samples[0].trial.stimulus.polarity * np.array([sample.even for sample in samples])
@@ -363,7 +364,7 @@ class GroupFit(NamedTuple):
 
 
 def _of_triangle(
-    samples: Sequence[FrameSample], level: FloatArray, sizes: FloatArray, size: float, block_px: int
+    samples: Sequence[TrialSample], level: FloatArray, sizes: FloatArray, size: float, block_px: int
 ) -> dict[str, Any]:
     """Measure the triangle; lengths are in blocks until the end."""
     of_group = GroupFit.of(samples, level, sizes, size)

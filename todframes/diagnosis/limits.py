@@ -57,7 +57,7 @@ MOST_SAMPLED, LEAST_SAMPLED = 24, 8
 """Most and fewest trials of a stimulus in a group that are measured."""
 
 SAMPLED, SAMPLED_SHARE = 96, 0.04
-"""Number of trials that are measured in all, and their share of the trials if that is more."""
+"""Number of frames that are measured in all, and their share of the frames if that is more."""
 
 CONTRASTS = (1e-9, 1e9)
 """Range of contrasts that are computed with; beyond it are mistakes in a manifest, whose squares may overflow."""
