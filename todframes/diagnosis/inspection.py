@@ -18,6 +18,7 @@ from todframes.diagnosis.limits import (
     CLEAR,
     CLEARLY_TURNED,
     CONTRASTS,
+    LEAST_APART,
     LEAST_SAMPLED,
     LEAST_SIGNAL,
     LEAST_SIZE,
@@ -38,7 +39,9 @@ from todframes.diagnosis.triangle import (
     TrialEstimates,
     X,
     Y,
+    aligned,
     first_guess,
+    fit,
     fitted,
     of_trials,
     picture,
@@ -316,10 +319,8 @@ class GroupFit(NamedTuple):
     fit : Fit
         The triangle that all share; its contrast is positive if of the stated polarity.
     trials : TrialEstimates
-    share : ndarray, shape (trial,)
-        Share of each trial in what is measured.
-    stated : ndarray, shape (trial, 3)
-        Stated place from the middle of the window, and logarithm of the size as a share of `size`.
+    middle : ndarray, shape (3,)
+        Mean stated place, from the middle of the window, and mean logarithm of the size as a share of `size`.
     error : ndarray, shape (4,)
         Standard errors of contrast, x, y and size (as a share): by noise, and by the spread over the trials.
     signal : float
@@ -329,8 +330,7 @@ class GroupFit(NamedTuple):
     images: Images
     fit: Fit
     trials: TrialEstimates
-    share: FloatArray
-    stated: FloatArray
+    middle: FloatArray
     error: FloatArray
     signal: float
 
@@ -343,19 +343,21 @@ class GroupFit(NamedTuple):
         noise = noise_of_frames(even, level, known, size)
         share = np.square(level / noise) / np.square(level / noise).sum()
         stated = np.column_stack([[sample.offset for sample in samples], np.log(sizes / size)])
-        frames = {"level": level, "noise": noise, "turns": turns, "apart": stated - share @ stated}
-        images = Images.of(even, known=known, hole=HOLE_IN_SIZES * size, **frames)
+        frames = {"level": level, "noise": noise, "turns": turns}
+        hole = HOLE_IN_SIZES * size
+        images = Images.of(even, known=known, hole=hole, **frames)
         found = fitted(images, first_guess(images, size), CERTAIN_TURN)
+        middle = share @ stated
+        apart = stated - middle
+        if np.abs(apart).max() > LEAST_APART:
+            even = aligned(even, found, level=level, turns=turns, apart=apart)
+            images = Images.of(even, known=known, hole=hole, **frames)
+            found = fit(images, found.shape, found.shown)
         each = of_trials(found, images, even, **frames)
         excess = np.maximum(np.square(share) @ (np.square(each.away) - np.square(each.error)), 0.0)
         of_noise = np.array([*(found.error((one, 1.0)) for one in (AMPLITUDE, X, Y)), found.size_error])
         signal = float(abs(found.shape.amplitude) / of_noise[0]) if of_noise[0] > 0.0 else math.inf
-        return cls(images, found, each, share, stated, np.sqrt(np.square(of_noise) + excess), signal)
-
-    @property
-    def middle(self) -> FloatArray:
-        """The mean of what is stated, (3,)."""
-        return np.asarray(self.share @ self.stated)
+        return cls(images, found, each, middle, np.sqrt(np.square(of_noise) + excess), signal)
 
     @property
     def offset(self) -> FloatArray:
@@ -368,8 +370,8 @@ def _of_triangle(
 ) -> dict[str, Any]:
     """Measure the triangle; lengths are in blocks until the end."""
     of_group = GroupFit.of(samples, level, sizes, size)
-    images, found, each, share, stated, error, signal = of_group
-    shape, middle = found.shape, of_group.middle
+    images, found, each, middle, error, signal = of_group
+    shape = found.shape
     turns = np.array([sample.trial.orientation.quarter_turns for sample in samples])
     known = images.weight > 0.0
     polarity = samples[0].trial.stimulus.polarity
@@ -392,7 +394,6 @@ def _of_triangle(
     ranked = np.sort(each.likeness, axis=1)
     clear_turn = ranked[:, 3] - ranked[:, 2] > CLEARLY_TURNED * each.likeness_error
     shown = np.array(found.shown)[turns]
-    stated_variance = float(share @ np.square(stated[:, :2] - middle[:2]).mean(axis=1))
     return measured | {
         "offset_px": tuple((block_px * of_group.offset).tolist()),
         "offset_error_px": tuple((block_px * error[1:3]).tolist()),
@@ -402,7 +403,7 @@ def _of_triangle(
         "size_scatter": _scatter(each.away[clear_place, 3:], each.error[clear_place, 3:]),
         "turned_rad": shape.turn_rad,
         "turned_error_rad": found.turn_error_rad,
-        "blur_px": block_px * math.sqrt(max(shape.variance - stated_variance, 0.0)),
+        "blur_px": block_px * math.sqrt(max(shape.variance, 0.0)),
         "shown_as": next(one.name for one in TURNED if one.shown == found.shown),
         "wrong_orientation": int((clear_turn & (each.likeness.argmax(axis=1) != shown)).sum()),
         "n_orientation": int(clear_turn.sum()),

@@ -48,6 +48,10 @@ UNSTEADY = 2.0
 """Standard deviation of a block around the triangle over trials, in those of the noise there, beyond which it
 counts less: letters that change from frame to frame then count no more than the noise does elsewhere."""
 
+LEAST_APART = 1e-3
+"""Least difference of stated places, in blocks, and of sizes for frames to be aligned: a twentieth of what fits of
+single frames resolve."""
+
 SIZES_TRIED = np.geomspace(0.25, 5.0, 11)
 """Sizes that are tried, as multiples of the stated one."""
 
