@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
+from todframes.base.errors import argument
 from todframes.diagnosis.arrangement import TURNED
 from todframes.diagnosis.inspection import Inspection, is_contrast
 from todframes.diagnosis.limits import (
@@ -14,9 +15,9 @@ from todframes.diagnosis.limits import (
     COARSE_PER_LEVEL,
     CONTRAST_ERROR,
     DITHERED,
+    LEAST_DISPLAYED_SIZE_PX,
     LEAST_OFFSET_PX,
     LEAST_SIZE_ERROR,
-    LEAST_SIZE_PX,
     LOUD,
     MATTERS,
     MOST_BY_PATTERN,
@@ -105,11 +106,11 @@ def place_deviations(dataset: Dataset, inspection: Inspection) -> Iterator[Devia
 
 
 def _geometry(dataset: Dataset, one: Inspection) -> Iterator[Deviation]:
-    if one.size_px < LEAST_SIZE_PX:
+    if one.size_px < LEAST_DISPLAYED_SIZE_PX:
         yield Deviation(
             "size_unit",
             one.size_px,
-            LEAST_SIZE_PX,
+            LEAST_DISPLAYED_SIZE_PX,
             f"a triangle of {one.stimulus.size_mrad:g} mrad is {one.size_px:.2g} pixels of "
             f"{dataset.display.pitch_mrad:g} mrad",
             "the display cannot show where it points; check that size_mrad and the pixel pitch are in mrad",
@@ -280,7 +281,7 @@ def _place(dataset: Dataset, one: Inspection) -> Iterator[Deviation]:
             (one.stated_px[0] + dx, one.stated_px[1] + dy),
             one.stated_px,
             f"the triangles lie {offset:.3g} pixels ({dx:+.2f} in x, {dy:+.2f} in y) from where the dataset says",
-            "the observer looks beside them; correct x_px and y_px, or take them out and use --locate",
+            f"the observer looks beside them; correct x_px and y_px, or take them out and use {argument.locate}",
         )
     if (one.scatter_px or 0.0) > max(SCATTER_MRAD / pitch, LEAST_OFFSET_PX, SCATTER_PER_BLUR * blur_px):
         yield Deviation(
@@ -288,7 +289,7 @@ def _place(dataset: Dataset, one: Inspection) -> Iterator[Deviation]:
             one.scatter_px or 0.0,
             0.0,
             f"the triangles' places scatter by {one.scatter_px:.2g} pixels from frame to frame",
-            "the camera moved; fix it, give each frame its x_px and y_px, or use --locate each",
+            f"the camera moved; fix it, give each frame its x_px and y_px, or use {argument.locate} each",
         )
 
 

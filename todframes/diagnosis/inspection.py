@@ -17,7 +17,6 @@ from todframes.diagnosis.limits import (
     CERTAIN_TURN,
     CLEAR,
     CLEARLY_TURNED,
-    CONTRASTS,
     LEAST_APART,
     LEAST_SAMPLED,
     LEAST_SIGNAL,
@@ -28,15 +27,16 @@ from todframes.diagnosis.limits import (
     SAMPLED_SHARE,
     SCATTER_ERRORS,
     SIZES_ALIKE,
+    USABLE_CONTRASTS,
     WHOLE_IN_SIZES,
 )
 from todframes.diagnosis.triangle import (
     AMPLITUDE,
-    Fit,
     Images,
     Shape,
     Square,
     TrialEstimates,
+    TriangleFit,
     X,
     Y,
     aligned,
@@ -196,7 +196,7 @@ def is_contrast(dataset: Dataset) -> bool:
 
 def strengths(dataset: Dataset, level: FloatArray) -> FloatArray:
     """Return what the displayed contrast is proportional to: the level if it is a contrast, else not known, 1."""
-    return np.clip(level, *CONTRASTS) if is_contrast(dataset) else np.ones(len(level))
+    return np.clip(level, *USABLE_CONTRASTS) if is_contrast(dataset) else np.ones(len(level))
 
 
 def _sizes_mrad(trials: Trials) -> FloatArray:
@@ -310,13 +310,13 @@ def _of_codes(codes: Sequence[Codes]) -> dict[str, Any]:
     }
 
 
-class GroupFit(NamedTuple):
+class GroupTriangle(NamedTuple):
     """The triangle of a group's frames, and of each of them, in blocks.
 
     Attributes
     ----------
     images : Images
-    fit : Fit
+    fit : TriangleFit
         The triangle that all share; its contrast is positive if of the stated polarity.
     trials : TrialEstimates
     middle : ndarray, shape (3,)
@@ -328,14 +328,16 @@ class GroupFit(NamedTuple):
     """
 
     images: Images
-    fit: Fit
+    fit: TriangleFit
     trials: TrialEstimates
     middle: FloatArray
     error: FloatArray
     signal: float
 
     @classmethod
-    def of(cls, samples: Sequence[TrialSample], level: FloatArray, sizes: FloatArray, size: float) -> GroupFit:
+    def of(
+        cls, samples: Sequence[TrialSample], level: FloatArray, sizes: FloatArray, size: float
+    ) -> GroupTriangle:
         """Fit the triangle of some trials, whose sizes are alike."""
         turns = np.array([sample.trial.orientation.quarter_turns for sample in samples])
         even = samples[0].trial.stimulus.polarity * np.array([sample.even for sample in samples])
@@ -369,7 +371,7 @@ def _of_triangle(
     samples: Sequence[TrialSample], level: FloatArray, sizes: FloatArray, size: float, block_px: int
 ) -> dict[str, Any]:
     """Measure the triangle; lengths are in blocks until the end."""
-    of_group = GroupFit.of(samples, level, sizes, size)
+    of_group = GroupTriangle.of(samples, level, sizes, size)
     images, found, each, middle, error, signal = of_group
     shape = found.shape
     turns = np.array([sample.trial.orientation.quarter_turns for sample in samples])

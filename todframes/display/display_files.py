@@ -38,14 +38,11 @@ from todframes.display.display import Display, LuminanceTable
 SCHEMA = 1
 """Version of the format of display files that this package reads."""
 
-
 SUFFIX = ".toml"
 """End of the names of display files; any other text is the name of a display of this package."""
 
-
 LUT_FILE = "lut.csv"
 """Name that a display's table of luminances gets in a dataset."""
-
 
 FOLDER = Path(__file__).with_name("displays")
 
@@ -88,7 +85,7 @@ def find_display(name: str, *, where: str = "display", folder: Location | None =
         try:
             path_inside(resolved(folder), name, f"{where}:")
         except DataError as error:
-            raise SettingsError(str(error)) from None
+            raise SettingsError(error.marked) from None
         return read_display(folder / name)
     names = display_names()
     if name not in names:
@@ -182,7 +179,7 @@ def _read_lut(folder: Location, name: str, named: str) -> LuminanceTable:
         path_inside(resolved(folder), name, named)
         values = read_numbers(path, columns)
     except DataError as error:
-        raise SettingsError(str(error)) from None
+        raise SettingsError(error.marked) from None
     code, luminance = np.array(values, dtype=np.float64).reshape(-1, 2).T
     try:
         return LuminanceTable(code, luminance)

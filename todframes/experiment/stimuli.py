@@ -21,7 +21,6 @@ from todframes.stimulus import coverage
 MEAN_TOLERANCE = 5e-4
 """Largest error of the mean contrast over a triangle that dither may leave."""
 
-
 MOST_SEEDS = 16
 """Number of places of the dither pattern that are tried."""
 
@@ -73,7 +72,7 @@ def trial_image(dataset: Dataset, trial: Trial) -> TrialImage:
             except FrameError:
                 raise
             except TodframesError as error:
-                raise FrameError(file.path, str(error)) from None
+                raise FrameError(file.path, error.marked) from None
         if total is not None and total.shape != contrast.shape:
             raise FrameError(
                 file.path,

@@ -20,7 +20,6 @@ from todframes.frames.trials import Trial
 COLUMN = "sha256"
 """Name of the manifest column with the checksums."""
 
-
 BYTE_ORDER_MARK = "\ufeff"
 
 

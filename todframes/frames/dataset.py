@@ -42,25 +42,19 @@ from todframes.stimulus import ORIENTATIONS, Stimulus
 SCHEMA = 1
 """Version of the format of `dataset.toml` that this package reads."""
 
-
 BACKGROUND_COLUMN = "background_luminance_cd_m2"
 """Name of the manifest column with each frame's background luminance."""
-
 
 REFERENCE_COLUMN = "reference_frame"
 """Name of the manifest column with the path of the same frame without noise."""
 
-
 MOST_REMEMBERED = 1024
 """Number of files behind URLs of which a thread remembers what it read."""
 
-
 ORIENTATION_OF = {one.value: one for one in ORIENTATIONS}
-
 
 MOST_ROWS, MOST_BAD_ROWS = 20_000_000, 100_000
 """Largest number of rows of a manifest, and of those that cannot be used: each has a message."""
-
 
 LEAST_SLOTS = 1024
 """Number of slots of a new index; a power of 2."""
@@ -351,7 +345,7 @@ def _read_settings(path: Location) -> tuple[Display, Experiment]:
     try:
         path_inside(resolved(path.parent), path.name, f"{path}:")
     except DataError as error:
-        raise SettingsError(str(error)) from None
+        raise SettingsError(error.marked) from None
     content = read_toml(path)
     check_keys(content, ["schema", "display", "experiment"], str(path))
     if content.get("schema") != SCHEMA:

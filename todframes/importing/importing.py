@@ -15,7 +15,7 @@ from typing import Literal, Protocol
 import numpy as np
 
 from todframes import __version__
-from todframes.base.errors import DataError, SettingsError, argument
+from todframes.base.errors import DataError, SettingsError, argument, for_reader
 from todframes.base.output import Going, new_folder, remove_others, store_path
 from todframes.base.reading import toml_text
 from todframes.base.safe_text import csv_text, one_line
@@ -39,20 +39,15 @@ from todframes.recordings.recording import INTEGRATION_TIME_S, Recording, Record
 LARGEST_TIME_ERROR = 0.1
 """Relative difference of the trials' time from the integration time, above which it is told."""
 
-
 LARGEST_IMBALANCE = 3.0
 """Ratio of the numbers of trials of two orientations at one level that is told."""
-
 
 CAUSES: Mapping[str, str] = {"position_scatter": "shake", "turned": "rolled"}
 """Warnings of recordings that explain what the frames of the dataset show."""
 
-
 DEFAULT_LEVEL = "contrast"
 
-
 REPORT_FILE = "import.json"
-
 
 PathLike = str | os.PathLike[str]
 
@@ -243,15 +238,16 @@ def import_recordings(
                 f"Display: {one_line(shown.title)}",
             ),
         )
-        of_recordings = (
+        to_report = (
             *_of_recordings(opened),
             *source.warnings(),
             *_of_trials(division, source, opened, time_s, steady=steady),
             *_of_design(division.trials, written, source),
             *_of_windows(written, is_clipped=is_clipped),
         )
-        shown_wrong = _of_frames(load_dataset(folder), {code for code, _ in of_recordings})
-        warnings = (*of_recordings, *shown_wrong)
+        dataset = load_dataset(folder, max_frame_mb=max_frame_mb)
+        to_report += tuple(_of_frames(dataset, {code for code, _ in to_report}))
+        warnings = tuple(RecordingWarning(code, for_reader(message)) for code, message in to_report)
         notes = (*source.notes(), *_of_time(opened, time_s))
         n_clips = sum(clip.n_trials > 0 for clip in source.clips)
         report = {
@@ -381,7 +377,7 @@ def _of_trials(
                 yield RecordingWarning(
                     "no_times",
                     f"{recording.path}: has no times, so each frame is a trial of its own; "
-                    "--frames-per-second gives them",
+                    f"{argument.frames_per_second} gives them",
                 )
             elif interval_s > 1.5 * time_s:
                 yield RecordingWarning(
@@ -402,7 +398,7 @@ def _of_trials(
             "shake",
             f"in {len(moving)} of {len(motions)} trials the triangle moves on the display within the integration "
             f"time, by up to {max(moving):.2g} px (rms); the eye sees it blurred, and so does the observer; if "
-            "the camera in use does not shake, take a tripod, or --steady",
+            f"the camera in use does not shake, take a tripod, or {argument.steady}",
         )
 
 
@@ -458,7 +454,7 @@ def _of_frames(dataset: Dataset, said: Collection[str]) -> Iterator[RecordingWar
         yield RecordingWarning(
             "misplaced",
             f"{group}: {first}{others}: the places and sizes that were imported are not those in the frames; "
-            "check the chart or the schedule, and the lens, and use --locate to score",
+            f"check the chart or the schedule, and the lens, and use {argument.locate} to score",
         )
 
 
@@ -482,8 +478,8 @@ def _of_windows(written: dict[str, WrittenWindow], *, is_clipped: bool) -> Itera
         done = "and were clipped, as the display does" if is_clipped else "and were kept"
         yield RecordingWarning(
             "beyond_range",
-            f"{100 * n_beyond / n_values:.2g} % of the values lie beyond black and white {done}; a wider --range "
-            "keeps them",
+            f"{100 * n_beyond / n_values:.2g} % of the values lie beyond black and white {done}; a wider "
+            f"{argument.value_range} keeps them",
         )
 
 

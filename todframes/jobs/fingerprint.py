@@ -18,7 +18,6 @@ import numpy as np
 PACKAGES = ("numpy", "scipy", "opencv-contrib-python-headless", "OpenImageIO", "scikit-image")
 """Packages whose versions may change the last digits of a result."""
 
-
 OWN_PACKAGES = ("todframes", "sensor_sim")
 """Packages whose code gives the results."""
 

@@ -47,10 +47,8 @@ THRESHOLD_COLUMNS = (
     Column(key="run_time_s", header="time (s)", digits=2, is_detail=True, rank=1),
 )
 
-
-RATES = {"gamma": "guess_rate", "delta": "lapse_rate"}
+RATE_COLUMNS = {"gamma": "guess_rate", "delta": "lapse_rate"}
 """Attributes of a fit whose columns have the names of the keys in JSON."""
-
 
 RATIO_COLUMNS = (
     Column(key="ratio", none="1", digits=3),
@@ -64,10 +62,8 @@ RATIO_COLUMNS = (
     Column(key="contrast_gain", header="gain", digits=3, none="", rank=5),
 )
 
-
 BEYOND_GAIN = ("contrast_gain", "beyond_gain", "beyond_gain_ci95")
 """Columns that a comparison of drawn answers does not have."""
-
 
 MEASURE_COLUMNS = (
     Column(key="domain", header="works on", is_detail=True),
@@ -81,9 +77,7 @@ MEASURE_COLUMNS = (
     Column(key="cpu_s", header="CPU time (s)", digits=3, rank=1),
 )
 
-
 ALGORITHM = Column(key="algorithm", is_name=True)
-
 
 TAKEN = {"algorithm", "spec", "threshold", "level", *(one.key for one in THRESHOLD_COLUMNS + RATIO_COLUMNS)}
 """Column names in use; a group column with one of these names is renamed."""
@@ -121,7 +115,7 @@ def thresholds(result: ResultData, title: str = "") -> Table:
     computed = not any(fit.n_trials for _, fit in fits)
     names = ("threshold", *(one.key for one in THRESHOLD_COLUMNS))
     records = [
-        more | _group_record(fit.group) | {name: getattr(fit, RATES.get(name, name)) for name in names}
+        more | _group_record(fit.group) | {name: getattr(fit, RATE_COLUMNS.get(name, name)) for name in names}
         for more, fit in fits
     ]
     if computed:
@@ -308,7 +302,6 @@ def plan(result: ResultData) -> Table:
 
 LONGEST_LIST = 16
 """Largest number of values of a setting that are shown."""
-
 
 UNUSED = ("bound", "saves_s")
 """Keys of a plan's step that have no meaning if the step is kept."""
