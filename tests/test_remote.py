@@ -26,8 +26,7 @@ import pytest
 import todframes as tod
 from todframes.base import remote
 from todframes.base.errors import DataError, FrameError, OutputError, RemoteError, SettingsError
-from todframes.base.locations import RemotePath
-from todframes.base.remote import location
+from todframes.base.locations import RemotePath, location
 from todframes.cli.main import cli
 from todframes.frames.checksums import dataset_warnings, write_sha256
 from todframes.frames.dataset import FrameReference, load_dataset

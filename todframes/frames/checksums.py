@@ -10,11 +10,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from todframes.base.errors import DataError, OutputError
-from todframes.base.locations import RemotePath, in_utf8
-from todframes.base.output import write_file
+from todframes.base.locations import RemotePath
+from todframes.base.safe_text import in_utf8
 from todframes.frames.dataset import Dataset, DatasetWarning
 from todframes.frames.files import has_own_checksums
-from todframes.frames.memory import MemoryDataset
 from todframes.frames.trials import Trial
 
 COLUMN = "sha256"
@@ -45,7 +44,7 @@ def dataset_warnings(dataset: Dataset, trials: Sequence[Trial]) -> list[DatasetW
     FrameError
         If a frame file can no longer be read.
     """
-    if isinstance(dataset, MemoryDataset):
+    if dataset.is_in_memory:
         return []
     n_frames = unverified = 0
     for trial in trials:
@@ -93,6 +92,8 @@ def write_sha256(dataset: Dataset, sha256_of: Mapping[str, str]) -> None:
     """
     if not sha256_of:
         return
+    from todframes.base.output import write_file
+
     path = _manifest(dataset)
     try:
         text = path.read_bytes().decode()

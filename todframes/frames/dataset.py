@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Literal, NamedTuple
 
 from todframes.base.errors import DataError, FrameError, RemoteError, SettingsError
-from todframes.base.locations import Location, RemotePath
+from todframes.base.locations import Location, RemotePath, location
 from todframes.base.reading import (
     check_columns,
     check_fields,
@@ -26,7 +26,6 @@ from todframes.base.reading import (
     resolved,
     spelling_hint,
 )
-from todframes.base.remote import entity_tag, list_folder, location, read_content
 from todframes.display.display import Display
 from todframes.display.display_files import display_of_table, find_display
 from todframes.frames.files import (
@@ -154,6 +153,11 @@ class Dataset:
         object.__setattr__(self, "trials", Trials.of(self.trials))
 
     @property
+    def is_in_memory(self) -> bool:
+        """Whether the frames are arrays, and in no file."""
+        return self.manifest_sha256 is None
+
+    @property
     def n_frames(self) -> int:
         """Number of frames in the manifest, those in bad rows included."""
         return self.trials.n_frames + len(self.bad_rows)
@@ -211,6 +215,8 @@ class RemoteContents:
 
     def listed(self, folder: RemotePath) -> dict[str, str | None] | None:
         """Return the entity tags of the files of a folder by name; None if it cannot be listed."""
+        from todframes.base.remote import list_folder
+
         with self._lock:
             if folder not in self._listed:
                 self._listed[folder] = list_folder(folder)
@@ -224,6 +230,8 @@ class RemoteContents:
         FrameError, RemoteError
             If it cannot be read.
         """
+        from todframes.base.remote import read_content
+
         try:
             content = read_content(path)
         except RemoteError:
@@ -281,6 +289,8 @@ class RemoteDataset(Dataset):
             if found is None:
                 raise FrameError(path, "was not read by this thread, so its content is not known")
             return found
+        from todframes.base.remote import entity_tag
+
         listed = self.contents.listed(path.parent) or {}
         try:
             tag = listed[path.name] if path.name in listed else entity_tag(path)

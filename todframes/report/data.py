@@ -15,8 +15,8 @@ import msgspec
 from msgspec import Meta, Struct, field
 
 from todframes.base.errors import DataError
-from todframes.base.locations import in_utf8
 from todframes.base.reading import read_file
+from todframes.base.safe_text import in_utf8
 
 if TYPE_CHECKING:
     from todframes.diagnosis.missing_threshold import Explanation
