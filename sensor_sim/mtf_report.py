@@ -11,7 +11,7 @@ from sensor_sim.chain.sensor import Sensor
 from sensor_sim.chain.transfer import stages
 from todframes import __version__
 from todframes.report.figure_style import COLOURS, INK
-from todframes.report.figures import Picture, drawn
+from todframes.report.figures import ReportFigure, drawn
 from todframes.report.saving import Saving, json_file
 from todframes.report.table import Column, Table
 
@@ -145,7 +145,7 @@ class SensorMtf(msgspec.Struct, Saving, frozen=True, kw_only=True):
 
     def files(self) -> dict[str, bytes]:
         """Return the content of `mtf.csv` and `mtf.png`, by name."""
-        picture = Picture(self.sensor, MTF_NOTE, self.draw, "mtf.png")
+        picture = ReportFigure(self.sensor, MTF_NOTE, self.draw, "mtf.png")
         return {"mtf.csv": self.table().csv().encode(), picture.file: picture.png()}
 
 

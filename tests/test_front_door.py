@@ -387,6 +387,15 @@ def test_an_error_names_what_its_reader_wrote(capsys, call, arguments, command, 
     assert option in capsys.readouterr().err
 
 
+def test_an_error_about_a_frame_names_the_option_too(capsys) -> None:
+    algorithm = "gaussian:sigma=1"
+    with pytest.raises(tod.FrameError, match=r"above white \(1\); .* \(white\)$") as caught:
+        tod.compare(NAKED_EYE, [algorithm])
+    assert caught.value.problem.endswith("(white)")
+    assert run(cli, ["compare", str(NAKED_EYE), "--enhance", algorithm]) == 1
+    assert capsys.readouterr().err.rstrip().endswith("(--white)")
+
+
 def test_every_command_has_a_call() -> None:
     renamed = {
         "fit": "fit_counts",

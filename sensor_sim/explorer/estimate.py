@@ -23,7 +23,7 @@ from sensor_sim.chain.sampling import TriangleSampler, field_detectors, smallest
 from sensor_sim.chain.sensor import Sensor
 from sensor_sim.thresholds.curve_plan import CurvePlan, centre_offset
 from sensor_sim.thresholds.folding import Folding, is_unblurred
-from sensor_sim.thresholds.predict import KRONECKER_STEPS, Found, Lattice, Phases, phases_on, pooled
+from sensor_sim.thresholds.predict import KRONECKER_STEPS_4D, Lattice, Phases, PooledThreshold, phases_on, pooled
 from sensor_sim.thresholds.sharing import Shared
 from todframes.base._typing import FloatArray
 from todframes.observers.interface import Observer
@@ -43,7 +43,7 @@ SHIFTS = (np.arange(LATTICES) + np.random.default_rng(3).random(LATTICES))[
 """Shifts of the lattices along x and y: one in each fifth of the distance of two places, at random within it. Both
 axes have the same ones, so that what is computed for a place along one serves the other as well."""
 
-ORTHANT_TOLERANCE = 1e-5
+QUICK_ORTHANT_TOLERANCE = 1e-5
 """Error of each P(correct)."""
 
 FIELD_IN_SIZES = 2.0
@@ -62,7 +62,7 @@ class Reference(NamedTuple):
     Attributes
     ----------
     deviations : ndarray, shape (LATTICES,)
-        As of `Found`.
+        As of `PooledThreshold`.
     correction : float
         ln of the known threshold over the estimate.
     error : float
@@ -74,12 +74,12 @@ class Reference(NamedTuple):
     error: float
 
     @classmethod
-    def of(cls, found: Found, threshold: float, error: float) -> Reference:
+    def of(cls, found: PooledThreshold, threshold: float, error: float) -> Reference:
         """Return the reference that a sensor is whose threshold is known better than its estimate `found`."""
         return cls(found.deviations, math.log(threshold / found.threshold), error / threshold)
 
 
-def corrected(found: Found, reference: Reference | None) -> tuple[float, float]:
+def corrected(found: PooledThreshold, reference: Reference | None) -> tuple[float, float]:
     """Return a threshold and the half-width of its 95 % interval, by the reference if that is narrower."""
     half_width, correction = half_width_95(found.deviations, is_refined=False), 0.0
     if reference is not None:
@@ -196,7 +196,7 @@ def lattice_phases(
                 Lattice.at(
                     places,
                     shift=shift,
-                    first=number * KRONECKER_STEPS.sum(axis=0),
+                    first=number * KRONECKER_STEPS_4D.sum(axis=0),
                     jitter=jitter if jitter > SMALL_JITTER else 0.0,
                 ),
                 plan,

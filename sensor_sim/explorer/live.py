@@ -131,8 +131,8 @@ class LiveCurves:
         TodframesError
             If a process dies twice.
         """
-        from sensor_sim.explorer.engine import Request
         from sensor_sim.explorer.scaled import unit_of
+        from sensor_sim.explorer.threshold_engine import Request
 
         started = time.perf_counter()
         while not self._turn.acquire(timeout=POLL_S):
@@ -259,7 +259,7 @@ def _serve(connection: Connection, wanted: Any) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the other end deals with it
     import scipy.sparse  # noqa: F401 # now, not in the first curve
 
-    from sensor_sim.explorer.engine import Engine
+    from sensor_sim.explorer.threshold_engine import ThresholdEngine
 
     number = NOTHING_WANTED
 
@@ -267,7 +267,7 @@ def _serve(connection: Connection, wanted: Any) -> None:
         if wanted.value != number:
             raise _UnwantedError
 
-    engine = Engine(check)
+    engine = ThresholdEngine(check)
     with suppress(EOFError, OSError):
         while True:
             folders, request = connection.recv()

@@ -33,7 +33,7 @@ from todframes.base.reading import from_table, parse_toml, toml_literal
 from todframes.observers.pyramid import PyramidObserver, PyramidSettings
 from todframes.psychometrics.fit import FitSettings
 from todframes.stimulus import ORIENTATIONS, Stimulus
-from todframes.web.pages import call, page, stream
+from todframes.web.pages import EmptyRequest, call, page, stream
 
 LADDER_DETECTORS = (1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 12.0, 16.0, 20.0, 24.0, 32.0)
 """Sizes of which those of a sensor are chosen: the smallest one that is ever seen, and the next ones."""
@@ -120,10 +120,6 @@ class TextAsked(msgspec.Struct):
     name: str = "SENSOR.toml"
 
 
-class Nothing(msgspec.Struct):
-    """A request that asks for no more than its path says."""
-
-
 class Latest:
     """The latest request of each page; those before it are not wanted any more."""
 
@@ -162,7 +158,7 @@ class Explorer:
     def app(self) -> Starlette:
         """Return the app of the page."""
         calls = [
-            call("/api/start", Nothing, lambda _: self.start()),
+            call("/api/start", EmptyRequest, lambda _: self.start()),
             stream("/api/curve", CurveAsked, self.curve, self._thread),
             call("/api/mtf", SensorAsked, transfer),
             call("/api/stages", TrialAsked, trial_pictures),

@@ -39,7 +39,7 @@ def unit_of(observer: Observer) -> Unit:
     return Unit(pickle.dumps(observer), 1.0)
 
 
-class Look(NamedTuple):
+class ReadoutNoise(NamedTuple):
     """All of a readout but its weights; the noise is that of the observer itself, not scaled."""
 
     noise_covariance: FloatArray
@@ -104,7 +104,7 @@ class ScaledObserver:
         vars(readout)["weights_key"] = (self.name, stimulus)
         return readout
 
-    def look(self, stimulus: Stimulus, half_width: int) -> Look:
+    def noise(self, stimulus: Stimulus, half_width: int) -> ReadoutNoise:
         """Return what a readout has besides weights, and keep its weights within `half_width` samples as well.
 
         Raises
@@ -112,8 +112,8 @@ class ScaledObserver:
         SettingsError
             If the observer is not linear.
         """
-        look: Look = self._kept.get((self.name, stimulus), lambda: self._parts(stimulus, half_width)[0])
-        return look._replace(noise_covariance=self._scale**2 * look.noise_covariance)
+        noise: ReadoutNoise = self._kept.get((self.name, stimulus), lambda: self._parts(stimulus, half_width)[0])
+        return noise._replace(noise_covariance=self._scale**2 * noise.noise_covariance)
 
     def weights(self, stimulus: Stimulus, half_width: int) -> NDArray[np.float32]:
         """Return the weights of a readout within at least `half_width` samples of the middle, (4, side, side)."""
@@ -122,22 +122,22 @@ class ScaledObserver:
         )
         return kept.all_four()
 
-    def _parts(self, stimulus: Stimulus, half_width: int) -> tuple[Look, Weights]:
+    def _parts(self, stimulus: Stimulus, half_width: int) -> tuple[ReadoutNoise, Weights]:
         """Compute the parts of a readout that are kept, and keep both."""
         if type(self._base) is PyramidObserver:
             upright, covariance = self._base.weights_within(stimulus, half_width, np.float32)
-            look, weights = Look(covariance, is_symmetric=True), Weights(upright[None])
+            noise, weights = ReadoutNoise(covariance, is_symmetric=True), Weights(upright[None])
         else:
             whole = self._whole(stimulus)
             if not whole:
                 raise not_linear()
             readout = whole[0].readout
             symmetric = is_symmetric(readout)
-            look = Look(readout.noise_covariance, symmetric)
+            noise = ReadoutNoise(readout.noise_covariance, symmetric)
             weights = Weights(readout.deviations[: 1 if symmetric else 4].astype(np.float32))
-        self._kept.get((self.name, stimulus), lambda: look)
+        self._kept.get((self.name, stimulus), lambda: noise)
         self._kept.get((self.name, stimulus, half_width), lambda: weights)
-        return look, weights
+        return noise, weights
 
     def _whole(self, stimulus: Stimulus) -> list[_Whole]:
         """Return the readout on the whole retina, not scaled; none if the observer is not linear."""

@@ -215,7 +215,7 @@ class Swept:
         return self.threshold_snr * self.mk_per_snr[:, None]
 
 
-class Plan(NamedTuple):
+class SweepPlan(NamedTuple):
     """Computations of a sweep.
 
     Attributes
@@ -262,7 +262,7 @@ def check_sweep(
         raise SettingsError("observer: it is not linear; no curve can be computed, simulate frames instead")
 
 
-def plan_sweep(base: Base, designs: Designs, sizes: Sequence[float]) -> Plan:
+def plan_sweep(base: Base, designs: Designs, sizes: Sequence[float]) -> SweepPlan:
     """Return the computations that designs need, each once, ordered so that neighbours share most."""
     numbers: dict[tuple[Sensor, Changes], int] = {}
     of_design = np.full(len(designs.values), -1)
@@ -284,7 +284,7 @@ def plan_sweep(base: Base, designs: Designs, sizes: Sequence[float]) -> Plan:
     chains = [Chain(*unique[number], size) for size in sizes for number in order]
     first = place_of[of_design][:, None]
     places = np.where(first < 0, -1, first + len(order) * np.arange(len(sizes)))
-    return Plan(chains, places, sensors, reasons)
+    return SweepPlan(chains, places, sensors, reasons)
 
 
 def as_computed(sensor: Sensor) -> Sensor:
@@ -352,7 +352,7 @@ def run_sweep(
 
 
 def _gathered(
-    designs: Designs, sizes: tuple[float, ...], plan: Plan, results: Sequence[PredictedThreshold]
+    designs: Designs, sizes: tuple[float, ...], plan: SweepPlan, results: Sequence[PredictedThreshold]
 ) -> Swept:
     nothing = len(results)
     status = np.array([*(one.status for one in results), IMPOSSIBLE], dtype=object)

@@ -43,6 +43,10 @@ def flag_of(name: str) -> str:
     return _FLAGS.get(name, "--" + name.replace("_", "-"))
 
 
+def _unmarked(message: str) -> str:
+    return _ARGUMENT.sub(r"\1", message)
+
+
 class TodframesError(Exception):
     """Base class of all errors that a user can cause and correct; `exit_status` is the status of the command.
 
@@ -56,11 +60,16 @@ class TodframesError(Exception):
         super().__init__(in_utf8(without_secrets(message)))
 
     def __str__(self) -> str:
-        return _ARGUMENT.sub(r"\1", self.args[0])
+        return _unmarked(self.marked)
+
+    @property
+    def marked(self) -> str:
+        """The message for another error of this package; arguments in it get the name that its reader knows."""
+        return str(self.args[0])
 
     def for_command(self) -> str:
         """Return the message with the options of the command line in place of arguments."""
-        return _ARGUMENT.sub(lambda found: flag_of(found[1]), self.args[0])
+        return _ARGUMENT.sub(lambda found: flag_of(found[1]), self.marked)
 
 
 class DataError(TodframesError, ValueError):
@@ -73,10 +82,11 @@ class FrameError(DataError):
     def __init__(self, path: Any, problem: str) -> None:
         super().__init__(f"{path}: {problem}")
         self.path = Path(path) if isinstance(path, str) else path
-        self.problem = problem
+        self.problem = _unmarked(problem)
+        self._of_init = self.path, problem
 
     def __reduce__(self) -> tuple[type, tuple[Any, str]]:
-        return type(self), (self.path, self.problem)
+        return type(self), self._of_init
 
 
 class RemoteError(TodframesError, ConnectionError):

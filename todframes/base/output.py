@@ -280,7 +280,7 @@ def _shown_as(name: str, staged: Path) -> Iterator[None]:
     try:
         yield
     except OutputError as error:
-        raise OutputError(str(error).replace(str(staged), name).replace(real, name)) from None
+        raise OutputError(error.marked.replace(str(staged), name).replace(real, name)) from None
 
 
 @contextmanager

@@ -166,7 +166,7 @@ def read_toml(path: Location) -> dict[str, Any]:
     try:
         text = read_text(path, most_mb=MAX_TOML_MB)
     except DataError as error:
-        raise SettingsError(str(error)) from None
+        raise SettingsError(error.marked) from None
     return parse_toml(text, str(path))
 
 

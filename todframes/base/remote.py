@@ -33,7 +33,7 @@ MOST_WORDS_MB = 16
 """Largest size of a list or an error that S3 sends, in units of 2**20 bytes."""
 PIECE_BYTES = 2**20
 MOST_REDIRECTS = 5
-MOST_PAGES = 20_000
+MOST_LIST_PAGES = 20_000
 """Largest number of pages of a list that S3 sends, each of a thousand files."""
 ATTEMPTS, ATTEMPTS_AT_ONCE = 3, 2
 """Attempts of a request, each of which asks S3 that often at once."""
@@ -51,13 +51,13 @@ NO_CONNECTION = (
     "cannot connect to the server; is the network up, and the address right (for s3:// elsewhere than at Amazon: "
     "AWS_ENDPOINT_URL)?"
 )
-NO_ANSWER = "the server did not answer in time; try again"
+TIMED_OUT = "the server did not answer in time; try again"
 CLOSED = "the server closed the connection; try again"
 SLOW = f"the server took longer than {WHOLE_S} s and {S_PER_MB} s for each MB that has arrived, the limit"
 ELSEWHERE = "the server redirects to another server, scheme or port, expected the file itself; give that URL"
-COMPRESSED = "the server sends it compressed, and not as whole gzip, expected the file itself"
+SENT_COMPRESSED = "the server sends it compressed, and not as whole gzip, expected the file itself"
 UNBOUNDED = "the server does not state how long the file is, so a part of it would pass for the whole"
-TRANSIENT = (NO_CONNECTION, NO_ANSWER, CLOSED)
+TRANSIENT = (NO_CONNECTION, TIMED_OUT, CLOSED)
 """Problems after which a request is tried again."""
 PROBLEMS = {
     "RedirectedError": ELSEWHERE,
@@ -71,9 +71,9 @@ PROBLEMS = {
     "SSOError": "the login of AWS_PROFILE has expired; log in again",
     "PermissionError": "access denied; check the credentials in the environment and their rights (without the "
     "right to list folders, a missing file is answered so too)",
-    "TimeoutError": NO_ANSWER,
-    "ConnectTimeoutError": NO_ANSWER,
-    "ReadTimeoutError": NO_ANSWER,
+    "TimeoutError": TIMED_OUT,
+    "ConnectTimeoutError": TIMED_OUT,
+    "ReadTimeoutError": TIMED_OUT,
     "EndpointConnectionError": NO_CONNECTION,
     "ConnectionError": NO_CONNECTION,
     "ClientConnectorError": NO_CONNECTION,
@@ -189,7 +189,7 @@ def _list(folder: RemotePath) -> dict[str, str | None] | None:
 
 def _list_s3(folder: RemotePath) -> Iterator[tuple[str, str]]:
     more: dict[str, str] = {}
-    for _ in range(MOST_PAGES):
+    for _ in range(MOST_LIST_PAGES):
         # `ls` would hold a kilobyte for each file.
         page = _call_s3("list_objects_v2", folder, Delimiter="/", **more)
         yield from ((one["Key"].rpartition("/")[2], one["ETag"]) for one in page.get("Contents", ()))
@@ -198,7 +198,7 @@ def _list_s3(folder: RemotePath) -> Iterator[tuple[str, str]]:
         before, more = more, {"ContinuationToken": page["NextContinuationToken"]}
         if more == before:
             break
-    raise RemoteError(f"{folder}: found a list of files without an end, expected {MOST_PAGES} pages at most")
+    raise RemoteError(f"{folder}: found a list of files without an end, expected {MOST_LIST_PAGES} pages at most")
 
 
 def _entity_tag(path: RemotePath) -> str | None:
@@ -275,14 +275,14 @@ async def _ask_web(limit: asyncio.Timeout, method: str, path: RemotePath, most_b
             _check_length(_stated_length(path, answer.headers), most_bytes)
             encoding = answer.headers.get("Content-Encoding", "identity").lower()
             if encoding not in ("identity", "gzip"):
-                raise RemoteError(f"{path}: {COMPRESSED}")
+                raise RemoteError(f"{path}: {SENT_COMPRESSED}")
             inflater = zlib.decompressobj(wbits=16 + zlib.MAX_WBITS) if encoding == "gzip" else None
             try:
                 data = await _received(answer.content.read, most_bytes, limit, inflater)
             except zlib.error:
-                raise RemoteError(f"{path}: {COMPRESSED}") from None
+                raise RemoteError(f"{path}: {SENT_COMPRESSED}") from None
             if inflater and not inflater.eof:
-                raise RemoteError(f"{path}: {COMPRESSED}")
+                raise RemoteError(f"{path}: {SENT_COMPRESSED}")
             return Content(data, tag)
     raise RemoteError(f"{path}: found more than {MOST_REDIRECTS} redirections, expected the file")
 
@@ -392,7 +392,7 @@ def _s3_session() -> type:
     from aiobotocore.awsrequest import AioAWSResponse
     from aiobotocore.httpsession import AIOHTTPSession
 
-    class Session(AIOHTTPSession):  # type: ignore[misc]  # its package has no types
+    class StreamingSession(AIOHTTPSession):  # type: ignore[misc]  # its package has no types
         async def send(self, request: Any) -> Any:
             is_file, request.stream_output = request.stream_output, True  # the body is not yet read
             answer = await super().send(request)
@@ -408,7 +408,7 @@ def _s3_session() -> type:
                     raise (LongWordsError if error.errno == errno.EFBIG else error) from None
             return AioAWSResponse(answer.url, answer.status_code, answer.headers, words)
 
-    return Session
+    return StreamingSession
 
 
 class _Words(NamedTuple):

@@ -108,7 +108,7 @@ def compare(
     started, seed = time.perf_counter(), seed_of(rng)
     from todframes.enhancement.algorithm import find_enhancement
     from todframes.enhancement.compare import compare_dataset
-    from todframes.enhancement.enhanced_frame import Screen
+    from todframes.enhancement.enhanced_frame import AlgorithmDisplay
     from todframes.report import tables
     from todframes.report.summary import comparison
 
@@ -116,7 +116,7 @@ def compare(
     fit = fit or FitSettings()
     found = [find_enhancement(one) for one in enhance]
     data = loaded(dataset)
-    screen = Screen(data.display, white, allow_clipping)
+    screen = AlgorithmDisplay(data.display, white, allow_clipping)
     data, more, placed_wrong = located(data, judge, locate, on_error, progress)
     with opened_run(workers, cluster, store, progress) as run:
         results = compare_dataset(

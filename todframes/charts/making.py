@@ -19,11 +19,11 @@ from todframes.charts.thermal import Plate, design_thermal_chart, write_thermal_
 from todframes.display.display import Display
 from todframes.display.display_files import find_display
 
-CONTRASTS = (0.02, 0.05, 0.1, 0.2, 0.4, 0.8)
+DEFAULT_CONTRASTS = (0.02, 0.05, 0.1, 0.2, 0.4, 0.8)
 
-LEVELS: dict[ChartKind, tuple[float, ...]] = {
-    "screen": CONTRASTS,
-    "print": CONTRASTS,
+DEFAULT_LEVELS: dict[ChartKind, tuple[float, ...]] = {
+    "screen": DEFAULT_CONTRASTS,
+    "print": DEFAULT_CONTRASTS,
     "thermal": (0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0),
 }
 """Contrasts, or temperature differences in K, if none are asked for."""
@@ -134,7 +134,7 @@ def chart(
         {
             "distance_m": distance_m,
             "sizes_mrad": list(sizes_mrad),
-            "levels": list(LEVELS[kind] if levels is None else levels),
+            "levels": list(DEFAULT_LEVELS[kind] if levels is None else levels),
             "repeats": repeats,
             "seed": seed_of(rng),
             "polarity": polarity,

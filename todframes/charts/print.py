@@ -64,7 +64,7 @@ LINE_SPACING = 1.3
 
 WHITE = 255
 
-LEAST_SIZE_MM = 2.0
+LEAST_PRINTED_SIZE_MM = 2.0
 """Smallest √(area) on paper: the dots by which a printer makes grey would show in smaller triangles."""
 
 
@@ -295,11 +295,11 @@ def _sheet(paper: Paper) -> _Sheet:
 def _places(design: Design, size_mrad: float, sheet: _Sheet) -> list[tuple[float, float]]:
     """Return the places for triangles of one size on a sheet, from the middle out; SettingsError if none."""
     size_mm = design.size_mm(size_mrad)
-    if size_mm < LEAST_SIZE_MM:
+    if size_mm < LEAST_PRINTED_SIZE_MM:
         raise SettingsError(
             f"sizes_mrad: {size_mrad:g} mrad at {design.distance_m:g} m are {size_mm:.3g} mm, in which the "
-            f"printer's dots show; expected at least {LEAST_SIZE_MM:g} mm "
-            f"({LEAST_SIZE_MM / design.distance_m:.3g} mrad), or a larger distance"
+            f"printer's dots show; expected at least {LEAST_PRINTED_SIZE_MM:g} mm "
+            f"({LEAST_PRINTED_SIZE_MM / design.distance_m:.3g} mrad), or a larger distance"
         )
     field_mm = FIELD_PER_SIZE * size_mm
     axes = []

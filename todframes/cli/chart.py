@@ -166,7 +166,7 @@ def chart(
     if paper is not None:
         settings["paper_width_mm"], settings["paper_height_mm"] = _paper_mm(paper)
     sizes = numbers(sizes_mrad, "--sizes-mrad")
-    levels = next((settings[name] for name in LEVEL_OPTIONS & settings.keys()), charts.LEVELS[kind])
+    levels = next((settings[name] for name in LEVEL_OPTIONS & settings.keys()), charts.DEFAULT_LEVELS[kind])
     n_triangles = len(sizes) * len(levels) * len(ORIENTATIONS) * settings["repeats"]
     with progress("drawing", n_triangles, quiet=quiet) as advance:
         try:

@@ -13,9 +13,9 @@ from todframes.diagnosis.limits import (
     COARSE_PER_LEVEL,
     CONTRAST_ERROR,
     DITHERED,
+    LEAST_DISPLAYED_SIZE_PX,
     LEAST_OFFSET_PX,
     LEAST_SIZE_ERROR,
-    LEAST_SIZE_PX,
     LOUD,
     MATTERS,
     MOST_BY_PATTERN,
@@ -91,11 +91,11 @@ def _several_sizes(dataset: Dataset, inspections: Sequence[Inspection]) -> Itera
 
 
 def _geometry(dataset: Dataset, one: Inspection) -> Iterator[Told]:
-    if one.size_px < LEAST_SIZE_PX:
+    if one.size_px < LEAST_DISPLAYED_SIZE_PX:
         yield (
             "size_unit",
             one.size_px,
-            LEAST_SIZE_PX,
+            LEAST_DISPLAYED_SIZE_PX,
             f"a triangle of {one.stimulus.size_mrad:g} mrad is {one.size_px:.2g} pixels of "
             f"{dataset.display.pitch_mrad:g} mrad: the display cannot show where it points; check that size_mrad "
             "and the pixel pitch are in mrad",

@@ -17,7 +17,6 @@ from todframes.diagnosis.limits import (
     CERTAIN_TURN,
     CLEAR,
     CLEARLY_TURNED,
-    CONTRASTS,
     LEAST_SAMPLED,
     LEAST_SIGNAL,
     LEAST_SIZE,
@@ -27,15 +26,16 @@ from todframes.diagnosis.limits import (
     SAMPLED_SHARE,
     SCATTER_ERRORS,
     SIZES_ALIKE,
+    USABLE_CONTRASTS,
     WHOLE_IN_SIZES,
 )
 from todframes.diagnosis.triangle import (
     AMPLITUDE,
-    Fit,
     Images,
     Shape,
     Square,
     TrialEstimates,
+    TriangleFit,
     X,
     Y,
     first_guess,
@@ -192,7 +192,7 @@ def is_contrast(dataset: Dataset) -> bool:
 
 def strengths(dataset: Dataset, level: FloatArray) -> FloatArray:
     """Return what the displayed contrast is proportional to: the level if it is a contrast, else not known, 1."""
-    return np.clip(level, *CONTRASTS) if is_contrast(dataset) else np.ones(len(level))
+    return np.clip(level, *USABLE_CONTRASTS) if is_contrast(dataset) else np.ones(len(level))
 
 
 def _sizes_mrad(trials: Trials) -> FloatArray:
@@ -306,13 +306,13 @@ def _of_codes(codes: Sequence[Codes]) -> dict[str, Any]:
     }
 
 
-class GroupFit(NamedTuple):
+class GroupTriangle(NamedTuple):
     """The triangle of a group's frames, and of each of them, in blocks.
 
     Attributes
     ----------
     images : Images
-    fit : Fit
+    fit : TriangleFit
         The triangle that all share; its contrast is positive if of the stated polarity.
     trials : TrialEstimates
     share : ndarray, shape (trial,)
@@ -326,7 +326,7 @@ class GroupFit(NamedTuple):
     """
 
     images: Images
-    fit: Fit
+    fit: TriangleFit
     trials: TrialEstimates
     share: FloatArray
     stated: FloatArray
@@ -334,7 +334,9 @@ class GroupFit(NamedTuple):
     signal: float
 
     @classmethod
-    def of(cls, samples: Sequence[FrameSample], level: FloatArray, sizes: FloatArray, size: float) -> GroupFit:
+    def of(
+        cls, samples: Sequence[FrameSample], level: FloatArray, sizes: FloatArray, size: float
+    ) -> GroupTriangle:
         """Fit the triangle of some trials, whose sizes are alike."""
         turns = np.array([sample.trial.orientation.quarter_turns for sample in samples])
         even = samples[0].trial.stimulus.polarity * np.array([sample.even for sample in samples])
@@ -366,7 +368,7 @@ def _of_triangle(
     samples: Sequence[FrameSample], level: FloatArray, sizes: FloatArray, size: float, block_px: int
 ) -> dict[str, Any]:
     """Measure the triangle; lengths are in blocks until the end."""
-    of_group = GroupFit.of(samples, level, sizes, size)
+    of_group = GroupTriangle.of(samples, level, sizes, size)
     images, found, each, share, stated, error, signal = of_group
     shape, middle = found.shape, of_group.middle
     turns = np.array([sample.trial.orientation.quarter_turns for sample in samples])

@@ -8,7 +8,7 @@ import numpy as np
 
 # Windows of frames
 
-BLOCKS_PER_SIZE = 8
+PICTURE_BLOCKS_PER_SIZE = 8
 """Number of square blocks along a triangle's size that its picture is reduced to; fewer if these are pixels."""
 
 REACH_IN_SIZES = 3.0
@@ -19,7 +19,7 @@ REACH_IN_SIZES = 3.0
 DEGREE = 2
 """Degree of the polynomial background."""
 
-REACH = 2.2
+FITTED_REACH_IN_SIZES = 2.2
 """Half of the side of the square that is fitted, in sizes; corners lie at 0.88."""
 
 CELL = 1.5
@@ -59,7 +59,7 @@ MOST_SAMPLED, LEAST_SAMPLED = 24, 8
 SAMPLED, SAMPLED_SHARE = 96, 0.04
 """Number of trials that are measured in all, and their share of the trials if that is more."""
 
-CONTRASTS = (1e-9, 1e9)
+USABLE_CONTRASTS = (1e-9, 1e9)
 """Range of contrasts that are computed with; beyond it are mistakes in a manifest, whose squares may overflow."""
 
 SIZES_ALIKE = 1.15
@@ -130,7 +130,7 @@ SCATTER_PER_BLUR = 0.4
 CONTRAST_ERROR = 0.05
 """Relative deviation of the displayed contrast from the level that is told."""
 
-LEAST_SIZE_PX = 2.0
+LEAST_DISPLAYED_SIZE_PX = 2.0
 """Size of a triangle in pixels below which its orientation is not displayed."""
 
 MOST_CLIPPED, MOST_CLIPPED_NOISE, LOUD = 0.002, 0.01, 0.1

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError, FrameError, SettingsError
 from todframes.diagnosis.arrangement import ARRANGEMENTS, Arrangement
-from todframes.diagnosis.inspection import GroupFit, alike, is_contrast, noise_of_frames, strengths
+from todframes.diagnosis.inspection import GroupTriangle, alike, is_contrast, noise_of_frames, strengths
 from todframes.diagnosis.limits import (
     LEAST_PEAK,
     LEAST_SEARCHED_PX,
@@ -303,7 +303,7 @@ class _Ways:
                 continue
         return found
 
-    def _fit(self, trials: Trials) -> tuple[GroupFit, int] | None:
+    def _fit(self, trials: Trials) -> tuple[GroupTriangle, int] | None:
         """Fit the triangle of the strongest trials; returns it and the pixels along a block, or None."""
         samples = self._windows(trials)
         if not samples:
@@ -311,7 +311,7 @@ class _Ways:
         block_px, pitch_mrad = samples[0].block_px, self.dataset.display.pitch_mrad
         sizes = np.array([size_in_px(one.trial, pitch_mrad) for one in samples]) / block_px
         level = strengths(self.dataset, np.array([one.trial.level for one in samples]))
-        found = GroupFit.of(samples, level, sizes, self._size_px() / block_px)
+        found = GroupTriangle.of(samples, level, sizes, self._size_px() / block_px)
         return (found, block_px) if found.signal >= LEAST_SIGNAL else None
 
     def _nothing(self) -> _Found:
@@ -417,7 +417,7 @@ def _sure_level(levels: FloatArray, error_mrad: FloatArray) -> float:
     return float(distinct[first] * (distinct[first - 1] / distinct[first]) ** share)
 
 
-def _arrangement(found: GroupFit) -> Arrangement:
+def _arrangement(found: GroupTriangle) -> Arrangement:
     sign = 1 if found.fit.shape.amplitude > 0.0 else -1
     return next(one for one in ARRANGEMENTS if (one.shown, one.sign) == (found.fit.shown, sign))
 

@@ -110,7 +110,7 @@ def explain_missing(
         hints: tuple[Hint, ...] = ()
         if one.fit.status == "never_reached" or not is_missing:
             strong = _some(strong, MOST_TRIALS)
-            search = _Search(
+            search = _MistakeSearch(
                 dataset,
                 observer,
                 decisions,
@@ -172,7 +172,7 @@ class _Change:
 
 
 @dataclass(frozen=True, slots=True)
-class _Search:
+class _MistakeSearch:
     """Search for what would make the answers in the strongest trials of a group right.
 
     `before` and `after` are the orientations of the neighbouring trials. `is_inverted` tells whether the scores of

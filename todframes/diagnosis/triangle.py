@@ -22,12 +22,12 @@ from todframes.diagnosis.arrangement import TURNED
 from todframes.diagnosis.limits import (
     CELL,
     DEGREE,
+    FITTED_REACH_IN_SIZES,
     FOUND,
     LEAST_VARIANCE,
     MOST_BESIDE_TURN_RAD,
     MOST_ROUNDS,
     MOST_STRETCH,
-    REACH,
     SEPARABLE,
     SIZES_TRIED,
     UNSTEADY,
@@ -102,7 +102,7 @@ class Square(NamedTuple):
     @classmethod
     def about(cls, shape: Shape, n: int) -> Square:
         """Return the square about a triangle that is fitted; it may reach beyond the window."""
-        reach = math.ceil(REACH * shape.size + 1.0)
+        reach = math.ceil(FITTED_REACH_IN_SIZES * shape.size + 1.0)
         middle = (n - 1) // 2
         return cls(middle + round(shape.y) - reach, middle + round(shape.x) - reach, 2 * reach + 1)
 
@@ -130,14 +130,14 @@ def within(n: int, radius: float) -> NDArray[np.bool_]:
     return np.asarray(np.hypot(u, v) <= radius)
 
 
-class Picture(NamedTuple):
+class RenderedTriangle(NamedTuple):
     """A triangle in each orientation, (4, side, side), and its changes by the parameters, (4, 8, side, side)."""
 
     images: FloatArray
     slopes: FloatArray
 
 
-def picture(shape: Shape, square: Square, n: int) -> Picture:
+def picture(shape: Shape, square: Square, n: int) -> RenderedTriangle:
     """Compute the picture of a triangle on a square of a window of n × n blocks, in each orientation."""
     side = square.side
     x, y = (n - 1) / 2.0 + shape.x - square.column, (n - 1) / 2.0 + shape.y - square.row
@@ -158,7 +158,7 @@ def picture(shape: Shape, square: Square, n: int) -> Picture:
     slopes = np.concatenate(
         [blurred[:, :1], shape.amplitude * blurred[:, 1:], shape.amplitude * blurring[:, None]], axis=1
     )
-    return Picture(shape.amplitude * blurred[:, 0], slopes)
+    return RenderedTriangle(shape.amplitude * blurred[:, 0], slopes)
 
 
 def blur_matrices(variance: float, side: int) -> tuple[FloatArray, FloatArray]:
@@ -251,7 +251,7 @@ class Images(NamedTuple):
         return cls(parts[4], parts[:4], shares, information, weight, of_own)
 
 
-class Fit(NamedTuple):
+class TriangleFit(NamedTuple):
     """The triangle that explains mean frames best, and its covariance, (8, 8), in steps of the parameters.
 
     `shown` are the orientations on the frames for the four stated ones.
@@ -260,7 +260,7 @@ class Fit(NamedTuple):
     shape: Shape
     covariance: FloatArray
     shown: tuple[int, ...]
-    picture: Picture
+    picture: RenderedTriangle
     square: Square
 
     def error(self, *parameters: tuple[int, float]) -> float:
@@ -303,7 +303,7 @@ def _without_background(images: FloatArray, weight: FloatArray) -> FloatArray:
     return np.asarray(flat - (flat @ terms.T) @ np.linalg.pinv(terms @ terms.T, hermitian=True) @ terms)
 
 
-def fit(images: Images, start: Shape, shown: tuple[int, ...] = (0, 1, 2, 3)) -> Fit:
+def fit(images: Images, start: Shape, shown: tuple[int, ...] = (0, 1, 2, 3)) -> TriangleFit:
     """Fit the picture of a triangle to mean frames by Gauss–Newton steps.
 
     Parameters
@@ -315,7 +315,7 @@ def fit(images: Images, start: Shape, shown: tuple[int, ...] = (0, 1, 2, 3)) -> 
 
     Returns
     -------
-    Fit
+    TriangleFit
         `covariance` is that for noise as the fit leaves it.
     """
     n = images.weight.shape[0]
@@ -343,7 +343,7 @@ def fit(images: Images, start: Shape, shown: tuple[int, ...] = (0, 1, 2, 3)) -> 
     cells = np.linalg.matrix_rank(images.information) * float(images.weight.sum()) / (CELL * shape.size) ** 2
     covariance = _covariance(design, square, images.weight, spectrum)
     covariance *= cells / max(cells - N_PARAMETERS, cells / 4.0)
-    return Fit(shape, covariance, shown, model, square)
+    return TriangleFit(shape, covariance, shown, model, square)
 
 
 def _displaced(slopes: FloatArray, apart: FloatArray) -> FloatArray:
@@ -446,7 +446,7 @@ class TrialEstimates(NamedTuple):
 
 
 def of_trials(
-    found: Fit,
+    found: TriangleFit,
     images: Images,
     frames: FloatArray,
     *,
@@ -511,7 +511,7 @@ def first_guess(images: Images, size: float) -> Shape:
     return found
 
 
-def fitted(images: Images, start: Shape, certain: float) -> Fit:
+def fitted(images: Images, start: Shape, certain: float) -> TriangleFit:
     """Fit a triangle, and take another arrangement of the orientations if it is certainly more like the frames.
 
     Parameters

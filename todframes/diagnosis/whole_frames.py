@@ -12,7 +12,7 @@ from todframes.base._typing import ComplexArray, FloatArray
 from todframes.base.errors import FrameError
 from todframes.diagnosis.arrangement import TURNED
 from todframes.diagnosis.limits import BLOCKS, LEAST_BLOCKS, MOST_BLOCKS, MOST_LOCATED_PX
-from todframes.frames.contrast import Patch, read_contrast
+from todframes.frames.contrast import ContrastPatch, read_contrast
 from todframes.frames.dataset import Dataset
 from todframes.frames.trials import FrameReference, Trial
 from todframes.stimulus import ORIENTATIONS, Centre, Orientation, Stimulus, coverage
@@ -93,7 +93,7 @@ def _block_px(shape: tuple[int, ...], size_px: float) -> int:
     return max(min(wanted, int(min(size_px, 1e9) / LEAST_BLOCKS)), 1)
 
 
-def block_means(patch: Patch, block_px: int) -> FloatArray:
+def block_means(patch: ContrastPatch, block_px: int) -> FloatArray:
     """Average the contrast of a whole frame over square blocks; incomplete blocks are dropped."""
     if block_px == 1 and patch.to_contrast is None:
         return patch.values
@@ -115,7 +115,7 @@ def _size(shape: tuple[int, ...]) -> str:
     return f"{shape[1]} × {shape[0]}"
 
 
-class Found(NamedTuple):
+class CorrelationPeak(NamedTuple):
     """The highest correlation on whole blocks: where, and how high.
 
     `height` is that of the peak above the median of the correlation as stated, `spread` the standard deviation of
@@ -128,7 +128,7 @@ class Found(NamedTuple):
     spread: float
 
 
-def search(means: Means, pitch_mrad: float, centre: Centre) -> Found:
+def search(means: Means, pitch_mrad: float, centre: Centre) -> CorrelationPeak:
     """Find the highest correlation of triangles with mean frames, over all places, arrangements and polarities.
 
     The mean over the orientations is subtracted from frames and triangles alike. It contains everything that the
@@ -139,7 +139,7 @@ def search(means: Means, pitch_mrad: float, centre: Centre) -> Found:
     largest_px = max(stimulus.size_mrad for stimulus in means) / pitch_mrad
     # The centroid is at least a third of the height, 0.439 sizes, away from each edge of the triangle.
     edge = max(int(np.ceil(0.4386 * largest_px - 0.5)), 0)
-    best = Found(0, 0, -math.inf, 0.0)
+    best = CorrelationPeak(0, 0, -math.inf, 0.0)
     if 2 * edge >= min(rows, columns):
         return best
     spectra = [_spectra(stimulus, images, pitch_mrad, centre) for stimulus, images in means.items()]
@@ -151,7 +151,7 @@ def search(means: Means, pitch_mrad: float, centre: Centre) -> Found:
         row, column = np.unravel_index(np.abs(correlation).argmax(), correlation.shape)
         height = abs(float(correlation[row, column]) - median)
         if height > best.height:
-            best = Found(int(column) + edge, int(row) + edge, height, spread)
+            best = CorrelationPeak(int(column) + edge, int(row) + edge, height, spread)
     return best
 
 

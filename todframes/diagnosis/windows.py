@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError, FrameError
-from todframes.diagnosis.limits import BLOCKS_PER_SIZE, REACH_IN_SIZES
+from todframes.diagnosis.limits import PICTURE_BLOCKS_PER_SIZE, REACH_IN_SIZES
 from todframes.display.display import border_values
 from todframes.frames.contrast import LuminanceFound
 from todframes.frames.dataset import Dataset
@@ -122,7 +122,7 @@ def measure_frame(
         if triangle.size_px > 2 * max(header.height, header.width) or min(b - a for a, b in window) < 1:
             raise FrameError(file.path, "the triangle does not lie on the frame")
         whole = rule in ("border", "frame_mean")
-        blocks = _Blocks.about(triangle, reach_px)
+        blocks = _BlockMeans.about(triangle, reach_px)
         surround, found, codes = SurroundSums(triangle, window), LuminanceFound(), _CodeCounts(triangle)
         stop_row = all_rows[1]
         for band in file.bands() if whole else file.bands(rows=read.rows, columns=read.columns):
@@ -183,7 +183,7 @@ def measure_frame(
     )
 
 
-class _Blocks:
+class _BlockMeans:
     """The means of square blocks about a triangle, by bands; their number depends on its size alone."""
 
     def __init__(self, triangle: TrianglePlace, block_px: int, n_blocks: int) -> None:
@@ -195,8 +195,8 @@ class _Blocks:
         self.sums, self.counts = np.zeros((n_blocks, n_blocks)), np.zeros((n_blocks, n_blocks))
 
     @classmethod
-    def about(cls, triangle: TrianglePlace, reach_px: float) -> _Blocks:
-        block_px = max(int(triangle.size_px / BLOCKS_PER_SIZE), 1)
+    def about(cls, triangle: TrianglePlace, reach_px: float) -> _BlockMeans:
+        block_px = max(int(triangle.size_px / PICTURE_BLOCKS_PER_SIZE), 1)
         reach = max(REACH_IN_SIZES * triangle.size_px, hole_radius_px(triangle.size_px) + 8.0, reach_px)
         return cls(triangle, block_px, 2 * math.ceil(reach / block_px) + 1)
 

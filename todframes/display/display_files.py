@@ -88,7 +88,7 @@ def find_display(name: str, *, where: str = "display", folder: Location | None =
         try:
             path_inside(resolved(folder), name, f"{where}:")
         except DataError as error:
-            raise SettingsError(str(error)) from None
+            raise SettingsError(error.marked) from None
         return read_display(folder / name)
     names = display_names()
     if name not in names:
@@ -182,7 +182,7 @@ def _read_lut(folder: Location, name: str, named: str) -> LuminanceTable:
         path_inside(resolved(folder), name, named)
         values = read_numbers(path, columns)
     except DataError as error:
-        raise SettingsError(str(error)) from None
+        raise SettingsError(error.marked) from None
     code, luminance = np.array(values, dtype=np.float64).reshape(-1, 2).T
     try:
         return LuminanceTable(code, luminance)

@@ -13,7 +13,7 @@ TILE = 64
 """Side of the pattern of thresholds in pixels; it repeats beyond."""
 
 
-ROUNDING = 1e-9
+SAME_LUMINANCE = 1e-9
 """Relative difference to a code's luminance that is taken for none."""
 
 
@@ -59,14 +59,14 @@ def dithered(luminance: FloatArray, luminance_of_code: FloatArray) -> NDArray[np
         Each pixel has one of the two code values on either side of its luminance, and that of its luminance if
         there is one. The sum over all pixels is off by at most half of a code step of one pixel.
     """
-    index = np.searchsorted(luminance_of_code, luminance * (1.0 + ROUNDING), side="right") - 1
+    index = np.searchsorted(luminance_of_code, luminance * (1.0 + SAME_LUMINANCE), side="right") - 1
     below = np.clip(index, 0, luminance_of_code.size - 2)
     step = luminance_of_code[below + 1] - luminance_of_code[below]
     share = (luminance - luminance_of_code[below]) / step
     rows, columns = luminance.shape
     tiles = np.tile(blue_noise(), (-(-rows // TILE), -(-columns // TILE)))[:rows, :columns]
     # A plain comparison, share > threshold, has the sum only on average; the first pixels by this order have it.
-    between = np.flatnonzero(share > ROUNDING)
+    between = np.flatnonzero(share > SAME_LUMINANCE)
     order = between[np.argsort((tiles - share).ravel()[between], kind="stable")]
     added = np.concatenate([[0.0], np.cumsum(step.ravel()[order])])
     n_raised = int(np.argmin(np.abs(added - np.sum(share * step))))

@@ -35,7 +35,7 @@ from todframes.psychometrics.observer_curve import GUESS_RATE
 from todframes.scoring.plan import ScorePlan, plan_score
 from todframes.scoring.retina_view import read_trial
 from todframes.scoring.score import check_seen, groups_of, settings_of_level
-from todframes.scoring.seen_trials import Scoring, look_at, see
+from todframes.scoring.seen_trials import Scoring, see, trial_viewing
 from todframes.scoring.work import Run, see_trials
 from todframes.stimulus import Stimulus
 
@@ -289,11 +289,11 @@ def answered_trials(
 
 def _show(plans: Sequence[ScorePlan], scoring: Scoring, trial: Trial, readout: Readout | None) -> _Seen:
     """Show a trial to the observer of each plan, with the same displacements."""
-    look = look_at(scoring, trial, readout)
-    displaced, whole = look.displacement_samples, scoring.plan.whole_frames
-    shown = read_trial(scoring.dataset, trial, look.observer, look.grid, displaced, whole=whole)
-    looks = [look, *(look._replace(readout=plan.readout(trial.stimulus)) for plan in plans[1:])]
-    return _Seen(np.stack([see(scoring, trial, one, [shown], 0.0)[0].deviations for one in looks]))
+    viewing = trial_viewing(scoring, trial, readout)
+    displaced, whole = viewing.displacement_samples, scoring.plan.whole_frames
+    shown = read_trial(scoring.dataset, trial, viewing.observer, viewing.grid, displaced, whole=whole)
+    viewings = [viewing, *(viewing._replace(readout=plan.readout(trial.stimulus)) for plan in plans[1:])]
+    return _Seen(np.stack([see(scoring, trial, one, [shown], 0.0)[0].deviations for one in viewings]))
 
 
 def _readout(plan: ScorePlan, stimulus: Stimulus) -> Readout:

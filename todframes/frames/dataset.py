@@ -361,7 +361,7 @@ def _read_settings(path: Location) -> tuple[Display, Experiment]:
     try:
         path_inside(resolved(path.parent), path.name, f"{path}:")
     except DataError as error:
-        raise SettingsError(str(error)) from None
+        raise SettingsError(error.marked) from None
     content = read_toml(path)
     check_keys(content, ["schema", "display", "experiment"], str(path))
     if content.get("schema") != SCHEMA:

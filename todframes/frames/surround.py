@@ -205,7 +205,7 @@ class SurroundSums:
             (triangle.y_px, triangle.x_px), window, strict=True))  # fmt: skip
         spans = tuple((first - at, stop - at) for at, (first, stop) in zip(middle, window, strict=True))
         hole = hole_radius_px(triangle.size_px)
-        blocks = _Blocks.of(spans, self.block_px, hole)
+        blocks = _SurroundBlocks.of(spans, self.block_px, hole)
         if not blocks.around.any():
             raise DataError(
                 "no pixels around the triangle to take the background from: the frame reaches no farther than "
@@ -215,7 +215,7 @@ class SurroundSums:
         means = self.sums / blocks.counts
         noise = blocks.noise(means)
         kept = blocks.extent(means)
-        fitted = _Fitted.of(spans, self.block_px, hole, *kept)
+        fitted = _SurfaceFit.of(spans, self.block_px, hole, *kept)
         coefficients = fitted.surface(means, noise)
         extent = Window(*(
             (int(edges[first]) + at, int(edges[stop]) + at)
@@ -228,7 +228,7 @@ Spans = tuple[Range, ...]
 """The rows and columns of a window, counted from the pixel at the triangle's centroid."""
 
 
-class _Blocks(NamedTuple):
+class _SurroundBlocks(NamedTuple):
     """The square blocks of a window: their edges and middles along y and x, those around and next to the hole."""
 
     edges: tuple[NDArray[np.intp], ...]
@@ -241,13 +241,13 @@ class _Blocks(NamedTuple):
 
     @staticmethod
     @lru_cache(maxsize=64)
-    def of(spans: Spans, block_px: int, hole: float) -> _Blocks:
+    def of(spans: Spans, block_px: int, hole: float) -> _SurroundBlocks:
         edges = tuple(np.append(np.arange(first, stop, block_px), stop) for first, stop in spans)
         y, x = ((edge[1:] + edge[:-1] - 1) / 2.0 for edge in edges)
         away = np.hypot(y[:, None], x) - hole - block_px / 2.0
         counts = np.diff(edges[0])[:, None] * np.diff(edges[1])
         near = (away > 0.0) & (away <= max(2 * block_px, float(away.max()) / 8.0))
-        return _Blocks(edges, y, x, counts, away > 0.0, near if near.any() else away > 0.0, hole)
+        return _SurroundBlocks(edges, y, x, counts, away > 0.0, near if near.any() else away > 0.0, hole)
 
     def noise(self, means: FloatArray) -> float:
         """Estimate the standard deviation of a block's mean from three neighbours at a time; a slope cancels."""
@@ -288,7 +288,7 @@ def _n_alike(profile: FloatArray, error: float) -> int:
     return len(profile)
 
 
-class _Fitted(NamedTuple):
+class _SurfaceFit(NamedTuple):
     """The blocks that a surface is fitted to, their shares of pixels, and the terms of each degree at them."""
 
     places: tuple[NDArray[np.intp], ...]
@@ -298,8 +298,8 @@ class _Fitted(NamedTuple):
 
     @staticmethod
     @lru_cache(maxsize=64)
-    def of(spans: Spans, block_px: int, hole: float, rows: Range, columns: Range) -> _Fitted:
-        blocks = _Blocks.of(spans, block_px, hole)
+    def of(spans: Spans, block_px: int, hole: float, rows: Range, columns: Range) -> _SurfaceFit:
+        blocks = _SurroundBlocks.of(spans, block_px, hole)
         within = np.zeros_like(blocks.around)
         within[slice(*rows), slice(*columns)] = True
         places = np.nonzero(within & blocks.around)
@@ -309,7 +309,7 @@ class _Fitted(NamedTuple):
         for degree in DEGREES:
             if not (degree == 1 and 2 in terms) and _is_known(degree, x / scale, y / scale, hole / scale):
                 terms[degree] = _terms(x / scale, y / scale, degree)
-        return _Fitted(places, blocks.counts[places] / block_px**2, terms, scale)
+        return _SurfaceFit(places, blocks.counts[places] / block_px**2, terms, scale)
 
     def surface(self, block_means: FloatArray, noise: float) -> FloatArray:
         """Fit a surface; return its coefficients, (5, 5)."""

@@ -65,7 +65,7 @@ class Trials(Sequence[Trial]):
 
     __slots__ = ("_columns", "_rows")
 
-    def __init__(self, columns: _Columns, rows: NDArray[np.intp]) -> None:
+    def __init__(self, columns: _TrialColumns, rows: NDArray[np.intp]) -> None:
         self._columns = columns
         self._rows = rows
 
@@ -275,7 +275,7 @@ class TrialsBuilder:
         if np.any(np.diff(trial_of_frame) < 0):  # the frames of a trial are to follow each other
             frames = frames.taken(np.argsort(trial_of_frame, kind="stable"))
         n_frames = np.bincount(trial_of_frame, minlength=len(self))
-        columns = _Columns(
+        columns = _TrialColumns(
             number=_column(self._number, np.int64),
             name=self._name.or_none(),
             first_frame=np.concatenate([[0], np.cumsum(n_frames)]),
@@ -319,7 +319,7 @@ class _Frames:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Columns:
+class _TrialColumns:
     """Columns of trials.
 
     Attributes
@@ -383,12 +383,12 @@ class _Columns:
         own = map(_decoded, self.name.at(rows))
         return [one[1:] if one else path for one, path in zip(own, names, strict=True)]
 
-    def taken(self, rows: NDArray[np.intp]) -> _Columns:
+    def taken(self, rows: NDArray[np.intp]) -> _TrialColumns:
         """Return the columns of some rows alone."""
         n_frames = self.first_frame[rows + 1] - self.first_frame[rows]
         stimuli, stimulus = np.unique(self.stimulus[rows], return_inverse=True)
         groups, group = np.unique(self.group[rows], return_inverse=True)
-        return _Columns(
+        return _TrialColumns(
             number=self.number[rows],
             name=None if self.name is None else self.name.taken(rows),
             first_frame=np.concatenate([[0], np.cumsum(n_frames)]),

@@ -40,7 +40,7 @@ MOST_ROLL_DEGREES, LARGEST_ROLL_DEGREES = 3.0, 30.0
 """Angle between a triangle and the nearest of the four orientations that is told, and that is too large."""
 
 
-MOST_STRETCH = 1.05
+REPORTED_STRETCH = 1.05
 """Ratio of the largest to the smallest scale that is told; a chart tilted by 18° has it."""
 
 
@@ -332,7 +332,7 @@ class ChartSource:
                 f"{where}triangles are turned by {abs(roll):.1f}° from their orientation, which the observer does "
                 "not expect; turn the camera, or the chart",
             )
-        if (stretch := worst("stretch")) > MOST_STRETCH:
+        if (stretch := worst("stretch")) > REPORTED_STRETCH:
             yield RecordingWarning(
                 "tilted",
                 f"{where}triangles are stretched by {100 * (stretch - 1):.2g} %, as in a view at "

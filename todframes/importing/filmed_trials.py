@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from todframes.importing.clips import Clip, ClipFrame, Integration, Placed, Rectangle
-from todframes.importing.windows import CodeRange, Window, WrittenWindow, narrowed, suffix
+from todframes.importing.windows import CodeRange, RecordedWindow, WrittenWindow, narrowed, suffix
 from todframes.stimulus import Orientation
 
 OBJECT_SIZE = "object_size_mrad"
@@ -124,7 +124,7 @@ class TrialDivision:
 
     def windows(
         self, frames: Iterable[tuple[Clip, ClipFrame]], scale: CodeRange, frame_s: float | None
-    ) -> Iterator[Window]:
+    ) -> Iterator[RecordedWindow]:
         """Yield the windows of the frames of one recording, in the order of time."""
         integration = Integration(self._time_s, frame_s)
         clip: Clip | None = None
@@ -161,7 +161,9 @@ class TrialDivision:
             start_px=(placed.x_px or 0.0, placed.y_px or 0.0),
         )
 
-    def _taken(self, frame: ClipFrame, index: int, placed: Placed | None, scale: CodeRange) -> Iterator[Window]:
+    def _taken(
+        self, frame: ClipFrame, index: int, placed: Placed | None, scale: CodeRange
+    ) -> Iterator[RecordedWindow]:
         """Yield the window of a triangle, unless its trial has ended early or does now."""
         trial = self._open[index]
         if trial is None:
@@ -179,7 +181,7 @@ class TrialDivision:
         trial.sizes_px.append(placed.size_px)
         if placed.x_px is not None and placed.y_px is not None:
             trial.places_px.append((placed.x_px - window[2], placed.y_px - window[0]))
-        yield Window(name, values, scale)
+        yield RecordedWindow(name, values, scale)
 
     def _end(self, clip: Clip | None, is_whole: bool) -> None:
         """End the present trials; keep them if they are whole."""

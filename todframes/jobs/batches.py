@@ -90,7 +90,7 @@ class ExecutorEngine(ABC):
         TodframesError
             If workers cannot be started, or one of them cannot do the work.
         """
-        plan = Plan(work, items, self.batch_s)
+        plan = BatchQueue(work, items, self.batch_s)
         pickled = self._pickled(work)
         key = hashlib.sha256(pickled).hexdigest()
         outcomes: queue.SimpleQueue[tuple[Batch[T], Future[Any]]] = queue.SimpleQueue()
@@ -154,7 +154,7 @@ class Batch(Generic[T]):
     deaths: int | None = None
 
 
-class Plan(Generic[T, R]):
+class BatchQueue(Generic[T, R]):
     """The batches of a run: items not begun, what is left of batches, and items put aside."""
 
     def __init__(self, work: Work[T, R], items: Iterable[tuple[int, T]], batch_s: float) -> None:

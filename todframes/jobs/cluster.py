@@ -66,7 +66,7 @@ BATCHES_PER_THREAD = 4
 """Largest number of batches in flight for each thread of the workers."""
 
 
-LIBRARIES = ("distributed", "tornado", "bokeh")
+LOGGERS = ("distributed", "tornado", "bokeh")
 """Names of the loggers that are silenced, with those below them."""
 
 
@@ -357,7 +357,7 @@ async def _count_threads(client: Client) -> int:
 @contextmanager
 def _without_messages() -> Iterator[None]:
     """Silence the loggers of Dask: about lost connections and dead processes, the engine says what matters."""
-    names = {*LIBRARIES, *(name for name in logging.root.manager.loggerDict if name.split(".")[0] in LIBRARIES)}
+    names = {*LOGGERS, *(name for name in logging.root.manager.loggerDict if name.split(".")[0] in LOGGERS)}
     levels = {logger: logger.level for logger in map(logging.getLogger, names)}
     for logger in levels:
         logger.setLevel(logging.CRITICAL + 1)

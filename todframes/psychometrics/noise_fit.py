@@ -168,7 +168,7 @@ def fit_noise(
     -------
     NoiseFit
     """
-    search = _Search(table, is_correct.astype(np.float64), lapse_rates)
+    search = _NoiseSearch(table, is_correct.astype(np.float64), lapse_rates)
     best, most = search.maximum()
     intervals = [search.interval(axis, best, most) for axis in range(3)]
     low, high = intervals[0]
@@ -215,7 +215,7 @@ def with_lapses(p_correct: FloatArray, lapse_rate: float) -> FloatArray:
     return (1.0 - share) * p_correct + share * GUESS_RATE
 
 
-class _Search:
+class _NoiseSearch:
     """Search for the most likely parameters θ = (ln noise, ln blur, δ); those that are fixed have equal bounds."""
 
     def __init__(self, table: AnswerTable, is_correct: FloatArray, lapse_rates: tuple[float, float]) -> None:

@@ -23,7 +23,7 @@ from todframes.frames.files import (
 )
 from todframes.recordings.recording import RecordingWarning, StillHeader, check_size
 
-FORMATS = {
+IMAGE_FORMATS = {
     rb"\x76\x2f\x31\x01": "openexr",
     rb"\x89PNG\r\n\x1a\n": "png",
     rb"II[*+]\0|MM\0[*+]": "tiff",
@@ -39,7 +39,7 @@ PIXEL_TYPES = ("uint8", "uint16", "int16", "half", "float", "double")
 """Stored types that are read; all others have values that 32-bit floats cannot hold."""
 
 
-RATES = ("FramesPerSecond", "dpx:FrameRate", "dpx:TemporalFrameRate")
+RATE_ATTRIBUTES = ("FramesPerSecond", "dpx:FrameRate", "dpx:TemporalFrameRate")
 """Attributes with the frame rate."""
 
 
@@ -52,7 +52,7 @@ LOSSY = RecordingWarning(
 
 def format_of(start: bytes) -> str | None:
     """Return OpenImageIO's name of the format of a file that starts with these bytes; None if it has none."""
-    return next((name for pattern, name in FORMATS.items() if re.match(pattern, start)), None)
+    return next((name for pattern, name in IMAGE_FORMATS.items() if re.match(pattern, start)), None)
 
 
 def read_header(path: Path, max_frame_mb: int) -> StillHeader:
@@ -195,8 +195,8 @@ def _as_recorded(path: Path, stored: NDArray[Any]) -> NDArray[Any]:
 
 def _rate(spec: Any) -> float | None:
     """Return the frame rate that the metadata give, None if they give none."""
-    values = {one.name: one.value for one in spec.extra_attribs if one.name in RATES}
-    for name in RATES:
+    values = {one.name: one.value for one in spec.extra_attribs if one.name in RATE_ATTRIBUTES}
+    for name in RATE_ATTRIBUTES:
         value: Any = values.get(name)
         if isinstance(value, tuple):
             value = value[0] / value[1] if len(value) == 2 and value[1] else None

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from av.video.frame import VideoFrame
     from av.video.stream import VideoStream
 
-FORMATS = {
+VIDEO_FORMATS = {
     rb"\x1a\x45\xdf\xa3": "matroska",
     rb"....(ftyp|moov|mdat|wide|free|skip)": "mov",
     rb"RIFF....AVI ": "avi",
@@ -101,7 +101,7 @@ class Levels(NamedTuple):
 
 def format_of(start: bytes) -> str | None:
     """Return FFmpeg's name of the format of a file that starts with these bytes; None if it is no video."""
-    return next((name for pattern, name in FORMATS.items() if re.match(pattern, start, re.DOTALL)), None)
+    return next((name for pattern, name in VIDEO_FORMATS.items() if re.match(pattern, start, re.DOTALL)), None)
 
 
 def pixel_format(name: str) -> PixelFormat | None:

@@ -91,7 +91,7 @@ def label_text(text: str) -> str:
     return " " * text.startswith("_") + text.replace("$", r"\$")
 
 
-class Look(NamedTuple):
+class CurveStyle(NamedTuple):
     """Colour and marker of one curve of several."""
 
     colour: Colour
@@ -111,11 +111,11 @@ def plain_ticks(axis: Any, values: Sequence[float]) -> None:
     axis.set_minor_locator(NullLocator())
 
 
-def look_of(number: int, of: int) -> Look:
-    """Return the look of curve `number` out of `of`; if `COLOURS` has too few colours, they are interpolated."""
+def curve_style(number: int, of: int) -> CurveStyle:
+    """Return the style of curve `number` out of `of`; if `COLOURS` has too few colours, they are interpolated."""
     from matplotlib.colors import LinearSegmentedColormap, to_rgba
 
     marker = MARKERS[number % len(MARKERS)]
     if of <= len(COLOURS):
-        return Look(to_rgba(COLOURS[round(number * (len(COLOURS) - 1) / max(of - 1, 1))]), marker)
-    return Look(LinearSegmentedColormap.from_list("sizes", COLOURS)(number / (of - 1)), marker)
+        return CurveStyle(to_rgba(COLOURS[round(number * (len(COLOURS) - 1) / max(of - 1, 1))]), marker)
+    return CurveStyle(LinearSegmentedColormap.from_list("sizes", COLOURS)(number / (of - 1)), marker)

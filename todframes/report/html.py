@@ -17,7 +17,7 @@ from todframes.base._typing import Json
 from todframes.report import calibration, tables
 from todframes.report.data import DatasetRecord, Example, Record, ResultData, Thumbnail
 from todframes.report.figure_style import style
-from todframes.report.figures import Picture, pictures
+from todframes.report.figures import ReportFigure, pictures
 from todframes.report.summary import cautions, remarks, verdict
 from todframes.report.svg import inline_svg
 from todframes.report.table import HIDDEN, Table, markup
@@ -93,7 +93,7 @@ def _about(result: ResultData) -> str:
     return str(result.dataset_path or name or "")
 
 
-def figure_items(drawn: Sequence[Picture]) -> list[Json]:
+def figure_items(drawn: Sequence[ReportFigure]) -> list[Json]:
     """List figures for the page, up to `MOST_FIGURES`."""
     with style():
         return [

@@ -17,7 +17,7 @@ from todframes.report.wording import (
     unit_of,
 )
 
-LONGEST_LIST = 6
+MOST_DESCRIBED_CURVES = 6
 """Largest number of curves that are described one by one; if there are more, the table shows them."""
 
 
@@ -81,11 +81,11 @@ def _told(result: ResultData) -> list[str]:
     curves = by_curve(result.thresholds)
     told = [
         sentence
-        for label, fits in list(curves.items())[:LONGEST_LIST]
+        for label, fits in list(curves.items())[:MOST_DESCRIBED_CURVES]
         for sentence in _curve(label, fits, computed=computed)
     ]
-    if len(curves) > LONGEST_LIST:
-        told.append(f"{len(curves) - LONGEST_LIST} more are in the table.")
+    if len(curves) > MOST_DESCRIBED_CURVES:
+        told.append(f"{len(curves) - MOST_DESCRIBED_CURVES} more are in the table.")
     return told
 
 

@@ -50,7 +50,7 @@ THRESHOLD_COLUMNS = (
 )
 
 
-RATES = {"gamma": "guess_rate", "delta": "lapse_rate"}
+RATE_COLUMNS = {"gamma": "guess_rate", "delta": "lapse_rate"}
 """Attributes of a fit whose columns have the names of the keys in JSON."""
 
 
@@ -123,7 +123,7 @@ def thresholds(result: ResultData, title: str = "") -> Table:
     computed = not any(fit.n_trials for _, fit in fits)
     names = ("threshold", *(one.key for one in THRESHOLD_COLUMNS))
     records = [
-        more | _group_record(fit.group) | {name: getattr(fit, RATES.get(name, name)) for name in names}
+        more | _group_record(fit.group) | {name: getattr(fit, RATE_COLUMNS.get(name, name)) for name in names}
         for more, fit in fits
     ]
     if computed:

@@ -121,7 +121,7 @@ class TrialWork(Generic[T]):
                 try:
                     readout = readout_of(trial.stimulus)
                 except SettingsError as error:  # an error about this row's size
-                    raise FrameError(scoring.dataset.frame_path(trial.frames[0]), str(error)) from None
+                    raise FrameError(scoring.dataset.frame_path(trial.frames[0]), error.marked) from None
                 return self.show(scoring, trial, readout)
             except FrameError as error:
                 return Unusable(error)

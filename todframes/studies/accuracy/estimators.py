@@ -43,7 +43,7 @@ class Estimate(NamedTuple):
     threshold: float
 
 
-class Trials(NamedTuple):
+class FoldedTrials(NamedTuple):
     """Independent trials as the folded observer sees them.
 
     Attributes
@@ -160,7 +160,7 @@ class StudyScene(Protocol):
 
 def monte_carlos(
     answers: Callable[[], Callable[[int, np.random.Generator], FloatArray]],
-    trials: Callable[[], Callable[[int, np.random.Generator], Trials]],
+    trials: Callable[[], Callable[[int, np.random.Generator], FoldedTrials]],
     smallest: int = 1,
     fewest: int = 64,
 ) -> tuple[MonteCarlo, MonteCarlo, MonteCarlo]:
@@ -171,7 +171,7 @@ def monte_carlos(
     answers : callable
         `prepare` of the literal one.
     trials : callable
-        Function that returns `draw(n, rng)` of `Trials`.
+        Function that returns `draw(n, rng)` of `FoldedTrials`.
     """
 
     def drawn() -> Callable[[int, np.random.Generator], FloatArray]:

@@ -24,7 +24,7 @@ from sensor_sim.explorer.estimate import (
     FEW_PLACES,
     LATTICES,
     MORE_PLACES,
-    ORTHANT_TOLERANCE,
+    QUICK_ORTHANT_TOLERANCE,
     Reference,
     corrected,
     lattice_phases,
@@ -37,9 +37,9 @@ from sensor_sim.sweeps.work import as_computed
 from sensor_sim.thresholds.curve_plan import CurvePlan, plan_curve
 from sensor_sim.thresholds.predict import (
     FoldedChain,
-    Found,
     Level,
     Phases,
+    PooledThreshold,
     PredictedThreshold,
     find_threshold,
     predict_threshold,
@@ -91,7 +91,7 @@ class Request(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Answer:
+class CurvePoint:
     """A threshold at the place `index` of the curve."""
 
     index: int
@@ -100,7 +100,7 @@ class Answer:
     is_refined: bool
 
 
-class Engine:
+class ThresholdEngine:
     """Computer of thresholds that keeps what the next sensor may need.
 
     Parameters
@@ -119,7 +119,7 @@ class Engine:
         self._near: dict[tuple[Level, float], tuple[float, float]] = {}
         self._references: dict[tuple[Level, float], Reference] = {}
 
-    def answers(self, request: Request) -> Iterator[Answer]:
+    def answers(self, request: Request) -> Iterator[CurvePoint]:
         """Yield estimates of all sizes and then refined thresholds, the easiest first.
 
         A refined threshold that is known comes at once, instead of the estimate.
@@ -143,11 +143,11 @@ class Engine:
             task = _Task(sensor, observer, size, request.p_correct, request.level)
             key: Hashable = (sensor, pickled, scale, size, request.p_correct, request.level, fine)
             if key in self._known:
-                yield Answer(index, *self._known[key], is_refined=True)
+                yield CurvePoint(index, *self._known[key], is_refined=True)
                 continue
             self._check()
             found, shares, on_few = self._estimated(task, rough)
-            yield Answer(index, found, shares, is_refined=False)
+            yield CurvePoint(index, found, shares, is_refined=False)
             difficulty = (
                 found.numerical_error / found.threshold if found.threshold and found.numerical_error else 0.0
             )
@@ -156,7 +156,7 @@ class Engine:
             self._known[name] = self._refined(task, fine, on_few)
             if len(self._known) > THRESHOLDS_KEPT:
                 self._known.popitem(last=False)
-            yield Answer(index, *self._known[name], is_refined=True)
+            yield CurvePoint(index, *self._known[name], is_refined=True)
 
     def _estimated(self, task: _Task, tolerance: float) -> tuple[PredictedThreshold, Shares, _OnLattices]:
         """Return an estimate, and that on few places.
@@ -180,14 +180,14 @@ class Engine:
         stimulus = Stimulus(size * sensor.display.detector_pitch_mrad)
         grid = judge.grid(stimulus)
         half_width = seen_samples(sensor, judge, size, grid)
-        look = observer.look(stimulus, half_width)
+        noise = observer.noise(stimulus, half_width)
 
         def make() -> _Trials:
             phases = lattice_phases(
                 sensor,
                 judge,
                 size,
-                quick_plan(sensor, judge, size, symmetric=look.is_symmetric, shared=self._shared),
+                quick_plan(sensor, judge, size, symmetric=noise.is_symmetric, shared=self._shared),
                 places=places,
                 jitter=observer.position_jitter_samples * grid.pitch_mrad / sensor.display.detector_pitch_mrad,
                 name=(observer.name, stimulus),
@@ -200,17 +200,17 @@ class Engine:
         near, slope = self._near.get((level, size), (None, math.nan))
         found = find_threshold(
             phases,
-            look.noise_covariance,
+            noise.noise_covariance,
             p_correct,
             n_replicates=LATTICES,
             level=level,
             near=near,
             slope=slope,
-            tolerance=ORTHANT_TOLERANCE,
+            tolerance=QUICK_ORTHANT_TOLERANCE,
         )
         if found.status == "ok":
             self._near[level, size] = found.threshold, found.slope
-        return _OnLattices(found, phases, look.noise_covariance)
+        return _OnLattices(found, phases, noise.noise_covariance)
 
     def _refined(self, task: _Task, tolerance: float, on_few: _OnLattices) -> tuple[PredictedThreshold, Shares]:
         sensor, observer, size, p_correct, level = task
@@ -254,7 +254,7 @@ class Engine:
 class _OnLattices(NamedTuple):
     """An estimate without correction, its trials, and the covariance of the internal noise."""
 
-    found: Found
+    found: PooledThreshold
     phases: list[Phases]
     internal: FloatArray
 
