@@ -15,8 +15,7 @@ from todframes.base.locations import Location
 from todframes.diagnosis.findings import frame_warnings
 from todframes.diagnosis.inspection import inspect, records
 from todframes.display.display import Display
-from todframes.frames.checksums import dataset_warnings
-from todframes.frames.dataset import Dataset, load_dataset
+from todframes.frames.dataset import Dataset, dataset_warnings, load_dataset
 from todframes.frames.trials import Trial
 from todframes.jobs.engine import open_engine
 from todframes.jobs.work import Engine

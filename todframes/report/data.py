@@ -16,7 +16,7 @@ from msgspec import Meta, Struct, field
 
 from todframes.base.errors import DataError
 from todframes.base.reading import read_file
-from todframes.base.safe_text import in_utf8
+from todframes.base.safe_text import in_utf8, visible_json
 
 if TYPE_CHECKING:
     from todframes.diagnosis.missing_threshold import Explanation
@@ -590,6 +590,15 @@ def read_bytes(path: Path) -> bytes:
         If it cannot be read or is too long.
     """
     return read_file(path, most_mb=MAX_MB)
+
+
+def json_file(content: object) -> bytes:
+    """Return a record as indented JSON; NaN becomes null.
+
+    Characters that a terminal would obey are escaped; the values of the JSON are the same.
+    """
+    text = msgspec.json.format(msgspec.json.encode(content), indent=2).decode()
+    return (visible_json(text) + "\n").encode()
 
 
 def decode(content: bytes, where: str, kind: type[D]) -> D:
