@@ -42,7 +42,6 @@ from todframes.cli.options import (
 
 sensor_argument = click.argument("sensor", type=click.Path(path_type=Path), metavar="SENSOR.toml")
 
-
 sizes_option = click.option(
     "--size-detectors", "sizes", required=True, metavar="S[,S…]", help="Sizes √(area) in detector pitches."
 )

@@ -22,9 +22,7 @@ if TYPE_CHECKING:
 
 POINTS = 201
 
-
 TABLE_STEP = 20
-
 
 SHOWN_NYQUISTS = 3.0
 """Highest frequency in the figure, in units of the Nyquist frequency."""

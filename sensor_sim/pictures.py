@@ -126,7 +126,6 @@ def _threshold_example(sensor: Sensor, observer: Observer, fit: Fit, seed: int) 
 BLACK, WHITE = -1.0, 2.0
 """Signals shown as black and as white in the pictures of stages, in units of a large triangle's signal."""
 
-
 STAGE_TITLES = {
     "a_input": "a. scene",
     "b_optics": "b. behind the optics",

@@ -37,7 +37,6 @@ def flat(image, *, note: object = object()):
     return 0.0 * image + 0.5
 """
 
-
 QUICKLY = "--set", "resamples=200"
 
 

@@ -25,7 +25,6 @@ from todframes.stimulus import Stimulus
 # Code values of sRGB (IEC 61966-2-1) for linear light 1/2, 3/4 and 1.
 HALF, THREE_QUARTERS, WHITE = 188, 225, 255
 
-
 Drawn = Example | tuple[float, tuple[Thumbnail, ...]]
 
 

@@ -816,7 +816,6 @@ BAD_ANSWERS = [
     b"\xff\xfe",
 ]
 
-
 BAD_MONITORS = [
     b"{}",
     b'{"device_pixel_ratio": 1, "viewing_distance_mm": "near"}',

@@ -11,7 +11,7 @@ import zlib
 import numpy as np
 import pytest
 from test_memory import PEAK, linux
-from test_recordings import dng, fff, write_image
+from test_recordings import dng, fff, jpeg_ls, png, ptw, write_image
 
 import todframes as tod
 from todframes.cli.console import run
@@ -53,6 +53,9 @@ FILES = {
     "a.npz": lambda path: np.savez_compressed(path, COUNTS),
     "a.dng": lambda path: dng(path, COUNTS, black=0, white=1000, mosaic=False),
     "a.fff": lambda path: path.write_bytes(fff(COUNTS)),
+    "a.csq": lambda path: path.write_bytes(fff(COUNTS, image=jpeg_ls(COUNTS))),
+    "png.fff": lambda path: path.write_bytes(fff(COUNTS, image=png(COUNTS))),
+    "a.ptw": lambda path: path.write_bytes(ptw(COUNTS[np.newaxis], [1.0])),
     "a.mkv": lambda path: video(path, "ffv1", "gray16le"),
     "a.mov": lambda path: video(path, "png", "rgb24"),
     "a.mp4": lambda path: video(path, "libx264", "yuv420p"),

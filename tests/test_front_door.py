@@ -300,42 +300,43 @@ def test_result_of_the_least_fields() -> None:
 
 
 FLAG = re.compile(r"(?<![-\w`])--[a-z]")
+WHOLE_COMMAND = re.compile(r"(todframes|sensor-sim) [a-z-]+ .*--")
 COMMANDS_ALONE = ("cli", "cli.py", "studies")
-"""Rooms and modules whose errors only commands raise."""
+"""Rooms and modules that only commands use."""
+NO_SENTENCES = {"base/errors.py", "report/html.py", "report/svg.py", "explorer/routes.py"}
+"""Modules with a table of options, with variables of CSS, and with the parts of a command to copy."""
 
 
-def errors_in_source() -> Iterator[tuple[str, ast.Call]]:
-    """All calls of errors in the packages, with their places."""
+def nodes_in_source() -> Iterator[tuple[str, ast.AST]]:
+    """All nodes of the sources of calls but docstrings and parts of f-strings, with their places."""
     for package in (tod, ss):
         folder = Path(package.__file__).parent
         for path in folder.rglob("*.py"):
-            if path.relative_to(folder).parts[0] in COMMANDS_ALONE:
-                continue
-            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-                if isinstance(node, ast.Call) and ast.unparse(node.func).endswith("Error"):
-                    yield f"{path}:{node.lineno}", node
+            below = path.relative_to(folder)
+            if below.parts[0] not in COMMANDS_ALONE and below.as_posix() not in NO_SENTENCES:
+                nodes = [*ast.walk(ast.parse(path.read_text(encoding="utf-8")))]
+                skipped = {id(one.value) for one in nodes if isinstance(one, ast.Expr)}
+                skipped |= {id(part) for one in nodes if isinstance(one, ast.JoinedStr) for part in one.values}
+                yield from ((str(path), one) for one in nodes if id(one) not in skipped)
 
 
-def arguments_named(call: ast.Call) -> set[str]:
-    """The arguments that the message of an error names."""
-    found = [one for one in ast.walk(call) if isinstance(one, ast.Attribute)]
-    return {one.attr for one in found if ast.unparse(one.value) == "argument"}
+def arguments_named() -> dict[str, str]:
+    """The arguments that texts of calls name, with a place of each."""
+    found = ((place, node) for place, node in nodes_in_source() if isinstance(node, ast.Attribute))
+    return {node.attr: place for place, node in found if ast.unparse(node.value) == "argument"}
 
 
-def test_errors_of_calls_name_arguments() -> None:
-    """No error of the library names an option, and each argument that one names is that of a call."""
+def test_texts_of_calls_name_arguments() -> None:
+    """No text of the library names an option, and each argument that one names is that of a call."""
+    for place, node in nodes_in_source():
+        if isinstance(node, ast.JoinedStr | ast.Constant) and not WHOLE_COMMAND.search(text := ast.unparse(node)):
+            assert not FLAG.search(text), (place, text)
     calls = [getattr(package, name) for package, name in NAMES]
     known = {name for one in calls if inspect.isfunction(one) for name in inspect.signature(one).parameters}
     known |= {"bits"}  # a setting of `chart` for a screen
-    n_named = 0
-    for place, call in errors_in_source():
-        for node in ast.walk(call):
-            if isinstance(node, ast.Constant) and isinstance(node.value, str):
-                assert not FLAG.search(node.value), place
-        named = arguments_named(call)
-        assert named <= known, place
-        n_named += len(named)
-    assert n_named > 20
+    named = arguments_named()
+    assert len(named) > 20
+    assert {name: place for name, place in named.items() if name not in known} == {}
 
 
 def commands_of(group: click.Group) -> dict[str, click.Command]:
@@ -346,7 +347,7 @@ def commands_of(group: click.Group) -> dict[str, click.Command]:
 
 
 def test_options_of_arguments_exist() -> None:
-    """Each argument that an error names has the option of a command, which shows it in its place."""
+    """Each argument that a text names has the option of a command, which shows it in its place."""
     options = {
         option
         for group in (cli, sensor_cli)
@@ -354,8 +355,7 @@ def test_options_of_arguments_exist() -> None:
         for parameter in command.params
         for option in parameter.opts
     }
-    named = {name for _, call in errors_in_source() for name in arguments_named(call)}
-    assert {flag_of(name) for name in named} <= options
+    assert {flag_of(name) for name in arguments_named()} <= options
 
 
 @pytest.mark.parametrize(
@@ -394,6 +394,15 @@ def test_an_error_about_a_frame_names_the_option_too(capsys) -> None:
     assert caught.value.problem.endswith("(white)")
     assert run(cli, ["compare", str(NAKED_EYE), "--enhance", algorithm]) == 1
     assert capsys.readouterr().err.rstrip().endswith("(--white)")
+
+
+def test_a_warning_names_what_its_reader_wrote(make_dataset, capsys) -> None:
+    path = str(make_dataset(row_changes={row: {"x_px": "26", "y_px": "23.5"} for row in range(8)}).path)
+    (found,) = [one.message for one in tod.validate(path).warnings if one.code == "position_offset"]
+    assert found.endswith("take them out and use locate")
+    assert run(cli, ["validate", path, "--json"]) == 0
+    shown = json.loads(capsys.readouterr().out)["warnings"]
+    assert [one["message"] for one in shown if one["code"] == "position_offset"] == [found[:-6] + "--locate"]
 
 
 def test_every_command_has_a_call() -> None:

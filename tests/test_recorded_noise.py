@@ -410,7 +410,7 @@ def test_a_folder_of_radiometric_files_has_their_scale(tmp_path):
         (tmp_path / name).write_bytes((REAL / "frame_000000.fff").read_bytes())
     two = tod.noise(tmp_path)
     assert two.mk_per_unit == pytest.approx(one.mk_per_unit)
-    assert [warning.code for warning in two.warnings] == ["doubled_frames", "quantised"]
+    assert [warning.code for warning in two.warnings] == ["times_not_used", "doubled_frames", "quantised"]
     data = bytearray((REAL / "frame_000000.fff").read_bytes())
     place = data.index(struct.pack("<f", 364058.0))  # R1 of the file's constants
     data[place : place + 4] = bytes(4)

@@ -17,7 +17,7 @@ from sensor_sim.sweeps.designs import FILL_FACTOR, NAME_COLUMN, NETD, PITCH, WID
 from sensor_sim.sweeps.work import IMPOSSIBLE, Swept
 from todframes import __version__
 from todframes.base._typing import FloatArray, Json
-from todframes.base.errors import SettingsError
+from todframes.base.errors import SettingsError, argument, for_reader
 from todframes.base.reading import check_keys
 from todframes.report.data import json_file
 from todframes.report.table import BLOCK, Column, LongRecords, Table
@@ -405,10 +405,8 @@ class SweepData:
             number = int(self.on_front[:, 0].sum())
             found.append(f"{count(number, 'design')} on the trade-off front of {names}.")
         if self._misses_coupling:
-            found.append(
-                "The NETD is the same for all apertures and detectors, so a smaller one costs no signal; with "
-                "--couple-netd it follows f-number² / area."
-            )
+            text = "The NETD is the same for all apertures and detectors, so a smaller one costs no signal; with "
+            found.append(for_reader(f"{text}{argument.couple_netd} it follows f-number² / area."))
         return found
 
     @property

@@ -6,6 +6,9 @@ Each message is one line that names the file, row or key, what was found and wha
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +26,7 @@ _FLAGS = {
     "value_range": "--range",
 }
 """Options of the command line whose names are not those of the arguments."""
+_is_command: ContextVar[bool] = ContextVar("is_command", default=False)
 
 
 class _Arguments:
@@ -43,8 +47,19 @@ def flag_of(name: str) -> str:
     return _FLAGS.get(name, "--" + name.replace("_", "-"))
 
 
-def _unmarked(message: str) -> str:
-    return _ARGUMENT.sub(r"\1", message)
+@contextmanager
+def in_command() -> Iterator[None]:
+    """Let texts name the options of the command line for the time of a `with` statement."""
+    before = _is_command.set(True)
+    try:
+        yield
+    finally:
+        _is_command.reset(before)
+
+
+def for_reader(text: str) -> str:
+    """Return a text with names as its reader knows them: options in a command, arguments in a call."""
+    return _ARGUMENT.sub(lambda found: flag_of(found[1]) if _is_command.get() else found[1], text)
 
 
 class TodframesError(Exception):
@@ -60,16 +75,12 @@ class TodframesError(Exception):
         super().__init__(in_utf8(without_secrets(message)))
 
     def __str__(self) -> str:
-        return _unmarked(self.marked)
+        return for_reader(self.marked)
 
     @property
     def marked(self) -> str:
         """The message for another error of this package; arguments in it get the name that its reader knows."""
         return str(self.args[0])
-
-    def for_command(self) -> str:
-        """Return the message with the options of the command line in place of arguments."""
-        return _ARGUMENT.sub(lambda found: flag_of(found[1]), self.marked)
 
 
 class DataError(TodframesError, ValueError):
@@ -82,11 +93,15 @@ class FrameError(DataError):
     def __init__(self, path: Any, problem: str) -> None:
         super().__init__(f"{path}: {problem}")
         self.path = Path(path) if isinstance(path, str) else path
-        self.problem = _unmarked(problem)
-        self._of_init = self.path, problem
+        self._marked_problem = problem
+
+    @property
+    def problem(self) -> str:
+        """What is wrong, without the path."""
+        return for_reader(self._marked_problem)
 
     def __reduce__(self) -> tuple[type, tuple[Any, str]]:
-        return type(self), self._of_init
+        return type(self), (self.path, self._marked_problem)
 
 
 class RemoteError(TodframesError, ConnectionError):

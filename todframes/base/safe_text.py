@@ -8,6 +8,7 @@ import re
 from collections.abc import Iterable
 
 FORMULA_STARTS = ("=", "+", "-", "@", "\t", "\r", "\n", "＝", "＋", "－", "＠")
+
 _UNESCAPED_BY_JSON = re.compile(r"[\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069]")
 """Pattern of control characters and of characters that change the direction of the text beside them."""
 CONTAINER_BEFORE_AT = ("abfs", "abfss", "wasb", "wasbs")

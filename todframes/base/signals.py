@@ -17,25 +17,20 @@ from typing import Any
 
 SIGNALS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
 
-
 STARTED_S = time.perf_counter()
 """Time at which the process began, as `time.perf_counter` counts."""
 
 INTERRUPTED = 130
 """Exit status of an interrupted run."""
 
-
 RETRY_S, MOST_RETRIES = 0.02, 1000
 """Interval and number of retries of an interruption in an import; after the last, the process ends at once."""
-
 
 written: list[str] = []
 """Places that the present run has written; `output` adds to them, `interruption_message` names the last."""
 
-
 kept: list[str] = []
 """Places where the present run keeps its finished results until it is whole."""
-
 
 _raised: list[int] = []
 """Signals of the present run that were raised as KeyboardInterrupt."""

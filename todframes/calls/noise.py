@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from todframes.base.errors import DataError, SettingsError
+from todframes.base.errors import DataError, SettingsError, argument
 from todframes.base.safe_text import in_utf8
 from todframes.calls.shared import (
     Progress,
@@ -93,7 +93,7 @@ def noise(
     from todframes.report.noise_report import noise_result
 
     if mk_per_count is not None and not (np.isfinite(mk_per_count) and mk_per_count > 0):
-        raise SettingsError(f"mk_per_count: found {mk_per_count}, expected a number > 0")
+        raise SettingsError(f"{argument.mk_per_count}: found {mk_per_count}, expected a number > 0")
     if isinstance(recording, np.ndarray):
         found: Sequence[Recording] = [memory_recording(recording, frames_per_second=frames_per_second)]
     else:

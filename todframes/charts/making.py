@@ -28,10 +28,8 @@ DEFAULT_LEVELS: dict[ChartKind, tuple[float, ...]] = {
 }
 """Contrasts, or temperature differences in K, if none are asked for."""
 
-
 BACKGROUND_SHARE = 0.25
 """Background of a monitor relative to white if none is asked for; contrasts reach from -1 to 3."""
-
 
 SETTINGS: dict[ChartKind, set[str]] = {
     "screen": {field.name for field in fields(Screen)} | {"display", "marker_mm"},
@@ -40,10 +38,8 @@ SETTINGS: dict[ChartKind, set[str]] = {
 }
 """Names of the settings of each kind."""
 
-
 SCREEN_DEFAULTS = {"width_px": 1920, "height_px": 1080, "page_duration_s": 1.0, "white_luminance_cd_m2": 100.0}
 """Settings of a monitor that need not be given."""
-
 
 Progress = Callable[[int], None]
 

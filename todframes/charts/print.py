@@ -33,40 +33,31 @@ from todframes.stimulus import vertices
 
 PDF_FILE = "chart.pdf"
 
-
 SPACING_PER_SIZE = 3.8
 """Distance between triangles of a sheet in sizes. The corners of one stay out of the field around the other, with
 0.4 sizes to spare for the blur and the perspective of a camera."""
 
-
 MARKER_SHARE = 0.08
 """Side of a marker relative to the smaller side of the sheet."""
-
 
 GAP_MM = 2.0
 """Distance between the grey field and the bands above and below it."""
 
-
 N_PATCHES = 12
 """Number of grey patches; the first has the grey of the background."""
-
 
 RULER_MM, RULER_STEP_MM, LEAST_RULER_MM = 200.0, 10.0, 50.0
 """Longest ruler, distance of its marks, and step of its length, which is also the shortest ruler."""
 
-
 TICK_MM, LINE_MM = 3.0, 0.2
-
 
 LINE_SPACING = 1.3
 """Distance of lines of text in heights of a letter."""
-
 
 WHITE = 255
 
 LEAST_PRINTED_SIZE_MM = 2.0
 """Smallest √(area) on paper: the dots by which a printer makes grey would show in smaller triangles."""
-
 
 PaperLength = Annotated[float, Meta(ge=10.0, le=2000.0)]
 

@@ -24,22 +24,17 @@ from todframes.stimulus import ORIENTATIONS, Orientation, coverage
 
 PLAYER = "play.html"
 
-
 LEAST_MONITOR_SIZE_PX = 8.0
 """Smallest √(area) in pixels of the monitor: a pixel, which blurs the edges, is an eighth of it."""
-
 
 LEAST_STEPS = 36.0
 """Smallest number of pixels that a dithered triangle raises by a code step: fewer are some dots, no triangle."""
 
-
 LARGEST_ROUNDING = 0.01
 """Largest relative change of a contrast by rounding to a code value; where it is larger, pixels are dithered."""
 
-
 MARKER_SHARE, LARGEST_MARKER_SHARE = 0.15, 0.2
 """Side of a marker relative to the smaller side of the page: if none is asked for, and the largest."""
-
 
 CORNER_REACH_PER_SIZE = 2.0 / 3.0**0.75
 """Distance from the centroid of a triangle to its corners, in sizes."""

@@ -22,14 +22,11 @@ from todframes.stimulus import HEIGHT_PER_SIZE, SIDE_PER_SIZE, Orientation, vert
 
 PDF_FILE, SCHEDULE_FILE = "plates.pdf", "schedule.csv"
 
-
 LEAST_HOLE_SIZE_MM = 1.0
 """Smallest √(area) of a hole: corners of smaller ones cannot be cut sharp enough."""
 
-
 BORDER_MM = 20.0
 """Border of the drawing around the plate, for the text."""
-
 
 PLATE_STEP_MM = 10.0
 

@@ -20,9 +20,7 @@ if TYPE_CHECKING:
 SCREEN, PRINT, THERMAL, SCREEN_PRINT = "Screen: ", "Print: ", "Thermal: ", "Screen, print: "
 """Starts of the help of options that only some kinds of charts have."""
 
-
 LEVEL_OPTIONS = {"contrasts", "delta_t_k"}
-
 
 PAPER_MM = {
     "A4": (297.0, 210.0),
@@ -32,7 +30,6 @@ PAPER_MM = {
     "A0": (1189.0, 841.0),
 }
 """Width and height of sheets across (ISO 216)."""
-
 
 SHOWN_TOLERANCE = 1e-3
 """Largest relative difference of a contrast from the one asked for that the table does not show."""

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import click
 
 from todframes.base import signals
-from todframes.base.errors import DataError, TodframesError
+from todframes.base.errors import DataError, TodframesError, in_command
 from todframes.base.safe_text import visible, without_secrets
 
 if TYPE_CHECKING:
@@ -31,18 +31,14 @@ if TYPE_CHECKING:
 
 STDOUT, STDERR = 1, 2
 
-
 LONGEST_REMARK = 8000
 """Largest number of characters of a line on standard error; of longer lines the two ends are shown."""
-
 
 MOST_ALIKE = 10
 """Largest number of problems of one kind that are printed."""
 
-
 MOST_ANSWERS = 12
 """Largest number of rows of the table of answers that is printed unless details are asked for."""
-
 
 WHOLE = 10_000
 """Width of a line, in letters, if standard output is not a terminal."""
@@ -342,6 +338,7 @@ def keep_libraries_to_one_thread() -> None:
         os.environ.setdefault(name, "1")
 
 
+@in_command()
 def run(command: click.Command, arguments: Sequence[str] | None) -> int:
     """Run a command line. Returns the exit status: 0 done, 1 bad data, 2 bad usage or settings.
 
@@ -357,7 +354,7 @@ def run(command: click.Command, arguments: Sequence[str] | None) -> int:
         sys.stdout.flush()
         return status if isinstance(status, int) else 0
     except TodframesError as error:
-        return _fail(error.for_command(), error.exit_status)
+        return _fail(str(error), error.exit_status)
     except click.exceptions.NoArgsIsHelpError as error:
         click.echo(error.format_message(), err=True)
         return 2

@@ -82,7 +82,7 @@ def import_command(
 ) -> None:
     """Make a dataset from RECORDING…, which show a chart of `todframes chart`, or what a schedule says.
 
-    Videos, image files and folders of them, camera raw, radiometric and NumPy files. The markers of the chart tell
+    Videos, image files and folders of them, camera raw, thermal and NumPy files. The markers of the chart tell
     which page a frame shows and where its triangles are; windows are cut about them, with values untouched.
     `todframes score` reads the dataset; import.json in it tells what was found.
     """

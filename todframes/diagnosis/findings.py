@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 
+from todframes.base.errors import argument
 from todframes.diagnosis.arrangement import TURNED
 from todframes.diagnosis.inspection import Inspection, is_contrast
 from todframes.diagnosis.limits import (
@@ -39,7 +40,6 @@ from todframes.frames.dataset import Dataset, DatasetWarning, WarningCode
 from todframes.frames.trials import Group
 
 Value = float | tuple[float, float]
-
 
 Told = tuple[WarningCode, Value, Value, str]
 """A code, what was found, what was expected, and the message."""
@@ -266,7 +266,7 @@ def _place(dataset: Dataset, one: Inspection) -> Iterator[Told]:
             (one.stated_px[0] + dx, one.stated_px[1] + dy),
             one.stated_px,
             f"the triangles lie {offset:.3g} pixels ({dx:+.2f} in x, {dy:+.2f} in y) from where the dataset says: "
-            "the observer looks beside them; correct x_px and y_px, or take them out and use --locate",
+            f"the observer looks beside them; correct x_px and y_px, or take them out and use {argument.locate}",
         )
     by_sampling = SCATTER_PER_BLUR * (one.blur_px or 0.0)
     if one.scatter_px and one.scatter_px > max(SCATTER_MRAD / pitch, LEAST_OFFSET_PX, by_sampling):
@@ -275,7 +275,7 @@ def _place(dataset: Dataset, one: Inspection) -> Iterator[Told]:
             one.scatter_px,
             0.0,
             f"the triangles' places scatter by {one.scatter_px:.2g} pixels from frame to frame: the camera moved; "
-            "fix it, give each frame its x_px and y_px, or use --locate each",
+            f"fix it, give each frame its x_px and y_px, or use {argument.locate} each",
         )
 
 

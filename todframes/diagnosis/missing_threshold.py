@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray
-from todframes.base.errors import TodframesError
+from todframes.base.errors import TodframesError, argument
 from todframes.diagnosis.arrangement import ARRANGEMENTS, TURNED, Arrangement
 from todframes.diagnosis.limits import (
     LEAST_EVIDENCE,
@@ -248,7 +248,7 @@ class _MistakeSearch:
         if apart_px > max(3.0 * (location.standard_error_px or 0.0) + 0.5, LEAST_OFFSET * size_px):
             clauses.append(
                 f"the triangle's centroid were at x_px {here[0]:g}, y_px {here[1]:g} instead of {stated[0]:g}, "
-                f"{stated[1]:g}: Give it in the manifest, or let --locate find it."
+                f"{stated[1]:g}: Give it in the manifest, or let {argument.locate} find it."
             )
             codes.append(("position_offset", here, stated))
         if codes:
@@ -267,7 +267,7 @@ class _MistakeSearch:
         if 2 * location.n_located >= len(self.trials) and location.scatter_px > LEAST_OFFSET * size_px:
             clause = (
                 f"each trial had a position of its own, which scatter by {location.scatter_px:.2g} pixels: Was "
-                "the camera held by hand? Leave out x_px and y_px, and let --locate each find them."
+                f"the camera held by hand? Leave out x_px and y_px, and let {argument.locate} each find them."
             )
             code: tuple[WarningCode, Any, Any] = ("position_scatter", location.scatter_px, 0.0)
             for change in self._scored_again(placed.trials, location.arrangement.sign):

@@ -38,14 +38,11 @@ from todframes.display.display import Display, LuminanceTable
 SCHEMA = 1
 """Version of the format of display files that this package reads."""
 
-
 SUFFIX = ".toml"
 """End of the names of display files; any other text is the name of a display of this package."""
 
-
 LUT_FILE = "lut.csv"
 """Name that a display's table of luminances gets in a dataset."""
-
 
 FOLDER = Path(__file__).with_name("displays")
 

@@ -12,10 +12,8 @@ from todframes.base._typing import FloatArray
 TILE = 64
 """Side of the pattern of thresholds in pixels; it repeats beyond."""
 
-
 SAME_LUMINANCE = 1e-9
 """Relative difference to a code's luminance that is taken for none."""
-
 
 TILE_SIGMA = 1.5
 """Standard deviation of the repulsion between pixels of the pattern, in pixels (Ulichney 1993)."""

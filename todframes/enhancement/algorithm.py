@@ -28,20 +28,15 @@ from todframes.base.user_code import import_named, in_words
 
 Domain = Literal["code_value", "luminance"]
 
-
 Image = NDArray[np.floating]
 
-
 F = TypeVar("F", bound=Callable[..., Any])
-
 
 REFERENCE = "none"
 """Name of the algorithm that leaves frames as they are."""
 
-
 DECLARATION = "todframes_enhancement"
 """Name of the function attribute that holds its declaration."""
-
 
 ROUNDING = 1e-6
 """Largest excess of a value over its range that counts as rounding of 32-bit values near 1."""

@@ -51,10 +51,8 @@ from todframes.scoring.work import Run, see_trials
 
 Verdict = Literal["better", "worse", "no difference shown", "mixed"]
 
-
 SIGNIFICANCE = 0.05
 """Corrected p-value below which a difference of thresholds is reported."""
-
 
 RESAMPLES_PER_COMPARISON = 80
 """Resamples for each ratio: the smallest p-value, 2 / resamples, is half of 5 % even after Holm's correction."""

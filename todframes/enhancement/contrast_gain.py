@@ -18,10 +18,8 @@ from todframes.stimulus import Centre, coverage
 RING_SIZES = (1.3, 2.0)
 """Inner and outer end of the ring that the triangle's contrast is measured against, in sizes of the triangle."""
 
-
 LEAST_GAIN = 1e-6
 """Smallest gain that counts as one: below it the contrast after the algorithm is rounding."""
-
 
 GroupValues = tuple[float | str, ...]
 

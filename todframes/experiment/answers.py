@@ -39,16 +39,12 @@ if sys.platform != "win32":
 SCHEMA = 1
 """Version of the format of the sidecar."""
 
-
 MAX_SIDECAR_MB = 4
 """Largest size of a sidecar that is read, in units of 2**20 bytes."""
 
-
 Method = Literal["constant", "quest"]
 
-
 Phase = Literal["practice", "main"]
-
 
 Flag = Literal["hidden", "unfocused", "too_fast"]
 """Reason for which an answer says nothing about what the person saw: the page was hidden or had lost the focus
@@ -74,14 +70,11 @@ BEFORE_LEVEL = (
 )
 """Columns in front of the level and the columns of `group_by`."""
 
-
 AFTER_GROUPS = ("size_mrad", "dither_seed", "clipped_px", "shown_at")
 """Columns behind them; `size_mrad` is not repeated if it is the level or in `group_by`."""
 
-
 SAME_PITCH = 0.005
 """Relative difference of two pitches of a pixel in mrad that a ruler cannot tell."""
-
 
 SHARED = ("frame", "orientation", "size_mrad")
 """Columns whose values are those of the manifest, so that the level or `group_by` may name them."""

@@ -13,7 +13,6 @@ from todframes.experiment.answers import ShownDataset, columns
 
 DESCRIPTION_FILE = "dataset_description.json"
 
-
 DESCRIPTIONS: Mapping[str, tuple[str, str | None]] = {
     "trial": ("Number of the trial in its session, from 1; practice trials count", None),
     "phase": ("practice: with feedback, does not count; main: without", None),

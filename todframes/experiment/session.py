@@ -88,13 +88,11 @@ CONTACT = "the person who invited you"
 PRACTICE_CORRECT = 0.75
 """Default of the share of a block of practice that has to be correct. Guesses give 6 of 8 once in 240 blocks."""
 
-
 PRIVATE = 0o700
 """Permissions of the folders of answers: nobody but their owner looks into them."""
 
 QUEST_TRIALS = 60
 """Default of the number of trials of a group that QUEST+ chooses."""
-
 
 Step = Literal["consent", "monitor", "practice", "main", "break", "done", "stopped"]
 

@@ -21,7 +21,6 @@ from todframes.stimulus import coverage
 MEAN_TOLERANCE = 5e-4
 """Largest error of the mean contrast over a triangle that dither may leave."""
 
-
 MOST_SEEDS = 16
 """Number of places of the dither pattern that are tried."""
 

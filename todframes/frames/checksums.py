@@ -15,7 +15,6 @@ from todframes.frames.dataset import Dataset
 COLUMN = "sha256"
 """Name of the manifest column with the checksums."""
 
-
 BYTE_ORDER_MARK = "\ufeff"
 
 

@@ -44,25 +44,19 @@ from todframes.stimulus import ORIENTATIONS, Stimulus
 SCHEMA = 1
 """Version of the format of `dataset.toml` that this package reads."""
 
-
 BACKGROUND_COLUMN = "background_luminance_cd_m2"
 """Name of the manifest column with each frame's background luminance."""
-
 
 REFERENCE_COLUMN = "reference_frame"
 """Name of the manifest column with the path of the same frame without noise."""
 
-
 MOST_REMEMBERED = 1024
 """Number of files behind URLs of which a thread remembers what it read."""
 
-
 ORIENTATION_OF = {one.value: one for one in ORIENTATIONS}
-
 
 MOST_ROWS, MOST_BAD_ROWS = 20_000_000, 100_000
 """Largest number of rows of a manifest, and of those that cannot be used: each has a message."""
-
 
 LEAST_SLOTS = 1024
 """Number of slots of a new index; a power of 2."""

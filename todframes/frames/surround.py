@@ -14,37 +14,29 @@ from todframes.base.errors import DataError
 
 Range = tuple[int, int]
 
-
 HOLE_IN_SIZES, HOLE_MARGIN_PX = 1.1, 2.0
 """Radius about the centroid within which the triangle, turned or mirrored too, may lie: its corners
 are at 0.88 sizes."""
 
-
 REACH_IN_SIZES, LEAST_RING_PX = 3.0, 8.0
 """Distance from the centroid to the window's edges, in sizes, and the least distance beyond the hole in pixels."""
 
-
 BLOCKS_PER_SIZE = 4
 """Number of square blocks along a triangle's size; the surface is fitted to their means."""
-
 
 STEP, STEP_NEXT_TO_HOLE, STEP_IN_ERRORS = 0.03, 0.1, 6.0
 """Relative change from block to block that ends the background, unless it is within so many standard errors. Next
 to the hole a larger one is allowed, because the slope of the background is not known there."""
 
-
 BIWEIGHT = 6.0
 """Deviation at which a block has no weight in the surface, in standard deviations of the blocks."""
-
 
 DEGREES = (2, 1, 4)
 """Degrees of the surface that are tried after the constant, in turn; the first only if the second is not known."""
 
-
 BETTER = 1.1
 """Factor by which the second degree must describe the blocks better than a constant; noise alone hardly reaches
 it. The fourth needs its square, the first its root."""
-
 
 EVEN = 1e-4
 """Relative deviation of the blocks from the surface below which no higher degree is tried."""

@@ -15,9 +15,7 @@ from todframes.stimulus import ORIENTATIONS, Orientation, Stimulus
 
 V = TypeVar("V", bound=Hashable)
 
-
 Group = tuple[float | str, ...]
-
 
 BLOCK = 4096
 """Number of trials that are made from the columns at a time."""

@@ -17,40 +17,33 @@ from numpy.typing import NDArray
 from todframes.base.errors import SettingsError, argument
 from todframes.charts.layout import Chart, read_chart
 from todframes.charts.markers import CORNERS, page_of
-from todframes.importing.clips import GAP, Clip, ClipFrame, Placed, clean_clips
+from todframes.importing.clips import Clip, ClipFrame, Placed, clean_clips
 from todframes.importing.filmed_trials import OBJECT_SIZE, TriangleDescription
 from todframes.importing.geometry import PlacedTriangle, place_triangle
 from todframes.importing.marker_finder import MarkerFinder, Sighting
 from todframes.importing.windows import clipped, field_reach_px, part_of, window_about
-from todframes.recordings.recording import Recording, RecordingWarning
+from todframes.recordings.recording import GAP, Recording, RecordingWarning
 
 SLACK_PX = 16
 """Distance that a triangle may move within a trial."""
 
-
 SIZE_MARGIN = 1.1
 """Factor by which a window is larger than a triangle needs, so that those of a size have windows of a size."""
-
 
 MOST_RESIDUAL_PX = 0.3
 """Residual of the markers' edges from which the places of triangles are doubtful."""
 
-
 MOST_ROLL_DEGREES, LARGEST_ROLL_DEGREES = 3.0, 30.0
 """Angle between a triangle and the nearest of the four orientations that is told, and that is too large."""
-
 
 REPORTED_STRETCH = 1.05
 """Ratio of the largest to the smallest scale that is told; a chart tilted by 18° has it."""
 
-
 LARGEST_CLOCK_ERROR = 0.1
 """Relative difference of the pages' duration in a film from that of the chart, from which there is a warning."""
 
-
 FEWEST_PAGE_CHANGES = 3
 """Number of changes to the next page from which the duration of pages is measured."""
-
 
 MOST_UNEVEN_CHANGES = 0.2
 """Share of page changes at other intervals up to which a program, and no person, has turned the pages."""
@@ -314,7 +307,7 @@ class ChartSource:
                     f"chart shows each for {screen.page_duration_s:.3g} s: {rate:.4g} frames/s here, "
                     f"{rate * ratio:.4g} by the chart; trials average {1 / ratio:.2g} times as many frames "
                     "as the eye does; give "
-                    f"--frames-per-second {rate * ratio:.4g} if the chart is right",
+                    f"{argument.frames_per_second} {rate * ratio:.4g} if the chart is right",
                 )
 
         def worst(name: str) -> float:

@@ -17,32 +17,24 @@ from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray
 from todframes.charts.markers import marker_bits, marker_ids
+from todframes.recordings.recording import GAP
 from todframes.stimulus import Orientation
 
 EDGE_FRAMES = 3
 """Frames at the beginning and the end of a clip that may hold a share of another page."""
 
-
 REFERENCE_FRAMES = 7
 """Frames of a clip whose median share the edge frames are compared with."""
-
 
 MOST_OF_OTHER = 0.03
 """Share of another page, beyond the median, from which a frame is left out: 3 % of a triangle's contrast."""
 
-
 SCATTER = 6.0
 """The same in median deviations of the shares; noise alone hardly reaches it."""
-
-
-GAP = 1.5
-"""Interval between frames, in frames, from which frames are missing."""
-
 
 TIME_TOLERANCE = 0.05
 """Part of a frame's interval by which its time may be off: containers round times to 1 ms. Without it, the number
 of frames in 0.1 s would depend on that rounding at 25 frames/s, where 2 and 3 are as near."""
-
 
 Rectangle = tuple[int, int, int, int]
 """Half-open ranges of rows and columns: top, bottom, left, right."""

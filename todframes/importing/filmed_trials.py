@@ -15,10 +15,8 @@ from todframes.stimulus import Orientation
 OBJECT_SIZE = "object_size_mrad"
 """Column with the size at the camera. It groups, because the displayed size varies a little with perspective."""
 
-
 SAME_SIZE = 0.005
 """Relative difference of displayed sizes below which they count as one; thresholds change by a quarter of it."""
-
 
 SHAKE_PX = 0.25
 """Root mean square motion within a trial from which it is told; it blurs like half of a pixel's width."""

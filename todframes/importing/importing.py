@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Literal, Protocol
 
 from todframes import __version__
-from todframes.base.errors import DataError, SettingsError, argument
+from todframes.base.errors import DataError, SettingsError, argument, for_reader
 from todframes.base.output import Going, new_folder, remove_others, store_path
 from todframes.base.reading import toml_text
 from todframes.base.safe_text import csv_text, one_line
@@ -33,20 +33,15 @@ from todframes.recordings.recording import INTEGRATION_TIME_S, Recording, Record
 LARGEST_TIME_ERROR = 0.1
 """Relative difference of the trials' time from the integration time, above which it is told."""
 
-
 LARGEST_SIZE_RATIO = 1.15
 """Ratio of the displayed sizes of one curve that is told; a tilt of 10° in a field of view of 28° has 1.09."""
-
 
 LARGEST_IMBALANCE = 3.0
 """Ratio of the numbers of trials of two orientations at one level that is told."""
 
-
 DEFAULT_LEVEL = "contrast"
 
-
 REPORT_FILE = "import.json"
-
 
 PathLike = str | os.PathLike[str]
 
@@ -223,13 +218,14 @@ def import_recordings(
             del written[name]
             (folder / name).unlink()
         rows = list(division.rows(written, level=source.level, pitch_mrad=pitch_mrad))
-        warnings = (
+        to_report = (
             *_of_recordings(opened),
             *source.warnings(),
             *_of_trials(division, source, opened, time_s, steady=steady),
             *_of_design(division.trials, written, source),
             *_of_windows(written, is_clipped=is_clipped),
         )
+        warnings = tuple(RecordingWarning(code, for_reader(message)) for code, message in to_report)
         notes = (*source.notes(), *_of_time(opened, time_s))
         n_clips = sum(clip.n_trials > 0 for clip in source.clips)
         report = {
@@ -373,7 +369,7 @@ def _of_trials(
                 yield RecordingWarning(
                     "no_times",
                     f"{recording.path}: has no times, so each frame is a trial of its own; "
-                    "--frames-per-second gives them",
+                    f"{argument.frames_per_second} gives them",
                 )
             elif interval_s > 1.5 * time_s:
                 yield RecordingWarning(
@@ -394,7 +390,7 @@ def _of_trials(
             "shake",
             f"in {len(moving)} of {len(motions)} trials the triangle moves on the display within the integration "
             f"time, by up to {max(moving):.2g} px (rms); the eye sees it blurred, and so does the observer; if "
-            "the camera in use does not shake, take a tripod, or --steady",
+            f"the camera in use does not shake, take a tripod, or {argument.steady}",
         )
 
 
@@ -453,8 +449,8 @@ def _of_windows(written: dict[str, WrittenWindow], *, is_clipped: bool) -> Itera
         done = "and were clipped, as the display does" if is_clipped else "and were kept"
         yield RecordingWarning(
             "beyond_range",
-            f"{100 * n_beyond / n_values:.2g} % of the values lie beyond black and white {done}; a wider --range "
-            "keeps them",
+            f"{100 * n_beyond / n_values:.2g} % of the values lie beyond black and white {done}; a wider "
+            f"{argument.value_range} keeps them",
         )
 
 

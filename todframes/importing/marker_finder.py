@@ -24,45 +24,35 @@ from todframes.importing.geometry import Geometry, fit_geometry
 PIECES, POINTS = 3, 6
 """Pieces of a marker's edge, and points along each piece whose profiles across the edge are averaged."""
 
-
 EDGE = 0.76
 """Middle part of an edge that is measured; beside it blur brings in the corner."""
-
 
 PROFILE_REACH = 0.5
 """Length of a profile on either side of an edge, in modules: to the middle of the black border, where black is
 measured, and of the white around, which is as wide."""
 
-
 PROFILE_STEPS = 8
 """Samples of a profile on either side of an edge."""
-
 
 MOST_STEPS, CONVERGED_PX = 8, 0.02
 """Number of adjustments of a homography, and the motion of the edges after which there is no further one: each
 leaves a small part of the motion that it corrects."""
 
-
 CORNER_OF_KEY = 3
 """Corner whose marker carries the key of the chart."""
-
 
 ENOUGH_MARKERS = 3
 """Number of markers that a search has to find; the fourth's place follows from these, and its edges tell if it is
 there."""
 
-
 LARGEST_RESIDUAL = 0.2
 """Residual of the edges, in modules, above which the four markers are no chart."""
-
 
 LEAST_CONTRAST_IN_ERRORS = 3.0
 """Least difference of a marker's white and black modules, in standard deviations of its black ones."""
 
-
 SAMPLES, SAMPLED = 3, 0.5
 """Samples along a module's side that are averaged to its value, and the part of the side that they cover."""
-
 
 MOST_WRONG_BITS = 1
 """Number of modules of a marker that may read wrong; two markers of the dictionary differ in five or more."""

@@ -25,7 +25,6 @@ from todframes.stimulus import ORIENTATIONS, Orientation
 SIZE_COLUMNS = ("size_mrad", "size_px")
 """Columns with the size of the triangle; a schedule has one of them, or both."""
 
-
 SCHEDULE_COLUMNS = ("file", "start_s", "end_s", "orientation", *SIZE_COLUMNS, "x_px", "y_px", "polarity")
 """Columns of a schedule with a meaning of their own, beside the level."""
 

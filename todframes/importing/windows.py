@@ -29,10 +29,8 @@ from todframes.stimulus import Stimulus
 MARGIN_PX = 2
 """Pixels of a window beyond what the observer and the background need."""
 
-
 WINDOWS_A_COMMIT = 64
 """Number of windows that are entered into the store together."""
-
 
 EVERYWHERE = (-(10**9), 10**9)
 

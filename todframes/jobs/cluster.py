@@ -37,34 +37,26 @@ LOCAL = "local:"
 CONNECT_S = 10.0
 """Time within which a scheduler has to answer, and then its first worker."""
 
-
 WITHOUT_WORKERS_S = 60.0
 """Time after which a run ends if all workers have gone."""
-
 
 CLOSE_S = 10.0
 """Longest time to leave a cluster in order."""
 
-
 CLOSE_CLIENT_S = 0.5
 """Time that the connection to the scheduler has to end in order."""
-
 
 KILL_S = 0.2
 """Time that the processes of a local cluster have to end by themselves."""
 
-
 COUNT_WORKERS_S = 1.0
 """Interval between counts of the workers."""
-
 
 BATCH_S = 2.0
 """Time that a batch is meant to take."""
 
-
 BATCHES_PER_THREAD = 4
 """Largest number of batches in flight for each thread of the workers."""
-
 
 LOGGERS = ("distributed", "tornado", "bokeh")
 """Names of the loggers that are silenced, with those below them."""

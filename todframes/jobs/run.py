@@ -25,7 +25,6 @@ Result = TypeVar("Result")
 LOOKED_AT_S = 0.5
 """Time after which a run is judged by its rate, in seconds."""
 
-
 WORTH_S = 4.0
 """Shortest run whose results are kept as they come, in seconds."""
 

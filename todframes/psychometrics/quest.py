@@ -20,10 +20,8 @@ from todframes.psychometrics.weibull import weibull
 BEYOND_LEVELS = 3.0
 """Factor by which the thresholds of the grid reach beyond the smallest and the largest level."""
 
-
 N_ALPHA, SLOPES, N_SLOPES, LAPSE_RATES, N_LAPSE_RATES = 61, (0.5, 8.0), 9, (0.0, 0.05), 6
 """Ranges and numbers of the grid's parameters: α and β evenly in their logarithm, δ evenly."""
-
 
 SMALLEST_P = 1e-300
 """Smallest probability of an answer; its logarithm is finite."""

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray
-from todframes.base.errors import DataError, SettingsError
+from todframes.base.errors import DataError, SettingsError, argument, for_reader
 from todframes.base.reading import toml_text
 from todframes.display.display import REC_709_LUMINANCE_WEIGHTS
 from todframes.recordings.recording import INTEGRATION_TIME_S, Recording, RecordingWarning
@@ -35,21 +35,16 @@ PARTS = {
 }
 """Names of the parts of the noise, and their meanings."""
 
-
 DYNAMIC, STATIC = ("tv", "th", "tvh"), ("v", "h", "vh")
 """Parts of the dynamic noise of a pixel, and of the fixed pattern. Flicker of whole frames (t) is in neither."""
-
 
 MOST_SATURATED = 1e-3
 """Largest share of values at the ends of the scale that gives no warning."""
 
-
 SMALLEST_STEPS = 0.5
 """Standard deviation in steps of the recording, below which quantisation decides what is measured."""
 
-
 Region = tuple[int, int, int, int]
-
 
 Combination = Mapping[str, float]
 """Weights of mean squares, by the name of the part."""
@@ -218,9 +213,8 @@ class Noise3D:
             "fixed_pattern_ratio": float(f"{self.fixed_pattern_ratio.sd:.6g}"),
             "frames_integrated": self.frames_integrated,
         }
-        return toml_text(
-            {"noise": noise}, comment="netd_mk is not known: give --mk-per-count" if per_unit is None else ""
-        )
+        hint = for_reader(f"netd_mk is not known: give {argument.mk_per_count}")
+        return toml_text({"noise": noise}, comment=hint if per_unit is None else "")
 
 
 def _log_ratio(value: float, end: float) -> float:

@@ -11,22 +11,17 @@ from todframes.report.wording import listed, plain
 FEWEST_LEVELS_SHOWN = 3
 """Smallest number of levels that show how fast a curve rises and whether it fits."""
 
-
 WIDEST_GAP = 4.0
 """Largest ratio of the two levels about a threshold; farther apart they do not show how the curve rises."""
-
 
 ADDED_LEVELS = (0.7, 1.0, 1.4)
 """Levels to add, in units of the estimated threshold: between 50 and 95 % correct for curves as steep as usual."""
 
-
 USUAL_SLOPE = 2.0
 """Weibull slope that a threshold outside the levels is estimated with: that of a linear observer is near it."""
 
-
 SAME_LEVEL = 1.15
 """Largest ratio of a level to add and one shown that counts as the same level."""
-
 
 TOLD_APART = 0.5
 """Proportion correct from which stronger levels will help; below it something else may be wrong."""

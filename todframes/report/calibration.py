@@ -23,9 +23,7 @@ from todframes.report.wording import (
 SUBJECT = "subject"
 """Column of the groups of `fits` that names the person."""
 
-
 TOGETHER = "all together"
-
 
 NOISE_COLUMNS = (
     Column(key=SUBJECT, header="person", is_name=True),
@@ -45,10 +43,8 @@ NOISE_COLUMNS = (
     Column(key="status"),
 )
 
-
 MOST_TOLD = 6
 """Largest number of persons that are described one by one; if there are more, the table shows them."""
-
 
 FLAGS = {
     "hidden": "while the page was hidden",
@@ -63,7 +59,6 @@ NO_NOISE = {
     "too_few_trials": "the answers are too few",
 }
 """Reasons for a missing noise, by status."""
-
 
 NOT_OF_OBSERVER = {
     "observer",

@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import msgspec
 from msgspec import Meta, Struct, field
+from msgspec.structs import force_setattr
 
-from todframes.base.errors import DataError
+from todframes.base.errors import DataError, for_reader
 from todframes.base.reading import read_file
 from todframes.base.safe_text import in_utf8, visible_json
 
@@ -29,12 +30,9 @@ if TYPE_CHECKING:
 
 SCHEMA = 1
 
-
 MAX_MB = 64
 
-
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
-
 
 CONTENT = {
     "score": "fits",
@@ -47,24 +45,17 @@ CONTENT = {
 }
 """Commands with a report, and the key that the result of each must have."""
 
-
 Positive = Annotated[float, Meta(gt=0)]
-
 
 Proportion = Annotated[float, Meta(ge=0, le=1)]
 
-
 Interval = tuple[Positive | None, Positive | None]
-
 
 Group = dict[str, float | str]
 
-
 Record = dict[str, Any]
 
-
 NO_DIFFERENCE = "no difference shown"
-
 
 PSNR_STEP_DB, SSIM_STEP = 0.1, 0.005
 """Largest changes of PSNR and SSIM that count as no change."""
@@ -81,7 +72,6 @@ def _empty() -> tuple[()]:
 # JSON leaves out a value that equals its default, but not one that equals the value of a default factory.
 NULL: Any = field(default_factory=_null)
 """Field that may be missing when a result is read, and is written as null if it has no value."""
-
 
 EMPTY: Any = field(default_factory=_empty)
 """Field of a list that may be missing when a result is read, and is written even if it is empty."""
@@ -536,6 +526,9 @@ class ResultWarning(Struct, frozen=True, kw_only=True):
     message: str
     found: Any = None
     expected: Any = None
+
+    def __post_init__(self) -> None:
+        force_setattr(self, "message", for_reader(self.message))
 
 
 class ResultData(Struct, frozen=True, kw_only=True, omit_defaults=True):

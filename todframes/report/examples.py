@@ -32,31 +32,24 @@ from todframes.stimulus import Stimulus, vertices
 
 MOST_EXAMPLES, MOST_BANDS = 4, 8
 
-
 PICTURE_REACH_PER_SIZE = 1.5
-
 
 LEAST_REACH_PX, LEAST_REACH_SAMPLES = 8, 12
 """Least distance from the middle of a picture to its edge, in display pixels and in retina samples; a small
 triangle is shown with its surroundings."""
 
-
 MOST_REACH_PX = 1000
 """Largest distance from the middle to the edge, so that a wrong pitch cannot fill the memory; of a larger triangle
 only the middle is shown."""
 
-
 MOST_WITHOUT = 60
 """Largest number of groups without a threshold whose strongest trial is drawn."""
-
 
 WHOLE_SIDE_PX = 384
 """Largest side of the picture of a whole frame; a small frame is enlarged by a whole factor."""
 
-
 OUTLINE_BGR = (0, 128, 255)
 """Colour of the expected triangle's outline: orange."""
-
 
 DISPLAY_SIDE_PX, RETINA_SIDE_PX = 128, 96
 """Largest sides of pictures of the display and of the retina; larger ones are reduced by a whole factor."""

@@ -17,19 +17,14 @@ if TYPE_CHECKING:
 
 Colour = tuple[float, float, float, float]
 
-
 INK, PAPER = "#1f2328", "#ffffff"
-
 
 COLOURS = ("#3b76c4", "#1f8f8a", "#5a9136", "#a68217", "#cb6a2c", "#c94f6d", "#8a62c2")
 """Colours of curves, in the order of the rainbow because sizes have an order, and of about the same lightness."""
 
-
 MARKERS = "os^DvPX"
 
-
 LONGEST_LABEL = 40
-
 
 STYLE: dict[str, Any] = {
     **dict.fromkeys(("text.color", "axes.edgecolor", "axes.labelcolor", "xtick.color", "ytick.color"), INK),

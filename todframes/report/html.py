@@ -30,7 +30,6 @@ if TYPE_CHECKING:
 
 MOST_FIGURES = 12
 
-
 TITLES = {
     "score": "TOD thresholds of display frames",
     "curve": "TOD curve of a sensor",

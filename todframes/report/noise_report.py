@@ -24,7 +24,6 @@ if TYPE_CHECKING:
 
 VALUE_UNITS = {"code": "code values", "counts": "counts", "celsius": "°C"}
 
-
 SHOWN_PERCENTILES = (0.5, 99.5)
 """Percentiles of an image that are shown darkest and brightest."""
 

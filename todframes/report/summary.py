@@ -20,13 +20,11 @@ from todframes.report.wording import (
 MOST_DESCRIBED_CURVES = 6
 """Largest number of curves that are described one by one; if there are more, the table shows them."""
 
-
 NO_THRESHOLD = {
     "never_reached": "answers stay below {criterion} at the levels shown (never reached)",
     "always_exceeded": "answers stay above {criterion} at the levels shown (always exceeded)",
     "too_few_levels": "fewer than two levels were shown (too few levels)",
 }
-
 
 COMPUTED = {
     "never_reached": "{criterion} is never reached, however strong the signal",

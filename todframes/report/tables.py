@@ -49,10 +49,8 @@ THRESHOLD_COLUMNS = (
     Column(key="run_time_s", header="time (s)", digits=2, is_detail=True, rank=1),
 )
 
-
 RATE_COLUMNS = {"gamma": "guess_rate", "delta": "lapse_rate"}
 """Attributes of a fit whose columns have the names of the keys in JSON."""
-
 
 RATIO_COLUMNS = (
     Column(key="ratio", none="1", digits=3),
@@ -66,10 +64,8 @@ RATIO_COLUMNS = (
     Column(key="contrast_gain", header="gain", digits=3, none="", rank=5),
 )
 
-
 BEYOND_GAIN = ("contrast_gain", "beyond_gain", "beyond_gain_ci95")
 """Columns that a comparison of drawn answers does not have."""
-
 
 MEASURE_COLUMNS = (
     Column(key="domain", header="works on", is_detail=True),
@@ -83,9 +79,7 @@ MEASURE_COLUMNS = (
     Column(key="cpu_s", header="CPU time (s)", digits=3, rank=1),
 )
 
-
 ALGORITHM = Column(key="algorithm", is_name=True)
-
 
 TAKEN = {"algorithm", "spec", "threshold", "level", *(one.key for one in THRESHOLD_COLUMNS + RATIO_COLUMNS)}
 """Column names in use; a group column with one of these names is renamed."""
@@ -310,7 +304,6 @@ def plan(result: ResultData) -> Table:
 
 LONGEST_LIST = 16
 """Largest number of values of a setting that are shown."""
-
 
 UNUSED = ("bound", "saves_s")
 """Keys of a plan's step that have no meaning if the step is kept."""

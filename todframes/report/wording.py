@@ -7,7 +7,6 @@ from typing import TypeVar
 
 T = TypeVar("T")
 
-
 SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 

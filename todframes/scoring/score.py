@@ -39,14 +39,11 @@ S = TypeVar("S", bound=Sized)
 MOST_DISPLACEMENTS = 64
 """Largest number of displacements of each trial in each replicate."""
 
-
 SIGNAL_WORDS = ("contrast", "snr")
 """Words in the names of levels that the signal in a frame is proportional to."""
 
-
 DEFAULT_TOLERANCE = 2e-3
 """Relative tolerance of thresholds for the plan if no tolerance is given."""
-
 
 DECIDED_AT_A_TIME = 4096
 """Number of trials whose answers are computed together; the work on each takes 500 bytes a displacement."""

@@ -24,14 +24,11 @@ from todframes.scoring.retina_view import Shown, read_trial, retina_image
 
 Decisions = Literal["expected", "sampled"]
 
-
 NO_ANSWER = -1
 """Answer of a trial for which none was drawn."""
 
-
 # First elements of the spawn keys of random streams: they keep the streams of trials and fits apart.
 TRIAL_STREAMS, FIT_STREAMS, DISPLACEMENT_STREAMS, RATIO_STREAMS = range(4)
-
 
 KRONECKER_STEPS_2D = np.array([0.7548776662466927, 0.5698402909980532])
 """Steps of a two-dimensional low-discrepancy sequence, powers of the root of x³ = x + 1 (Roberts 2018)."""

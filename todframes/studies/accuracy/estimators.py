@@ -15,7 +15,7 @@ from typing import NamedTuple, Protocol, cast
 import numpy as np
 
 from todframes.base._typing import FloatArray, IntArray
-from todframes.base.errors import SettingsError
+from todframes.base.errors import SettingsError, argument
 from todframes.base.reading import check_keys
 from todframes.observers.decision import answer_probabilities
 
@@ -227,11 +227,11 @@ def find_scenes(names: Sequence[str]) -> dict[str, Callable[[], StudyScene]]:
         If there is no scene of a name, or it cannot be imported.
     """
     found = {entry.name: entry for entry in entry_points(group=ENTRY_POINT_GROUP)}
-    check_keys(names, found, "--scene")
+    check_keys(names, found, argument.scene)
     scenes = {}
     for name in names or found:
         try:
             scenes[name] = cast("Callable[[], StudyScene]", found[name].load())
         except (ImportError, AttributeError) as error:
-            raise SettingsError(f"--scene: {name!r} cannot be loaded ({error})") from None
+            raise SettingsError(f"{argument.scene}: {name!r} cannot be loaded ({error})") from None
     return scenes

@@ -11,7 +11,7 @@ from typing import ClassVar
 import numpy as np
 
 from todframes.base._typing import FloatArray
-from todframes.base.errors import DataError
+from todframes.base.errors import DataError, argument
 from todframes.frames.dataset import Dataset, load_dataset
 from todframes.frames.trials import Trial
 from todframes.observers.interface import Readout
@@ -277,7 +277,7 @@ def recorded(path: Path | None = None) -> Recorded:
         path = next((folder for folder in DATASETS if folder.is_dir()), None)
         if path is None:
             places = " or ".join(map(str, DATASETS))
-            raise DataError(f"scene recorded: found no {places} here, expected a dataset (--dataset)")
+            raise DataError(f"scene recorded: found no {places} here, expected a dataset ({argument.dataset})")
     dataset = load_dataset(path)
     groups: dict[tuple[float | str, ...], list[Trial]] = {}
     for trial in dataset.trials:
