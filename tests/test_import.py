@@ -286,6 +286,19 @@ def test_what_one_curve_cannot_hold_is_told(tmp_path: Path, chart: Path, pages: 
     assert "sizes_differ" in codes(done)
 
 
+def test_two_magnifications_are_noted(tmp_path: Path, chart: Path, pages: list[np.ndarray]) -> None:
+    frames = film_of([pages[0]] * 6)
+    near, far = saved(tmp_path, frames), tmp_path / "far.npy"
+    height, width = (round(0.95 * side) for side in frames.shape[1:3])
+    np.save(far, [cv2.resize(frame, (width, height), interpolation=cv2.INTER_AREA) for frame in frames])
+    done = tod.import_recordings([near, far], chart=chart, out=tmp_path / "both", frames_per_second=RATE)
+    (note,) = (note for note in done.notes if "times as large" in note)
+    assert note.startswith(f"{near} shows the chart 1.05 times as large as {far}: ")
+    assert "sizes_differ" not in codes(done)
+    done, _ = imported(near, chart)
+    assert not any("times as large" in note for note in done.notes)
+
+
 def test_the_time_that_whole_frames_allow_is_told(tmp_path: Path, chart: Path, pages: list[np.ndarray]) -> None:
     done, _ = imported(saved(tmp_path, film_of([pages[0]] * 6)), chart, frames_per_second=15.0)
     assert any("1 frames a trial, 0.0667 s" in note for note in done.notes)

@@ -100,7 +100,7 @@ def _geometry(dataset: Dataset, one: Inspection) -> Iterator[Told]:
             f"{dataset.display.pitch_mrad:g} mrad: the display cannot show where it points; check that size_mrad "
             "and the pixel pitch are in mrad",
         )
-    if len(one.frame_sizes_px) > 1:
+    if len(one.frame_sizes_px) > 1 and not one.are_windows:
         sizes = ", ".join(f"{columns} × {rows}" for rows, columns in one.frame_sizes_px)
         yield (
             "mixed_frame_sizes",

@@ -65,6 +65,9 @@ class Inspection:
         The stated size in pixels.
     stated_px : (float, float)
         The stated place of the centroid along x and y, the mean over the trials measured.
+    are_windows : bool
+        The manifest gives the place in each of their frames, and all reach as far from it on one side at least, as
+        do windows that the border of a recording cuts.
     n_trials : int
         Number of trials measured.
     frame_sizes_px : tuple of (int, int)
@@ -111,6 +114,7 @@ class Inspection:
     stimulus: Stimulus
     size_px: float
     stated_px: tuple[float, float]
+    are_windows: bool
     n_trials: int
     frame_sizes_px: tuple[tuple[int, int], ...]
     background_luminance_cd_m2: float
@@ -232,6 +236,17 @@ def _samples(dataset: Dataset, trials: Trials, centre: Centre, size_mrad: float)
             continue
 
 
+def _are_windows(samples: Sequence[FrameSample]) -> bool:
+    """Tell whether frames with places all reach as far from them, as frames of two scales do not."""
+    if any(sample.trial.x_px is None for sample in samples):
+        return False
+    reaches = [
+        max(x + 0.5, columns - 0.5 - x, y + 0.5, rows - 0.5 - y)
+        for (x, y), (rows, columns) in ((sample.stated_px, sample.frame_px) for sample in samples)
+    ]
+    return max(reaches) <= SIZES_ALIKE * min(reaches)
+
+
 def _measured(dataset: Dataset, group: Group, stimulus: Stimulus, samples: Sequence[FrameSample]) -> Inspection:
     level = np.array([sample.trial.level for sample in samples])
     strength = strengths(dataset, level)
@@ -250,6 +265,7 @@ def _measured(dataset: Dataset, group: Group, stimulus: Stimulus, samples: Seque
             float(np.mean([sample.stated_px[0] for sample in samples])),
             float(np.mean([sample.stated_px[1] for sample in samples])),
         ),
+        are_windows=_are_windows(samples),
         n_trials=len(samples),
         frame_sizes_px=tuple(sorted({sample.frame_px for sample in samples})),
         background_luminance_cd_m2=float(np.mean([sample.background_cd_m2 for sample in samples])),

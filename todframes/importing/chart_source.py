@@ -39,6 +39,9 @@ MOST_ROLL_DEGREES, LARGEST_ROLL_DEGREES = 3.0, 30.0
 REPORTED_STRETCH = 1.05
 """Ratio of the largest to the smallest scale that is told; a chart tilted by 18° has it."""
 
+EQUAL_SCALES = 1.02
+"""Ratio of the magnifications of two recordings up to which they count as one; thresholds change by less."""
+
 LARGEST_CLOCK_ERROR = 0.1
 """Relative difference of the pages' duration in a film from that of the chart, from which there is a warning."""
 
@@ -377,6 +380,19 @@ class ChartSource:
                 + (", mirrored" if mirrored else "")
                 + (f", turned by {90 * (round(turn / 90) % 4)}°" if round(turn / 90) % 4 else "")
                 + ("; orientations are those in the frames" if mirrored or round(turn / 90) % 4 else "")
+            )
+        scales = {
+            report.path: median(float(str(clip["scale_px_per_mm"])) for clip in report.clips)
+            for report in self.reports
+            if report.clips
+        }
+        if not scales:
+            return
+        least, most = min(scales, key=scales.__getitem__), max(scales, key=scales.__getitem__)
+        if (ratio := scales[most] / scales[least]) > EQUAL_SCALES:
+            yield (
+                f"{most} shows the chart {ratio:.3g} times as large as {least}: triangles of one size are "
+                "displayed with several, and share a curve; import recordings one by one for a curve each"
             )
 
 
