@@ -17,6 +17,7 @@ from todframes.diagnosis.limits import (
     CERTAIN_TURN,
     CLEAR,
     CLEARLY_TURNED,
+    LEAST_APART,
     LEAST_SAMPLED,
     LEAST_SIGNAL,
     LEAST_SIZE,
@@ -38,13 +39,15 @@ from todframes.diagnosis.triangle import (
     TriangleFit,
     X,
     Y,
+    aligned,
     first_guess,
+    fit,
     fitted,
     of_trials,
     picture,
     within,
 )
-from todframes.diagnosis.windows import Codes, FrameSample, measure_frame
+from todframes.diagnosis.windows import Codes, TrialSample, measure_trial
 from todframes.frames.dataset import Dataset
 from todframes.frames.position import size_in_px
 from todframes.frames.surround import HOLE_IN_SIZES
@@ -172,8 +175,9 @@ def inspect(dataset: Dataset, trials: Sequence[Trial], *, centre: Centre = "cent
     """
     trials = Trials.of(trials)
     of_stimulus = list(alike(trials))
-    in_all = max(SAMPLED, SAMPLED_SHARE * len(trials))
-    most = int(min(max(in_all / max(len(of_stimulus), 1), LEAST_SAMPLED), MOST_SAMPLED))
+    frames_a_trial = max(trials.n_frames / max(len(trials), 1), 1.0)
+    of_each = max(SAMPLED, SAMPLED_SHARE * trials.n_frames) / frames_a_trial / max(len(of_stimulus), 1)
+    most = int(min(max(of_each, LEAST_SAMPLED), MOST_SAMPLED))
     found = []
     for members in of_stimulus:
         ours = trials.select(members)
@@ -227,16 +231,16 @@ def _spread(trials: Trials, most: int) -> Trials:
     return trials.select(ordered[np.linspace(0, len(trials) - 1, most).round().astype(int)])
 
 
-def _samples(dataset: Dataset, trials: Trials, centre: Centre, size_mrad: float) -> Iterator[FrameSample]:
+def _samples(dataset: Dataset, trials: Trials, centre: Centre, size_mrad: float) -> Iterator[TrialSample]:
     size_px = min(size_mrad / dataset.display.pitch_mrad, 1e300)
     for trial in trials:
         try:
-            yield measure_frame(dataset, trial, centre, size_px=size_px)
+            yield measure_trial(dataset, trial, centre, size_px=size_px)
         except DataError:
             continue
 
 
-def _are_windows(samples: Sequence[FrameSample]) -> bool:
+def _are_windows(samples: Sequence[TrialSample]) -> bool:
     """Tell whether frames with places all reach as far from them, as frames of two scales do not."""
     if any(sample.trial.x_px is None for sample in samples):
         return False
@@ -247,7 +251,7 @@ def _are_windows(samples: Sequence[FrameSample]) -> bool:
     return max(reaches) <= SIZES_ALIKE * min(reaches)
 
 
-def _measured(dataset: Dataset, group: Group, stimulus: Stimulus, samples: Sequence[FrameSample]) -> Inspection:
+def _measured(dataset: Dataset, group: Group, stimulus: Stimulus, samples: Sequence[TrialSample]) -> Inspection:
     level = np.array([sample.trial.level for sample in samples])
     strength = strengths(dataset, level)
     ratio = np.array([sample.ring_cd_m2 / sample.background_cd_m2 for sample in samples])
@@ -282,7 +286,7 @@ def _measured(dataset: Dataset, group: Group, stimulus: Stimulus, samples: Seque
     )
 
 
-def _static_error(samples: Sequence[FrameSample], scatter: float, size: float) -> float:
+def _static_error(samples: Sequence[TrialSample], scatter: float, size: float) -> float:
     """Estimate the relative error of the luminance around the triangle from a pattern that all frames share.
 
     It is that of the mean of eight sectors around the triangle. On a small frame a blurred pattern makes all
@@ -331,10 +335,8 @@ class GroupTriangle(NamedTuple):
     fit : TriangleFit
         The triangle that all share; its contrast is positive if of the stated polarity.
     trials : TrialEstimates
-    share : ndarray, shape (trial,)
-        Share of each trial in what is measured.
-    stated : ndarray, shape (trial, 3)
-        Stated place from the middle of the window, and logarithm of the size as a share of `size`.
+    middle : ndarray, shape (3,)
+        Mean stated place, from the middle of the window, and mean logarithm of the size as a share of `size`.
     error : ndarray, shape (4,)
         Standard errors of contrast, x, y and size (as a share): by noise, and by the spread over the trials.
     signal : float
@@ -344,14 +346,13 @@ class GroupTriangle(NamedTuple):
     images: Images
     fit: TriangleFit
     trials: TrialEstimates
-    share: FloatArray
-    stated: FloatArray
+    middle: FloatArray
     error: FloatArray
     signal: float
 
     @classmethod
     def of(
-        cls, samples: Sequence[FrameSample], level: FloatArray, sizes: FloatArray, size: float
+        cls, samples: Sequence[TrialSample], level: FloatArray, sizes: FloatArray, size: float
     ) -> GroupTriangle:
         """Fit the triangle of some trials, whose sizes are alike."""
         turns = np.array([sample.trial.orientation.quarter_turns for sample in samples])
@@ -360,19 +361,21 @@ class GroupTriangle(NamedTuple):
         noise = noise_of_frames(even, level, known, size)
         share = np.square(level / noise) / np.square(level / noise).sum()
         stated = np.column_stack([[sample.offset for sample in samples], np.log(sizes / size)])
-        frames = {"level": level, "noise": noise, "turns": turns, "apart": stated - share @ stated}
-        images = Images.of(even, known=known, hole=HOLE_IN_SIZES * size, **frames)
+        frames = {"level": level, "noise": noise, "turns": turns}
+        hole = HOLE_IN_SIZES * size
+        images = Images.of(even, known=known, hole=hole, **frames)
         found = fitted(images, first_guess(images, size), CERTAIN_TURN)
+        middle = share @ stated
+        apart = stated - middle
+        if np.abs(apart).max() > LEAST_APART:
+            even = aligned(even, found, level=level, turns=turns, apart=apart)
+            images = Images.of(even, known=known, hole=hole, **frames)
+            found = fit(images, found.shape, found.shown)
         each = of_trials(found, images, even, **frames)
         excess = np.maximum(np.square(share) @ (np.square(each.away) - np.square(each.error)), 0.0)
         of_noise = np.array([*(found.error((one, 1.0)) for one in (AMPLITUDE, X, Y)), found.size_error])
         signal = float(abs(found.shape.amplitude) / of_noise[0]) if of_noise[0] > 0.0 else math.inf
-        return cls(images, found, each, share, stated, np.sqrt(np.square(of_noise) + excess), signal)
-
-    @property
-    def middle(self) -> FloatArray:
-        """The mean of what is stated, (3,)."""
-        return np.asarray(self.share @ self.stated)
+        return cls(images, found, each, middle, np.sqrt(np.square(of_noise) + excess), signal)
 
     @property
     def offset(self) -> FloatArray:
@@ -381,12 +384,12 @@ class GroupTriangle(NamedTuple):
 
 
 def _of_triangle(
-    samples: Sequence[FrameSample], level: FloatArray, sizes: FloatArray, size: float, block_px: int
+    samples: Sequence[TrialSample], level: FloatArray, sizes: FloatArray, size: float, block_px: int
 ) -> dict[str, Any]:
     """Measure the triangle; lengths are in blocks until the end."""
     of_group = GroupTriangle.of(samples, level, sizes, size)
-    images, found, each, share, stated, error, signal = of_group
-    shape, middle = found.shape, of_group.middle
+    images, found, each, middle, error, signal = of_group
+    shape = found.shape
     turns = np.array([sample.trial.orientation.quarter_turns for sample in samples])
     known = images.weight > 0.0
     polarity = samples[0].trial.stimulus.polarity
@@ -409,7 +412,6 @@ def _of_triangle(
     ranked = np.sort(each.likeness, axis=1)
     clear_turn = ranked[:, 3] - ranked[:, 2] > CLEARLY_TURNED * each.likeness_error
     shown = np.array(found.shown)[turns]
-    stated_variance = float(share @ np.square(stated[:, :2] - middle[:2]).mean(axis=1))
     return measured | {
         "offset_px": tuple((block_px * of_group.offset).tolist()),
         "offset_error_px": tuple((block_px * error[1:3]).tolist()),
@@ -419,7 +421,7 @@ def _of_triangle(
         "size_scatter": _scatter(each.away[clear_place, 3:], each.error[clear_place, 3:]),
         "turned_rad": shape.turn_rad,
         "turned_error_rad": found.turn_error_rad,
-        "blur_px": block_px * math.sqrt(max(shape.variance - stated_variance, 0.0)),
+        "blur_px": block_px * math.sqrt(max(shape.variance, 0.0)),
         "shown_as": next(one.name for one in TURNED if one.shown == found.shown),
         "wrong_orientation": int((clear_turn & (each.likeness.argmax(axis=1) != shown)).sum()),
         "n_orientation": int(clear_turn.sum()),

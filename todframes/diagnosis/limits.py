@@ -48,6 +48,10 @@ UNSTEADY = 2.0
 """Standard deviation of a block around the triangle over trials, in those of the noise there, beyond which it
 counts less: letters that change from frame to frame then count no more than the noise does elsewhere."""
 
+LEAST_APART = 1e-3
+"""Least difference of stated places, in blocks, and of sizes for frames to be aligned: a twentieth of what fits of
+single frames resolve."""
+
 SIZES_TRIED = np.geomspace(0.25, 5.0, 11)
 """Sizes that are tried, as multiples of the stated one."""
 
@@ -57,7 +61,7 @@ MOST_SAMPLED, LEAST_SAMPLED = 24, 8
 """Most and fewest trials of a stimulus in a group that are measured."""
 
 SAMPLED, SAMPLED_SHARE = 96, 0.04
-"""Number of trials that are measured in all, and their share of the trials if that is more."""
+"""Number of frames that are measured in all, and their share of the frames if that is more."""
 
 USABLE_CONTRASTS = (1e-9, 1e9)
 """Range of contrasts that are computed with; beyond it are mistakes in a manifest, whose squares may overflow."""

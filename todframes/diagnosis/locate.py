@@ -29,7 +29,7 @@ from todframes.diagnosis.limits import (
 from todframes.diagnosis.places import Template, chosen_places
 from todframes.diagnosis.triangle import Shape
 from todframes.diagnosis.whole_frames import MeanFrames, search
-from todframes.diagnosis.windows import FrameSample, measure_frame
+from todframes.diagnosis.windows import TrialSample, measure_trial
 from todframes.frames.contrast import skipped_frames
 from todframes.frames.dataset import Dataset, DatasetWarning, Skipped
 from todframes.frames.position import from_centroid, size_in_px, to_centroid
@@ -282,18 +282,10 @@ class _Ways:
         pitch_mrad = self.dataset.display.pitch_mrad
         return min(float(np.median([one.stimulus.size_mrad for one in self.trials])) / pitch_mrad, 1e300)
 
-    def _window(self, trial: Trial, reach_px: float = 0.0) -> FrameSample:
-        """Measure the mean of a trial's frames."""
-        samples = [
-            measure_frame(
-                self.dataset, trial, "centroid", size_px=self._size_px(), reach_px=reach_px, number=number
-            )
-            for number in range(len(trial.frames))
-        ]
-        known = np.logical_and.reduce([one.known for one in samples])
-        return samples[0]._replace(even=np.mean([one.even for one in samples], axis=0), known=known)
+    def _window(self, trial: Trial, reach_px: float) -> TrialSample:
+        return measure_trial(self.dataset, trial, "centroid", size_px=self._size_px(), reach_px=reach_px)
 
-    def _windows(self, trials: Trials, reach_px: float = 0.0) -> list[FrameSample]:
+    def _windows(self, trials: Trials, reach_px: float = 0.0) -> list[TrialSample]:
         """Measure the strongest trials; those that cannot be read are reported where all are read."""
         found = []
         for trial in trials.select(np.sort(np.argsort(-trials.levels, kind="stable")[:MOST_FITTED])):
@@ -397,7 +389,7 @@ class _Ways:
         sure_level = _sure_level(levels[kept], error_mrad)
         return _Found(way, mean, error_px, _arrangement(found), is_own, scatter_px, sure_level)
 
-    def _noise(self, samples: Sequence[FrameSample], size: float) -> FloatArray:
+    def _noise(self, samples: Sequence[TrialSample], size: float) -> FloatArray:
         known = np.logical_and.reduce([one.known for one in samples])
         level = strengths(self.dataset, np.array([one.trial.level for one in samples]))
         return noise_of_frames(np.array([one.even for one in samples]), level, known, size)

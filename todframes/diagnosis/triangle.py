@@ -189,8 +189,6 @@ class Images(NamedTuple):
         Inverse covariance of a block of the triangles for noise of unit variance.
     weight : ndarray, shape (n, n)
         Share with which a block counts: 0 beyond the frames, less than 1 where they are unsteady.
-    apart : ndarray, shape (4, 3)
-        Mean distance of the stated places, along x and y, and of the logarithms of the sizes from the group's.
     """
 
     background: FloatArray
@@ -198,7 +196,6 @@ class Images(NamedTuple):
     shares: FloatArray
     information: FloatArray
     weight: FloatArray
-    apart: FloatArray
 
     @classmethod
     def of(
@@ -209,7 +206,6 @@ class Images(NamedTuple):
         noise: FloatArray,
         turns: NDArray[np.intp],
         known: NDArray[np.bool_],
-        apart: FloatArray,
         hole: float,
     ) -> Images:
         """Separate what all frames share from what grows with the level in each orientation.
@@ -226,8 +222,6 @@ class Images(NamedTuple):
             Stated orientation, an index into `ORIENTATIONS`.
         known : ndarray of bool, shape (n, n)
             Blocks that all frames have.
-        apart : ndarray, shape (trial, 3)
-            Distance of the stated place, along x and y, and of the logarithm of the size from those of the group.
         hole : float
             Distance from the middle within which all blocks count.
         """
@@ -247,8 +241,7 @@ class Images(NamedTuple):
             spread = np.sqrt(np.square(left / noise[:, None, None]).mean(axis=0))
             steady = np.square(UNSTEADY / np.maximum(spread, UNSTEADY))
             weight *= np.where(within(len(known), hole), 1.0, steady)
-        of_own = np.array([(shares[k] * columns[k]) @ apart for k in range(4)])
-        return cls(parts[4], parts[:4], shares, information, weight, of_own)
+        return cls(parts[4], parts[:4], shares, information, weight)
 
 
 class TriangleFit(NamedTuple):
@@ -327,7 +320,7 @@ def fit(images: Images, start: Shape, shown: tuple[int, ...] = (0, 1, 2, 3)) -> 
         weight = square.of(images.weight)
         model = picture(shape, square, n)
         design = _design(model.slopes[order], factors, weight)
-        left = square.of(images.triangles) - model.images[order] - _displaced(model.slopes[order], images.apart)
+        left = square.of(images.triangles) - model.images[order]
         away = _without_background(np.tensordot(factors, left, 1), weight).ravel()
         step = _solved(design, away)
         shape = _bounded(shape.moved(_limited(step, shape)), start, n)
@@ -337,18 +330,13 @@ def fit(images: Images, start: Shape, shown: tuple[int, ...] = (0, 1, 2, 3)) -> 
     model = picture(shape, square, n)
     design = _design(model.slopes[order], factors, square.of(images.weight))
     left = images.triangles.copy()
-    subtract(left, model.images[order] + _displaced(model.slopes[order], images.apart), square)
+    subtract(left, model.images[order], square)
     spectrum = noise_spectrum(np.tensordot(factors, left, 1), images.weight, square.side)
     # The fit has taken the noise of its parameters out of what it leaves.
     cells = np.linalg.matrix_rank(images.information) * float(images.weight.sum()) / (CELL * shape.size) ** 2
     covariance = _covariance(design, square, images.weight, spectrum)
     covariance *= cells / max(cells - N_PARAMETERS, cells / 4.0)
     return TriangleFit(shape, covariance, shown, model, square)
-
-
-def _displaced(slopes: FloatArray, apart: FloatArray) -> FloatArray:
-    """Return the changes of pictures, (…, side, side), for places and sizes apart from the group's, (…, 3)."""
-    return np.asarray(np.einsum("kpij,kp->kij", np.tensordot(OF_TRIAL[1:], slopes, (1, 1)).swapaxes(0, 1), apart))
 
 
 def _design(slopes: FloatArray, factors: FloatArray, weight: FloatArray) -> FloatArray:
@@ -453,7 +441,6 @@ def of_trials(
     level: FloatArray,
     noise: FloatArray,
     turns: NDArray[np.intp],
-    apart: FloatArray,
 ) -> TrialEstimates:
     """Estimate what each trial shows, for frames as in `Images.of`."""
     weight = found.square.of(images.weight)
@@ -462,7 +449,7 @@ def of_trials(
     design = _without_background(slopes, weight)
     steps = np.linalg.pinv(design.swapaxes(1, 2)) * np.sqrt(weight).ravel()
     per_level = (frames - images.background) / level[:, None, None]
-    models = found.picture.images[shown] + np.einsum("kpij,kp->kij", slopes[shown, 1:], apart)
+    models = found.picture.images[shown]
     cut = found.square.of(per_level)
     left = (cut - models).reshape(len(frames), -1)
     differ = (found.picture.images - found.picture.images.mean(axis=0)) * weight
@@ -481,6 +468,42 @@ def of_trials(
         likeness_error * relative,
         spectrum,
     )
+
+
+def aligned(
+    frames: FloatArray, found: TriangleFit, *, level: FloatArray, turns: NDArray[np.intp], apart: FloatArray
+) -> FloatArray:
+    """Return frames as if their triangles were at one place and of one size.
+
+    The picture of the fit where a triangle is said to be is replaced by the picture at the place of the fit.
+
+    Parameters
+    ----------
+    frames : ndarray, shape (trial, n, n)
+        Contrast.
+    found : TriangleFit
+    level, turns : ndarray, shape (trial,)
+        As in `Images.of`.
+    apart : ndarray, shape (trial, 3)
+        Distance of the stated place, along x and y, and of the logarithm of the size from those of the group.
+    """
+    moved, n = frames.copy(), frames.shape[-1]
+    shape = found.shape
+    for frame, strength, turn, (dx, dy, larger) in zip(moved, level, turns, apart, strict=True):
+        own = shape._replace(x=shape.x + dx, y=shape.y + dy, map=math.exp(larger) * shape.map)
+        shown = found.shown[turn]
+        there = _blurred(own, found.square, n, shown)
+        subtract(frame, strength * (there - found.picture.images[shown]), found.square)
+    return moved
+
+
+def _blurred(shape: Shape, square: Square, n: int, turn: int) -> FloatArray:
+    """Compute the picture of a triangle in one orientation."""
+    at = (n - 1) / 2.0 + shape.x - square.column, (n - 1) / 2.0 + shape.y - square.row
+    corners = vertices(size=1.0, orientation=ORIENTATIONS[turn]) @ shape.map.T + at
+    kernel, _ = blur_matrices(shape.variance, square.side)
+    covered = moving_coverage(corners, (square.side, square.side))[0]
+    return np.asarray(shape.amplitude * (kernel @ covered @ kernel.T))
 
 
 def first_guess(images: Images, size: float) -> Shape:

@@ -26,12 +26,12 @@ from todframes.frames.surround import (
     hole_radius_px,
     surround_window,
 )
-from todframes.frames.trials import Trial
+from todframes.frames.trials import FrameReference, Trial
 from todframes.stimulus import Centre
 
 
-class FrameSample(NamedTuple):
-    """Measurements of one frame of a trial.
+class TrialSample(NamedTuple):
+    """Measurements of a trial: contrast is the mean over its frames, all else is that of its first.
 
     Attributes
     ----------
@@ -85,10 +85,10 @@ class Codes(NamedTuple):
     step_contrast: float
 
 
-def measure_frame(
-    dataset: Dataset, trial: Trial, centre: Centre, *, size_px: float, reach_px: float = 0.0, number: int = 0
-) -> FrameSample:
-    """Measure a frame of a trial.
+def measure_trial(
+    dataset: Dataset, trial: Trial, centre: Centre, *, size_px: float, reach_px: float = 0.0
+) -> TrialSample:
+    """Measure the frames of a trial about its stated place.
 
     Parameters
     ----------
@@ -99,15 +99,27 @@ def measure_frame(
         The size that the window and its blocks are made for: that of the trial, or one for several alike.
     reach_px : float
         Least distance from the stated place that the window has.
-    number : int
-        Number of the frame in the trial.
 
     Raises
     ------
     FrameError, DataError
-        If the frame cannot be read, or has no background.
+        If a frame cannot be read, or has no background.
     """
-    display, frame = dataset.display, trial.frames[number]
+    first, *others = (_measured(dataset, trial, frame, centre, size_px, reach_px) for frame in trial.frames)
+    if not others:
+        return first
+    frames = (first, *others)
+    return first._replace(
+        known=np.logical_and.reduce([one.known for one in frames]),
+        seen=np.mean([one.seen for one in frames], axis=0),
+        even=np.mean([one.even for one in frames], axis=0),
+    )
+
+
+def _measured(
+    dataset: Dataset, trial: Trial, frame: FrameReference, centre: Centre, size_px: float, reach_px: float
+) -> TrialSample:
+    display = dataset.display
     rule = display.background_luminance_cd_m2
     with dataset.open(frame) as file:
         header = file.header
@@ -167,7 +179,7 @@ def measure_frame(
         even[outside] = 0.0
         if rule == "surround":
             seen = even
-    return FrameSample(
+    return TrialSample(
         trial=trial,
         known=known,
         seen=seen,

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from todframes.base.errors import SettingsError, argument
 from todframes.charts.layout import Chart, read_chart
 from todframes.charts.markers import CORNERS, page_of
+from todframes.diagnosis.limits import MOST_TURN_RAD
 from todframes.importing.clips import Clip, ClipFrame, Placed, clean_clips
 from todframes.importing.filmed_trials import OBJECT_SIZE, TriangleDescription
 from todframes.importing.geometry import PlacedTriangle, place_triangle
@@ -33,8 +34,8 @@ SIZE_MARGIN = 1.1
 MOST_RESIDUAL_PX = 0.3
 """Residual of the markers' edges from which the places of triangles are doubtful."""
 
-MOST_ROLL_DEGREES, LARGEST_ROLL_DEGREES = 3.0, 30.0
-"""Angle between a triangle and the nearest of the four orientations that is told, and that is too large."""
+LARGEST_ROLL_DEGREES = 30.0
+"""Largest angle between a triangle and the nearest of the four orientations."""
 
 REPORTED_STRETCH = 1.05
 """Ratio of the largest to the smallest scale that is told; a chart tilted by 18° has it."""
@@ -322,7 +323,7 @@ class ChartSource:
                 f"{where}the markers' edges lie {residual:.2g} px (rms) off a plane chart's: the lens distorts, "
                 "the chart is bent, or the frames are noisy or blurred; triangles may be placed wrong by as much",
             )
-        if abs(roll := worst("roll_degrees")) > MOST_ROLL_DEGREES:
+        if abs(roll := worst("roll_degrees")) > math.degrees(MOST_TURN_RAD):
             yield RecordingWarning(
                 "rolled",
                 f"{where}triangles are turned by {abs(roll):.1f}° from their orientation, which the observer does "

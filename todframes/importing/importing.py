@@ -6,19 +6,25 @@ import json
 import math
 import os
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, Protocol
+
+import numpy as np
 
 from todframes import __version__
 from todframes.base.errors import DataError, SettingsError, argument, for_reader
 from todframes.base.output import Going, new_folder, remove_others, store_path
 from todframes.base.reading import toml_text
 from todframes.base.safe_text import csv_text, one_line
+from todframes.diagnosis.findings import place_deviations
+from todframes.diagnosis.inspection import inspect
+from todframes.diagnosis.limits import SIZES_ALIKE
 from todframes.display.display import Display
 from todframes.display.display_files import DisplayDescription, find_display, table_of_display
+from todframes.frames.dataset import Dataset, load_dataset
 from todframes.frames.files import MAX_FRAME_MB
 from todframes.importing.chart_source import ChartSource
 from todframes.importing.clips import TIME_TOLERANCE, Clip, ClipFrame
@@ -33,11 +39,11 @@ from todframes.recordings.recording import INTEGRATION_TIME_S, Recording, Record
 LARGEST_TIME_ERROR = 0.1
 """Relative difference of the trials' time from the integration time, above which it is told."""
 
-LARGEST_SIZE_RATIO = 1.15
-"""Ratio of the displayed sizes of one curve that is told; a tilt of 10° in a field of view of 28° has 1.09."""
-
 LARGEST_IMBALANCE = 3.0
 """Ratio of the numbers of trials of two orientations at one level that is told."""
+
+CAUSES: Mapping[str, str] = {"position_scatter": "shake", "turned": "rolled"}
+"""Warnings of recordings that explain what the frames of the dataset show."""
 
 DEFAULT_LEVEL = "contrast"
 
@@ -218,27 +224,7 @@ def import_recordings(
             del written[name]
             (folder / name).unlink()
         rows = list(division.rows(written, level=source.level, pitch_mrad=pitch_mrad))
-        to_report = (
-            *_of_recordings(opened),
-            *source.warnings(),
-            *_of_trials(division, source, opened, time_s, steady=steady),
-            *_of_design(division.trials, written, source),
-            *_of_windows(written, is_clipped=is_clipped),
-        )
-        warnings = tuple(RecordingWarning(code, for_reader(message)) for code, message in to_report)
-        notes = (*source.notes(), *_of_time(opened, time_s))
-        n_clips = sum(clip.n_trials > 0 for clip in source.clips)
-        report = {
-            "version": __version__,
-            "n_frames": len(rows),
-            "n_trials": len(division.trials),
-            "n_clips": n_clips,
-            "from_store": store.n_used,
-            "warnings": [one._asdict() for one in warnings],
-            "found": source.report(),
-        }
         remove_others(folder, written)
-        _write(folder / REPORT_FILE, json.dumps(report, indent=1, ensure_ascii=False) + "\n")
         _write(folder / "manifest.csv", csv_text([rows[0], *(row.values() for row in rows)], as_it_is=True))
         _write(
             folder / "dataset.toml",
@@ -252,6 +238,28 @@ def import_recordings(
                 f"Display: {one_line(shown.title)}",
             ),
         )
+        to_report = (
+            *_of_recordings(opened),
+            *source.warnings(),
+            *_of_trials(division, source, opened, time_s, steady=steady),
+            *_of_design(division.trials, written, source),
+            *_of_windows(written, is_clipped=is_clipped),
+        )
+        dataset = load_dataset(folder, max_frame_mb=max_frame_mb)
+        to_report += tuple(_of_frames(dataset, {code for code, _ in to_report}))
+        warnings = tuple(RecordingWarning(code, for_reader(message)) for code, message in to_report)
+        notes = (*source.notes(), *_of_time(opened, time_s))
+        n_clips = sum(clip.n_trials > 0 for clip in source.clips)
+        report = {
+            "version": __version__,
+            "n_frames": len(rows),
+            "n_trials": len(division.trials),
+            "n_clips": n_clips,
+            "from_store": store.n_used,
+            "warnings": [one._asdict() for one in warnings],
+            "found": source.report(),
+        }
+        _write(folder / REPORT_FILE, json.dumps(report, indent=1, ensure_ascii=False) + "\n")
     return Imported(
         path=Path(out),
         n_frames=len(rows),
@@ -412,7 +420,7 @@ def _of_design(
         sizes_px[size] += trial.sizes_px
         numbers[size, trial.stimulus.level][trial.orientation.value] += 1
     size, of_size = max(sizes_px.items(), key=lambda one: max(one[1]) / min(one[1]))
-    if size is not None and max(of_size) > LARGEST_SIZE_RATIO * min(of_size):
+    if size is not None and max(of_size) > SIZES_ALIKE * min(of_size):
         yield RecordingWarning(
             "sizes_differ",
             f"triangles of {size} mrad are displayed with {min(of_size):.3g} to {max(of_size):.3g} px, so their "
@@ -427,6 +435,27 @@ def _of_design(
                 f"{more} and {n_less} of {less}, so one orientation decides; show each page equally long: aim "
                 "before the recording, or cut it",
             )
+
+
+def _of_frames(dataset: Dataset, said: Collection[str]) -> Iterator[RecordingWarning]:
+    """Yield a warning if triangles are not where, as large and as upright as the manifest says.
+
+    A sample of the trials is measured, of those that have a place. What the codes in `said` explain is left out.
+    """
+    trials = dataset.trials
+    found: dict[str, str] = {}
+    for one in inspect(dataset, trials.select(np.flatnonzero(np.isfinite(trials.positions_px[:, 0])))):
+        seen = [way.seen for way in place_deviations(dataset, one) if CAUSES.get(way.code) not in said]
+        if seen:
+            found.setdefault(f"{dataset.experiment.group_by[0]} {one.group[0]:g}", "; ".join(seen))
+    if found:
+        group, first = next(iter(found.items()))
+        others = f", and {len(found) - 1} other sizes are wrong too" if len(found) > 1 else ""
+        yield RecordingWarning(
+            "misplaced",
+            f"{group}: {first}{others}: the places and sizes that were imported are not those in the frames; "
+            f"check the chart or the schedule, and the lens, and use {argument.locate} to score",
+        )
 
 
 def _of_time(opened: Sequence[Recording], time_s: float | None) -> Iterator[str]:
