@@ -256,7 +256,7 @@ def _clock(paths: Sequence[Path], headers: Sequence[StillHeader], asked: float |
             RecordingWarning(
                 "times_not_used",
                 f"frame {number + 1} ({names[number + 1]}) has {found} frame {number} ({names[number]}), expected "
-                "a later one, so these times are not used; --frames-per-second or times.csv give others",
+                f"a later one, so these times are not used; {argument.frames_per_second} or times.csv give others",
             ),
         )
     )

@@ -16,8 +16,8 @@ from msgspec import Meta, Struct, field
 from msgspec.structs import force_setattr
 
 from todframes.base.errors import DataError, for_reader
-from todframes.base.locations import in_utf8
 from todframes.base.reading import read_file
+from todframes.base.safe_text import in_utf8, visible_json
 
 if TYPE_CHECKING:
     from todframes.diagnosis.missing_threshold import Explanation
@@ -583,6 +583,15 @@ def read_bytes(path: Path) -> bytes:
         If it cannot be read or is too long.
     """
     return read_file(path, most_mb=MAX_MB)
+
+
+def json_file(content: object) -> bytes:
+    """Return a record as indented JSON; NaN becomes null.
+
+    Characters that a terminal would obey are escaped; the values of the JSON are the same.
+    """
+    text = msgspec.json.format(msgspec.json.encode(content), indent=2).decode()
+    return (visible_json(text) + "\n").encode()
 
 
 def decode(content: bytes, where: str, kind: type[D]) -> D:

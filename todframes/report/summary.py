@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from todframes.report.calibration import sentences
 from todframes.report.data import NO_DIFFERENCE, Algorithm, Fit, Group, Ratio, ResultData, SceneResult
 from todframes.report.wording import (
     count,
@@ -73,6 +72,8 @@ def _sentences_of(result: ResultData) -> list[str]:
     if result.command == "accuracy":
         return timed(result.scenes)
     if result.persons:
+        from todframes.report.calibration import sentences
+
         return sentences(result)
     computed = result.command in ("curve", "naked-eye")
     curves = by_curve(result.thresholds)
