@@ -16,7 +16,7 @@ from test_recordings import dng, fff, jpeg_ls, png, ptw, write_image
 import todframes as tod
 from todframes.cli.console import run
 from todframes.cli.main import cli
-from todframes.recordings import open_recordings
+from todframes.recordings.opening import open_recordings
 
 SIDE_PX = 1024
 """Frames of this side count as 8 MB in a recording."""

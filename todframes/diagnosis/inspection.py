@@ -194,7 +194,7 @@ CONTRAST_LEVELS = ("contrast", "weber_contrast")
 
 
 def is_contrast(dataset: Dataset) -> bool:
-    """Tell whether the level of a dataset is the triangle's contrast, by its name."""
+    """Return whether the level of a dataset is the triangle's contrast, by its name."""
     return dataset.experiment.level.strip().lower() in CONTRAST_LEVELS
 
 

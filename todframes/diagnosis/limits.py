@@ -92,7 +92,7 @@ SCATTER_ERRORS = 5.0
 # Warnings
 
 CERTAIN = 5.0
-"""Least deviation that is told, in standard errors."""
+"""Least deviation that is reported, in standard errors."""
 
 MATTERS = 0.03
 """Relative error of a threshold that matters."""
@@ -111,13 +111,13 @@ OFFSET_MRAD, SCATTER_MRAD = 0.08, 0.1
 thresholds by 2 to 5 % for sizes up to 4 mrad, and more for larger ones."""
 
 LEAST_OFFSET_PX = 0.05
-"""Least offset that is told, in pixels; a smaller one is within the errors of the fit."""
+"""Least offset that is reported, in pixels; a smaller one is within the errors of the fit."""
 
 OFFSET_PER_BLUR = 0.3
 """Offset of a blurred triangle that does not matter, in standard deviations of its blur."""
 
 SIZE_MRAD, LEAST_SIZE_ERROR = 0.08, 0.02
-"""Error of a size that matters, and the least relative one that is told."""
+"""Error of a size that matters, and the least relative one that is reported."""
 
 SIZE_SCATTER = 0.2
 """Relative scatter of a size over trials beyond which a group has triangles of several sizes."""
@@ -132,13 +132,13 @@ SCATTER_PER_BLUR = 0.4
 """Scatter of the place that sampling may cause, in standard deviations of the triangle's blur."""
 
 CONTRAST_ERROR = 0.05
-"""Relative deviation of the displayed contrast from the level that is told."""
+"""Relative deviation of the displayed contrast from the level that is reported."""
 
 LEAST_DISPLAYED_SIZE_PX = 2.0
 """Size of a triangle in pixels below which its orientation is not displayed."""
 
 MOST_CLIPPED, MOST_CLIPPED_NOISE, LOUD = 0.002, 0.01, 0.1
-"""Share of the triangle's pixels at an end of the code values that is told: of quiet frames, and of loud ones,
+"""Share of the triangle's pixels at an end of the code values that is reported: of quiet frames, and of loud ones,
 whose noise reaches that end. Loud is a noise of that contrast."""
 
 SKEWED = 0.1

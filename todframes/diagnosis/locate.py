@@ -44,7 +44,7 @@ class Location(NamedTuple):
 
     The error is None if no triangle stands out and the manifest's positions stay.
 
-    `arrangement` tells whether the triangles are as the manifest says. `n_located` of `n_trials` trials have a
+    `arrangement` states whether the triangles are as the manifest says. `n_located` of `n_trials` trials have a
     position of their own, whose standard deviation along either axis is `scatter_px`; all three are None if the
     group has one position. `moved_px` is the mean way from the manifest's positions, None if it has none.
     From `sure_level` on, single positions are known well enough not to raise a threshold; None: nowhere.

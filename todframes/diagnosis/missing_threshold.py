@@ -133,7 +133,7 @@ def explain_missing(
 
 
 def _is_beyond(fit: PsychometricFit) -> bool:
-    """Tell whether a threshold is extrapolated to levels stronger than all that were shown."""
+    """Return whether a threshold is extrapolated to levels stronger than all that were shown."""
     return fit.threshold is not None and fit.threshold > max(point.level for point in fit.points)
 
 
@@ -188,8 +188,8 @@ class _Change:
 class _MistakeSearch:
     """Search for what would make the answers in the strongest trials of a group right.
 
-    `before` and `after` are the orientations of the neighbouring trials. `is_inverted` tells whether the scores of
-    most triangles are those of the other polarity.
+    `before` and `after` are the orientations of the neighbouring trials. `is_inverted`: the scores of most
+    triangles are those of the other polarity.
     """
 
     dataset: Dataset
@@ -306,7 +306,7 @@ class _MistakeSearch:
         return float(change.answers[np.arange(len(change.answers)), shown].mean())
 
     def _works(self, share: float) -> bool:
-        """Tell whether a share of right answers is high, much higher than now, and no chance result."""
+        """Return whether a share of right answers is high, much higher than now, and no chance result."""
         now = self._right(_Change(self.answers))
         if share < max(LEAST_RIGHT, now + LEAST_GAIN):
             return False
