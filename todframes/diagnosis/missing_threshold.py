@@ -81,7 +81,7 @@ def explain_missing(
     """Explain each threshold that is missing.
 
     For groups whose criterion is not reached at the levels shown, the strongest trials are looked at. Their
-    answers show triangles that are mirrored or turned. The fit of the triangle, anywhere on their frames, shows its
+    answers show triangles that are mirrored or turned. The fit of the triangle, anywhere on their frames, shows
     place, size and polarity; with these the trials are scored again, though not if the threshold is merely
     extrapolated. A hint is given only for a change after which most answers are right.
 
