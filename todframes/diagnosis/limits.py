@@ -165,6 +165,9 @@ BLOCKS = 2**19
 MOST_BLOCKS = 2**24
 """Largest number of blocks of a frame; more would fill the memory."""
 
+CLEAR_PEAK = 100.0
+"""Height of a correlation peak, in standard deviations of the correlation, above which noise does not count."""
+
 LEAST_BLOCKS = 16
 """Least number of blocks along a triangle's size, unless blocks are pixels: larger blocks blur its edges."""
 
@@ -223,6 +226,10 @@ JITTERS = (0.0, 0.03, 0.2)
 """Shares of the variance without memory that are tried."""
 
 # Missing thresholds
+
+SIZES_SOUGHT = tuple(np.geomspace(1.0 / 20.0, 20.0, 15).tolist())
+"""Sizes that are sought on whole frames, as multiples of the stated one: degrees or minutes of arc taken for mrad
+are 0.06 to 17.5 times. Steps of 1.53 lose at most a fifth of the correlation's height."""
 
 LEAST_TRIALS, MOST_TRIALS = 8, 32
 """Least number of strong trials, as far as a group has them, and the largest number that are looked at again."""
