@@ -545,8 +545,8 @@ def test_no_trial_goes_across_a_gap() -> None:
     ("intervals_s", "sizes", "n_gaps"),
     [
         ([1 / 30, 1 / 20] * 15, [2] * 15, 0),  # 24 frames/s on a display of 60 Hz
-        ([0.02] * 50 + [0.1] * 10, [5] * 10 + [1] * 10, 2),  # the first two slow ones could be gaps
-        ([1 / 30] * 30 + [1 / 15] * 14, [3] * 10 + [1] * 14, 2),  # as at 15 frames/s throughout
+        ([0.02] * 50 + [0.1] * 10, [5] * 10 + [1] * 10, 4),  # the first four could be gaps
+        ([1 / 30] * 30 + [1 / 15] * 14, [3] * 10 + [1] * 14, 4),  # as at 15 frames/s throughout
         ([1 / 30] * 6 + [1 / 15] + [1 / 30] * 12 + [1 / 15] + [1 / 30] * 8, [3] * 9, 2),  # two frames missing
     ],
 )

@@ -33,8 +33,9 @@ MOST_OF_OTHER = 0.03
 SCATTER = 6.0
 """The same in median deviations of the shares; noise alone hardly reaches it."""
 
-RECENT_INTERVALS = 8
-"""Number of the latest intervals between frames that a further one is compared with."""
+RECENT_INTERVALS = 4
+"""Number of the latest intervals between frames, of which the shortest is the frame rate if it is longer than the
+mean: at 15 % dropped frames at random, as many in a row are missing once in 2,000."""
 
 TIME_TOLERANCE = 0.05
 """Part of a frame's interval by which its time may be off: containers round times to 1 ms. Without it, the number
@@ -217,7 +218,7 @@ class Integration:
     """The division of a clip's frames into trials of the observer's integration time.
 
     Each frame is shown until the next one. The interval between frames may vary: where it is far from the mean,
-    the latest one counts, and frames are missing where it is longer, by `GAP`, than all but one of the latest.
+    the latest one counts. Frames are missing where it is longer, by `GAP`, than one of the latest and the mean.
 
     Parameters
     ----------
@@ -246,7 +247,8 @@ class Integration:
             return None if self.time_s is None else TrialEnd(is_whole=True, is_gap=False)
         if self.time_s is None:
             return None
-        if time_s - last > GAP * max(self.frame_s, *sorted(self._intervals_s)[-2:-1], 0.0):
+        is_slow = len(self._intervals_s) == RECENT_INTERVALS
+        if time_s - last > GAP * max(self.frame_s, min(self._intervals_s) if is_slow else 0.0):
             return TrialEnd(self.is_whole, is_gap=True)
         if time_s - start >= self.time_s - (0.5 + TIME_TOLERANCE) * self._local_s(time_s - last):
             return TrialEnd(is_whole=True, is_gap=False)
@@ -269,5 +271,5 @@ class Integration:
         """Whether the present trial covers the integration time, which a single frame does if it is short."""
         if self.time_s is None or self.frame_s is None or self._start_s is None or self._last_s is None:
             return True
-        frame_s = self._local_s(self._intervals_s[-1]) if self._intervals_s else self.frame_s
+        frame_s = max(self.frame_s, self._local_s(self._intervals_s[-1]) if self._intervals_s else 0.0)
         return self._last_s - self._start_s >= self.time_s - (1.5 + TIME_TOLERANCE) * frame_s
