@@ -10,9 +10,10 @@ import numpy as np
 from sensor_sim.chain.sensor import Sensor
 from sensor_sim.chain.transfer import stages
 from todframes import __version__
+from todframes.report.data import json_file
 from todframes.report.figure_style import COLOURS, INK
 from todframes.report.figures import ReportFigure, drawn
-from todframes.report.saving import Saving, json_file
+from todframes.report.result import Saving
 from todframes.report.table import Column, Table
 
 if TYPE_CHECKING:

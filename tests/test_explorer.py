@@ -187,7 +187,7 @@ def test_the_command_computes_what_the_page_shows(tmp_path, monkeypatch):
         asked.update(settings, sensor=sensor)
         raise SettingsError("enough")
 
-    monkeypatch.setattr("sensor_sim.calls.curve", curve)
+    monkeypatch.setattr("sensor_sim.curve", curve)
     monkeypatch.chdir(tmp_path)
     assert run(cli, shlex.split(made["command"])[1:]) == 2
     assert asked["sensor"] == SENSOR
@@ -420,7 +420,7 @@ def test_without_the_extra_the_command_is_one_line(capsys, monkeypatch):
 
 @pytest.mark.slow
 def test_the_packages_of_the_page_are_not_imported_without_it():
-    code = "import sys, todframes, sensor_sim, sensor_sim.cli, sensor_sim.calls, todframes.web\n"
+    code = "import sys, todframes, sensor_sim, sensor_sim.cli, sensor_sim.calls.explore, todframes.web\n"
     code += "sys.exit(bool({'starlette', 'uvicorn', 'anyio'} & set(sys.modules)))"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 

@@ -23,7 +23,8 @@ import pytest
 import todframes as tod
 from todframes.cli.console import run
 from todframes.cli.main import cli
-from todframes.recordings import open_recordings, radiometric, raw
+from todframes.recordings import radiometric, raw
+from todframes.recordings.opening import open_recordings
 from todframes.recordings.recording import natural_order
 
 RNG = np.random.default_rng(13)

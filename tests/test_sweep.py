@@ -24,7 +24,7 @@ from sensor_sim.sweeps.work import SweepWork, Variants, plan_sweep, run_sweep
 from sensor_sim.thresholds.sharing import Kept
 from todframes.base.errors import SettingsError
 from todframes.cli.console import run
-from todframes.jobs.local import LocalEngine
+from todframes.jobs.work import LocalEngine
 from todframes.observers.pyramid import PyramidObserver, PyramidSettings
 
 CAMERA = Path(__file__).parent.parent / "sample_frames" / "staring_camera.toml"

@@ -236,7 +236,7 @@ class _Worker:
         other.close()
 
     def begin(self, request: Any) -> None:
-        """Send a request; if the process has died, the answer tells."""
+        """Send a request; if the process has died, the answer states it."""
         with suppress(OSError):
             self.connection.send((searched_last(), request))
 

@@ -72,7 +72,7 @@ class ScaledObserver:
     make : function of no arguments
         Makes the observer anew.
     name : hashable
-        All that tells this observer from others.
+        All that distinguishes this observer from others.
     scale : float
         Factor of the standard deviation of the internal noise.
     kept : Kept

@@ -19,7 +19,7 @@ from todframes import __version__
 from todframes.base._typing import FloatArray, Json
 from todframes.base.errors import SettingsError, argument, for_reader
 from todframes.base.reading import check_keys
-from todframes.report.saving import json_file
+from todframes.report.data import json_file
 from todframes.report.table import BLOCK, Column, LongRecords, Table
 from todframes.report.wording import count, listed, plain
 

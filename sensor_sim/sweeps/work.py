@@ -153,7 +153,7 @@ class SweepWork:
         return SettingsError(f"{chain.size_detectors:g} detectors: the process died that computed it")
 
     def key(self, item: Chain, *, is_done: bool) -> bytes | None:  # noqa: ARG002
-        """Return the key of a threshold, which stands for all that it depends on; None if code cannot be told."""
+        """Return the key of a threshold, which stands for all that it depends on; None if code has no identity."""
         try:
             of_work = (self.observers, self.p_correct, self.tolerance, self.seed, self.plan)
             return fingerprint(of_work, tuple(item))

@@ -10,8 +10,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from pathlib import Path
+from typing import Any
 
-from todframes.base.locations import Location, in_utf8, without_secrets
+from todframes.base.safe_text import in_utf8, without_secrets
 
 _ARGUMENT = re.compile("\x1a([a-z0-9_]+)\x1a")
 """Pattern of an argument in the text of an error."""
@@ -87,9 +88,9 @@ class DataError(TodframesError, ValueError):
 
 
 class FrameError(DataError):
-    """Error for a frame that cannot be used; `path` names it and `problem` says why, without the path."""
+    """Error for a frame that cannot be used; `path`, a `Location`, names it and `problem` says why, without it."""
 
-    def __init__(self, path: Location | str, problem: str) -> None:
+    def __init__(self, path: Any, problem: str) -> None:
         super().__init__(f"{path}: {problem}")
         self.path = Path(path) if isinstance(path, str) else path
         self._marked_problem = problem
@@ -99,7 +100,7 @@ class FrameError(DataError):
         """What is wrong, without the path."""
         return for_reader(self._marked_problem)
 
-    def __reduce__(self) -> tuple[type, tuple[Location, str]]:
+    def __reduce__(self) -> tuple[type, tuple[Any, str]]:
         return type(self), (self.path, self._marked_problem)
 
 

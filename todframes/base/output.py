@@ -52,18 +52,16 @@ LARGEST_RESULT_MB = 64
 
 FILES_OF_COMMAND = {
     "score": {"report.html", "scores.csv", "scores.parquet", "psychometric.png", "tod_curve.png"},
-    "curve": {"report.html", "psychometric.png", "tod_curve.png"},
     "compare": {"report.html", "scores.csv", "scores.parquet", "compare.csv", "compare.png"},
     "calibrate": {
         *("report.html", "internal_noise.csv", "calibration.csv"),
         *("calibration.png", "calibration.svg", "observer.toml"),
     },
-    "sweep": {
-        *("report.html", "sweep.csv", "sweep.parquet"),
-        *("front.png", "map.png", "by_key.png", "tod_curves.png"),
-    },
 }
-"""Files that each command writes beside `result.json`."""
+"""Files that each command of this package writes beside `result.json`."""
+
+ENTRY_POINT_GROUP = "todframes.result_files"
+"""Entry points of other packages: sets of the files that their commands write, by the name of the command."""
 
 
 class _Result(msgspec.Struct):
@@ -521,8 +519,17 @@ def _files_of_result(path: Path) -> set[str]:
         file = path / LAST_OF_RESULT
         if stat.S_ISREG((status := file.lstat()).st_mode) and status.st_size <= LARGEST_RESULT_MB * 2**20:
             result = msgspec.json.decode(file.read_bytes(), type=_Result)
-            return {name for name in FILES_OF_COMMAND.get(result.command, ()) if (path / name).is_file()}
+            return {one for one in _files_of_command(result.command) if (path / one).is_file()}
     return set()
+
+
+def _files_of_command(command: str) -> Collection[str]:
+    """Return the names of the files that a command of this or another package writes beside `result.json`."""
+    if command in FILES_OF_COMMAND:
+        return FILES_OF_COMMAND[command]
+    from importlib.metadata import entry_points
+
+    return {name for entry in entry_points(group=ENTRY_POINT_GROUP, name=command) for name in entry.load()}
 
 
 def _fill(name: str, staged: Path, out: Path, last: str) -> None:

@@ -15,21 +15,13 @@ import threading
 import time
 import zlib
 from collections.abc import Awaitable, Callable, Iterator, Mapping
-from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
-from urllib.parse import unquote
 
-from todframes.base.errors import DataError, RemoteError
-from todframes.base.locations import CONTAINER_BEFORE_AT, WEB, Location, RemotePath
+from todframes.base.errors import RemoteError
+from todframes.base.locations import WEB, RemotePath
 
 T = TypeVar("T")
 
-URL = re.compile(r"[A-Za-z][A-Za-z0-9+.:-]*://")
-"""Pattern of the start of a URL, or of several chained by "::"."""
-COLLAPSED_URL = re.compile(r"[A-Za-z][A-Za-z0-9+.:-]+:/[^/]")
-"""Pattern of the start of a `Path` that was made from a URL, or of a URL with one slash only."""
-IN_BRACKETS = re.compile(r"\[[0-9A-Fa-f:.]*\]")
-"""Pattern of an IPv6 address in a URL."""
 S3 = ("s3", "s3a")
 CONNECT_S, READ_S = 5, 15
 """Longest time until a server of S3 or HTTP accepts a connection, and between two pieces of its answer."""
@@ -116,44 +108,6 @@ class Content(NamedTuple):
 
     data: bytes
     tag: str | None
-
-
-def location(name: str | os.PathLike[str] | RemotePath) -> Location:
-    """Return the location that a text names: a local path, or a URL whose scheme is not that of local files.
-
-    Raises
-    ------
-    DataError
-        If a URL holds a user name, a password, a parameter or a query, or names several file systems. The message
-        does not show it: it may hold a secret.
-    """
-    if isinstance(name, RemotePath):
-        return name
-    if not isinstance(name, str) or not URL.match(name):
-        path = Path(name)
-        if COLLAPSED_URL.match(str(path)) and not path.exists():
-            found = "a URL with one slash" if isinstance(name, str) else "a Path made from a URL"
-            raise DataError(f"dataset: found {found}, expected the URL as a text, with ://")
-        return path
-    scheme, _, rest = name.partition("://")
-    scheme = scheme.lower()
-    host = IN_BRACKETS.sub("", rest.partition("/")[0])
-    problem = None
-    if "::" in scheme or "::" in IN_BRACKETS.sub("", rest):
-        problem = "several file systems chained by '::', expected a single one"
-    elif "?" in name or "#" in name or ";" in name:
-        problem = "a parameter, query or fragment (what follows ; ? or #), expected none: it may be a secret"
-    elif re.search(r":(?!\d+$|$)", host) and "@" in rest:
-        problem = "a password, expected none: credentials come from the environment"
-    elif "@" in host and scheme not in CONTAINER_BEFORE_AT:
-        problem = "a user name, expected none: credentials come from the environment"
-    if problem:
-        raise DataError(f"dataset: found a URL of {scheme.partition(':')[0]}:// with {problem}")
-    if scheme in ("file", "local"):
-        return Path(unquote(rest))
-    if not rest.strip("/"):
-        raise DataError(f"{scheme}://: found a URL of nothing, expected {scheme}://… and the folder of a dataset")
-    return RemotePath(f"{scheme}://{rest.rstrip('/')}")
 
 
 def read_content(path: RemotePath, *, most_mb: int = FRAME_FILE_MB) -> Content:

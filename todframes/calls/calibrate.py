@@ -16,13 +16,12 @@ from todframes.base.seeds import Rng, seed_of
 from todframes.calls.shared import (
     OnError,
     Progress,
-    described,
     is_skip,
     loaded,
     opened_run,
 )
 from todframes.frames.dataset import Dataset
-from todframes.observers.interface import Observer
+from todframes.observers.interface import Observer, described
 from todframes.psychometrics.fit import FitSettings
 from todframes.report.data import (
     DatasetRecord,

@@ -15,7 +15,6 @@ from todframes.base.seeds import Rng, seed_of
 from todframes.calls.shared import (
     OnError,
     Progress,
-    described,
     each_once,
     in_memory,
     inspected,
@@ -26,9 +25,8 @@ from todframes.calls.shared import (
 )
 from todframes.display.display import Display
 from todframes.frames.dataset import Dataset
-from todframes.jobs.store import Store
 from todframes.jobs.work import Engine
-from todframes.observers.interface import Observer
+from todframes.observers.interface import Observer, described
 from todframes.psychometrics.fit import CurveName, FitSettings
 from todframes.report.advice import levels_to_add
 from todframes.report.data import (
@@ -41,6 +39,7 @@ from todframes.scoring.seen_trials import Decisions
 
 if TYPE_CHECKING:
     from todframes.diagnosis.locate import Locate
+    from todframes.jobs.store import Store
 
 
 SHOWN = ("orientation", "level", "size_mrad", "group", "position", "polarity", "trial", "level_name")
@@ -67,7 +66,7 @@ def compare(
     examples: bool = True,
     progress: Progress | None = None,
 ) -> Result:
-    """Tell whether enhancement algorithms lower the thresholds of a dataset, as `todframes compare` does.
+    """Test whether enhancement algorithms lower the thresholds of a dataset, as `todframes compare` does.
 
     Each algorithm is compared with the frames as they are, on the same frames and with the same random draws.
 

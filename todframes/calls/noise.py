@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from todframes.base.errors import DataError, SettingsError, argument
-from todframes.base.locations import in_utf8
+from todframes.base.safe_text import in_utf8
 from todframes.calls.shared import (
     Progress,
 )

@@ -11,14 +11,14 @@ import textwrap
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, redirect_stdout, suppress
+from importlib import import_module
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 
 from todframes.base import signals
 from todframes.base.errors import DataError, TodframesError, in_command
-from todframes.base.locations import without_secrets
-from todframes.base.safe_text import visible
+from todframes.base.safe_text import visible, without_secrets
 
 if TYPE_CHECKING:
     from todframes.base.output import Going
@@ -68,11 +68,11 @@ def staged(out: str | None, going: Going | None = None, *, quiet: bool = False) 
     quiet : bool
         Say nothing about results that an earlier run has finished.
     """
-    from todframes.base.output import output_folder, store_path, write_files
-
     if out is None:
         yield Staged(lambda _: None)
         return
+    from todframes.base.output import output_folder, store_path, write_files
+
     with output_folder(out, going) as folder, ExitStack() as stack:
         store = None
         if going is not None:
@@ -104,9 +104,12 @@ def long_run(out: str | None, asked: dict[str, Any], *, quiet: bool) -> Iterator
 
     Of `asked`, `restart` and `keep_store` are removed; `cluster` is replaced by the engine, and `store` is set.
     """
-    from todframes.base.output import Going
+    restart, keep = asked.pop("restart"), asked.pop("keep_store")
+    going = None
+    if out is not None:
+        from todframes.base.output import Going
 
-    going = Going(restart=asked.pop("restart"), keep=asked.pop("keep_store"))
+        going = Going(restart=restart, keep=keep)
     with staged(out, going, quiet=quiet) as place, opened_engine(asked, quiet=quiet):
         asked["store"] = place.store
         yield place
@@ -380,7 +383,28 @@ class Interruption(Exception):  # noqa: N818 - it is no error
 
 
 class Commands(click.Group):
-    """A group whose commands raise `Interruption` at Ctrl-C; click itself would print an empty line."""
+    """A group whose commands raise `Interruption` at Ctrl-C; click itself would print an empty line.
+
+    Parameters
+    ----------
+    modules : mapping
+        Module and attribute, "module:attribute", of each command that is imported when it is asked for.
+    """
+
+    def __init__(self, *args: Any, modules: Mapping[str, str] | None = None, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        self._modules = modules or {}
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """Return the names of all commands, sorted."""
+        return sorted({*super().list_commands(ctx), *self._modules})
+
+    def get_command(self, ctx: click.Context, name: str) -> click.Command | None:
+        """Return a command by its name; None if there is none."""
+        if name in self._modules and name not in self.commands:
+            module, _, attribute = self._modules[name].partition(":")
+            self.add_command(getattr(import_module(module), attribute), name)
+        return super().get_command(ctx, name)
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command that the context names."""

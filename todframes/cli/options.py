@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 from todframes.base.errors import SettingsError
-from todframes.base.locations import Location
+from todframes.base.locations import Location, location
 
 if TYPE_CHECKING:
     from todframes.observers.interface import Observer
@@ -37,8 +37,6 @@ def options(*decorators: Callable[[F], F]) -> Callable[[F], F]:
 
 
 def _location(_: click.Context, __: click.Parameter, name: str) -> Location:
-    from todframes.base.remote import location
-
     return location(name)
 
 

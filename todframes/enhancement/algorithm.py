@@ -139,7 +139,7 @@ class Parameter:
 class Enhancement:
     """An algorithm with the values of its parameters.
 
-    `spec` is the text that the user wrote, `name` the part of it before the parameters. `any_parameter` tells
+    `spec` is the text that the user wrote, `name` the part of it before the parameters. `any_parameter` states
     whether the function accepts parameters that it does not name.
     """
 

@@ -87,7 +87,7 @@ class SeenDataset(Dataset):
         return self.shown.frame_path(trial.frames[0])
 
     def has_frame(self, frame: FrameReference) -> bool:
-        """Tell whether the files of the frame exist."""
+        """Return whether the files of the frame exist."""
         trial, _ = self.originals[frame.path]
         return all(self.shown.has_frame(one) for one in trial.frames)
 
@@ -444,7 +444,7 @@ class Calibrated:
         if p_value is not None and p_value < SURPRISING:
             message = (
                 f"the persons do not have the same internal noise (p = {p_value:.2g}); that of all together is a "
-                "mean of them, and its interval does not tell how they differ"
+                "mean of them, and its interval does not describe how they differ"
             )
             found.append(PersonWarning("persons_differ", {}, message, p_value, SURPRISING))
         return tuple(found)
@@ -480,7 +480,7 @@ def calibrate_persons(
     skip_bad_frames : bool
         Leave out trials whose frames cannot be used or have changed, instead of raising.
     run : Run, optional
-        Engine of the scoring, and whom to tell of its progress.
+        Engine of the scoring, and the function that receives its progress.
 
     Raises
     ------

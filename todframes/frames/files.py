@@ -19,8 +19,7 @@ import OpenImageIO as oiio
 from numpy.typing import ArrayLike, NDArray
 
 from todframes.base.errors import FrameError, OutputError, RemoteError, SettingsError, argument
-from todframes.base.locations import Location, RemotePath
-from todframes.base.remote import location, read_content
+from todframes.base.locations import Location, RemotePath, location
 
 PathLike = str | os.PathLike[str]
 
@@ -436,6 +435,8 @@ def frame_sha256(path: PathLike | RemotePath) -> str:
     path = location(path)
     try:
         if isinstance(path, RemotePath):
+            from todframes.base.remote import read_content
+
             return hashlib.sha256(read_content(path).data).hexdigest()
         _check_is_file(path)
         with path.open("rb") as file:
@@ -447,7 +448,7 @@ def frame_sha256(path: PathLike | RemotePath) -> str:
 
 
 def has_own_checksums(path: PathLike | RemotePath) -> bool:
-    """Tell whether a frame file contains checksums of all of its content: a PNG does, an EXR does not.
+    """Return whether a frame file contains checksums of all of its content: a PNG does, an EXR does not.
 
     Raises FrameError if the file cannot be read. Of a file behind a URL only the name is looked at.
     """
@@ -470,6 +471,8 @@ def _local(path: Location, content: bytes | None, stack: ExitStack) -> Path:
     if content is None:
         if not isinstance(path, RemotePath):
             return path_in_utf8(path, stack)
+        from todframes.base.remote import read_content
+
         content = read_content(path).data
     memory = stack.enter_context(os.fdopen(os.memfd_create("frame"), "wb"))
     memory.write(content)

@@ -120,7 +120,7 @@ class Surface(NamedTuple):
         return np.asarray(v @ self.coefficients @ u.T)
 
     def has(self, y_px: FloatArray, x_px: FloatArray) -> NDArray[np.bool_]:
-        """Tell which pairs of two sets of places belong to the background: (y, x)."""
+        """Return which pairs of two sets of places belong to the background: (y, x)."""
         inside = (
             (places > first - 0.5) & (places < stop - 0.5)
             for places, (first, stop) in zip((y_px, x_px), self.extent, strict=True)
@@ -332,7 +332,7 @@ def _terms(u: FloatArray, v: FloatArray, degree: int) -> FloatArray:
 
 
 def _is_known(degree: int, u: FloatArray, v: FloatArray, hole: float) -> bool:
-    """Tell whether a surface through blocks at (u, v) is known under the triangle as well as in one block."""
+    """Return whether a surface through blocks at (u, v) is known under the triangle as well as in one block."""
     terms = _terms(u, v, degree)
     at_hole = _terms(hole * np.array([0, 1, -1, 0, 0]), hole * np.array([0, 0, 0, 1, -1]), degree)
     normal = terms.T @ terms

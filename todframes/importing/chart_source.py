@@ -38,7 +38,7 @@ LARGEST_ROLL_DEGREES = 30.0
 """Largest angle between a triangle and the nearest of the four orientations."""
 
 REPORTED_STRETCH = 1.05
-"""Ratio of the largest to the smallest scale that is told; a chart tilted by 18° has it."""
+"""Ratio of the largest to the smallest scale that is reported; a chart tilted by 18° has it."""
 
 EQUAL_SCALES = 1.02
 """Ratio of the magnifications of two recordings up to which they count as one; thresholds change by less."""
@@ -455,6 +455,6 @@ def page_duration_s(starts: Sequence[tuple[int, float]], frame_s: float) -> floa
 
 
 def _is_same(one: NDArray[np.generic], other: NDArray[np.generic]) -> bool:
-    """Tell whether two frames are equal bit by bit; a row in the middle tells nearly always."""
+    """Return whether two frames are equal bit by bit; a row in the middle nearly always differs."""
     middle = len(one) // 2
     return np.array_equal(one[middle], other[middle]) and np.array_equal(one, other)

@@ -1,9 +1,9 @@
 """Clips and trials: the runs of frames in which a chart shows one page, and the parts that an observer integrates.
 
-Frames of transitions are left out. A frame whose markers are of two pages, or of none, tells so itself. A frame
-that holds a small share of the page before or after (a slow display, an exposure across the change) does not: its
-markers read well. The modules in which the markers of the two pages differ tell the share, and it is compared
-with that of the other frames of the clip.
+Frames of transitions are left out. Most have markers of two pages, or of none. If a frame holds only a small share
+of the page before or after (a slow display, an exposure across the change), its markers read well. Then the
+modules in which the markers of the two pages differ give the share, which is compared with that of the other
+frames of the clip.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class FramePart(NamedTuple):
 class Placed(NamedTuple):
     """A triangle in a recorded frame, with the part of the frame about it.
 
-    `x_px` and `y_px` are its centroid in the frame, None if nothing tells it; `size_px` is √(area). `window` are
+    `x_px` and `y_px` are its centroid in the frame, None if it is not known; `size_px` is √(area). `window` are
     the rows and columns that the observer needs, top, bottom, left, right; `part` reaches beyond them, since the
     next frames may show the triangle elsewhere.
     """
@@ -225,7 +225,7 @@ class Integration:
     time_s : float or None
         Integration time; None: a clip is one trial, and so is each still without a time.
     frame_s : float or None
-        Mean interval from frame to frame; None if nothing tells it, then each frame is a trial unless `time_s` is
+        Mean interval from frame to frame; None if it is not known, then each frame is a trial unless `time_s` is
         None.
     """
 

@@ -8,14 +8,15 @@ from collections.abc import Callable, Generator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Generic, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 
 import msgspec
 
 from todframes.base.errors import TodframesError
-from todframes.jobs.local import ITEMS_PER_TASK
-from todframes.jobs.store import Store
-from todframes.jobs.work import Engine, Lost, Work
+from todframes.jobs.work import ITEMS_PER_TASK, Engine, Lost, Work
+
+if TYPE_CHECKING:
+    from todframes.jobs.store import Store
 
 Item = TypeVar("Item")
 Item_contra = TypeVar("Item_contra", contravariant=True)
@@ -35,9 +36,9 @@ class StoredWork(Work[Item_contra, Result], Protocol[Item_contra, Result]):
     """
 
     def key(self, item: Item_contra, *, is_done: bool) -> bytes | None:
-        """Return the key of an item's result; None if it cannot be told, or the result is not to be kept.
+        """Return the key of an item's result; None if it cannot be known, or the result is not to be kept.
 
-        `is_done` tells whether the function has just returned for this item, which may have checked its files.
+        `is_done` states whether the function has just returned for this item, which may have checked its files.
         """
 
     def stamp(self, item: Item_contra) -> object:

@@ -7,17 +7,17 @@ the noise on all its neurons reaches the decision as one four-vector. One that i
 from __future__ import annotations
 
 import hashlib
+import sys
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, is_dataclass, replace
 from functools import cached_property
 from typing import Any, ClassVar, NamedTuple, Protocol, cast, runtime_checkable
 
 import numpy as np
 
-from todframes.base._typing import FloatArray
+from todframes.base._typing import FloatArray, Json
 from todframes.base.errors import SettingsError
 from todframes.base.reading import check_keys
-from todframes.base.user_code import import_named
 from todframes.observers.decision import answer_probabilities
 from todframes.observers.internal_noise import edgeworth_correction, inner_product
 from todframes.observers.retina import RetinaGrid
@@ -232,8 +232,32 @@ def find_observer(name: str) -> type[Observer]:
 
 
 def _imported(name: str) -> type[Observer]:
+    from todframes.base.user_code import import_named
+
     module, _, class_name = name.partition(":")
     found = import_named(module, class_name, f"observer: {name!r}")
     if not (isinstance(found, type) and hasattr(found, "settings_type")):
         raise SettingsError(f"observer: {name!r}: found no observer, expected a class with a settings_type")
     return cast("type[Observer]", found)
+
+
+def described(observer: str | Observer) -> tuple[Observer, Json]:
+    """Return an observer, made if only its name is given, and its name and settings as JSON values."""
+    if isinstance(observer, str):
+        kind, name = find_observer(observer), observer
+        observer = kind(kind.settings_type())
+    else:
+        name = _name(type(observer))
+    settings = getattr(observer, "settings", None)
+    values = asdict(settings) if is_dataclass(settings) and not isinstance(settings, type) else {}
+    return observer, {"observer": name, **values}
+
+
+def _name(kind: type) -> str:
+    """Return the name that a class is registered under, or "module:Class" if it is not registered."""
+    from importlib.metadata import entry_points
+
+    for entry in entry_points(group=ENTRY_POINT_GROUP):
+        if entry.module in sys.modules and entry.load() is kind:
+            return entry.name
+    return f"{kind.__module__}:{kind.__qualname__}"

@@ -13,8 +13,7 @@ from todframes.base._typing import FloatArray, Json
 from todframes.recordings.noise3d import PARTS, Noise3D, NoisePart
 from todframes.report.data import ResultWarning
 from todframes.report.figure_style import COLOURS, INK, label_text, style
-from todframes.report.result import Result
-from todframes.report.saving import Saving
+from todframes.report.result import Result, Saving
 from todframes.report.table import Column, Table
 from todframes.report.wording import interval_phrase, plain
 

@@ -4,12 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from todframes.base._typing import FloatArray
-from todframes.enhancement.compare import AlgorithmResult
-from todframes.frames.dataset import Dataset
-from todframes.frames.trials import Trials
 from todframes.report.data import (
     Algorithm,
     DatasetRecord,
@@ -22,8 +18,14 @@ from todframes.report.data import (
 )
 from todframes.report.table import BLOCK, EXACT, Column, LongRecords, Table, field_text
 from todframes.report.wording import group_phrase, level_heading, plain, quantity, threshold_heading, unit_of
-from todframes.scoring.score import ScoredDataset
 from todframes.stimulus import ORIENTATIONS, Stimulus
+
+if TYPE_CHECKING:
+    from todframes.base._typing import FloatArray
+    from todframes.enhancement.compare import AlgorithmResult
+    from todframes.frames.dataset import Dataset
+    from todframes.frames.trials import Trials
+    from todframes.scoring.score import ScoredDataset
 
 THRESHOLD_COLUMNS = (
     Column(key="threshold_ci95", header="95 % interval", interval="threshold_ci95"),
@@ -390,7 +392,7 @@ def _trials(
     return list(kinds), LongRecords(kinds, sum(len(scored.trials) for _, scored in parts), blocks)
 
 
-Values = Callable[[Trials, slice], list[Any]]
+Values = Callable[["Trials", slice], list[Any]]
 """Function of some trials, and of their rows in the arrays of `ScoredDataset`, that returns a value for each."""
 
 
