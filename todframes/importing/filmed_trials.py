@@ -130,6 +130,7 @@ class TrialDivision:
         for now, frame in frames:
             if clip is not now:
                 self._end(clip, integration.is_whole)
+                integration.begin_clip()
                 clip, number = now, 0
             elif self._open and (end := integration.ends_before(frame.time_s)) is not None:
                 self._end(clip, end.is_whole)
