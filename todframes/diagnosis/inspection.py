@@ -100,7 +100,8 @@ class Inspection:
     signal : float
         The triangle's contrast in standard errors by the noise alone.
     uneven, uneven_error : float
-        Contrast of a triangle to whose orientations the background's own structure is like, and its error.
+        Contrast of the triangle that would answer the observer's templates as the empty background does, with its
+        standard error.
     uneven_texture : float
         The same elsewhere in the surround: the fixed pattern of a camera, for example.
     saturated_share, crushed_share : float or None

@@ -131,7 +131,7 @@ class CorrelationPeak(NamedTuple):
 
     @property
     def rank(self) -> tuple[float, float]:
-        """What the peaks of several sizes are compared by: significance, and height where there is no noise."""
+        """Rank of a peak among those of several sizes: its significance, or its height if there is no noise."""
         return min(self.height, CLEAR_PEAK * self.spread) / max(self.spread, 1e-300), self.height
 
 

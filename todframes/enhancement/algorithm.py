@@ -162,7 +162,7 @@ class Enhancement:
 
     @property
     def is_reference(self) -> bool:
-        """Whether this is the algorithm that leaves frames as they are."""
+        """True for the algorithm that leaves frames as they are."""
         return self.name == REFERENCE
 
     @property

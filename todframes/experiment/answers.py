@@ -179,7 +179,7 @@ class TrialRow:
 
     @property
     def is_correct(self) -> bool:
-        """Whether the response was right."""
+        """True if the response was right."""
         return self.response is self.orientation
 
 

@@ -268,7 +268,8 @@ class Integration:
 
     @property
     def is_whole(self) -> bool:
-        """Whether the present trial covers the integration time, which a single frame does if it is short."""
+        """True if the present trial covers the integration time. If the time is short, a single frame covers
+        it."""
         if self.time_s is None or self.frame_s is None or self._start_s is None or self._last_s is None:
             return True
         frame_s = max(self.frame_s, self._local_s(self._intervals_s[-1]) if self._intervals_s else 0.0)
