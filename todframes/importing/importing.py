@@ -377,7 +377,7 @@ def _of_trials(
                 yield RecordingWarning(
                     "no_times",
                     f"{recording.path}: has no times, so each frame is a trial of its own; "
-                    f"{argument.frames_per_second} gives them",
+                    f"{argument.frames_per_second} or a times.csv in their folder gives them",
                 )
             elif interval_s > 1.5 * time_s:
                 yield RecordingWarning(
