@@ -175,7 +175,6 @@ def brute_force(sensor: Sensor, observer: Observer, size: float, snr: float, n: 
 
 SMOOTHED = replace(UNDER_SAMPLED, display=replace(UNDER_SAMPLED.display, blur_sigma_px=1.6, gain=1.2))
 
-
 OTHERS = {
     "bounding box": {"centre": "bounding_box"},
     "no jitter": {"position_jitter_samples": 0.0},

@@ -21,7 +21,7 @@ from sensor_sim.chain.sensor import Sensor
 from sensor_sim.thresholds.folding import Folding, is_unblurred
 from sensor_sim.thresholds.sharing import NOTHING, Shared
 from todframes.base._typing import FloatArray
-from todframes.base.errors import SettingsError
+from todframes.base.errors import SettingsError, argument
 from todframes.observers.decision import answer_probability
 from todframes.observers.interface import Observer, Readout, TruncatedObserver
 from todframes.psychometrics.threshold_search import crossing
@@ -231,7 +231,7 @@ def full_plan(sensor: Sensor, observer: Observer, size_detectors: float, shared:
             (sensor.optics, sensor.detector, size_detectors), lambda: field_sampler(sensor, size_detectors)
         ),
         fewest_places=FULL_PLACES,
-        steps=(Step("everything", True, f"as --plan full asks; the field is {detectors} detectors"),),
+        steps=(Step("everything", True, f"as {argument.plan} full asks; the field is {detectors} detectors"),),
         shared=shared,
     )
 

@@ -22,7 +22,7 @@ from sensor_sim.chain.sensor import Sensor
 from todframes.base._typing import FloatArray
 from todframes.observers.retina import RetinaGrid, overlaps
 
-PLACES_AT_ONCE = 6
+FOLDED_AT_ONCE = 6
 """Largest number of places along an axis that are folded at once: enough to hide the cost of a call."""
 
 VALUES_AT_ONCE = 2**20
@@ -125,7 +125,7 @@ class Folding:
         Yields the number of the first place, and (places, field, n).
         """
         n_pixels, width = self.field * self.pixels, self.pixel_pitch_mrad / self.grid.pitch_mrad
-        n_at_once = min(max(VALUES_AT_ONCE // (n_pixels * weights.shape[1]), 1), PLACES_AT_ONCE)
+        n_at_once = min(max(VALUES_AT_ONCE // (n_pixels * weights.shape[1]), 1), FOLDED_AT_ONCE)
         for start in range(0, len(places), n_at_once):
             at_once = places[start : start + n_at_once]
             edges = self.grid.side / 2.0 - (self.field / 2.0 + at_once) * self.pixels * width

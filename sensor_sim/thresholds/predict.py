@@ -44,11 +44,11 @@ enough. Each takes twice the trials of the one before, so that there are few cha
 that is too small by chance. Numbers that have a divisor in common with the display's pixels per detector are left
 out: P repeats with these pixels too, and such a lattice would sample all of them at the same places."""
 
-KRONECKER_STEPS = np.modf(1.1673039782614187 ** -np.arange(1.0, 5.0))[0].reshape(2, 2)
+KRONECKER_STEPS_4D = np.modf(1.1673039782614187 ** -np.arange(1.0, 5.0))[0].reshape(2, 2)
 """Steps of a four-dimensional low-discrepancy sequence, powers of the root of x⁵ = x + 1 (Roberts 2018); two
 dimensions are counted by the rows and columns of the lattice."""
 
-VALUES_AT_ONCE = 2**17
+WEIGHTS_AT_ONCE = 2**17
 """Number of weights of a score, on the detectors of several places, that are multiplied with samples at once."""
 
 PLACES_AT_ONCE = 1024
@@ -99,7 +99,7 @@ class Lattice(NamedTuple):
         grid = np.arange(places) / places - 0.5
         x, y = (grid + along / places for along in shift)
         row, column = np.divmod(np.arange(places**2)[:, None], places)
-        evenly = (row * KRONECKER_STEPS[0] + column * KRONECKER_STEPS[1] + first) % 1.0
+        evenly = (row * KRONECKER_STEPS_4D[0] + column * KRONECKER_STEPS_4D[1] + first) % 1.0
         signs = np.array([[1.0], [-1.0]]) if jitter > 0.0 else np.zeros((1, 1))
         return cls(x, y, jitter * (2.0 * evenly[:, None] - 1.0) * signs)
 
@@ -158,7 +158,7 @@ def phases_on(
     for orientation in orientations:
         dx, dy = centre_offset(plan.observer, orientation, size_detectors)
         rows = weights_by_row(lattice.x + dx, lattice.y + dy)
-        at_once = max(VALUES_AT_ONCE // (places * plan.field**2), 1)
+        at_once = max(WEIGHTS_AT_ONCE // (places * plan.field**2), 1)
         signal, noise = [], []
         for start in range(0, places, at_once):
             some = rows[start : start + at_once]
@@ -315,7 +315,7 @@ def _each_proportion(
     return np.asarray(np.mean(of_orientations, axis=0))
 
 
-class Found(NamedTuple):
+class PooledThreshold(NamedTuple):
     """A threshold over several replicates.
 
     Attributes
@@ -347,7 +347,7 @@ def find_threshold(
     slope: float = math.nan,
     tolerance: float = ORTHANT_TOLERANCE,
     check: Callable[[], None] = lambda: None,
-) -> Found:
+) -> PooledThreshold:
     """Find the threshold of trials, and what it would be with each replicate alone.
 
     Parameters
@@ -374,11 +374,11 @@ def find_threshold(
 
     status, threshold = crossing(lambda value: float(of_each(value).mean()), p_correct, near=near, slope=slope)
     if threshold is None:
-        return Found(status, math.nan, np.full(n_replicates, math.nan), math.nan)
+        return PooledThreshold(status, math.nan, np.full(n_replicates, math.nan), math.nan)
     low, high = (of_each(threshold * math.exp(way * STEP / 2.0)) for way in (-1.0, 1.0))
     slope = max(float((high - low).mean()) / STEP, 1e-12)
     middle = (low + high) / 2.0
-    return Found(status, threshold, (middle.mean() - middle) / slope, slope)
+    return PooledThreshold(status, threshold, (middle.mean() - middle) / slope, slope)
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,25 +19,26 @@ from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError, argument
 from todframes.charts.layout import Chart, read_chart
 from todframes.charts.markers import CORNERS, page_of
-from todframes.importing.clips import GAP, Clip, ClipFrame, Placed, clean_clips
+from todframes.diagnosis.limits import MOST_TURN_RAD
+from todframes.importing.clips import Clip, ClipFrame, Placed, clean_clips
 from todframes.importing.filmed_trials import OBJECT_SIZE, Correction, TriangleDescription
 from todframes.importing.geometry import Geometry, PlacedTriangle, place_triangle
 from todframes.importing.lens_fit import Pieces, choose_lens, solve
 from todframes.importing.marker_finder import MarkerFinder, SeenEdges, Sighting
 from todframes.importing.windows import clipped, field_reach_px, part_of, window_about
-from todframes.recordings.recording import Recording, RecordingWarning
+from todframes.recordings.recording import GAP, Recording, RecordingWarning
 
 SLACK_PX = 16
 """Distance that a triangle may move within a trial."""
 
-
 SIZE_MARGIN = 1.1
 """Factor by which a window is larger than a triangle needs, so that those of a size have windows of a size."""
-
 
 MOST_RESIDUAL_PX = 0.3
 """Residual of the markers' edges from which the places of triangles are doubtful."""
 
+LARGEST_ROLL_DEGREES = 30.0
+"""Largest angle between a triangle and the nearest of the four orientations."""
 
 MOST_ERROR_PX = 0.1
 """Standard error of the triangles' places from which there is a warning."""
@@ -47,13 +48,11 @@ MOST_LENS_STRETCH = 1.03
 """Stretch by the lens from which a triangle is another one."""
 
 
-MOST_ROLL_DEGREES, LARGEST_ROLL_DEGREES = 3.0, 30.0
-"""Angle between a triangle and the nearest of the four orientations that is told, and that is too large."""
+REPORTED_STRETCH = 1.05
+"""Ratio of the largest to the smallest scale that is reported; a chart tilted by 18° has it."""
 
-
-MOST_STRETCH = 1.05
-"""Ratio of the largest to the smallest scale that is told; a chart tilted by 18° has it."""
-
+EQUAL_SCALES = 1.02
+"""Ratio of the magnifications of two recordings up to which they count as one; thresholds change by less."""
 
 LEAST_ZOOM, NOTICED_ZOOM = 0.03, 0.003
 """Relative changes of the chart's size in the picture: of a zoom, and from which on it has begun."""
@@ -74,10 +73,11 @@ MOST_SOLVED = 16
 LARGEST_CLOCK_ERROR = 0.1
 """Relative difference of the pages' duration in a film from that of the chart, from which there is a warning."""
 
-
 FEWEST_PAGE_CHANGES = 3
 """Number of changes to the next page from which the duration of pages is measured."""
 
+FEWEST_FRAMES_PER_PAGE = 2
+"""Number of frames of a page from which the duration of pages is measured; photographs may have one of each."""
 
 MOST_UNEVEN_CHANGES = 0.2
 """Share of page changes at other intervals up to which a program, and no person, has turned the pages."""
@@ -417,7 +417,7 @@ class ChartSource:
                     f"chart shows each for {screen.page_duration_s:.3g} s: {rate:.4g} frames/s here, "
                     f"{rate * ratio:.4g} by the chart; trials average {1 / ratio:.2g} times as many frames "
                     "as the eye does; give "
-                    f"--frames-per-second {rate * ratio:.4g} if the chart is right",
+                    f"{argument.frames_per_second} {rate * ratio:.4g} if the chart is right",
                 )
 
         def worst(name: str) -> float:
@@ -439,7 +439,7 @@ class ChartSource:
                 f"{where}the picture of the chart changes its size from {report.zoom_from} on: the lens zooms, or "
                 "camera and chart come nearer; curves then mix magnifications; import each part on its own",
             )
-        if abs(roll := worst("roll_degrees")) > MOST_ROLL_DEGREES:
+        if abs(roll := worst("roll_degrees")) > math.degrees(MOST_TURN_RAD):
             yield RecordingWarning(
                 "rolled",
                 f"{where}triangles are turned by {abs(roll):.1f}° from their orientation, which the observer does "
@@ -453,7 +453,7 @@ class ChartSource:
                 f"them by {100 * (by_lens - 1):.2g} %, so they are not the triangles that the observer expects; "
                 "film the chart nearer to the middle of the frame",
             )
-        elif stretch > MOST_STRETCH:
+        elif stretch > REPORTED_STRETCH:
             yield RecordingWarning(
                 "tilted",
                 f"{where}triangles are stretched by {100 * (stretch - 1):.2g} %, as in a view at "
@@ -506,6 +506,19 @@ class ChartSource:
                 + (", mirrored" if mirrored else "")
                 + (f", turned by {90 * (round(turn / 90) % 4)}°" if round(turn / 90) % 4 else "")
                 + ("; orientations are those in the frames" if mirrored or round(turn / 90) % 4 else "")
+            )
+        scales = {
+            report.path: median(float(str(clip["scale_px_per_mm"])) for clip in report.clips)
+            for report in self.reports
+            if report.clips
+        }
+        if not scales:
+            return
+        least, most = min(scales, key=scales.__getitem__), max(scales, key=scales.__getitem__)
+        if (ratio := scales[most] / scales[least]) > EQUAL_SCALES:
+            yield (
+                f"{most} shows the chart {ratio:.3g} times as large as {least}: triangles of one size are "
+                "displayed with several, and share a curve; import recordings one by one for a curve each"
             )
 
 
@@ -604,18 +617,21 @@ def page_duration_s(starts: Sequence[tuple[int, float]], frame_s: float) -> floa
     Returns
     -------
     float or None
-        None with fewer than `FEWEST_PAGE_CHANGES`, or if they are not regular: a person has turned the pages.
+        None with fewer than `FEWEST_PAGE_CHANGES`, with less than `FEWEST_FRAMES_PER_PAGE`, or if they are not
+        regular: a person has turned the pages.
         Single pauses count for nothing.
     """
     steps_s = [after_s - s for (page, s), (after, after_s) in pairwise(starts) if after == page + 1]
     if len(steps_s) < FEWEST_PAGE_CHANGES:
         return None
     usual_s = median(steps_s)
+    if usual_s < FEWEST_FRAMES_PER_PAGE * frame_s:
+        return None
     regular_s = [one for one in steps_s if abs(one - usual_s) <= 1.5 * frame_s]
     return fmean(regular_s) if len(regular_s) >= (1.0 - MOST_UNEVEN_CHANGES) * len(steps_s) else None
 
 
 def _is_same(one: NDArray[np.generic], other: NDArray[np.generic]) -> bool:
-    """Tell whether two frames are equal bit by bit; a row in the middle tells nearly always."""
+    """Return whether two frames are equal bit by bit; a row in the middle nearly always differs."""
     middle = len(one) // 2
     return np.array_equal(one[middle], other[middle]) and np.array_equal(one, other)

@@ -2,8 +2,8 @@
 
 Each frame has a homography of its own, as the camera may shake and the chart be moved; the lens is one for all.
 The homographies are eliminated frame by frame, so that a step of Gauss and Newton solves for the lens alone. Of
-several models, the one counts that places the triangles with the least error: more coefficients follow the lens
-better, but are known less well.
+several models, the one with the least Bayesian information criterion counts. The error of the triangles holds the
+distance from those of the other models as well, as far as these are likely.
 """
 
 from __future__ import annotations

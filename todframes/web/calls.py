@@ -11,7 +11,7 @@ from todframes.base.reading import read_text
 from todframes.base.seeds import Rng, seed_of
 from todframes.experiment.answers import Method, flagged
 from todframes.experiment.order import n_main_trials
-from todframes.experiment.session import Design, open_sitting
+from todframes.experiment.session import SessionDesign, open_sitting
 from todframes.frames.dataset import Dataset, load_dataset
 from todframes.web import check_installed
 
@@ -114,7 +114,7 @@ def run_experiment(
         If the answers cannot be written, or another server is in the session.
     """
     check_installed("experiment")
-    design = Design(
+    design = SessionDesign(
         method=method,
         trials=trials,
         practice=practice,

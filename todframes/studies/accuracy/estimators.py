@@ -15,7 +15,7 @@ from typing import NamedTuple, Protocol, cast
 import numpy as np
 
 from todframes.base._typing import FloatArray, IntArray
-from todframes.base.errors import SettingsError
+from todframes.base.errors import SettingsError, argument
 from todframes.base.reading import check_keys
 from todframes.observers.decision import answer_probabilities
 
@@ -43,7 +43,7 @@ class Estimate(NamedTuple):
     threshold: float
 
 
-class Trials(NamedTuple):
+class FoldedTrials(NamedTuple):
     """Independent trials as the folded observer sees them.
 
     Attributes
@@ -160,7 +160,7 @@ class StudyScene(Protocol):
 
 def monte_carlos(
     answers: Callable[[], Callable[[int, np.random.Generator], FloatArray]],
-    trials: Callable[[], Callable[[int, np.random.Generator], Trials]],
+    trials: Callable[[], Callable[[int, np.random.Generator], FoldedTrials]],
     smallest: int = 1,
     fewest: int = 64,
 ) -> tuple[MonteCarlo, MonteCarlo, MonteCarlo]:
@@ -171,7 +171,7 @@ def monte_carlos(
     answers : callable
         `prepare` of the literal one.
     trials : callable
-        Function that returns `draw(n, rng)` of `Trials`.
+        Function that returns `draw(n, rng)` of `FoldedTrials`.
     """
 
     def drawn() -> Callable[[int, np.random.Generator], FloatArray]:
@@ -227,11 +227,11 @@ def find_scenes(names: Sequence[str]) -> dict[str, Callable[[], StudyScene]]:
         If there is no scene of a name, or it cannot be imported.
     """
     found = {entry.name: entry for entry in entry_points(group=ENTRY_POINT_GROUP)}
-    check_keys(names, found, "--scene")
+    check_keys(names, found, argument.scene)
     scenes = {}
     for name in names or found:
         try:
             scenes[name] = cast("Callable[[], StudyScene]", found[name].load())
         except (ImportError, AttributeError) as error:
-            raise SettingsError(f"--scene: {name!r} cannot be loaded ({error})") from None
+            raise SettingsError(f"{argument.scene}: {name!r} cannot be loaded ({error})") from None
     return scenes

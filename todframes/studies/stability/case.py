@@ -163,7 +163,7 @@ def shown(value: Value, *, digits: float = 6.0, scale: float | None = None) -> s
     return ends[0] if numbers.size == 1 else f"{ends[0]} … {ends[1]} ({numbers.size})"
 
 
-HEADERS = ("case", "expected", "from", "came", "digits", "must keep")
+TABLE_HEADERS = ("case", "expected", "from", "came", "digits", "must keep")
 
 
 def cells(outcome: Outcome, *, documented: bool = False) -> list[str]:
@@ -191,10 +191,13 @@ def outcome_table(outcomes: Sequence[Outcome], *, documented: bool = False) -> T
     wide = ("expected", "from", "came")
     columns = [
         Column(key="group", is_name=True, wraps=True, in_file_only=documented),
-        *(Column(key=name, wraps=name in wide or name == "case", rank=2 * (name == "from")) for name in HEADERS),
+        *(
+            Column(key=name, wraps=name in wide or name == "case", rank=2 * (name == "from"))
+            for name in TABLE_HEADERS
+        ),
     ]
     records = [
-        {"group": one.case.group} | dict(zip(HEADERS, cells(one, documented=documented), strict=True))
+        {"group": one.case.group} | dict(zip(TABLE_HEADERS, cells(one, documented=documented), strict=True))
         for one in outcomes
     ]
     return Table.of("Extreme inputs", "stability.csv", columns, records)
