@@ -108,6 +108,7 @@ def test_a_limit_is_a_whole_number(tmp_path, limit) -> None:
     [("score",), ("score", "--workers", "2"), ("validate",), ("compare", "--enhance", "clahe")],
     ids=" ".join,
 )
+@pytest.mark.slow
 def test_commands_of_frames_take_the_limit(make_dataset, capsys, command) -> None:
     made = make_dataset(contrasts=(0.5,))
     tod.write_frame(made.frame(0), np.full((800, 800), 0.5), pixel_type="half")  # 1.2 MB
@@ -162,6 +163,7 @@ def npz_with_a_long_header(path):
     ],
 )
 @pytest.mark.parametrize("command", ["noise", "import"])
+@pytest.mark.slow
 def test_a_bomb_is_refused_before_it_takes_memory(tmp_path, name, make, command) -> None:
     path = tmp_path / name
     make(path)

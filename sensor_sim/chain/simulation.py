@@ -281,7 +281,7 @@ def write_dataset(
     engine : Engine, optional
         Default: this thread. The bytes written do not depend on it.
     store : Store, optional
-        Store that tells which frames of the folder were written by an earlier run.
+        Store that states which frames of the folder were written by an earlier run.
 
     Raises
     ------

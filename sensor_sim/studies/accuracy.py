@@ -1,7 +1,7 @@
 """Accuracy scenes of one staring camera in three kinds of noise.
 
 Where detector noise decides, the threshold is a signal-to-noise ratio. Where the observer's own noise does, that
-ratio would tell next to nothing: the threshold is then the contrast of a large triangle on the display, and the
+ratio would mean next to nothing: the threshold is then the contrast of a large triangle on the display, and the
 detector noise, if there is any, has a contrast of its own that stays.
 """
 

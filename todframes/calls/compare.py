@@ -66,7 +66,7 @@ def compare(
     examples: bool = True,
     progress: Progress | None = None,
 ) -> Result:
-    """Tell whether enhancement algorithms lower the thresholds of a dataset, as `todframes compare` does.
+    """Test whether enhancement algorithms lower the thresholds of a dataset, as `todframes compare` does.
 
     Each algorithm is compared with the frames as they are, on the same frames and with the same random draws.
 

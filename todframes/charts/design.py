@@ -87,7 +87,7 @@ class Design:
         if self.n_triangles > MOST_PAGES:
             raise SettingsError(
                 f"found {self.n_triangles} triangles (sizes × levels × 4 orientations × repeats), expected at "
-                f"most {MOST_PAGES}, the number of pages that markers can tell apart"
+                f"most {MOST_PAGES}, the number of pages that markers can distinguish"
             )
 
     @property

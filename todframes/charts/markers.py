@@ -2,7 +2,7 @@
 
 The marker at corner k (see `CORNERS`) of a page has the id 4·digit + k, where 0 ≤ digit < 250. The digits are the
 page's number modulo 250, the number divided by 250, again the number modulo 250, and the key of the chart. So each
-marker tells its corner, and a blend of two pages is noticed: it has markers of both.
+marker states its corner, and a blend of two pages is noticed: it has markers of both.
 """
 
 from __future__ import annotations

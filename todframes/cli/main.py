@@ -45,8 +45,8 @@ MODULES = {
 def cli() -> None:
     """How small or faint may a triangle get before a display chain hides where it points?
 
-    Shows the display frames (EXR, PNG) of a Triangle Orientation Discrimination test to a model observer and tells
-    the thresholds. Angles are in mrad, luminance in cd/m², contrast is Weber contrast.
+    Shows the display frames (EXR, PNG) of a Triangle Orientation Discrimination test to a model observer and
+    reports the thresholds. Angles are in mrad, luminance in cd/m², contrast is Weber contrast.
     """
 
 

@@ -41,7 +41,7 @@ class Arrangement(NamedTuple):
 
     @property
     def twin(self) -> Arrangement:
-        """The arrangement that is hard to tell from this one: half a turn, and the opposite polarity."""
+        """The arrangement that is hard to distinguish from this one: half a turn, and the opposite polarity."""
         shown = tuple((k + 2) % 4 for k in self.shown)
         return next(one for one in ARRANGEMENTS if (one.shown, one.sign) == (shown, -self.sign))
 

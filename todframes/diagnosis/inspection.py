@@ -100,7 +100,8 @@ class Inspection:
     signal : float
         The triangle's contrast in standard errors by the noise alone.
     uneven, uneven_error : float
-        Contrast of a triangle to whose orientations the background's own structure is like, and its error.
+        Contrast of the triangle that would answer the observer's templates as the empty background does, with its
+        standard error.
     uneven_texture : float
         The same elsewhere in the surround: the fixed pattern of a camera, for example.
     saturated_share, crushed_share : float or None
@@ -194,7 +195,7 @@ CONTRAST_LEVELS = ("contrast", "weber_contrast")
 
 
 def is_contrast(dataset: Dataset) -> bool:
-    """Tell whether the level of a dataset is the triangle's contrast, by its name."""
+    """Return whether the level of a dataset is the triangle's contrast, by its name."""
     return dataset.experiment.level.strip().lower() in CONTRAST_LEVELS
 
 
@@ -336,7 +337,7 @@ class GroupTriangle(NamedTuple):
         The triangle that all share; its contrast is positive if of the stated polarity.
     trials : TrialEstimates
     middle : ndarray, shape (3,)
-        Mean stated place, from the middle of the window, and mean logarithm of the size as a share of `size`.
+        Mean stated place, from the middle of the window, and mean logarithm of the stated size.
     error : ndarray, shape (4,)
         Standard errors of contrast, x, y and size (as a share): by noise, and by the spread over the trials.
     signal : float
@@ -360,7 +361,7 @@ class GroupTriangle(NamedTuple):
         known = np.logical_and.reduce([sample.known for sample in samples])
         noise = noise_of_frames(even, level, known, size)
         share = np.square(level / noise) / np.square(level / noise).sum()
-        stated = np.column_stack([[sample.offset for sample in samples], np.log(sizes / size)])
+        stated = np.column_stack([[sample.offset for sample in samples], np.log(sizes)])
         frames = {"level": level, "noise": noise, "turns": turns}
         hole = HOLE_IN_SIZES * size
         images = Images.of(even, known=known, hole=hole, **frames)
@@ -378,6 +379,11 @@ class GroupTriangle(NamedTuple):
         return cls(images, found, each, middle, np.sqrt(np.square(of_noise) + excess), signal)
 
     @property
+    def size_ratio(self) -> float:
+        """Size of the triangle divided by the stated one."""
+        return float(self.fit.shape.size / math.exp(self.middle[2]))
+
+    @property
     def offset(self) -> FloatArray:
         """The way from the stated place to the triangle, (2,)."""
         return np.array([self.fit.shape.x, self.fit.shape.y]) - self.middle[:2]
@@ -388,7 +394,7 @@ def _of_triangle(
 ) -> dict[str, Any]:
     """Measure the triangle; lengths are in blocks until the end."""
     of_group = GroupTriangle.of(samples, level, sizes, size)
-    images, found, each, middle, error, signal = of_group
+    images, found, each, _, error, signal = of_group
     shape = found.shape
     turns = np.array([sample.trial.orientation.quarter_turns for sample in samples])
     known = images.weight > 0.0
@@ -405,7 +411,6 @@ def _of_triangle(
     }
     if signal < LEAST_SIGNAL:
         return measured
-    size_ratio = float(shape.size / (size * math.exp(middle[2])))
     clear_place = each.error[:, 1:3].max(axis=1) < CLEAR * size
     clear_level = each.error[:, 0] < CLEAR * amplitude
     off_level = clear_level & (np.abs(each.away[:, 0]) > OFF_LEVEL * amplitude)
@@ -416,8 +421,8 @@ def _of_triangle(
         "offset_px": tuple((block_px * of_group.offset).tolist()),
         "offset_error_px": tuple((block_px * error[1:3]).tolist()),
         "scatter_px": _scatter(block_px * each.away[clear_place, 1:3], block_px * each.error[clear_place, 1:3]),
-        "size_ratio": size_ratio,
-        "size_ratio_error": size_ratio * float(error[3]) if is_whole else None,
+        "size_ratio": of_group.size_ratio,
+        "size_ratio_error": of_group.size_ratio * float(error[3]) if is_whole else None,
         "size_scatter": _scatter(each.away[clear_place, 3:], each.error[clear_place, 3:]),
         "turned_rad": shape.turn_rad,
         "turned_error_rad": found.turn_error_rad,

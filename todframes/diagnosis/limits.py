@@ -92,7 +92,7 @@ SCATTER_ERRORS = 5.0
 # Warnings
 
 CERTAIN = 5.0
-"""Least deviation that is told, in standard errors."""
+"""Least deviation that is reported, in standard errors."""
 
 MATTERS = 0.03
 """Relative error of a threshold that matters."""
@@ -111,13 +111,13 @@ OFFSET_MRAD, SCATTER_MRAD = 0.08, 0.1
 thresholds by 2 to 5 % for sizes up to 4 mrad, and more for larger ones."""
 
 LEAST_OFFSET_PX = 0.05
-"""Least offset that is told, in pixels; a smaller one is within the errors of the fit."""
+"""Least offset that is reported, in pixels; a smaller one is within the errors of the fit."""
 
 OFFSET_PER_BLUR = 0.3
 """Offset of a blurred triangle that does not matter, in standard deviations of its blur."""
 
 SIZE_MRAD, LEAST_SIZE_ERROR = 0.08, 0.02
-"""Error of a size that matters, and the least relative one that is told."""
+"""Error of a size that matters, and the least relative one that is reported."""
 
 SIZE_SCATTER = 0.2
 """Relative scatter of a size over trials beyond which a group has triangles of several sizes."""
@@ -132,13 +132,13 @@ SCATTER_PER_BLUR = 0.4
 """Scatter of the place that sampling may cause, in standard deviations of the triangle's blur."""
 
 CONTRAST_ERROR = 0.05
-"""Relative deviation of the displayed contrast from the level that is told."""
+"""Relative deviation of the displayed contrast from the level that is reported."""
 
 LEAST_DISPLAYED_SIZE_PX = 2.0
 """Size of a triangle in pixels below which its orientation is not displayed."""
 
 MOST_CLIPPED, MOST_CLIPPED_NOISE, LOUD = 0.002, 0.01, 0.1
-"""Share of the triangle's pixels at an end of the code values that is told: of quiet frames, and of loud ones,
+"""Share of the triangle's pixels at an end of the code values that is reported: of quiet frames, and of loud ones,
 whose noise reaches that end. Loud is a noise of that contrast."""
 
 SKEWED = 0.1
@@ -164,6 +164,9 @@ BLOCKS = 2**19
 
 MOST_BLOCKS = 2**24
 """Largest number of blocks of a frame; more would fill the memory."""
+
+CLEAR_PEAK = 100.0
+"""Height of a correlation peak, in standard deviations of the correlation, above which noise does not count."""
 
 LEAST_BLOCKS = 16
 """Least number of blocks along a triangle's size, unless blocks are pixels: larger blocks blur its edges."""
@@ -223,6 +226,10 @@ JITTERS = (0.0, 0.03, 0.2)
 """Shares of the variance without memory that are tried."""
 
 # Missing thresholds
+
+SIZES_SOUGHT = tuple(np.geomspace(1.0 / 20.0, 20.0, 15).tolist())
+"""Sizes that are sought on whole frames, as multiples of the stated one: degrees or minutes of arc taken for mrad
+are 0.06 to 17.5 times. Steps of 1.53 lose at most a fifth of the correlation's height."""
 
 LEAST_TRIALS, MOST_TRIALS = 8, 32
 """Least number of strong trials, as far as a group has them, and the largest number that are looked at again."""

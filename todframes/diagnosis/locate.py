@@ -44,10 +44,11 @@ class Location(NamedTuple):
 
     The error is None if no triangle stands out and the manifest's positions stay.
 
-    `arrangement` tells whether the triangles are as the manifest says. `n_located` of `n_trials` trials have a
+    `arrangement` states whether the triangles are as the manifest says. `n_located` of `n_trials` trials have a
     position of their own, whose standard deviation along either axis is `scatter_px`; all three are None if the
     group has one position. `moved_px` is the mean way from the manifest's positions, None if it has none.
     From `sure_level` on, single positions are known well enough not to raise a threshold; None: nowhere.
+    `size_ratio` is the size of the triangles on the frames divided by that in the manifest, 1 if not known.
     """
 
     group: Group
@@ -60,6 +61,7 @@ class Location(NamedTuple):
     scatter_px: float | None = None
     moved_px: tuple[float, float] | None = None
     sure_level: float | None = None
+    size_ratio: float = 1.0
 
 
 def locate_triangles(
@@ -69,6 +71,7 @@ def locate_triangles(
     centre: Centre = "centroid",
     skip_bad_frames: bool = False,
     progress: Callable[[int], None] | None = None,
+    sizes: Sequence[float] = (1.0,),
 ) -> tuple[Dataset, tuple[Location, ...]]:
     """Find the positions of triangles.
 
@@ -94,6 +97,8 @@ def locate_triangles(
         Skip trials that cannot be read and groups in which no triangle stands out, and list them in `bad_rows`.
     progress : callable
         Called with the number of trials done since the last call: once for each trial, twice with "each".
+    sizes : sequence of float
+        Sizes to search whole frames for, as multiples of those in the manifest.
 
     Returns
     -------
@@ -129,15 +134,18 @@ def locate_triangles(
     for members in indices_by(2 * trials.group_codes.astype(np.int64) + is_placed):
         try:
             if is_placed[members[0]]:
-                start_px, reach_px = position_px[members], 0.0
+                start_px, reach_px, ratio = position_px[members], 0.0, 1.0
                 advance(len(members))
             else:
-                members, start_px, reach_px = _begun(dataset, members, locate, centre, leave_out, advance)
+                members, start_px, reach_px, ratio = _begun(
+                    dataset, members, locate, centre, sizes, leave_out, advance
+                )
             if not len(members):
                 continue
             found, of_size = [], list(alike(trials.select(members)))
             for part in of_size:
-                ways = _Ways(dataset, trials.select(members[part]).placed(start_px[part]), reach_px)
+                ours = trials.select(members[part]).placed(start_px[part])
+                ways = _Ways(dataset, ours if ratio == 1.0 else _scaled(ours, ratio), reach_px)
                 found.append(
                     ways.of_each(members[part], leave_out, advance) if locate == "each" else ways.of_all()
                 )
@@ -149,9 +157,8 @@ def locate_triangles(
             for part, one in zip(of_size, found, strict=True):
                 position_px[members[part]] = start_px[part] + one.way_px
             wanted = None if is_placed[members[0]] else centre
-            locations.append(
-                _location(trials.select(members), found, start_px, wanted, dataset.display.pitch_mrad)
-            )
+            location = _location(trials.select(members), found, start_px, wanted, dataset.display.pitch_mrad)
+            locations.append(location._replace(size_ratio=ratio * location.size_ratio))
         except FrameError:
             raise
         except DataError as error:
@@ -159,6 +166,13 @@ def locate_triangles(
                 leave_out(k, str(error))
     placed = trials.placed(position_px).select(is_kept)
     return replace(dataset, trials=placed, bad_rows=(*dataset.bad_rows, *skipped)), tuple(locations)
+
+
+def _scaled(trials: Trials, ratio: float) -> Trials:
+    """Return trials with another size."""
+    return Trials.of(
+        one._replace(stimulus=replace(one.stimulus, size_mrad=ratio * one.stimulus.size_mrad)) for one in trials
+    )
 
 
 LeaveOut = Callable[[int, FrameError | str], None]
@@ -170,9 +184,10 @@ def _begun(
     members: NDArray[np.intp],
     locate: Locate,
     centre: Centre,
+    sizes: Sequence[float],
     leave_out: LeaveOut,
     advance: Callable[[int], None],
-) -> tuple[NDArray[np.intp], FloatArray, float]:
+) -> tuple[NDArray[np.intp], FloatArray, float, float]:
     """Find about where the triangles of a group are, anywhere on the frames.
 
     Returns
@@ -183,6 +198,8 @@ def _begun(
         Centroids, in pixels.
     float
         Distance within which the places of single trials are expected, in pixels; 0: not known.
+    float
+        Size of the triangles divided by the stated one: one of `sizes`.
     """
     frames, is_usable = MeanFrames(dataset), np.ones(len(members), bool)
     for k, (member, trial) in enumerate(zip(members.tolist(), dataset.trials.select(members), strict=True)):
@@ -195,13 +212,13 @@ def _begun(
     members = members[is_usable]
     usable = dataset.trials.select(members)
     if not len(members):
-        return members, np.zeros((0, 2)), 0.0
+        return members, np.zeros((0, 2)), 0.0, 1.0
     pitch_mrad = dataset.display.pitch_mrad
     strongest = _of_strongest(frames, usable, pitch_mrad) if locate == "each" else None
     if strongest is not None:
         (x_px, y_px), scatter_px = strongest
-        return members, np.tile([x_px, y_px], (len(members), 1)), NEARBY * scatter_px
-    found = search(frames.take_means(), frames.block_px * pitch_mrad, centre)
+        return members, np.tile([x_px, y_px], (len(members), 1)), NEARBY * scatter_px, 1.0
+    found = search(frames.take_means(), frames.block_px * pitch_mrad, centre, sizes)
     if found.height == -math.inf:
         rows, columns = frames.shape or (0, 0)
         size = f"frames of {columns} × {rows} pixels"
@@ -209,7 +226,9 @@ def _begun(
     if not found.height > LEAST_PEAK * found.spread:
         raise _nothing_stands_out(dataset, usable[0].group)
     x_px, y_px = frames.in_pixels((found.x, found.y))
-    return members, np.array([to_centroid(one, x_px, y_px, centre, pitch_mrad) for one in usable]), 0.0
+    seen = usable if found.size == 1.0 else _scaled(usable, found.size)
+    start_px = np.array([to_centroid(one, x_px, y_px, centre, pitch_mrad) for one in seen])
+    return members, start_px, 0.0, found.size
 
 
 def _nothing_stands_out(dataset: Dataset, group: Group) -> DataError:
@@ -268,6 +287,7 @@ class _Found(NamedTuple):
     is_own: NDArray[np.bool_] | None = None
     scatter_px: float = 0.0
     sure_level: float = math.inf
+    size_ratio: float = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -318,7 +338,8 @@ class _Ways:
         found, block_px = fitted
         mean = block_px * found.offset
         way = np.tile(mean, (len(self.trials), 1))
-        return _Found(way, mean, block_px * float(found.error[1:3].max()), _arrangement(found))
+        error_px = block_px * float(found.error[1:3].max())
+        return _Found(way, mean, error_px, _arrangement(found), size_ratio=found.size_ratio)
 
     def of_each(self, members: NDArray[np.intp], leave_out: LeaveOut, advance: Callable[[int], None]) -> _Found:
         """Find the way of each trial."""
@@ -387,7 +408,7 @@ class _Ways:
         error_px = math.sqrt(mean_square / int(chosen.is_own.sum()))
         error_mrad = block_px * self.dataset.display.pitch_mrad * chosen.error
         sure_level = _sure_level(levels[kept], error_mrad)
-        return _Found(way, mean, error_px, _arrangement(found), is_own, scatter_px, sure_level)
+        return _Found(way, mean, error_px, _arrangement(found), is_own, scatter_px, sure_level, found.size_ratio)
 
     def _noise(self, samples: Sequence[TrialSample], size: float) -> FloatArray:
         known = np.logical_and.reduce([one.known for one in samples])
@@ -440,17 +461,19 @@ def _location(
         middle += np.mean([from_centroid(one, centre, pitch_mrad) for one in trials], axis=0)
     own = [one.is_own for one in found if one.is_own is not None]
     sure_level = max(one.sure_level for one in found)
+    surest = found[int(weight.argmax())]
     return Location(
         trials[0].group,
         float(middle[0]),
         float(middle[1]),
         1.0 / math.sqrt(float(weight.sum())) if errors else None,
-        found[int(weight.argmax())].arrangement,
+        surest.arrangement,
         len(trials) if own else None,
         int(sum(one.sum() for one in own)) if own else None,
         math.sqrt(float(np.mean([one.scatter_px**2 for one in found]))) if own else None,
         (float(moved[0]), float(moved[1])) if centre is None else None,
         None if math.isinf(sure_level) else sure_level,
+        surest.size_ratio,
     )
 
 

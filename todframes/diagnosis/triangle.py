@@ -210,7 +210,7 @@ class Images(NamedTuple):
     ) -> Images:
         """Separate what all frames share from what grows with the level in each orientation.
 
-        If the levels hardly differ, the two cannot be told apart, and all of it counts as triangle.
+        If the levels hardly differ, the two cannot be separated, and all of it counts as triangle.
 
         Parameters
         ----------

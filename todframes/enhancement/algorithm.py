@@ -139,7 +139,7 @@ class Parameter:
 class Enhancement:
     """An algorithm with the values of its parameters.
 
-    `spec` is the text that the user wrote, `name` the part of it before the parameters. `any_parameter` tells
+    `spec` is the text that the user wrote, `name` the part of it before the parameters. `any_parameter` states
     whether the function accepts parameters that it does not name.
     """
 
@@ -162,7 +162,7 @@ class Enhancement:
 
     @property
     def is_reference(self) -> bool:
-        """Whether this is the algorithm that leaves frames as they are."""
+        """True for the algorithm that leaves frames as they are."""
         return self.name == REFERENCE
 
     @property

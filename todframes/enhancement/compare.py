@@ -69,7 +69,7 @@ class Compared(NamedTuple):
     """The threshold ratio of an algorithm to the reference and its verdict, in a group, or in all if it is None.
 
     `p_value_holm` is corrected for the number of ratios in the whole comparison; the verdict is based on it.
-    `is_p_value_least` tells whether the resamples allow no smaller one. `beyond_gain` is None if answers were
+    `is_p_value_least` states whether the resamples allow no smaller one. `beyond_gain` is None if answers were
     drawn, or if the triangle's contrast is not positive before or after the algorithm.
     """
 

@@ -74,7 +74,7 @@ AFTER_GROUPS = ("size_mrad", "dither_seed", "clipped_px", "shown_at")
 """Columns behind them; `size_mrad` is not repeated if it is the level or in `group_by`."""
 
 SAME_PITCH = 0.005
-"""Relative difference of two pitches of a pixel in mrad that a ruler cannot tell."""
+"""Relative difference of two pitches of a pixel in mrad that a ruler cannot resolve."""
 
 SHARED = ("frame", "orientation", "size_mrad")
 """Columns whose values are those of the manifest, so that the level or `group_by` may name them."""
@@ -179,7 +179,7 @@ class TrialRow:
 
     @property
     def is_correct(self) -> bool:
-        """Whether the response was right."""
+        """True if the response was right."""
         return self.response is self.orientation
 
 

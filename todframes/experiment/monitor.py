@@ -18,7 +18,7 @@ READING_EXPONENT = 2.2
 """Exponent of the scale in which luminance is interpolated between readings: there it is almost straight."""
 
 LARGEST_CD_M2, SMALLEST_RISE_CD_M2 = 1e5, 1e-6
-"""Largest luminance of a monitor, and smallest difference of two readings that a photometer can tell."""
+"""Largest luminance of a monitor, and smallest difference of two readings that a photometer resolves."""
 
 CARD_WIDTH_MM = 85.60
 """Width of a bank card: ID-1 of ISO/IEC 7810."""

@@ -40,7 +40,7 @@ class Practised(NamedTuple):
 
     @property
     def is_enough(self) -> bool:
-        """Whether the main trials may begin."""
+        """True if the main trials may begin."""
         return self.n_correct >= self.n_needed
 
 

@@ -156,7 +156,7 @@ def shown_contrast(codes: NDArray[np.uint8], monitor: Monitor) -> FloatArray:
 
 
 def clipped(contrast: FloatArray, monitor: Monitor) -> NDArray[np.bool_]:
-    """Tell which contrasts a monitor cannot show: beyond its white or black by more than half of a code step."""
+    """Return which contrasts a monitor cannot show: beyond its white or black by more than half of a code step."""
     low, high = monitor.contrast_limits()
     return np.asarray((contrast < low) | (contrast > high))
 

@@ -96,7 +96,7 @@ WarningCode = Literal[
 
 
 class DatasetWarning(NamedTuple):
-    """A warning that results from a dataset are less certain, as written under `warnings` in `result.json`.
+    """A warning about a dataset, which makes its results less certain; `warnings` in `result.json` has it.
 
     `code` is for programs, `message` for people. `group` has the `group_by` values of the group concerned, by
     column; it is empty if the warning concerns the whole dataset.
@@ -151,7 +151,7 @@ class Dataset:
 
     @property
     def is_in_memory(self) -> bool:
-        """Whether the frames are arrays, and in no file."""
+        """True if the frames are arrays, and in no file."""
         return self.manifest_sha256 is None
 
     @property
@@ -164,14 +164,14 @@ class Dataset:
         return self.path / frame.path
 
     def has_frame(self, frame: FrameReference) -> bool:
-        """Tell whether the frame's file exists."""
+        """Return whether the frame's file exists."""
         # A million paths take seconds; as Path objects, half a minute.
         return os.path.exists(os.path.join(str(self.path), frame.path))  # noqa: PTH110, PTH118
 
     def content_id(self, frame: FrameReference, *, is_read: bool = False) -> str:
         """Return a text that changes whenever the bytes of the frame do: the SHA-256 of its file.
 
-        `is_read` tells whether this thread has just opened the frame with `verify`.
+        `is_read` states whether this thread has just opened the frame with `verify`.
 
         Raises
         ------
@@ -261,7 +261,7 @@ class RemoteDataset(Dataset):
     contents: RemoteContents = field(default_factory=RemoteContents, compare=False, repr=False)
 
     def has_frame(self, frame: FrameReference) -> bool:
-        """Tell whether the frame's file exists; True if its folder cannot be listed."""
+        """Return whether the frame's file exists; True if its folder cannot be listed."""
         path = self.path / frame.path
         listed = self.contents.listed(path.parent)
         return listed is None or path.name in listed
@@ -485,7 +485,7 @@ class _Manifest:
         return frame
 
     def _is_there(self, frame: str) -> bool:
-        """Tell whether there is a local file of this name."""
+        """Return whether there is a local file of this name."""
         return isinstance(self.folder, str) and os.path.lexists(os.path.join(self.folder, frame))  # noqa: PTH118
 
     def _real_path(self, number_of_path: int) -> str:
@@ -525,9 +525,8 @@ class _Manifest:
 
 
 class _Index:
-    """Numbers of distinct texts in the order in which they come, without the texts: some 20 bytes for each.
-
-    It is exact: where the hashes of two texts agree, the earlier one is made again and compared.
+    """Numbers distinct texts in their order, without keeping the texts: some 20 bytes for each.  It is exact: if
+    the hashes of two texts are equal, the earlier text is made again and compared.
     """
 
     def __init__(self) -> None:
@@ -538,7 +537,8 @@ class _Index:
         return len(self._hashes)
 
     def number(self, text: str, text_of: Callable[[int], str]) -> int:
-        """Return a text's number: for a new one, that of texts before it. `text_of` makes a text by its number."""
+        """Return the number of a text. A new text gets the number of texts before it. `text_of` makes the text of
+        a number."""
         found, hashes, slots = hash(text), self._hashes, self._slots
         last = len(slots) - 1
         slot = found & last

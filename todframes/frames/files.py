@@ -448,7 +448,7 @@ def frame_sha256(path: PathLike | RemotePath) -> str:
 
 
 def has_own_checksums(path: PathLike | RemotePath) -> bool:
-    """Tell whether a frame file contains checksums of all of its content: a PNG does, an EXR does not.
+    """Return whether a frame file contains checksums of all of its content: a PNG does, an EXR does not.
 
     Raises FrameError if the file cannot be read. Of a file behind a URL only the name is looked at.
     """

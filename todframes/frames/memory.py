@@ -31,7 +31,7 @@ class MemoryDataset(Dataset):
     arrays: Mapping[str, NDArray[Any]]
 
     def has_frame(self, frame: FrameReference) -> bool:
-        """Tell whether the frame exists."""
+        """Return whether the frame exists."""
         return frame.path in self.arrays
 
     def content_id(self, frame: FrameReference, *, is_read: bool = False) -> str:  # noqa: ARG002

@@ -38,7 +38,7 @@ LARGEST_ROLL_DEGREES = 30.0
 """Largest angle between a triangle and the nearest of the four orientations."""
 
 REPORTED_STRETCH = 1.05
-"""Ratio of the largest to the smallest scale that is told; a chart tilted by 18° has it."""
+"""Ratio of the largest to the smallest scale that is reported; a chart tilted by 18° has it."""
 
 EQUAL_SCALES = 1.02
 """Ratio of the magnifications of two recordings up to which they count as one; thresholds change by less."""
@@ -48,6 +48,9 @@ LARGEST_CLOCK_ERROR = 0.1
 
 FEWEST_PAGE_CHANGES = 3
 """Number of changes to the next page from which the duration of pages is measured."""
+
+FEWEST_FRAMES_PER_PAGE = 2
+"""Number of frames of a page from which the duration of pages is measured; photographs may have one of each."""
 
 MOST_UNEVEN_CHANGES = 0.2
 """Share of page changes at other intervals up to which a program, and no person, has turned the pages."""
@@ -437,18 +440,21 @@ def page_duration_s(starts: Sequence[tuple[int, float]], frame_s: float) -> floa
     Returns
     -------
     float or None
-        None with fewer than `FEWEST_PAGE_CHANGES`, or if they are not regular: a person has turned the pages.
+        None with fewer than `FEWEST_PAGE_CHANGES`, with less than `FEWEST_FRAMES_PER_PAGE`, or if they are not
+        regular: a person has turned the pages.
         Single pauses count for nothing.
     """
     steps_s = [after_s - s for (page, s), (after, after_s) in pairwise(starts) if after == page + 1]
     if len(steps_s) < FEWEST_PAGE_CHANGES:
         return None
     usual_s = median(steps_s)
+    if usual_s < FEWEST_FRAMES_PER_PAGE * frame_s:
+        return None
     regular_s = [one for one in steps_s if abs(one - usual_s) <= 1.5 * frame_s]
     return fmean(regular_s) if len(regular_s) >= (1.0 - MOST_UNEVEN_CHANGES) * len(steps_s) else None
 
 
 def _is_same(one: NDArray[np.generic], other: NDArray[np.generic]) -> bool:
-    """Tell whether two frames are equal bit by bit; a row in the middle tells nearly always."""
+    """Return whether two frames are equal bit by bit; a row in the middle nearly always differs."""
     middle = len(one) // 2
     return np.array_equal(one[middle], other[middle]) and np.array_equal(one, other)

@@ -19,7 +19,7 @@ SAME_SIZE = 0.005
 """Relative difference of displayed sizes below which they count as one; thresholds change by a quarter of it."""
 
 SHAKE_PX = 0.25
-"""Root mean square motion within a trial from which it is told; it blurs like half of a pixel's width."""
+"""Root mean square motion within a trial from which it is reported; it blurs like half of a pixel's width."""
 
 
 class TriangleDescription(NamedTuple):
@@ -95,7 +95,7 @@ class TrialDivision:
     Parameters
     ----------
     described : function
-        Tells what a triangle on a page is.
+        Returns what a triangle on a page is.
     integration_time_s : float or None
         None: each clip is a trial.
     steady : bool
@@ -130,6 +130,7 @@ class TrialDivision:
         for now, frame in frames:
             if clip is not now:
                 self._end(clip, integration.is_whole)
+                integration.begin_clip()
                 clip, number = now, 0
             elif self._open and (end := integration.ends_before(frame.time_s)) is not None:
                 self._end(clip, end.is_whole)

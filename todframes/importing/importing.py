@@ -37,10 +37,10 @@ from todframes.recordings.opening import open_recordings
 from todframes.recordings.recording import INTEGRATION_TIME_S, Recording, RecordingWarning, natural_order
 
 LARGEST_TIME_ERROR = 0.1
-"""Relative difference of the trials' time from the integration time, above which it is told."""
+"""Relative difference of the trials' time from the integration time, above which it is reported."""
 
 LARGEST_IMBALANCE = 3.0
-"""Ratio of the numbers of trials of two orientations at one level that is told."""
+"""Ratio of the numbers of trials of two orientations at one level that is reported."""
 
 CAUSES: Mapping[str, str] = {"position_scatter": "shake", "turned": "rolled"}
 """Warnings of recordings that explain what the frames of the dataset show."""
@@ -136,7 +136,7 @@ def import_recordings(
     chart : path, optional
         The `chart.toml` of the chart that was recorded; either it or `schedule`.
     schedule : path, optional
-        CSV file that tells what each part of the recordings shows.
+        CSV file that states what each part of the recordings shows.
     display : str or Display
         Display that shows the frames: the name of one of this package, a TOML file, or a `Display`.
     integration_time_s : float or "all"
@@ -321,10 +321,10 @@ def _check_settings(
             f"{argument.value_range}: found {low:g}:{high:g}, expected two numbers, the lower one first"
         )
     if level is not None and not has_schedule:
-        raise SettingsError(f"{argument.level}: is given but not used with a chart, which tells its levels")
+        raise SettingsError(f"{argument.level}: is given but not used with a chart, which states its levels")
     if ifov_mrad is not None and not has_schedule:
         raise SettingsError(
-            f"{argument.ifov_mrad}: is given but not used with a chart, whose markers tell the scale"
+            f"{argument.ifov_mrad}: is given but not used with a chart, whose markers give the scale"
         )
     if ifov_mrad is not None and not (math.isfinite(ifov_mrad) and ifov_mrad > 0):
         raise SettingsError(f"{argument.ifov_mrad}: found {ifov_mrad!r}, expected a number > 0")
@@ -377,7 +377,7 @@ def _of_trials(
                 yield RecordingWarning(
                     "no_times",
                     f"{recording.path}: has no times, so each frame is a trial of its own; "
-                    f"{argument.frames_per_second} gives them",
+                    f"{argument.frames_per_second} or a times.csv in their folder gives them",
                 )
             elif interval_s > 1.5 * time_s:
                 yield RecordingWarning(

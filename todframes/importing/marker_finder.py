@@ -42,7 +42,7 @@ CORNER_OF_KEY = 3
 """Corner whose marker carries the key of the chart."""
 
 ENOUGH_MARKERS = 3
-"""Number of markers that a search has to find; the fourth's place follows from these, and its edges tell if it is
+"""Number of markers that a search has to find; the fourth's place follows from these, and its edges show if it is
 there."""
 
 LARGEST_RESIDUAL = 0.2

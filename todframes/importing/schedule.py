@@ -1,4 +1,4 @@
-"""Schedules: tables of what a recording shows when no chart with markers tells it.
+"""Schedules: tables of what a recording shows when no chart with markers states it.
 
 A schedule is a CSV file with a row for each trial:
 

@@ -1,4 +1,4 @@
-"""Recordings with a schedule: its rows tell which frames show what, and nothing is looked for in the frames."""
+"""Recordings with a schedule: its rows state which frames show what, and nothing is looked for in the frames."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ class ScheduleSource:
         self.group_by = OBJECT_SIZE if with_angle else "size_mrad"
 
     def _object_mrad(self, row: ScheduledTrial) -> float | None:
-        """Return the size at the camera; None if the schedule does not tell it."""
+        """Return the size at the camera; None if the schedule does not state it."""
         if row.size_mrad is not None and (self._ifov_mrad is not None or row.size_px is not None):
             return row.size_mrad
         return row.size_px * self._ifov_mrad if row.size_px is not None and self._ifov_mrad is not None else None

@@ -170,7 +170,7 @@ class WindowWriter:
     clip : bool
         As in `write_window`.
     store : Store or None
-        Store that tells which windows of the folder are finished.
+        Store that states which windows of the folder are finished.
     """
 
     def __init__(self, folder: Path, *, clip: bool, store: Store | None) -> None:

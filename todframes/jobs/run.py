@@ -36,9 +36,9 @@ class StoredWork(Work[Item_contra, Result], Protocol[Item_contra, Result]):
     """
 
     def key(self, item: Item_contra, *, is_done: bool) -> bytes | None:
-        """Return the key of an item's result; None if it cannot be told, or the result is not to be kept.
+        """Return the key of an item's result; None if it cannot be known, or the result is not to be kept.
 
-        `is_done` tells whether the function has just returned for this item, which may have checked its files.
+        `is_done` states whether the function has just returned for this item, which may have checked its files.
         """
 
     def stamp(self, item: Item_contra) -> object:

@@ -69,7 +69,7 @@ class Store:
 
     @property
     def is_begun(self) -> bool:
-        """Whether the store holds results, or is about to."""
+        """True if the store holds results, or is about to."""
         return self._file is not None or os.path.lexists(self.path)
 
     def begin(self) -> None:

@@ -17,7 +17,7 @@ _Order = tuple[int, int, int]
 _SQRT_2PI = math.sqrt(2.0 * math.pi)
 
 _NEARLY_PLANE = 1e-6
-"""Determinant of three differences' correlations below which two of them all but tell the third."""
+"""Determinant of three differences' correlations below which two of them all but determine the third."""
 
 Bands = tuple[FloatArray, ...]
 """Activity, or weights, of all neurons: arrays of any shape, the finest band first."""

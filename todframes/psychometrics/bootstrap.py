@@ -50,7 +50,7 @@ class Observed:
 
     @property
     def shows_its_own_curve(self) -> bool:
-        """Whether the points are exact enough, and enough of them, to be followed without a fitted curve."""
+        """True if there are enough points, and these are exact enough, to be followed without a fitted curve."""
         return self.trials is not None and len(self.level) >= 3 and bool(self.n_trials.mean() >= 3)
 
     def resample(self, fitted: FloatArray, guess_rate: float, size: int, rng: np.random.Generator) -> FloatArray:

@@ -38,7 +38,7 @@ class FitSettings:
 
     Guess and lapse rates are those of Weibull's curve; `lapse_rate` None leaves δ free in [0, lapse_rate_max].
     `slope_spread` is the standard deviation of ln β of the observer's curve about 0 that a fit expects, for levels
-    that the signal is proportional to: few noisy trials hardly tell a steep curve with a low ceiling from a
+    that the signal is proportional to: few noisy trials hardly distinguish a steep curve with a low ceiling from a
     shallow one with a high ceiling. None: nothing is expected. `resamples` 0 gives no interval; fewer than 40
     would not reach into the 2.5 % tails.
 
@@ -271,7 +271,7 @@ def curve_model(observed: Observed, curve: CurveName, settings: FitSettings) -> 
         lapse_rates = (0.0, settings.lapse_rate_max) if fixed is None else (fixed, fixed)
         lower, upper = np.array([places, slopes, lapse_rates]).T
         return CentredModel(WeibullModel(z, trials, settings.guess_rate, settings.p_correct, lower, upper), centre)
-    # Two levels tell a place and a slope, no more.
+    # Two levels determine a place and a slope, no more.
     limits = (0.0, SMALLEST_CEILING**-2.0 if len(z) > 2 else 0.0)
     lower, upper = np.array([places, slopes, limits]).T
     model = ObserverModel(z, trials, GUESS_RATE, settings.p_correct, lower, upper)

@@ -27,7 +27,7 @@ from todframes.psychometrics.observer_curve import GUESS_RATE
 NoiseStatus = Literal["ok", "noise_free", "at_chance", "too_few_trials"]
 
 MOST_CERTAIN = 30.0 * math.log(10.0)
-"""Largest |ln P(right) / P(wrong)| that is told from larger ones: P is right to some digits down to 1e-30."""
+"""Largest |ln P(right) / P(wrong)| beyond which values count as equal: P is right to some digits down to 1e-30."""
 
 NOISE_STEP, LAPSE_STEP = 0.1, 0.01
 """Largest distances of the values of ln noise and δ among which a maximum is searched first."""
@@ -104,7 +104,7 @@ class NoiseFit:
     status : str
         `ok`: the answers determine the noise on both sides.
         `noise_free`: without any noise the model would answer no worse, as if all answers were right.
-        `at_chance`: the answers are not told from guesses.
+        `at_chance`: the answers cannot be distinguished from guesses.
         `too_few_trials`: both.
         Only `ok` has a noise; otherwise `noise_ci95` has the one end that is known.
     noise, noise_ci95
@@ -182,7 +182,7 @@ def fit_noise(
     if resamples:
         drawn = (rng.random((resamples, len(p_correct))) < p_correct).astype(np.float64)
         repeated = cells.deviance(drawn, search.p_correct_of_experiments(drawn, best, intervals))
-        # A rounding must not tell two experiments with the same answers apart.
+        # Rounding must not make two experiments with the same answers differ.
         p_value = float((1 + np.count_nonzero(repeated >= deviance - 1e-9)) / (resamples + 1))
 
     def exponential(interval: Interval) -> Interval:

@@ -184,7 +184,7 @@ def _redrawn_probabilities(
 
 
 def _students_widening(n_trials: int, size: int, rng: np.random.Generator) -> FloatArray:
-    """Draw factors that make normal deviates those of Student's t, for a spread that few trials tell.
+    """Draw factors that make normal deviates those of Student's t, for a spread estimated from few trials.
 
     A threshold rests on the levels about it: a third of the trials' degrees of freedom are counted.
     """
@@ -242,7 +242,7 @@ def _fitted(fit: PsychometricFit, level: FloatArray) -> FloatArray:
 
 
 def _within_reach(model: CurveModel, ln_threshold: FloatArray) -> FloatArray:
-    """Replace thresholds that lie farther outside the levels than a fit tells by infinity."""
+    """Replace thresholds that lie farther outside the levels than a fit can reach by infinity."""
     reach = math.log(EXTRAPOLATION_FACTOR)
     known = np.where(ln_threshold > model.z[-1] + reach, np.inf, ln_threshold)
     return np.where(known < model.z[0] - reach, -np.inf, known)

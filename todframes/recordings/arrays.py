@@ -41,7 +41,7 @@ class _Layout(NamedTuple):
 
 
 def is_array(start: bytes) -> bool:
-    """Tell whether a file that starts with these bytes is read here."""
+    """Return whether a file that starts with these bytes is read here."""
     return start.startswith((NPY_START, ZIP_START))
 
 

@@ -41,7 +41,7 @@ class _FilmLayout(NamedTuple):
 
 
 def is_cedip(start: bytes) -> bool:
-    """Tell whether a file that starts with these bytes is a film of this kind."""
+    """Return whether a file that starts with these bytes is a film of this kind."""
     return start.startswith(START)
 
 

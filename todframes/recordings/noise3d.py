@@ -117,7 +117,7 @@ class Noise3D:
         By the names in `PARTS`; of a single frame only v, h and vh, and vh contains tvh.
     dynamic, fixed : NoisePart or None
         Noise of a pixel from frame to frame (tv, th, tvh together), and its fixed pattern (v, h, vh). None for a
-        single frame, where they cannot be told apart.
+        single frame, where they cannot be separated.
     drift : Drift or None
         None with fewer than three frames.
     frames_per_second : float or None
@@ -175,7 +175,9 @@ class Noise3D:
     def _both(self) -> tuple[NoisePart, NoisePart]:
         """Return the dynamic noise, which is not zero, and the fixed pattern; DataError if they are not known."""
         if self.dynamic is None or self.fixed is None:
-            raise DataError("noise: found one frame, expected 2 or more to tell temporal noise from fixed pattern")
+            raise DataError(
+                "noise: found one frame, expected 2 or more: one cannot separate temporal noise from fixed pattern"
+            )
         if self.dynamic.variance <= 0:
             raise DataError("noise: found none from frame to frame, expected some; are all frames the same?")
         return self.dynamic, self.fixed
@@ -486,8 +488,8 @@ def _warnings(noise: Noise3D, gathered: _Gathered) -> Iterator[RecordingWarning]
     if noise.n_frames == 1:
         yield RecordingWarning(
             "one_frame",
-            "one frame: its temporal noise cannot be told from its fixed pattern, and a scene that is not uniform "
-            "counts as noise; record at least 2 frames, better 100",
+            "one frame: its temporal noise cannot be separated from its fixed pattern, and a scene that is not "
+            "uniform counts as noise; record at least 2 frames, better 100",
         )
     if gathered.n_doubled:
         yield RecordingWarning(

@@ -61,7 +61,8 @@ def open_recordings(
     -------
     tuple of Recording
         In the order of `paths`; a sequence of images stands where its first image stands. Frames of a sequence are
-        in the natural order of their names: frame_9 before frame_10.
+        in the natural order of their names: frame_9 before frame_10. A file `times.csv` in a folder of images has
+        their times, in the columns `file` and `time_s`.
 
     Raises
     ------

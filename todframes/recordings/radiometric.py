@@ -90,7 +90,7 @@ class Radiometry:
 
 
 def is_radiometric(path: Path, start: bytes) -> bool:
-    """Tell whether a file is FLIR's container, or a JPEG that has one in it."""
+    """Return whether a file is FLIR's container, or a JPEG that has one in it."""
     if start.startswith(JPEG_START):
         with path.open("rb") as file:
             return bool(_container_parts(file.read(2**18)))

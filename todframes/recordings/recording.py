@@ -36,7 +36,7 @@ class RecordedFrame(NamedTuple):
     """One frame: the values as recorded, their time and origin.
 
     `values` has shape (rows, columns), or (rows, columns, 3) for R, G, B, and is uint8, uint16 or float32.
-    `time_s` is the presentation time in seconds, None if nothing tells it. `source` names the frame in messages.
+    `time_s` is the presentation time in seconds, None if it is not known. `source` names the frame in messages.
     """
 
     values: NDArray[Any]
@@ -64,9 +64,9 @@ class Recording:
     is_colour : bool
         Frames have the channels R, G, B; else one.
     n_frames : int, optional
-        Number of frames as the file gives it; None if only reading it would tell.
+        Number of frames as the file gives it; None if it is known only after reading.
     frames_per_second : float, optional
-        Nominal frame rate; None if nothing tells it.
+        Nominal frame rate; None if it is not known.
     full_scale, zero : float
         Recorded values of white and black: 255 and 0 for a picture of 8 bits, 235 and 16 in the limited range of a
         grey video. `full_scale` is None for values without a white: temperatures, counts, floating-point values.

@@ -45,7 +45,7 @@ VIDEO_FORMATS = {
 }
 """Patterns of the first bytes of video files, and FFmpeg's names of their formats.
 
-FFmpeg is told the format: playlists and scripts, which name other files or addresses, are none of them.
+FFmpeg is given the format: playlists and scripts, which name other files or addresses, are none of them.
 """
 
 N_START = 189

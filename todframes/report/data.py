@@ -200,9 +200,9 @@ def group_of(dataset: Dataset, values: Sequence[float | str]) -> Group:
 class Ratio(Struct, frozen=True, kw_only=True):
     """An algorithm's threshold divided by that of the reference, in one group or, without `group`, in all.
 
-    `p_value_is_least` tells whether the p-value is the smallest that the resamples allow, so that the true one may
-    be smaller. `contrast_gain` is the algorithm's gain of the triangle's displayed contrast, and `beyond_gain` its
-    threshold divided by that of a plain gain of the same amount: below 1, it does more than to amplify.
+    `p_value_is_least`: the p-value is the smallest that the resamples allow, so the true one may be smaller.
+    `contrast_gain` is the algorithm's gain of the triangle's displayed contrast, and `beyond_gain` its threshold
+    divided by that of a plain gain of the same amount: below 1, it does more than to amplify.
     """
 
     verdict: str
@@ -402,7 +402,7 @@ class PersonResult(Struct, frozen=True, kw_only=True):
         Anonymous id of the person; None for all together.
     status : str
         "ok", or why there is no noise: "noise_free" (without noise the model would answer no worse), "at_chance"
-        (the answers are not told from guesses), "too_few_trials" (neither is).
+        (the answers cannot be distinguished from guesses), "too_few_trials" (neither is).
     internal_noise : float or None
         Full width of each neuron's noise.
     internal_noise_ci95 : (float or None, float or None)

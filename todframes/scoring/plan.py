@@ -48,7 +48,7 @@ class StimulusPlan:
     """The plan for the trials of one stimulus.
 
     `half_width` is the number of retina samples used on each side of the middle one; None: the whole grid.
-    `full_observer` tells whether further pyramid bands are needed. `bounds` has the bound on the change of
+    `full_observer` states whether further pyramid bands are needed. `bounds` has the bound on the change of
     P(correct) by each stage that is left out.
     """
 
@@ -204,7 +204,7 @@ def _weigh(dataset: Dataset, trials: Trials, observer: Observer, budget: float, 
 
 
 def _has_place(dataset: Dataset, trial: Trial, observer: Observer) -> bool:
-    """Tell whether a trial's triangle lies on its first frame."""
+    """Return whether a trial's triangle lies on its first frame."""
     try:
         check_place(dataset, trial, observer.centre)
     except FrameError:

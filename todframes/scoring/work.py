@@ -54,7 +54,7 @@ class Show(Protocol[T_co]):
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """Engine and store of a run, and whom to tell of its progress.
+    """Engine and store of a run, and the function that receives its progress.
 
     Attributes
     ----------
@@ -135,7 +135,7 @@ class TrialWork(Generic[T]):
 
     @cached_property
     def identity(self) -> bytes | None:
-        """Fingerprint of all that is the same for all trials; None if the code of a part cannot be told."""
+        """Fingerprint of all that is the same for all trials; None if the code of a part cannot be identified."""
         from todframes.jobs.fingerprint import fingerprint
 
         scoring = self.scoring
@@ -187,7 +187,7 @@ class TrialWork(Generic[T]):
             (item.level, item.group) if self.with_levels else None,
             contents,
         )
-        # All are numbers and texts, which their representations tell apart; a fingerprint takes far longer.
+        # All are numbers and texts, which their representations distinguish; a fingerprint takes far longer.
         return hashlib.sha256(self.identity + repr(parts).encode(errors="surrogatepass")).digest()
 
     def stamp(self, item: Trial) -> list[Stamp] | None:

@@ -25,7 +25,7 @@ STATUS = {StepError: 409, MonitorError: 422, OutputError: 507}
 
 
 class Agreed(msgspec.Struct):
-    """Whether the person agrees to the text of consent."""
+    """The answer of the person to the text of consent."""
 
     agreed: bool
 

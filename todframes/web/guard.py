@@ -113,7 +113,7 @@ def _check_source(headers: Headers, hosts: Iterable[str]) -> None:
 
 
 def _check_token(given: Iterable[str], token: str) -> None:
-    """Raise Refusal unless one of the texts is the token; the time does not tell how much of it is right."""
+    """Raise Refusal unless one of the texts is the token; the time does not show how much of it is right."""
     if not any(hmac.compare_digest(one.encode(), token.encode()) for one in given):
         raise Refusal(403, "The token is missing or wrong; open the address that the command has printed.")
 

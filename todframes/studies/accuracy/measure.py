@@ -92,7 +92,7 @@ class Curve(NamedTuple):
     """A measured estimator.
 
     `slope` is that of ln(threshold error) against ln(CPU time beyond the set-up), with its standard error; None
-    where there are too few budgets to tell.
+    where there are too few budgets to decide.
     """
 
     name: str
@@ -184,7 +184,7 @@ def fitted_slope(
         Each error is the root mean square of so many independent estimates, and all are blocks of the same trials:
         the variance of its logarithm is 1/(2·blocks), and a sum over few blocks holds no more chance than the one
         over many that it is part of, so the covariance of two is the smaller variance. None: the scatter about the
-        line tells its error.
+        line gives its error.
     """
     n = len(x)
     if n < 2:
@@ -204,7 +204,7 @@ def fitted_slope(
 def time_of_draws(points: Sequence[BudgetPoint], set_up: float, drawn: int, error: float) -> TimeAt:
     """Return the CPU time for an error, extrapolated as 1/√N from the smallest blocks.
 
-    These give the most independent estimates, and larger blocks tell no more.
+    These give the most independent estimates, and larger blocks add no information.
     It is extrapolated beyond the number of trials that were `drawn` in all.
     """
     if not points:
