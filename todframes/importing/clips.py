@@ -247,6 +247,8 @@ class Integration:
             return None if self.time_s is None else TrialEnd(is_whole=True, is_gap=False)
         if self.time_s is None:
             return None
+        if self.frame_s > GAP * self.time_s:  # photographs: each is a trial, and no frame is missing between two
+            return TrialEnd(is_whole=True, is_gap=False)
         is_slow = len(self._intervals_s) == RECENT_INTERVALS
         if time_s - last > GAP * max(self.frame_s, min(self._intervals_s) if is_slow else 0.0):
             return TrialEnd(self.is_whole, is_gap=True)

@@ -34,7 +34,7 @@ from todframes.importing.schedule_source import ScheduleSource
 from todframes.importing.windows import WindowWriter, WrittenWindow, code_range
 from todframes.jobs.store import Store
 from todframes.recordings.opening import open_recordings
-from todframes.recordings.recording import INTEGRATION_TIME_S, Recording, RecordingWarning, natural_order
+from todframes.recordings.recording import GAP, INTEGRATION_TIME_S, Recording, RecordingWarning, natural_order
 
 LARGEST_TIME_ERROR = 0.1
 """Relative difference of the trials' time from the integration time, above which it is reported."""
@@ -379,7 +379,7 @@ def _of_trials(
                     f"{recording.path}: has no times, so each frame is a trial of its own; "
                     f"{argument.frames_per_second} or a times.csv in their folder gives them",
                 )
-            elif interval_s > 1.5 * time_s:
+            elif interval_s > GAP * time_s:
                 yield RecordingWarning(
                     "slow_frames",
                     f"{recording.path}: frames are {interval_s:.3g} s apart, more than the integration time of "
@@ -464,7 +464,7 @@ def _of_time(opened: Sequence[Recording], time_s: float | None) -> Iterator[str]
     """Yield the time of the trials if whole frames do not make up the integration time."""
     for recording in opened:
         frame_s = _interval_s(recording)
-        if time_s is None or frame_s is None:
+        if time_s is None or frame_s is None or frame_s > GAP * time_s:
             continue
         n_frames = max(1, math.ceil(time_s / frame_s - 0.5 - TIME_TOLERANCE))
         if abs(n_frames * frame_s / time_s - 1.0) > LARGEST_TIME_ERROR:
