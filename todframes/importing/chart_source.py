@@ -216,7 +216,7 @@ class ChartSource:
                     continue
                 if not measured or measured[-1].page != page:
                     measured.append(_Measured(page, frame.time_s))
-                measured[-1].seen.append(_Seen(seen.geometry, seen.edges, self._n_placed, frame.source))
+                measured[-1].seen.append(_SeenChart(seen.geometry, seen.edges, self._n_placed, frame.source))
                 sizes_mm = [one.size_mm for one in self.chart.pages[page].triangles]
                 parts = tuple(
                     self._part(frame.values, one, self._reach_px(size_mm, one.size_px), report, number)
@@ -269,7 +269,11 @@ class ChartSource:
                 self._settle_part(pieces, shape, part, report)
 
     def _settle_part(
-        self, pieces: Pieces, shape: tuple[int, int], seen: list[tuple[_Measured, _Seen]], report: RecordingReport
+        self,
+        pieces: Pieces,
+        shape: tuple[int, int],
+        seen: list[tuple[_Measured, _SeenChart]],
+        report: RecordingReport,
     ) -> None:
         some = [seen[k] for k in np.unique(np.linspace(0, len(seen) - 1, MOST_SOLVED).round().astype(int))]
         choice = choose_lens(
@@ -530,7 +534,7 @@ class _Reach(NamedTuple):
     reach_px: int
 
 
-class _Seen(NamedTuple):
+class _SeenChart(NamedTuple):
     """The chart in one frame: its geometry as far as known then, its edges, the number of its first triangle, and
     the frame's name."""
 
@@ -546,7 +550,7 @@ class _Measured:
     def __init__(self, page: int, start_s: float | None) -> None:
         self.page = page
         self.start_s = start_s
-        self.seen: list[_Seen] = []
+        self.seen: list[_SeenChart] = []
         self._values: dict[str, list[float]] = {}
 
     def add(self, **values: float) -> None:
