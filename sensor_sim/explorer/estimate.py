@@ -189,9 +189,10 @@ def lattice_phases(
             merge_pixels=plan.merge_pixels,
         )
 
-    def weights_by_row(number: int, x: FloatArray, y: FloatArray) -> list[NDArray[Any]]:
+    def weights_by_row(number: int, x: FloatArray, y: FloatArray) -> NDArray[Any]:
         key = (name, sensor.display, sensor.electronics, plan.field, places, number, x[0], y[0])
-        return list(plan.shared.weights.get(key, lambda: np.stack(folding().weights_by_row(x, y))))
+        weights: NDArray[Any] = plan.shared.weights.get(key, lambda: folding().weights_by_row(x, y))
+        return weights
 
     return pooled(
         [

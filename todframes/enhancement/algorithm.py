@@ -227,7 +227,7 @@ ENTRY_POINT_GROUP = "todframes.enhancements"
 
 
 def find_enhancement(spec: str | Callable[..., Any]) -> Enhancement:
-    """Return the algorithm with a given name, or made of a given function.
+    """Return the algorithm with a given name, or one that calls a given function.
 
     Parameters
     ----------

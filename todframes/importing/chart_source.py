@@ -1,4 +1,4 @@
-"""Recordings of a chart: each frame is looked at, and what it shows of the chart is handed on as clips."""
+"""Recordings of a chart: each frame is searched for the chart, and frames that show one page become clips."""
 
 from __future__ import annotations
 
@@ -29,7 +29,8 @@ SLACK_PX = 16
 """Distance that a triangle may move within a trial."""
 
 SIZE_MARGIN = 1.1
-"""Factor by which a window is larger than a triangle needs, so that those of a size have windows of a size."""
+"""Factor by which a window is larger than a triangle needs, so that triangles of one size have windows of one
+size."""
 
 MOST_RESIDUAL_PX = 0.3
 """Residual of the markers' edges from which the places of triangles are doubtful."""
@@ -53,12 +54,12 @@ FEWEST_FRAMES_PER_PAGE = 2
 """Number of frames of a page from which the duration of pages is measured; photographs may have one of each."""
 
 MOST_UNEVEN_CHANGES = 0.2
-"""Share of page changes at other intervals up to which a program, and no person, has turned the pages."""
+"""Largest share of page changes at other intervals at which a program, not a person, has turned the pages."""
 
 
 @dataclass(slots=True)
 class RecordingReport:
-    """The content of a recording: numbers of frames by what became of them, and its clips.
+    """The content of a recording: numbers of frames, kept or left out for each reason, and its clips.
 
     `n_without_markers` are frames in which the four markers were not found, `n_transition` those with markers of
     two pages or with a share of another page, `n_other_page` those with the chart's key but a page that it does
@@ -123,7 +124,7 @@ class ChartSource:
         self._reaches: dict[float, _Reach] = {}
 
     def described(self, page: int, index: int) -> TriangleDescription:
-        """Return what a triangle of a page is."""
+        """Return the description of a triangle of a page."""
         one = self.chart.pages[page].triangles[index]
         columns = {OBJECT_SIZE: repr(one.size_mrad), "page": page}
         return TriangleDescription(abs(one.strength), self.chart.polarity, columns)
@@ -229,7 +230,7 @@ class ChartSource:
         )
 
     def _reach_px(self, size_mm: float, size_px: float) -> int:
-        """Return how far a window reaches, the same for all triangles of a size if they are displayed alike."""
+        """Return the reach of a window, which is the same for all triangles of one displayed size."""
         reach = self._reaches.get(size_mm)
         if reach is None or size_px > reach.size_px or size_px * SIZE_MARGIN**2 < reach.size_px:
             held_px = math.ceil(size_px * SIZE_MARGIN)
@@ -286,7 +287,7 @@ class ChartSource:
         )
 
     def warnings(self) -> Iterator[RecordingWarning]:
-        """Yield what makes the places and sizes of triangles less certain."""
+        """Yield warnings about conditions that make the places and sizes of triangles less certain."""
         if self.chart.with_key().key != self.chart.key:
             yield RecordingWarning(
                 "edited_chart",
@@ -364,11 +365,11 @@ class ChartSource:
                 yield RecordingWarning(code, f"{where}{n_found} {what}")
 
     def report(self) -> list[dict[str, object]]:
-        """Return what was found in each recording and its clips."""
+        """Return the findings in each recording and its clips."""
         return [asdict(report) for report in self.reports]
 
     def notes(self) -> Iterator[str]:
-        """Yield what was found and needs no action."""
+        """Yield remarks that need no action."""
         for report in self.reports:
             if not report.clips:
                 continue

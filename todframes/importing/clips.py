@@ -31,7 +31,7 @@ MOST_OF_OTHER = 0.03
 """Share of another page, beyond the median, from which a frame is left out: 3 % of a triangle's contrast."""
 
 SCATTER = 6.0
-"""The same in median deviations of the shares; noise alone hardly reaches it."""
+"""The same limit in median deviations of the shares; noise alone hardly reaches it."""
 
 RECENT_INTERVALS = 4
 """Number of the latest intervals between frames, of which the shortest is the frame rate if it is longer than the
@@ -108,7 +108,7 @@ class Clip:
 
 
 def clean_clips(frames: Iterable[ClipFrame], *, key: int, first_number: int) -> Iterator[tuple[Clip, ClipFrame]]:
-    """Yield the frames of each clip that show nothing but its page, each with its clip.
+    """Yield the frames of each clip that show its page alone, each with its clip.
 
     Frames are held back only as long as needed for the comparison, so memory does not grow with the clip.
 
@@ -247,6 +247,8 @@ class Integration:
             return None if self.time_s is None else TrialEnd(is_whole=True, is_gap=False)
         if self.time_s is None:
             return None
+        if self.frame_s > GAP * self.time_s:  # photographs: each is a trial, and no frame is missing between two
+            return TrialEnd(is_whole=True, is_gap=False)
         is_slow = len(self._intervals_s) == RECENT_INTERVALS
         if time_s - last > GAP * max(self.frame_s, min(self._intervals_s) if is_slow else 0.0):
             return TrialEnd(self.is_whole, is_gap=True)

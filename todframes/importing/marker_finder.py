@@ -46,7 +46,7 @@ ENOUGH_MARKERS = 3
 there."""
 
 LARGEST_RESIDUAL = 0.2
-"""Residual of the edges, in modules, above which the four markers are no chart."""
+"""Residual of the edges, in modules, above which the four markers do not belong to one chart."""
 
 LEAST_CONTRAST_IN_ERRORS = 3.0
 """Least difference of a marker's white and black modules, in standard deviations of its black ones."""
@@ -201,9 +201,9 @@ class _Edges:
     """The outer edges of four markers, which homographies are adjusted to.
 
     Each of the 16 edges has `PIECES` pieces. The profile of a piece, averaged along it, is antisymmetric about the
-    edge whatever the blur, so its integral above the middle of black and white over as far on either side vanishes
-    there. White that spreads (a display that glares, a non-linear camera) moves all edges outwards or inwards
-    alike; that is fitted besides.
+    edge for any blur. So the integral of its difference from the middle of black and white, over equal distances
+    on both sides, is zero at the edge. White that spreads (a display that glares, a non-linear camera) moves all
+    edges outwards or inwards by the same amount, which is also fitted.
     """
 
     def __init__(self, corners_mm: FloatArray, module_mm: float) -> None:
@@ -239,7 +239,7 @@ class _Edges:
         return geometry if geometry.residual_px <= LARGEST_RESIDUAL * module_px else None
 
     def _shifts_px(self, grey: NDArray[np.float32], geometry: Geometry) -> FloatArray | None:
-        """Measure how far outwards each piece lies of where the geometry has it, along the mapped normal."""
+        """Measure the distance of each piece from its place in the geometry, outwards along the mapped normal."""
         places = geometry.to_px(self._places_mm)
         height, width = grey.shape
         lowest, highest = places.min(axis=(0, 1)), places.max(axis=(0, 1))

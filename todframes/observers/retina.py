@@ -268,7 +268,7 @@ def _averaged(values: FloatArray, edges: FloatArray, first: int, stop: int) -> F
 def gaussian_blur(image: FloatArray, sigma: float) -> FloatArray:
     """Blur a retina image by a Gaussian of standard deviation `sigma` samples, mirrored at its border.
 
-    Only where there is something to blur: a triangle covers little of its grid.
+    Only the part that is not zero is blurred: a triangle covers little of its grid.
     """
     import cv2
 

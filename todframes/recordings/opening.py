@@ -35,7 +35,7 @@ READERS: dict[StillKind, StillReader] = {
 """Modules that read still frames, by kind of file."""
 
 SEQUENCES: tuple[StillKind, ...] = ("image", "camera raw", "radiometric")
-"""Kinds of which all files together are one recording; each file of another kind is a recording of its own."""
+"""Kinds whose files are one recording together; each file of another kind is a recording by itself."""
 
 EXPECTED = "expected an image, video, camera raw, radiometric (FLIR, Cedip) or NumPy file"
 

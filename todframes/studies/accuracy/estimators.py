@@ -26,7 +26,7 @@ P_CORRECT = 0.75
 
 
 class Converged(NamedTuple):
-    """The threshold that estimators are held against.
+    """The threshold with which estimators are compared.
 
     `bound` is the half-width of its own error, 95 % where that is random; `slope` is dP(correct) / d ln(level).
     """
@@ -114,7 +114,7 @@ class Quadrature:
 
 @dataclass(frozen=True, slots=True)
 class Variant:
-    """A quadrature of one size with something about it changed; the first of a scene's is what the others change.
+    """A quadrature of one size with one change; the first one of a scene is the one that the others change.
 
     `prepare` gives `run(rng)`; the same `rng` must give the same trials.
     """
