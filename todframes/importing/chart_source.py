@@ -44,10 +44,8 @@ LARGEST_ROLL_DEGREES = 30.0
 MOST_ERROR_PX = 0.1
 """Standard error of the triangles' places from which there is a warning."""
 
-
 MOST_LENS_STRETCH = 1.03
 """Stretch by the lens from which a triangle is another one."""
-
 
 REPORTED_STRETCH = 1.05
 """Ratio of the largest to the smallest scale that is reported; a chart tilted by 18° has it."""
@@ -58,18 +56,14 @@ EQUAL_SCALES = 1.02
 LEAST_ZOOM, NOTICED_ZOOM = 0.03, 0.003
 """Relative changes of the chart's size in the picture: of a zoom, and from which on it has begun."""
 
-
 FIRST_FRAMES = 8
 """Frames that a zoom is measured from."""
-
 
 MOST_MOVED = 0.03
 """Motion of the chart besides that by a zoom, in diagonals of the frame, from which it is no zoom."""
 
-
 MOST_SOLVED = 16
 """Frames of a recording, from its beginning to its end, from which its lens is solved."""
-
 
 LARGEST_CLOCK_ERROR = 0.1
 """Relative difference of the pages' duration in a film from that of the chart, from which there is a warning."""

@@ -21,7 +21,6 @@ from todframes.stimulus import ORIENTATIONS, Orientation, vertices
 SIDE_STEPS = 16
 """Steps in which a side of a triangle is followed where a lens bends it; its bulge is then known to 1/256."""
 
-
 UNBENT_STEPS = 5
 """Steps in which a lens is put into a geometry; a start of another search, which needs no more than a pixel."""
 

@@ -67,7 +67,6 @@ SAMPLES, SAMPLED = 3, 0.5
 MOST_WRONG_BITS = 1
 """Number of modules of a marker that may read wrong; two markers of the dictionary differ in five or more."""
 
-
 MOST_RECENT = 8
 """Frames from which the lens is estimated while a recording is read."""
 
