@@ -136,7 +136,7 @@ class StudyScene(Protocol):
 
     @property
     def description(self) -> str:
-        """Description of what decides in the scene, in a sentence or two."""
+        """Description of the scene, in a sentence or two."""
 
     @property
     def level(self) -> str:
@@ -149,7 +149,7 @@ class StudyScene(Protocol):
         """List the estimators, the literal Monte Carlo first; a `Quadrature` is a closed form."""
 
     def variants(self, converged: Converged) -> Sequence[Variant]:
-        """List the closed form as it is, then with something changed."""
+        """List the closed form as it is, then with single changes."""
 
     def estimate(self, outcomes: FloatArray, converged: Converged) -> Estimate:
         """Estimate the threshold from the mean of independent trials: (columns,)."""
@@ -219,7 +219,7 @@ def estimate_at_one_level(outcomes: FloatArray, converged: Converged) -> Estimat
 
 
 def find_scenes(names: Sequence[str]) -> dict[str, Callable[[], StudyScene]]:
-    """Find the makers of the scenes of these names, or of all that are registered if there are none.
+    """Return the functions that make the scenes of these names, or all registered scenes if no name is given.
 
     Raises
     ------
