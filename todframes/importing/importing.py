@@ -28,7 +28,13 @@ from todframes.frames.dataset import Dataset, load_dataset
 from todframes.frames.files import MAX_FRAME_MB
 from todframes.importing.chart_source import ChartSource
 from todframes.importing.clips import TIME_TOLERANCE, Clip, ClipFrame
-from todframes.importing.filmed_trials import SHAKE_PX, ImportedTrial, TrialDivision, TriangleDescription
+from todframes.importing.filmed_trials import (
+    SHAKE_PX,
+    Correction,
+    ImportedTrial,
+    TrialDivision,
+    TriangleDescription,
+)
 from todframes.importing.schedule import read_schedule
 from todframes.importing.schedule_source import ScheduleSource
 from todframes.importing.windows import WindowWriter, WrittenWindow, code_range
@@ -55,12 +61,14 @@ PathLike = str | os.PathLike[str]
 class Source(Protocol):
     """Protocol of objects that find the clips in recordings: by a chart's markers, or by a schedule.
 
-    `level` and `group_by` are columns of the manifest, `clips` are those found so far.
+    `level` and `group_by` are columns of the manifest, `clips` are those found so far. `corrections` are those of
+    triangles by their numbers, known at the end of a recording.
     """
 
     level: str
     group_by: str
     clips: list[Clip]
+    corrections: dict[int, Correction]
 
     def described(self, page: int, index: int) -> TriangleDescription:
         """Return the description of a triangle of a page."""
@@ -220,6 +228,8 @@ def import_recordings(
                 written[window.name] = writer.write(window)
         if not division.trials:
             raise DataError(source.why_nothing() or _why_no_trial(division, source, time_s))
+        for trial in division.trials:
+            trial.correct(source.corrections)
         for name in division.left_out:
             del written[name]
             (folder / name).unlink()
