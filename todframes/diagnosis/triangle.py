@@ -488,12 +488,14 @@ def aligned(
         Distance of the stated place, along x and y, and of the logarithm of the size from those of the group.
     """
     moved, n = frames.copy(), frames.shape[-1]
-    shape = found.shape
+    # The places apart have blurred the first fit.
+    by_places = float(np.square(apart[:, :2]).mean())
+    shape = found.shape._replace(variance=max(found.shape.variance - by_places, 0.0))
+    pictures = [_blurred(shape, found.square, n, turn) for turn in found.shown]
     for frame, strength, turn, (dx, dy, larger) in zip(moved, level, turns, apart, strict=True):
         own = shape._replace(x=shape.x + dx, y=shape.y + dy, map=math.exp(larger) * shape.map)
-        shown = found.shown[turn]
-        there = _blurred(own, found.square, n, shown)
-        subtract(frame, strength * (there - found.picture.images[shown]), found.square)
+        there = _blurred(own, found.square, n, found.shown[turn])
+        subtract(frame, strength * (there - pictures[turn]), found.square)
     return moved
 
 
