@@ -162,6 +162,39 @@ def test_sizes_in_perspective_are_measured_together() -> None:
     assert frame_warnings(dataset, [found]) == []
 
 
+def test_places_between_pixels_cost_no_precision() -> None:
+    """Windows begin at whole pixels, so places on either side of a half are half a window's pixel apart, twice."""
+    rng, size = np.random.default_rng(12), 18.0
+    frames, places, orientation, level = [], [], [], []
+    for k in range(24):
+        x, y = 48.5 + np.array([1e-3, -1e-3])[[k % 2, k // 2 % 2]]
+        change = triangles.seen_from(np.random.default_rng(1), tilt_deg=25.0, turn_deg=1.0)
+        contrast = (0.1, 0.3)[k % 2]
+        image = triangles.drawn(97, turn=k // 2 % 4, size_px=size, x=x, y=y, change=change, blur_px=0.8)
+        frames.append(50.0 * (1.0 + contrast * image + 0.005 * rng.normal(size=image.shape)))
+        places.append((x, y))
+        orientation.append(ORIENTATIONS[k // 2 % 4])
+        level.append(contrast)
+    display = tod.Display(
+        eotf="linear", white_luminance_cd_m2=1.0, pixel_pitch_mrad=0.25, background_luminance_cd_m2="surround"
+    )
+    dataset = memory_dataset(
+        frames,
+        orientation=orientation,
+        level=level,
+        size_mrad=0.25 * size,
+        display=display,
+        position=np.array(places),
+    )
+    (found,) = inspect(dataset, dataset.trials)
+    assert np.hypot(*found.offset_error_px) < 0.02
+    assert np.hypot(*found.offset_px) < 5.0 * np.hypot(*found.offset_error_px)
+    assert found.contrast_slope == pytest.approx(1.0, abs=5.0 * found.contrast_slope_error)
+    assert found.blur_px == pytest.approx(0.8, abs=0.1)
+    assert found.scatter_px == 0.0
+    assert frame_warnings(dataset, [found]) == []
+
+
 @pytest.mark.parametrize(("roll_deg", "is_reported"), [(0.7, False), (1.5, False), (4.0, True), (10.0, True)])
 def test_a_roll_is_reported_beyond_its_tolerance(roll_deg: float, is_reported: bool) -> None:
     dataset = seen_from_the_side(np.full(36, 9.0), roll_deg=roll_deg)

@@ -26,6 +26,7 @@ from todframes.diagnosis.limits import (
     FOUND,
     LEAST_VARIANCE,
     MOST_BESIDE_TURN_RAD,
+    MOST_ROUGH,
     MOST_ROUNDS,
     MOST_STRETCH,
     SEPARABLE,
@@ -247,7 +248,8 @@ class Images(NamedTuple):
 class TriangleFit(NamedTuple):
     """The triangle that explains mean frames best, and its covariance, (8, 8), in steps of the parameters.
 
-    `shown` are the orientations on the frames for the four stated ones.
+    `shown` are the orientations on the frames for the four stated ones. The covariance is that of the noise times
+    `roughness`, as the fit leaves more at the edges of the triangle.
     """
 
     shape: Shape
@@ -255,6 +257,7 @@ class TriangleFit(NamedTuple):
     shown: tuple[int, ...]
     picture: RenderedTriangle
     square: Square
+    roughness: float
 
     def error(self, *parameters: tuple[int, float]) -> float:
         """Return the standard error of a sum of parameters with factors."""
@@ -331,12 +334,25 @@ def fit(images: Images, start: Shape, shown: tuple[int, ...] = (0, 1, 2, 3)) -> 
     design = _design(model.slopes[order], factors, square.of(images.weight))
     left = images.triangles.copy()
     subtract(left, model.images[order], square)
-    spectrum = noise_spectrum(np.tensordot(factors, left, 1), images.weight, square.side)
+    white = np.tensordot(factors, left, 1)
+    spectrum = noise_spectrum(white, images.weight, square.side)
     # The fit has taken the noise of its parameters out of what it leaves.
     cells = np.linalg.matrix_rank(images.information) * float(images.weight.sum()) / (CELL * shape.size) ** 2
     covariance = _covariance(design, square, images.weight, spectrum)
     covariance *= cells / max(cells - N_PARAMETERS, cells / 4.0)
-    return TriangleFit(shape, covariance, shown, model, square)
+    roughness = _roughness(white, images.weight, model.images[order], square)
+    return TriangleFit(shape, roughness * covariance, shown, model, square, roughness)
+
+
+def _roughness(white: FloatArray, weight: FloatArray, pictures: FloatArray, square: Square) -> float:
+    """Return the power that a fit leaves at the edges of triangles over that elsewhere: from 1 to `MOST_ROUGH`."""
+    edges = np.square(np.gradient(pictures, axis=(1, 2))).sum(axis=(0, 1))
+    at = np.zeros(weight.shape)
+    subtract(at, -edges / max(float(edges.max()), 1e-300), square)
+    power = np.square(white).sum(axis=0)
+    here = float((at * weight * power).sum() / max((at * weight).sum(), 1e-300))
+    all_of = float((weight * power).sum() / max(weight.sum(), 1e-300))
+    return min(max(here / max(all_of, 1e-300), 1.0), MOST_ROUGH)
 
 
 def _design(slopes: FloatArray, factors: FloatArray, weight: FloatArray) -> FloatArray:
