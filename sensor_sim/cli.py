@@ -198,8 +198,8 @@ def sweep(
 ) -> None:
     """Compute the thresholds of many designs of a sensor, and which are the best trade-offs.
 
-    A design differs from SENSOR.toml in the values of some keys. One that is impossible gets a status and the
-    reason, and the others go on.
+    A design differs from SENSOR.toml in the values of some keys. An impossible design gets a status and the
+    reason; the others are computed.
     """
     observer, fit = make_observer(asked, fitted=False)
     import sensor_sim as ss

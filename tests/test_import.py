@@ -136,6 +136,7 @@ def test_times_that_contradict_the_chart(tmp_path: Path, chart: Path, pages, rat
         ([0.2, 0.2, 3.0, 0.2, 0.2, 0.2], 0.2),  # a pause
         ([0.5, 1.7, 0.9, 2.4, 1.1], None),  # turned by hand
         ([0.2, 0.2], None),
+        ([0.05] * 8, None),  # pages as short as the frames: photographs, one of each page
     ],
 )
 def test_the_duration_of_pages_is_that_of_a_program(durations, expected) -> None:
@@ -538,6 +539,33 @@ def test_no_trial_goes_across_a_gap() -> None:
     division, clip = divided([clip_frame(1, k) for k in (0, 1, 2, 3, 6, 7, 8)], 0.1, 1 / RATE)
     assert [trial.sources for trial in division.trials] == [["0", "1", "2"], ["6", "7", "8"]]
     assert (clip.n_gaps, division.left_out) == (1, ["frames/clip_0001/trial_02_0.png"])
+
+
+@pytest.mark.parametrize(
+    ("intervals_s", "sizes", "n_gaps"),
+    [
+        ([1 / 30, 1 / 20] * 15, [2] * 15, 0),  # 24 frames/s on a display of 60 Hz
+        ([0.02] * 50 + [0.1] * 10, [5] * 10 + [1] * 10, 4),  # the first four could be gaps
+        ([1 / 30] * 30 + [1 / 15] * 14, [3] * 10 + [1] * 14, 4),  # as at 15 frames/s throughout
+        ([2.0, 3.0, 40.0, 2.0], [1] * 5, 0),  # photographs
+        ([1 / 30] * 6 + [1 / 15] + [1 / 30] * 12 + [1 / 15] + [1 / 30] * 8, [3] * 9, 2),  # two frames missing
+    ],
+)
+def test_variable_frame_rates_are_taken_as_they_are(intervals_s, sizes, n_gaps) -> None:
+    times_s = np.cumsum([1.0, *intervals_s])
+    frames = [clip_frame(1, k)._replace(time_s=float(time_s)) for k, time_s in enumerate(times_s)]
+    division, clip = divided(frames, 0.1, float(np.mean(intervals_s)))
+    assert [len(trial.frames) for trial in division.trials] == sizes
+    assert clip.n_gaps == n_gaps
+
+
+def test_the_time_between_two_clips_is_no_frame_rate() -> None:
+    division = TrialDivision(lambda page, index: TriangleDescription(0.1, 1, {}), 0.1, steady=False)  # noqa: ARG005
+    clips = [Clip(1, 1), Clip(2, 2), Clip(3, 3)]
+    frames = [(clip, clip_frame(1, 30 * clip.number + k)) for clip in clips for k in (0, 1, 2, 5, 6, 7)]
+    list(division.windows(frames, CodeRange(0, 255), 1 / RATE))
+    assert [clip.n_gaps for clip in clips] == [1, 1, 1]
+    assert [len(trial.frames) for trial in division.trials] == [3] * 6
 
 
 def test_each_still_without_a_time_is_a_trial() -> None:

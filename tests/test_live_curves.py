@@ -92,7 +92,7 @@ def test_folding_of_many_places_takes_the_memory_of_one():
     peaks = []
     for n in (1, 6):
         folding = Folding(sensor, grid, images, field=31, reach_detectors=0.5)
-        folding.weights(0.0, 0.0)  # what is computed once is there
+        folding.weights(np.zeros(1), np.zeros(1))  # what is computed once is there
         tracemalloc.start()
         folding.weights_by_row(np.zeros(1), np.linspace(-0.4, 0.4, n))
         peaks.append(tracemalloc.get_traced_memory()[1])

@@ -45,7 +45,8 @@ def sweep(
 ) -> SweepResult:
     """Compute the thresholds of many designs of a sensor, as `sensor-sim sweep` does.
 
-    The numbers of each design are those that `curve` gives for it alone. What designs share is computed once.
+    The numbers of each design are those that `curve` gives for it alone. Parts that designs share are computed
+    once.
 
     Parameters
     ----------

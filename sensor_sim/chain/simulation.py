@@ -248,7 +248,7 @@ class SimulationWork:
         return msgspec.msgpack.encode(result)
 
     def decode(self, encoded: bytes) -> WrittenFrames | None:
-        """Return what `encode` was given; None if a frame is not there as it was written."""
+        """Return the result that `encode` got; None if a frame is missing or has changed."""
         found = msgspec.msgpack.decode(encoded, type=WrittenFrames)
         try:
             is_there = all(frame_sha256(self.folder / row[0]) == row[-1] for row in found.rows)

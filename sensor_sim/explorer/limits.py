@@ -27,7 +27,7 @@ from sensor_sim.thresholds.predict import Phases
 from todframes.base._typing import FloatArray
 
 LEADING_SHARE = 0.5
-"""Share from which one of the three limits by itself."""
+"""Share from which one of the three causes is named as the only limit."""
 
 
 class Shares(NamedTuple):

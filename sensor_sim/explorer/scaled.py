@@ -1,4 +1,4 @@
-"""Observers whose internal noise is a number, and whose readouts are kept for all its values."""
+"""Observers whose internal noise is one factor, so that a readout is kept and used for all its values."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ class Unit(NamedTuple):
 
 
 def unit_of(observer: Observer) -> Unit:
-    """Return the observer with internal noise of standard deviation 1, and its own as a factor.
+    """Return the observer with internal noise of standard deviation 1, and its own standard deviation as a factor.
 
-    Observers whose noise may shape their weights stay as they are, with the factor 1.
+    Observers whose weights may depend on the noise stay as they are, with the factor 1.
     """
     if type(observer) in {PyramidObserver, OrientedObserver}:
         settings = cast("PyramidObserver", observer).settings
@@ -40,7 +40,7 @@ def unit_of(observer: Observer) -> Unit:
 
 
 class ReadoutNoise(NamedTuple):
-    """All of a readout but its weights; the noise is that of the observer itself, not scaled."""
+    """Noise covariance and symmetry of a readout, without its weights. The noise is not scaled."""
 
     noise_covariance: FloatArray
     is_symmetric: bool
@@ -48,7 +48,8 @@ class ReadoutNoise(NamedTuple):
 
 
 class Weights(NamedTuple):
-    """Weights of a readout in single precision; of a symmetric one the first, whose turns are the others."""
+    """Weights of a readout in single precision. A symmetric readout has the first image only; its turns are the
+    others."""
 
     images: NDArray[np.float32]
 
@@ -72,7 +73,7 @@ class ScaledObserver:
     make : function of no arguments
         Makes the observer anew.
     name : hashable
-        All that distinguishes this observer from others.
+        Key that distinguishes this observer from all others.
     scale : float
         Factor of the standard deviation of the internal noise.
     kept : Kept
@@ -105,7 +106,7 @@ class ScaledObserver:
         return readout
 
     def noise(self, stimulus: Stimulus, half_width: int) -> ReadoutNoise:
-        """Return what a readout has besides weights, and keep its weights within `half_width` samples as well.
+        """Return the noise of a readout, and keep its weights within `half_width` samples as well.
 
         Raises
         ------
@@ -157,14 +158,14 @@ class _Whole(NamedTuple):
 
 
 class ScaledTruncatedObserver(ScaledObserver):
-    """The same of a `TruncatedObserver`."""
+    """A `ScaledObserver` of a `TruncatedObserver`."""
 
     def with_extra_level(self) -> ScaledObserver:
-        """Return the observer with a level more."""
+        """Return the observer with one extra level."""
         return self._variant("more", lambda base: base.with_extra_level())
 
     def with_fewer_levels(self, stimulus: Stimulus) -> ScaledObserver | None:
-        """Return the observer with a level less; None where that is not possible."""
+        """Return the observer with one level fewer; None if that is not possible."""
         if cast("TruncatedObserver", self._make()).with_fewer_levels(stimulus) is None:
             return None
         return self._variant("fewer", lambda base: base.with_fewer_levels(stimulus))

@@ -1,9 +1,8 @@
-"""Thresholds of one sensor after the other, computed with all that the sensors before have left.
-
-Parts are found by keys that hold all that they depend on: samples by optics and detector, weights by display and
-observer, trials by both. Gain and internal noise act as their ratio, and only where trials become answers.
-Background and NETD do not change a threshold SNR. A threshold contrast is that on the display, so the gain does
-not change it either.
+"""Thresholds of one sensor after the other; parts that earlier sensors have in common with a later one are kept.
+The key of a part holds everything on which the part depends: samples have optics and detector, weights have
+display and observer, trials have both. Only the ratio of internal noise to gain matters, and only in the step from
+trials to answers. Background and NETD do not change a threshold SNR. A threshold contrast is that on the display,
+so the gain does not change it either.
 """
 
 from __future__ import annotations
@@ -53,14 +52,15 @@ from todframes.stimulus import Stimulus
 T = TypeVar("T")
 
 KEPT_MB = {"readouts": 44, "samplers": 6, "samples": 8, "weights": 8, "refined weights": 24, "trials": 10}
-"""Largest size of what is kept, by kind, in units of 2**20 bytes. The weights at the many places of a refined
-threshold are kept apart: they would drive out those that the next estimate needs."""
+"""Largest size of the kept parts, by kind, in units of 2**20 bytes. The weights at the many places of a refined
+threshold are kept apart; otherwise they would displace those that the next estimate needs."""
 
 THRESHOLDS_KEPT = 2000
 
 FAR_TOO_LARGE = 1.5
-"""Error of an estimate, in tolerances, above which it is worth more time. What is stated is the upper end of the
-error, and mostly several times what it is; the estimate that is there in time then is good enough."""
+"""Error of an estimate, in tolerances, above which a second estimate with more places is computed. The stated
+error is an upper bound, usually several times the true error, so below this limit the first estimate is good
+enough."""
 
 
 class Request(NamedTuple):
@@ -101,13 +101,13 @@ class CurvePoint:
 
 
 class ThresholdEngine:
-    """Computer of thresholds that keeps what the next sensor may need.
+    """Computes thresholds, and keeps the parts that the next sensor may need.
 
     Parameters
     ----------
     check : function of no arguments
-        Called every few milliseconds; it raises an exception when the computation is no longer wanted. What is
-        kept stays right.
+        Called every few milliseconds; it raises an exception when the computation is no longer wanted. Kept parts
+        stay valid.
     """
 
     def __init__(self, check: Callable[[], None]) -> None:
@@ -122,7 +122,7 @@ class ThresholdEngine:
     def answers(self, request: Request) -> Iterator[CurvePoint]:
         """Yield estimates of all sizes and then refined thresholds, the easiest first.
 
-        A refined threshold that is known comes at once, instead of the estimate.
+        A refined threshold that is already known is yielded at once, instead of the estimate.
 
         Raises
         ------
@@ -159,7 +159,7 @@ class ThresholdEngine:
             yield CurvePoint(index, *self._known[name], is_refined=True)
 
     def _estimated(self, task: _Task, tolerance: float) -> tuple[PredictedThreshold, Shares, _OnLattices]:
-        """Return an estimate, and that on few places.
+        """Return an estimate, its shares, and the trials on few places.
 
         More places, which take three times as long, are for an estimate whose error is far too large.
         """

@@ -2,7 +2,7 @@
 
 Where detector noise decides, the threshold is a signal-to-noise ratio. Where the observer's own noise does, that
 ratio would mean next to nothing: the threshold is then the contrast of a large triangle on the display, and the
-detector noise, if there is any, has a contrast of its own that stays.
+detector noise, if there is any, has a fixed contrast.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ from todframes.studies.accuracy.estimators import (
 )
 
 AT_ONCE = 32
-"""Frames whose samples are made together, which costs less."""
+"""Number of frames whose samples are made together, which takes less time."""
 
 STAR_LIKE = Sensor(
     name="star-like",
@@ -205,7 +205,7 @@ class Camera:
         return FoldedChain(self.sensor, plan.observer, self.size_detectors, plan)
 
     def _is_fair(self, places: int) -> bool:
-        """Return whether a lattice sees the pixels of a detector in many places, or is too coarse for that to
+        """Return whether the places of a lattice fall on many pixels of a detector, or are too coarse for that to
         matter.
         """
         return places == min(STUDIED_PLACES) or math.gcd(places, self.sensor.display.pixels_per_detector) == 1

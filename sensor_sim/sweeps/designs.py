@@ -30,7 +30,7 @@ NAME_COLUMN = "name"
 """Column of a CSV file of designs that names them."""
 
 Changes = tuple[tuple[str, Any], ...]
-"""Settings by name, of an observer that differs from the usual one."""
+"""Changed settings of the observer, by name."""
 
 Spacing = Literal["linear", "log"]
 

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 BY_SIZE = ("threshold_snr", "delta_t_mk")
-"""Columns of which each size has its own value."""
+"""Columns with a separate value for each size."""
 
 OF_ACUITY = ("acuity_detectors", "acuity_mrad")
 
@@ -411,7 +411,7 @@ class SweepData:
 
     @property
     def _misses_coupling(self) -> bool:
-        """Whether the light on a detector differs between the designs, but not their NETD."""
+        """True if the light on a detector differs between the designs, but not their NETD."""
         keys, width_follows = self.swept.designs.keys, self.settings["keep_fill_factor"]
         changes_light = {*OF_ETENDUE, PITCH} if width_follows or FILL_FACTOR in keys else {*OF_ETENDUE}
         has_netd = np.isfinite(self.swept.mk_per_snr).any()

@@ -1,7 +1,7 @@
 """Thresholds of many designs of a sensor: each computation once, in an order in which neighbours share parts.
 
-The numbers of a design are those of its curve alone, to the last bit: what is shared is found by all that its
-value depends on, and each size has the same places of the triangle, plan and seed.
+The numbers of a design are those of its curve alone, to the last bit: the key of a shared part holds everything on
+which its value depends, and each size has the same places of the triangle, plan and seed.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ IMPOSSIBLE: Literal["impossible"] = "impossible"
 
 
 class Chain(NamedTuple):
-    """All that a threshold depends on.
+    """Everything that a threshold depends on.
 
     Attributes
     ----------
@@ -117,7 +117,7 @@ class SweepWork:
     items_at_once: ClassVar[int] = 1
 
     def function(self) -> Callable[[Chain], PredictedThreshold]:
-        """Return the function of a chain; what chains share is kept as long as the function."""
+        """Return the function of a chain; the parts that chains share are kept as long as the function."""
         shared = Shared.of(self.shared_mb * 2**20)
         observer_of = lru_cache(maxsize=OBSERVERS_KEPT)(self.observers)
 
@@ -288,7 +288,7 @@ def plan_sweep(base: Base, designs: Designs, sizes: Sequence[float]) -> SweepPla
 
 
 def as_computed(sensor: Sensor) -> Sensor:
-    """Return a sensor with the same thresholds in SNR, in which all that they do not depend on is the default."""
+    """Return a sensor with the same thresholds in SNR, with defaults for all settings that do not change these."""
     display = replace(sensor.display, background_luminance_cd_m2=1.0)
     return replace(sensor, noise=Noise(), display=display, name="")
 

@@ -136,7 +136,7 @@ def phases_on(
     *,
     size_detectors: float,
     gain: float,
-    weights_by_row: Callable[[FloatArray, FloatArray], Sequence[NDArray[Any]]],
+    weights_by_row: Callable[[FloatArray, FloatArray], NDArray[Any]],
 ) -> list[Phases]:
     """Return the trials of each orientation on a lattice.
 
@@ -264,7 +264,7 @@ class FoldedChain:
         The bound follows from that of `Readout.non_gaussian_bound`: the excess kurtosis of the sum of internal and
         detector noise is at most the larger one of its two parts.
         """
-        weights = self.plan.all_four(self.folding.weights(0.0, 0.0)[None])[0]
+        weights = self.plan.all_four(self.folding.weights(np.zeros(1), np.zeros(1)))[0]
         squares = np.square(weights[:, None] - weights)[np.triu_indices(4, 1)]
         sums = squares.sum(axis=1, keepdims=True)  # 0 where the detectors' noise does not reach the difference
         shares = np.divide(squares, sums, out=np.zeros_like(squares), where=sums > 0.0)
@@ -277,8 +277,19 @@ class FoldedChain:
 
         `contrast` is that of the triangle, in units of the contrast that the sensor's gain gives it.
         """
-        internal = self.noise_covariance / contrast**2
-        return float(_each_proportion(phases, partial(covariance_at, "snr", snr, internal), 1)[0])
+        return float(self.proportions_correct(phases, [snr], contrast)[0])
+
+    def proportions_correct(
+        self, phases: Sequence[Phases], snrs: Sequence[float], contrast: float = 1.0
+    ) -> FloatArray:
+        """Return `proportion_correct` at each of several signal-to-noise ratios."""
+        internal, snr = self.noise_covariance / contrast**2, np.reshape(snrs, (-1, 1, 1, 1, 1))
+        of_orientations = []
+        for part in phases:
+            covariance = internal + part.noise[:, None] / snr**2
+            p_correct = answer_probability(part.signal, covariance, part.correct, tolerance=ORTHANT_TOLERANCE)
+            of_orientations.append(p_correct.mean(axis=(1, 2)))
+        return np.asarray(np.mean(of_orientations, axis=0))
 
 
 def _each_proportion(
@@ -467,7 +478,9 @@ def predict_threshold(
         if error <= max(tolerance - left_out, tolerance / 2.0):
             break
     threshold = found.threshold
-    levels = (threshold * 2.0 ** np.linspace(-1.0, 1.0, n_points)).tolist()
-    points = tuple((value, chain.proportion_correct(parts[0], value)) for value in levels)
+    points: tuple[tuple[float, float], ...] = ()
+    if n_points:
+        levels = (threshold * 2.0 ** np.linspace(-1.0, 1.0, n_points)).tolist()
+        points = tuple(zip(levels, chain.proportions_correct(parts[0], levels).tolist(), strict=True))
     error = (error + left_out) * threshold
     return PredictedThreshold(chain.size_detectors, found.status, threshold, error, n_phases, points)

@@ -97,7 +97,7 @@ class FrameError(DataError):
 
     @property
     def problem(self) -> str:
-        """What is wrong, without the path."""
+        """The problem, without the path."""
         return for_reader(self._marked_problem)
 
     def __reduce__(self) -> tuple[type, tuple[Any, str]]:

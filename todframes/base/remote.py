@@ -26,7 +26,7 @@ S3 = ("s3", "s3a")
 CONNECT_S, READ_S = 5, 15
 """Longest time until a server of S3 or HTTP accepts a connection, and between two pieces of its answer."""
 WHOLE_S, S_PER_MB = 60, 20
-"""Longest time from a request to the end of its answer: a fixed time, and more for each 2**20 bytes of it."""
+"""Longest time from a request to the end of its answer: a fixed time, and an addition for each 2**20 bytes."""
 FRAME_FILE_MB = 512
 """Largest size of a frame's file that is received, in units of 2**20 bytes."""
 MOST_WORDS_MB = 16
@@ -36,7 +36,7 @@ MOST_REDIRECTS = 5
 MOST_LIST_PAGES = 20_000
 """Largest number of pages of a list that S3 sends, each of a thousand files."""
 ATTEMPTS, ATTEMPTS_AT_ONCE = 3, 2
-"""Attempts of a request, each of which asks S3 that often at once."""
+"""Number of attempts of a request, and number of requests that each attempt sends to S3."""
 WAIT_S = 0.3
 """Time before the second attempt of a request, in seconds; it is longer before later ones."""
 CONNECTIONS = 64

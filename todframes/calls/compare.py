@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 
 
 SHOWN = ("orientation", "level", "size_mrad", "group", "position", "polarity", "trial", "level_name")
-"""Parameters of `score_frames` that say what frames show."""
+"""Parameters of `score_frames` that describe what the frames show."""
 
 
 def compare(

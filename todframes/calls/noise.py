@@ -36,7 +36,8 @@ def noise(
 ) -> NoiseResult:
     """Measure the three-dimensional noise of a recording, as `todframes noise` does.
 
-    The recording shows a uniform scene that does not move; what is not uniform counts as fixed pattern.
+    The recording must show a uniform scene that does not move; anything that is not uniform counts as fixed
+    pattern.
 
     Parameters
     ----------

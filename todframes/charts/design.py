@@ -1,7 +1,8 @@
 """The triangles of a chart, and the order in which they are shown.
 
-All combinations of size, level and orientation appear once in each block, in an order of its own. So they are
-equally frequent, also in a recording that ends early, and a slow drift of camera or light favours none of them.
+All combinations of size, level and orientation appear once in each block, and each block has its own random order.
+So they are equally frequent, also in a recording that ends early, and a slow drift of camera or light favours none
+of them.
 """
 
 from __future__ import annotations

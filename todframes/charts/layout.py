@@ -1,4 +1,4 @@
-"""The description of a chart, `chart.toml`: what stands where on each of its pages.
+"""The description of a chart, `chart.toml`: the content of each page, and its place.
 
 Places on a page are in millimetres from its top left corner, x to the right and y down. The centre of the pixel in
 column c of a monitor lies at x_mm = (c + 0.5) · pixel_pitch_mm.
@@ -266,7 +266,7 @@ class Screen:
 
     @property
     def display(self) -> Display:
-        """The monitor as a display; pixels are given in an angle of 1 mrad, since no eye looks at it."""
+        """The monitor as a display. Its pixels have an arbitrary angle of 1 mrad, because no eye looks at it."""
         return Display(
             eotf=self.eotf,
             white_luminance_cd_m2=self.white_luminance_cd_m2,

@@ -284,7 +284,8 @@ def _sheet(paper: Paper) -> _Sheet:
 
 
 def _places(design: Design, size_mrad: float, sheet: _Sheet) -> list[tuple[float, float]]:
-    """Return the places for triangles of one size on a sheet, from the middle out; SettingsError if none."""
+    """Return the places for triangles of one size on a sheet, from the middle outwards; SettingsError if there is
+    none."""
     size_mm = design.size_mm(size_mrad)
     if size_mm < LEAST_PRINTED_SIZE_MM:
         raise SettingsError(

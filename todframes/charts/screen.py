@@ -28,7 +28,8 @@ LEAST_MONITOR_SIZE_PX = 8.0
 """Smallest √(area) in pixels of the monitor: a pixel, which blurs the edges, is an eighth of it."""
 
 LEAST_STEPS = 36.0
-"""Smallest number of pixels that a dithered triangle raises by a code step: fewer are some dots, no triangle."""
+"""Smallest number of pixels that a dithered triangle raises by a code step: fewer look like dots, not like a
+triangle."""
 
 LARGEST_ROUNDING = 0.01
 """Largest relative change of a contrast by rounding to a code value; where it is larger, pixels are dithered."""
@@ -231,8 +232,8 @@ def _triangle(
 ) -> Triangle:
     """Return the description of a triangle.
 
-    The four orientations of a level have one contrast, the mean of theirs; they differ by at most the luminance of
-    a code step of one pixel.
+    All four orientations of a level get the mean of their contrasts. These differ by at most one code step of one
+    pixel.
     """
     alike = [drawn[condition._replace(orientation=orientation)] for orientation in ORIENTATIONS]
     # The area of covered pixels is off by 1e-5, which must not make black darker than black.

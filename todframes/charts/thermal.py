@@ -64,8 +64,8 @@ class ThermalChart:
 def design_thermal_chart(design: Design, plate: Plate) -> ThermalChart:
     """Lay out plates with one hole each, and order their settings.
 
-    The settings of a plate follow each other. In each block of a plate, the temperature differences are in random
-    order, and for each of them the four orientations, to which the plate is turned, are in random order too.
+    All settings of a plate come one after the other. In each block of a plate, the temperature differences are in
+    random order. For each of them, the plate is turned to the four orientations, in random order too.
 
     Parameters
     ----------

@@ -148,9 +148,10 @@ def chart(
 ) -> None:
     """Make a chart to record with a camera: triangles of given sizes and contrasts.
 
-    CHART gets chart.toml, which says what stands where, for `todframes import`. For a screen it also gets an image
-    for each page, and play.html, which shows them full-screen in a browser; for print chart.pdf, and an SVG file
-    for each sheet; for thermal drawings of the plates, and schedule.csv with the settings to record.
+    CHART gets chart.toml, which says where everything is on the pages, for `todframes import`. For a screen it
+    also gets an image for each page, and play.html, which shows them full-screen in a browser; for print
+    chart.pdf, and an SVG file for each sheet; for thermal drawings of the plates, and schedule.csv with the
+    settings to record.
     """
     from todframes.charts import making as charts
     from todframes.stimulus import ORIENTATIONS

@@ -45,10 +45,9 @@ WHOLE = 10_000
 
 
 class Staged(NamedTuple):
-    """A place that is reserved for the output of a run.
-
-    `write` takes a function that makes the files, by name. `store` is for the results that are finished before;
-    None if there is no such place, or the run is not one that goes on later.
+    """A place that is reserved for the output of a run.  `write` takes a function that makes the files, by name.
+    `store` keeps the finished results of a run that can be continued; None if the run cannot, or there is no such
+    place.
     """
 
     write: Callable[[Callable[[], Mapping[str, bytes | Iterable[bytes]]]], None]
@@ -57,7 +56,7 @@ class Staged(NamedTuple):
 
 @contextmanager
 def staged(out: str | None, going: Going | None = None, *, quiet: bool = False) -> Iterator[Staged]:
-    """Reserve the folder `out` before the work; what is written into it appears if the block ends well.
+    """Reserve the folder `out` before the work; the files written into it appear if the block ends well.
 
     Parameters
     ----------
@@ -85,7 +84,7 @@ def staged(out: str | None, going: Going | None = None, *, quiet: bool = False) 
 
 @contextmanager
 def opened_engine(asked: dict[str, Any], *, quiet: bool) -> Iterator[Engine]:
-    """Open the engine of `--cluster` and `--workers`, and say where its work can be watched.
+    """Open the engine of `--cluster` and `--workers`, and print the address of its dashboard.
 
     `cluster` is replaced by the engine in `asked`.
     """
@@ -100,7 +99,7 @@ def opened_engine(asked: dict[str, Any], *, quiet: bool) -> Iterator[Engine]:
 
 @contextmanager
 def long_run(out: str | None, asked: dict[str, Any], *, quiet: bool) -> Iterator[Staged]:
-    """Reserve the folder `out` for a run that can go on later, and open its engine.
+    """Reserve the folder `out` for a run that can be continued, and open its engine.
 
     Of `asked`, `restart` and `keep_store` are removed; `cluster` is replaced by the engine, and `store` is set.
     """
@@ -189,7 +188,7 @@ def finish(
 
 
 def time_line() -> str:
-    """Return the time since the process began, which is that for which people have waited."""
+    """Return the time since the process began: the time that people have waited."""
     return f"{time.perf_counter() - signals.STARTED_S:.2f} s"
 
 
@@ -331,8 +330,8 @@ def progress(task: str, total: int | None, *, quiet: bool = False) -> Iterator[C
 def keep_libraries_to_one_thread() -> None:
     """Limit BLAS and OpenCV to one thread, unless they are loaded already or the environment sets a number.
 
-    Our matrices and images are so small that their threads gain nothing: they wait for each other, and compete
-    with the reading threads for processors.
+    Our matrices and images are so small that more threads gain nothing: they wait for each other, and compete with
+    other work for processors.
     """
     for name in ("OPENBLAS_NUM_THREADS", "OPENCV_FOR_THREADS_NUM"):
         os.environ.setdefault(name, "1")

@@ -164,7 +164,7 @@ restart_options = options(
     click.option("--restart", is_flag=True, help="Begin anew, whatever an interrupted run has finished."),
     click.option("--keep-store", is_flag=True, help="Keep what is finished in OUT too, for runs that overlap."),
 )
-"""Options of the commands that go on where an interrupted run was."""
+"""Options of the commands that can continue an interrupted run."""
 
 run_options = options(
     click.option(
@@ -178,7 +178,7 @@ run_options = options(
 
 
 class ScoringCommand(click.Command):
-    """A command whose option `--locate` may stand without a value, also before the dataset."""
+    """A command whose option `--locate` may be given without a value, also before the dataset."""
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Parse arguments after `--locate` was given its default value where it has none."""

@@ -35,7 +35,7 @@ class Arrangement(NamedTuple):
 
     @property
     def mismatches(self) -> tuple[WarningCode, ...]:
-        """Codes of what is not as stated."""
+        """Codes of the differences from what is stated."""
         polarity: tuple[WarningCode, ...] = ("polarity_mismatch",) if self.sign == -1 else ()
         return polarity if self.code is None else (*polarity, self.code)
 

@@ -56,7 +56,7 @@ class Deviation(NamedTuple):
 def frame_warnings(dataset: Dataset, inspections: Sequence[Inspection]) -> list[DatasetWarning]:
     """Return the warnings about frames that do not show what the dataset says.
 
-    A deviation counts if it is larger than its error by far and changes a threshold by more than some per cent.
+    A deviation counts if it is far larger than its error and changes a threshold by more than some per cent.
 
     Parameters
     ----------
@@ -100,7 +100,7 @@ def _several_sizes(dataset: Dataset, inspections: Sequence[Inspection]) -> Itera
 
 
 def place_deviations(dataset: Dataset, inspection: Inspection) -> Iterator[Deviation]:
-    """Yield in which ways triangles are not where, as large and as upright as the dataset says."""
+    """Yield the differences of place, size and turn between the triangles and what the dataset says."""
     for judge in (_orientation, _place, _size):
         yield from judge(dataset, inspection)
 

@@ -100,7 +100,8 @@ class Inspection:
     signal : float
         The triangle's contrast in standard errors by the noise alone.
     uneven, uneven_error : float
-        Contrast of a triangle to whose orientations the background's own structure is like, and its error.
+        Contrast of the triangle that would answer the observer's templates as the empty background does, with its
+        standard error.
     uneven_texture : float
         The same elsewhere in the surround: the fixed pattern of a camera, for example.
     saturated_share, crushed_share : float or None
@@ -199,7 +200,8 @@ def is_contrast(dataset: Dataset) -> bool:
 
 
 def strengths(dataset: Dataset, level: FloatArray) -> FloatArray:
-    """Return what the displayed contrast is proportional to: the level if it is a contrast, else not known, 1."""
+    """Return the value that the displayed contrast is proportional to: the level if it is a contrast, otherwise
+    1."""
     return np.clip(level, *USABLE_CONTRASTS) if is_contrast(dataset) else np.ones(len(level))
 
 
@@ -241,7 +243,7 @@ def _samples(dataset: Dataset, trials: Trials, centre: Centre, size_mrad: float)
 
 
 def _are_windows(samples: Sequence[TrialSample]) -> bool:
-    """Tell whether frames with places all reach as far from them, as frames of two scales do not."""
+    """Return whether all frames with places reach equally far from them, which frames of two scales do not."""
     if any(sample.trial.x_px is None for sample in samples):
         return False
     reaches = [
@@ -385,7 +387,7 @@ class GroupTriangle(NamedTuple):
 
     @property
     def offset(self) -> FloatArray:
-        """The way from the stated place to the triangle, (2,)."""
+        """The displacement from the stated place to the triangle, (2,)."""
         return np.array([self.fit.shape.x, self.fit.shape.y]) - self.middle[:2]
 
 
@@ -469,7 +471,7 @@ def _scatter(apart: FloatArray, noise: FloatArray) -> float | None:
 def _unevenness(
     seen: FloatArray, images: Images, level: FloatArray, turns: NDArray[np.intp], size: float
 ) -> dict[str, Any]:
-    """Measure how like the orientations of a triangle the background's own structure is, in contrast.
+    """Measure the contrast of the triangle that would answer the templates as the background's own structure does.
 
     The structure elsewhere on the frames, such as a fixed pattern, is measured in the same way. Nothing is
     returned if the frames show too little else.

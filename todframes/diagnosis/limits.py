@@ -1,4 +1,4 @@
-"""The numbers that the diagnosis rests on, each with its derivation or with what set it."""
+"""The constants of the diagnosis, each with its derivation or with the measurement that set it."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ MOST_BESIDE_TURN_RAD = math.radians(8.0)
 """Largest rotation beside a quarter turn: a triangle turned by 25° is one turned by -90° and by 5° back."""
 
 SEPARABLE = 1.2
-"""Least ratio of the highest level to the lowest for what all frames share to be known."""
+"""Least ratio of the highest level to the lowest at which the part that all frames share can be separated."""
 
 UNSTEADY = 2.0
 """Standard deviation of a block around the triangle over trials, in those of the noise there, beyond which it
@@ -197,7 +197,7 @@ SEARCHED, LEAST_SEARCHED_PX = 2.5, 8.0
 """Largest distance of a trial's position from where its search begins: so many sizes, and pixels more."""
 
 NEARBY = 4.0
-"""The same in standard deviations of the positions, if that is more."""
+"""The same distance in standard deviations of the positions, if that is larger."""
 
 MOST_ERROR_MRAD = 0.09
 """Standard error of single positions along an axis from which they raise a threshold by more than 3 %: between

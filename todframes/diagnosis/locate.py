@@ -75,10 +75,10 @@ def locate_triangles(
 ) -> tuple[Dataset, tuple[Location, ...]]:
     """Find the positions of triangles.
 
-    Positions in the manifest are where the search begins: all of a group are moved by one displacement, or each
-    by its own. They stay if no triangle stands out near them. Of other trials whole frames are searched.
+    The search begins at the positions in the manifest: all of a group are moved by one displacement, or each by
+    its own. They stay if no triangle stands out near them. Of other trials whole frames are searched.
 
-    Whole frames are searched by what their means by orientation differ in: what the orientations share (bezel,
+    The search of whole frames compares the mean frames of the orientations: the part that these share (bezel,
     overlay, shading, fixed pattern) is subtracted. There, the triangle is fitted to the group's strongest trials.
     Triangles that are mirrored, turned or of the opposite polarity are found too.
 
@@ -188,7 +188,7 @@ def _begun(
     leave_out: LeaveOut,
     advance: Callable[[int], None],
 ) -> tuple[NDArray[np.intp], FloatArray, float, float]:
-    """Find about where the triangles of a group are, anywhere on the frames.
+    """Find the approximate place of a group's triangles, anywhere on the frames.
 
     Returns
     -------
@@ -275,7 +275,8 @@ def _of_strongest(
 
 
 class _Found(NamedTuple):
-    """Ways of trials from where their search began, (trial, 2), and their mean, its error and scatter, in pixels.
+    """Displacements of trials from the start of their search, (trial, 2), and their mean, its error and scatter,
+    in pixels.
 
     `error_px` is None if no triangle stands out; `is_own`, (trial,), marks those with a place of their own.
     """
@@ -292,7 +293,7 @@ class _Found(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class _Ways:
-    """The search for the triangles of trials whose sizes are alike, from about where they are."""
+    """The search for the triangles of trials of similar sizes, from their approximate places."""
 
     dataset: Dataset
     trials: Trials
@@ -331,7 +332,7 @@ class _Ways:
         return _Found(np.zeros((n, 2)), np.zeros(2), None, ARRANGEMENTS[0], np.zeros(n, bool))
 
     def of_all(self) -> _Found:
-        """Find the way that all trials have in common."""
+        """Find the displacement that all trials have in common."""
         fitted = self._fit(self.trials)
         if fitted is None:
             return self._nothing()._replace(is_own=None)
@@ -342,7 +343,7 @@ class _Ways:
         return _Found(way, mean, error_px, _arrangement(found), size_ratio=found.size_ratio)
 
     def of_each(self, members: NDArray[np.intp], leave_out: LeaveOut, advance: Callable[[int], None]) -> _Found:
-        """Find the way of each trial."""
+        """Find the displacement of each trial."""
         size_px = self._size_px()
         reach_px = max(SEARCHED * size_px + LEAST_SEARCHED_PX, self.reach_px)
         # The place of the strongest, with a triangle as stated, and the picture of the triangle from these.
@@ -417,7 +418,7 @@ class _Ways:
 
 
 def _sure_level(levels: FloatArray, error_mrad: FloatArray) -> float:
-    """Return the lowest level from which on single positions are known well; infinite if they are at none."""
+    """Return the lowest level from which single positions are known well; infinite if there is none."""
     distinct = np.unique(levels)
     error = np.array([math.sqrt(float(np.square(error_mrad[levels == one]).mean())) for one in distinct])
     is_sure = np.logical_and.accumulate((error <= MOST_ERROR_MRAD)[::-1])[::-1]

@@ -1,4 +1,5 @@
-"""Explanation of a missing threshold: the answers in the strongest trials, and what would make them right."""
+"""Explanation of a missing threshold: the answers in the strongest trials, and changes that would make them
+right."""
 
 from __future__ import annotations
 
@@ -44,7 +45,7 @@ SIZE_UNITS = (
 """Factors of the size if a unit was mistaken for mrad, and the question to ask."""
 
 _Code = tuple[WarningCode, Any, Any]
-"""A code, what was found, and what was expected."""
+"""A code, the value found, and the value expected."""
 
 
 class Hint(NamedTuple):
@@ -147,7 +148,7 @@ def _strongest(trials: Trials, group: Group) -> NDArray[np.intp]:
 
 
 def _some(places: NDArray[np.intp], most: int) -> NDArray[np.intp]:
-    """Return at most so many of the places, at an odd step, so that all orientations are among them."""
+    """Return at most this number of the places, at an odd step, so that all orientations are among them."""
     step = math.ceil(len(places) / most)
     return places[:: step + (step + 1) % 2 if step > 1 else 1]
 
@@ -164,7 +165,7 @@ def _answers(scored: ScoredDataset, places: NDArray[np.intp]) -> FloatArray:
 
 
 def _named_size(ratio: float) -> tuple[float, str]:
-    """Return a ratio of sizes, that of a mistaken unit if it is about that, and the question to ask."""
+    """Return a ratio of sizes, replaced by that of a mistaken unit if it is near one, and the question to ask."""
     named = ((1.0, ""), *SIZE_UNITS, (ratio, "Is it the root of the area, and is the pixel pitch right?"))
     return next(one for one in named if max(ratio / one[0], one[0] / ratio) <= SIZES_ALIKE)
 
@@ -186,7 +187,7 @@ class _Change:
 
 @dataclass(frozen=True, slots=True)
 class _MistakeSearch:
-    """Search for what would make the answers in the strongest trials of a group right.
+    """Search for a change that would make the answers in the strongest trials of a group right.
 
     `before` and `after` are the orientations of the neighbouring trials. `is_inverted`: the scores of most
     triangles are those of the other polarity.
@@ -225,7 +226,8 @@ class _MistakeSearch:
             yield _Change(self.answers, (clause,), (code,), TURNED[:1], shown)
 
     def _reviewed(self) -> Iterator[_Change]:
-        """Yield the answers where the frames show triangles: at one place, of any size, or each at its own."""
+        """Yield the answers at the places where the frames show triangles: one place with any size, or a place for
+        each trial."""
         sought: tuple[tuple[Locate, Sequence[float]], ...] = (("group", SIZES_SOUGHT), ("each", (1.0,)))
         for locate, sizes in sought:
             trials = [trial._replace(x_px=None, y_px=None) for trial in self.trials]

@@ -1,4 +1,4 @@
-"""The triangle that frames show: a fit of where it is, how large, how turned, how bright, and which way up.
+"""The triangle that frames show: a fit of its place, size, turn, contrast and orientation.
 
 The picture of a triangle is its exact coverage of the pixels, under an affine map, after a Gaussian blur, on a
 polynomial background. It is fitted to windows about the stated place by least squares, which is maximum likelihood
@@ -184,7 +184,7 @@ def blur_matrices(variance: float, side: int) -> tuple[FloatArray, FloatArray]:
 
 
 class Images(NamedTuple):
-    """Mean frames of a group by orientation, and how well they are known.
+    """Mean frames of a group by orientation, with their weights.
 
     Attributes
     ----------
@@ -217,7 +217,7 @@ class Images(NamedTuple):
         known: NDArray[np.bool_],
         hole: float,
     ) -> Images:
-        """Separate what all frames share from what grows with the level in each orientation.
+        """Separate the part that all frames share from the part that grows with the level in each orientation.
 
         If the levels hardly differ, the two cannot be separated, and all of it counts as triangle.
 
@@ -378,7 +378,7 @@ def _solved(design: FloatArray, away: FloatArray) -> FloatArray:
 
 
 def _limited(step: FloatArray, shape: Shape) -> FloatArray:
-    """Limit a step to what the derivatives describe."""
+    """Limit a step to the range in which the derivatives hold."""
     reach = np.full(N_PARAMETERS, 0.25)
     reach[AMPLITUDE] = np.inf
     reach[[X, Y]] = 0.3 * shape.size
@@ -387,7 +387,7 @@ def _limited(step: FloatArray, shape: Shape) -> FloatArray:
 
 
 def _bounded(shape: Shape, start: Shape, n: int) -> Shape:
-    """Return a shape within what a window can show, and not far from a triangle."""
+    """Return a shape that fits into the window and is not far from a triangle."""
     left, stretch, right = np.linalg.svd(shape.map)
     mean = float(np.sqrt(stretch.prod()))
     size = min(max(mean, 0.5 * start.size, 0.5), 2.0 * start.size, float(n))
@@ -425,7 +425,8 @@ def multiplicity(length: int) -> FloatArray:
 
 
 def filter_covariance(filters: NDArray[np.floating], spectrum: FloatArray) -> FloatArray:
-    """Return the covariance of what filters, (…, p, side, side), measure of noise with this spectrum: (p, p)."""
+    """Return the covariance of the outputs of filters, (…, p, side, side), for noise with this spectrum: (p,
+    p)."""
     length = spectrum.shape[0]
     seen = np.fft.rfft2(filters, (length, length)).reshape(-1, filters.shape[-3], spectrum.size)
     weighted = seen * (spectrum * multiplicity(length)).ravel()
@@ -538,7 +539,7 @@ def _blurred(shape: Shape, square: Square, n: int, turn: int) -> FloatArray:
 def first_guess(images: Images, size: float) -> Shape:
     """Find the place, the size and the sign of a triangle: where those of many sizes correlate best.
 
-    The mean over the orientations is compared, so the guess does not depend on what was done to these.
+    The mean over the orientations is compared, so the guess does not depend on how these are arranged.
     """
     n = len(images.weight)
     counts = np.diag(images.information)
@@ -564,7 +565,7 @@ def first_guess(images: Images, size: float) -> Shape:
 
 
 def fitted(images: Images, start: Shape, certain: float) -> TriangleFit:
-    """Fit a triangle, and take another arrangement of the orientations if it is certainly more like the frames.
+    """Fit a triangle, and take another arrangement of the orientations if this certainly fits the frames better.
 
     Parameters
     ----------

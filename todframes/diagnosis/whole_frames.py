@@ -1,4 +1,4 @@
-"""The search of whole frames for triangles, by what the orientations differ in."""
+"""The search of whole frames for triangles, by the differences between the orientations."""
 
 from __future__ import annotations
 
@@ -50,7 +50,8 @@ class MeanFrames:
         return np.asarray(sum(self.totals.values()) / self.counts.total())
 
     def take_means(self) -> Means:
-        """Return the mean contrast of each stimulus and orientation; the totals become them, and are given up."""
+        """Return the mean contrast of each stimulus and orientation. They replace the totals, which no longer
+        exist."""
         means: Means = {}
         for (stimulus, orientation), total in self.totals.items():
             total /= self.counts[stimulus, orientation]
@@ -117,7 +118,7 @@ def _size(shape: tuple[int, ...]) -> str:
 
 
 class CorrelationPeak(NamedTuple):
-    """The highest correlation on whole blocks: where, how high, and for which multiple of the stated size.
+    """The highest correlation on whole blocks: its place, its height, and the multiple of the stated size.
 
     `height` is that of the peak above the median of the correlation as stated, `spread` the standard deviation of
     that correlation over the frame. The height is -inf if the frames are smaller than the triangles.
@@ -131,7 +132,7 @@ class CorrelationPeak(NamedTuple):
 
     @property
     def rank(self) -> tuple[float, float]:
-        """What the peaks of several sizes are compared by: significance, and height where there is no noise."""
+        """Rank of a peak among those of several sizes: its significance, or its height if there is no noise."""
         return min(self.height, CLEAR_PEAK * self.spread) / max(self.spread, 1e-300), self.height
 
 

@@ -1,6 +1,6 @@
 """Descriptions of displays: the table [display] of a dataset, files to share, and the displays of this package.
 
-A file has the table as a dataset has it, and texts that say what it is and where its numbers come from:
+A file has the same table as a dataset, and texts that name the display and the source of its numbers:
 
     schema = 1
     title = "Monitor in room 3"
@@ -49,7 +49,7 @@ FOLDER = Path(__file__).with_name("displays")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DisplayDescription:
-    """A display with what it is and where its numbers come from."""
+    """A display with its name and the source of its numbers."""
 
     display: Display
     title: str = ""

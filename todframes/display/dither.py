@@ -13,7 +13,7 @@ TILE = 64
 """Side of the pattern of thresholds in pixels; it repeats beyond."""
 
 SAME_LUMINANCE = 1e-9
-"""Relative difference to a code's luminance that is taken for none."""
+"""Relative difference to a code's luminance below which the two count as equal."""
 
 TILE_SIGMA = 1.5
 """Standard deviation of the repulsion between pixels of the pattern, in pixels (Ulichney 1993)."""
@@ -24,7 +24,8 @@ def blue_noise() -> FloatArray:
     """Return thresholds in (0, 1), each once, shape (64, 64), whose lowest ones are spread evenly for any number.
 
     Each next threshold goes where the repulsion of all lower ones is least (void and cluster, Ulichney 1993), so
-    the pattern has no coarse grain and no lines that a camera's pixels could beat with. Opposite edges fit.
+    the pattern has no coarse grain and no lines that could give moiré with a camera's pixels. Opposite edges fit
+    together.
     """
     distance = np.minimum(np.arange(TILE), TILE - np.arange(TILE))
     bell = np.exp(-(distance**2) / (2.0 * TILE_SIGMA**2))
@@ -42,7 +43,7 @@ def blue_noise() -> FloatArray:
 
 
 def dithered(luminance: FloatArray, luminance_of_code: FloatArray) -> NDArray[np.uint16]:
-    """Return code values whose luminances have the sum that was asked for, as exactly as code values can.
+    """Return code values whose luminances have the required sum, as exactly as code values allow.
 
     Parameters
     ----------

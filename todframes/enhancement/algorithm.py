@@ -162,7 +162,7 @@ class Enhancement:
 
     @property
     def is_reference(self) -> bool:
-        """Whether this is the algorithm that leaves frames as they are."""
+        """True for the algorithm that leaves frames as they are."""
         return self.name == REFERENCE
 
     @property
@@ -227,7 +227,7 @@ ENTRY_POINT_GROUP = "todframes.enhancements"
 
 
 def find_enhancement(spec: str | Callable[..., Any]) -> Enhancement:
-    """Return the algorithm with a given name, or made of a given function.
+    """Return the algorithm with a given name, or one that calls a given function.
 
     Parameters
     ----------

@@ -33,7 +33,7 @@ def _built_in(library: str, *, magnification: float | str = 1.0) -> Callable[[F]
 
 @_built_in("–")
 def none(image: Image) -> Image:
-    """The frame as it is: what all others are compared with."""
+    """The frame as it is; all others are compared with it."""
     return image
 
 

@@ -1,7 +1,6 @@
-"""Contrast gain of an enhancement: how much more contrast the triangle has on the display after it.
-
-A person can turn up a display. An algorithm that only amplifies is no better than that, however much it lowers the
-threshold. So each algorithm is also compared with a plain gain of the same amount, which nothing clips.
+"""Contrast gain of an enhancement: the triangle's displayed contrast after it, divided by that before it.  A
+person can turn up a display. An algorithm that only amplifies is no better than that, even if it lowers the
+threshold a lot. So each algorithm is also compared with a plain gain of the same amount, which nothing clips.
 """
 
 from __future__ import annotations

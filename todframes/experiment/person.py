@@ -1,4 +1,4 @@
-"""The internal noise of people: that with which a model observer answers their trials as they did.
+"""The internal noise of people: with it, a model observer most likely gives the answers that they gave.
 
 Each trial is shown to the observer as the person saw it: the code values of the monitor, their dither included, at
 the visual angle of its pixels. The scores of a trial are computed once; any internal noise then costs little.
@@ -42,7 +42,7 @@ from todframes.stimulus import Stimulus
 Free = Literal["lapse", "blur"]
 
 NOISE, NOISE_SD, BLUR = "internal_noise", "internal_noise_sd", "template_blur_samples"
-"""Settings of an observer that are fitted, or contradict one that is."""
+"""Settings of an observer that are fitted, or that contradict a fitted one."""
 
 DISPLACEMENTS = 1
 """Number of displacements of the retina in each of the `REPLICATES` sets that P(correct) of a trial averages."""
@@ -55,13 +55,15 @@ NOISE_GRID_STEP = 0.25
 """Distance of the values of ln noise for which answers are computed; those between are interpolated."""
 
 WEAKEST_D_PRIME, STRONGEST_D_PRIME = 0.05, 20.0
-"""d′ of the strongest trials with the largest noise that is tried, and of weak ones with the smallest."""
+"""d′ of the strongest trials under the largest noise that is tried, and of the weakest trials under the
+smallest."""
 
 SURPRISING = 0.01
-"""Smallest p-value that is no warning."""
+"""P-value below which there is a warning."""
 
 PLANNED_NOISE = 0.1
-"""Internal noise for which the plan leaves out what does not matter: less than people have."""
+"""Internal noise for which the plan is made. It is smaller than that of people, so the plan's bounds hold for
+them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -350,7 +352,7 @@ def _changed(observer: Observer, changes: dict[str, Any]) -> Observer:
 
 
 def noise_grid(answered: Sequence[AnsweredTrials]) -> FloatArray:
-    """Return the ln of the internal noises to try: from hardly any wrong answer to guesses in all trials."""
+    """Return ln of the internal noises to try: from hardly any wrong answers to guesses in all trials."""
     strengths = np.concatenate([one.strengths() for one in answered])
     most = float(strengths.max())
     if not most > 0.0:
@@ -365,10 +367,10 @@ def noise_grid(answered: Sequence[AnsweredTrials]) -> FloatArray:
 
 @dataclass(frozen=True, slots=True)
 class GroupCurve:
-    """The person's curve in one group, by the counts alone, and that of the fitted model.
+    """The curve of a person in one group, fitted to the counts alone, and the curve of the fitted model.
 
-    `predicted` is None where no noise is known. `predicted_ci95` has the model's thresholds at the ends of the
-    noise's interval; None where there is none.
+    `predicted` is None if the noise is not known. `predicted_ci95` has the model's thresholds at the ends of the
+    interval of the noise; None without an interval.
     """
 
     group: Group
@@ -394,9 +396,9 @@ class PersonFit:
 
 
 class PersonWarning(NamedTuple):
-    """A warning that an internal noise says less than it seems to: `poor_fit` of a person, or `persons_differ`.
+    """A warning about an internal noise: `poor_fit` of a person, or `persons_differ`.
 
-    `found` is the p-value, `expected` the least that is no warning. `group` names the person.
+    `found` is the p-value; below `expected` there is a warning. `group` names the person.
     """
 
     code: Literal["poor_fit", "persons_differ"]

@@ -1,7 +1,5 @@
-"""A session of a person: its settings, its steps from consent to the last answer, and how it goes on.
-
-The next trial follows from the record and the rows that are on the disk, so a session that was ended anywhere goes
-on where it was.
+"""A session of a person: its settings, and its steps from consent to the last answer.  The next trial follows from
+the record and the rows on the disk, so a session that was interrupted at any point continues there.
 """
 
 from __future__ import annotations
@@ -89,7 +87,7 @@ PRACTICE_CORRECT = 0.75
 """Default of the share of a block of practice that has to be correct. Guesses give 6 of 8 once in 240 blocks."""
 
 PRIVATE = 0o700
-"""Permissions of the folders of answers: nobody but their owner looks into them."""
+"""Permissions of the folders of answers: only their owner can read them."""
 
 QUEST_TRIALS = 60
 """Default of the number of trials of a group that QUEST+ chooses."""
@@ -99,7 +97,7 @@ Step = Literal["consent", "monitor", "practice", "main", "break", "done", "stopp
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SessionDesign:
-    """Settings of a session; None: the default, or what a session that goes on has.
+    """Settings of a session. None stands for the default, or for the setting of the session that is continued.
 
     Attributes
     ----------
@@ -155,7 +153,7 @@ class Material(NamedTuple):
 
 
 class Picture(NamedTuple):
-    """A trial as the monitor shows it: a PNG and its size, and what the trial's row will say about it."""
+    """A trial as the monitor shows it: a PNG and its size, and the values for the trial's row."""
 
     trial: Trial
     content: bytes
@@ -531,7 +529,7 @@ def open_sitting(
     contact: str | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> Iterator[Sitting]:
-    """Begin a session, or go on with one that is not finished; its files stay locked in the block.
+    """Begin a session, or continue one that is not finished; its files stay locked in the block.
 
     Parameters
     ----------
@@ -600,7 +598,8 @@ def open_sitting(
 
 
 def _shown_dataset(dataset: Dataset) -> ShownDataset:
-    """Return what a session depends on of a dataset; raise an error if people cannot be shown it."""
+    """Return the properties of a dataset that a session depends on; raise an error if the dataset cannot be
+    shown."""
     if dataset.manifest_sha256 is None:
         raise SettingsError("experiment: found frames in memory, expected a dataset in a folder")
     if dataset.bad_rows:

@@ -39,7 +39,7 @@ def trial_image(dataset: Dataset, trial: Trial) -> TrialImage:
     """Read the frames of a trial and average them in contrast, all pixels of them.
 
     The luminance that contrast refers to is that of the dataset's rule at the triangle, one number a frame: a
-    slope or a border of the background is shown as it is. Pixels that a file leaves out of its frame have the
+    slope or a border of the background is shown unchanged. Pixels that a file leaves out of its frame have the
     contrast 0.
 
     Raises

@@ -96,7 +96,7 @@ WarningCode = Literal[
 
 
 class DatasetWarning(NamedTuple):
-    """A warning that results from a dataset are less certain, as written under `warnings` in `result.json`.
+    """A warning about a dataset, which makes its results less certain; `warnings` in `result.json` has it.
 
     `code` is for programs, `message` for people. `group` has the `group_by` values of the group concerned, by
     column; it is empty if the warning concerns the whole dataset.
@@ -151,7 +151,7 @@ class Dataset:
 
     @property
     def is_in_memory(self) -> bool:
-        """Whether the frames are arrays, and in no file."""
+        """True if the frames are arrays, and in no file."""
         return self.manifest_sha256 is None
 
     @property
@@ -525,9 +525,8 @@ class _Manifest:
 
 
 class _Index:
-    """Numbers of distinct texts in the order in which they come, without the texts: some 20 bytes for each.
-
-    It is exact: where the hashes of two texts agree, the earlier one is made again and compared.
+    """Numbers distinct texts in their order, without keeping the texts: some 20 bytes for each.  It is exact: if
+    the hashes of two texts are equal, the earlier text is made again and compared.
     """
 
     def __init__(self) -> None:
@@ -538,7 +537,8 @@ class _Index:
         return len(self._hashes)
 
     def number(self, text: str, text_of: Callable[[int], str]) -> int:
-        """Return a text's number: for a new one, that of texts before it. `text_of` makes a text by its number."""
+        """Return the number of a text. A new text gets the number of texts before it. `text_of` makes the text of
+        a number."""
         found, hashes, slots = hash(text), self._hashes, self._slots
         last = len(slots) - 1
         slot = found & last

@@ -82,7 +82,7 @@ OTHER_ADVICE = {
     "video": "write each of its frames to a file of its own",
     "Git LFS pointer": "the frame itself is not here; fetch it with git lfs pull",
 }
-"""Advice for formats that cannot just be converted."""
+"""Advice for formats that need more than a conversion."""
 
 _LAYOUT_ATTRIBUTES = ("oiio:", "openexr:", "compression")
 

@@ -25,18 +25,19 @@ BLOCKS_PER_SIZE = 4
 """Number of square blocks along a triangle's size; the surface is fitted to their means."""
 
 STEP, STEP_NEXT_TO_HOLE, STEP_IN_ERRORS = 0.03, 0.1, 6.0
-"""Relative change from block to block that ends the background, unless it is within so many standard errors. Next
-to the hole a larger one is allowed, because the slope of the background is not known there."""
+"""Relative change from block to block that ends the background, unless it is within `STEP_IN_ERRORS` standard
+errors. Next to the hole a larger one is allowed, because the slope of the background is not known there."""
 
 BIWEIGHT = 6.0
 """Deviation at which a block has no weight in the surface, in standard deviations of the blocks."""
 
 DEGREES = (2, 1, 4)
-"""Degrees of the surface that are tried after the constant, in turn; the first only if the second is not known."""
+"""Degrees of the surface that are tried after the constant, in this order. The first degree is tried only if the
+blocks do not determine the second."""
 
 BETTER = 1.1
 """Factor by which the second degree must describe the blocks better than a constant; noise alone hardly reaches
-it. The fourth needs its square, the first its root."""
+it. The fourth degree needs the square of this factor, the first degree its square root."""
 
 EVEN = 1e-4
 """Relative deviation of the blocks from the surface below which no higher degree is tried."""
@@ -182,10 +183,10 @@ class SurroundSums:
     def surface(self) -> Surface:
         """Fit the background.
 
-        First the extent of the background is found: in each of the four directions, from the triangle outwards,
-        the medians of rows or columns of blocks end where one departs from what those before it lead to expect. A
+        First the extent of the background is found: in each of the four directions, from the triangle outwards, it
+        ends at the first row or column of blocks whose median differs from a prediction from those before it. A
         surface is then fitted to the blocks around the triangle, outliers without weight. It is a constant unless
-        a higher degree describes the blocks better and is known under the triangle as well as in one block.
+        a higher degree describes the blocks better and is as certain under the triangle as the mean of one block.
 
         Raises
         ------
@@ -242,7 +243,8 @@ class _SurroundBlocks(NamedTuple):
         return _SurroundBlocks(edges, y, x, counts, away > 0.0, near if near.any() else away > 0.0, hole)
 
     def noise(self, means: FloatArray) -> float:
-        """Estimate the standard deviation of a block's mean from three neighbours at a time; a slope cancels."""
+        """Estimate the standard deviation of a block's mean from triples of neighbours, in which a slope
+        cancels."""
         bends = []
         for values, known in ((means, self.around), (means.T, self.around.T)):
             bend = values[2:] - 2.0 * values[1:-1] + values[:-2]
@@ -269,7 +271,7 @@ class _SurroundBlocks(NamedTuple):
 
 
 def _n_alike(profile: FloatArray, error: float) -> int:
-    """Count the values from the first that follow from those before them."""
+    """Count the leading values that agree with a prediction from the values before them."""
     for k in range(1, len(profile)):
         if k == 1:
             expected, slack, factor = profile[0], STEP_NEXT_TO_HOLE, math.sqrt(2.0)
@@ -332,7 +334,8 @@ def _terms(u: FloatArray, v: FloatArray, degree: int) -> FloatArray:
 
 
 def _is_known(degree: int, u: FloatArray, v: FloatArray, hole: float) -> bool:
-    """Return whether a surface through blocks at (u, v) is known under the triangle as well as in one block."""
+    """Return whether a surface through blocks at (u, v) is as certain under the triangle as the mean of one
+    block."""
     terms = _terms(u, v, degree)
     at_hole = _terms(hole * np.array([0, 1, -1, 0, 0]), hole * np.array([0, 0, 0, 1, -1]), degree)
     normal = terms.T @ terms

@@ -247,7 +247,7 @@ class TrialsBuilder:
         return _decoded(self._name[index])[1:] if self._name[index] else self.path(self._first_frame[index])
 
     def without_frames(self, index: int) -> Trial:
-        """Return the trial at an index, but for its frames."""
+        """Return the trial at an index, without its frames."""
         x_px, y_px = self._position_px[2 * index : 2 * index + 2]
         return Trial(
             number=self._number[index],
@@ -415,7 +415,7 @@ class _Codes(Generic[V]):
         self._codes: dict[V, int] = {}
 
     def code(self, value: V) -> int:
-        """Return the number of a value, which is new or was there before."""
+        """Return the number of a value; a new value gets the next number."""
         code = self._codes.get(value)
         if code is None:
             code = self._codes[value] = len(self.values)

@@ -28,13 +28,19 @@ from todframes.frames.dataset import Dataset, load_dataset
 from todframes.frames.files import MAX_FRAME_MB
 from todframes.importing.chart_source import ChartSource
 from todframes.importing.clips import TIME_TOLERANCE, Clip, ClipFrame
-from todframes.importing.filmed_trials import SHAKE_PX, ImportedTrial, TrialDivision, TriangleDescription
+from todframes.importing.filmed_trials import (
+    SHAKE_PX,
+    Correction,
+    ImportedTrial,
+    TrialDivision,
+    TriangleDescription,
+)
 from todframes.importing.schedule import read_schedule
 from todframes.importing.schedule_source import ScheduleSource
 from todframes.importing.windows import WindowWriter, WrittenWindow, code_range
 from todframes.jobs.store import Store
 from todframes.recordings.opening import open_recordings
-from todframes.recordings.recording import INTEGRATION_TIME_S, Recording, RecordingWarning, natural_order
+from todframes.recordings.recording import GAP, INTEGRATION_TIME_S, Recording, RecordingWarning, natural_order
 
 LARGEST_TIME_ERROR = 0.1
 """Relative difference of the trials' time from the integration time, above which it is reported."""
@@ -53,17 +59,19 @@ PathLike = str | os.PathLike[str]
 
 
 class Source(Protocol):
-    """Protocol of what finds the clips in recordings: by a chart's markers, or by a schedule.
+    """Protocol of objects that find the clips in recordings: by a chart's markers, or by a schedule.
 
-    `level` and `group_by` are columns of the manifest, `clips` are those found so far.
+    `level` and `group_by` are columns of the manifest, `clips` are those found so far. `corrections` are those of
+    triangles by their numbers, known at the end of a recording.
     """
 
     level: str
     group_by: str
     clips: list[Clip]
+    corrections: dict[int, Correction]
 
     def described(self, page: int, index: int) -> TriangleDescription:
-        """Return what a triangle of a page is."""
+        """Return the description of a triangle of a page."""
 
     def frames(self, recording: Recording, number: int) -> Iterator[tuple[Clip, ClipFrame]]:
         """Yield the frames of a recording that show one page, each with its clip."""
@@ -72,13 +80,13 @@ class Source(Protocol):
         """Return why there is no clip at all; None if there are some."""
 
     def warnings(self) -> Iterator[RecordingWarning]:
-        """Yield what makes the dataset less certain."""
+        """Yield warnings about conditions that make the dataset less certain."""
 
     def notes(self) -> Iterator[str]:
-        """Yield what was found and needs no action."""
+        """Yield remarks that need no action."""
 
     def report(self) -> list[dict[str, object]]:
-        """Return what was found, as it is written into import.json."""
+        """Return the findings for import.json."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -220,6 +228,8 @@ def import_recordings(
                 written[window.name] = writer.write(window)
         if not division.trials:
             raise DataError(source.why_nothing() or _why_no_trial(division, source, time_s))
+        for trial in division.trials:
+            trial.correct(source.corrections)
         for name in division.left_out:
             del written[name]
             (folder / name).unlink()
@@ -358,7 +368,7 @@ def _of_recordings(opened: Sequence[Recording]) -> Iterator[RecordingWarning]:
 def _of_trials(
     division: TrialDivision, source: Source, opened: Sequence[Recording], time_s: float | None, *, steady: bool
 ) -> Iterator[RecordingWarning]:
-    """Yield what the division into trials has left out, and motion within them."""
+    """Yield warnings about parts that the division into trials left out, and about motion within trials."""
     short = [clip for clip in source.clips if clip.n_frames and not clip.n_trials]
     if short and time_s is not None:
         yield RecordingWarning(
@@ -377,9 +387,9 @@ def _of_trials(
                 yield RecordingWarning(
                     "no_times",
                     f"{recording.path}: has no times, so each frame is a trial of its own; "
-                    f"{argument.frames_per_second} gives them",
+                    f"{argument.frames_per_second} or a times.csv in their folder gives them",
                 )
-            elif interval_s > 1.5 * time_s:
+            elif interval_s > GAP * time_s:
                 yield RecordingWarning(
                     "slow_frames",
                     f"{recording.path}: frames are {interval_s:.3g} s apart, more than the integration time of "
@@ -405,7 +415,8 @@ def _of_trials(
 def _of_design(
     trials: Sequence[ImportedTrial], written: Mapping[str, WrittenWindow], source: Source
 ) -> Iterator[RecordingWarning]:
-    """Yield what makes trials unfit for one curve: repeats, two magnifications, more of one orientation."""
+    """Yield warnings about trials that do not suit one curve: repeats, two magnifications, more of one
+    orientation."""
     n_repeats = len(trials) - len({tuple(written[name].sha256 for name in trial.frames) for trial in trials})
     if n_repeats:
         yield RecordingWarning(
@@ -440,7 +451,8 @@ def _of_design(
 def _of_frames(dataset: Dataset, said: Collection[str]) -> Iterator[RecordingWarning]:
     """Yield a warning if triangles are not where, as large and as upright as the manifest says.
 
-    A sample of the trials is measured, of those that have a place. What the codes in `said` explain is left out.
+    A sample of the trials that have a place is measured. Differences that the codes in `said` explain are left
+    out.
     """
     trials = dataset.trials
     found: dict[str, str] = {}
@@ -459,10 +471,10 @@ def _of_frames(dataset: Dataset, said: Collection[str]) -> Iterator[RecordingWar
 
 
 def _of_time(opened: Sequence[Recording], time_s: float | None) -> Iterator[str]:
-    """Yield the time that trials have where whole frames do not make up the integration time."""
+    """Yield the time of the trials if whole frames do not make up the integration time."""
     for recording in opened:
         frame_s = _interval_s(recording)
-        if time_s is None or frame_s is None:
+        if time_s is None or frame_s is None or frame_s > GAP * time_s:
             continue
         n_frames = max(1, math.ceil(time_s / frame_s - 0.5 - TIME_TOLERANCE))
         if abs(n_frames * frame_s / time_s - 1.0) > LARGEST_TIME_ERROR:

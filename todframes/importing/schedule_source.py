@@ -1,4 +1,4 @@
-"""Recordings with a schedule: its rows state which frames show what, and nothing is looked for in the frames."""
+"""Recordings with a schedule: its rows state what each frame shows, so the frames are not searched."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from todframes.base.errors import DataError, argument
 from todframes.importing.clips import Clip, ClipFrame, FramePart, Placed
-from todframes.importing.filmed_trials import OBJECT_SIZE, TriangleDescription
+from todframes.importing.filmed_trials import OBJECT_SIZE, Correction, TriangleDescription
 from todframes.importing.schedule import ScheduledTrial, assign_recordings, read_schedule
 from todframes.importing.windows import clipped, field_reach_px, part_of, window_about
 from todframes.recordings.recording import Recording, RecordingWarning
@@ -56,6 +56,7 @@ class ScheduleSource:
         self.path = path
         self.level = level
         self.clips: list[Clip] = []
+        self.corrections: dict[int, Correction] = {}
         self._rows = read_schedule(path, level=level)
         self._recording_of = assign_recordings(self._rows, [one.path for one in recordings], schedule=path)
         self._pitch_mrad = pitch_mrad
@@ -81,7 +82,7 @@ class ScheduleSource:
         return row.size_mrad / (self._pitch_mrad if self._ifov_mrad is None else self._ifov_mrad)
 
     def described(self, page: int, index: int) -> TriangleDescription:  # noqa: ARG002
-        """Return what a row of the schedule shows."""
+        """Return the description of the triangle in a row of the schedule."""
         row = self._rows[page]
         size = self._object_mrad(row)
         columns: dict[str, object] = {} if size is None else {OBJECT_SIZE: repr(size)}
@@ -151,7 +152,7 @@ class ScheduleSource:
         return f"{self.path}: no frame lies in the times of any row; times count from the start of a recording"
 
     def warnings(self) -> Iterator[RecordingWarning]:
-        """Yield what was left out, or is smaller than it should be."""
+        """Yield warnings about parts that were left out, or are smaller than they should be."""
         empty = [clip for clip in self.clips if not clip.n_frames]
         if empty:
             yield RecordingWarning(
@@ -167,12 +168,12 @@ class ScheduleSource:
             )
 
     def notes(self) -> Iterator[str]:
-        """Yield what was found and needs no action."""
+        """Yield remarks that need no action."""
         n_frames = sum(clip.n_frames for clip in self.clips)
         yield f"{self.path}: {n_frames} frames in {sum(clip.n_frames > 0 for clip in self.clips)} rows"
         if any(row.x_px is None for row in self._rows):
             yield "frames without x_px and y_px are whole; todframes score --locate finds the triangles"
 
     def report(self) -> list[dict[str, object]]:
-        """Return what was found in each clip."""
+        """Return the findings in each clip."""
         return [asdict(clip) for clip in self.clips]

@@ -180,7 +180,7 @@ class WindowWriter:
         self._started = time.perf_counter()
 
     def write(self, window: RecordedWindow) -> WrittenWindow:
-        """Write a window, unless it is there as it would be; raise OutputError if it cannot be written."""
+        """Write a window unless the same one is already there; raise OutputError if it cannot be written."""
         if self._store is None:
             return write_window(self._folder, window, clip=self._clip)
         key = fingerprint(window.name, window.values, window.scale, self._clip)

@@ -78,7 +78,7 @@ def cluster_engine(cluster: str) -> Iterator[ClusterEngine]:
 
 
 class ClusterEngine(ExecutorEngine):
-    """The engine that has work done by a Dask cluster; `cluster_engine` makes it.
+    """The engine whose work is done by a Dask cluster; `cluster_engine` makes it.
 
     Attributes
     ----------
@@ -348,7 +348,7 @@ async def _count_threads(client: Client) -> int:
 
 @contextmanager
 def _without_messages() -> Iterator[None]:
-    """Silence the loggers of Dask: about lost connections and dead processes, the engine says what matters."""
+    """Silence the loggers of Dask: the engine itself reports lost connections and dead processes."""
     names = {*LOGGERS, *(name for name in logging.root.manager.loggerDict if name.split(".")[0] in LOGGERS)}
     levels = {logger: logger.level for logger in map(logging.getLogger, names)}
     for logger in levels:

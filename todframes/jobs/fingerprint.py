@@ -71,7 +71,7 @@ def _parts(value: object) -> Iterator[bytes]:
 
 
 def _attributes(value: Any) -> dict[str, object]:
-    """Return the attributes of an object; of an observer the settings, which are all that it is made of."""
+    """Return the attributes of an object; for an observer its settings, which determine everything else."""
     if dataclasses.is_dataclass(value):
         return {one.name: getattr(value, one.name) for one in dataclasses.fields(value)}
     settings = getattr(value, "settings", None)

@@ -15,7 +15,7 @@ T = TypeVar("T")
 R = TypeVar("R")
 
 ITEMS_PER_TASK = 16
-"""Number of items that are done at a time, of work that does not say `items_at_once`."""
+"""Number of items that are done at a time if the work has no `items_at_once`."""
 
 
 class Lost(NamedTuple):
@@ -25,7 +25,7 @@ class Lost(NamedTuple):
 
 
 class Work(Protocol[Item, Result]):
-    """A value that can be pickled and says what to do with an item.
+    """A value that can be pickled and defines what is done with an item.
 
     It is sent once to each process, and the items go separately: large data belong in the work, or in files that
     it names, and never in the items. Errors of single items that shall not end the run are results. Work on large
@@ -42,7 +42,8 @@ class Work(Protocol[Item, Result]):
 
 
 class Engine(Protocol):
-    """Protocol of what does the work of a run: the calling thread if `is_local`, or `n_workers` processes.
+    """Protocol of objects that do the work of a run: in the calling thread if `is_local`, or in `n_workers`
+    processes.
 
     `dashboard` is the address of a page that shows the work; None if there is none.
     """

@@ -253,7 +253,7 @@ def _check(values: FloatArray, valid: NDArray[np.bool_], name: str, expected: st
 
 
 class CentredModel(NamedTuple):
-    """Model of a curve, whose z is ln(level) − `centre`, and a curve near the most likely one if that is known."""
+    """Model of a curve with z = ln(level) − `centre`, and a curve near the most likely one if that is known."""
 
     model: CurveModel
     centre: float

@@ -1,4 +1,4 @@
-"""Maximum-likelihood internal noise of a person: that with which a model observer answers as the person did.
+"""Maximum-likelihood internal noise of a person: with it, a model observer most likely answers as the person did.
 
 The model gives the probability of a correct answer in each single trial. It depends on the internal noise σ, and
 on the blur of the templates where that is free; a person may also lapse: with probability λ the answer is a guess.
@@ -265,7 +265,8 @@ class _NoiseSearch:
         return theta, -float(found.fun)
 
     def interval(self, axis: int, best: FloatArray, most: float) -> Interval:
-        """Bound a parameter by the profile likelihood; an end is None where that stays high up to the bound."""
+        """Bound a parameter by the profile likelihood; an end is None if the likelihood stays high up to the
+        limit."""
         from scipy.optimize import brentq
 
         values = self.axes[axis]

@@ -1,4 +1,4 @@
-"""QUEST+: the adaptive choice of the next level, the one that is expected to leave the least entropy.
+"""QUEST+: the adaptive choice of the next level. It is the level with the least expected entropy of the posterior.
 
 Watson 2017, "QUEST+: a general multidimensional Bayesian adaptive psychometric method", J. Vision 17(3):10.
 The posterior of threshold, slope and lapse rate is held on a grid. The psychometric function is Weibull's, with

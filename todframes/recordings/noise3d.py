@@ -42,7 +42,7 @@ MOST_SATURATED = 1e-3
 """Largest share of values at the ends of the scale that gives no warning."""
 
 SMALLEST_STEPS = 0.5
-"""Standard deviation in steps of the recording, below which quantisation decides what is measured."""
+"""Standard deviation in steps of the recording, below which quantisation determines the result."""
 
 Region = tuple[int, int, int, int]
 
@@ -232,7 +232,7 @@ def measure_noise(
 ) -> Noise3D:
     """Measure the three-dimensional noise of a recording of a scene that does not move.
 
-    The frames are read once. Memory does not grow with their number, but for one number a frame.
+    The frames are read once. Memory grows by one number for each frame only.
 
     Parameters
     ----------
@@ -277,7 +277,7 @@ def measure_noise(
 
 
 class _Gathered:
-    """Sums over the frames of one region, and counts of what makes its noise doubtful."""
+    """Sums over the frames of one region, and counts of properties that make its noise doubtful."""
 
     def __init__(self, region: Region) -> None:
         self.region = region
@@ -408,7 +408,7 @@ def fit_transfer(levels: Sequence[float], means: Sequence[float]) -> Transfer:
 
 
 class _Sums:
-    """Sums over frames of what the mean squares need.
+    """Sums over frames that the mean squares need.
 
     Differences from the first frame are summed: the parts with t are the same in them, and their squares do not
     lose digits to a mean that is a thousand times the noise.

@@ -35,7 +35,7 @@ READERS: dict[StillKind, StillReader] = {
 """Modules that read still frames, by kind of file."""
 
 SEQUENCES: tuple[StillKind, ...] = ("image", "camera raw", "radiometric")
-"""Kinds of which all files together are one recording; each file of another kind is a recording of its own."""
+"""Kinds whose files are one recording together; each file of another kind is a recording by itself."""
 
 EXPECTED = "expected an image, video, camera raw, radiometric (FLIR, Cedip) or NumPy file"
 
@@ -61,7 +61,8 @@ def open_recordings(
     -------
     tuple of Recording
         In the order of `paths`; a sequence of images stands where its first image stands. Frames of a sequence are
-        in the natural order of their names: frame_9 before frame_10.
+        in the natural order of their names: frame_9 before frame_10. A file `times.csv` in a folder of images has
+        their times, in the columns `file` and `time_s`.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""The one form in which frames of every kind of recording are handed on."""
+"""The common form of the frames of all kinds of recordings."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ INTEGRATION_TIME_S = 0.1
 """Time in which the eye integrates. Hogervorst et al. 2001, section 4."""
 
 BYTES_PER_PIXEL = 8
-"""Bytes that a pixel of a recording counts as at least, whatever its type: as much is taken to look at it, and the
-pixel format of a video is known from a decoded frame only."""
+"""Least number of bytes that a pixel of a recording counts as, whatever its type: its decoding takes as much, and
+the pixel format of a video is known from a decoded frame only."""
 
 GAP = 1.5
 """Interval between frames, in frames, from which frames are missing."""
@@ -45,7 +45,7 @@ class RecordedFrame(NamedTuple):
 
 
 class RecordingWarning(NamedTuple):
-    """A property of a recording that costs precision: a code, and a sentence that says what it costs."""
+    """A property of a recording that reduces precision: a code, and a sentence about the effect."""
 
     code: str
     message: str

@@ -23,7 +23,7 @@ USUAL_SLOPE = 2.0
 SAME_LEVEL = 1.15
 """Largest ratio of a level to add and one shown that counts as the same level."""
 
-TOLD_APART = 0.5
+HELPS_FROM = 0.5
 """Proportion correct from which stronger levels will help; below it something else may be wrong."""
 
 
@@ -78,7 +78,7 @@ def _open_reason(fit: Fit) -> str:
     if fit.status == "never_reached":
         best = max(fit.points, key=lambda point: point.p_correct)
         reached = f"at most {100.0 * best.p_correct:.0f} % correct is reached, at {best.level:.3g}"
-        return f"all levels are below the threshold of {criterion}: {reached}" * (best.p_correct >= TOLD_APART)
+        return f"all levels are below the threshold of {criterion}: {reached}" * (best.p_correct >= HELPS_FROM)
     if fit.status == "extrapolated" and fit.threshold is not None:
         side = "below" if fit.threshold < levels[0] else "above"
         return f"the threshold lies {side} all levels shown, {levels[0]:.3g} to {levels[-1]:.3g}"

@@ -55,7 +55,7 @@ MOST_SIZES_NAMED = 8
 class ReportFigure(NamedTuple):
     """A figure to be drawn, for the page and as a PNG.
 
-    `note` says how to read it; `file` is the name of the PNG, or "" if only the page shows it.
+    `note` explains how to read it; `file` is the name of the PNG, or "" if only the page shows it.
     """
 
     title: str

@@ -65,7 +65,8 @@ class SeenTrial(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SeenTrials:
-    """The observer's scores of many trials with as many displacements each: a `SeenTrial` a row, in columns."""
+    """The observer's scores of many trials with equal numbers of displacements. Each trial is a row of the
+    arrays."""
 
     trials: Trials
     displacement_samples: FloatArray
@@ -85,7 +86,8 @@ class SeenTrials:
         return SeenTrials(self.trials.select(rows), *columns)
 
     def amplified(self, gain: FloatArray) -> SeenTrials:
-        """Return the scores as a plain gain of contrast, one a trial, would make them: they are linear in it."""
+        """Return the scores after a plain gain of contrast, one gain for each trial; scores are linear in
+        contrast."""
         each = gain[:, None, None]
         return replace(self, scores=each * self.scores, deviations=each * self.deviations)
 
@@ -125,7 +127,7 @@ class SeenColumns:
 
 @dataclass(frozen=True, slots=True)
 class Scoring:
-    """The settings for the scoring of all trials of a dataset; they do not change, so threads share them.
+    """The settings for the scoring of all trials of a dataset.
 
     `displacements` is the number of displacements of each trial in each replicate; 0: a single one, from the
     trial's own random stream.

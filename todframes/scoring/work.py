@@ -1,4 +1,4 @@
-"""The work of a scoring: trials are shown to the observer by an engine, and what is finished may be kept."""
+"""The work of a scoring: an engine shows trials to the observer, and finished results may be kept."""
 
 from __future__ import annotations
 
@@ -191,7 +191,7 @@ class TrialWork(Generic[T]):
         return hashlib.sha256(self.identity + repr(parts).encode(errors="surrogatepass")).digest()
 
     def stamp(self, item: Trial) -> list[Stamp] | None:
-        """Return what changes when a frame of the trial is written, without reading it."""
+        """Return properties of the trial's files that change when a frame is written, without reading them."""
         # The content of a file behind a URL is known by what came with it when it was read.
         folder = self.scoring.dataset.path
         if not isinstance(folder, Path):
@@ -212,7 +212,8 @@ class TrialWork(Generic[T]):
         return msgspec.msgpack.Decoder(self.kind, dec_hook=lambda _, packed: _array(*packed))
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return what is pickled: decoders are not, and other processes have no use for the trials."""
+        """Return the state to pickle, without decoders, and without the trials, which other processes do not
+        need."""
         self.identity  # noqa: B018 - to be the same in all processes
         return {name: value for name, value in vars(self).items() if name != "_decoder"}
 
@@ -292,7 +293,7 @@ def by_stimulus(trials: Trials) -> NDArray[np.intp]:
 
 
 def _stamp(path: str) -> Stamp:
-    """Return the path of a file with what the file system changes when it is written."""
+    """Return the path of a file with the properties that the file system changes when it is written."""
     try:
         status = os.stat(path)  # noqa: PTH116 - pathlib is slow
     except OSError:

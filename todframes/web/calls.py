@@ -54,8 +54,8 @@ def run_experiment(
 ) -> SessionProgress:
     """Serve a page on which a person does the test on the frames of a dataset, as `todframes experiment` does.
 
-    The call returns when Ctrl-C is pressed, or the process is asked to end. A session that is not finished goes on
-    with the same call.
+    The call returns when Ctrl-C is pressed, or the process is asked to end. The same call continues a session that
+    is not finished.
 
     Parameters
     ----------

@@ -21,17 +21,18 @@ from todframes.stimulus import Orientation
 from todframes.web.pages import JSON, EmptyRequest, call, error_of, json_bytes, page
 
 STATUS = {StepError: 409, MonitorError: 422, OutputError: 507}
-"""Status of the answer to an error; at 507 the page asks again, until there is room on the disk."""
+"""HTTP status for each kind of error; after 507 the page repeats its request until there is room on the disk."""
 
 
 class Agreed(msgspec.Struct):
-    """Whether the person agrees to the text of consent."""
+    """The answer of the person to the text of consent."""
 
     agreed: bool
 
 
 class Answer(msgspec.Struct):
-    """The answer to a trial, the time from the picture to it, and what the page lost in between."""
+    """The answer to a trial, the time from the picture to the answer, and whether the page was hidden or unfocused
+    meanwhile."""
 
     number: Annotated[int, Meta(ge=1, le=2**31)]
     response: Literal["up", "right", "down", "left", "none"]

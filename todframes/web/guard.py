@@ -1,4 +1,5 @@
-"""The guard before a page: it lets only the page itself through, and small requests, and fences in the answers."""
+"""The guard before a page: it admits small requests of the page itself only, and restricts what the answers may
+load."""
 
 from __future__ import annotations
 
@@ -16,7 +17,8 @@ MOST_BODY_BYTES = 2**20
 """Largest body of a request."""
 
 MOST_READ_BYTES = 8 * MOST_BODY_BYTES
-"""Largest body that is read to its end, and then refused: a browser that still sends would not see the answer."""
+"""Largest body that is read to its end before it is refused: a browser that is still sending would not see the
+answer."""
 
 LONGEST_HEADERS_BYTES = 2**14
 """Largest size of the first line and the headers of a request."""

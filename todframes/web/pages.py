@@ -1,4 +1,4 @@
-"""Parts of all pages: files from a fixed list, calls that take and give JSON, errors of one line."""
+"""Parts of all pages: files from a fixed list, calls with JSON in both directions, errors of one line."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ T = TypeVar("T")
 
 
 class EmptyRequest(msgspec.Struct):
-    """A request that asks for no more than its path says."""
+    """A request without values: its path is all that it needs."""
 
 
 def page(folder: Traversable, calls: Sequence[Route], lifespan: Lifespan[Starlette] | None = None) -> Starlette:
@@ -83,7 +83,7 @@ def _file(path: str, file: Traversable) -> Route:
 
 
 def _answer(request: Request, content: bytes, media_type: str) -> Response:
-    """Return an answer, compressed if it is long and the browser takes it so."""
+    """Return an answer, compressed if it is long and the browser accepts that."""
     if len(content) < LEAST_COMPRESSED_BYTES or "gzip" not in request.headers.get("accept-encoding", ""):
         return Response(content, media_type=media_type)
     small = gzip.compress(content, compresslevel=1, mtime=0)

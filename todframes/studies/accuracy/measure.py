@@ -37,18 +37,20 @@ TARGETS = (0.01, 0.001)
 """Errors of a threshold at which estimators are compared."""
 
 FEWEST_BLOCKS = 4
-"""Estimates that a root mean square is at least taken over: it is then known to a third."""
+"""Smallest number of estimates in a root mean square, which is then known to a third."""
 
 BLOCK_GROWTH = 2
 
 MOST_DRAWN_TRIALS = 2**17
-"""Drawn of an estimator; their blocks of all sizes then take seconds to estimate from."""
+"""Largest number of trials drawn for an estimator; the estimates from their blocks of all sizes then take
+seconds."""
 
 LARGEST_SHOWN = 0.5
-"""Error of a threshold beyond which an estimate is none."""
+"""Error of a threshold above which an estimate is not shown."""
 
 TIMED, LONG_S = 3, 0.5
-"""Runs of a set-up or variant, for the median of their times, and when they are enough."""
+"""Number of runs of a set-up or variant whose median time is taken, and the total time after which no further one
+begins."""
 
 
 class BudgetPoint(NamedTuple):
@@ -114,7 +116,7 @@ class Change(NamedTuple):
 
 
 class MeasuredScene(NamedTuple):
-    """A scene with everything measured."""
+    """A scene with all measurements."""
 
     name: str
     title: str

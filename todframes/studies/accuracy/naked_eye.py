@@ -49,10 +49,9 @@ class NakedEye:
     level: ClassVar[str] = "contrast"
 
     def converge(self) -> Converged:
-        """Average many Gauss–Legendre displacements; the bound is how far fewer of them are from that.
-
-        Kinks of P(correct) let the error fall with the square of their number along an axis: the last one is
-        nearer than those before differ from it.
+        """Average many Gauss–Legendre displacements; the bound is the difference from fewer of them.  Because
+        P(correct) has kinks, the error falls with the square of their number along an axis. So the error of the
+        last average is smaller than its difference from those before.
         """
         observer = PyramidObserver()
         *before, last = (self._proportion(observer, nodes) for nodes in self.converged_nodes)

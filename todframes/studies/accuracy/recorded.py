@@ -1,4 +1,5 @@
-"""Accuracy scene of recorded display frames: what is averaged is the retina's displacement and its noise."""
+"""Accuracy scene of recorded display frames: averages are over the retina's displacement and the observer's
+noise."""
 
 from __future__ import annotations
 
@@ -34,7 +35,7 @@ from todframes.studies.accuracy.estimators import (
 )
 
 DATASETS = (Path("sample_frames/naked_eye"), Path("sample_frames/staring_camera"))
-"""Folders in which recorded frames are looked for."""
+"""Folders that are searched for recorded frames."""
 
 STUDIED_DISPLACEMENTS = (1, 2, 4, 8, 16, 32, 64)
 REPEATS = 8
@@ -105,8 +106,8 @@ class Frames:
 class Recorded:
     """Frames of one group of a dataset; the threshold is that of the fitted psychometric function.
 
-    The group is the middle one of the dataset's. All estimators are given the same frames, so what these frames
-    differ from others by is no part of the error.
+    The group is the middle one of the dataset's. All estimators get the same frames, so the difference of these
+    frames from others is no part of the error.
 
     Attributes
     ----------
