@@ -11,7 +11,7 @@ from sensor_sim.chain.sensor import Sensor, sensor_of
 from todframes.base.seeds import Rng, seed_of
 
 if TYPE_CHECKING:
-    from sensor_sim.chain.simulation import FrameFormat, Written
+    from sensor_sim.chain.dataset import FrameFormat, Written
     from todframes.jobs.work import Engine
 
 
@@ -59,11 +59,11 @@ def simulate(
         Processes that draw frames. With more than one, a script calls this below `if __name__ == "__main__":`,
         because they import the script.
     cluster : str, optional
-        Address of a Dask scheduler, "tcp://…", or "local:N" for N processes; they draw instead.
+        Address of a Dask scheduler, "tcp://…", or "local:N" for N processes, which then draw the frames.
     restart : bool
         Begin anew even if an earlier call with the same `out` was interrupted.
     keep_store : bool
-        Keep the list of the frames that are finished after the dataset is whole.
+        Keep the list of finished frames after the dataset is complete.
     tell : function of a text, optional
         Called with a remark if an earlier call has finished some of the frames.
     progress : function of an int, optional
@@ -91,7 +91,8 @@ def simulate(
     8
     """
     seed = seed_of(rng)
-    from sensor_sim.chain.simulation import plan_trials, write_dataset
+    from sensor_sim.chain.dataset import write_dataset
+    from sensor_sim.chain.simulation import plan_trials
     from todframes.base.output import Going, new_folder, store_path
     from todframes.jobs.engine import open_engine
     from todframes.jobs.store import Store

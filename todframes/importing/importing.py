@@ -104,9 +104,9 @@ class Imported:
     n_frames, n_trials, n_clips : int
         Windows in the dataset, trials, and clips that gave trials.
     notes : tuple of str
-        What was found and needs no action.
+        Remarks that need no action.
     warnings : tuple of RecordingWarning
-        What makes a result from the dataset less certain: a code, and a sentence.
+        Warnings about conditions that make results from the dataset less certain: a code, and a sentence.
     """
 
     path: Path
@@ -141,8 +141,8 @@ def import_recordings(
     Parameters
     ----------
     recordings : path, or sequence of path or of Recording
-        Files and folders: videos, image sequences, camera raw, radiometric files, arrays. Or what
-        `open_recordings` returns.
+        Files and folders: videos, image sequences, camera raw, radiometric files, arrays. Or the return value of
+        `open_recordings`.
     out : path
         Folder of the dataset, new or empty.
     chart : path, optional
@@ -152,15 +152,15 @@ def import_recordings(
     display : str or Display
         Display that shows the frames: the name of one of this package, a TOML file, or a `Display`.
     integration_time_s : float or "all"
-        Time in which the observer averages frames; "all": each clip is one trial. Frames without times are a trial
-        each, unless it is "all".
+        Time in which the observer averages frames. With "all", each clip is one trial. Otherwise each frame
+        without a time is a trial by itself.
     steady : bool
-        Let the windows follow the triangle by whole pixels within a trial, which takes out shake that the camera
-        in use would not have.
+        Let the windows follow the triangle by whole pixels within a trial. This removes shake that the camera
+        would not have in use.
     value_range : (float, float), optional
         Recorded values that the display shows black and white. Needed for values without a white: temperatures.
     frames_per_second : float, optional
-        Frame rate in place of what the files say.
+        Frame rate, in place of the times in the files.
     max_frame_mb : int
         Largest size of a frame in 2**20 bytes: all channels in their own pixel types, at least 8 bytes a pixel.
     ifov_mrad : float, optional
@@ -173,7 +173,7 @@ def import_recordings(
         written are not written again; the recordings are read again from their beginning, as the frames of a video
         follow from those before.
     keep_store : bool
-        Keep the list of the windows that are finished after the dataset is whole.
+        Keep the list of finished windows after the dataset is complete.
     tell : function of a text, optional
         Called with a remark if an earlier call has written some of the windows.
     progress : function of an int, optional
