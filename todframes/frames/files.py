@@ -32,8 +32,8 @@ Range = tuple[int, int]
 PixelType = Literal["half", "float", "uint8", "uint16"]
 
 
-HASHED_AT_ONCE = 2**16
-"""Number of bytes of a file that its checksum is updated with at a time."""
+READ_AT_ONCE = 2**14
+"""Number of bytes that are read at a time of a file whose checksums are compared."""
 
 
 MAX_SIDE_PX = 32768
@@ -521,7 +521,7 @@ def _check_is_file(path: Path) -> int:
 def _sha256(file: BinaryIO) -> str:
     """Compute the SHA-256 of an open file; `hashlib.file_digest` takes twice as long for a small one."""
     digest = hashlib.sha256()
-    while block := file.read(HASHED_AT_ONCE):
+    while block := file.read(READ_AT_ONCE):
         digest.update(block)
     return digest.hexdigest()
 
@@ -529,7 +529,7 @@ def _sha256(file: BinaryIO) -> str:
 def _recognise(path: Path, sha256: str | None) -> str:
     """Return OpenImageIO's name of the format, recognised from the content, which must have the checksum."""
     size = _check_is_file(path)
-    with path.open("rb") as file:
+    with path.open("rb", READ_AT_ONCE) as file:
         if sha256 is not None:
             if (found := _sha256(file)) != sha256:
                 raise FrameError(path, f"sha256 is {found}, the manifest says {sha256}")
