@@ -28,7 +28,7 @@ from matplotlib.figure import Figure
 from todframes.cli.console import run
 from todframes.cli.main import cli
 from todframes.enhancement.algorithm import enhancement_names, find_enhancement
-from todframes.enhancement.enhanced_frame import DecodedFrame, Screen
+from todframes.enhancement.enhanced_frame import AlgorithmDisplay, DecodedFrame
 from todframes.frames.dataset import load_dataset
 from todframes.frames.files import FrameFile
 
@@ -83,7 +83,7 @@ def all_of_them(algorithms: Sequence[dict[str, Any]]) -> str:
 def frames_figure() -> Figure:
     """Frames near threshold as sent, as received and after each algorithm."""
     dataset = load_dataset(SAMPLES)
-    screen = Screen(dataset.display)
+    screen = AlgorithmDisplay(dataset.display)
     rows = {"as sent": None, "as received": "none", **{spec: spec for spec in SHOWN}}
     figure = Figure(figsize=(1.45 * len(rows), 1.5 * len(NEAR_THRESHOLD) + 0.3), layout="constrained")
     axes = figure.subplots(len(NEAR_THRESHOLD), len(rows))

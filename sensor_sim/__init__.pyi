@@ -1,8 +1,8 @@
-from .calls import curve as curve
-from .calls import explore as explore
-from .calls import mtf as mtf
-from .calls import simulate as simulate
-from .calls import sweep as sweep
+from .calls.curve import curve as curve
+from .calls.explore import explore as explore
+from .calls.mtf import mtf as mtf
+from .calls.simulate import simulate as simulate
+from .calls.sweep import sweep as sweep
 from .chain.sensor import Detector as Detector
 from .chain.sensor import Electronics as Electronics
 from .chain.sensor import Noise as Noise

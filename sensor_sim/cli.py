@@ -42,7 +42,6 @@ from todframes.cli.options import (
 
 sensor_argument = click.argument("sensor", type=click.Path(path_type=Path), metavar="SENSOR.toml")
 
-
 sizes_option = click.option(
     "--size-detectors", "sizes", required=True, metavar="S[,S…]", help="Sizes √(area) in detector pitches."
 )
@@ -76,7 +75,7 @@ def cli() -> None:
 @quiet_option
 def simulate(*, sensor: Path, sizes: str, snrs: str, trials: int, out: str, quiet: bool, **asked: Any) -> None:
     """Make a dataset of display frames that `todframes score` reads."""
-    from sensor_sim import calls as api
+    import sensor_sim as ss
 
     size_detectors, snr = numbers(sizes, "--size-detectors"), numbers(snrs, "--snr")
     tell = None if quiet else say
@@ -84,7 +83,7 @@ def simulate(*, sensor: Path, sizes: str, snrs: str, trials: int, out: str, quie
         opened_engine(asked, quiet=quiet),
         progress("simulating", len(size_detectors) * len(snr) * trials, quiet=quiet) as advance,
     ):
-        written = api.simulate(
+        written = ss.simulate(
             sensor,
             size_detectors=size_detectors,
             snr=snr,
@@ -115,13 +114,13 @@ def curve(*, sensor: Path, sizes: str, out: str | None, quiet: bool, **asked: An
     """
     shown = {name: asked.pop(name) for name in ("as_json", "verbose", "explain")}
     observer, fit = make_observer(asked, fitted=False)
-    from sensor_sim import calls as api
+    import sensor_sim as ss
     from sensor_sim.chain.sensor import load_sensor
 
     settings, wanted = load_sensor(sensor), numbers(sizes, "--size-detectors")
     with staged(out) as place:
         with progress("computing", len(wanted), quiet=quiet) as advance:
-            result = api.curve(
+            result = ss.curve(
                 settings,
                 size_detectors=wanted,
                 observer=observer,
@@ -199,11 +198,11 @@ def sweep(
 ) -> None:
     """Compute the thresholds of many designs of a sensor, and which are the best trade-offs.
 
-    A design differs from SENSOR.toml in the values of some keys. One that is impossible gets a status and the
-    reason, and the others go on.
+    A design differs from SENSOR.toml in the values of some keys. An impossible design gets a status and the
+    reason; the others are computed.
     """
     observer, fit = make_observer(asked, fitted=False)
-    from sensor_sim import calls as api
+    import sensor_sim as ss
     from sensor_sim.chain.sensor import load_sensor
     from sensor_sim.sweeps.designs import Base, make_designs
     from sensor_sim.sweeps.work import Variants
@@ -214,7 +213,7 @@ def sweep(
     designs = make_designs(base, vary=vary, design=design, sample=sample, seed=asked["rng"])
     with long_run(out, asked, quiet=quiet) as place:
         with progress("sweeping", len(designs.values) * len(wanted), quiet=quiet) as advance:
-            result = api.sweep(
+            result = ss.sweep(
                 settings,
                 size_detectors=wanted,
                 vary=vary if design is None else None,
@@ -267,10 +266,10 @@ def _assigned_ranges(ranges: tuple[str, ...]) -> dict[str, str]:
 @json_option
 def mtf(*, sensor: Path, out: str | None, as_json: bool) -> None:
     """Compute the modulation transfer of every stage along x, before and after sampling."""
-    from sensor_sim import calls as api
+    import sensor_sim as ss
     from sensor_sim.mtf_report import TABLE_STEP
 
-    transfer = api.mtf(sensor)
+    transfer = ss.mtf(sensor)
     with staged(out) as place:
         place.write(transfer.files)
     if as_json:
@@ -289,9 +288,9 @@ def explore(*, sensor: Path, host: str, port: int, no_browser: bool) -> None:
 
     A server on this machine computes the numbers, and sends nothing elsewhere. Ctrl-C ends it.
     """
-    from sensor_sim import calls as api
+    import sensor_sim as ss
 
-    api.explore(sensor, host=host, port=port, open_browser=not no_browser, tell=echo, warn=say)
+    ss.explore(sensor, host=host, port=port, open_browser=not no_browser, tell=echo, warn=say)
 
 
 def main(arguments: list[str] | None = None) -> None:

@@ -10,9 +10,10 @@ import numpy as np
 from sensor_sim.chain.sensor import Sensor
 from sensor_sim.chain.transfer import stages
 from todframes import __version__
+from todframes.report.data import json_file
 from todframes.report.figure_style import COLOURS, INK
-from todframes.report.figures import Picture, drawn
-from todframes.report.saving import Saving, json_file
+from todframes.report.figures import ReportFigure, drawn
+from todframes.report.result import Saving
 from todframes.report.table import Column, Table
 
 if TYPE_CHECKING:
@@ -21,9 +22,7 @@ if TYPE_CHECKING:
 
 POINTS = 201
 
-
 TABLE_STEP = 20
-
 
 SHOWN_NYQUISTS = 3.0
 """Highest frequency in the figure, in units of the Nyquist frequency."""
@@ -145,7 +144,7 @@ class SensorMtf(msgspec.Struct, Saving, frozen=True, kw_only=True):
 
     def files(self) -> dict[str, bytes]:
         """Return the content of `mtf.csv` and `mtf.png`, by name."""
-        picture = Picture(self.sensor, MTF_NOTE, self.draw, "mtf.png")
+        picture = ReportFigure(self.sensor, MTF_NOTE, self.draw, "mtf.png")
         return {"mtf.csv": self.table().csv().encode(), picture.file: picture.png()}
 
 

@@ -11,12 +11,12 @@ from sensor_sim.chain.sampling import sample_image
 from sensor_sim.chain.sensor import Detector, Sensor
 from sensor_sim.chain.simulation import SimulatedTrial, Simulator
 from todframes.base._typing import FloatArray
-from todframes.frames.contrast import Patch
+from todframes.frames.contrast import ContrastPatch
 from todframes.frames.files import write_frame
 from todframes.observers.interface import Observer
 from todframes.observers.retina import resample
 from todframes.report.data import Example, Fit
-from todframes.report.examples import MOST_EXAMPLES, FramePart, pictures
+from todframes.report.examples import MOST_EXAMPLES, ExamplePatch, pictures
 from todframes.report.figure_style import label_text, style
 from todframes.report.figures import save_png
 from todframes.report.wording import evenly
@@ -107,7 +107,7 @@ def _threshold_example(sensor: Sensor, observer: Observer, fit: Fit, seed: int) 
         pixel_pitch_mrad=pitch_mrad,
     )
     width_mrad, drawn = pictures(
-        [FramePart(Patch(contrast, 0, 0, 0), frame.x_px, frame.y_px)],
+        [ExamplePatch(ContrastPatch(contrast, 0, 0, 0), frame.x_px, frame.y_px)],
         retina,
         observer=observer,
         stimulus=stimulus,
@@ -125,7 +125,6 @@ def _threshold_example(sensor: Sensor, observer: Observer, fit: Fit, seed: int) 
 
 BLACK, WHITE = -1.0, 2.0
 """Signals shown as black and as white in the pictures of stages, in units of a large triangle's signal."""
-
 
 STAGE_TITLES = {
     "a_input": "a. scene",

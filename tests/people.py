@@ -26,7 +26,7 @@ from todframes.experiment.monitor import Monitor, luminance_of_gamma, viewing_di
 from todframes.experiment.order import TrialOrder
 from todframes.experiment.session import frames_sha256
 from todframes.experiment.stimuli import shown_codes, shown_contrast, trial_image
-from todframes.frames.contrast import Patch
+from todframes.frames.contrast import ContrastPatch
 from todframes.frames.dataset import Dataset
 from todframes.frames.trials import Trial
 from todframes.observers.pyramid import PyramidObserver
@@ -65,7 +65,9 @@ def model_person(
         image = trial_image(dataset, trial)
         contrast = shown_contrast(shown_codes(image.contrast, monitor, dither_seed), monitor)
         place = image.triangle
-        shown = Shown((Patch(contrast, 0, 0, 0),), (place.x_px,), (place.y_px,), monitor.pixel_pitch_mrad, 0)
+        shown = Shown(
+            (ContrastPatch(contrast, 0, 0, 0),), (place.x_px,), (place.y_px,), monitor.pixel_pitch_mrad, 0
+        )
         stimulus = Stimulus(trial.stimulus.size_mrad * ratio, trial.stimulus.polarity)
         dx, dy = rng.uniform(-0.5, 0.5, 2)
         return observer.respond(retina_image(shown, observer.grid(stimulus), (dx, dy)), stimulus, rng)

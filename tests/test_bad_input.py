@@ -317,6 +317,7 @@ of_each_kind = pytest.mark.parametrize(
 
 @pytest.mark.parametrize("workers", [1, 2])
 @of_each_kind
+@pytest.mark.slow
 def test_bad_frame_stops_score(name, workers, make_dataset, fails, tmp_path):
     dataset = FRAMES[name].of(make_dataset)
     fails(
@@ -1455,6 +1456,7 @@ def test_exit_statuses(make_dataset, tmp_path):
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
 @pytest.mark.parametrize("option", [("--json",), ()], ids=["json", "table"])
+@pytest.mark.slow
 def test_standard_output_is_full(option):
     with Path("/dev/full").open("w") as full:
         done = subprocess.run(

@@ -28,7 +28,7 @@ from todframes.experiment.person import (
     seen_dataset,
 )
 from todframes.experiment.stimuli import shown_codes, shown_contrast, trial_image
-from todframes.frames.contrast import Patch
+from todframes.frames.contrast import ContrastPatch
 from todframes.frames.dataset import load_dataset
 from todframes.observers.oriented import OrientedObserver
 from todframes.psychometrics.likelihood import CHI2_95
@@ -253,7 +253,7 @@ def test_probabilities_are_those_of_the_literal_model(small: Path, tmp_path: Pat
         image = trial_image(dataset, trial)
         contrast = shown_contrast(shown_codes(image.contrast, session.monitor, row.dither_seed), session.monitor)
         shown = Shown(
-            (Patch(contrast, 0, 0, 0),),
+            (ContrastPatch(contrast, 0, 0, 0),),
             (image.triangle.x_px,),
             (image.triangle.y_px,),
             dataset.display.pitch_mrad,

@@ -15,8 +15,8 @@ from todframes.base.errors import DataError
 from todframes.cli.console import run
 from todframes.cli.main import cli
 from todframes.frames import checksums
-from todframes.frames.checksums import dataset_warnings, write_sha256
-from todframes.frames.dataset import load_dataset
+from todframes.frames.checksums import write_sha256
+from todframes.frames.dataset import dataset_warnings, load_dataset
 
 ROOT = Path(__file__).parent.parent
 SAMPLES = ["naked_eye", "grabbed_8bit", "staring_camera", "enhancement"]

@@ -541,7 +541,7 @@ def test_a_scheduler_without_workers_or_of_another_version_is_one_line(monkeypat
 
 def _batch_sizes(seconds_per_item: float, n: int) -> list[int]:
     """Sizes of the first `n` batches, each of which is done before the next."""
-    plan = handing.Plan(Squares(), zip(itertools.count(), itertools.repeat(0), strict=False), 2.0)
+    plan = handing.BatchQueue(Squares(), zip(itertools.count(), itertools.repeat(0), strict=False), 2.0)
     sizes = []
     for _ in range(n):
         batch = plan.next_batch(is_idle=True)
@@ -569,7 +569,7 @@ def test_a_batch_that_takes_too_long_comes_back_in_part(monkeypatch: pytest.Monk
     assert 1 <= done.n_items <= 3
     assert pickle.loads(done.results) == [0, 1, 4][: done.n_items]
 
-    plan = handing.Plan(Squares(), [], 2.0)
+    plan = handing.BatchQueue(Squares(), [], 2.0)
     batch = handing.Batch([(number, number) for number in range(10)])
     assert list(plan.take(batch, done)) == [[(0, 0), (1, 1), (2, 4)][: done.n_items]]
     left = plan.next_batch(is_idle=False)

@@ -37,7 +37,6 @@ def flat(image, *, note: object = object()):
     return 0.0 * image + 0.5
 """
 
-
 QUICKLY = "--set", "resamples=200"
 
 
@@ -129,6 +128,7 @@ def test_json(todframes, dataset: Path) -> None:
 
 
 @pytest.mark.parametrize("workers", ["1", "2"])
+@pytest.mark.slow
 def test_a_function_that_calls_sys_exit(todframes, dataset: Path, here: Path, workers: str) -> None:
     (here / "my_algorithms.py").write_text("import sys\ndef leave(image):\n    sys.exit(0)\n", encoding="utf-8")
     status, out, err = todframes("compare", dataset, "--enhance", "my_algorithms:leave", "--workers", workers)

@@ -12,7 +12,7 @@ from skimage.metrics import peak_signal_noise_ratio
 from todframes.base.errors import DataError, FrameError, SettingsError
 from todframes.enhancement.algorithm import find_enhancement
 from todframes.enhancement.compare import compare_dataset
-from todframes.enhancement.enhanced_frame import DecodedFrame, EnhancedImage, Screen
+from todframes.enhancement.enhanced_frame import AlgorithmDisplay, DecodedFrame, EnhancedImage
 from todframes.frames.contrast import frame_problems
 from todframes.frames.dataset import load_dataset
 from todframes.frames.files import FrameFile, read_frame, write_frame
@@ -91,7 +91,7 @@ def own(tmp_path_factory, monkeypatch):
 
 def compare(path, *specs: str, observer=OBSERVER, white: float = 1.0, **arguments):
     dataset = load_dataset(path)
-    screen = Screen(dataset.display, white, arguments.pop("allow_clipping", False))
+    screen = AlgorithmDisplay(dataset.display, white, arguments.pop("allow_clipping", False))
     algorithms = [find_enhancement(spec) for spec in specs]
     return compare_dataset(dataset, observer, algorithms, **{"fit_settings": FAST, "screen": screen} | arguments)
 
@@ -286,7 +286,7 @@ def test_a_border_without_light_has_no_background(make_dataset) -> None:
 def test_luminance_is_between_black_and_white(make_dataset) -> None:
     display = {"eotf": "srgb", "white_luminance_cd_m2": 120.0, "black_luminance_cd_m2": 0.5}
     made = make_dataset(suffix=".png", contrasts=(0.2,), display=display)
-    screen = Screen(load_dataset(made.path).display)
+    screen = AlgorithmDisplay(load_dataset(made.path).display)
     with FrameFile(made.frame(0)) as file:
         decoded = DecodedFrame(file, screen)
     assert screen.luminance_range == (0.5, 120.0)
@@ -302,7 +302,7 @@ def test_a_border_is_the_outermost_ring() -> None:
     dataset_display = {"eotf": "linear", "background_luminance_cd_m2": 50.0, "pixel_pitch_mrad": 0.5}
     from todframes.display.display import Display
 
-    screen = Screen(Display(**dataset_display, white_luminance_cd_m2=80.0))
+    screen = AlgorithmDisplay(Display(**dataset_display, white_luminance_cd_m2=80.0))
     assert EnhancedImage(screen, values).border_luminance() == 80.0
     assert EnhancedImage(screen, values[:1]).border_luminance() == 80.0
 
@@ -312,7 +312,7 @@ def test_a_measured_display_has_the_range_of_its_table(make_dataset) -> None:
     (made.path / "lut.csv").write_text("code_value,luminance_cd_m2\n0.1,2\n0.5,30\n0.9,90\n", encoding="utf-8")
     made.toml["display"] |= {"eotf": "lut", "lut": "lut.csv", "background_luminance_cd_m2": "border"}
     made.save()
-    screen = Screen(load_dataset(made.path).display)
+    screen = AlgorithmDisplay(load_dataset(made.path).display)
     assert (screen.code_range, screen.luminance_range) == (pytest.approx((0.1, 0.9)), (2.0, 90.0))
     results = compare(made.path, "own_enhancements:gain:by=1.5", "own_enhancements:light")
     assert np.allclose(results[2].scored.scores, results[0].scored.scores, rtol=0.0, atol=1e-4)  # of 32 bits
@@ -397,7 +397,7 @@ def test_psnr_is_that_of_all_frames_together(make_dataset) -> None:
     made = with_reference(make_dataset, 0.05)
     clean = np.array([read_frame(made.path / row["reference_frame"]).values for row in made.rows])
     blurred = [
-        DecodedFrame(FrameFile(made.frame(number)), Screen(load_dataset(made.path).display)).after(
+        DecodedFrame(FrameFile(made.frame(number)), AlgorithmDisplay(load_dataset(made.path).display)).after(
             find_enhancement("gaussian:sigma=2")
         )
         for number in range(len(made.rows))

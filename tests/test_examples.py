@@ -13,18 +13,17 @@ import pytest
 from todframes.base._typing import FloatArray
 from todframes.cli.console import run
 from todframes.cli.main import cli
-from todframes.frames.contrast import Patch
+from todframes.frames.contrast import ContrastPatch
 from todframes.frames.dataset import load_dataset
 from todframes.observers.pyramid import PyramidObserver, PyramidSettings
 from todframes.observers.retina import RetinaGrid
 from todframes.report.data import Example, Thumbnail
-from todframes.report.examples import FramePart, examples, pictures
+from todframes.report.examples import ExamplePatch, examples, pictures
 from todframes.scoring.score import score_dataset
 from todframes.stimulus import Stimulus
 
 # Code values of sRGB (IEC 61966-2-1) for linear light 1/2, 3/4 and 1.
 HALF, THREE_QUARTERS, WHITE = 188, 225, 255
-
 
 Drawn = Example | tuple[float, tuple[Thumbnail, ...]]
 
@@ -60,7 +59,7 @@ def watched(bands: Sequence[FloatArray], *, levels: int = 4, size_mrad: float = 
     """Pictures with given bands; display pixels and retina samples of 0.1 mrad, nothing on the display."""
     observer = Watcher(bands, PyramidSettings(retina_pitch_mrad=0.1, levels=levels))
     side = observer.grid(Stimulus(size_mrad)).side
-    shown = [FramePart(Patch(np.zeros((99, 99)), 0, 0, 0), 49.0, 49.0)]
+    shown = [ExamplePatch(ContrastPatch(np.zeros((99, 99)), 0, 0, 0), 49.0, 49.0)]
     common: dict[str, Any] = {"observer": observer, "stimulus": Stimulus(size_mrad), "pixel_pitch_mrad": 0.1}
     return pictures(shown, np.zeros((side, side)), **(common | more))
 
@@ -119,7 +118,9 @@ def test_no_threshold_no_trial_near_it(make_dataset) -> None:
 
 def test_frames_of_a_trial_are_averaged() -> None:
     """Contrasts 0.2 and 0.6 on a common display: grey of the light of 0.4."""
-    shown = [FramePart(Patch(np.full((99, 99), contrast), 0, 0, 0), 49.0, 49.0) for contrast in (0.2, 0.6)]
+    shown = [
+        ExamplePatch(ContrastPatch(np.full((99, 99), contrast), 0, 0, 0), 49.0, 49.0) for contrast in (0.2, 0.6)
+    ]
     observer = PyramidObserver()
     one = pictures(shown, np.zeros((65, 65)), observer=observer, stimulus=Stimulus(1.0), pixel_pitch_mrad=0.1)
     assert (decoded(one)["display"] == np.rint(255 * (1.055 * 0.7 ** (1 / 2.4) - 0.055))).all()
@@ -128,7 +129,7 @@ def test_frames_of_a_trial_are_averaged() -> None:
 def test_white_is_the_brightest_or_as_told() -> None:
     patch = np.zeros((99, 99))
     patch[49, 49] = 3.0
-    shown = [FramePart(Patch(patch, 0, 0, 0), 49.0, 49.0)]
+    shown = [ExamplePatch(ContrastPatch(patch, 0, 0, 0), 49.0, 49.0)]
     common: dict[str, Any] = {"observer": PyramidObserver(), "stimulus": Stimulus(1.0), "pixel_pitch_mrad": 0.1}
     one = pictures(shown, np.zeros((65, 65)), **common)
     assert scales(one)["display"] == 3.0
@@ -141,7 +142,7 @@ def test_white_is_the_brightest_or_as_told() -> None:
 @pytest.mark.parametrize(("row", "column"), [(0, 0), (40, 0), (0, 40), (-500, -500), (500, 500)])
 def test_background_where_the_frame_ends(row: int, column: int) -> None:
     """Lit pixels from (row, column) on; the triangle is at (49, 49)."""
-    shown = [FramePart(Patch(np.ones((60, 60)), row, column, 0), 49.0, 49.0)]
+    shown = [ExamplePatch(ContrastPatch(np.ones((60, 60)), row, column, 0), 49.0, 49.0)]
     observer = PyramidObserver()
     one = pictures(shown, np.zeros((65, 65)), observer=observer, stimulus=Stimulus(1.0), pixel_pitch_mrad=0.1)
     display = decoded(one)["display"]
@@ -194,7 +195,7 @@ def test_observer_that_shows_nothing() -> None:
         def grid(self, _: Stimulus) -> RetinaGrid:
             return RetinaGrid(65, 0.1)
 
-    shown = [FramePart(Patch(np.zeros((99, 99)), 0, 0, 0), 49.0, 49.0)]
+    shown = [ExamplePatch(ContrastPatch(np.zeros((99, 99)), 0, 0, 0), 49.0, 49.0)]
     blind: Any = Blind()
     one = pictures(shown, np.zeros((65, 65)), observer=blind, stimulus=Stimulus(1.0), pixel_pitch_mrad=0.1)
     assert list(decoded(one)) == ["display", "retina"]

@@ -38,7 +38,7 @@ from todframes.experiment.answers import (
 )
 from todframes.experiment.monitor import Calibration, MonitorError
 from todframes.experiment.order import TrialOrder
-from todframes.experiment.session import Design, StepError, frames_sha256, open_sitting
+from todframes.experiment.session import SessionDesign, StepError, frames_sha256, open_sitting
 from todframes.experiment.stimuli import shown_codes, trial_image
 from todframes.frames.dataset import load_dataset
 from todframes.frames.files import FrameFile
@@ -56,7 +56,7 @@ MEASURES = Calibration(
     viewport_px=(1900, 1000),
 )
 
-SHORT = Design(trials=8, practice=2, break_every=3, seed=5)
+SHORT = SessionDesign(trials=8, practice=2, break_every=3, seed=5)
 
 
 @pytest.fixture
@@ -94,7 +94,7 @@ def finish(sitting) -> None:
 
 
 def order(dataset, out, **design: Any) -> tuple[TrialOrder, Any]:
-    with open_sitting(dataset, out, design=Design(**({"seed": 5} | design))) as sitting:
+    with open_sitting(dataset, out, design=SessionDesign(**({"seed": 5} | design))) as sitting:
         return TrialOrder(dataset.trials, sitting.record), sitting.record
 
 
@@ -317,7 +317,7 @@ def test_each_row_says_which_pixels_were_shown(dataset, out):
 def test_a_trial_of_several_frames_is_one_answer(make_dataset, out):
     changes = {row: {"trial": f"t{row // 2}"} for row in range(8)}
     data = load_dataset(make_dataset(contrasts=(0.1,), repeats=2, row_changes=changes).path)
-    with open_sitting(data, out, design=Design(practice=0)) as sitting:
+    with open_sitting(data, out, design=SessionDesign(practice=0)) as sitting:
         begin(sitting)
         assert sitting.state()["total"] == 4
         row = answer_rightly(sitting)
@@ -368,7 +368,7 @@ def test_requests_out_of_step_are_refused(dataset, out):
 
 
 def test_a_time_limit_that_passed_is_a_trial_without_response(dataset, out):
-    design = Design(trials=4, practice=0, time_limit_s=1.5)
+    design = SessionDesign(trials=4, practice=0, time_limit_s=1.5)
     with open_sitting(dataset, out, subject="P1", design=design) as sitting:
         begin(sitting)
         assert sitting.trial()["time_limit_ms"] == 1500.0
@@ -384,7 +384,7 @@ def test_a_time_limit_that_passed_is_a_trial_without_response(dataset, out):
 
 def test_answers_that_say_nothing_are_flagged_and_their_trials_shown_again(dataset, out):
     """5 ms after the picture nobody has seen it, and nobody sees a page that is hidden."""
-    with open_sitting(dataset, out, subject="P1", design=Design(trials=4, practice=0, seed=5)) as sitting:
+    with open_sitting(dataset, out, subject="P1", design=SessionDesign(trials=4, practice=0, seed=5)) as sitting:
         begin(sitting)
         for time_ms, lost, flag in (
             (5.0, None, "too_fast"),
@@ -402,7 +402,7 @@ def test_answers_that_say_nothing_are_flagged_and_their_trials_shown_again(datas
 
 
 def test_flagged_answers_count_where_they_are_asked_for(dataset, out):
-    design = Design(trials=4, practice=0, seed=5, include_flagged=True)
+    design = SessionDesign(trials=4, practice=0, seed=5, include_flagged=True)
     with open_sitting(dataset, out, subject="P1", design=design) as sitting:
         begin(sitting)
         for _ in range(4):
@@ -461,7 +461,7 @@ def test_nobody_but_their_owner_reads_the_answers(dataset, out):
 
 def test_a_monitor_that_cannot_show_the_frames_is_refused_with_a_reason(make_dataset, out):
     data = load_dataset(make_dataset(contrasts=(0.1, 2.0)).path)
-    with open_sitting(data, out, design=Design(practice=0)) as sitting:
+    with open_sitting(data, out, design=SessionDesign(practice=0)) as sitting:
         sitting.consent(True)
         for changes, reason in (
             ({}, "range"),
@@ -473,7 +473,7 @@ def test_a_monitor_that_cannot_show_the_frames_is_refused_with_a_reason(make_dat
                 sitting.calibrate(replace(MEASURES, **changes))
             assert caught.value.reason == reason
         assert sitting.state()["step"] == "monitor"
-    with open_sitting(data, out, design=Design(practice=0, background=0.3)) as sitting:
+    with open_sitting(data, out, design=SessionDesign(practice=0, background=0.3)) as sitting:
         begin(sitting)
 
 
@@ -501,7 +501,7 @@ def test_a_frame_that_is_damaged_meanwhile_is_told(dataset, out):
 
 @pytest.mark.parametrize("method", ["constant", "quest"])
 def test_a_session_that_was_ended_after_each_answer_is_as_one_in_one_go(dataset, tmp_path, method):
-    design = Design(method=method, trials=4, practice=2, break_every=2, seed=5)
+    design = SessionDesign(method=method, trials=4, practice=2, break_every=2, seed=5)
     with open_sitting(dataset, tmp_path / "one", subject="P1", design=design) as sitting:
         begin(sitting)
         finish(sitting)
@@ -544,7 +544,7 @@ def test_which_of_several_unfinished_sessions_is_asked(dataset, out):
 
 
 def test_a_finished_session_is_followed_by_a_new_one(dataset, out):
-    with open_sitting(dataset, out, design=Design(trials=1, practice=0)) as sitting:
+    with open_sitting(dataset, out, design=SessionDesign(trials=1, practice=0)) as sitting:
         begin(sitting)
         finish(sitting)
         first = sitting.record.subject
@@ -560,10 +560,13 @@ def test_a_finished_session_is_followed_by_a_new_one(dataset, out):
 @pytest.mark.parametrize(
     ("design", "message"),
     [
-        (Design(method="quest"), "method: found quest, the session has constant, but subject P1 has answered"),
-        (Design(trials=9), "trials: found 9, the session has 8"),
-        (Design(time_limit_s=2.0), "time_limit_s: found 2.0, the session has None"),
-        (Design(dither=False), "dither: found False, the session has True"),
+        (
+            SessionDesign(method="quest"),
+            "method: found quest, the session has constant, but subject P1 has answered",
+        ),
+        (SessionDesign(trials=9), "trials: found 9, the session has 8"),
+        (SessionDesign(time_limit_s=2.0), "time_limit_s: found 2.0, the session has None"),
+        (SessionDesign(dither=False), "dither: found False, the session has True"),
     ],
 )
 def test_settings_of_a_session_that_has_begun_stay(dataset, out, design, message):
@@ -579,7 +582,7 @@ def test_settings_of_a_session_that_has_begun_stay(dataset, out, design, message
 def test_settings_may_change_before_the_first_answer(dataset, out):
     with open_sitting(dataset, out, subject="P1", design=SHORT) as sitting:
         begin(sitting)
-    with open_sitting(dataset, out, design=Design(background=0.4)) as sitting:
+    with open_sitting(dataset, out, design=SessionDesign(background=0.4)) as sitting:
         assert sitting.state()["step"] == "consent"
         assert sitting.record.background == 0.4
 
@@ -644,13 +647,13 @@ def test_random_ids_are_letters_and_digits(dataset, out):
 )
 def test_settings_are_checked(design, message):
     with pytest.raises(SettingsError, match=message):
-        Design(**design)
+        SessionDesign(**design)
 
 
 def test_more_trials_than_there_are_is_told(dataset, out):
     with (
         pytest.raises(SettingsError, match="trials: found 25, expected at most 24, the trials of the dataset"),
-        open_sitting(dataset, out, design=Design(trials=25)),
+        open_sitting(dataset, out, design=SessionDesign(trials=25)),
     ):
         pass
     assert not out.exists()
@@ -812,7 +815,6 @@ BAD_ANSWERS = [
     b"[" * 100_000,
     b"\xff\xfe",
 ]
-
 
 BAD_MONITORS = [
     b"{}",

@@ -32,7 +32,7 @@ from todframes.experiment.answers import (
     write_sidecar,
 )
 from todframes.experiment.monitor import Calibration, calibrated
-from todframes.experiment.psych_ds import NAME, write_description
+from todframes.experiment.psych_ds import DESCRIPTION_FILE, write_description
 from todframes.psychometrics.counts import read_counts
 from todframes.stimulus import Orientation
 
@@ -120,6 +120,45 @@ def test_what_is_written_is_read_again(path):
     assert session.monitor == MONITOR
     assert session.subject == "P1"
     assert [row.number for row in session.main_rows()] == [1, 2, 4, 5]
+
+
+@pytest.mark.parametrize("kind", ["link", "hard link", "pipe", "folder"])
+@pytest.mark.parametrize("place", ["data file", "sidecar", "description", "counts"])
+def test_files_of_a_stranger_are_not_written(path, tmp_path, place, kind):
+    theirs = tmp_path / "theirs.csv"
+    theirs.write_text("mine, and a line that is torn")
+    folder = path.parent.parent
+    planted = {
+        "data file": path,
+        "sidecar": sidecar_path(path),
+        "description": folder / DESCRIPTION_FILE,
+        "counts": count_file(folder, "P1"),
+    }[place]
+    planted.parent.mkdir(exist_ok=True)
+    planted.unlink(missing_ok=True)
+    match kind:
+        case "link":
+            planted.symlink_to(theirs)
+        case "hard link":
+            planted.hardlink_to(theirs)
+        case "pipe":
+            os.mkfifo(planted)
+        case _:
+            planted.mkdir()
+    write_it = {
+        "data file": lambda: write(path, rows(2)),
+        "sidecar": lambda: write_sidecar(planted, RECORD),
+        "description": lambda: write_description(folder, SHOWN, {"todframes": "0"}),
+        "counts": lambda: write_counts(planted, RECORD, rows(2)),
+    }[place]
+    if place == "data file" or kind in ("pipe", "folder"):
+        with pytest.raises(OutputError, match=re.escape(str(planted))):
+            write_it()
+    else:
+        write_it()
+        assert planted.is_file()
+        assert not planted.is_symlink()  # the name is ours now
+    assert theirs.read_text() == "mine, and a line that is torn"
 
 
 def test_a_spreadsheet_computes_nothing(path):
@@ -365,7 +404,7 @@ def test_folder_is_psych_ds(path):
     folder = path.parent.parent
     write(path, rows(2))
     write_description(folder, SHOWN, {"todframes": "0"})
-    found = json.loads((folder / NAME).read_text())
+    found = json.loads((folder / DESCRIPTION_FILE).read_text())
     # The rules of Psych-DS 1.5 whose breach is an error.
     assert found["@context"].rstrip("/") == "https://schema.org"
     assert found["@type"] == "Dataset"

@@ -31,13 +31,13 @@ from sensor_sim.chain.sensor import TABLES, Distribution, sensor_toml
 from sensor_sim.chain.simulation import SimulatedTrial
 from sensor_sim.cli import cli
 from sensor_sim.explorer import routes
-from sensor_sim.explorer.engine import Engine, Request
 from sensor_sim.explorer.limits import Shares
 from sensor_sim.explorer.live import LiveCurve, LiveCurves
 from sensor_sim.explorer.parameters import PARAMETERS
 from sensor_sim.explorer.plots import Drawn, PlotAsked, curve_plot, draw_curves, mtf_plot
 from sensor_sim.explorer.routes import CurveAsked, Explorer, SensorAsked, TextAsked, TomlAsked, TrialAsked
 from sensor_sim.explorer.scaled import unit_of
+from sensor_sim.explorer.threshold_engine import Request, ThresholdEngine
 from sensor_sim.pictures import trial_stages
 from sensor_sim.sweeps.designs import numeric_keys
 from sensor_sim.thresholds.predict import PredictedThreshold
@@ -187,7 +187,7 @@ def test_the_command_computes_what_the_page_shows(tmp_path, monkeypatch):
         asked.update(settings, sensor=sensor)
         raise SettingsError("enough")
 
-    monkeypatch.setattr("sensor_sim.calls.curve", curve)
+    monkeypatch.setattr("sensor_sim.curve", curve)
     monkeypatch.chdir(tmp_path)
     assert run(cli, shlex.split(made["command"])[1:]) == 2
     assert asked["sensor"] == SENSOR
@@ -249,7 +249,11 @@ def test_the_line_about_a_limit_of_the_computation_names_its_field(changed, size
         tables[table][setting] = value
     made, observer = SensorAsked(tables).made(), PyramidObserver()
     with pytest.raises(SettingsError, match=r"expected at (most|least) [\d.]+") as found:
-        list(Engine(lambda: None).answers(Request(1, made, unit_of(observer), ((0, size),), 0.75, (0.03, 0.002))))
+        list(
+            ThresholdEngine(lambda: None).answers(
+                Request(1, made, unit_of(observer), ((0, size),), 0.75, (0.03, 0.002))
+            )
+        )
     assert str(found.value).startswith(f"{name}: found ")
     assert error_of(found.value)["key"] == (name if "." in name else None)
 
@@ -416,7 +420,7 @@ def test_without_the_extra_the_command_is_one_line(capsys, monkeypatch):
 
 @pytest.mark.slow
 def test_the_packages_of_the_page_are_not_imported_without_it():
-    code = "import sys, todframes, sensor_sim, sensor_sim.cli, sensor_sim.calls, todframes.web\n"
+    code = "import sys, todframes, sensor_sim, sensor_sim.cli, sensor_sim.calls.explore, todframes.web\n"
     code += "sys.exit(bool({'starlette', 'uvicorn', 'anyio'} & set(sys.modules)))"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 

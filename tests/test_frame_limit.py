@@ -11,12 +11,12 @@ import zlib
 import numpy as np
 import pytest
 from test_memory import PEAK, linux
-from test_recordings import dng, fff, write_image
+from test_recordings import dng, fff, jpeg_ls, png, ptw, write_image
 
 import todframes as tod
 from todframes.cli.console import run
 from todframes.cli.main import cli
-from todframes.recordings import open_recordings
+from todframes.recordings.opening import open_recordings
 
 SIDE_PX = 1024
 """Frames of this side count as 8 MB in a recording."""
@@ -53,6 +53,9 @@ FILES = {
     "a.npz": lambda path: np.savez_compressed(path, COUNTS),
     "a.dng": lambda path: dng(path, COUNTS, black=0, white=1000, mosaic=False),
     "a.fff": lambda path: path.write_bytes(fff(COUNTS)),
+    "a.csq": lambda path: path.write_bytes(fff(COUNTS, image=jpeg_ls(COUNTS))),
+    "png.fff": lambda path: path.write_bytes(fff(COUNTS, image=png(COUNTS))),
+    "a.ptw": lambda path: path.write_bytes(ptw(COUNTS[np.newaxis], [1.0])),
     "a.mkv": lambda path: video(path, "ffv1", "gray16le"),
     "a.mov": lambda path: video(path, "png", "rgb24"),
     "a.mp4": lambda path: video(path, "libx264", "yuv420p"),
@@ -105,6 +108,7 @@ def test_a_limit_is_a_whole_number(tmp_path, limit) -> None:
     [("score",), ("score", "--workers", "2"), ("validate",), ("compare", "--enhance", "clahe")],
     ids=" ".join,
 )
+@pytest.mark.slow
 def test_commands_of_frames_take_the_limit(make_dataset, capsys, command) -> None:
     made = make_dataset(contrasts=(0.5,))
     tod.write_frame(made.frame(0), np.full((800, 800), 0.5), pixel_type="half")  # 1.2 MB
@@ -159,6 +163,7 @@ def npz_with_a_long_header(path):
     ],
 )
 @pytest.mark.parametrize("command", ["noise", "import"])
+@pytest.mark.slow
 def test_a_bomb_is_refused_before_it_takes_memory(tmp_path, name, make, command) -> None:
     path = tmp_path / name
     make(path)

@@ -15,7 +15,7 @@ import OpenImageIO as oiio
 import pytest
 
 from todframes.base.errors import FrameError, OutputError, SettingsError
-from todframes.base.locations import in_utf8
+from todframes.base.safe_text import in_utf8
 from todframes.frames.contrast import _extremes
 from todframes.frames.files import FrameFile, frame_sha256, read_frame, read_header, write_frame
 

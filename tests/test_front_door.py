@@ -9,11 +9,15 @@ import json
 import re
 import subprocess
 import sys
+import tomllib
 from collections.abc import Iterator
 from dataclasses import replace
+from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
+from types import SimpleNamespace
 
+import click
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
@@ -22,6 +26,7 @@ import sensor_sim as ss
 import todframes as tod
 from sensor_sim.cli import cli as sensor_cli
 from todframes.base.errors import flag_of
+from todframes.base.output import ENTRY_POINT_GROUP
 from todframes.cli.console import run
 from todframes.cli.main import cli
 from todframes.report.data import decode
@@ -29,6 +34,8 @@ from todframes.report.data import decode
 ROOT = Path(__file__).parent.parent
 NAKED_EYE, ENHANCEMENT = ROOT / "sample_frames" / "naked_eye", ROOT / "sample_frames" / "enhancement"
 CAMERA = ROOT / "sample_frames" / "staring_camera.toml"
+SLOW_TO_LOAD = {"OpenImageIO", "sqlite3", "matplotlib", "todframes.frames", "todframes.jobs"}
+MOST_FILES_RUN = 60
 NAMES = [(package, name) for package in (tod, ss) for name in dir(package)]
 
 
@@ -71,10 +78,72 @@ def test_names() -> None:
     assert callable(ss.simulate)
 
 
+def loaded_by(code: str, *arguments: object) -> dict[str, str | None]:
+    """Return the files of all modules that are loaded in a process of its own after `code`, by name."""
+    code += (
+        "; import json, sys; found = {name: getattr(one, '__file__', None) for name, one in sys.modules.items()}"
+    )
+    code += "; print('\\n' + json.dumps(found))"
+    done = subprocess.run(
+        [sys.executable, "-c", code, *map(str, arguments)], capture_output=True, text=True, check=True
+    )
+    found: dict[str, str | None] = json.loads(done.stdout.splitlines()[-1])
+    return found
+
+
+def files_run(loaded: dict[str, str | None]) -> set[str]:
+    """Return those of our files that hold more than a docstring, as most packages do not."""
+    ours = {file for name, file in loaded.items() if re.match(r"(todframes|sensor_sim)\b", name) and file}
+    return {file for file in ours if len(ast.parse(Path(file).read_text(encoding="utf-8")).body) > 1}
+
+
 @pytest.mark.parametrize("package", ["todframes", "sensor_sim"])
 def test_import_loads_nothing(package: str) -> None:
-    code = f"import sys, {package}; dir({package}); sys.exit('numpy' in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+    loaded = loaded_by(f"import {package}; dir({package})")
+    assert "numpy" not in loaded
+    assert [name for name in loaded if re.match(r"(todframes|sensor_sim)\b", name)] == [package]
+
+
+@pytest.mark.parametrize(
+    ("group", "arguments", "unused"),
+    [
+        pytest.param("sensor_sim.cli", ["curve", CAMERA, "--size-detectors", "4,6"], SLOW_TO_LOAD, id="curve"),
+        pytest.param("todframes.cli.main", ["score", CAMERA.with_suffix("")], {"sqlite3"}, id="score"),
+    ],
+)
+def test_a_command_runs_few_files(group: str, arguments: list[object], unused: set[str]) -> None:
+    code = f"import sys; from {group} import cli; from todframes.cli.console import run; run(cli, sys.argv[1:])"
+    loaded = loaded_by(code, *arguments)
+    assert not unused & loaded.keys()
+    assert len(files_run(loaded)) < MOST_FILES_RUN
+
+
+def test_files_of_other_packages_commands(tmp_path: Path) -> None:
+    """What `_join` removes beside a new result: the files of each command that is registered, none missing."""
+    registered = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["entry-points"]
+    ss.curve(CAMERA, size_detectors=[4, 6], tolerance=0.1).save(tmp_path / "curve")
+    vary = {"optics.aperture_mm": "110:220:3"}
+    ss.sweep(CAMERA, size_detectors=[6], vary=vary, tolerance=0.1).save(tmp_path / "sweep")
+    for command, name in registered[ENTRY_POINT_GROUP].items():
+        module, _, attribute = name.partition(":")
+        written = {one.name for one in (tmp_path / command).iterdir()}
+        assert "result.json" in written
+        assert written - {"result.json"} <= getattr(import_module(module), attribute)
+
+
+def test_a_result_over_that_of_another_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Files of the command that an older result names go with it, and no others."""
+    entry = SimpleNamespace(load=lambda: frozenset({"table.csv"}))
+    asked: list[dict[str, str]] = []
+    monkeypatch.setattr("importlib.metadata.entry_points", lambda **which: asked.append(which) or [entry])
+    out = tmp_path / "out"
+    out.mkdir()
+    for name, content in (("result.json", '{"command": "other"}'), ("table.csv", ""), ("mine.csv", "")):
+        (out / name).write_text(content, encoding="utf-8")
+    tod.fit_counts([0.1, 0.2, 0.4, 0.8], [12, 18, 30, 38], [40] * 4, fit=tod.FitSettings(resamples=0)).save(out)
+    assert asked == [{"group": ENTRY_POINT_GROUP, "name": "other"}]
+    assert {one.name for one in out.iterdir()} >= {"mine.csv", "result.json", "report.html"}
+    assert not (out / "table.csv").exists()
 
 
 def marks(name: str) -> list[pytest.MarkDecorator]:
@@ -231,55 +300,62 @@ def test_result_of_the_least_fields() -> None:
 
 
 FLAG = re.compile(r"(?<![-\w`])--[a-z]")
+WHOLE_COMMAND = re.compile(r"(todframes|sensor-sim) [a-z-]+ .*--")
 COMMANDS_ALONE = ("cli", "cli.py", "studies")
-"""Rooms and modules whose errors only commands raise."""
+"""Rooms and modules that only commands use."""
+NO_SENTENCES = {"base/errors.py", "report/html.py", "report/svg.py", "explorer/routes.py"}
+"""Modules with a table of options, with variables of CSS, and with the parts of a command to copy."""
 
 
-def errors_in_source() -> Iterator[tuple[str, ast.Call]]:
-    """All calls of errors in the packages, with their places."""
+def nodes_in_source() -> Iterator[tuple[str, ast.AST]]:
+    """All nodes of the sources of calls but docstrings and parts of f-strings, with their places."""
     for package in (tod, ss):
         folder = Path(package.__file__).parent
         for path in folder.rglob("*.py"):
-            if path.relative_to(folder).parts[0] in COMMANDS_ALONE:
-                continue
-            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-                if isinstance(node, ast.Call) and ast.unparse(node.func).endswith("Error"):
-                    yield f"{path}:{node.lineno}", node
+            below = path.relative_to(folder)
+            if below.parts[0] not in COMMANDS_ALONE and below.as_posix() not in NO_SENTENCES:
+                nodes = [*ast.walk(ast.parse(path.read_text(encoding="utf-8")))]
+                skipped = {id(one.value) for one in nodes if isinstance(one, ast.Expr)}
+                skipped |= {id(part) for one in nodes if isinstance(one, ast.JoinedStr) for part in one.values}
+                yield from ((str(path), one) for one in nodes if id(one) not in skipped)
 
 
-def arguments_named(call: ast.Call) -> set[str]:
-    """The arguments that the message of an error names."""
-    found = [one for one in ast.walk(call) if isinstance(one, ast.Attribute)]
-    return {one.attr for one in found if ast.unparse(one.value) == "argument"}
+def arguments_named() -> dict[str, str]:
+    """The arguments that texts of calls name, with a place of each."""
+    found = ((place, node) for place, node in nodes_in_source() if isinstance(node, ast.Attribute))
+    return {node.attr: place for place, node in found if ast.unparse(node.value) == "argument"}
 
 
-def test_errors_of_calls_name_arguments() -> None:
-    """No error of the library names an option, and each argument that one names is that of a call."""
+def test_texts_of_calls_name_arguments() -> None:
+    """No text of the library names an option, and each argument that one names is that of a call."""
+    for place, node in nodes_in_source():
+        if isinstance(node, ast.JoinedStr | ast.Constant) and not WHOLE_COMMAND.search(text := ast.unparse(node)):
+            assert not FLAG.search(text), (place, text)
     calls = [getattr(package, name) for package, name in NAMES]
     known = {name for one in calls if inspect.isfunction(one) for name in inspect.signature(one).parameters}
     known |= {"bits"}  # a setting of `chart` for a screen
-    n_named = 0
-    for place, call in errors_in_source():
-        for node in ast.walk(call):
-            if isinstance(node, ast.Constant) and isinstance(node.value, str):
-                assert not FLAG.search(node.value), place
-        named = arguments_named(call)
-        assert named <= known, place
-        n_named += len(named)
-    assert n_named > 20
+    named = arguments_named()
+    assert len(named) > 20
+    assert {name: place for name, place in named.items() if name not in known} == {}
+
+
+def commands_of(group: click.Group) -> dict[str, click.Command]:
+    """Return the commands of a group by name; most are imported when they are asked for."""
+    context = click.Context(group)
+    found = {name: group.get_command(context, name) for name in group.list_commands(context)}
+    return {name: one for name, one in found.items() if one is not None}
 
 
 def test_options_of_arguments_exist() -> None:
-    """Each argument that an error names has the option of a command, which shows it in its place."""
+    """Each argument that a text names has the option of a command, which shows it in its place."""
     options = {
         option
         for group in (cli, sensor_cli)
-        for command in group.commands.values()
+        for command in commands_of(group).values()
         for parameter in command.params
         for option in parameter.opts
     }
-    named = {name for _, call in errors_in_source() for name in arguments_named(call)}
-    assert {flag_of(name) for name in named} <= options
+    assert {flag_of(name) for name in arguments_named()} <= options
 
 
 @pytest.mark.parametrize(
@@ -311,6 +387,24 @@ def test_an_error_names_what_its_reader_wrote(capsys, call, arguments, command, 
     assert option in capsys.readouterr().err
 
 
+def test_an_error_about_a_frame_names_the_option_too(capsys) -> None:
+    algorithm = "gaussian:sigma=1"
+    with pytest.raises(tod.FrameError, match=r"above white \(1\); .* \(white\)$") as caught:
+        tod.compare(NAKED_EYE, [algorithm])
+    assert caught.value.problem.endswith("(white)")
+    assert run(cli, ["compare", str(NAKED_EYE), "--enhance", algorithm]) == 1
+    assert capsys.readouterr().err.rstrip().endswith("(--white)")
+
+
+def test_a_warning_names_what_its_reader_wrote(make_dataset, capsys) -> None:
+    path = str(make_dataset(row_changes={row: {"x_px": "26", "y_px": "23.5"} for row in range(8)}).path)
+    (found,) = [one.message for one in tod.validate(path).warnings if one.code == "position_offset"]
+    assert found.endswith("take them out and use locate")
+    assert run(cli, ["validate", path, "--json"]) == 0
+    shown = json.loads(capsys.readouterr().out)["warnings"]
+    assert [one["message"] for one in shown if one["code"] == "position_offset"] == [found[:-6] + "--locate"]
+
+
 def test_every_command_has_a_call() -> None:
     renamed = {
         "fit": "fit_counts",
@@ -321,7 +415,7 @@ def test_every_command_has_a_call() -> None:
     renamed |= {"report": "load_result", "enhancements": "find_enhancement"}
     alone = {"accuracy", "stability"}  # studies of this package
     for package, group in ((tod, cli), (ss, sensor_cli)):
-        for name in set(group.commands) - alone:
+        for name in commands_of(group).keys() - alone:
             assert callable(getattr(package, renamed.get(name, name.replace("-", "_")))), name
 
 

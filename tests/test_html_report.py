@@ -521,6 +521,7 @@ def with_texts(result: Any, texts: Iterator[str]) -> Any:
 
 
 @pytest.mark.parametrize("command", ["score", "compare", "accuracy"])
+@pytest.mark.slow
 def test_names_are_data_never_markup(results, command: str) -> None:
     """The page has the very elements that it has with harmless names, and shows the texts."""
     results["compare"]["algorithms"] = results["compare"]["algorithms"][:2]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -135,6 +136,7 @@ def test_times_that_contradict_the_chart(tmp_path: Path, chart: Path, pages, rat
         ([0.2, 0.2, 3.0, 0.2, 0.2, 0.2], 0.2),  # a pause
         ([0.5, 1.7, 0.9, 2.4, 1.1], None),  # turned by hand
         ([0.2, 0.2], None),
+        ([0.05] * 8, None),  # pages as short as the frames: photographs, one of each page
     ],
 )
 def test_the_duration_of_pages_is_that_of_a_program(durations, expected) -> None:
@@ -204,6 +206,28 @@ def test_a_tilt_and_a_roll_are_told(tmp_path: Path, chart: Path) -> None:
     assert {"rolled", "tilted"} <= codes(done)
 
 
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({}, None),
+        ({"x_mm": film.MIDDLE_MM[0] + 2.0}, r"object_size_mrad 3\.2: the triangles lie 1\.2\d* pixels \(\+1\.2"),
+        (
+            {"size_mm": 1.06 * film.SIZE_MM, "size_mrad": 1.06 * 3.2},
+            r"are 1\.0[56]\d* times as large as size_mrad says \(21 instead of 19\.8 pixels",
+        ),
+    ],
+)
+def test_places_are_checked_in_the_frames(tmp_path: Path, chart: Path, change: dict, message: str | None) -> None:
+    """The chart has its triangles elsewhere than chart.toml says, by 1.24 pixels, or larger by 6 %."""
+    moved = [replace(page, triangles=(replace(page.triangles[0], **change),)) for page in CHART.pages]
+    shown = replace(CHART, pages=tuple(moved))
+    frames = film_of([film.filmed(shown, k, film.camera()) for k in range(8) for _ in range(3)], noise=0.005)
+    done, _ = imported(saved(tmp_path, frames), chart)
+    found = [one.message for one in done.warnings if one.code == "misplaced"]
+    assert len(found) == (message is not None)
+    assert message is None or re.search(message, found[0])
+
+
 def test_markers_off_the_frame(tmp_path: Path, chart: Path, pages: list[np.ndarray]) -> None:
     with pytest.raises(DataError, match="at most 2 of the 4 markers found in one of 1 frames"):
         imported(saved(tmp_path, film_of([pages[0]])[:, :, :230]), chart)
@@ -234,7 +258,8 @@ def test_each_triangle_of_a_page_has_windows_and_trials(tmp_path: Path, pages: l
     done, rows = imported(path, tmp_path / "sheet.toml")
     assert (done.n_clips, done.n_trials, done.n_frames) == (1, 4, 12)
     assert [row["orientation"] for row in rows] == ["up"] * 3 + ["left"] * 3 + ["up"] * 3 + ["left"] * 3
-    assert codes(done) == {"edited_chart", "off_frame"}  # two triangles, in six frames
+    # Two triangles reach beyond six frames; and the film does not show the second one.
+    assert codes(done) == {"edited_chart", "off_frame", "misplaced"}
     assert done.warnings[1].message.startswith(f"{path}: 12 triangles reach beyond the frame")
 
 
@@ -284,6 +309,19 @@ def test_what_one_curve_cannot_hold_is_told(tmp_path: Path, chart: Path, pages: 
     both = [film_path, tmp_path / "far.npy"]
     done = tod.import_recordings(both, chart=chart, out=tmp_path / "far", frames_per_second=RATE)
     assert "sizes_differ" in codes(done)
+
+
+def test_two_magnifications_are_noted(tmp_path: Path, chart: Path, pages: list[np.ndarray]) -> None:
+    frames = film_of([pages[0]] * 6)
+    near, far = saved(tmp_path, frames), tmp_path / "far.npy"
+    height, width = (round(0.95 * side) for side in frames.shape[1:3])
+    np.save(far, [cv2.resize(frame, (width, height), interpolation=cv2.INTER_AREA) for frame in frames])
+    done = tod.import_recordings([near, far], chart=chart, out=tmp_path / "both", frames_per_second=RATE)
+    (note,) = (note for note in done.notes if "times as large" in note)
+    assert note.startswith(f"{near} shows the chart 1.05 times as large as {far}: ")
+    assert "sizes_differ" not in codes(done)
+    done, _ = imported(near, chart)
+    assert not any("times as large" in note for note in done.notes)
 
 
 def test_the_time_that_whole_frames_allow_is_told(tmp_path: Path, chart: Path, pages: list[np.ndarray]) -> None:
@@ -360,6 +398,21 @@ def test_a_schedule_says_what_is_shown(tmp_path: Path) -> None:
     left, top = (round(at - float(rows[7][name])) for name, at in (("x_px", 100.25), ("y_px", 90.5)))
     assert (100.25 - left, 90.5 - top) == (float(rows[7]["x_px"]), float(rows[7]["y_px"]))
     assert np.array_equal(window, frames[7][top : top + window.shape[0], left : left + window.shape[1]])
+
+
+@pytest.mark.parametrize(("off_px", "warned"), [(0.0, set()), (1.5, {"misplaced"})])
+def test_places_of_a_schedule_are_checked_in_the_frames(tmp_path: Path, off_px: float, warned: set[str]) -> None:
+    rng = np.random.default_rng(1)
+    turns = [Orientation(name) for name in ("up", "right", "down", "left")] * 3
+    shown = [tod.coverage((120, 130), size_px=16.0, x_px=61.3, y_px=60.2, orientation=turn) for turn in turns]
+    frames = [0.4 * (1 + 0.2 * one) + 0.01 * rng.normal(size=one.shape) for one in shown]
+    rows = [f"{k},{k + 1},{turn},16.0,0.2,{61.3 + off_px},60.2\n" for k, turn in enumerate(turns)]
+    table = tmp_path / "s.csv"
+    table.write_text("start_s,end_s,orientation,size_px,contrast,x_px,y_px\n" + "".join(rows), encoding="utf-8")
+    path = saved(tmp_path, np.rint(65535 * np.array(frames)).astype(np.uint16))
+    settings = {"display": "reference_linear", "frames_per_second": 1.0, "integration_time_s": "all"}
+    done = tod.import_recordings(path, schedule=table, out=tmp_path / "d", **settings)
+    assert codes(done) == warned
 
 
 def test_a_schedule_of_images_without_places_keeps_whole_frames(tmp_path: Path) -> None:
@@ -486,6 +539,33 @@ def test_no_trial_goes_across_a_gap() -> None:
     division, clip = divided([clip_frame(1, k) for k in (0, 1, 2, 3, 6, 7, 8)], 0.1, 1 / RATE)
     assert [trial.sources for trial in division.trials] == [["0", "1", "2"], ["6", "7", "8"]]
     assert (clip.n_gaps, division.left_out) == (1, ["frames/clip_0001/trial_02_0.png"])
+
+
+@pytest.mark.parametrize(
+    ("intervals_s", "sizes", "n_gaps"),
+    [
+        ([1 / 30, 1 / 20] * 15, [2] * 15, 0),  # 24 frames/s on a display of 60 Hz
+        ([0.02] * 50 + [0.1] * 10, [5] * 10 + [1] * 10, 4),  # the first four could be gaps
+        ([1 / 30] * 30 + [1 / 15] * 14, [3] * 10 + [1] * 14, 4),  # as at 15 frames/s throughout
+        ([2.0, 3.0, 40.0, 2.0], [1] * 5, 0),  # photographs
+        ([1 / 30] * 6 + [1 / 15] + [1 / 30] * 12 + [1 / 15] + [1 / 30] * 8, [3] * 9, 2),  # two frames missing
+    ],
+)
+def test_variable_frame_rates_are_taken_as_they_are(intervals_s, sizes, n_gaps) -> None:
+    times_s = np.cumsum([1.0, *intervals_s])
+    frames = [clip_frame(1, k)._replace(time_s=float(time_s)) for k, time_s in enumerate(times_s)]
+    division, clip = divided(frames, 0.1, float(np.mean(intervals_s)))
+    assert [len(trial.frames) for trial in division.trials] == sizes
+    assert clip.n_gaps == n_gaps
+
+
+def test_the_time_between_two_clips_is_no_frame_rate() -> None:
+    division = TrialDivision(lambda page, index: TriangleDescription(0.1, 1, {}), 0.1, steady=False)  # noqa: ARG005
+    clips = [Clip(1, 1), Clip(2, 2), Clip(3, 3)]
+    frames = [(clip, clip_frame(1, 30 * clip.number + k)) for clip in clips for k in (0, 1, 2, 5, 6, 7)]
+    list(division.windows(frames, CodeRange(0, 255), 1 / RATE))
+    assert [clip.n_gaps for clip in clips] == [1, 1, 1]
+    assert [len(trial.frames) for trial in division.trials] == [3] * 6
 
 
 def test_each_still_without_a_time_is_a_trial() -> None:

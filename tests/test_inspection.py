@@ -237,6 +237,25 @@ def test_each_mishap_has_its_warning(name, changes) -> None:
     assert name.split()[0] in codes(recorded(**changes))
 
 
+def test_windows_cut_at_a_border_are_no_mishap() -> None:
+    """As `import` cuts them: of several sizes, each with the place of its triangle."""
+
+    def cut(luminance, number):
+        return luminance[:, 3 * (number % 2) :]
+
+    places = [MIDDLE - 3 * (number % 2) for number in range(24)]
+    assert codes(recorded(spoil=cut, position=[(x, MIDDLE) for x in places])) == set()
+    assert "mixed_frame_sizes" in codes(recorded(spoil=cut))
+
+
+def test_frames_of_two_scales_are_a_mishap_also_with_places() -> None:
+    def doubled(luminance, number):
+        return np.kron(luminance, np.ones((2, 2))) if number % 2 else luminance
+
+    places = [2 * MIDDLE + 0.5 if number % 2 else MIDDLE for number in range(24)]
+    assert "mixed_frame_sizes" in codes(recorded(spoil=doubled, position=[(at, at) for at in places]))
+
+
 def test_another_orientation_in_some_frames_is_told() -> None:
     dataset = recorded(noise=0.002)
     wrong = [

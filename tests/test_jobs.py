@@ -18,9 +18,9 @@ from todframes.base import signals
 from todframes.base.errors import DataError, OutputError
 from todframes.jobs import run as run_module
 from todframes.jobs.fingerprint import code_fingerprint, fingerprint
-from todframes.jobs.local import LocalEngine
 from todframes.jobs.run import run_stored
 from todframes.jobs.store import FILE, MAGIC, Store
+from todframes.jobs.work import LocalEngine
 from todframes.observers.pyramid import PyramidObserver
 from todframes.psychometrics.fit import FitSettings
 from todframes.stimulus import Orientation, Stimulus

@@ -18,10 +18,10 @@ import pytest
 
 from sensor_sim.chain.detector_noise import delta_t_mk
 from sensor_sim.chain.sensor import Detector, Noise, Optics, Sensor, SensorDisplay
-from sensor_sim.explorer.engine import FAR_TOO_LARGE, Engine, Request
 from sensor_sim.explorer.limits import Shares, decision_shares, what_limits
 from sensor_sim.explorer.live import LiveCurves
 from sensor_sim.explorer.scaled import Unit, unit_of
+from sensor_sim.explorer.threshold_engine import FAR_TOO_LARGE, Request, ThresholdEngine
 from sensor_sim.thresholds.curve_plan import plan_curve
 from sensor_sim.thresholds.folding import Folding
 from sensor_sim.thresholds.predict import FoldedChain, Level, Phases, PredictedThreshold, predict_threshold
@@ -59,13 +59,13 @@ def request(
     return Request(1, sensor, unit_of(observer), tuple(enumerate(sizes)), 0.75, tolerances, level)
 
 
-def computed(engine: Engine, *arguments, **more) -> list[PredictedThreshold]:
+def computed(engine: ThresholdEngine, *arguments, **more) -> list[PredictedThreshold]:
     """Estimates and refined thresholds of one size in turn."""
     return [answer.threshold for answer in engine.answers(request(*arguments, **more))]
 
 
-def engine() -> Engine:
-    return Engine(lambda: None)
+def engine() -> ThresholdEngine:
+    return ThresholdEngine(lambda: None)
 
 
 def changed(**parts) -> Sensor:
@@ -92,7 +92,7 @@ def test_folding_of_many_places_takes_the_memory_of_one():
     peaks = []
     for n in (1, 6):
         folding = Folding(sensor, grid, images, field=31, reach_detectors=0.5)
-        folding.weights(0.0, 0.0)  # what is computed once is there
+        folding.weights(np.zeros(1), np.zeros(1))  # what is computed once is there
         tracemalloc.start()
         folding.weights_by_row(np.zeros(1), np.linspace(-0.4, 0.4, n))
         peaks.append(tracemalloc.get_traced_memory()[1])
@@ -223,7 +223,7 @@ def test_cancelled_computations_leave_what_is_kept_right():
         if calls == stop_at:
             raise StoppedError
 
-    interrupted, n_stopped = Engine(check), 0
+    interrupted, n_stopped = ThresholdEngine(check), 0
     while n_stopped < 30:
         calls, stop_at = 0, stop_at + 5
         try:

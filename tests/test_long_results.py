@@ -103,6 +103,7 @@ def test_what_has_no_value_is_null_in_parquet() -> None:
     assert np.signbit(found["value"].to_pylist()[3])
 
 
+@pytest.mark.slow
 def test_parquet_is_written_without_pandas(mixed, tmp_path) -> None:
     """Pandas takes a second to load, and nothing of it is needed."""
     pytest.importorskip("pyarrow.parquet", reason="Parquet needs pyarrow, of the parquet extra")

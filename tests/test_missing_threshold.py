@@ -103,6 +103,11 @@ def test_hint_names_what_the_answers_show(mishap: dict[str, Any], codes: list[st
     ("mishap", "code", "wanted"),
     [
         ({"place": (44.0, 20.0)}, "position_offset", r"centroid were at x_px 4[34]\.?\d*, y_px (19|20)"),
+        (
+            {"size_px": SIZE_PX / 2.0, "levels": (0.3, 0.6, 1.2)},
+            "size_mismatch",
+            r"0\.(49|5)\d* times the size .* Is it the root of the area",
+        ),
         pytest.param(
             {"size_px": SIZE_PX / 3.4377, "levels": (0.3, 0.6, 1.2)},
             "size_mismatch",

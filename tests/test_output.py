@@ -168,6 +168,7 @@ OLD, NEW, NEXT = dataset("old", "abc"), dataset("new"), dataset("next")
 @pytest.mark.parametrize("there", [False, True], ids=["absent", "empty"])
 @pytest.mark.parametrize("number", SIGNALS)
 @pytest.mark.parametrize("after", MOMENTS)
+@pytest.mark.slow
 def test_a_dataset_appears_whole_or_not_at_all(tmp_path: Path, number: int, after: bool, there: bool) -> None:
     """After a kill there may be parts, but no dataset.toml; the next run takes them away."""
     seen = []
@@ -201,6 +202,7 @@ def test_a_dataset_appears_whole_or_not_at_all(tmp_path: Path, number: int, afte
 @forks_with_threads
 @pytest.mark.parametrize("number", SIGNALS)
 @pytest.mark.parametrize("after", MOMENTS)
+@pytest.mark.slow
 def test_results_are_replaced_together_and_result_json_last(tmp_path: Path, number: int, after: bool) -> None:
     old = dict.fromkeys(("notes.txt", "scores.csv", "psychometric.png"), "old")
     old["result.json"] = '{"command": "score", "seed": 1}'

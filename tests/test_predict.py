@@ -175,7 +175,6 @@ def brute_force(sensor: Sensor, observer: Observer, size: float, snr: float, n: 
 
 SMOOTHED = replace(UNDER_SAMPLED, display=replace(UNDER_SAMPLED.display, blur_sigma_px=1.6, gain=1.2))
 
-
 OTHERS = {
     "bounding box": {"centre": "bounding_box"},
     "no jitter": {"position_jitter_samples": 0.0},
@@ -519,7 +518,8 @@ def test_a_smaller_field_is_bounded_for_any_sign_of_the_signal_outside(observer)
     (stated,) = [step.bound for step in plan.steps if step.stage == "field"]
     threshold = predict_threshold(FoldedChain(UNDER_SAMPLED, observer, size, plan), tolerance=1e-2).threshold
     readout = observer.readout(Stimulus(size * UNDER_SAMPLED.display.detector_pitch_mrad))
-    weights = whole.folding(UNDER_SAMPLED, readout, size).weights(0.0, 0.0) * UNDER_SAMPLED.display.gain
+    (weights,) = whole.folding(UNDER_SAMPLED, readout, size).weights(np.zeros(1), np.zeros(1))
+    weights *= UNDER_SAMPLED.display.gain
     samples = whole.sampler.samples(np.zeros(1), np.zeros(1), orientation=ORIENTATIONS[0]).ravel()
     margin = (whole.field - plan.field) // 2
     outside = np.pad(np.zeros((plan.field, plan.field)), margin, constant_values=1.0).ravel()

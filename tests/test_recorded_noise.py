@@ -118,7 +118,7 @@ def test_one_frame_gives_rows_columns_and_the_rest(tmp_path):
     for name in noise.parts:  # 95 % intervals; the seed is one of those for which all three hold
         low, high = noise.parts[name].ci95
         assert low < sd[name] < high
-    with pytest.raises(tod.DataError, match="found one frame, expected 2 or more to tell temporal noise"):
+    with pytest.raises(tod.DataError, match="found one frame, expected 2 or more: one cannot separate"):
         noise.sensor_toml()
     assert noise.snr(10.0) == pytest.approx(10 / math.sqrt(sum(one.variance for one in noise.parts.values())))
 
@@ -410,7 +410,7 @@ def test_a_folder_of_radiometric_files_has_their_scale(tmp_path):
         (tmp_path / name).write_bytes((REAL / "frame_000000.fff").read_bytes())
     two = tod.noise(tmp_path)
     assert two.mk_per_unit == pytest.approx(one.mk_per_unit)
-    assert [warning.code for warning in two.warnings] == ["doubled_frames", "quantised"]
+    assert [warning.code for warning in two.warnings] == ["times_not_used", "doubled_frames", "quantised"]
     data = bytearray((REAL / "frame_000000.fff").read_bytes())
     place = data.index(struct.pack("<f", 364058.0))  # R1 of the file's constants
     data[place : place + 4] = bytes(4)
@@ -421,7 +421,7 @@ def test_a_folder_of_radiometric_files_has_their_scale(tmp_path):
 def test_a_real_thermal_frame_is_measured_in_mk(capsys):
     status, out, _ = run(capsys, "noise", REAL / "frame_000000.fff", "--region", "200,150,200,200", "--strict")
     assert status == 1
-    assert "one frame: its temporal noise cannot be told from its fixed pattern" in out
+    assert "one frame: its temporal noise cannot be separated from its fixed pattern" in out
     assert "mK" in out
     found = tod.noise(REAL / "frame_000000.fff")
     # Planck's law by differences: dT/dS = T² (r1/(r2 (S + o)² )) / (b (r1/(r2 (S + o)) + f)), over the emissivity;
@@ -437,7 +437,7 @@ def test_a_real_thermal_frame_is_measured_in_mk(capsys):
     ("options", "status", "message"),
     [
         (["--region", "1,2,3"], 2, "--region: found '1,2,3', expected X,Y,W,H: four whole numbers of pixels"),
-        (["--mk-per-count", "0"], 2, "mk_per_count: found 0.0, expected a number > 0"),
+        (["--mk-per-count", "0"], 2, "--mk-per-count: found 0.0, expected a number > 0"),
         (["--patch", "1,2,3,4=a"], 2, "--patch: found '1,2,3,4=a', expected X,Y,W,H=LEVEL"),
         (["--patch", "1,2,3=4"], 2, "--patch: found '1,2,3=4', expected X,Y,W,H=LEVEL"),
         (["--sensor"], 1, "found one frame, expected 2 or more"),

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 import todframes as tod
-from todframes.recordings import open_recordings, video
+from todframes.recordings import video
+from todframes.recordings.opening import open_recordings
 
 av = pytest.importorskip("av")
 

@@ -10,17 +10,22 @@ import shutil
 import struct
 import sys
 import zipfile
+import zlib
+from datetime import datetime, timedelta, timezone
+from fractions import Fraction
 from importlib.metadata import requires
 from pathlib import Path
 
 import numpy as np
 import OpenImageIO as oiio
 import pytest
+from jpeg_ls import encoded as standard_jpeg_ls
 
 import todframes as tod
 from todframes.cli.console import run
 from todframes.cli.main import cli
-from todframes.recordings import open_recordings, radiometric, raw
+from todframes.recordings import radiometric, raw
+from todframes.recordings.opening import open_recordings
 from todframes.recordings.recording import natural_order
 
 RNG = np.random.default_rng(13)
@@ -151,6 +156,64 @@ def test_jpeg_is_read_with_a_warning_of_its_cost(tmp_path):
     assert next(recording.frames()).values.shape == (16, 16, 3)
 
 
+def exif(moment, fraction):
+    """Build EXIF by hand: a TIFF with the moment of exposure, and its fraction of a second."""
+    ascii_of = {0x9003: moment.encode() + b"\0"} | ({0x9291: fraction.encode() + b"\0"} if fraction else {})
+    place, table, rest = 26 + 2 + 12 * len(ascii_of) + 4, b"", b""
+    for tag, text in ascii_of.items():
+        long = len(text) > 4
+        table += struct.pack("<HHI", tag, 2, len(text))
+        table += struct.pack("<I", place + len(rest)) if long else text.ljust(4, b"\0")
+        rest += text if long else b""
+    first = struct.pack("<HHHIII", 1, 0x8769, 4, 1, 26, 0)
+    own = struct.pack("<H", len(ascii_of)) + table + struct.pack("<I", 0)
+    return b"II*\0" + struct.pack("<I", 8) + first + own + rest
+
+
+def photograph(path, second, fraction=""):
+    """Write a JPEG with the moment of exposure in its EXIF, by hand."""
+    write_image(path, np.full((16, 16, 3), 77, np.uint8))
+    body = b"Exif\0\0" + exif(f"2026:03:01 12:00:{second:02}", fraction)
+    content = path.read_bytes()
+    path.write_bytes(content[:2] + b"\xff\xe1" + struct.pack(">H", len(body) + 2) + body + content[2:])
+
+
+def test_photographs_have_the_times_of_their_exif(tmp_path):
+    for number, (second, fraction) in enumerate([(1, "50"), (1, "75"), (3, "125"), (4, "5")]):
+        photograph(tmp_path / f"{number}.jpg", second, fraction)
+    (recording,) = open_recordings(tmp_path)
+    assert [one.time_s for one in recording.frames()] == [0.0, 0.25, 1.625, 3.0]
+    (faster,) = open_recordings(tmp_path, frames_per_second=10)
+    assert [one.time_s for one in faster.frames()] == [0.0, 0.1, 0.2, 0.3]
+
+
+def test_photographs_of_the_same_second_have_no_times(tmp_path):
+    for number, second in enumerate([1, 2, 2]):
+        photograph(tmp_path / f"{number}.jpg", second)
+    (recording,) = open_recordings(tmp_path)
+    assert recording.frames_per_second is None
+    assert [one.time_s for one in recording.frames()] == [None] * 3
+    assert "times_not_used" in [one.code for one in recording.warnings]
+    (tmp_path / "2.jpg").unlink()
+    assert [one.time_s for one in open_recordings(tmp_path)[0].frames()] == [0.0, 1.0]
+
+
+def with_times(folder, rows, names=("a1.png", "a2.png", "a10.png")):
+    """A folder of stills with a times.csv."""
+    for name in names:
+        tod.write_frame(folder / name, np.zeros((4, 5)))
+    (folder / "times.csv").write_text("\n".join(rows), encoding="utf-8")
+    return folder
+
+
+def test_a_times_csv_gives_the_times_of_stills(tmp_path):
+    folder = with_times(tmp_path, ["file,time_s", "a10.png,7.5", "a1.png,7.02", "a2.png,7.06"])
+    (recording,) = open_recordings(folder)
+    assert [(one.time_s, one.source) for one in recording.frames()] == [
+        *((0.0, "a1.png"), (0.04, "a2.png"), (0.48, "a10.png"))
+    ]
+
+
 def dng(path, values, *, black, white, mosaic=True):
     """Write a DNG of one strip by hand: an uncompressed TIFF with the tags that readers need."""
     rows, columns = values.shape
@@ -198,16 +261,20 @@ def test_camera_raw_without_mosaic_is_the_sensor_itself(tmp_path):
     np.testing.assert_array_equal(values_of(tmp_path / "a.dng"), values[np.newaxis])
 
 
-def fff(counts, *, order="<", planck=(364058.0, 1428.0, 1.0, -228, 1.0), emissivity=1.0):
-    """Build FLIR's container by hand: a header, a table of two records, the constants and the counts."""
+def fff(counts, *, order="<", planck=(364058.0, 1428.0, 1.0, -228, 1.0), emissivity=1.0, moment_ms=0, image=None):
+    """Build FLIR's container by hand: a header, a table of two records, the constants and the counts.
+
+    `image` are the bytes of the counts as PNG or JPEG-LS, in place of plain ones.
+    """
     r1, b, f, o, r2 = planck
     camera = bytearray(0x400)
     struct.pack_into(f"{order}H", camera, 0, 2)
     struct.pack_into(f"{order}3f", camera, 0x20, emissivity, 1.0, 293.15)
     struct.pack_into(f"{order}3f", camera, 0x58, r1, b, f)
     struct.pack_into(f"{order}if", camera, 0x308, o, r2)
+    struct.pack_into(f"{order}2I", camera, 0x384, *divmod(moment_ms, 1000))
     data = struct.pack(f"{order}3H", 2, counts.shape[1], counts.shape[0]).ljust(32, b"\0")
-    data += counts.astype(f"{order}u2").tobytes()
+    data += counts.astype(f"{order}u2").tobytes() if image is None else image
     header = b"FFF\0" + b"house".ljust(16, b"\0") + struct.pack(">4I", 101, 64, 2, 0)
     table = b""
     place = 64 + 2 * 32
@@ -260,6 +327,149 @@ def test_a_real_radiometric_file_is_read_as_by_flirpy():
     celsius = radiometric.read_radiometry(REAL / "frame_000000.fff").celsius(counts)
     np.testing.assert_allclose(celsius[0, :4], [10.54402449, 10.69360702, 10.8429458, 10.64377331], atol=5e-7)
     np.testing.assert_allclose([celsius.min(), celsius.max()], [10.09380317, 12.95733611], atol=5e-7)
+
+
+def test_the_time_of_a_real_radiometric_file_is_that_of_exiftool():
+    # "Date/Time Original: 2018:11:05 12:14:43.084+01:00" in flirpy's frame_000000.txt, by ExifTool 11.24.
+    moment = datetime(2018, 11, 5, 12, 14, 43, 84_000, tzinfo=timezone(timedelta(hours=1)))
+    header = radiometric.read_header(REAL / "frame_000000.fff", 256)
+    assert header.times_s == (moment.timestamp(),)
+
+
+def scene(n_frames=1, shape=(40, 50)):
+    """A smooth scene with noise, as a detector sees it: 13,000 counts and some hundreds."""
+    rows, columns = np.indices(shape)
+    return (13_000 + 20 * rows + 10 * columns + RNG.normal(0, 5, (n_frames, *shape))).astype(np.uint16)
+
+
+def png(values):
+    """Build a grey PNG of 16 bits by hand."""
+    rows = b"".join(b"\0" + row.astype(">u2").tobytes() for row in values)
+    content = b"\x89PNG\r\n\x1a\n"
+    ihdr = struct.pack(">IIBBBBB", values.shape[1], values.shape[0], 16, 0, 0, 0, 0)
+    for kind, body in [(b"IHDR", ihdr), (b"IDAT", zlib.compress(rows)), (b"IEND", b"")]:
+        content += struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
+    return content
+
+
+def jpeg_ls(values):
+    """Encode counts by FFmpeg as in a CSQ, with zeros behind the end."""
+    av = pytest.importorskip("av")
+    encoder = av.CodecContext.create("jpegls", "w")
+    encoder.height, encoder.width = values.shape
+    encoder.pix_fmt, encoder.time_base = "gray16le", Fraction(1, 25)
+    packets = [*encoder.encode(av.VideoFrame.from_ndarray(values, format="gray16le")), *encoder.encode(None)]
+    return b"".join(map(bytes, packets)) + bytes(5)
+
+
+SCENES = {
+    "smooth": scene()[0],
+    "noise": RNG.integers(0, 65536, (30, 41)),
+    "runs": np.repeat(RNG.integers(0, 65536, (30, 8)), 5, axis=1),
+    "flat": np.full((30, 41), 777),
+}
+
+
+@pytest.mark.parametrize("near", [0, 5, 20])
+@pytest.mark.parametrize("name", SCENES)
+def test_jpeg_ls_is_read_by_its_standard(tmp_path, name, near):
+    """A writer from the text of the standard, with the thresholds of a real CSQ, whose errors reach 5 to 20."""
+    counts = SCENES[name].astype(np.uint16)
+    image, written = standard_jpeg_ls(counts, near, thresholds=(33, 92, 311))
+    (tmp_path / "a.csq").write_bytes(fff(counts, image=image))
+    (recording,) = open_recordings(tmp_path / "a.csq")
+    np.testing.assert_array_equal(next(recording.frames()).values, written)
+    assert np.abs(written.astype(int) - counts).max() <= near
+    assert [f"errors of up to {near}:" in one.message for one in recording.warnings] == [True] * (near > 0)
+
+
+@pytest.mark.parametrize("swapped", [True, False])
+def test_counts_compressed_as_png_come_back_in_either_byte_order(tmp_path, swapped):
+    (counts,) = scene()
+    (tmp_path / "a.fff").write_bytes(fff(counts, image=png(counts.byteswap() if swapped else counts)))
+    np.testing.assert_array_equal(values_of(tmp_path / "a.fff"), counts[np.newaxis])
+
+
+def test_all_frames_of_a_csq_come_back_with_their_times(tmp_path):
+    counts = scene(4)
+    moments_ms = 1_495_223_133_583 + np.array([0, 34, 67, 100])  # those of a real CSQ
+    frames = [fff(one, image=jpeg_ls(one), moment_ms=int(ms)) for one, ms in zip(counts, moments_ms, strict=True)]
+    (tmp_path / "a.csq").write_bytes(b"".join(frames))
+    (recording,) = open_recordings(tmp_path / "a.csq")
+    found = list(recording.frames())
+    np.testing.assert_array_equal([one.values for one in found], counts)
+    assert [one.time_s for one in found] == [0.0, 0.034, 0.067, 0.1]
+    assert recording.frames_per_second == pytest.approx(30)
+
+
+def test_a_csq_names_the_package_that_it_needs(tmp_path, monkeypatch):
+    (counts,) = scene()
+    (tmp_path / "a.csq").write_bytes(fff(counts, image=jpeg_ls(counts)))
+    monkeypatch.setitem(sys.modules, "av", None)
+    with pytest.raises(tod.DataError, match=r"av \(PyAV\), which is not installed: .*todframes\[video\]"):
+        open_recordings(tmp_path / "a.csq")
+
+
+def test_radiometric_files_of_a_folder_have_the_times_of_their_frames(tmp_path):
+    for number, moment_ms in enumerate((5_000, 5_040, 5_120, 5_160, 5_200)):
+        (tmp_path / f"{number}.fff").write_bytes(fff(np.ones((4, 5)), moment_ms=moment_ms))
+    (recording,) = open_recordings(tmp_path)
+    assert [one.time_s for one in recording.frames()] == [0.0, 0.04, 0.12, 0.16, 0.2]
+    assert recording.frames_per_second == pytest.approx(25)  # a frame is missing
+    assert not recording.warnings
+
+
+def test_times_that_do_not_increase_are_not_used(tmp_path):
+    (tmp_path / "a.seq").write_bytes(b"".join(fff(np.ones((4, 5)), moment_ms=ms) for ms in (5_000, 5_040, 5_040)))
+    (recording,) = open_recordings(tmp_path / "a.seq")
+    assert [one.time_s for one in recording.frames()] == [None] * 3
+    (warning,) = recording.warnings
+    assert warning.code == "times_not_used"
+    assert "frame 2 (a.seq) has the time of frame 1 (a.seq), expected a later one" in warning.message
+
+
+def ptw(counts, times_s, *, header=(3476, 1016), words=None, n_frames=None, scaled=0):
+    """Build a film of Cedip by hand: a main header, and a header before each frame."""
+    n_header, n_frame_header = header
+    _, rows, columns = counts.shape
+    main = bytearray(b"CED\0\0" + b"5.60\0\x1a".ljust(n_header - 5, b"\0"))
+    words = n_frame_header // 2 + rows * columns if words is None else words
+    struct.pack_into("<5i", main, 11, n_header, n_frame_header, words, rows * columns, n_frames or len(counts))
+    struct.pack_into("<H", main, 277, scaled)
+    struct.pack_into("<3H", main, 377, columns, rows, 14)
+    struct.pack_into("<f", main, 403, 0.01)  # the camera's period: the film may have fewer frames
+    film = bytes(main)
+    for values, time_s in zip(counts, times_s, strict=True):
+        own = bytearray(n_frame_header)
+        milliseconds = round(1000 * time_s)
+        second, minute, hour = milliseconds // 1000 % 60, milliseconds // 60_000 % 60, milliseconds // 3_600_000
+        own[80:84] = bytes([minute, hour % 24, milliseconds % 1000 // 10, second])
+        own[160] = milliseconds % 10
+        film += bytes(own) + values.astype("<u2").tobytes()
+    return film
+
+
+def test_a_film_of_cedip_comes_back_with_its_times_across_midnight(tmp_path):
+    counts = RNG.integers(0, 2**14, (5, 24, 30)).astype(np.uint16)
+    (tmp_path / "a.ptw").write_bytes(ptw(counts, 86_399.925 + 0.03 * np.arange(5)))
+    (recording,) = open_recordings(tmp_path / "a.ptw")
+    frames = list(recording.frames())
+    assert (recording.unit, recording.full_scale, recording.n_frames) == ("counts", None, 5)
+    np.testing.assert_array_equal([one.values for one in frames], counts)
+    assert [one.time_s for one in frames] == pytest.approx([0, 0.03, 0.06, 0.09, 0.12], abs=1e-9)
+    assert recording.frames_per_second == pytest.approx(1 / 0.03)
+    assert open_recordings(tmp_path / "a.ptw", frames_per_second=100)[0].frames_per_second == 100
+
+
+def test_a_real_film_of_cedip_is_read_as_by_pyradi():
+    (recording,) = open_recordings(REAL / "cedip_lwir_3_frames.ptw")
+    frames = list(recording.frames())
+    # SHA-256 of the three frames as pyradi's GetPTWFrameFromFile gives them, as little-endian uint16 by rows.
+    digest = hashlib.sha256(np.array([one.values for one in frames]).astype("<u2").tobytes()).hexdigest()
+    assert digest == "40a427603e2673f353accb123110efd77aeb3f24ab04370bda2ebc01e07f2ece"
+    # pyradi's h_frameSecond: 51.848, 51.878 and 51.908. A counter of microseconds at byte 301 of each frame's
+    # header, which is not read, agrees: 29,997 and 30,000 between them.
+    assert [one.time_s for one in frames] == [0.0, 0.03, 0.06]
 
 
 def test_a_real_thermal_tiff_is_read_as_by_opencv():
@@ -361,11 +571,10 @@ def test_all_frames_of_a_seq_come_back(tmp_path, order, gap):
     assert radiometric.read_radiometry(tmp_path / "a.seq").r1 == 364058
 
 
-def compressed_fff(start):
-    """Counts that begin with the first bytes of a compression, and are shorter than plain ones."""
-    data = fff(np.zeros((40, 50)))
-    place = len(data) - 2 * 40 * 50
-    return data[:place] + start + data[place + len(start) :]
+def damaged(image):
+    """Bytes of a compressed image, with some in its middle changed."""
+    middle = len(image) // 2
+    return image[:middle] + bytes(byte ^ 0xA5 for byte in image[middle : middle + 8]) + image[middle + 8 :]
 
 
 def two_pngs(folder):
@@ -404,8 +613,15 @@ def grey_video(folder):
     return folder / "a.mkv"
 
 
+FILMS = [
+    lambda d: write(d / "a.ptw", ptw(scene(3), [1, 2, 3])),
+    lambda d: write(d / "a.csq", b"".join(fff(one, image=jpeg_ls(one)) for one in scene(3))),
+]
+
+
 @pytest.mark.parametrize(
-    "make", [two_pngs, one_dng, coloured_npy, grey_video, lambda d: write(d / "a.fff", fff(np.ones((40, 50))))]
+    "make",
+    [two_pngs, one_dng, coloured_npy, grey_video, lambda d: write(d / "a.fff", fff(np.ones((40, 50)))), *FILMS],
 )
 def test_every_kind_keeps_the_contract_of_a_recording(tmp_path, make):
     (recording,) = open_recordings(make(tmp_path), frames_per_second=20)
@@ -450,6 +666,8 @@ def damaged_tiff(folder):
     return write(folder / "b.tif", (folder / "a.tif").read_bytes()[:2000])
 
 
+COUNTS = scene(3)
+
 BAD = {
     "empty folder": (lambda d: d, "the folder is empty, expected recordings"),
     "no file": (lambda d: d / "missing.png", "found no file"),
@@ -479,13 +697,77 @@ BAD = {
         lambda d: write(d / "a.seq", seq(np.zeros((40, 50)), np.zeros((40, 60)))),
         "frame 1: found 60 x 40 pixels, expected 50 x 40 pixels as in frame 0",
     ),
-    "png in fff": (
-        lambda d: write(d / "a.fff", compressed_fff(b"\x89PNG\r\n\x1a\n")),
-        "counts are compressed as PNG, expected plain ones",
+    "damaged png in fff": (
+        lambda d: write(d / "a.fff", fff(COUNTS[0], image=damaged(png(COUNTS[0])))),
+        "the PNG is damaged: chunk b'IDAT' does not match its checksum",
     ),
-    "csq": (
-        lambda d: write(d / "a.csq", compressed_fff(b"\xff\xd8\xff\xf7")),
-        r"counts are compressed as JPEG-LS \(CSQ\), expected plain ones",
+    "cut png in seq": (
+        lambda d: write(d / "a.seq", fff(COUNTS[0]) + fff(COUNTS[0], image=png(COUNTS[0])[:-20])),
+        r"frame 1 \(those before are good\): the PNG is truncated or damaged",
+    ),
+    "png of another size": (
+        lambda d: write(d / "a.fff", fff(COUNTS[0], image=png(COUNTS[0][:-1]))),
+        "its counts are a PNG of 50 x 39 pixels, 16 bits, channels: 1, expected 50 x 40, 16, 1",
+    ),
+    "jpeg-ls of another size": (
+        lambda d: write(d / "a.csq", fff(COUNTS[0], image=jpeg_ls(COUNTS[0][:-1]))),
+        "its counts are a JPEG-LS of 50 x 39 pixels, 16 bits, channels: 1, expected 50 x 40, 16, 1",
+    ),
+    "cut jpeg-ls": (
+        lambda d: write(d / "a.csq", fff(COUNTS[0]) + fff(COUNTS[0], image=jpeg_ls(COUNTS[0])[:-200])),
+        r"frame 1 \(those before are good\): the JPEG-LS image has no end: truncated",
+    ),
+    "short jpeg-ls": (
+        lambda d: write(d / "a.csq", fff(COUNTS[0], image=jpeg_ls(COUNTS[0])[:200] + b"\xff\xd9")),
+        "the JPEG-LS image (is damaged|cannot be decoded)",
+    ),
+    "jpeg in fff": (
+        lambda d: write(d / "a.fff", fff(COUNTS[0], image=b"\xff\xd8\xff\xe0" + bytes(99))),
+        "found 103 bytes of counts, expected 4000: truncated, or compressed in a way that is not known",
+    ),
+    "ptw": (
+        lambda d: write(d / "a.ptw", ptw(COUNTS, [0, 1, 2])[:-1]),
+        "found 2 whole frames, expected 3: truncated",
+    ),
+    "header of ptw": (
+        lambda d: write(d / "a.ptw", b"CED\0" + bytes(99)),
+        "the main header has 103 bytes, expected 2106 or more: truncated",
+    ),
+    "step of ptw": (
+        lambda d: write(d / "a.ptw", ptw(COUNTS, [0, 1, 2], words=2000)),
+        "3 frames of 4000, expected 2106 or more, and 1 or more of 5016",
+    ),
+    "scaled ptw": (
+        lambda d: write(d / "a.ptw", ptw(COUNTS, [0, 1, 2], scaled=1)),
+        "its values are scaled or in double precision, expected counts of 16 bits",
+    ),
+    "frames of ptw": (
+        lambda d: write(d / "a.ptw", ptw(COUNTS, [0, 1, 2], n_frames=2**31 - 1)),
+        "found 3 whole frames, expected 2147483647: truncated",
+    ),
+    "times of other files": (
+        lambda d: with_times(d, ["file,time_s", "a1.png,1", "a2.png,2", "b.png,3"]),
+        "times.csv, line 4: file: found b.png, but .* has no such file, expected each of its files once",
+    ),
+    "times twice": (
+        lambda d: with_times(d, ["file,time_s", "a1.png,1", "a1.png,2"]),
+        "times.csv, line 3: file: found a1.png, a second time, expected each of its files once",
+    ),
+    "times of some": (
+        lambda d: with_times(d, ["file,time_s", "a1.png,1", "a2.png,2"]),
+        "times.csv: found no time of a10.png, expected one of each file",
+    ),
+    "times that go back": (
+        lambda d: with_times(d, ["file,time_s", "a1.png,1", "a2.png,3", "a10.png,2"]),
+        "times.csv: found 3 s for a2.png and 2 s for a10.png, expected later times in the order of the names",
+    ),
+    "times that are no numbers": (
+        lambda d: with_times(d, ["file,time_s", "a1.png,soon"]),
+        "times.csv, line 2: time_s: found 'soon'",
+    ),
+    "times beside arrays": (
+        lambda d: (np.save(d / "a.npy", np.zeros((2, 4, 5))), with_times(d, ["file,time_s"], names=()))[1],
+        "times.csv: found times beside a.npy, expected them beside stills",
     ),
     "no data of raw": (lambda d: zero_dng(d, 0), "all values are 0, as if the sensor's data were missing"),
     "last rows of raw": (lambda d: zero_dng(d, 40), "rows 40 to 63 are 0, as if the sensor's data were missing"),

@@ -184,6 +184,7 @@ def test_scores_on_servers_are_those_of_the_folder(make_dataset, upload, web) ->
             assert there.dataset_path == url
 
 
+@pytest.mark.slow
 def test_secrets_are_in_no_output(make_dataset, upload, tmp_path) -> None:
     url, out = upload(make_dataset(contrasts=(0.01, 0.05, 0.2)).path), tmp_path / "out"
     status, printed, remarks = todframes("score", url, "--json", "-o", out)
@@ -208,6 +209,7 @@ def test_secrets_are_in_no_output(make_dataset, upload, tmp_path) -> None:
         ("http://127.0.0.1:9/archive", {}, "cannot connect to the server"),
     ],
 )
+@pytest.mark.slow
 def test_a_failure_is_one_line(make_dataset, upload, url, environment, problem) -> None:
     bucket = upload(make_dataset().path).split("/")[2]
     url = url.format(bucket=bucket)
@@ -226,6 +228,7 @@ def test_a_failure_is_one_line(make_dataset, upload, url, environment, problem) 
     ],
 )
 @pytest.mark.usefixtures("s3_environment")
+@pytest.mark.slow
 def test_s3_that_fails_is_one_line_without_its_words(make_dataset, web, monkeypatch, failures, problem) -> None:
     monkeypatch.setenv("AWS_ENDPOINT_URL", web.url)
     monkeypatch.setattr(remote, "READ_S", 0.2)
@@ -261,6 +264,7 @@ def test_a_web_server_that_fails_is_one_line(make_dataset, web, monkeypatch, fai
 
 @pytest.mark.usefixtures("s3_environment")
 @pytest.mark.parametrize("scheme", ["http", "s3"])
+@pytest.mark.slow
 def test_a_connection_that_breaks_is_tried_again(make_dataset, web, monkeypatch, scheme) -> None:
     monkeypatch.setenv("AWS_ENDPOINT_URL", web.url)
     monkeypatch.setattr(remote, "WAIT_S", 0.01)
@@ -312,6 +316,7 @@ def neighbour(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[serve
 
 
 @pytest.mark.parametrize("name", MISBEHAVING)
+@pytest.mark.slow
 def test_what_a_web_server_sends_has_limits(make_dataset, tmp_path, neighbour, name) -> None:
     """Of size and time, and no part is taken for the whole; what is elsewhere is not asked for."""
     make_dataset()
@@ -336,6 +341,7 @@ def test_what_a_web_server_sends_has_limits(make_dataset, tmp_path, neighbour, n
         (servers.Case(servers.s3_moved), MOVED),
     ],
 )
+@pytest.mark.slow
 def test_what_s3_sends_has_limits(make_dataset, tmp_path, monkeypatch, case, message) -> None:
     make_dataset()
     with servers.Server(tmp_path, "dataset.toml", case.answer) as server:
@@ -408,6 +414,7 @@ def test_names_are_quoted_on_the_web(make_dataset, web) -> None:
         assert file.header == read_header(made.path / name)
 
 
+@pytest.mark.slow
 def test_s3_asks_once_for_each_frame_and_once_for_its_folder(make_dataset, upload, monkeypatch) -> None:
     asked: Counter[str] = Counter()
     call = s3fs.S3FileSystem.call_s3
@@ -427,6 +434,7 @@ def test_s3_asks_once_for_each_frame_and_once_for_its_folder(make_dataset, uploa
     assert asked == Counter(expected | {"list_objects_v2 archive/frames/": 1})
 
 
+@pytest.mark.slow
 def test_folders_are_listed_in_pages(make_dataset, upload, monkeypatch) -> None:
     data = load_dataset(upload(make_dataset().path))
     call, pages = s3fs.S3FileSystem.call_s3, []
@@ -459,6 +467,7 @@ def test_ids_on_the_web_are_of_strong_tags_or_of_bytes(make_dataset, web, tag) -
     assert data.content_id(first) != expected
 
 
+@pytest.mark.slow
 def test_ids_on_s3_change_with_the_bytes(make_dataset, upload) -> None:
     made = make_dataset()
     data = load_dataset(upload(made.path))
@@ -473,6 +482,7 @@ def test_ids_on_s3_change_with_the_bytes(make_dataset, upload) -> None:
     assert load_dataset(str(data.path)).content_id(first) == changed
 
 
+@pytest.mark.slow
 def test_a_frame_that_vanishes_from_s3_is_named(make_dataset, upload) -> None:
     data = load_dataset(upload(make_dataset().path))
     gone = data.trials[2].frames[0]
@@ -483,6 +493,7 @@ def test_a_frame_that_vanishes_from_s3_is_named(make_dataset, upload) -> None:
     assert [one["frame"] for one in skipped] == [gone.path]
 
 
+@pytest.mark.slow
 def test_threads_share_a_file_system_and_processes_do_not(make_dataset, upload) -> None:
     """A dataset goes to a spawned process without connections, as it does to a worker of a cluster."""
     data = load_dataset(upload(make_dataset().path))

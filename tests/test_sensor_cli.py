@@ -13,9 +13,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sensor_sim.calls import curve as compute_curve
-from sensor_sim.calls import mtf
-from sensor_sim.calls import simulate as simulate_dataset
+from sensor_sim import curve as compute_curve
+from sensor_sim import mtf
+from sensor_sim import simulate as simulate_dataset
 from sensor_sim.chain.sensor import load_sensor
 from sensor_sim.cli import cli
 from todframes import __version__

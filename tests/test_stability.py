@@ -34,7 +34,6 @@ PAGE = (Path(__file__).parent.parent / "docs" / "stability.md").read_text(encodi
 EXACT = Case("some", "exact", 1.5, "closed form", lambda: 1.5)
 SHORT = Case("some", "short", [2.0, 4.0], "closed form", lambda: [2.0, 4.0 + 4e-4], 6)
 
-
 SLOW = ("curve: 1,000 ", "observer: 2,000 ")
 """Cases that take seconds each."""
 

@@ -24,7 +24,7 @@ from sensor_sim.sweeps.work import SweepWork, Variants, plan_sweep, run_sweep
 from sensor_sim.thresholds.sharing import Kept
 from todframes.base.errors import SettingsError
 from todframes.cli.console import run
-from todframes.jobs.local import LocalEngine
+from todframes.jobs.work import LocalEngine
 from todframes.observers.pyramid import PyramidObserver, PyramidSettings
 
 CAMERA = Path(__file__).parent.parent / "sample_frames" / "staring_camera.toml"
@@ -425,6 +425,13 @@ def test_impossible_and_never_reached_designs_look_different_on_the_map() -> Non
         "////": pytest.approx([0.041, 0.041], abs=0.02),
         "xx": pytest.approx([0.0645, 0.0709], abs=0.01),
     }
+    exceeded = [
+        tuple("always_exceeded" if one == "never_reached" else one for one in of) for of in result.swept.status
+    ]
+    axes = Figure().subplots()
+    draw_map(axes, replace(result, swept=replace(result.swept, status=exceeded)), 0)
+    dotted = {one.get_hatch(): len(one.get_paths()) for one in axes.collections if one.get_hatch()}
+    assert dotted == {"////": 2, "..": 2}
     points = [
         {"detector.pitch_mrad": x, "optics.aperture_mm": y}
         for x, y in ((0.05, 20.0), (0.068, 21.0), (0.07, 220.0))
@@ -433,7 +440,7 @@ def test_impossible_and_never_reached_designs_look_different_on_the_map() -> Non
     assert [one[0] for one in scattered.swept.status] == ["impossible", "impossible", "ok"]
     axes = Figure().subplots()
     draw_map(axes, scattered, 0)
-    assert [len(one.get_offsets()) for one in axes.collections] == [1, 2, 0]
+    assert [len(one.get_offsets()) for one in axes.collections] == [1, 2, 0, 0]
 
 
 def test_command_is_the_call(capsys, tmp_path: Path) -> None:

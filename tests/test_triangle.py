@@ -75,7 +75,6 @@ def images_of(change, *, x=0.4, y=-0.7, size=9.0, blur=1.0, shown=(0, 1, 2, 3), 
         noise=np.full(8, 0.01),
         turns=np.tile(np.arange(4), 2),
         known=np.ones((SIDE, SIDE), bool),
-        apart=np.zeros((8, 3)),
         hole=10.0,
     )
 

@@ -23,7 +23,7 @@ import pytest
 
 from todframes.base.errors import DataError, SettingsError
 from todframes.web import check_installed, guard, server
-from todframes.web.guard import HEADERS, MOST_BODY_BYTES, MOST_READ_BYTES, guarded
+from todframes.web.guard import MOST_BODY_BYTES, MOST_READ_BYTES, RESPONSE_HEADERS, guarded
 from todframes.web.pages import SHARED_FILES, call, page, stream
 from todframes.web.server import MOST_CONNECTIONS, Launch, listening, open_listener, origin_of
 
@@ -257,11 +257,14 @@ def test_every_answer_is_fenced_in(running):
     for status, request in asked.items():
         found, answer, _ = running.ask(*request)
         assert found == status
-        assert {name: answer[name] for name in HEADERS} == HEADERS
+        assert {name: answer[name] for name in RESPONSE_HEADERS} == RESPONSE_HEADERS
         assert answer["server"] is None
-    policy = dict(part.strip().split(" ", 1) for part in HEADERS["Content-Security-Policy"].split(";"))
+    policy = dict(part.strip().split(" ", 1) for part in RESPONSE_HEADERS["Content-Security-Policy"].split(";"))
     assert policy["default-src"] == "'none'" and policy["script-src"] == "'self'"
-    assert "unsafe" not in HEADERS["Content-Security-Policy"] and "*" not in HEADERS["Content-Security-Policy"]
+    assert (
+        "unsafe" not in RESPONSE_HEADERS["Content-Security-Policy"]
+        and "*" not in RESPONSE_HEADERS["Content-Security-Policy"]
+    )
 
 
 def test_a_body_may_be_large_but_not_too_large(running):

@@ -8,7 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from todframes.recordings import open_recordings
+from todframes.recordings.opening import open_recordings
 
 (recording,) = open_recordings([Path(sys.argv[1])])
 (frame,) = recording.frames()

@@ -42,7 +42,7 @@ MAX_NEGLECTED = 0.05
 FREQUENCIES_AT_ONCE = 2**16
 """Number of frequencies whose spectrum is computed at once; it keeps the arrays to some megabytes."""
 
-PLACES_AT_ONCE = 16
+SAMPLED_AT_ONCE = 16
 """Number of places computed at once; partly folded spectra stay in the cache, and BLAS starts no threads."""
 
 FIELD_SIZES, FIELD_MARGIN_DETECTORS, MAX_FIELD_DETECTORS = 4.0, 4, 1024
@@ -195,8 +195,8 @@ class TriangleSampler:
         x, y = _upright_place(x_detectors, y_detectors, orientation)
         upright = np.empty((x.size, self._field, self._field))
         samples_of = self._covered_area if self.sharp else self._band_limited
-        for start in range(0, x.size, PLACES_AT_ONCE):
-            part = slice(start, start + PLACES_AT_ONCE)
+        for start in range(0, x.size, SAMPLED_AT_ONCE):
+            part = slice(start, start + SAMPLED_AT_ONCE)
             upright[part] = samples_of(x[part], y[part])
         return np.rot90(upright, -orientation.quarter_turns, axes=(1, 2))
 

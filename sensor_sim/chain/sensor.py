@@ -227,6 +227,11 @@ def load_sensor(path: Path | str) -> Sensor:
     return sensor_from(read_toml(Path(path)), str(path))
 
 
+def sensor_of(sensor: Sensor | Path | str) -> Sensor:
+    """Return a sensor, read from its `SENSOR.toml` unless it is one; see `load_sensor`."""
+    return sensor if isinstance(sensor, Sensor) else load_sensor(sensor)
+
+
 def sensor_from(content: Mapping[str, Any], where: str) -> Sensor:
     """Return the checked settings of the tables of a `SENSOR.toml`.
 

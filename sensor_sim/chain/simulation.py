@@ -27,10 +27,9 @@ from todframes.base.reading import toml_text
 from todframes.base.safe_text import csv_text, one_line
 from todframes.frames.files import MAX_FRAME_MB, MAX_SIDE_PX, frame_sha256, write_frame
 from todframes.jobs.fingerprint import fingerprint
-from todframes.jobs.local import LocalEngine
 from todframes.jobs.run import run_stored
 from todframes.jobs.store import Store
-from todframes.jobs.work import Engine, Lost
+from todframes.jobs.work import Engine, LocalEngine, Lost
 from todframes.stimulus import ORIENTATIONS, Orientation
 
 FrameFormat = Literal["exr", "png"]
@@ -249,7 +248,7 @@ class SimulationWork:
         return msgspec.msgpack.encode(result)
 
     def decode(self, encoded: bytes) -> WrittenFrames | None:
-        """Return what `encode` was given; None if a frame is not there as it was written."""
+        """Return the result that `encode` got; None if a frame is missing or has changed."""
         found = msgspec.msgpack.decode(encoded, type=WrittenFrames)
         try:
             is_there = all(frame_sha256(self.folder / row[0]) == row[-1] for row in found.rows)
@@ -282,7 +281,7 @@ def write_dataset(
     engine : Engine, optional
         Default: this thread. The bytes written do not depend on it.
     store : Store, optional
-        Store that tells which frames of the folder were written by an earlier run.
+        Store that states which frames of the folder were written by an earlier run.
 
     Raises
     ------

@@ -21,8 +21,8 @@ from todframes.base._typing import FloatArray
 def diffraction_mtf(frequency_cyc_per_mrad: ArrayLike, *, wavelength_um: float, aperture_mm: float) -> FloatArray:
     """Return the modulation transfer of a diffraction-limited circular aperture.
 
-    With x the frequency over the cut-off and u = 2 arccos x, eq. 1 is (u − sin u) / π; both terms are alike
-    near the cut-off, so the difference is summed as a series there.
+    With x the frequency over the cut-off and u = 2 arccos x, eq. 1 is (u − sin u) / π; both terms are nearly equal
+    near the cut-off, so their difference is summed as a series there.
 
     Parameters
     ----------

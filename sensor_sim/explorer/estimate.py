@@ -1,12 +1,13 @@
 """Estimate of a threshold within milliseconds, and its error, from a few lattices of places.
 
-The mean over the place of the triangle on the detectors is taken on `LATTICES` lattices, each shifted into another
-fifth of the distance of two places. Errors of one lattice are partly undone by the others, as the shifts together
-cover that distance evenly: the spread among them, taken as if they were independent, overstates the error of their
-mean.
+P(correct) is averaged over places of the triangle on the detectors. These places form `LATTICES` lattices, each
+shifted into another fifth of the distance between two places. Together the shifts cover that distance evenly, so
+the errors of the lattices partly cancel. The spread among the lattices, taken as if they were independent,
+therefore overstates the error of their mean.
 
-The places are the same for every sensor. So two sensors that are nearly alike have nearly the same error, and the
-threshold of one that is known better corrects the estimate of the other: the spread of their ratios says how well.
+The places are the same for every sensor. So two similar sensors have nearly the same error. If the threshold of
+one of them is known more exactly, it corrects the estimate of the other, and the spread of the lattices' ratios
+gives the error that remains.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from sensor_sim.chain.sampling import TriangleSampler, field_detectors, smallest
 from sensor_sim.chain.sensor import Sensor
 from sensor_sim.thresholds.curve_plan import CurvePlan, centre_offset
 from sensor_sim.thresholds.folding import Folding, is_unblurred
-from sensor_sim.thresholds.predict import KRONECKER_STEPS, Found, Lattice, Phases, phases_on, pooled
+from sensor_sim.thresholds.predict import KRONECKER_STEPS_4D, Lattice, Phases, PooledThreshold, phases_on, pooled
 from sensor_sim.thresholds.sharing import Shared
 from todframes.base._typing import FloatArray
 from todframes.observers.interface import Observer
@@ -41,9 +42,9 @@ SHIFTS = (np.arange(LATTICES) + np.random.default_rng(3).random(LATTICES))[
     [[0, 0], [1, 2], [2, 4], [3, 1], [4, 3]]
 ] / LATTICES
 """Shifts of the lattices along x and y: one in each fifth of the distance of two places, at random within it. Both
-axes have the same ones, so that what is computed for a place along one serves the other as well."""
+axes have the same shifts, so results for a place along one axis are used for the other as well."""
 
-ORTHANT_TOLERANCE = 1e-5
+QUICK_ORTHANT_TOLERANCE = 1e-5
 """Error of each P(correct)."""
 
 FIELD_IN_SIZES = 2.0
@@ -57,12 +58,12 @@ LEFT_OUT = 3e-4
 
 
 class Reference(NamedTuple):
-    """A sensor whose threshold is known better than the lattices give it.
+    """A sensor whose threshold is known more exactly than the lattices give it.
 
     Attributes
     ----------
     deviations : ndarray, shape (LATTICES,)
-        As of `Found`.
+        As of `PooledThreshold`.
     correction : float
         ln of the known threshold over the estimate.
     error : float
@@ -74,13 +75,14 @@ class Reference(NamedTuple):
     error: float
 
     @classmethod
-    def of(cls, found: Found, threshold: float, error: float) -> Reference:
-        """Return the reference that a sensor is whose threshold is known better than its estimate `found`."""
+    def of(cls, found: PooledThreshold, threshold: float, error: float) -> Reference:
+        """Return a sensor as a reference: its threshold is known more exactly than its estimate `found`."""
         return cls(found.deviations, math.log(threshold / found.threshold), error / threshold)
 
 
-def corrected(found: Found, reference: Reference | None) -> tuple[float, float]:
-    """Return a threshold and the half-width of its 95 % interval, by the reference if that is narrower."""
+def corrected(found: PooledThreshold, reference: Reference | None) -> tuple[float, float]:
+    """Return a threshold and the half-width of its 95 % interval, corrected by the reference if that is
+    narrower."""
     half_width, correction = half_width_95(found.deviations, is_refined=False), 0.0
     if reference is not None:
         by_ratio = half_width_95(found.deviations - reference.deviations, is_refined=False) + reference.error
@@ -115,7 +117,8 @@ def seen_samples(sensor: Sensor, observer: Observer, size_detectors: float, grid
 def quick_plan(
     sensor: Sensor, observer: Observer, size_detectors: float, *, symmetric: bool, shared: Shared
 ) -> CurvePlan:
-    """Return a plan that leaves out, untried, what most plans do: the far field, double precision."""
+    """Return a plan that leaves out, without a test, what most plans leave out: the far field and double
+    precision."""
     field = quick_field(sensor, size_detectors)
     sampler = shared.samplers.get(
         ("quick", sensor.optics, sensor.detector, size_detectors, field),
@@ -186,9 +189,10 @@ def lattice_phases(
             merge_pixels=plan.merge_pixels,
         )
 
-    def weights_by_row(number: int, x: FloatArray, y: FloatArray) -> list[NDArray[Any]]:
+    def weights_by_row(number: int, x: FloatArray, y: FloatArray) -> NDArray[Any]:
         key = (name, sensor.display, sensor.electronics, plan.field, places, number, x[0], y[0])
-        return list(plan.shared.weights.get(key, lambda: np.stack(folding().weights_by_row(x, y))))
+        weights: NDArray[Any] = plan.shared.weights.get(key, lambda: folding().weights_by_row(x, y))
+        return weights
 
     return pooled(
         [
@@ -196,7 +200,7 @@ def lattice_phases(
                 Lattice.at(
                     places,
                     shift=shift,
-                    first=number * KRONECKER_STEPS.sum(axis=0),
+                    first=number * KRONECKER_STEPS_4D.sum(axis=0),
                     jitter=jitter if jitter > SMALL_JITTER else 0.0,
                 ),
                 plan,

@@ -26,8 +26,8 @@ import numpy as np
 from sensor_sim.thresholds.predict import Phases
 from todframes.base._typing import FloatArray
 
-LEADS = 0.5
-"""Share from which one of the three limits by itself."""
+LEADING_SHARE = 0.5
+"""Share from which one of the three causes is named as the only limit."""
 
 
 class Shares(NamedTuple):
@@ -89,7 +89,7 @@ def what_limits(sizes_detectors: Sequence[float], shares: Sequence[Shares], reac
     mean = Shares(*np.mean(chosen, axis=0).tolist())
     (most, first), *others = sorted(zip(mean, NAMES, strict=True), reverse=True)
     rest = [f"{name} {100.0 * share:.0f} %" for share, name in others if share > 0.0] or ["nothing else does"]
-    verb = "limits" if most >= LEADS else "weighs most"
+    verb = "limits" if most >= LEADING_SHARE else "weighs most"
     at = [f"{size:g}" for size, has_threshold in zip(sizes_detectors, reached, strict=True) if not has_threshold]
     tail = f"; no threshold at {', '.join(at)} detectors, even without detector noise" if at else ""
     sentence = (

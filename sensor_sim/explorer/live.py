@@ -1,7 +1,8 @@
 """Thresholds of a sensor while its parameters move: an estimate first, refined while nothing moves.
 
-Sizes are divided among processes, which stay and keep what they have computed. A number in shared memory says
-which request is wanted; a process that works on another one notices within milliseconds and waits for the next.
+Sizes are divided among processes, which stay alive and keep what they have computed. A number in shared memory
+names the request that is wanted; a process that works on another one notices within milliseconds and waits for the
+next.
 """
 
 from __future__ import annotations
@@ -30,10 +31,10 @@ TOLERANCES = (0.03, 0.002)
 PROCESSES = 2
 
 BETWEEN_S = 0.25
-"""Shortest time between curves of which more is refined."""
+"""Shortest time between two updates of a curve while it is refined."""
 
 POLL_S = 0.004
-"""Longest time between two questions whether the curve is still wanted."""
+"""Longest time between two checks whether the curve is still wanted."""
 
 END_S = 1.0
 """Time that a process has to end by itself."""
@@ -103,7 +104,8 @@ class LiveCurves:
         tolerances: tuple[float, float] = TOLERANCES,
         is_wanted: Callable[[], bool],
     ) -> Generator[LiveCurve, None, None]:
-        """Yield an estimate, and then curves of which more and more is refined; stop as soon as no more is wanted.
+        """Yield an estimate, and then curves with more and more refined sizes; stop as soon as the curve is no
+        longer wanted.
 
         One curve is computed at a time; another thread waits until it is done or no longer wanted.
 
@@ -131,8 +133,8 @@ class LiveCurves:
         TodframesError
             If a process dies twice.
         """
-        from sensor_sim.explorer.engine import Request
         from sensor_sim.explorer.scaled import unit_of
+        from sensor_sim.explorer.threshold_engine import Request
 
         started = time.perf_counter()
         while not self._turn.acquire(timeout=POLL_S):
@@ -236,7 +238,7 @@ class _Worker:
         other.close()
 
     def begin(self, request: Any) -> None:
-        """Send a request; if the process has died, the answer tells."""
+        """Send a request. If the process has died, the answer is an error."""
         with suppress(OSError):
             self.connection.send((searched_last(), request))
 
@@ -259,7 +261,7 @@ def _serve(connection: Connection, wanted: Any) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the other end deals with it
     import scipy.sparse  # noqa: F401 # now, not in the first curve
 
-    from sensor_sim.explorer.engine import Engine
+    from sensor_sim.explorer.threshold_engine import ThresholdEngine
 
     number = NOTHING_WANTED
 
@@ -267,7 +269,7 @@ def _serve(connection: Connection, wanted: Any) -> None:
         if wanted.value != number:
             raise _UnwantedError
 
-    engine = Engine(check)
+    engine = ThresholdEngine(check)
     with suppress(EOFError, OSError):
         while True:
             folders, request = connection.recv()

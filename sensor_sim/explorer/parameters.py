@@ -9,7 +9,7 @@ import msgspec
 Kind = Literal["number", "integer", "choice"]
 
 
-class Parameter(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=False):
+class PageField(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=False):
     """One field of the page.
 
     Attributes
@@ -48,8 +48,8 @@ LOG_STEP = 0.005
 """Step of logarithmic sliders: 1.2 %."""
 
 
-def _log(key: str, group: str, label: str, unit: str, low: float, high: float, help_text: str) -> Parameter:
-    return Parameter(
+def _log(key: str, group: str, label: str, unit: str, low: float, high: float, help_text: str) -> PageField:
+    return PageField(
         key=key, group=group, label=label, unit=unit, min=low, max=high, step=LOG_STEP, scale="log", help=help_text
     )
 
@@ -57,7 +57,7 @@ def _log(key: str, group: str, label: str, unit: str, low: float, high: float, h
 PARAMETERS = (
     _log("optics.aperture_mm", "Optics", "Aperture", "mm", 2.0, 500.0, "Diameter of the circular aperture."),
     _log("optics.wavelength_um", "Optics", "Wavelength", "µm", 0.4, 14.0, "Wavelength of the diffraction."),
-    Parameter(
+    PageField(
         key="optics.blur_sigma_mrad",
         group="Optics",
         label="Blur",
@@ -69,7 +69,7 @@ PARAMETERS = (
     ),
     _log("detector.pitch_mrad", "Detector", "Pitch", "mrad", 0.005, 5.0, "From one detector to the next."),
     _log("detector.width_mrad", "Detector", "Active width", "mrad", 0.005, 5.0, "Pitch × √(fill factor)."),
-    Parameter(
+    PageField(
         key="noise.distribution",
         group="Noise",
         label="Distribution",
@@ -81,7 +81,7 @@ PARAMETERS = (
         _log("noise.netd_mk", "Noise", "NETD", "mK", 1.0, 500.0, "Of one frame; without it there is no ΔT."),
         optional=True,
     ),
-    Parameter(
+    PageField(
         key="noise.fixed_pattern_ratio",
         group="Noise",
         label="Fixed pattern",
@@ -90,7 +90,7 @@ PARAMETERS = (
         step=0.01,
         help="Static divided by dynamic standard deviation.",
     ),
-    Parameter(
+    PageField(
         key="noise.frames_integrated",
         group="Noise",
         label="Frames integrated",
@@ -100,7 +100,7 @@ PARAMETERS = (
         step=1,
         help="Frames that the observer's eye averages.",
     ),
-    Parameter(
+    PageField(
         key="electronics.blur_sigma_px",
         group="Electronics",
         label="Blur",
@@ -110,7 +110,7 @@ PARAMETERS = (
         step=0.05,
         help="Standard deviation of the electronics' Gaussian blur.",
     ),
-    Parameter(
+    PageField(
         key="display.pixels_per_detector",
         group="Display",
         label="Pixels per detector",
@@ -122,7 +122,7 @@ PARAMETERS = (
     ),
     _log("display.pixel_pitch_mm", "Display", "Pixel pitch", "mm", 0.005, 1.0, "From one pixel to the next."),
     _log("display.viewing_distance_mm", "Display", "Viewing distance", "mm", 20.0, 3000.0, "Eye to display."),
-    Parameter(
+    PageField(
         key="display.blur_sigma_px",
         group="Display",
         label="Spot",

@@ -12,8 +12,8 @@ import numpy as np
 from msgspec import Meta
 
 from sensor_sim.mtf_report import MTF_NOTE, SensorMtf
-from todframes.report.figure_style import INK, add_legend, label_text, look_of, plain_ticks
-from todframes.report.figures import Picture
+from todframes.report.figure_style import INK, add_legend, curve_style, label_text, plain_ticks
+from todframes.report.figures import ReportFigure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -52,15 +52,17 @@ class PlotAsked(msgspec.Struct):
 def curve_plot(asked: PlotAsked) -> dict[str, str]:
     """Return the file of a plot of curves; see `file_of`."""
     note = "Bands: 95 % intervals of the computation." + " Crosses: never reached." * bool(asked.never_reached)
-    return file_of(Picture(asked.title, note, partial(draw_curves, asked=asked), "tod_curve.png"), asked.format)
+    return file_of(
+        ReportFigure(asked.title, note, partial(draw_curves, asked=asked), "tod_curve.png"), asked.format
+    )
 
 
 def mtf_plot(transfer: SensorMtf, form: Format) -> dict[str, str]:
     """Return the file of a sensor's MTFs; see `file_of`."""
-    return file_of(Picture(transfer.sensor, MTF_NOTE, transfer.draw, "mtf.png"), form)
+    return file_of(ReportFigure(transfer.sensor, MTF_NOTE, transfer.draw, "mtf.png"), form)
 
 
-def file_of(picture: Picture, form: Format) -> dict[str, str]:
+def file_of(picture: ReportFigure, form: Format) -> dict[str, str]:
     """Return the name of a picture's file, and its content in base64."""
     with _TURN:
         content = picture.svg() if form == "svg" else picture.png()
@@ -72,13 +74,15 @@ def draw_curves(axes: Axes, *, asked: PlotAsked) -> None:
     """Draw curves with their bands, and crosses on the axis where the present one is never reached."""
     *pinned, now = asked.curves
     for place, curve in enumerate([*pinned, now]):
-        look, x, y = look_of(place, len(asked.curves)), np.array(curve.x), np.array(curve.y)
+        line_style, x, y = curve_style(place, len(asked.curves)), np.array(curve.x), np.array(curve.y)
         order, error = np.argsort(x), np.array(curve.error)
         line, width = ("-", 2.2) if curve is now else ("--", 1.4)
         label = label_text(curve.label)
-        axes.plot(x[order], y[order], color=look.colour, marker=look.marker, label=label, ls=line, lw=width)
+        axes.plot(
+            x[order], y[order], color=line_style.colour, marker=line_style.marker, label=label, ls=line, lw=width
+        )
         low, high = np.maximum(y - error, y / 10.0), y + error
-        axes.fill_between(x[order], low[order], high[order], color=look.colour, alpha=0.2, lw=0.0)
+        axes.fill_between(x[order], low[order], high[order], color=line_style.colour, alpha=0.2, lw=0.0)
     crosses = np.array(asked.never_reached)
     axes.plot(crosses, np.zeros(len(crosses)), "x", color=INK, transform=axes.get_xaxis_transform(), clip_on=False)
     axes.set(xlabel=label_text(asked.x_label), ylabel=label_text(asked.y_label), yscale="log")

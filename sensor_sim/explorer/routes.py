@@ -33,16 +33,16 @@ from todframes.base.reading import from_table, parse_toml, toml_literal
 from todframes.observers.pyramid import PyramidObserver, PyramidSettings
 from todframes.psychometrics.fit import FitSettings
 from todframes.stimulus import ORIENTATIONS, Stimulus
-from todframes.web.pages import call, page, stream
+from todframes.web.pages import EmptyRequest, call, page, stream
 
 LADDER_DETECTORS = (1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 12.0, 16.0, 20.0, 24.0, 32.0)
-"""Sizes of which those of a sensor are chosen: the smallest one that is ever seen, and the next ones."""
+"""Sizes from which those of a sensor are chosen: the smallest one that has a threshold, and the next ones."""
 
 SIZES_CHOSEN, TRIED_AT_ONCE = 5, 4
 """Number of sizes that are chosen, and of those that are tried at a time."""
 
 LARGEST_ERROR = 0.1
-"""Relative error of an estimate above which a size is hardly ever seen: the curve begins at the next one."""
+"""Relative error of an estimate above which a size hardly has a threshold: the curve begins at the next size."""
 
 CHIP_PITCH_UM = {"cooled_mwir.toml": 15.0, "uncooled_lwir.toml": 12.0, "visible.toml": 3.45}
 """Pitch of the detectors on the chip, by preset: with it the page shows the f-number."""
@@ -120,10 +120,6 @@ class TextAsked(msgspec.Struct):
     name: str = "SENSOR.toml"
 
 
-class Nothing(msgspec.Struct):
-    """A request that asks for no more than its path says."""
-
-
 class Latest:
     """The latest request of each page; those before it are not wanted any more."""
 
@@ -143,7 +139,7 @@ class Latest:
 
 
 class Explorer:
-    """The calls of the page that compute curves, and what works for them while the server runs."""
+    """The calls of the page that compute curves, with the processes that serve them while the server runs."""
 
     def __init__(self, sensor: Sensor) -> None:
         self.sensor = sensor
@@ -162,7 +158,7 @@ class Explorer:
     def app(self) -> Starlette:
         """Return the app of the page."""
         calls = [
-            call("/api/start", Nothing, lambda _: self.start()),
+            call("/api/start", EmptyRequest, lambda _: self.start()),
             stream("/api/curve", CurveAsked, self.curve, self._thread),
             call("/api/mtf", SensorAsked, transfer),
             call("/api/stages", TrialAsked, trial_pictures),
@@ -175,7 +171,7 @@ class Explorer:
         return page(files("sensor_sim.explorer") / "static", calls, self.running)
 
     def start(self) -> dict[str, Any]:
-        """Return all that the page begins with."""
+        """Return the data with which the page begins."""
         return {
             "version": __version__,
             "sensor": asdict(self.sensor),
@@ -218,7 +214,7 @@ class Explorer:
     def _sizes_of(
         self, sensor: Sensor, observer: PyramidObserver, p_correct: float, is_wanted: Callable[[], bool]
     ) -> Sequence[float]:
-        """Return sizes from the smallest one that is surely seen on; if none is, the smallest ones.
+        """Return sizes from the smallest one that surely has a threshold; if none has, the smallest sizes.
 
         Raises
         ------

@@ -1,4 +1,4 @@
-"""Observers whose internal noise is a number, and whose readouts are kept for all its values."""
+"""Observers whose internal noise is one factor, so that a readout is kept and used for all its values."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ class Unit(NamedTuple):
 
 
 def unit_of(observer: Observer) -> Unit:
-    """Return the observer with internal noise of standard deviation 1, and its own as a factor.
+    """Return the observer with internal noise of standard deviation 1, and its own standard deviation as a factor.
 
-    Observers whose noise may shape their weights stay as they are, with the factor 1.
+    Observers whose weights may depend on the noise stay as they are, with the factor 1.
     """
     if type(observer) in {PyramidObserver, OrientedObserver}:
         settings = cast("PyramidObserver", observer).settings
@@ -39,8 +39,8 @@ def unit_of(observer: Observer) -> Unit:
     return Unit(pickle.dumps(observer), 1.0)
 
 
-class Look(NamedTuple):
-    """All of a readout but its weights; the noise is that of the observer itself, not scaled."""
+class ReadoutNoise(NamedTuple):
+    """Noise covariance and symmetry of a readout, without its weights. The noise is not scaled."""
 
     noise_covariance: FloatArray
     is_symmetric: bool
@@ -48,7 +48,8 @@ class Look(NamedTuple):
 
 
 class Weights(NamedTuple):
-    """Weights of a readout in single precision; of a symmetric one the first, whose turns are the others."""
+    """Weights of a readout in single precision. A symmetric readout has the first image only; its turns are the
+    others."""
 
     images: NDArray[np.float32]
 
@@ -72,7 +73,7 @@ class ScaledObserver:
     make : function of no arguments
         Makes the observer anew.
     name : hashable
-        All that tells this observer from others.
+        Key that distinguishes this observer from all others.
     scale : float
         Factor of the standard deviation of the internal noise.
     kept : Kept
@@ -104,16 +105,16 @@ class ScaledObserver:
         vars(readout)["weights_key"] = (self.name, stimulus)
         return readout
 
-    def look(self, stimulus: Stimulus, half_width: int) -> Look:
-        """Return what a readout has besides weights, and keep its weights within `half_width` samples as well.
+    def noise(self, stimulus: Stimulus, half_width: int) -> ReadoutNoise:
+        """Return the noise of a readout, and keep its weights within `half_width` samples as well.
 
         Raises
         ------
         SettingsError
             If the observer is not linear.
         """
-        look: Look = self._kept.get((self.name, stimulus), lambda: self._parts(stimulus, half_width)[0])
-        return look._replace(noise_covariance=self._scale**2 * look.noise_covariance)
+        noise: ReadoutNoise = self._kept.get((self.name, stimulus), lambda: self._parts(stimulus, half_width)[0])
+        return noise._replace(noise_covariance=self._scale**2 * noise.noise_covariance)
 
     def weights(self, stimulus: Stimulus, half_width: int) -> NDArray[np.float32]:
         """Return the weights of a readout within at least `half_width` samples of the middle, (4, side, side)."""
@@ -122,22 +123,22 @@ class ScaledObserver:
         )
         return kept.all_four()
 
-    def _parts(self, stimulus: Stimulus, half_width: int) -> tuple[Look, Weights]:
+    def _parts(self, stimulus: Stimulus, half_width: int) -> tuple[ReadoutNoise, Weights]:
         """Compute the parts of a readout that are kept, and keep both."""
         if type(self._base) is PyramidObserver:
             upright, covariance = self._base.weights_within(stimulus, half_width, np.float32)
-            look, weights = Look(covariance, is_symmetric=True), Weights(upright[None])
+            noise, weights = ReadoutNoise(covariance, is_symmetric=True), Weights(upright[None])
         else:
             whole = self._whole(stimulus)
             if not whole:
                 raise not_linear()
             readout = whole[0].readout
             symmetric = is_symmetric(readout)
-            look = Look(readout.noise_covariance, symmetric)
+            noise = ReadoutNoise(readout.noise_covariance, symmetric)
             weights = Weights(readout.deviations[: 1 if symmetric else 4].astype(np.float32))
-        self._kept.get((self.name, stimulus), lambda: look)
+        self._kept.get((self.name, stimulus), lambda: noise)
         self._kept.get((self.name, stimulus, half_width), lambda: weights)
-        return look, weights
+        return noise, weights
 
     def _whole(self, stimulus: Stimulus) -> list[_Whole]:
         """Return the readout on the whole retina, not scaled; none if the observer is not linear."""
@@ -157,14 +158,14 @@ class _Whole(NamedTuple):
 
 
 class ScaledTruncatedObserver(ScaledObserver):
-    """The same of a `TruncatedObserver`."""
+    """A `ScaledObserver` of a `TruncatedObserver`."""
 
     def with_extra_level(self) -> ScaledObserver:
-        """Return the observer with a level more."""
+        """Return the observer with one extra level."""
         return self._variant("more", lambda base: base.with_extra_level())
 
     def with_fewer_levels(self, stimulus: Stimulus) -> ScaledObserver | None:
-        """Return the observer with a level less; None where that is not possible."""
+        """Return the observer with one level fewer; None if that is not possible."""
         if cast("TruncatedObserver", self._make()).with_fewer_levels(stimulus) is None:
             return None
         return self._variant("fewer", lambda base: base.with_fewer_levels(stimulus))

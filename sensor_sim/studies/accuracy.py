@@ -1,8 +1,8 @@
 """Accuracy scenes of one staring camera in three kinds of noise.
 
 Where detector noise decides, the threshold is a signal-to-noise ratio. Where the observer's own noise does, that
-ratio would tell next to nothing: the threshold is then the contrast of a large triangle on the display, and the
-detector noise, if there is any, has a contrast of its own that stays.
+ratio would mean next to nothing: the threshold is then the contrast of a large triangle on the display, and the
+detector noise, if there is any, has a fixed contrast.
 """
 
 from __future__ import annotations
@@ -32,16 +32,16 @@ from todframes.studies.accuracy.estimators import (
     P_CORRECT,
     Converged,
     Estimate,
+    FoldedTrials,
     MonteCarlo,
     Quadrature,
-    Trials,
     Variant,
     estimate_at_one_level,
     monte_carlos,
 )
 
 AT_ONCE = 32
-"""Frames whose samples are made together, which costs less."""
+"""Number of frames whose samples are made together, which takes less time."""
 
 STAR_LIKE = Sensor(
     name="star-like",
@@ -58,7 +58,7 @@ STAR_LIKE = Sensor(
 """The camera of the sample frames without its fixed pattern: that of one camera would be the same in all frames of
 the literal Monte Carlo, while a computed threshold is a mean over cameras."""
 
-PLACES = (3, 5, 7, 11, 13, 17, 19, 23, 29)
+STUDIED_PLACES = (3, 5, 7, 11, 13, 17, 19, 23, 29)
 """Numbers of places of a lattice, along each axis of a detector."""
 
 REPEATS = 12
@@ -123,16 +123,16 @@ class Camera:
         snr, contrast = self._shown(converged.threshold)
         answers = partial(literal_answers, self.sensor, self.size_detectors, snr=snr, contrast=contrast)
         # Each place is seen with two opposite displacements of the retina.
-        budgets = tuple(2 * places**2 for places in PLACES if self._is_fair(places))
+        budgets = tuple(2 * places**2 for places in STUDIED_PLACES if self._is_fair(places))
 
-        def trials() -> Callable[[int, np.random.Generator], Trials]:
+        def trials() -> Callable[[int, np.random.Generator], FoldedTrials]:
             chain = self._chain(self._plan())
 
-            def draw(n: int, rng: np.random.Generator) -> Trials:
+            def draw(n: int, rng: np.random.Generator) -> FoldedTrials:
                 drawn = [chain.phases(1, rng)[0] for _ in range(n)]
                 score = np.stack([contrast * part.signal[0, :1] for part in drawn])
                 noise = np.stack([(contrast / snr) ** 2 * part.noise for part in drawn])
-                return Trials(score, chain.noise_covariance + noise, np.array([drawn[0].correct]))
+                return FoldedTrials(score, chain.noise_covariance + noise, np.array([drawn[0].correct]))
 
             return draw
 
@@ -205,10 +205,10 @@ class Camera:
         return FoldedChain(self.sensor, plan.observer, self.size_detectors, plan)
 
     def _is_fair(self, places: int) -> bool:
-        """Return whether a lattice sees the pixels of a detector in many places, or is too coarse for that to
+        """Return whether the places of a lattice fall on many pixels of a detector, or are too coarse for that to
         matter.
         """
-        return places == min(PLACES) or math.gcd(places, self.sensor.display.pixels_per_detector) == 1
+        return places == min(STUDIED_PLACES) or math.gcd(places, self.sensor.display.pixels_per_detector) == 1
 
     def _proportion(self, chain: FoldedChain, phases: list[Phases], level: float) -> float:
         return chain.proportion_correct(phases, *self._shown(level))

@@ -27,10 +27,10 @@ from todframes.studies.stability.case import MPMATH, Case, refusal
 
 BELOW_CUT_OFF = 1.0 - 2.0 ** -np.array([10.0, 20.0, 30.0, 40.0, 52.0])
 AT_AND_BEYOND = np.array([1.0, 1.0 + 2.0**-52, 2.0, 1e9, 1e300])
-PLACES = np.array([0.0, 0.25, -0.5])
+TESTED_PLACES = np.array([0.0, 0.25, -0.5])
 CONTIGUOUS = Detector(pitch_mrad=1.0, width_mrad=1.0)
 
-POINTS = Detector(pitch_mrad=1.0, width_mrad=0.01)
+POINT_DETECTORS = Detector(pitch_mrad=1.0, width_mrad=0.01)
 """Detectors of fill factor 1e-4."""
 
 
@@ -81,14 +81,14 @@ def sampler(
 
 def total(cut_off: float, *, blur: float = 0.0) -> FloatArray:
     """Sum the samples of a period, over the triangle's area, at three places."""
-    samples = sampler(cut_off, blur=blur).samples(PLACES, PLACES[::-1], orientation=Orientation.UP)
+    samples = sampler(cut_off, blur=blur).samples(TESTED_PLACES, TESTED_PLACES[::-1], orientation=Orientation.UP)
     return np.asarray(samples.sum(axis=(1, 2)) / 9.0)
 
 
 def mean_total_of_points(cut_off: float, places: int) -> float:
     """Average that sum over places evenly on a detector of fill factor 1e-4."""
     x, y = np.meshgrid(*(np.arange(places) / places,) * 2)
-    samples = sampler(cut_off, detector=POINTS).samples(
+    samples = sampler(cut_off, detector=POINT_DETECTORS).samples(
         x.ravel() - 0.5, y.ravel() - 0.5, orientation=Orientation.UP
     )
     return float(samples.sum(axis=(1, 2)).mean() / 9.0)

@@ -26,11 +26,11 @@ NETD = "noise.netd_mk"
 
 MOST_DESIGNS = MAX_ROWS
 
-NAME = "name"
+NAME_COLUMN = "name"
 """Column of a CSV file of designs that names them."""
 
 Changes = tuple[tuple[str, Any], ...]
-"""Settings by name, of an observer that differs from the usual one."""
+"""Changed settings of the observer, by name."""
 
 Spacing = Literal["linear", "log"]
 
@@ -221,7 +221,7 @@ def read_designs(path: Path, known: Mapping[str, bool]) -> Designs:
     """
     rows = read_csv(path)
     _, header = next(rows)
-    keys = [name for name in header if name != NAME]
+    keys = [name for name in header if name != NAME_COLUMN]
     try:
         _check(keys, known)
     except SettingsError as error:
@@ -234,10 +234,10 @@ def read_designs(path: Path, known: Mapping[str, bool]) -> Designs:
             if known[key] and value != round(value):
                 raise DataError(f"{where}: {key}: found {row[key]!r}, expected a whole number")
         values.append(of_row)
-        names.append(row.get(NAME, ""))
+        names.append(row.get(NAME_COLUMN, ""))
     if not values:
         raise DataError(f"{path}: found no design, expected a row for each")
-    return Designs(tuple(keys), np.array(values), tuple(names) if NAME in header else None)
+    return Designs(tuple(keys), np.array(values), tuple(names) if NAME_COLUMN in header else None)
 
 
 def make_designs(

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sensor_sim.sweeps.tables import BY_SIZE, UNITS, SweepData
+from sensor_sim.sweeps.tables import BY_SIZE, CRITERION_UNITS, SweepData
 from sensor_sim.sweeps.work import IMPOSSIBLE
 from todframes import __version__
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError
-from todframes.report.figure_style import COLOURS, INK, add_legend, label_text, look_of, plain_ticks
-from todframes.report.figures import Picture
+from todframes.report.figure_style import COLOURS, INK, add_legend, curve_style, label_text, plain_ticks
+from todframes.report.figures import ReportFigure
 from todframes.report.html import figure_items, render, table_item
 from todframes.report.tables import records_table
 from todframes.report.wording import evenly
@@ -30,14 +30,14 @@ MOST_MAPS = 4
 MOST_VECTORS = 400
 """Largest number of cells or points that a page shows as vectors; more become one picture."""
 
-MARKS = {IMPOSSIBLE: ("////", "_"), "never_reached": ("xx", "x")}
+MARKS = {IMPOSSIBLE: ("////", "_"), "never_reached": ("xx", "x"), "always_exceeded": ("..", ".")}
 """Hatch of a cell, and marker of a point, without a threshold, by status."""
 
 LOG_SPAN = 10.0
 """Smallest ratio of the largest to the smallest value on a logarithmic axis."""
 
 
-def pictures(result: SweepData) -> list[Picture]:
+def pictures(result: SweepData) -> list[ReportFigure]:
     """List the figures of a sweep, the most important first."""
     keys, sizes = result.swept.designs.keys, result.swept.size_detectors
     found = []
@@ -47,19 +47,22 @@ def pictures(result: SweepData) -> list[Picture]:
             f"{', '.join(one.column for one in result.objectives)}."
         )
         title = f"Trade-off at {sizes[0]:g} detectors"
-        found.append(Picture(title, note, partial(draw_front, result=result, size=0), "front.png"))
+        found.append(ReportFigure(title, note, partial(draw_front, result=result, size=0), "front.png"))
     if len(varied(result)) > 1:
         for size in evenly(range(len(sizes)), MOST_MAPS):
-            note = "Threshold over the first two keys that vary. Hatched once: impossible; crossed: never reached."
+            note = "Threshold over the first two keys that vary. Hatched once: impossible; crossed: never reached;"
+            note += " dotted: always exceeded."
             note += " The lowest over the other keys." * (len(keys) > 2)
             draw = partial(draw_map, result=result, size=size)
-            found.append(Picture(f"Map at {sizes[size]:g} detectors", note, draw, "" if size else "map.png"))
+            found.append(ReportFigure(f"Map at {sizes[size]:g} detectors", note, draw, "" if size else "map.png"))
     elif varied(result):
         note = "A line for each size."
-        found.append(Picture("Threshold against the key", note, partial(draw_lines, result=result), "by_key.png"))
+        found.append(
+            ReportFigure("Threshold against the key", note, partial(draw_lines, result=result), "by_key.png")
+        )
     if (np.isfinite(result.swept.threshold_snr).sum(axis=1) > 1).any():
         note = f"Threshold against 1 / size of up to {MOST_CURVES} designs, coloured by the first key that varies."
-        found.append(Picture("TOD curves", note, partial(draw_curves, result=result), "tod_curves.png"))
+        found.append(ReportFigure("TOD curves", note, partial(draw_curves, result=result), "tod_curves.png"))
     return found
 
 
@@ -172,7 +175,7 @@ def draw_lines(axes: Axes, result: SweepData) -> None:
     order = np.argsort(x)
     sizes = result.swept.size_detectors
     for place, size in enumerate(sizes):
-        look = look_of(place, len(sizes))
+        look = curve_style(place, len(sizes))
         axes.plot(
             x[order], shown[order, place], color=look.colour, marker=look.marker, label=f"{size:g} detectors"
         )
@@ -207,7 +210,7 @@ def draw_front(axes: Axes, result: SweepData, size: int) -> None:
 
 
 def _with_unit(column: str) -> str:
-    unit = UNITS.get(column, "")
+    unit = CRITERION_UNITS.get(column, "")
     name = {"delta_t_mk": "threshold ΔT", "threshold_snr": "threshold SNR"}.get(column, column.replace("_", " "))
     name = name.removesuffix(f" {unit}") if unit else name
     return label_text(f"{name} ({unit})" if unit else column if column not in BY_SIZE else name)

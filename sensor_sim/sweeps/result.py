@@ -10,7 +10,7 @@ from sensor_sim.sweeps.figures import draw_curves, draw_front, draw_map, page, p
 from sensor_sim.sweeps.tables import SweepData
 from todframes.report.figures import drawn
 from todframes.report.parquet import has_parquet, parquet_parts
-from todframes.report.saving import Saving
+from todframes.report.result import Saving
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -13,13 +13,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sensor_sim.sweeps.designs import FILL_FACTOR, NAME, NETD, PITCH, WIDTH
+from sensor_sim.sweeps.designs import FILL_FACTOR, NAME_COLUMN, NETD, PITCH, WIDTH
 from sensor_sim.sweeps.work import IMPOSSIBLE, Swept
 from todframes import __version__
 from todframes.base._typing import FloatArray, Json
-from todframes.base.errors import SettingsError
+from todframes.base.errors import SettingsError, argument, for_reader
 from todframes.base.reading import check_keys
-from todframes.report.saving import json_file
+from todframes.report.data import json_file
 from todframes.report.table import BLOCK, Column, LongRecords, Table
 from todframes.report.wording import count, listed, plain
 
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 BY_SIZE = ("threshold_snr", "delta_t_mk")
-"""Columns of which each size has its own value."""
+"""Columns with a separate value for each size."""
 
 OF_ACUITY = ("acuity_detectors", "acuity_mrad")
 
@@ -37,7 +37,7 @@ OF_ETENDUE = ("optics.aperture_mm", WIDTH, FILL_FACTOR)
 ROWS_SHOWN = 20
 """Largest number of designs in the table for the terminal and the page."""
 
-UNITS = {"threshold_snr": "", "delta_t_mk": "mK", "acuity_detectors": "detectors", "acuity_mrad": "mrad"}
+CRITERION_UNITS = {"threshold_snr": "", "delta_t_mk": "mK", "acuity_detectors": "detectors", "acuity_mrad": "mrad"}
 
 
 class Criterion(NamedTuple):
@@ -236,7 +236,7 @@ class SweepData:
         for row, values in enumerate(designs.values.tolist()):
             of_design: Json = {"design": row + 1}
             if designs.names is not None:
-                of_design[NAME] = designs.names[row]
+                of_design[NAME_COLUMN] = designs.names[row]
             of_design |= self._values(values)
             if self.settings["couple_netd"]:
                 of_design["netd_mk"] = _known(swept.netd_mk[row])
@@ -285,7 +285,7 @@ class SweepData:
 
     def _kinds(self) -> dict[str, type]:
         """Return the type of each column."""
-        texts = {NAME, "status", "acuity_status", "reason"}
+        texts = {NAME_COLUMN, "status", "acuity_status", "reason"}
         whole = {"design", "n_phases", *self.whole_keys}
         return {
             key: str if key in texts else int if key in whole else bool if key == "on_front" else float
@@ -332,13 +332,13 @@ class SweepData:
         for row in rows[:ROWS_SHOWN]:
             record: Json = {"design": int(row) + 1}
             if designs.names is not None:
-                record[NAME] = designs.names[row]
+                record[NAME_COLUMN] = designs.names[row]
             record |= self._values(designs.values[row].tolist())
             record |= {"netd_mk": _known(swept.netd_mk[row])} if self.settings["couple_netd"] else {}
             record |= {f"at_{place}": _known(value) for place, value in enumerate(shown[row])}
             record |= self._acuity_record(int(row), _known(swept.pitch_mrad[row]))
             records.append(record)
-        columns = [Column(key="design"), *([Column(key=NAME, rank=3)] if designs.names is not None else [])]
+        columns = [Column(key="design"), *([Column(key=NAME_COLUMN, rank=3)] if designs.names is not None else [])]
         # A narrow terminal first drops the larger sizes; what is varied stays.
         columns += [Column(key=key, header=_heading(key)) for key in designs.keys]
         columns += [Column(key="netd_mk", header="NETD mK")] if self.settings["couple_netd"] else []
@@ -395,7 +395,7 @@ class SweepData:
             values = zip(swept.designs.keys, swept.designs.values[row].tolist(), strict=True)
             of_design = ", ".join(f"{key} {value:.4g}" for key, value in values)
             end = "Lowest" if self.objectives[0].sign > 0 else "Highest"
-            name, unit = self.objectives[0].column, UNITS.get(self.objectives[0].column, "")
+            name, unit = self.objectives[0].column, CRITERION_UNITS.get(self.objectives[0].column, "")
             value = f"{plain(float(column[row]))} {unit}".rstrip()
             found.append(
                 f"{end} {name} at {swept.size_detectors[0]:g} detectors: {value}, design {row + 1} ({of_design})."
@@ -405,15 +405,13 @@ class SweepData:
             number = int(self.on_front[:, 0].sum())
             found.append(f"{count(number, 'design')} on the trade-off front of {names}.")
         if self._misses_coupling:
-            found.append(
-                "The NETD is the same for all apertures and detectors, so a smaller one costs no signal; with "
-                "--couple-netd it follows f-number² / area."
-            )
+            text = "The NETD is the same for all apertures and detectors, so a smaller one costs no signal; with "
+            found.append(for_reader(f"{text}{argument.couple_netd} it follows f-number² / area."))
         return found
 
     @property
     def _misses_coupling(self) -> bool:
-        """Whether the light on a detector differs between the designs, but not their NETD."""
+        """True if the light on a detector differs between the designs, but not their NETD."""
         keys, width_follows = self.swept.designs.keys, self.settings["keep_fill_factor"]
         changes_light = {*OF_ETENDUE, PITCH} if width_follows or FILL_FACTOR in keys else {*OF_ETENDUE}
         has_netd = np.isfinite(self.swept.mk_per_snr).any()

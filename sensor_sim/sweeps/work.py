@@ -1,7 +1,7 @@
 """Thresholds of many designs of a sensor: each computation once, in an order in which neighbours share parts.
 
-The numbers of a design are those of its curve alone, to the last bit: what is shared is found by all that its
-value depends on, and each size has the same places of the triangle, plan and seed.
+The numbers of a design are those of its curve alone, to the last bit: the key of a shared part holds everything on
+which its value depends, and each size has the same places of the triangle, plan and seed.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ IMPOSSIBLE: Literal["impossible"] = "impossible"
 
 
 class Chain(NamedTuple):
-    """All that a threshold depends on.
+    """Everything that a threshold depends on.
 
     Attributes
     ----------
@@ -117,7 +117,7 @@ class SweepWork:
     items_at_once: ClassVar[int] = 1
 
     def function(self) -> Callable[[Chain], PredictedThreshold]:
-        """Return the function of a chain; what chains share is kept as long as the function."""
+        """Return the function of a chain; the parts that chains share are kept as long as the function."""
         shared = Shared.of(self.shared_mb * 2**20)
         observer_of = lru_cache(maxsize=OBSERVERS_KEPT)(self.observers)
 
@@ -153,7 +153,7 @@ class SweepWork:
         return SettingsError(f"{chain.size_detectors:g} detectors: the process died that computed it")
 
     def key(self, item: Chain, *, is_done: bool) -> bytes | None:  # noqa: ARG002
-        """Return the key of a threshold, which stands for all that it depends on; None if code cannot be told."""
+        """Return the key of a threshold, which stands for all that it depends on; None if code has no identity."""
         try:
             of_work = (self.observers, self.p_correct, self.tolerance, self.seed, self.plan)
             return fingerprint(of_work, tuple(item))
@@ -215,7 +215,7 @@ class Swept:
         return self.threshold_snr * self.mk_per_snr[:, None]
 
 
-class Plan(NamedTuple):
+class SweepPlan(NamedTuple):
     """Computations of a sweep.
 
     Attributes
@@ -262,7 +262,7 @@ def check_sweep(
         raise SettingsError("observer: it is not linear; no curve can be computed, simulate frames instead")
 
 
-def plan_sweep(base: Base, designs: Designs, sizes: Sequence[float]) -> Plan:
+def plan_sweep(base: Base, designs: Designs, sizes: Sequence[float]) -> SweepPlan:
     """Return the computations that designs need, each once, ordered so that neighbours share most."""
     numbers: dict[tuple[Sensor, Changes], int] = {}
     of_design = np.full(len(designs.values), -1)
@@ -284,11 +284,11 @@ def plan_sweep(base: Base, designs: Designs, sizes: Sequence[float]) -> Plan:
     chains = [Chain(*unique[number], size) for size in sizes for number in order]
     first = place_of[of_design][:, None]
     places = np.where(first < 0, -1, first + len(order) * np.arange(len(sizes)))
-    return Plan(chains, places, sensors, reasons)
+    return SweepPlan(chains, places, sensors, reasons)
 
 
 def as_computed(sensor: Sensor) -> Sensor:
-    """Return a sensor with the same thresholds in SNR, in which all that they do not depend on is the default."""
+    """Return a sensor with the same thresholds in SNR, with defaults for all settings that do not change these."""
     display = replace(sensor.display, background_luminance_cd_m2=1.0)
     return replace(sensor, noise=Noise(), display=display, name="")
 
@@ -352,7 +352,7 @@ def run_sweep(
 
 
 def _gathered(
-    designs: Designs, sizes: tuple[float, ...], plan: Plan, results: Sequence[PredictedThreshold]
+    designs: Designs, sizes: tuple[float, ...], plan: SweepPlan, results: Sequence[PredictedThreshold]
 ) -> Swept:
     nothing = len(results)
     status = np.array([*(one.status for one in results), IMPOSSIBLE], dtype=object)

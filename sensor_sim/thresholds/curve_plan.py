@@ -21,7 +21,7 @@ from sensor_sim.chain.sensor import Sensor
 from sensor_sim.thresholds.folding import Folding, is_unblurred
 from sensor_sim.thresholds.sharing import NOTHING, Shared
 from todframes.base._typing import FloatArray
-from todframes.base.errors import SettingsError
+from todframes.base.errors import SettingsError, argument
 from todframes.observers.decision import answer_probability
 from todframes.observers.interface import Observer, Readout, TruncatedObserver
 from todframes.psychometrics.threshold_search import crossing
@@ -130,11 +130,9 @@ class CurvePlan:
             lambda: self.sampler.samples(x_detectors, y_detectors, orientation=orientation),
         )
 
-    def weights_by_row(
-        self, folding: Folding, places_x: FloatArray, places_y: FloatArray
-    ) -> Sequence[NDArray[Any]]:
+    def weights_by_row(self, folding: Folding, places_x: FloatArray, places_y: FloatArray) -> NDArray[Any]:
         """Return the folded weights as `Folding.weights_by_row` does."""
-        rows: Sequence[NDArray[Any]] = self.shared.weights.get(
+        rows: NDArray[Any] = self.shared.weights.get(
             (folding.key, places_x.tobytes(), places_y.tobytes()),
             lambda: folding.weights_by_row(places_x, places_y),
         )
@@ -231,7 +229,7 @@ def full_plan(sensor: Sensor, observer: Observer, size_detectors: float, shared:
             (sensor.optics, sensor.detector, size_detectors), lambda: field_sampler(sensor, size_detectors)
         ),
         fewest_places=FULL_PLACES,
-        steps=(Step("everything", True, f"as --plan full asks; the field is {detectors} detectors"),),
+        steps=(Step("everything", True, f"as {argument.plan} full asks; the field is {detectors} detectors"),),
         shared=shared,
     )
 
@@ -299,7 +297,7 @@ class _CurvePlanner:
         started = time.perf_counter()
         weights = plan.shared.weights.get(
             (folding.key, dx, dy, places),
-            lambda: np.stack([folding.weights(x + dx, y + dy) for x, y in places]),
+            lambda: folding.weights(*np.add(places, (dx, dy)).T),
         )
         spent = (time.perf_counter() - started) / len(places)
         return plan.all_four(weights) * self.sensor.display.gain, spent

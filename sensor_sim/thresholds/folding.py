@@ -1,8 +1,8 @@
 """Folding of weights on the retina to weights on the detectors, by the adjoint of hold, blur, display and retina.
 
-The chain is separable. A place of the retina on the display is one sparse overlap matrix for each axis; the
-adjoint of sample & hold and post-sample blur follows. If nothing blurs, the pixels of a detector are alike and
-count as one.
+The chain is separable. Along an axis, sample & hold and post-sample blur give each display pixel a share of a
+detector, and a retina sample sees the integral of the shares over its own width. If nothing blurs, the pixels of a
+detector are alike and count as one.
 
 Hogervorst et al. 2001, sections 3.4 to 4.1.
 """
@@ -20,13 +20,10 @@ from numpy.typing import DTypeLike, NDArray
 from sensor_sim.chain.reconstruction import axis_matrix
 from sensor_sim.chain.sensor import Sensor
 from todframes.base._typing import FloatArray
-from todframes.observers.retina import RetinaGrid, overlaps
+from todframes.observers.retina import RetinaGrid
 
-PLACES_AT_ONCE = 6
-"""Largest number of places along an axis that are folded at once: enough to hide the cost of a call."""
-
-VALUES_AT_ONCE = 2**20
-"""Largest number of values on display pixels that are held for several places; a place alone may have more."""
+DETECTORS_AT_ONCE = 4
+"""Number of detectors of an axis that are folded at once: a few of them show on a part of the retina only."""
 
 
 def is_unblurred(sensor: Sensor) -> bool:
@@ -35,16 +32,16 @@ def is_unblurred(sensor: Sensor) -> bool:
 
 
 class Folding:
-    """Images of weights on a retina, to be folded onto detectors for any place of the retina.
+    """Weights on a retina, to be folded onto detectors for any place of the retina.
 
     Parameters
     ----------
     sensor : Sensor
     grid : RetinaGrid
-    images : ndarray, shape (4, side, side)
-        Weights of each answer; their mean over the answers affects no decision and is subtracted.
+    deviations : ndarray, shape (4, side, side)
+        Weights of each answer less their mean over the answers, which affects no decision.
     n : int
-        Number of images that are folded.
+        Number of answers whose weights are folded.
     field : int
         Detectors along each side of the square field.
     reach_detectors : float
@@ -62,7 +59,7 @@ class Folding:
         self,
         sensor: Sensor,
         grid: RetinaGrid,
-        images: FloatArray,
+        deviations: FloatArray,
         *,
         n: int = 4,
         field: int,
@@ -75,60 +72,66 @@ class Folding:
         pitch = sensor.display.detector_pitch_mrad
         self.pixels = 1 if merge_pixels and is_unblurred(sensor) else sensor.display.pixels_per_detector
         self.pixel_pitch_mrad = pitch / self.pixels
-        self._sensor, self._images = sensor, images
+        self._sensor, self._deviations = sensor, deviations
         seen = 2 * math.ceil((field / 2.0 + reach_detectors) * pitch / grid.pitch_mrad) + 1
         margin = max((grid.side - seen) // 2, 0)
         self._seen = slice(margin, grid.side - margin)
         self.grid = RetinaGrid(grid.side - 2 * margin, grid.pitch_mrad)
 
     @cached_property
-    def hold(self) -> FloatArray | None:
-        """Adjoint of sample & hold and blur along one axis; None where pixels that are alike count as one."""
-        if self.pixels == 1 and is_unblurred(self._sensor):
-            return None
-        hold = axis_matrix(self.field, display=self._sensor.display, electronics=self._sensor.electronics)
-        return hold.T.astype(self.dtype)
+    def _seen_deviations(self) -> NDArray[Any]:
+        """Those of the deviations that are folded, on the samples that see the field."""
+        return self._deviations[: self.n, self._seen, self._seen].astype(self.dtype, copy=False)
 
     @cached_property
-    def _along_x_first(self) -> NDArray[Any]:
-        images = self._images[:, self._seen, self._seen]
-        mean = images.mean(axis=0)
-        by_column = np.empty((self.grid.side, self.n, self.grid.side), dtype=self.dtype)
-        for k, image in enumerate(images[: self.n]):
-            np.subtract(image.T, mean.T, out=by_column[:, k], casting="same_kind")
-        return by_column.reshape(self.grid.side, self.n * self.grid.side)
+    def _held(self) -> tuple[FloatArray, FloatArray]:
+        """Share of each detector in each pixel of an axis, (field, pixels), and its integral up to each pixel."""
+        if self.pixels == 1 and is_unblurred(self._sensor):
+            share = np.eye(self.field)  # pixels that are alike count as one
+        else:
+            display, electronics = self._sensor.display, self._sensor.electronics
+            share = axis_matrix(self.field, display=display, electronics=electronics).T
+        return share, np.pad(np.cumsum(share, axis=1), ((0, 0), (1, 0)))
 
-    def weights_by_row(self, places_x: FloatArray, places_y: FloatArray) -> list[NDArray[Any]]:
-        """Return for each place along y the weights at all places along x: (places_x, n, field²), in `dtype`.
+    def _on_axis(self, places: FloatArray) -> Iterator[tuple[slice, slice, NDArray[Any]]]:
+        """Yield what retina samples see of some detectors of an axis: the detectors, the samples, and the shares.
+
+        The shares are (detectors · places, samples). Elsewhere they are 0.
+        """
+        share, integral = self._held
+        n_pixels, width = share.shape[1], self.pixel_pitch_mrad / self.grid.pitch_mrad
+        edges = self.grid.side / 2.0 - (self.field / 2.0 + places) * self.pixels * width
+        for start in range(0, self.field, DETECTORS_AT_ONCE):
+            some = slice(start, min(start + DETECTORS_AT_ONCE, self.field))
+            (touched,) = np.nonzero(share[some].any(axis=0))
+            first = max(math.floor(edges.min() + touched[0] * width), 0)
+            stop = min(math.ceil(edges.max() + (touched[-1] + 1) * width), self.grid.side)
+            if first >= stop:
+                continue
+            samples = slice(first, stop)
+            # Boundaries of the samples, in pixels from the first.
+            place = np.clip((np.arange(first, stop + 1.0) - edges[:, None]) / width, 0.0, n_pixels)
+            pixel = np.minimum(place.astype(np.intp), n_pixels - 1)
+            up_to = integral[some].take(pixel, axis=1) + (place - pixel) * share[some].take(pixel, axis=1)
+            yield some, samples, (width * np.diff(up_to, axis=-1)).astype(self.dtype).reshape(-1, stop - first)
+
+    def weights_by_row(self, places_x: FloatArray, places_y: FloatArray) -> NDArray[Any]:
+        """Return the weights at all places on a lattice: (places_y, places_x, n, field²), in `dtype`.
 
         Places are those of the retina's middle, in detectors from the field's middle.
         """
-        side, field, places = self.grid.side, self.field, len(places_x)
-        on_columns = np.empty((side, places, self.n, field), dtype=self.dtype)
-        for start, folded in self._folded(places_x, self._along_x_first):
-            at_once = slice(start, start + len(folded))
-            on_columns[:, at_once] = folded.reshape(-1, field, self.n, side).transpose(3, 0, 2, 1)
-        rows = []
-        for _, folded in self._folded(places_y, on_columns.reshape(side, places * self.n * field)):
-            of_rows = folded.reshape(-1, field, places, self.n, field).transpose(0, 2, 3, 1, 4)
-            rows += list(of_rows.reshape(-1, places, self.n, field**2))
-        return rows
+        side, field, n_x, n_y = self.grid.side, self.field, len(places_x), len(places_y)
+        on_columns = np.zeros((self.n, side, field, n_x), dtype=self.dtype)
+        for some, seen, shares in self._on_axis(places_x):
+            folded = self._seen_deviations[..., seen] @ shares.T
+            on_columns[:, :, some] = folded.reshape(self.n, side, -1, n_x)
+        on_columns = on_columns.reshape(self.n, side, -1)
+        folded_rows = np.zeros((self.n, field, n_y, field, n_x), dtype=self.dtype)
+        for some, seen, shares in self._on_axis(places_y):
+            folded_rows[:, some] = (shares @ on_columns[:, seen]).reshape(self.n, -1, n_y, field, n_x)
+        return folded_rows.transpose(2, 4, 0, 1, 3).reshape(n_y, n_x, self.n, field**2)
 
-    def weights(self, place_x: float, place_y: float) -> FloatArray:
-        """Return the weights at one place: (n, field²)."""
-        (row,) = self.weights_by_row(np.array([place_x]), np.array([place_y]))
-        return np.asarray(row[0], dtype=np.float64)
-
-    def _folded(self, places: FloatArray, weights: NDArray[Any]) -> Iterator[tuple[int, NDArray[Any]]]:
-        """Fold weights on retina samples along the first axis, (side, n), to detectors, some places at once.
-
-        Yields the number of the first place, and (places, field, n).
-        """
-        n_pixels, width = self.field * self.pixels, self.pixel_pitch_mrad / self.grid.pitch_mrad
-        n_at_once = min(max(VALUES_AT_ONCE // (n_pixels * weights.shape[1]), 1), PLACES_AT_ONCE)
-        for start in range(0, len(places), n_at_once):
-            at_once = places[start : start + n_at_once]
-            edges = self.grid.side / 2.0 - (self.field / 2.0 + at_once) * self.pixels * width
-            retina = overlaps(edges, width, n_pixels, self.grid.side).matrix(self.grid.side, self.dtype)
-            on_pixels: NDArray[Any] = np.asarray(retina @ weights).reshape(len(at_once), n_pixels, -1)
-            yield start, on_pixels if self.hold is None else np.asarray(self.hold @ on_pixels)
+    def weights(self, places_x: FloatArray, places_y: FloatArray) -> FloatArray:
+        """Return the weights at single places: (places, n, field²)."""
+        number = np.arange(len(places_x))
+        return self.weights_by_row(places_x, places_y)[number, number].astype(np.float64)

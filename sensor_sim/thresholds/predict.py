@@ -44,11 +44,11 @@ enough. Each takes twice the trials of the one before, so that there are few cha
 that is too small by chance. Numbers that have a divisor in common with the display's pixels per detector are left
 out: P repeats with these pixels too, and such a lattice would sample all of them at the same places."""
 
-KRONECKER_STEPS = np.modf(1.1673039782614187 ** -np.arange(1.0, 5.0))[0].reshape(2, 2)
+KRONECKER_STEPS_4D = np.modf(1.1673039782614187 ** -np.arange(1.0, 5.0))[0].reshape(2, 2)
 """Steps of a four-dimensional low-discrepancy sequence, powers of the root of x⁵ = x + 1 (Roberts 2018); two
 dimensions are counted by the rows and columns of the lattice."""
 
-VALUES_AT_ONCE = 2**17
+WEIGHTS_AT_ONCE = 2**17
 """Number of weights of a score, on the detectors of several places, that are multiplied with samples at once."""
 
 PLACES_AT_ONCE = 1024
@@ -99,7 +99,7 @@ class Lattice(NamedTuple):
         grid = np.arange(places) / places - 0.5
         x, y = (grid + along / places for along in shift)
         row, column = np.divmod(np.arange(places**2)[:, None], places)
-        evenly = (row * KRONECKER_STEPS[0] + column * KRONECKER_STEPS[1] + first) % 1.0
+        evenly = (row * KRONECKER_STEPS_4D[0] + column * KRONECKER_STEPS_4D[1] + first) % 1.0
         signs = np.array([[1.0], [-1.0]]) if jitter > 0.0 else np.zeros((1, 1))
         return cls(x, y, jitter * (2.0 * evenly[:, None] - 1.0) * signs)
 
@@ -136,7 +136,7 @@ def phases_on(
     *,
     size_detectors: float,
     gain: float,
-    weights_by_row: Callable[[FloatArray, FloatArray], Sequence[NDArray[Any]]],
+    weights_by_row: Callable[[FloatArray, FloatArray], NDArray[Any]],
 ) -> list[Phases]:
     """Return the trials of each orientation on a lattice.
 
@@ -158,7 +158,7 @@ def phases_on(
     for orientation in orientations:
         dx, dy = centre_offset(plan.observer, orientation, size_detectors)
         rows = weights_by_row(lattice.x + dx, lattice.y + dy)
-        at_once = max(VALUES_AT_ONCE // (places * plan.field**2), 1)
+        at_once = max(WEIGHTS_AT_ONCE // (places * plan.field**2), 1)
         signal, noise = [], []
         for start in range(0, places, at_once):
             some = rows[start : start + at_once]
@@ -264,7 +264,7 @@ class FoldedChain:
         The bound follows from that of `Readout.non_gaussian_bound`: the excess kurtosis of the sum of internal and
         detector noise is at most the larger one of its two parts.
         """
-        weights = self.plan.all_four(self.folding.weights(0.0, 0.0)[None])[0]
+        weights = self.plan.all_four(self.folding.weights(np.zeros(1), np.zeros(1)))[0]
         squares = np.square(weights[:, None] - weights)[np.triu_indices(4, 1)]
         sums = squares.sum(axis=1, keepdims=True)  # 0 where the detectors' noise does not reach the difference
         shares = np.divide(squares, sums, out=np.zeros_like(squares), where=sums > 0.0)
@@ -277,8 +277,19 @@ class FoldedChain:
 
         `contrast` is that of the triangle, in units of the contrast that the sensor's gain gives it.
         """
-        internal = self.noise_covariance / contrast**2
-        return float(_each_proportion(phases, partial(covariance_at, "snr", snr, internal), 1)[0])
+        return float(self.proportions_correct(phases, [snr], contrast)[0])
+
+    def proportions_correct(
+        self, phases: Sequence[Phases], snrs: Sequence[float], contrast: float = 1.0
+    ) -> FloatArray:
+        """Return `proportion_correct` at each of several signal-to-noise ratios."""
+        internal, snr = self.noise_covariance / contrast**2, np.reshape(snrs, (-1, 1, 1, 1, 1))
+        of_orientations = []
+        for part in phases:
+            covariance = internal + part.noise[:, None] / snr**2
+            p_correct = answer_probability(part.signal, covariance, part.correct, tolerance=ORTHANT_TOLERANCE)
+            of_orientations.append(p_correct.mean(axis=(1, 2)))
+        return np.asarray(np.mean(of_orientations, axis=0))
 
 
 def _each_proportion(
@@ -315,7 +326,7 @@ def _each_proportion(
     return np.asarray(np.mean(of_orientations, axis=0))
 
 
-class Found(NamedTuple):
+class PooledThreshold(NamedTuple):
     """A threshold over several replicates.
 
     Attributes
@@ -347,7 +358,7 @@ def find_threshold(
     slope: float = math.nan,
     tolerance: float = ORTHANT_TOLERANCE,
     check: Callable[[], None] = lambda: None,
-) -> Found:
+) -> PooledThreshold:
     """Find the threshold of trials, and what it would be with each replicate alone.
 
     Parameters
@@ -374,11 +385,11 @@ def find_threshold(
 
     status, threshold = crossing(lambda value: float(of_each(value).mean()), p_correct, near=near, slope=slope)
     if threshold is None:
-        return Found(status, math.nan, np.full(n_replicates, math.nan), math.nan)
+        return PooledThreshold(status, math.nan, np.full(n_replicates, math.nan), math.nan)
     low, high = (of_each(threshold * math.exp(way * STEP / 2.0)) for way in (-1.0, 1.0))
     slope = max(float((high - low).mean()) / STEP, 1e-12)
     middle = (low + high) / 2.0
-    return Found(status, threshold, (middle.mean() - middle) / slope, slope)
+    return PooledThreshold(status, threshold, (middle.mean() - middle) / slope, slope)
 
 
 @dataclass(frozen=True, slots=True)
@@ -467,7 +478,9 @@ def predict_threshold(
         if error <= max(tolerance - left_out, tolerance / 2.0):
             break
     threshold = found.threshold
-    levels = (threshold * 2.0 ** np.linspace(-1.0, 1.0, n_points)).tolist()
-    points = tuple((value, chain.proportion_correct(parts[0], value)) for value in levels)
+    points: tuple[tuple[float, float], ...] = ()
+    if n_points:
+        levels = (threshold * 2.0 ** np.linspace(-1.0, 1.0, n_points)).tolist()
+        points = tuple(zip(levels, chain.proportions_correct(parts[0], levels).tolist(), strict=True))
     error = (error + left_out) * threshold
     return PredictedThreshold(chain.size_detectors, found.status, threshold, error, n_phases, points)

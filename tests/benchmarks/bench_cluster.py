@@ -17,8 +17,7 @@ from timing import Row
 from todframes.base.errors import DataError, TodframesError
 from todframes.frames.dataset import load_dataset
 from todframes.jobs.engine import open_engine
-from todframes.jobs.local import LocalEngine
-from todframes.jobs.work import Engine
+from todframes.jobs.work import Engine, LocalEngine
 from todframes.observers.pyramid import PyramidObserver
 from todframes.scoring.score import score_dataset
 from todframes.scoring.work import Run

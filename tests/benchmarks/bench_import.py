@@ -19,7 +19,7 @@ MODULE_PX, NOISE = 6, 0.01
 
 DECODE = """
 import sys
-from todframes.recordings import open_recordings
+from todframes.recordings.opening import open_recordings
 for frame in open_recordings(sys.argv[1])[0].frames():
     pass
 """

@@ -23,7 +23,7 @@ with av.open(sys.argv[1]) as container:
 """
 READ = """
 import sys
-from todframes.recordings import open_recordings
+from todframes.recordings.opening import open_recordings
 print(sum(int(frame.values[0, 0]) for one in open_recordings(sys.argv[1]) for frame in one.frames()))
 """
 NOISE = """

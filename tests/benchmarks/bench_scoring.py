@@ -30,7 +30,6 @@ for path in sorted(pathlib.Path(sys.argv[1]).glob("frames/*")):
     image.close()
 """
 
-
 VALIDATE = "import sys; from todframes.cli.main import main; main(['validate', sys.argv[1]])"
 DECODE_PNG = """
 import sys, pathlib, numpy

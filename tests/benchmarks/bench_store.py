@@ -13,8 +13,8 @@ from timing import Row
 from todframes.frames.checksums import write_sha256
 from todframes.frames.dataset import Dataset, load_dataset
 from todframes.frames.files import frame_sha256
-from todframes.jobs.local import LocalEngine
 from todframes.jobs.store import Store
+from todframes.jobs.work import LocalEngine
 from todframes.observers.pyramid import PyramidObserver
 from todframes.psychometrics.fit import FitSettings
 from todframes.scoring.score import score_dataset

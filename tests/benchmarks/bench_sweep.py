@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from timing import Row
 
-from sensor_sim.calls import curve, sweep
+from sensor_sim import curve, sweep
 from sensor_sim.chain.sensor import load_sensor
 from sensor_sim.sweeps.designs import Base, Designs, grid, latin_hypercube
 from sensor_sim.sweeps.work import Variants

@@ -24,9 +24,9 @@ keep_libraries_to_one_thread()  # before NumPy is imported, here and in the proc
 import numpy as np  # noqa: E402
 
 from sensor_sim.chain.sensor import Detector, Noise, Optics, Sensor, SensorDisplay, load_sensor  # noqa: E402
-from sensor_sim.explorer.engine import Engine, Request  # noqa: E402
 from sensor_sim.explorer.live import LiveCurves, divided  # noqa: E402
 from sensor_sim.explorer.scaled import unit_of  # noqa: E402
+from sensor_sim.explorer.threshold_engine import Request, ThresholdEngine  # noqa: E402
 from todframes.observers.pyramid import PyramidObserver  # noqa: E402
 
 SIZES = (2.0, 3.0, 4.0, 6.0, 8.0)
@@ -113,7 +113,7 @@ def factors(n_moves: int) -> list[float]:
 def computing(sensor: Sensor, move: Move, n_moves: int) -> Times:
     """Measure CPU times, in this process, as if two did their part each."""
     parts = divided(SIZES, 2)
-    engines = [Engine(lambda: None) for _ in parts]
+    engines = [ThresholdEngine(lambda: None) for _ in parts]
 
     def spent(moved: Sensor, noise: float, *, refine: bool) -> float:
         longest = 0.0
@@ -201,7 +201,7 @@ def accuracy(n_sensors: int) -> None:
     for _ in range(n_sensors):
         sensor, noise = random_sensor(rng)
         size, key = float(rng.choice(SIZES)), keys[rng.integers(len(keys))]
-        engine, unit = Engine(lambda: None), unit_of(PyramidObserver(internal_noise=noise))
+        engine, unit = ThresholdEngine(lambda: None), unit_of(PyramidObserver(internal_noise=noise))
         for kind, one in (("new", sensor), ("moved", MOVES[key](sensor, 1.1)[0])):
             request = Request(1, one, unit, ((0, size),), 0.75, TOLERANCES)
             first, *_, last = (answer.threshold for answer in engine.answers(request))

@@ -73,6 +73,14 @@ def write_samples(folder: Path) -> list[Path]:
     stills.write_image(folder / "a.jpg", rng.integers(0, 256, (128, 160, 3)).astype(np.uint8))
     (folder / "a.fff").write_bytes(stills.fff(counts[0]))
     (folder / "a.seq").write_bytes(stills.seq(*counts))
+    smooth = stills.scene(5, SHAPE)
+    (folder / "png.fff").write_bytes(stills.fff(smooth[0], image=stills.png(smooth[0])))
+    (folder / "a.csq").write_bytes(
+        b"".join(
+            stills.fff(one, image=stills.jpeg_ls(one), moment_ms=5000 + 40 * k) for k, one in enumerate(smooth)
+        )
+    )
+    (folder / "a.ptw").write_bytes(stills.ptw(smooth, 0.04 * np.arange(1, 6)))
     stills.dng(folder / "a.dng", rng.integers(600, 16000, (64, 96)).astype(np.uint16), black=512, white=16383)
     return sorted(folder.iterdir())
 
@@ -159,6 +167,24 @@ def claiming_fff(path: Path) -> None:
     path.write_bytes(content)
 
 
+def claiming_csq(path: Path) -> None:
+    """Write a container whose counts are a JPEG-LS of 30,000 × 30,000 pixels."""
+    counts = np.zeros((40, 50), np.uint16)
+    content = stills.fff(counts, image=stills.jpeg_ls(counts))
+    for old, new in ((struct.pack("<2H", 50, 40), "<2H"), (struct.pack(">2H", 40, 50), ">2H")):
+        assert old in content
+        content = content.replace(old, struct.pack(new, 30000, 30000))
+    path.write_bytes(content)
+
+
+def claiming_ptw(path: Path) -> None:
+    """Write a film whose frames claim 32,000 × 32,000 pixels each, and of which there are 2³¹ − 1."""
+    content = bytearray(stills.ptw(np.zeros((1, 40, 50), np.uint16), [1.0], words=508 + 32000**2))
+    struct.pack_into("<i", content, 27, 2**31 - 1)
+    struct.pack_into("<2H", content, 377, 32000, 32000)
+    path.write_bytes(content)
+
+
 def claiming_dng(path: Path) -> None:
     """Write a camera raw that claims 20,000 × 20,000 pixels."""
     stills.dng(path, np.full((64, 96), 600, np.uint16), black=0, white=1000, mosaic=False)
@@ -185,6 +211,8 @@ BOMBS = {
     "a.exr": huge_image,
     "a.jp2": huge_image,
     "a.fff": claiming_fff,
+    "a.csq": claiming_csq,
+    "a.ptw": claiming_ptw,
     "a.dng": claiming_dng,
 }
 

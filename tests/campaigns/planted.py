@@ -10,17 +10,27 @@ import os
 import random
 import re
 import shutil
+import sys
 import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
 import scenes
 from faults import Ended, FaultError, Lab, expect
-from forks import import_all
+from forks import import_all, in_a_fork
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+from people import a_monitor, sit
+
+from todframes.base.output import beside
+from todframes.frames.dataset import load_dataset
+from todframes.stimulus import ORIENTATIONS
 
 HIDDEN = ".todframes-staging"
 
@@ -33,15 +43,16 @@ RESULT_NAMES = (
 
 
 class Plant(NamedTuple):
-    """The folder of a result, and the files of a stranger."""
+    """The folder of a result, the files of a stranger, and the name of the hidden folder of the run."""
 
     out: Path
     theirs: Path
+    entry: str = HIDDEN
 
     @property
     def hidden(self) -> Path:
         """The hidden folder, made as a run makes it."""
-        place = self.out / HIDDEN
+        place = self.out / self.entry
         place.mkdir(mode=0o700, exist_ok=True)
         (place / "lock").touch()
         return place
@@ -67,24 +78,24 @@ def _in_hidden(name: str, kind: str) -> Callable[[Plant], None]:
 
 
 def _hidden_is_a_link(plant: Plant) -> None:
-    (plant.out / HIDDEN).symlink_to(plant.theirs)
+    (plant.out / plant.entry).symlink_to(plant.theirs)
 
 
 def _hidden_is_a_link_to_one(plant: Plant) -> None:
     """As a run has made it, with a store and staged frames, at another place."""
     (plant.theirs / "lock").touch()
-    (plant.out / HIDDEN).symlink_to(plant.theirs)
+    (plant.out / plant.entry).symlink_to(plant.theirs)
 
 
 def _hidden_is_somebodys(plant: Plant) -> None:
-    shutil.move(plant.theirs, plant.out / HIDDEN)
-    plant.theirs.symlink_to(plant.out / HIDDEN)
+    shutil.move(plant.theirs, plant.out / plant.entry)
+    plant.theirs.symlink_to(plant.out / plant.entry)
 
 
 def _lock_is(kind: str) -> Callable[[Plant], None]:
     def plant_it(plant: Plant) -> None:
-        (plant.out / HIDDEN).mkdir(mode=0o700)
-        KINDS[kind](plant.out / HIDDEN / "lock", plant.theirs / "notes.txt")
+        (plant.out / plant.entry).mkdir(mode=0o700)
+        KINDS[kind](plant.out / plant.entry / "lock", plant.theirs / "notes.txt")
 
     return plant_it
 
@@ -125,6 +136,7 @@ def _staged_files_are(kind: str) -> Callable[[Plant], None]:
 def _results_are(kind: str) -> Callable[[Plant], None]:
     def plant_it(plant: Plant) -> None:
         for name in RESULT_NAMES:
+            (plant.out / name).unlink(missing_ok=True)
             KINDS[kind](plant.out / name, plant.theirs / "notes.txt")
 
     return plant_it
@@ -183,6 +195,7 @@ def commands(lab: Lab) -> dict[str, list[str]]:
     (lab.folder / "counts.csv").write_text(scenes.COUNTS_CSV, encoding="utf-8")
     monitor = ["--pixel-pitch-mm", "0.25", "--width-px", "640", "--height-px", "480", "--repeats", "1"]
     chart = ["--distance-m", "10", "--sizes-mrad", "1", "--contrasts", "0.2", *monitor]
+    answers = in_a_fork(_answers, lab)
     return {
         **lab.commands,
         "curve": ["sensor_sim", "curve", sensor, "--size-detectors", "4", "--tolerance", "0.1"],
@@ -190,7 +203,15 @@ def commands(lab: Lab) -> dict[str, list[str]]:
         "naked-eye": ["todframes", "naked-eye", "--size-mrad", "1"],
         "noise": ["todframes", "noise", str(lab.folder / "recording" / "frames.npy")],
         "chart": ["todframes", "chart", "--for", "screen", *chart],
+        "calibrate": ["todframes", "calibrate", answers, str(lab.dataset)],
     }
+
+
+def _answers(lab: Lab) -> str:
+    """Let a simulated person sit a session; return the folder of the answers."""
+    folder, rng, dataset = lab.folder / "answers", random.Random(1), load_dataset(lab.dataset)
+    sit(dataset, folder, lambda *_: rng.choice(ORIENTATIONS), a_monitor(dataset.display.pitch_mrad))
+    return str(folder)
 
 
 def planted(lab: Lab, command: list[str], plant: Callable[[Plant], None]) -> str:
@@ -209,6 +230,39 @@ def planted(lab: Lab, command: list[str], plant: Callable[[Plant], None]) -> str
     if not ended.status:
         last = [case.out / name for name in ("result.json", "dataset.toml", "chart.toml", "mtf.csv")]
         expect(any(one.is_file() and not one.is_symlink() for one in last), "no result was written")
+    return "refused" if ended.status else "written"
+
+
+IN_PLACE = {
+    "manifest.csv": ["todframes", "validate", "{}", "--add-sha256"],
+    "dataset.toml": ["todframes", "new", "{}", "--from", "{{size_mrad}}/c{{contrast}}_{{orientation}}_{{n}}.exr"],
+    "report.html": ["todframes", "report", "{}/result.json"],
+}
+"""The commands that write a file into a folder that they read, by its name."""
+
+
+def in_place(lab: Lab, name: str, kind: str, plant: Callable[[Plant], None] | None) -> str:
+    """Let a command write a file beside others, where the file or what is hidden has been planted before."""
+    case = Plant(lab.folder / "out", lab.folder / "theirs", beside(name))
+    shutil.copytree(lab.dataset, case.out)
+    shutil.copy(lab.folder / "result.json", case.out)
+    _theirs(case.theirs)
+    if name == "manifest.csv":
+        shutil.copy(lab.dataset / name, case.theirs)
+    if name == "dataset.toml":
+        for old in ("manifest.csv", "dataset.toml"):
+            (case.out / old).unlink()
+        (case.out / "frames").rename(case.out / str(scenes.SIZE_MRAD))
+    before = _state(case.theirs)
+    if plant is None:
+        (case.out / name).unlink(missing_ok=True)
+        KINDS[kind](case.out / name, case.theirs / name)
+    else:
+        plant(case)
+    ended = lab.run([part.format(case.out) for part in IN_PLACE[name]])
+    _judge(ended, before, case.theirs)
+    if not ended.status:
+        expect((case.out / name).is_file() and not (case.out / name).is_symlink(), "nothing was written")
     return "refused" if ended.status else "written"
 
 
@@ -272,6 +326,19 @@ def swapped(lab: Lab, command: list[str]) -> str:
     return "refused" if ended.status else "written"
 
 
+def cases(lab: Lab) -> list[tuple[str, Callable[[], str]]]:
+    """Return the cases, each with what it plants and the command."""
+    found: list[tuple[str, Callable[[], str]]] = []
+    for kind, command in commands(lab).items():
+        found += [(f"{name}, {kind}", partial(planted, lab, command, plant)) for name, plant in PLANTS.items()]
+        found += [(f"swapped during the run, {kind}", partial(swapped, lab, command))] * 3
+    for file, command in IN_PLACE.items():
+        kind = command[1]
+        found += [(f"{file} is a {one}, {kind}", partial(in_place, lab, file, one, None)) for one in KINDS]
+        found += [(f"{name}, {kind}", partial(in_place, lab, file, "", plant)) for name, plant in PLANTS.items()]
+    return found
+
+
 def campaign(*, seed: int, rounds: int = 1, only: str = "") -> tuple[int, list[str]]:
     """Plant everything before every command, and swap during each. Returns the number of cases and the faults."""
     n = 0
@@ -279,23 +346,20 @@ def campaign(*, seed: int, rounds: int = 1, only: str = "") -> tuple[int, list[s
     endings: dict[str, int] = {}
     with tempfile.TemporaryDirectory() as folder:
         place = Path(folder, "lab")
-        known: dict[object, dict[str, object]] = {}
-        lab = Lab(place, seed, known, n_repeats=2)
+        lab = Lab(place, seed, {}, n_repeats=2)
         import_all(lab.score())
+        lab.run(lab.score()).is_done()
+        (lab.folder / "result.json").write_bytes((lab.out / "result.json").read_bytes())
         shutil.rmtree(lab.out)
-        found = commands(lab)
-        cases = [(kind, name) for kind in found for name in [*PLANTS, *(["swapped during the run"] * 3)]]
-        for kind, name in cases * rounds:
-            if only not in f"{name}, {kind}":
+        for name, case in cases(lab) * rounds:
+            if only not in name:
                 continue
             n += 1
             try:
-                ending = (
-                    swapped(lab, found[kind]) if name not in PLANTS else planted(lab, found[kind], PLANTS[name])
-                )
+                ending = case()
             except FaultError as error:
                 ending = "fault"
-                faults.append(f"{name}, {kind}: {error}")
+                faults.append(f"{name}: {error}")
                 print(faults[-1], flush=True)
             endings[ending] = endings.get(ending, 0) + 1
             for left in ("out", "theirs", "away"):

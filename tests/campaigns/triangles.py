@@ -83,7 +83,6 @@ def estimate(rng: np.random.Generator) -> NDArray[np.float64]:
         noise=np.full(len(level), noise),
         turns=turns,
         known=known,
-        apart=np.zeros((len(level), 3)),
         hole=1.1 * size,
     )
     found = fit(images, Shape.upright(1.0, 0.0, 0.0, size))

@@ -9,11 +9,8 @@ from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
 
-
 IntArray = NDArray[np.intp]
 
-
 Json = dict[str, Any]
-
 
 ComplexArray = NDArray[np.complex128]

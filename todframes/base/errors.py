@@ -6,9 +6,13 @@ Each message is one line that names the file, row or key, what was found and wha
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from pathlib import Path
+from typing import Any
 
-from todframes.base.locations import Location, in_utf8, without_secrets
+from todframes.base.safe_text import in_utf8, without_secrets
 
 _ARGUMENT = re.compile("\x1a([a-z0-9_]+)\x1a")
 """Pattern of an argument in the text of an error."""
@@ -22,6 +26,7 @@ _FLAGS = {
     "value_range": "--range",
 }
 """Options of the command line whose names are not those of the arguments."""
+_is_command: ContextVar[bool] = ContextVar("is_command", default=False)
 
 
 class _Arguments:
@@ -42,6 +47,21 @@ def flag_of(name: str) -> str:
     return _FLAGS.get(name, "--" + name.replace("_", "-"))
 
 
+@contextmanager
+def in_command() -> Iterator[None]:
+    """Let texts name the options of the command line for the time of a `with` statement."""
+    before = _is_command.set(True)
+    try:
+        yield
+    finally:
+        _is_command.reset(before)
+
+
+def for_reader(text: str) -> str:
+    """Return a text with names as its reader knows them: options in a command, arguments in a call."""
+    return _ARGUMENT.sub(lambda found: flag_of(found[1]) if _is_command.get() else found[1], text)
+
+
 class TodframesError(Exception):
     """Base class of all errors that a user can cause and correct; `exit_status` is the status of the command.
 
@@ -55,11 +75,12 @@ class TodframesError(Exception):
         super().__init__(in_utf8(without_secrets(message)))
 
     def __str__(self) -> str:
-        return _ARGUMENT.sub(r"\1", self.args[0])
+        return for_reader(self.marked)
 
-    def for_command(self) -> str:
-        """Return the message with the options of the command line in place of arguments."""
-        return _ARGUMENT.sub(lambda found: flag_of(found[1]), self.args[0])
+    @property
+    def marked(self) -> str:
+        """The message for another error of this package; arguments in it get the name that its reader knows."""
+        return str(self.args[0])
 
 
 class DataError(TodframesError, ValueError):
@@ -67,15 +88,20 @@ class DataError(TodframesError, ValueError):
 
 
 class FrameError(DataError):
-    """Error for a frame that cannot be used; `path` names it and `problem` says why, without the path."""
+    """Error for a frame that cannot be used; `path`, a `Location`, names it and `problem` says why, without it."""
 
-    def __init__(self, path: Location | str, problem: str) -> None:
+    def __init__(self, path: Any, problem: str) -> None:
         super().__init__(f"{path}: {problem}")
         self.path = Path(path) if isinstance(path, str) else path
-        self.problem = problem
+        self._marked_problem = problem
 
-    def __reduce__(self) -> tuple[type, tuple[Location, str]]:
-        return type(self), (self.path, self.problem)
+    @property
+    def problem(self) -> str:
+        """The problem, without the path."""
+        return for_reader(self._marked_problem)
+
+    def __reduce__(self) -> tuple[type, tuple[Any, str]]:
+        return type(self), (self.path, self._marked_problem)
 
 
 class RemoteError(TodframesError, ConnectionError):

@@ -2,37 +2,31 @@
 
 from __future__ import annotations
 
+import os
 import posixpath
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from urllib.parse import quote
+from urllib.parse import quote, unquote
+
+from todframes.base.errors import DataError
+from todframes.base.safe_text import CONTAINER_BEFORE_AT
 
 WEB = ("http", "https")
 """Schemes whose URLs are written with percent signs."""
-CONTAINER_BEFORE_AT = ("abfs", "abfss", "wasb", "wasbs")
-"""Schemes whose URLs have a container where others have a user name: `abfs://box@account.dfs.core.windows.net`."""
-_USER = re.compile(r"(?P<scheme>[A-Za-z][A-Za-z0-9+.-]+):(?P<slashes>//?)(?:[^\s/@]*:(?!\d+/)[^\s@]*|[^\s/@]*)@")
-"""Pattern of the start of a URL with a user name, and perhaps a password; a `Path` of it has one slash."""
-_QUERY = re.compile(r"((?:https?://|[A-Za-z][A-Za-z0-9+.-]+:/(?!/))[^\s?#;]*)[?#;]\S+")
-"""Pattern of a URL with a parameter, query or fragment."""
-
-
-def without_secrets(text: str) -> str:
-    """Return a text in which URLs have no user name, password, parameter, query or fragment."""
-
-    def without_user(found: re.Match[str]) -> str:
-        is_container = found["scheme"].lower() in CONTAINER_BEFORE_AT
-        return found[0] if is_container else f"{found['scheme']}:{found['slashes']}…@"
-
-    return _QUERY.sub(r"\1…", _USER.sub(without_user, text)) if ":/" in text else text
+URL = re.compile(r"[A-Za-z][A-Za-z0-9+.:-]*://")
+"""Pattern of the start of a URL, or of several chained by "::"."""
+COLLAPSED_URL = re.compile(r"[A-Za-z][A-Za-z0-9+.:-]+:/[^/]")
+"""Pattern of the start of a `Path` that was made from a URL, or of a URL with one slash only."""
+IN_BRACKETS = re.compile(r"\[[0-9A-Fa-f:.]*\]")
+"""Pattern of an IPv6 address in a URL."""
 
 
 @dataclass(frozen=True, slots=True)
 class RemotePath:
     """A file or folder behind a URL, with as much of the interface of `Path` as readers of datasets need.
 
-    The URL has no password and no query (`base.remote.location` refuses them), so messages and results may
+    The URL has no password and no query (`location` refuses them), so messages and results may
     show it. It can be pickled and holds no connection.
     """
 
@@ -64,6 +58,39 @@ class RemotePath:
 Location = Path | RemotePath
 
 
-def in_utf8(text: str) -> str:
-    r"""Return a text in which what UTF-8 cannot encode is escaped: a byte of a file name becomes `\udce9`."""
-    return text.encode(errors="backslashreplace").decode()
+def location(name: str | os.PathLike[str] | RemotePath) -> Location:
+    """Return the location that a text names: a local path, or a URL whose scheme is not that of local files.
+
+    Raises
+    ------
+    DataError
+        If a URL holds a user name, a password, a parameter or a query, or names several file systems. The message
+        does not show it: it may hold a secret.
+    """
+    if isinstance(name, RemotePath):
+        return name
+    if not isinstance(name, str) or not URL.match(name):
+        path = name if isinstance(name, Path) else Path(name)
+        if COLLAPSED_URL.match(str(path)) and not path.exists():
+            found = "a URL with one slash" if isinstance(name, str) else "a Path made from a URL"
+            raise DataError(f"dataset: found {found}, expected the URL as a text, with ://")
+        return path
+    scheme, _, rest = name.partition("://")
+    scheme = scheme.lower()
+    host = IN_BRACKETS.sub("", rest.partition("/")[0])
+    problem = None
+    if "::" in scheme or "::" in IN_BRACKETS.sub("", rest):
+        problem = "several file systems chained by '::', expected a single one"
+    elif "?" in name or "#" in name or ";" in name:
+        problem = "a parameter, query or fragment (what follows ; ? or #), expected none: it may be a secret"
+    elif re.search(r":(?!\d+$|$)", host) and "@" in rest:
+        problem = "a password, expected none: credentials come from the environment"
+    elif "@" in host and scheme not in CONTAINER_BEFORE_AT:
+        problem = "a user name, expected none: credentials come from the environment"
+    if problem:
+        raise DataError(f"dataset: found a URL of {scheme.partition(':')[0]}:// with {problem}")
+    if scheme in ("file", "local"):
+        return Path(unquote(rest))
+    if not rest.strip("/"):
+        raise DataError(f"{scheme}://: found a URL of nothing, expected {scheme}://… and the folder of a dataset")
+    return RemotePath(f"{scheme}://{rest.rstrip('/')}")

@@ -52,18 +52,16 @@ LARGEST_RESULT_MB = 64
 
 FILES_OF_COMMAND = {
     "score": {"report.html", "scores.csv", "scores.parquet", "psychometric.png", "tod_curve.png"},
-    "curve": {"report.html", "psychometric.png", "tod_curve.png"},
     "compare": {"report.html", "scores.csv", "scores.parquet", "compare.csv", "compare.png"},
     "calibrate": {
         *("report.html", "internal_noise.csv", "calibration.csv"),
         *("calibration.png", "calibration.svg", "observer.toml"),
     },
-    "sweep": {
-        *("report.html", "sweep.csv", "sweep.parquet"),
-        *("front.png", "map.png", "by_key.png", "tod_curves.png"),
-    },
 }
-"""Files that each command writes beside `result.json`."""
+"""Files that each command of this package writes beside `result.json`."""
+
+ENTRY_POINT_GROUP = "todframes.result_files"
+"""Entry points of other packages: sets of the files that their commands write, by the name of the command."""
 
 
 class _Result(msgspec.Struct):
@@ -72,8 +70,8 @@ class _Result(msgspec.Struct):
 
 @dataclass(frozen=True, slots=True)
 class Going:
-    """Treatment of the finished results of a run: those of an earlier one are used unless it is to `restart`, and
-    they are removed when the run has ended well unless it is to `keep` them."""
+    """Treatment of the finished results of a run. Those of an earlier run are used unless `restart` is set, and
+    they are removed when the run has ended well unless `keep` is set."""
 
     restart: bool = False
     keep: bool = False
@@ -160,7 +158,8 @@ def held(staged: Path) -> Iterator[Path]:
 
 
 def remove_others(folder: Path, names: Collection[str]) -> None:
-    """Remove all files but some from a staging folder: what an earlier run with other settings has left.
+    """Remove from a staging folder all files that an earlier run with other settings has left, except the given
+    ones.
 
     Parameters
     ----------
@@ -282,7 +281,7 @@ def _shown_as(name: str, staged: Path) -> Iterator[None]:
     try:
         yield
     except OutputError as error:
-        raise OutputError(str(error).replace(str(staged), name).replace(real, name)) from None
+        raise OutputError(error.marked.replace(str(staged), name).replace(real, name)) from None
 
 
 @contextmanager
@@ -319,7 +318,7 @@ def _place(name: str) -> Iterator[Path]:
 
 
 def _held(folder: Path, stack: ExitStack) -> Path:
-    """Open a folder that is no link. Returns a path that stays the folder's own, whatever happens to its name.
+    """Open a folder that is no link. Returns a path that leads to this folder even if its name changes.
 
     Where the system has no such paths (it needs Linux's /proc) it is the folder's name.
     """
@@ -464,7 +463,7 @@ def _release(place: Path, hidden: Path, lock: int | None, stays: Set[str]) -> No
 
 
 def _clear(hidden: Path, stays: Set[str]) -> None:
-    """Remove what a run has left in its hidden folder, but for the lock and what stays."""
+    """Remove the files of a run from its hidden folder, except the lock and the files that stay."""
     for entry in list(os.scandir(hidden)):
         if entry.name == LOCK:
             continue
@@ -478,7 +477,7 @@ def _clear(hidden: Path, stays: Set[str]) -> None:
 
 
 def _keep_own_files(folder: Path) -> None:
-    """Remove links, and all else that no run has written, from a folder that an earlier run has left."""
+    """Remove links, and everything else that no run has written, from a folder that an earlier run has left."""
     for entry in list(os.scandir(folder)):
         if entry.is_dir(follow_symlinks=False):
             _keep_own_files(Path(entry))
@@ -516,13 +515,22 @@ def _join(name: str, staged: Path, out: Path) -> None:
 
 
 def _files_of_result(path: Path) -> set[str]:
-    """Return the files of the result in a folder; beside another result they would be taken for that one's."""
+    """Return the files of the result in a folder. Beside another result, they would seem to belong to that one."""
     with suppress(OSError, msgspec.MsgspecError):
         file = path / LAST_OF_RESULT
         if stat.S_ISREG((status := file.lstat()).st_mode) and status.st_size <= LARGEST_RESULT_MB * 2**20:
             result = msgspec.json.decode(file.read_bytes(), type=_Result)
-            return {name for name in FILES_OF_COMMAND.get(result.command, ()) if (path / name).is_file()}
+            return {one for one in _files_of_command(result.command) if (path / one).is_file()}
     return set()
+
+
+def _files_of_command(command: str) -> Collection[str]:
+    """Return the names of the files that a command of this or another package writes beside `result.json`."""
+    if command in FILES_OF_COMMAND:
+        return FILES_OF_COMMAND[command]
+    from importlib.metadata import entry_points
+
+    return {name for entry in entry_points(group=ENTRY_POINT_GROUP, name=command) for name in entry.load()}
 
 
 def _fill(name: str, staged: Path, out: Path, last: str) -> None:
@@ -546,7 +554,7 @@ def _fill(name: str, staged: Path, out: Path, last: str) -> None:
 
 
 def _take_back(hidden: Path, out: Path) -> None:
-    """Stage again what a killed run had moved, unless it had moved all."""
+    """Move the files that a killed run had already moved back into the staging folder, unless it had moved all."""
     with suppress(OSError, msgspec.MsgspecError):
         numbers = msgspec.json.decode((hidden / MOVING).read_bytes(), type=dict[str, int])
         there = {entry.name for entry in os.scandir(out) if entry.inode() == numbers.get(entry.name)}

@@ -24,7 +24,6 @@ import msgspec
 
 from todframes.base.errors import DataError, RemoteError, SettingsError
 from todframes.base.locations import Location, RemotePath
-from todframes.base.remote import read_content
 
 T = TypeVar("T")
 
@@ -66,6 +65,8 @@ def _opened(path: Location, most_mb: int) -> Iterator[BinaryIO]:
     """Open a file for reading; see `read_file` for the errors."""
     try:
         if isinstance(path, RemotePath):
+            from todframes.base.remote import read_content
+
             yield io.BytesIO(read_content(path, most_mb=most_mb).data)
             return
         status = path.stat()
@@ -165,7 +166,7 @@ def read_toml(path: Location) -> dict[str, Any]:
     try:
         text = read_text(path, most_mb=MAX_TOML_MB)
     except DataError as error:
-        raise SettingsError(str(error)) from None
+        raise SettingsError(error.marked) from None
     return parse_toml(text, str(path))
 
 

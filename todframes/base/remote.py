@@ -15,36 +15,28 @@ import threading
 import time
 import zlib
 from collections.abc import Awaitable, Callable, Iterator, Mapping
-from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
-from urllib.parse import unquote
 
-from todframes.base.errors import DataError, RemoteError
-from todframes.base.locations import CONTAINER_BEFORE_AT, WEB, Location, RemotePath
+from todframes.base.errors import RemoteError
+from todframes.base.locations import WEB, RemotePath
 
 T = TypeVar("T")
 
-URL = re.compile(r"[A-Za-z][A-Za-z0-9+.:-]*://")
-"""Pattern of the start of a URL, or of several chained by "::"."""
-COLLAPSED_URL = re.compile(r"[A-Za-z][A-Za-z0-9+.:-]+:/[^/]")
-"""Pattern of the start of a `Path` that was made from a URL, or of a URL with one slash only."""
-IN_BRACKETS = re.compile(r"\[[0-9A-Fa-f:.]*\]")
-"""Pattern of an IPv6 address in a URL."""
 S3 = ("s3", "s3a")
 CONNECT_S, READ_S = 5, 15
 """Longest time until a server of S3 or HTTP accepts a connection, and between two pieces of its answer."""
 WHOLE_S, S_PER_MB = 60, 20
-"""Longest time from a request to the end of its answer: a fixed time, and more for each 2**20 bytes of it."""
+"""Longest time from a request to the end of its answer: a fixed time, and an addition for each 2**20 bytes."""
 FRAME_FILE_MB = 512
 """Largest size of a frame's file that is received, in units of 2**20 bytes."""
 MOST_WORDS_MB = 16
 """Largest size of a list or an error that S3 sends, in units of 2**20 bytes."""
 PIECE_BYTES = 2**20
 MOST_REDIRECTS = 5
-MOST_PAGES = 20_000
+MOST_LIST_PAGES = 20_000
 """Largest number of pages of a list that S3 sends, each of a thousand files."""
 ATTEMPTS, ATTEMPTS_AT_ONCE = 3, 2
-"""Attempts of a request, each of which asks S3 that often at once."""
+"""Number of attempts of a request, and number of requests that each attempt sends to S3."""
 WAIT_S = 0.3
 """Time before the second attempt of a request, in seconds; it is longer before later ones."""
 CONNECTIONS = 64
@@ -59,13 +51,13 @@ NO_CONNECTION = (
     "cannot connect to the server; is the network up, and the address right (for s3:// elsewhere than at Amazon: "
     "AWS_ENDPOINT_URL)?"
 )
-NO_ANSWER = "the server did not answer in time; try again"
+TIMED_OUT = "the server did not answer in time; try again"
 CLOSED = "the server closed the connection; try again"
 SLOW = f"the server took longer than {WHOLE_S} s and {S_PER_MB} s for each MB that has arrived, the limit"
 ELSEWHERE = "the server redirects to another server, scheme or port, expected the file itself; give that URL"
-COMPRESSED = "the server sends it compressed, and not as whole gzip, expected the file itself"
+SENT_COMPRESSED = "the server sends it compressed, and not as whole gzip, expected the file itself"
 UNBOUNDED = "the server does not state how long the file is, so a part of it would pass for the whole"
-TRANSIENT = (NO_CONNECTION, NO_ANSWER, CLOSED)
+TRANSIENT = (NO_CONNECTION, TIMED_OUT, CLOSED)
 """Problems after which a request is tried again."""
 PROBLEMS = {
     "RedirectedError": ELSEWHERE,
@@ -79,9 +71,9 @@ PROBLEMS = {
     "SSOError": "the login of AWS_PROFILE has expired; log in again",
     "PermissionError": "access denied; check the credentials in the environment and their rights (without the "
     "right to list folders, a missing file is answered so too)",
-    "TimeoutError": NO_ANSWER,
-    "ConnectTimeoutError": NO_ANSWER,
-    "ReadTimeoutError": NO_ANSWER,
+    "TimeoutError": TIMED_OUT,
+    "ConnectTimeoutError": TIMED_OUT,
+    "ReadTimeoutError": TIMED_OUT,
     "EndpointConnectionError": NO_CONNECTION,
     "ConnectionError": NO_CONNECTION,
     "ClientConnectorError": NO_CONNECTION,
@@ -116,44 +108,6 @@ class Content(NamedTuple):
 
     data: bytes
     tag: str | None
-
-
-def location(name: str | os.PathLike[str] | RemotePath) -> Location:
-    """Return the location that a text names: a local path, or a URL whose scheme is not that of local files.
-
-    Raises
-    ------
-    DataError
-        If a URL holds a user name, a password, a parameter or a query, or names several file systems. The message
-        does not show it: it may hold a secret.
-    """
-    if isinstance(name, RemotePath):
-        return name
-    if not isinstance(name, str) or not URL.match(name):
-        path = name if isinstance(name, Path) else Path(name)
-        if COLLAPSED_URL.match(str(path)) and not path.exists():
-            found = "a URL with one slash" if isinstance(name, str) else "a Path made from a URL"
-            raise DataError(f"dataset: found {found}, expected the URL as a text, with ://")
-        return path
-    scheme, _, rest = name.partition("://")
-    scheme = scheme.lower()
-    host = IN_BRACKETS.sub("", rest.partition("/")[0])
-    problem = None
-    if "::" in scheme or "::" in IN_BRACKETS.sub("", rest):
-        problem = "several file systems chained by '::', expected a single one"
-    elif "?" in name or "#" in name or ";" in name:
-        problem = "a parameter, query or fragment (what follows ; ? or #), expected none: it may be a secret"
-    elif re.search(r":(?!\d+$|$)", host) and "@" in rest:
-        problem = "a password, expected none: credentials come from the environment"
-    elif "@" in host and scheme not in CONTAINER_BEFORE_AT:
-        problem = "a user name, expected none: credentials come from the environment"
-    if problem:
-        raise DataError(f"dataset: found a URL of {scheme.partition(':')[0]}:// with {problem}")
-    if scheme in ("file", "local"):
-        return Path(unquote(rest))
-    if not rest.strip("/"):
-        raise DataError(f"{scheme}://: found a URL of nothing, expected {scheme}://… and the folder of a dataset")
-    return RemotePath(f"{scheme}://{rest.rstrip('/')}")
 
 
 def read_content(path: RemotePath, *, most_mb: int = FRAME_FILE_MB) -> Content:
@@ -235,7 +189,7 @@ def _list(folder: RemotePath) -> dict[str, str | None] | None:
 
 def _list_s3(folder: RemotePath) -> Iterator[tuple[str, str]]:
     more: dict[str, str] = {}
-    for _ in range(MOST_PAGES):
+    for _ in range(MOST_LIST_PAGES):
         # `ls` would hold a kilobyte for each file.
         page = _call_s3("list_objects_v2", folder, Delimiter="/", **more)
         yield from ((one["Key"].rpartition("/")[2], one["ETag"]) for one in page.get("Contents", ()))
@@ -244,7 +198,7 @@ def _list_s3(folder: RemotePath) -> Iterator[tuple[str, str]]:
         before, more = more, {"ContinuationToken": page["NextContinuationToken"]}
         if more == before:
             break
-    raise RemoteError(f"{folder}: found a list of files without an end, expected {MOST_PAGES} pages at most")
+    raise RemoteError(f"{folder}: found a list of files without an end, expected {MOST_LIST_PAGES} pages at most")
 
 
 def _entity_tag(path: RemotePath) -> str | None:
@@ -321,14 +275,14 @@ async def _ask_web(limit: asyncio.Timeout, method: str, path: RemotePath, most_b
             _check_length(_stated_length(path, answer.headers), most_bytes)
             encoding = answer.headers.get("Content-Encoding", "identity").lower()
             if encoding not in ("identity", "gzip"):
-                raise RemoteError(f"{path}: {COMPRESSED}")
+                raise RemoteError(f"{path}: {SENT_COMPRESSED}")
             inflater = zlib.decompressobj(wbits=16 + zlib.MAX_WBITS) if encoding == "gzip" else None
             try:
                 data = await _received(answer.content.read, most_bytes, limit, inflater)
             except zlib.error:
-                raise RemoteError(f"{path}: {COMPRESSED}") from None
+                raise RemoteError(f"{path}: {SENT_COMPRESSED}") from None
             if inflater and not inflater.eof:
-                raise RemoteError(f"{path}: {COMPRESSED}")
+                raise RemoteError(f"{path}: {SENT_COMPRESSED}")
             return Content(data, tag)
     raise RemoteError(f"{path}: found more than {MOST_REDIRECTS} redirections, expected the file")
 
@@ -438,7 +392,7 @@ def _s3_session() -> type:
     from aiobotocore.awsrequest import AioAWSResponse
     from aiobotocore.httpsession import AIOHTTPSession
 
-    class Session(AIOHTTPSession):  # type: ignore[misc]  # its package has no types
+    class StreamingSession(AIOHTTPSession):  # type: ignore[misc]  # its package has no types
         async def send(self, request: Any) -> Any:
             is_file, request.stream_output = request.stream_output, True  # the body is not yet read
             answer = await super().send(request)
@@ -454,7 +408,7 @@ def _s3_session() -> type:
                     raise (LongWordsError if error.errno == errno.EFBIG else error) from None
             return AioAWSResponse(answer.url, answer.status_code, answer.headers, words)
 
-    return Session
+    return StreamingSession
 
 
 class _Words(NamedTuple):

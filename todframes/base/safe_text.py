@@ -1,4 +1,4 @@
-"""Escaping of text that comes from data, so that it is harmless on a terminal and in a spreadsheet."""
+"""Escaping of text that comes from data, so that it is harmless on a terminal and in a spreadsheet; no secrets."""
 
 from __future__ import annotations
 
@@ -9,9 +9,14 @@ from collections.abc import Iterable
 
 FORMULA_STARTS = ("=", "+", "-", "@", "\t", "\r", "\n", "＝", "＋", "－", "＠")
 
-
 _UNESCAPED_BY_JSON = re.compile(r"[\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069]")
 """Pattern of control characters and of characters that change the direction of the text beside them."""
+CONTAINER_BEFORE_AT = ("abfs", "abfss", "wasb", "wasbs")
+"""Schemes whose URLs have a container where others have a user name: `abfs://box@account.dfs.core.windows.net`."""
+_USER = re.compile(r"(?P<scheme>[A-Za-z][A-Za-z0-9+.-]+):(?P<slashes>//?)(?:[^\s/@]*:(?!\d+/)[^\s@]*|[^\s/@]*)@")
+"""Pattern of the start of a URL with a user name, and perhaps a password; a `Path` of it has one slash."""
+_QUERY = re.compile(r"((?:https?://|[A-Za-z][A-Za-z0-9+.-]+:/(?!/))[^\s?#;]*)[?#;]\S+")
+"""Pattern of a URL with a parameter, query or fragment."""
 
 
 def visible(text: str) -> str:
@@ -60,3 +65,18 @@ def _no_formula(value: object) -> object:
     except ValueError:
         return f"'{value}"
     return value
+
+
+def without_secrets(text: str) -> str:
+    """Return a text in which URLs have no user name, password, parameter, query or fragment."""
+
+    def without_user(found: re.Match[str]) -> str:
+        is_container = found["scheme"].lower() in CONTAINER_BEFORE_AT
+        return found[0] if is_container else f"{found['scheme']}:{found['slashes']}…@"
+
+    return _QUERY.sub(r"\1…", _USER.sub(without_user, text)) if ":/" in text else text
+
+
+def in_utf8(text: str) -> str:
+    r"""Return a text in which what UTF-8 cannot encode is escaped: a byte of a file name becomes `\udce9`."""
+    return text.encode(errors="backslashreplace").decode()

@@ -1,4 +1,4 @@
-"""The argument `rng` of calls, as in SPEC 7 of Scientific Python: a seed, or what gives one."""
+"""The argument `rng` of calls, as in SPEC 7 of Scientific Python: a seed, or an object that gives one."""
 
 from __future__ import annotations
 

@@ -17,25 +17,20 @@ from typing import Any
 
 SIGNALS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
 
-
 STARTED_S = time.perf_counter()
 """Time at which the process began, as `time.perf_counter` counts."""
 
 INTERRUPTED = 130
 """Exit status of an interrupted run."""
 
-
 RETRY_S, MOST_RETRIES = 0.02, 1000
 """Interval and number of retries of an interruption in an import; after the last, the process ends at once."""
-
 
 written: list[str] = []
 """Places that the present run has written; `output` adds to them, `interruption_message` names the last."""
 
-
 kept: list[str] = []
 """Places where the present run keeps its finished results until it is whole."""
-
 
 _raised: list[int] = []
 """Signals of the present run that were raised as KeyboardInterrupt."""
@@ -51,8 +46,8 @@ def interruption_message() -> str:
 def end_at_once() -> None:
     """End the process with one line when a signal arrives, without cleaning up.
 
-    This is for the time before a command runs: an exception would end as a traceback, or be raised in the middle
-    of an import, and a C extension would print it and go on.
+    This is for the time before a command runs: an exception would be shown as a traceback, or be raised in the
+    middle of an import, where a C extension would print it and continue.
     """
 
     _handle(_end)
@@ -63,7 +58,7 @@ def raised() -> Iterator[None]:
     """Raise KeyboardInterrupt in the main thread when a signal arrives, after an import that is under way.
 
     Within an import the exception may be lost: in a callback of the import system, or in a C extension. Elsewhere
-    that is rare, and `raise_again` helps.
+    it is rarely lost, and `raise_again` raises it again.
     """
     retries = MOST_RETRIES
 
@@ -85,7 +80,7 @@ def raised() -> Iterator[None]:
 
 
 def raise_again() -> None:
-    """Raise KeyboardInterrupt if the one of a signal has ended nothing: a library has caught and dropped it."""
+    """Raise KeyboardInterrupt again if a library has caught and dropped the one that a signal raised."""
     if _raised:
         raise KeyboardInterrupt
 

@@ -37,7 +37,7 @@ class _LastFinder:
 
 
 def search_last(folders: Iterable[str]) -> None:
-    """Have folders searched for modules after all others, in this process."""
+    """Make this process search these folders for modules, after all others."""
     sys.meta_path += [_LastFinder(folder) for folder in folders if folder not in searched_last()]
 
 

@@ -16,13 +16,12 @@ from todframes.base.seeds import Rng, seed_of
 from todframes.calls.shared import (
     OnError,
     Progress,
-    described,
     is_skip,
     loaded,
     opened_run,
 )
 from todframes.frames.dataset import Dataset
-from todframes.observers.interface import Observer
+from todframes.observers.interface import Observer, described
 from todframes.psychometrics.fit import FitSettings
 from todframes.report.data import (
     DatasetRecord,
@@ -97,7 +96,7 @@ def calibrate(
     started, seed = time.perf_counter(), seed_of(rng)
     from todframes.experiment.answers import read_answers
     from todframes.experiment.person import calibrate_persons
-    from todframes.experiment.psych_ds import NAME as DESCRIPTION_NAME
+    from todframes.experiment.psych_ds import DESCRIPTION_FILE as DESCRIPTION_NAME
 
     if isinstance(dataset, str | Path) and (Path(dataset) / DESCRIPTION_NAME).exists():
         raise SettingsError(f"dataset: {dataset} holds answers, expected calibrate(dataset, answers)")

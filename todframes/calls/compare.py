@@ -15,7 +15,6 @@ from todframes.base.seeds import Rng, seed_of
 from todframes.calls.shared import (
     OnError,
     Progress,
-    described,
     each_once,
     in_memory,
     inspected,
@@ -26,9 +25,8 @@ from todframes.calls.shared import (
 )
 from todframes.display.display import Display
 from todframes.frames.dataset import Dataset
-from todframes.jobs.store import Store
 from todframes.jobs.work import Engine
-from todframes.observers.interface import Observer
+from todframes.observers.interface import Observer, described
 from todframes.psychometrics.fit import CurveName, FitSettings
 from todframes.report.advice import levels_to_add
 from todframes.report.data import (
@@ -41,10 +39,11 @@ from todframes.scoring.seen_trials import Decisions
 
 if TYPE_CHECKING:
     from todframes.diagnosis.locate import Locate
+    from todframes.jobs.store import Store
 
 
 SHOWN = ("orientation", "level", "size_mrad", "group", "position", "polarity", "trial", "level_name")
-"""Parameters of `score_frames` that say what frames show."""
+"""Parameters of `score_frames` that describe what the frames show."""
 
 
 def compare(
@@ -67,7 +66,7 @@ def compare(
     examples: bool = True,
     progress: Progress | None = None,
 ) -> Result:
-    """Tell whether enhancement algorithms lower the thresholds of a dataset, as `todframes compare` does.
+    """Test whether enhancement algorithms lower the thresholds of a dataset, as `todframes compare` does.
 
     Each algorithm is compared with the frames as they are, on the same frames and with the same random draws.
 
@@ -109,7 +108,7 @@ def compare(
     started, seed = time.perf_counter(), seed_of(rng)
     from todframes.enhancement.algorithm import find_enhancement
     from todframes.enhancement.compare import compare_dataset
-    from todframes.enhancement.enhanced_frame import Screen
+    from todframes.enhancement.enhanced_frame import AlgorithmDisplay
     from todframes.report import tables
     from todframes.report.summary import comparison
 
@@ -117,7 +116,7 @@ def compare(
     fit = fit or FitSettings()
     found = [find_enhancement(one) for one in enhance]
     data = loaded(dataset)
-    screen = Screen(data.display, white, allow_clipping)
+    screen = AlgorithmDisplay(data.display, white, allow_clipping)
     data, more, placed_wrong = located(data, judge, locate, on_error, progress)
     with opened_run(workers, cluster, store, progress) as run:
         results = compare_dataset(

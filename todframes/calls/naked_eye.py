@@ -11,9 +11,8 @@ import numpy as np
 from todframes.base.errors import SettingsError, argument
 from todframes.calls.shared import (
     Progress,
-    described,
 )
-from todframes.observers.interface import Observer
+from todframes.observers.interface import Observer, described
 from todframes.psychometrics.fit import FitSettings
 from todframes.report.advice import above_contrast_1
 from todframes.report.data import (

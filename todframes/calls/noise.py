@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from todframes.base.errors import DataError, SettingsError
-from todframes.base.locations import in_utf8
+from todframes.base.errors import DataError, SettingsError, argument
+from todframes.base.safe_text import in_utf8
 from todframes.calls.shared import (
     Progress,
 )
@@ -36,7 +36,8 @@ def noise(
 ) -> NoiseResult:
     """Measure the three-dimensional noise of a recording, as `todframes noise` does.
 
-    The recording shows a uniform scene that does not move; what is not uniform counts as fixed pattern.
+    The recording must show a uniform scene that does not move; anything that is not uniform counts as fixed
+    pattern.
 
     Parameters
     ----------
@@ -93,7 +94,7 @@ def noise(
     from todframes.report.noise_report import noise_result
 
     if mk_per_count is not None and not (np.isfinite(mk_per_count) and mk_per_count > 0):
-        raise SettingsError(f"mk_per_count: found {mk_per_count}, expected a number > 0")
+        raise SettingsError(f"{argument.mk_per_count}: found {mk_per_count}, expected a number > 0")
     if isinstance(recording, np.ndarray):
         found: Sequence[Recording] = [memory_recording(recording, frames_per_second=frames_per_second)]
     else:

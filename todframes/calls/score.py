@@ -15,7 +15,6 @@ from todframes.base.seeds import Rng, seed_of
 from todframes.calls.shared import (
     OnError,
     Progress,
-    described,
     each_once,
     in_memory,
     inspected,
@@ -25,9 +24,8 @@ from todframes.calls.shared import (
 )
 from todframes.display.display import Display
 from todframes.frames.dataset import Dataset
-from todframes.jobs.store import Store
 from todframes.jobs.work import Engine
-from todframes.observers.interface import Observer
+from todframes.observers.interface import Observer, described
 from todframes.psychometrics.fit import CurveName, FitSettings
 from todframes.report.advice import levels_to_add
 from todframes.report.data import (
@@ -41,6 +39,7 @@ from todframes.scoring.seen_trials import Decisions
 
 if TYPE_CHECKING:
     from todframes.diagnosis.locate import Locate
+    from todframes.jobs.store import Store
 
 
 def score(
@@ -124,7 +123,6 @@ def score(
     ({'size_mrad': 0.6}, 'extrapolated')
     """
     started, seed = time.perf_counter(), seed_of(rng)
-    from todframes.diagnosis.missing_threshold import explain_missing
     from todframes.report import tables
     from todframes.scoring.score import score_dataset
 
@@ -148,7 +146,12 @@ def score(
         from todframes.report import examples as drawing
 
         more["examples"] = drawing.examples(data, scored, judge)
-    explained = {one.group: one for one in explain_missing(data, scored, judge, decisions=decisions, seed=seed)}
+    explained = {}
+    if any(one.fit.status != "ok" for one in scored.fits):
+        from todframes.diagnosis.missing_threshold import explain_missing
+
+        missing = explain_missing(data, scored, judge, decisions=decisions, seed=seed)
+        explained = {one.group: one for one in missing}
     fits = tuple(Fit.of_trials(data, one, explained.get(one.group)) for one in scored.fits)
     hints = [
         ResultWarning(**hint._asdict(), group=group_of(data, one.group))

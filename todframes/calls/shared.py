@@ -1,10 +1,9 @@
-"""Parts that several calls share: the observer, the engine of a run, the dataset and the warnings about it."""
+"""Parts that several calls share: the engine of a run, the dataset and the warnings about it."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import asdict, is_dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -16,13 +15,11 @@ from todframes.base.locations import Location
 from todframes.diagnosis.findings import frame_warnings
 from todframes.diagnosis.inspection import inspect, records
 from todframes.display.display import Display
-from todframes.frames.checksums import dataset_warnings
-from todframes.frames.dataset import Dataset, load_dataset
+from todframes.frames.dataset import Dataset, dataset_warnings, load_dataset
 from todframes.frames.trials import Trial
 from todframes.jobs.engine import open_engine
-from todframes.jobs.store import FILE, Store
 from todframes.jobs.work import Engine
-from todframes.observers.interface import ENTRY_POINT_GROUP, Observer, find_observer
+from todframes.observers.interface import Observer
 from todframes.report.data import (
     DatasetRecord,
     ResultWarning,
@@ -32,34 +29,12 @@ from todframes.stimulus import Centre
 
 if TYPE_CHECKING:
     from todframes.diagnosis.locate import Locate
+    from todframes.jobs.store import Store
     from todframes.scoring.score import ScoredDataset
     from todframes.scoring.work import Run
 
 OnError = Literal["stop", "skip"]
 Progress = Callable[[int], None]
-
-
-def described(observer: str | Observer) -> tuple[Observer, Json]:
-    """Return an observer, made if only its name is given, and its name and settings as JSON values."""
-    if isinstance(observer, str):
-        kind, name = find_observer(observer), observer
-        observer = kind(kind.settings_type())
-    else:
-        name = _name(type(observer))
-    settings = getattr(observer, "settings", None)
-    values = asdict(settings) if is_dataclass(settings) and not isinstance(settings, type) else {}
-    return observer, {"observer": name, **values}
-
-
-def _name(kind: type) -> str:
-    """Return the name that a class is registered under, or "module:Class" if it is not registered."""
-    import sys
-    from importlib.metadata import entry_points
-
-    for entry in entry_points(group=ENTRY_POINT_GROUP):
-        if entry.module in sys.modules and entry.load() is kind:
-            return entry.name
-    return f"{kind.__module__}:{kind.__qualname__}"
 
 
 @contextmanager
@@ -69,7 +44,12 @@ def opened_run(
     """Open the engine and the store of a run, unless they are open."""
     from todframes.scoring.work import Run
 
-    kept = Store(Path(store) / FILE, str(store)) if isinstance(store, str | Path) else store
+    if isinstance(store, str | Path):
+        from todframes.jobs.store import FILE, Store
+
+        kept: Store | None = Store(Path(store) / FILE, str(store))
+    else:
+        kept = store
     with ExitStack() as stack:
         engine = stack.enter_context(open_engine(cluster, workers))
         if kept is not None:

@@ -1,7 +1,8 @@
 """The triangles of a chart, and the order in which they are shown.
 
-All combinations of size, level and orientation appear once in each block, in an order of its own. So they are
-equally frequent, also in a recording that ends early, and a slow drift of camera or light favours none of them.
+All combinations of size, level and orientation appear once in each block, and each block has its own random order.
+So they are equally frequent, also in a recording that ends early, and a slow drift of camera or light favours none
+of them.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from msgspec import Meta
 
 from todframes.base.errors import SettingsError
 from todframes.base.reading import check_values
-from todframes.charts.layout import LARGEST, Length
+from todframes.charts.layout import LARGEST_ON_CHART, Length
 from todframes.charts.markers import MOST_PAGES
 from todframes.stimulus import ORIENTATIONS, Orientation
 
@@ -73,9 +74,10 @@ class Design:
             if not values:
                 raise SettingsError(f"{name}: found none, expected at least one")
             for value in values:
-                if not (math.isfinite(value) and 1.0 / LARGEST <= value <= LARGEST):
+                if not (math.isfinite(value) and 1.0 / LARGEST_ON_CHART <= value <= LARGEST_ON_CHART):
                     raise SettingsError(
-                        f"{name}: found {value!r}, expected numbers from {1.0 / LARGEST:g} to {LARGEST:g}"
+                        f"{name}: found {value!r}, expected numbers from {1.0 / LARGEST_ON_CHART:g} "
+                        f"to {LARGEST_ON_CHART:g}"
                     )
             if len(set(values)) < len(values):
                 raise SettingsError(f"{name}: found {', '.join(map(repr, values))}, expected each value once")
@@ -86,7 +88,7 @@ class Design:
         if self.n_triangles > MOST_PAGES:
             raise SettingsError(
                 f"found {self.n_triangles} triangles (sizes × levels × 4 orientations × repeats), expected at "
-                f"most {MOST_PAGES}, the number of pages that markers can tell apart"
+                f"most {MOST_PAGES}, the number of pages that markers can distinguish"
             )
 
     @property

@@ -1,4 +1,4 @@
-"""The description of a chart, `chart.toml`: what stands where on each of its pages.
+"""The description of a chart, `chart.toml`: the content of each page, and its place.
 
 Places on a page are in millimetres from its top left corner, x to the right and y down. The centre of the pixel in
 column c of a monitor lies at x_mm = (c + 0.5) · pixel_pitch_mm.
@@ -26,26 +26,19 @@ from todframes.stimulus import Orientation
 SCHEMA = 1
 """Version of the format of `chart.toml` that this package reads and writes."""
 
-
 CHART_FILE = "chart.toml"
 
-
 ChartKind = Literal["screen", "print", "thermal"]
-
 
 SIZE_TOLERANCE = 1e-3
 """Largest relative difference between size_mm and size_mrad · distance_m."""
 
-
-LARGEST = 1e6
+LARGEST_ON_CHART = 1e6
 """Largest length in mm or m, size in mrad or ΔT in K; a larger one is a mistake."""
 
+Length = Annotated[float, Meta(ge=1.0 / LARGEST_ON_CHART, le=LARGEST_ON_CHART)]
 
-Length = Annotated[float, Meta(ge=1.0 / LARGEST, le=LARGEST)]
-
-
-Place = Annotated[float, Meta(ge=0.0, le=LARGEST)]
-
+Place = Annotated[float, Meta(ge=0.0, le=LARGEST_ON_CHART)]
 
 Bits = Literal[8, 10]
 
@@ -152,10 +145,10 @@ class Triangle:
     size_mm: Length
     x_mm: Place
     y_mm: Place
-    contrast: Annotated[float | None, Meta(ge=-1.0, le=LARGEST)] = None
-    contrast_asked: Annotated[float | None, Meta(ge=-1.0, le=LARGEST)] = None
+    contrast: Annotated[float | None, Meta(ge=-1.0, le=LARGEST_ON_CHART)] = None
+    contrast_asked: Annotated[float | None, Meta(ge=-1.0, le=LARGEST_ON_CHART)] = None
     dithered: bool = False
-    delta_t_k: Annotated[float | None, Meta(ge=-LARGEST, le=LARGEST)] = None
+    delta_t_k: Annotated[float | None, Meta(ge=-LARGEST_ON_CHART, le=LARGEST_ON_CHART)] = None
 
     def __post_init__(self) -> None:
         check_values(self)
@@ -273,7 +266,7 @@ class Screen:
 
     @property
     def display(self) -> Display:
-        """The monitor as a display; pixels are given in an angle of 1 mrad, since no eye looks at it."""
+        """The monitor as a display. Its pixels have an arbitrary angle of 1 mrad, because no eye looks at it."""
         return Display(
             eotf=self.eotf,
             white_luminance_cd_m2=self.white_luminance_cd_m2,

@@ -19,19 +19,17 @@ from todframes.charts.thermal import Plate, design_thermal_chart, write_thermal_
 from todframes.display.display import Display
 from todframes.display.display_files import find_display
 
-CONTRASTS = (0.02, 0.05, 0.1, 0.2, 0.4, 0.8)
+DEFAULT_CONTRASTS = (0.02, 0.05, 0.1, 0.2, 0.4, 0.8)
 
-LEVELS: dict[ChartKind, tuple[float, ...]] = {
-    "screen": CONTRASTS,
-    "print": CONTRASTS,
+DEFAULT_LEVELS: dict[ChartKind, tuple[float, ...]] = {
+    "screen": DEFAULT_CONTRASTS,
+    "print": DEFAULT_CONTRASTS,
     "thermal": (0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0),
 }
 """Contrasts, or temperature differences in K, if none are asked for."""
 
-
 BACKGROUND_SHARE = 0.25
 """Background of a monitor relative to white if none is asked for; contrasts reach from -1 to 3."""
-
 
 SETTINGS: dict[ChartKind, set[str]] = {
     "screen": {field.name for field in fields(Screen)} | {"display", "marker_mm"},
@@ -40,10 +38,8 @@ SETTINGS: dict[ChartKind, set[str]] = {
 }
 """Names of the settings of each kind."""
 
-
 SCREEN_DEFAULTS = {"width_px": 1920, "height_px": 1080, "page_duration_s": 1.0, "white_luminance_cd_m2": 100.0}
 """Settings of a monitor that need not be given."""
-
 
 Progress = Callable[[int], None]
 
@@ -134,7 +130,7 @@ def chart(
         {
             "distance_m": distance_m,
             "sizes_mrad": list(sizes_mrad),
-            "levels": list(LEVELS[kind] if levels is None else levels),
+            "levels": list(DEFAULT_LEVELS[kind] if levels is None else levels),
             "repeats": repeats,
             "seed": seed_of(rng),
             "polarity": polarity,

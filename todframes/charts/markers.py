@@ -2,7 +2,7 @@
 
 The marker at corner k (see `CORNERS`) of a page has the id 4·digit + k, where 0 ≤ digit < 250. The digits are the
 page's number modulo 250, the number divided by 250, again the number modulo 250, and the key of the chart. So each
-marker tells its corner, and a blend of two pages is noticed: it has markers of both.
+marker states its corner, and a blend of two pages is noticed: it has markers of both.
 """
 
 from __future__ import annotations
@@ -17,18 +17,14 @@ from todframes.base.errors import SettingsError
 CORNERS = ("top_left", "top_right", "bottom_right", "bottom_left")
 """Names of the corners in the order of the markers, clockwise."""
 
-
 DICTIONARY = "5x5_1000"
 """Name of the markers' dictionary in chart.toml; OpenCV calls it DICT_5X5_1000."""
-
 
 MODULES = 7
 """Side of a marker in modules, its black border of one module included."""
 
-
 N_DIGITS = 250
 """Number of values of a digit: the dictionary has 1000 markers, and there are four corners."""
-
 
 MOST_PAGES = N_DIGITS**2
 

@@ -15,9 +15,7 @@ from todframes.base._typing import FloatArray
 
 POINTS_PER_MM = 72.0 / 25.4
 
-
 MM_PER_INCH = 25.4
-
 
 HAIRLINE_MM = 0.1
 

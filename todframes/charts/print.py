@@ -33,40 +33,31 @@ from todframes.stimulus import vertices
 
 PDF_FILE = "chart.pdf"
 
-
 SPACING_PER_SIZE = 3.8
 """Distance between triangles of a sheet in sizes. The corners of one stay out of the field around the other, with
 0.4 sizes to spare for the blur and the perspective of a camera."""
 
-
 MARKER_SHARE = 0.08
 """Side of a marker relative to the smaller side of the sheet."""
-
 
 GAP_MM = 2.0
 """Distance between the grey field and the bands above and below it."""
 
-
 N_PATCHES = 12
 """Number of grey patches; the first has the grey of the background."""
-
 
 RULER_MM, RULER_STEP_MM, LEAST_RULER_MM = 200.0, 10.0, 50.0
 """Longest ruler, distance of its marks, and step of its length, which is also the shortest ruler."""
 
-
 TICK_MM, LINE_MM = 3.0, 0.2
-
 
 LINE_SPACING = 1.3
 """Distance of lines of text in heights of a letter."""
 
-
 WHITE = 255
 
-LEAST_SIZE_MM = 2.0
+LEAST_PRINTED_SIZE_MM = 2.0
 """Smallest √(area) on paper: the dots by which a printer makes grey would show in smaller triangles."""
-
 
 PaperLength = Annotated[float, Meta(ge=10.0, le=2000.0)]
 
@@ -293,13 +284,14 @@ def _sheet(paper: Paper) -> _Sheet:
 
 
 def _places(design: Design, size_mrad: float, sheet: _Sheet) -> list[tuple[float, float]]:
-    """Return the places for triangles of one size on a sheet, from the middle out; SettingsError if none."""
+    """Return the places for triangles of one size on a sheet, from the middle outwards; SettingsError if there is
+    none."""
     size_mm = design.size_mm(size_mrad)
-    if size_mm < LEAST_SIZE_MM:
+    if size_mm < LEAST_PRINTED_SIZE_MM:
         raise SettingsError(
             f"sizes_mrad: {size_mrad:g} mrad at {design.distance_m:g} m are {size_mm:.3g} mm, in which the "
-            f"printer's dots show; expected at least {LEAST_SIZE_MM:g} mm "
-            f"({LEAST_SIZE_MM / design.distance_m:.3g} mrad), or a larger distance"
+            f"printer's dots show; expected at least {LEAST_PRINTED_SIZE_MM:g} mm "
+            f"({LEAST_PRINTED_SIZE_MM / design.distance_m:.3g} mrad), or a larger distance"
         )
     field_mm = FIELD_PER_SIZE * size_mm
     axes = []

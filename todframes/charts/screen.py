@@ -24,24 +24,20 @@ from todframes.stimulus import ORIENTATIONS, Orientation, coverage
 
 PLAYER = "play.html"
 
-
-LEAST_SIZE_PX = 8.0
+LEAST_MONITOR_SIZE_PX = 8.0
 """Smallest √(area) in pixels of the monitor: a pixel, which blurs the edges, is an eighth of it."""
 
-
 LEAST_STEPS = 36.0
-"""Smallest number of pixels that a dithered triangle raises by a code step: fewer are some dots, no triangle."""
-
+"""Smallest number of pixels that a dithered triangle raises by a code step: fewer look like dots, not like a
+triangle."""
 
 LARGEST_ROUNDING = 0.01
 """Largest relative change of a contrast by rounding to a code value; where it is larger, pixels are dithered."""
 
-
 MARKER_SHARE, LARGEST_MARKER_SHARE = 0.15, 0.2
 """Side of a marker relative to the smaller side of the page: if none is asked for, and the largest."""
 
-
-REACH_PER_SIZE = 2.0 / 3.0**0.75
+CORNER_REACH_PER_SIZE = 2.0 / 3.0**0.75
 """Distance from the centroid of a triangle to its corners, in sizes."""
 
 
@@ -171,11 +167,11 @@ def _check_size(
     """Raise SettingsError if a triangle has too few pixels, or its surround no place on the page."""
     size_mm = design.size_mm(size_mrad)
     what = f"sizes_mrad: {size_mrad:g} mrad at {design.distance_m:g} m are {size_mm:.4g} mm"
-    if size_mm < LEAST_SIZE_PX * pitch_mm:
+    if size_mm < LEAST_MONITOR_SIZE_PX * pitch_mm:
         raise SettingsError(
             f"{what}, {size_mm / pitch_mm:.3g} pixels of the monitor, whose edges are then too coarse; expected "
-            f"at least {LEAST_SIZE_PX:g} pixels ({LEAST_SIZE_PX * pitch_mm / design.distance_m:.3g} mrad), or a "
-            "larger distance"
+            f"at least {LEAST_MONITOR_SIZE_PX:g} pixels "
+            f"({LEAST_MONITOR_SIZE_PX * pitch_mm / design.distance_m:.3g} mrad), or a larger distance"
         )
     half_mm = FIELD_PER_SIZE / 2.0 * size_mm
     # Half of a square that keeps clear of the page's edge, and of each marker in x or in y.
@@ -216,7 +212,7 @@ def _drawn(
     nearest = luminance_of_code[int(np.argmin(np.abs(luminance_of_code - wanted)))]
     is_dithered = bool(abs(nearest - wanted) > LARGEST_ROUNDING * abs(wanted - background))
     # The patch has an even number of rows if the page has, so that their middles meet.
-    reach = int(np.ceil(REACH_PER_SIZE * size_px)) + 1
+    reach = int(np.ceil(CORNER_REACH_PER_SIZE * size_px)) + 1
     rows, columns = (2 * reach + pixels % 2 for pixels in (screen.height_px, screen.width_px))
     covered = coverage(
         (rows, columns),
@@ -236,8 +232,8 @@ def _triangle(
 ) -> Triangle:
     """Return the description of a triangle.
 
-    The four orientations of a level have one contrast, the mean of theirs; they differ by at most the luminance of
-    a code step of one pixel.
+    All four orientations of a level get the mean of their contrasts. These differ by at most one code step of one
+    pixel.
     """
     alike = [drawn[condition._replace(orientation=orientation)] for orientation in ORIENTATIONS]
     # The area of covered pixels is off by 1e-5, which must not make black darker than black.

@@ -16,20 +16,17 @@ from msgspec import Meta
 from todframes.base.errors import SettingsError
 from todframes.base.reading import check_values
 from todframes.charts.design import FIELD_PER_SIZE, Condition, Design
-from todframes.charts.layout import CHART_FILE, LARGEST, Chart, Page, Triangle, write_chart
+from todframes.charts.layout import CHART_FILE, LARGEST_ON_CHART, Chart, Page, Triangle, write_chart
 from todframes.charts.page_drawing import Drawing, Outline, Shape, Text, pdf, rectangle, svg
 from todframes.stimulus import HEIGHT_PER_SIZE, SIDE_PER_SIZE, Orientation, vertices
 
 PDF_FILE, SCHEDULE_FILE = "plates.pdf", "schedule.csv"
 
-
-LEAST_SIZE_MM = 1.0
+LEAST_HOLE_SIZE_MM = 1.0
 """Smallest √(area) of a hole: corners of smaller ones cannot be cut sharp enough."""
-
 
 BORDER_MM = 20.0
 """Border of the drawing around the plate, for the text."""
-
 
 PLATE_STEP_MM = 10.0
 
@@ -49,7 +46,7 @@ class Plate:
         If the value is out of range.
     """
 
-    plate_mm: Annotated[float | None, Meta(ge=1.0, le=LARGEST)] = None
+    plate_mm: Annotated[float | None, Meta(ge=1.0, le=LARGEST_ON_CHART)] = None
 
     def __post_init__(self) -> None:
         check_values(self)
@@ -67,8 +64,8 @@ class ThermalChart:
 def design_thermal_chart(design: Design, plate: Plate) -> ThermalChart:
     """Lay out plates with one hole each, and order their settings.
 
-    The settings of a plate follow each other. In each block of a plate, the temperature differences are in random
-    order, and for each of them the four orientations, to which the plate is turned, are in random order too.
+    All settings of a plate come one after the other. In each block of a plate, the temperature differences are in
+    random order. For each of them, the plate is turned to the four orientations, in random order too.
 
     Parameters
     ----------
@@ -85,11 +82,11 @@ def design_thermal_chart(design: Design, plate: Plate) -> ThermalChart:
     needed_mm = FIELD_PER_SIZE * largest_mm
     side_mm = math.ceil(needed_mm / PLATE_STEP_MM) * PLATE_STEP_MM if plate.plate_mm is None else plate.plate_mm
     smallest_mm = design.size_mm(min(design.sizes_mrad))
-    if smallest_mm < LEAST_SIZE_MM:
+    if smallest_mm < LEAST_HOLE_SIZE_MM:
         raise SettingsError(
             f"sizes_mrad: {min(design.sizes_mrad):g} mrad at {design.distance_m:g} m are {smallest_mm:.3g} mm, "
-            f"whose corners cannot be cut; expected at least {LEAST_SIZE_MM:g} mm "
-            f"({LEAST_SIZE_MM / design.distance_m:.3g} mrad), or a larger distance"
+            f"whose corners cannot be cut; expected at least {LEAST_HOLE_SIZE_MM:g} mm "
+            f"({LEAST_HOLE_SIZE_MM / design.distance_m:.3g} mrad), or a larger distance"
         )
     if side_mm < needed_mm:
         raise SettingsError(

@@ -20,9 +20,7 @@ if TYPE_CHECKING:
 SCREEN, PRINT, THERMAL, SCREEN_PRINT = "Screen: ", "Print: ", "Thermal: ", "Screen, print: "
 """Starts of the help of options that only some kinds of charts have."""
 
-
 LEVEL_OPTIONS = {"contrasts", "delta_t_k"}
-
 
 PAPER_MM = {
     "A4": (297.0, 210.0),
@@ -32,7 +30,6 @@ PAPER_MM = {
     "A0": (1189.0, 841.0),
 }
 """Width and height of sheets across (ISO 216)."""
-
 
 SHOWN_TOLERANCE = 1e-3
 """Largest relative difference of a contrast from the one asked for that the table does not show."""
@@ -151,9 +148,10 @@ def chart(
 ) -> None:
     """Make a chart to record with a camera: triangles of given sizes and contrasts.
 
-    CHART gets chart.toml, which says what stands where, for `todframes import`. For a screen it also gets an image
-    for each page, and play.html, which shows them full-screen in a browser; for print chart.pdf, and an SVG file
-    for each sheet; for thermal drawings of the plates, and schedule.csv with the settings to record.
+    CHART gets chart.toml, which says where everything is on the pages, for `todframes import`. For a screen it
+    also gets an image for each page, and play.html, which shows them full-screen in a browser; for print
+    chart.pdf, and an SVG file for each sheet; for thermal drawings of the plates, and schedule.csv with the
+    settings to record.
     """
     from todframes.charts import making as charts
     from todframes.stimulus import ORIENTATIONS
@@ -166,7 +164,7 @@ def chart(
     if paper is not None:
         settings["paper_width_mm"], settings["paper_height_mm"] = _paper_mm(paper)
     sizes = numbers(sizes_mrad, "--sizes-mrad")
-    levels = next((settings[name] for name in LEVEL_OPTIONS & settings.keys()), charts.LEVELS[kind])
+    levels = next((settings[name] for name in LEVEL_OPTIONS & settings.keys()), charts.DEFAULT_LEVELS[kind])
     n_triangles = len(sizes) * len(levels) * len(ORIENTATIONS) * settings["repeats"]
     with progress("drawing", n_triangles, quiet=quiet) as advance:
         try:

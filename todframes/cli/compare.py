@@ -48,10 +48,10 @@ from todframes.cli.options import (
 @result_options
 @strict_option
 def compare(*, dataset: Location, specs: Sequence[str], out: str | None, quiet: bool, **asked: Any) -> None:
-    """Tell whether enhancement algorithms lower the thresholds of DATASET, by how much and how surely.
+    """Test whether enhancement algorithms lower the thresholds of DATASET, by how much and how surely.
 
-    Each is compared with the frames as they are, on the same frames and with the same random draws.
-    `todframes enhancements` lists the algorithms that come along. Without -o nothing is written.
+    Each is compared with the frames as they are, on the same frames and with the same random draws. `todframes
+    enhancements` lists the algorithms of the package. Without -o nothing is written.
     """
     shown = {name: asked.pop(name) for name in ("as_json", "verbose", "explain", "strict")}
     observer, fit = make_observer(asked)

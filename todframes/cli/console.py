@@ -11,14 +11,14 @@ import textwrap
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, redirect_stdout, suppress
+from importlib import import_module
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 
 from todframes.base import signals
-from todframes.base.errors import DataError, TodframesError
-from todframes.base.locations import without_secrets
-from todframes.base.safe_text import visible
+from todframes.base.errors import DataError, TodframesError, in_command
+from todframes.base.safe_text import visible, without_secrets
 
 if TYPE_CHECKING:
     from todframes.base.output import Going
@@ -31,28 +31,23 @@ if TYPE_CHECKING:
 
 STDOUT, STDERR = 1, 2
 
-
 LONGEST_REMARK = 8000
 """Largest number of characters of a line on standard error; of longer lines the two ends are shown."""
-
 
 MOST_ALIKE = 10
 """Largest number of problems of one kind that are printed."""
 
-
 MOST_ANSWERS = 12
 """Largest number of rows of the table of answers that is printed unless details are asked for."""
-
 
 WHOLE = 10_000
 """Width of a line, in letters, if standard output is not a terminal."""
 
 
 class Staged(NamedTuple):
-    """A place that is reserved for the output of a run.
-
-    `write` takes a function that makes the files, by name. `store` is for the results that are finished before;
-    None if there is no such place, or the run is not one that goes on later.
+    """A place that is reserved for the output of a run.  `write` takes a function that makes the files, by name.
+    `store` keeps the finished results of a run that can be continued; None if the run cannot, or there is no such
+    place.
     """
 
     write: Callable[[Callable[[], Mapping[str, bytes | Iterable[bytes]]]], None]
@@ -61,7 +56,7 @@ class Staged(NamedTuple):
 
 @contextmanager
 def staged(out: str | None, going: Going | None = None, *, quiet: bool = False) -> Iterator[Staged]:
-    """Reserve the folder `out` before the work; what is written into it appears if the block ends well.
+    """Reserve the folder `out` before the work; the files written into it appear if the block ends well.
 
     Parameters
     ----------
@@ -72,11 +67,11 @@ def staged(out: str | None, going: Going | None = None, *, quiet: bool = False) 
     quiet : bool
         Say nothing about results that an earlier run has finished.
     """
-    from todframes.base.output import output_folder, store_path, write_files
-
     if out is None:
         yield Staged(lambda _: None)
         return
+    from todframes.base.output import output_folder, store_path, write_files
+
     with output_folder(out, going) as folder, ExitStack() as stack:
         store = None
         if going is not None:
@@ -89,7 +84,7 @@ def staged(out: str | None, going: Going | None = None, *, quiet: bool = False) 
 
 @contextmanager
 def opened_engine(asked: dict[str, Any], *, quiet: bool) -> Iterator[Engine]:
-    """Open the engine of `--cluster` and `--workers`, and say where its work can be watched.
+    """Open the engine of `--cluster` and `--workers`, and print the address of its dashboard.
 
     `cluster` is replaced by the engine in `asked`.
     """
@@ -104,13 +99,16 @@ def opened_engine(asked: dict[str, Any], *, quiet: bool) -> Iterator[Engine]:
 
 @contextmanager
 def long_run(out: str | None, asked: dict[str, Any], *, quiet: bool) -> Iterator[Staged]:
-    """Reserve the folder `out` for a run that can go on later, and open its engine.
+    """Reserve the folder `out` for a run that can be continued, and open its engine.
 
     Of `asked`, `restart` and `keep_store` are removed; `cluster` is replaced by the engine, and `store` is set.
     """
-    from todframes.base.output import Going
+    restart, keep = asked.pop("restart"), asked.pop("keep_store")
+    going = None
+    if out is not None:
+        from todframes.base.output import Going
 
-    going = Going(restart=asked.pop("restart"), keep=asked.pop("keep_store"))
+        going = Going(restart=restart, keep=keep)
     with staged(out, going, quiet=quiet) as place, opened_engine(asked, quiet=quiet):
         asked["store"] = place.store
         yield place
@@ -190,7 +188,7 @@ def finish(
 
 
 def time_line() -> str:
-    """Return the time since the process began, which is that for which people have waited."""
+    """Return the time since the process began: the time that people have waited."""
     return f"{time.perf_counter() - signals.STARTED_S:.2f} s"
 
 
@@ -332,13 +330,14 @@ def progress(task: str, total: int | None, *, quiet: bool = False) -> Iterator[C
 def keep_libraries_to_one_thread() -> None:
     """Limit BLAS and OpenCV to one thread, unless they are loaded already or the environment sets a number.
 
-    Our matrices and images are so small that their threads gain nothing: they wait for each other, and compete
-    with the reading threads for processors.
+    Our matrices and images are so small that more threads gain nothing: they wait for each other, and compete with
+    other work for processors.
     """
     for name in ("OPENBLAS_NUM_THREADS", "OPENCV_FOR_THREADS_NUM"):
         os.environ.setdefault(name, "1")
 
 
+@in_command()
 def run(command: click.Command, arguments: Sequence[str] | None) -> int:
     """Run a command line. Returns the exit status: 0 done, 1 bad data, 2 bad usage or settings.
 
@@ -354,7 +353,7 @@ def run(command: click.Command, arguments: Sequence[str] | None) -> int:
         sys.stdout.flush()
         return status if isinstance(status, int) else 0
     except TodframesError as error:
-        return _fail(error.for_command(), error.exit_status)
+        return _fail(str(error), error.exit_status)
     except click.exceptions.NoArgsIsHelpError as error:
         click.echo(error.format_message(), err=True)
         return 2
@@ -383,7 +382,28 @@ class Interruption(Exception):  # noqa: N818 - it is no error
 
 
 class Commands(click.Group):
-    """A group whose commands raise `Interruption` at Ctrl-C; click itself would print an empty line."""
+    """A group whose commands raise `Interruption` at Ctrl-C; click itself would print an empty line.
+
+    Parameters
+    ----------
+    modules : mapping
+        Module and attribute, "module:attribute", of each command that is imported when it is asked for.
+    """
+
+    def __init__(self, *args: Any, modules: Mapping[str, str] | None = None, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        self._modules = modules or {}
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """Return the names of all commands, sorted."""
+        return sorted({*super().list_commands(ctx), *self._modules})
+
+    def get_command(self, ctx: click.Context, name: str) -> click.Command | None:
+        """Return a command by its name; None if there is none."""
+        if name in self._modules and name not in self.commands:
+            module, _, attribute = self._modules[name].partition(":")
+            self.add_command(getattr(import_module(module), attribute), name)
+        return super().get_command(ctx, name)
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command that the context names."""

@@ -1,121 +1,53 @@
 """The group of all commands of `todframes`, and its entry point.
 
-The imports of a command run with the command, so `--help` prints before numpy is loaded.
+A command's module is imported when the command is asked for, and numpy when it runs.
 """
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
-from pathlib import Path
 
 import click
 
 from todframes import __version__
-from todframes.base.errors import DataError
-from todframes.base.locations import Location
-from todframes.cli.calibrate import calibrate
-from todframes.cli.chart import chart
-from todframes.cli.compare import compare, enhancements
-from todframes.cli.console import (
-    Commands,
-    ProblemLines,
-    check_strict,
-    echo,
-    keep_libraries_to_one_thread,
-    progress,
-    run,
-    say,
-    warning_lines,
+from todframes.cli.console import Commands, keep_libraries_to_one_thread, run
+
+MODULES = {
+    name: f"todframes.cli.{where}"
+    for name, where in {
+        "accuracy": "studies:accuracy",
+        "calibrate": "calibrate:calibrate",
+        "chart": "chart:chart",
+        "compare": "compare:compare",
+        "enhancements": "compare:enhancements",
+        "experiment": "experiment:experiment",
+        "fit": "score:fit",
+        "import": "recordings:import_command",
+        "naked-eye": "score:naked_eye",
+        "new": "new:new",
+        "noise": "noise:noise",
+        "report": "checks:report_command",
+        "score": "score:score",
+        "stability": "studies:stability",
+        "validate": "checks:validate",
+    }.items()
+}
+"""Module and attribute of each command."""
+
+
+@click.group(
+    cls=Commands,
+    modules=MODULES,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
 )
-from todframes.cli.experiment import experiment
-from todframes.cli.new import new
-from todframes.cli.noise import noise
-from todframes.cli.options import dataset_argument, json_option, max_frame_option, strict_option
-from todframes.cli.recordings import import_command
-from todframes.cli.score import fit, naked_eye, score
-from todframes.cli.studies import accuracy, stability
-
-
-@click.command("report")
-@click.argument("result", type=click.Path(path_type=Path), metavar="RESULT.json")
-@click.option("-o", "--out", metavar="FILE", help="HTML file.  [default: report.html beside RESULT.json]")
-def report_command(*, result: Path, out: str | None) -> None:
-    """Make report.html again from RESULT.json, which a command wrote with -o or printed with --json.
-
-    One page with nothing else to load; the same bytes from the same result.
-    """
-    from todframes.base.output import write_file
-    from todframes.report.data import read_bytes
-    from todframes.report.result import read_result
-
-    try:
-        made = read_result(read_bytes(result), str(result)).to_html().encode()
-    except RecursionError:
-        raise DataError(f"{result}: nested too deep, expected the result of a command") from None
-    path = Path(out) if out is not None else result.with_name("report.html")
-    write_file(path, made, not_over=result)
-    echo(f"written: {path}")
-
-
-@click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
 @click.version_option(__version__, prog_name="todframes")
 def cli() -> None:
     """How small or faint may a triangle get before a display chain hides where it points?
 
-    Shows the display frames (EXR, PNG) of a Triangle Orientation Discrimination test to a model observer and tells
-    the thresholds. Angles are in mrad, luminance in cd/m², contrast is Weber contrast.
+    Shows the display frames (EXR, PNG) of a Triangle Orientation Discrimination test to a model observer and
+    reports the thresholds. Angles are in mrad, luminance in cd/m², contrast is Weber contrast.
     """
-
-
-@cli.command()
-@dataset_argument
-@click.option(
-    "--add-sha256",
-    is_flag=True,
-    help="If all is good, write the checksum of each frame that has none into manifest.csv.",
-)
-@max_frame_option
-@strict_option
-@json_option
-def validate(*, dataset: Location, add_sha256: bool, max_frame_mb: int, strict: bool, as_json: bool) -> None:
-    """Check every file and row of DATASET, and what its frames show, without scoring.
-
-    Each problem and each warning is one line.
-    """
-    import todframes as tod
-    from todframes.report.wording import count
-
-    data = tod.load_dataset(dataset, max_frame_mb=max_frame_mb)
-    n_missing = sum(frame.sha256 is None for trial in data.trials for frame in trial.frames) if add_sha256 else 0
-    problems = ProblemLines()
-    with progress("checking", len(data.trials)) as advance:
-        result = tod.validate(data, add_sha256=add_sha256, problem=problems.add, progress=advance)
-    problems.close()
-    for line in warning_lines(result.warnings):
-        say(line)
-    if as_json:
-        click.echo(result.to_json(), nl=False)
-    if problems.count:
-        raise DataError(f"{dataset}: {count(problems.count, 'problem')} found")
-    if not as_json:
-        n_frames = data.trials.n_frames
-        warnings = len(result.warnings)
-        verdict = f"all readable; {count(warnings, 'warning')}" if warnings else "all good"
-        echo(f"{dataset}: {n_frames} frames in {len(data.trials)} trials, {verdict}")
-        if add_sha256:
-            echo(
-                f"{dataset / 'manifest.csv'}: sha256 of {n_missing} frames added; {n_frames - n_missing} had one, "
-                "and agree"
-            )
-    check_strict(result.warnings, strict)
-
-
-for command in (
-    *(score, compare, naked_eye, fit, chart, import_command, new, noise, experiment, calibrate),
-    *(report_command, enhancements, accuracy, stability),
-):
-    cli.add_command(command)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -74,7 +74,7 @@ def noise(
 ) -> None:
     """Measure the noise of RECORDING, which shows a uniform scene that does not move.
 
-    RECORDING is a video, a sequence of images or a folder of them, camera raw or radiometric files, or an array.
+    RECORDING is a video, a sequence of images or a folder of them, camera raw or thermal files, or an array.
     The noise is that of time, rows and columns (D'Agostino & Webb 1991), each part with a 95 % interval.
 
     Without -o nothing is written.

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 from todframes.base.errors import SettingsError
-from todframes.base.locations import Location
+from todframes.base.locations import Location, location
 
 if TYPE_CHECKING:
     from todframes.observers.interface import Observer
@@ -19,10 +19,8 @@ if TYPE_CHECKING:
 LOCATE = ("group", "each")
 """Values of `--locate`; without a value it has the first."""
 
-
 PASSES = {None: 1, "group": 2, "each": 3}
 """Number of times that each trial is read, by the value of `--locate`."""
-
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -39,16 +37,12 @@ def options(*decorators: Callable[[F], F]) -> Callable[[F], F]:
 
 
 def _location(_: click.Context, __: click.Parameter, name: str) -> Location:
-    from todframes.base.remote import location
-
     return location(name)
 
 
 dataset_argument = click.argument("dataset", type=click.Path(), callback=_location)
 
-
 folder_argument = click.argument("dataset", type=click.Path(path_type=Path))
-
 
 max_frame_option = click.option(
     "--max-frame-mb",
@@ -59,24 +53,19 @@ max_frame_option = click.option(
     help="Refuse frames that decode to more than this, before any is decoded.",
 )
 
-
 verbose_option = click.option(
     "--verbose", is_flag=True, help="Also the fitted curves, run times and what the numbers leave out."
 )
 
-
 json_option = click.option("--json", "as_json", is_flag=True, help="Print one JSON object on standard output.")
-
 
 p_correct_option = click.option(
     "--p-correct", type=float, metavar="P", help="Raw proportion correct at threshold.  [default: 0.75]"
 )
 
-
 seed_option = click.option(
     "--seed", "rng", type=click.IntRange(0), default=1, show_default=True, help="Seed of all random draws."
 )
-
 
 set_option = click.option(
     "--set",
@@ -85,7 +74,6 @@ set_option = click.option(
     metavar="NAME=VALUE",
     help="Any setting by name, such as kernel_a=0.4; repeatable. All are in docs/model.md and docs/observers.md.",
 )
-
 
 observer_option = click.option(
     "--observer",
@@ -96,11 +84,9 @@ observer_option = click.option(
     "whose code is run.",
 )
 
-
 observer_settings_option = click.option(
     "--observer-settings", type=click.Path(path_type=Path), help="TOML file with settings."
 )
-
 
 observer_options = options(
     observer_option,
@@ -128,14 +114,11 @@ plan_option = click.option(
     help="Leave out what the scene does not need, or nothing.",
 )
 
-
 explain_option = click.option(
     "--explain", is_flag=True, help="Print what was kept and left out, why, and what that changes."
 )
 
-
 quiet_option = click.option("--quiet", is_flag=True, help="No progress and no remarks on standard error.")
-
 
 on_error_option = click.option(
     "--on-error",
@@ -145,11 +128,9 @@ on_error_option = click.option(
     help="At a frame or row that cannot be used: end, or go on and list it.",
 )
 
-
 workers_option = click.option(
     "--workers", type=click.IntRange(1), default=1, show_default=True, help="Processes that read and score."
 )
-
 
 scoring_options = options(
     click.option(
@@ -179,13 +160,11 @@ scoring_options = options(
 )
 """Options of the commands that score frames, named like the parameters of the Python calls."""
 
-
 restart_options = options(
     click.option("--restart", is_flag=True, help="Begin anew, whatever an interrupted run has finished."),
     click.option("--keep-store", is_flag=True, help="Keep what is finished in OUT too, for runs that overlap."),
 )
-"""Options of the commands that go on where an interrupted run was."""
-
+"""Options of the commands that can continue an interrupted run."""
 
 run_options = options(
     click.option(
@@ -199,7 +178,7 @@ run_options = options(
 
 
 class ScoringCommand(click.Command):
-    """A command whose option `--locate` may stand without a value, also before the dataset."""
+    """A command whose option `--locate` may be given without a value, also before the dataset."""
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Parse arguments after `--locate` was given its default value where it has none."""
@@ -222,11 +201,9 @@ launch_options = options(
 )
 """Options of the commands that serve a page."""
 
-
 strict_option = click.option(
     "--strict", is_flag=True, help="End with status 1 if there is a warning; the output is whole all the same."
 )
-
 
 result_options = options(explain_option, verbose_option, json_option, quiet_option)
 """Options for the output of the commands that score frames."""

@@ -82,9 +82,9 @@ def import_command(
 ) -> None:
     """Make a dataset from RECORDING…, which show a chart of `todframes chart`, or what a schedule says.
 
-    Videos, image files and folders of them, camera raw, radiometric and NumPy files. The markers of the chart tell
+    Videos, image files and folders of them, camera raw, thermal and NumPy files. The markers of the chart show
     which page a frame shows and where its triangles are; windows are cut about them, with values untouched.
-    `todframes score` reads the dataset; import.json in it tells what was found.
+    `todframes score` reads the dataset; import.json in it lists what was found.
     """
     if (asked["chart"] is None) == (asked["schedule"] is None):
         raise SettingsError("import: expected one of --chart and --schedule, which says what is shown")

@@ -20,7 +20,7 @@ RECORDED = "recorded"
 @click.option("--markdown", "as_markdown", is_flag=True, help="Print the page docs/stability.md.")
 @quiet_option
 def stability(*, as_json: bool, as_markdown: bool, quiet: bool) -> None:
-    """Try extreme inputs: what is expected and from where, what came, digits kept.
+    """Try extreme inputs: the expected value and its source, the computed value, and the number of right digits.
 
     Ends with status 1 if a case keeps fewer digits than it must.
     """

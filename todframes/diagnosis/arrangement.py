@@ -35,13 +35,13 @@ class Arrangement(NamedTuple):
 
     @property
     def mismatches(self) -> tuple[WarningCode, ...]:
-        """Codes of what is not as stated."""
+        """Codes of the differences from what is stated."""
         polarity: tuple[WarningCode, ...] = ("polarity_mismatch",) if self.sign == -1 else ()
         return polarity if self.code is None else (*polarity, self.code)
 
     @property
     def twin(self) -> Arrangement:
-        """The arrangement that is hard to tell from this one: half a turn, and the opposite polarity."""
+        """The arrangement that is hard to distinguish from this one: half a turn, and the opposite polarity."""
         shown = tuple((k + 2) % 4 for k in self.shown)
         return next(one for one in ARRANGEMENTS if (one.shown, one.sign) == (shown, -self.sign))
 

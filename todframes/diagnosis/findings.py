@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
+from typing import NamedTuple
 
+from todframes.base.errors import argument
 from todframes.diagnosis.arrangement import TURNED
 from todframes.diagnosis.inspection import Inspection, is_contrast
 from todframes.diagnosis.limits import (
@@ -13,9 +15,9 @@ from todframes.diagnosis.limits import (
     COARSE_PER_LEVEL,
     CONTRAST_ERROR,
     DITHERED,
+    LEAST_DISPLAYED_SIZE_PX,
     LEAST_OFFSET_PX,
     LEAST_SIZE_ERROR,
-    LEAST_SIZE_PX,
     LOUD,
     MATTERS,
     MOST_BY_PATTERN,
@@ -41,14 +43,20 @@ from todframes.frames.trials import Group
 Value = float | tuple[float, float]
 
 
-Told = tuple[WarningCode, Value, Value, str]
-"""A code, what was found, what was expected, and the message."""
+class Deviation(NamedTuple):
+    """A difference of frames from their dataset: its code, its value, a clause about it, and what to do."""
+
+    code: WarningCode
+    found: Value
+    expected: Value
+    seen: str
+    advice: str
 
 
 def frame_warnings(dataset: Dataset, inspections: Sequence[Inspection]) -> list[DatasetWarning]:
     """Return the warnings about frames that do not show what the dataset says.
 
-    A deviation is told if it is larger than its error by far and changes a threshold by more than some per cent.
+    A deviation counts if it is far larger than its error and changes a threshold by more than some per cent.
 
     Parameters
     ----------
@@ -64,7 +72,8 @@ def frame_warnings(dataset: Dataset, inspections: Sequence[Inspection]) -> list[
     for one in inspections:
         group = dict(zip(dataset.experiment.group_by, one.group, strict=True))
         for judge in JUDGES:
-            for code, value, expected, message in judge(dataset, one):
+            for code, value, expected, seen, advice in judge(dataset, one):
+                message = f"{seen}: {advice}"
                 found.setdefault((code, one.group), DatasetWarning(code, group, message, value, expected))
     for warning in _several_sizes(dataset, inspections):
         found.setdefault((warning.code, tuple(warning.group.values())), warning)
@@ -90,55 +99,62 @@ def _several_sizes(dataset: Dataset, inspections: Sequence[Inspection]) -> Itera
             )
 
 
-def _geometry(dataset: Dataset, one: Inspection) -> Iterator[Told]:
-    if one.size_px < LEAST_SIZE_PX:
-        yield (
+def place_deviations(dataset: Dataset, inspection: Inspection) -> Iterator[Deviation]:
+    """Yield the differences of place, size and turn between the triangles and what the dataset says."""
+    for judge in (_orientation, _place, _size):
+        yield from judge(dataset, inspection)
+
+
+def _geometry(dataset: Dataset, one: Inspection) -> Iterator[Deviation]:
+    if one.size_px < LEAST_DISPLAYED_SIZE_PX:
+        yield Deviation(
             "size_unit",
             one.size_px,
-            LEAST_SIZE_PX,
+            LEAST_DISPLAYED_SIZE_PX,
             f"a triangle of {one.stimulus.size_mrad:g} mrad is {one.size_px:.2g} pixels of "
-            f"{dataset.display.pitch_mrad:g} mrad: the display cannot show where it points; check that size_mrad "
-            "and the pixel pitch are in mrad",
+            f"{dataset.display.pitch_mrad:g} mrad",
+            "the display cannot show where it points; check that size_mrad and the pixel pitch are in mrad",
         )
-    if len(one.frame_sizes_px) > 1:
+    if len(one.frame_sizes_px) > 1 and not one.are_windows:
         sizes = ", ".join(f"{columns} × {rows}" for rows, columns in one.frame_sizes_px)
-        yield (
+        yield Deviation(
             "mixed_frame_sizes",
             float(len(one.frame_sizes_px)),
             1.0,
-            f"the frames of one group have {sizes} pixels: their triangles differ in size or place; give each "
-            "size of frames a dataset, or a group, of its own",
+            f"the frames of one group have {sizes} pixels",
+            "their triangles differ in size or place; give each size of frames a dataset, or a group, of its own",
         )
 
 
-def _codes(dataset: Dataset, one: Inspection) -> Iterator[Told]:
+def _codes(dataset: Dataset, one: Inspection) -> Iterator[Deviation]:
     ends: tuple[tuple[WarningCode, float | None, str], ...] = (
         ("saturated", one.saturated_share, "the largest code value"),
         ("crushed", one.crushed_share, "code value 0"),
     )
     for code, share, end in ends:
         if share is not None and share > (MOST_CLIPPED if one.noise_contrast < LOUD else MOST_CLIPPED_NOISE):
-            yield (
+            yield Deviation(
                 code,
                 share,
                 0.0,
-                f"{100.0 * share:.2g} % of the pixels at the triangle have {end}: its contrast is cut off there, "
-                "or pixels are stuck; change exposure or gain and record again, or take the stuck pixels out",
+                f"{100.0 * share:.2g} % of the pixels at the triangle have {end}",
+                "its contrast is cut off there, or pixels are stuck; change exposure or gain and record again, or "
+                "take the stuck pixels out",
             )
     if one.code_step_contrast is None or not is_contrast(dataset):
         return
     step = one.code_step_contrast
     if step > COARSE_PER_LEVEL * one.level and one.noise_contrast < DITHERED * step:
-        yield (
+        yield Deviation(
             "coarse_codes",
             step,
             COARSE_PER_LEVEL * one.level,
-            f"one step of the code values is a contrast of {step:.2g}, and the median level is {one.level:.2g}: "
+            f"one step of the code values is a contrast of {step:.2g}, and the median level is {one.level:.2g}",
             "the triangle's contrast is rounded; store more bits",
         )
 
 
-def _background(dataset: Dataset, one: Inspection) -> Iterator[Told]:
+def _background(dataset: Dataset, one: Inspection) -> Iterator[Deviation]:
     rule = dataset.display.background_luminance_cd_m2
     by_noise = SKEWED if one.noise_contrast > LOUD else SKEW * one.noise_contrast
     by_pattern = min(
@@ -155,26 +171,24 @@ def _background(dataset: Dataset, one: Inspection) -> Iterator[Told]:
         if is_shallow:
             codes = f"the files have 16 bits and no code above {one.peak_code}: are these values of {bits} bits?"
             advice = f"{codes} {advice}"
-        yield (
+        yield Deviation(
             "bit_depth" if is_shallow else "background_mismatch",
             one.ring_ratio,
             1.0,
             f"the luminance around the triangle is {one.ring_luminance_cd_m2:.3g} cd/m², "
-            f"{one.ring_ratio:.3g} times the background ({one.background_luminance_cd_m2:.3g} cd/m²): every "
-            f"contrast is wrong by about this factor; {advice}",
+            f"{one.ring_ratio:.3g} times the background ({one.background_luminance_cd_m2:.3g} cd/m²)",
+            f"every contrast is wrong by about this factor; {advice}",
         )
-    if (
-        one.uneven > max(UNEVEN_PER_LEVEL * one.level * abs(one.contrast_slope or 1.0), CERTAIN * one.uneven_error)
-        and one.uneven > TIMES_TEXTURE * one.uneven_texture
-        and is_contrast(dataset)
-    ):
-        yield (
+    least = max(UNEVEN_PER_LEVEL * one.level * abs(one.contrast_slope or 1.0), CERTAIN * one.uneven_error)
+    if is_contrast(dataset) and one.uneven > max(least, TIMES_TEXTURE * one.uneven_texture):
+        yield Deviation(
             "background_uneven",
             one.uneven,
             0.0,
             f"the background has a structure of its own under the triangle, with a contrast of {one.uneven:.2g} "
-            f"where the median level is {one.level:.2g}: it favours one orientation; move the triangle away from "
-            "edges, text and stuck pixels, or take them out of the frames",
+            f"where the median level is {one.level:.2g}",
+            "it favours one orientation; move the triangle away from edges, text and stuck pixels, or take them "
+            "out of the frames",
         )
 
 
@@ -185,7 +199,7 @@ def _container_bits(one: Inspection) -> int | None:
     return next((bits for bits in BIT_DEPTHS if one.peak_code < 2**bits), None)
 
 
-def _contrast(dataset: Dataset, one: Inspection) -> Iterator[Told]:
+def _contrast(dataset: Dataset, one: Inspection) -> Iterator[Deviation]:
     slope, error = one.contrast_slope, one.contrast_slope_error
     if slope is None or error is None:
         return
@@ -194,93 +208,93 @@ def _contrast(dataset: Dataset, one: Inspection) -> Iterator[Told]:
         slope = min(slope, slope * one.size_ratio**2, key=lambda value: abs(abs(value) - 1.0))
     if slope < -CERTAIN * error and one.shown_as is not None:
         shown, stated = ("darker", "brighter")[:: one.stimulus.polarity]
-        yield (
+        yield Deviation(
             "polarity_mismatch",
             -float(one.stimulus.polarity),
             float(one.stimulus.polarity),
-            f"the triangles are {shown} than their background, and the manifest says {stated}: the answers are "
-            f"wrong; set the column polarity to {-one.stimulus.polarity}, or turn black and white round",
+            f"the triangles are {shown} than their background, and the manifest says {stated}",
+            f"the answers are wrong; set the column polarity to {-one.stimulus.polarity}, or turn black and white "
+            "round",
         )
         slope = -slope
     if not is_contrast(dataset):
         return
     if abs(slope - 1.0) > max(CONTRAST_ERROR, CERTAIN * error):
-        yield (
+        yield Deviation(
             "contrast_mismatch",
             slope,
             1.0,
-            f"the displayed contrast is {slope:.3g} ± {error:.1g} times the level in the manifest: the threshold "
-            "is in units of that level; check eotf, gamma and the unit of the level",
+            f"the displayed contrast is {slope:.3g} ± {error:.1g} times the level in the manifest",
+            "the threshold is in units of that level; check eotf, gamma and the unit of the level",
         )
     elif one.wrong_level >= 2 and one.wrong_level > MATTERS * one.n_level:
-        yield (
+        yield Deviation(
             "contrast_mismatch",
             float(one.wrong_level),
             0.0,
-            f"in {one.wrong_level} of {one.n_level} frames the triangle's contrast does not follow its level: "
+            f"in {one.wrong_level} of {one.n_level} frames the triangle's contrast does not follow its level",
             "check that frames and rows of the manifest belong together, and that gain and exposure are fixed",
         )
 
 
-def _orientation(_: Dataset, one: Inspection) -> Iterator[Told]:
+def _orientation(_: Dataset, one: Inspection) -> Iterator[Deviation]:
     if one.shown_as is None or one.turned_rad is None or one.turned_error_rad is None:
         return
     shown = next(turned for turned in TURNED if turned.name == one.shown_as)
     if shown.code is not None:
-        yield (
+        yield Deviation(
             shown.code,
             1.0,
             0.0,
-            f"{shown.words.format(are='are')} in the frames, against the orientations in the manifest: the "
-            "answers are wrong; turn or mirror the frames, or correct the orientations",
+            f"{shown.words.format(are='are')} in the frames, against the orientations in the manifest",
+            "the answers are wrong; turn or mirror the frames, or correct the orientations",
         )
-    turned = abs(one.turned_rad)
-    if turned > MOST_TURN_RAD + CERTAIN * one.turned_error_rad:
-        yield (
+    degrees = math.degrees(one.turned_rad)
+    if abs(one.turned_rad) > MOST_TURN_RAD + CERTAIN * one.turned_error_rad:
+        yield Deviation(
             "turned",
-            math.degrees(one.turned_rad),
+            degrees,
             0.0,
-            f"the triangles are turned by {math.degrees(one.turned_rad):.2g}° to the right: the camera is tilted, "
-            "or some frames show another orientation than stated; straighten the camera, check the manifest",
+            f"the triangles are turned by {degrees:.2g}° to the right",
+            "the camera is tilted, or some frames show another orientation than stated; straighten the camera, "
+            "check the manifest",
         )
     if one.wrong_orientation >= 2 and one.wrong_orientation > MATTERS * one.n_orientation:
-        yield (
+        yield Deviation(
             "orientation_mismatch",
             float(one.wrong_orientation),
             0.0,
             f"{one.wrong_orientation} of {one.n_orientation} frames that show it clearly have another orientation "
-            "than the manifest says: check that frames and rows belong together",
+            "than the manifest says",
+            "check that frames and rows belong together",
         )
 
 
-def _place(dataset: Dataset, one: Inspection) -> Iterator[Told]:
+def _place(dataset: Dataset, one: Inspection) -> Iterator[Deviation]:
     if one.offset_px is None or one.offset_error_px is None:
         return
-    pitch, error = dataset.display.pitch_mrad, math.hypot(*one.offset_error_px)
-    offset = math.hypot(*one.offset_px)
-    hidden = OFFSET_PER_BLUR * (one.blur_px or 0.0)
-    if offset > max(OFFSET_MRAD / pitch, LEAST_OFFSET_PX, hidden, CERTAIN * error):
-        dx, dy = one.offset_px
-        yield (
+    pitch, error, blur_px = dataset.display.pitch_mrad, math.hypot(*one.offset_error_px), one.blur_px or 0.0
+    (dx, dy), offset = one.offset_px, math.hypot(*one.offset_px)
+    if offset > max(OFFSET_MRAD / pitch, LEAST_OFFSET_PX, OFFSET_PER_BLUR * blur_px, CERTAIN * error):
+        yield Deviation(
             "position_offset",
             (one.stated_px[0] + dx, one.stated_px[1] + dy),
             one.stated_px,
-            f"the triangles lie {offset:.3g} pixels ({dx:+.2f} in x, {dy:+.2f} in y) from where the dataset says: "
-            "the observer looks beside them; correct x_px and y_px, or take them out and use --locate",
+            f"the triangles lie {offset:.3g} pixels ({dx:+.2f} in x, {dy:+.2f} in y) from where the dataset says",
+            f"the observer looks beside them; correct x_px and y_px, or take them out and use {argument.locate}",
         )
-    by_sampling = SCATTER_PER_BLUR * (one.blur_px or 0.0)
-    if one.scatter_px and one.scatter_px > max(SCATTER_MRAD / pitch, LEAST_OFFSET_PX, by_sampling):
-        yield (
+    if (one.scatter_px or 0.0) > max(SCATTER_MRAD / pitch, LEAST_OFFSET_PX, SCATTER_PER_BLUR * blur_px):
+        yield Deviation(
             "position_scatter",
-            one.scatter_px,
+            one.scatter_px or 0.0,
             0.0,
-            f"the triangles' places scatter by {one.scatter_px:.2g} pixels from frame to frame: the camera moved; "
-            "fix it, give each frame its x_px and y_px, or use --locate each",
+            f"the triangles' places scatter by {one.scatter_px:.2g} pixels from frame to frame",
+            f"the camera moved; fix it, give each frame its x_px and y_px, or use {argument.locate} each",
         )
 
 
 def _is_other_size(one: Inspection) -> bool:
-    """Tell whether the triangles are larger or smaller than stated, beyond what their blur may hide."""
+    """Return whether the triangles are larger or smaller than stated, beyond what their blur may hide."""
     if one.size_ratio is None or one.size_ratio_error is None or one.blur_px is None:
         return False
     hidden = LEAST_SIZE_ERROR + (one.blur_px / one.size_px) ** 2
@@ -288,31 +302,31 @@ def _is_other_size(one: Inspection) -> bool:
     return abs(one.size_ratio - 1.0) > least
 
 
-def _size(_: Dataset, one: Inspection) -> Iterator[Told]:
+def _size(_: Dataset, one: Inspection) -> Iterator[Deviation]:
     ratio = one.size_ratio
     if ratio is None:
         return
     if _is_other_size(one):
-        yield (
+        yield Deviation(
             "size_mismatch",
             ratio * one.stimulus.size_mrad,
             one.stimulus.size_mrad,
             f"the triangles are {ratio:.3g} times as large as size_mrad says ({ratio * one.size_px:.3g} instead "
-            f"of {one.size_px:.3g} pixels): the observer looks for another size; check that size_mrad is the root "
-            "of the area in mrad, and the pixel pitch",
+            f"of {one.size_px:.3g} pixels)",
+            "the observer looks for another size; check that size_mrad is the root of the area in mrad, and the "
+            "pixel pitch",
         )
-    elif one.size_scatter and one.size_scatter > max(
-        SIZE_SCATTER, SIZE_PER_BLUR * (one.blur_px or 0) / one.size_px
-    ):
-        yield (
+    elif (one.size_scatter or 0.0) > max(SIZE_SCATTER, SIZE_PER_BLUR * (one.blur_px or 0) / one.size_px):
+        yield Deviation(
             "mixed_sizes",
-            one.size_scatter,
+            one.size_scatter or 0.0,
             0.0,
-            f"the sizes of the triangles differ by {100.0 * one.size_scatter:.2g} % from frame to frame, and the "
-            "manifest gives one: check that frames and rows belong together",
+            f"the sizes of the triangles differ by {100.0 * (one.size_scatter or 0.0):.2g} % from frame to frame, "
+            "and the manifest gives one",
+            "check that frames and rows belong together",
         )
 
 
-JUDGES: tuple[Callable[[Dataset, Inspection], Iterator[Told]], ...] = (
-    _geometry, _codes, _background, _contrast, _orientation, _place, _size
+JUDGES: tuple[Callable[[Dataset, Inspection], Iterator[Deviation]], ...] = (
+    _geometry, _codes, _background, _contrast, place_deviations
 )  # fmt: skip

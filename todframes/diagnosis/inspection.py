@@ -17,7 +17,7 @@ from todframes.diagnosis.limits import (
     CERTAIN_TURN,
     CLEAR,
     CLEARLY_TURNED,
-    CONTRASTS,
+    LEAST_APART,
     LEAST_SAMPLED,
     LEAST_SIGNAL,
     LEAST_SIZE,
@@ -27,24 +27,27 @@ from todframes.diagnosis.limits import (
     SAMPLED_SHARE,
     SCATTER_ERRORS,
     SIZES_ALIKE,
+    USABLE_CONTRASTS,
     WHOLE_IN_SIZES,
 )
 from todframes.diagnosis.triangle import (
     AMPLITUDE,
-    Fit,
     Images,
     Shape,
     Square,
     TrialEstimates,
+    TriangleFit,
     X,
     Y,
+    aligned,
     first_guess,
+    fit,
     fitted,
     of_trials,
     picture,
     within,
 )
-from todframes.diagnosis.windows import Codes, FrameSample, measure_frame
+from todframes.diagnosis.windows import Codes, TrialSample, measure_trial
 from todframes.frames.dataset import Dataset
 from todframes.frames.position import size_in_px
 from todframes.frames.surround import HOLE_IN_SIZES
@@ -65,6 +68,9 @@ class Inspection:
         The stated size in pixels.
     stated_px : (float, float)
         The stated place of the centroid along x and y, the mean over the trials measured.
+    are_windows : bool
+        The manifest gives the place in each of their frames, and all reach as far from it on one side at least, as
+        do windows that the border of a recording cuts.
     n_trials : int
         Number of trials measured.
     frame_sizes_px : tuple of (int, int)
@@ -94,7 +100,8 @@ class Inspection:
     signal : float
         The triangle's contrast in standard errors by the noise alone.
     uneven, uneven_error : float
-        Contrast of a triangle to whose orientations the background's own structure is like, and its error.
+        Contrast of the triangle that would answer the observer's templates as the empty background does, with its
+        standard error.
     uneven_texture : float
         The same elsewhere in the surround: the fixed pattern of a camera, for example.
     saturated_share, crushed_share : float or None
@@ -111,6 +118,7 @@ class Inspection:
     stimulus: Stimulus
     size_px: float
     stated_px: tuple[float, float]
+    are_windows: bool
     n_trials: int
     frame_sizes_px: tuple[tuple[int, int], ...]
     background_luminance_cd_m2: float
@@ -168,8 +176,9 @@ def inspect(dataset: Dataset, trials: Sequence[Trial], *, centre: Centre = "cent
     """
     trials = Trials.of(trials)
     of_stimulus = list(alike(trials))
-    in_all = max(SAMPLED, SAMPLED_SHARE * len(trials))
-    most = int(min(max(in_all / max(len(of_stimulus), 1), LEAST_SAMPLED), MOST_SAMPLED))
+    frames_a_trial = max(trials.n_frames / max(len(trials), 1), 1.0)
+    of_each = max(SAMPLED, SAMPLED_SHARE * trials.n_frames) / frames_a_trial / max(len(of_stimulus), 1)
+    most = int(min(max(of_each, LEAST_SAMPLED), MOST_SAMPLED))
     found = []
     for members in of_stimulus:
         ours = trials.select(members)
@@ -186,13 +195,14 @@ CONTRAST_LEVELS = ("contrast", "weber_contrast")
 
 
 def is_contrast(dataset: Dataset) -> bool:
-    """Tell whether the level of a dataset is the triangle's contrast, by its name."""
+    """Return whether the level of a dataset is the triangle's contrast, by its name."""
     return dataset.experiment.level.strip().lower() in CONTRAST_LEVELS
 
 
 def strengths(dataset: Dataset, level: FloatArray) -> FloatArray:
-    """Return what the displayed contrast is proportional to: the level if it is a contrast, else not known, 1."""
-    return np.clip(level, *CONTRASTS) if is_contrast(dataset) else np.ones(len(level))
+    """Return the value that the displayed contrast is proportional to: the level if it is a contrast, otherwise
+    1."""
+    return np.clip(level, *USABLE_CONTRASTS) if is_contrast(dataset) else np.ones(len(level))
 
 
 def _sizes_mrad(trials: Trials) -> FloatArray:
@@ -223,16 +233,27 @@ def _spread(trials: Trials, most: int) -> Trials:
     return trials.select(ordered[np.linspace(0, len(trials) - 1, most).round().astype(int)])
 
 
-def _samples(dataset: Dataset, trials: Trials, centre: Centre, size_mrad: float) -> Iterator[FrameSample]:
+def _samples(dataset: Dataset, trials: Trials, centre: Centre, size_mrad: float) -> Iterator[TrialSample]:
     size_px = min(size_mrad / dataset.display.pitch_mrad, 1e300)
     for trial in trials:
         try:
-            yield measure_frame(dataset, trial, centre, size_px=size_px)
+            yield measure_trial(dataset, trial, centre, size_px=size_px)
         except DataError:
             continue
 
 
-def _measured(dataset: Dataset, group: Group, stimulus: Stimulus, samples: Sequence[FrameSample]) -> Inspection:
+def _are_windows(samples: Sequence[TrialSample]) -> bool:
+    """Return whether all frames with places reach equally far from them, which frames of two scales do not."""
+    if any(sample.trial.x_px is None for sample in samples):
+        return False
+    reaches = [
+        max(x + 0.5, columns - 0.5 - x, y + 0.5, rows - 0.5 - y)
+        for (x, y), (rows, columns) in ((sample.stated_px, sample.frame_px) for sample in samples)
+    ]
+    return max(reaches) <= SIZES_ALIKE * min(reaches)
+
+
+def _measured(dataset: Dataset, group: Group, stimulus: Stimulus, samples: Sequence[TrialSample]) -> Inspection:
     level = np.array([sample.trial.level for sample in samples])
     strength = strengths(dataset, level)
     ratio = np.array([sample.ring_cd_m2 / sample.background_cd_m2 for sample in samples])
@@ -250,6 +271,7 @@ def _measured(dataset: Dataset, group: Group, stimulus: Stimulus, samples: Seque
             float(np.mean([sample.stated_px[0] for sample in samples])),
             float(np.mean([sample.stated_px[1] for sample in samples])),
         ),
+        are_windows=_are_windows(samples),
         n_trials=len(samples),
         frame_sizes_px=tuple(sorted({sample.frame_px for sample in samples})),
         background_luminance_cd_m2=float(np.mean([sample.background_cd_m2 for sample in samples])),
@@ -266,7 +288,7 @@ def _measured(dataset: Dataset, group: Group, stimulus: Stimulus, samples: Seque
     )
 
 
-def _static_error(samples: Sequence[FrameSample], scatter: float, size: float) -> float:
+def _static_error(samples: Sequence[TrialSample], scatter: float, size: float) -> float:
     """Estimate the relative error of the luminance around the triangle from a pattern that all frames share.
 
     It is that of the mean of eight sectors around the triangle. On a small frame a blurred pattern makes all
@@ -306,19 +328,17 @@ def _of_codes(codes: Sequence[Codes]) -> dict[str, Any]:
     }
 
 
-class GroupFit(NamedTuple):
+class GroupTriangle(NamedTuple):
     """The triangle of a group's frames, and of each of them, in blocks.
 
     Attributes
     ----------
     images : Images
-    fit : Fit
+    fit : TriangleFit
         The triangle that all share; its contrast is positive if of the stated polarity.
     trials : TrialEstimates
-    share : ndarray, shape (trial,)
-        Share of each trial in what is measured.
-    stated : ndarray, shape (trial, 3)
-        Stated place from the middle of the window, and logarithm of the size as a share of `size`.
+    middle : ndarray, shape (3,)
+        Mean stated place, from the middle of the window, and mean logarithm of the stated size.
     error : ndarray, shape (4,)
         Standard errors of contrast, x, y and size (as a share): by noise, and by the spread over the trials.
     signal : float
@@ -326,49 +346,57 @@ class GroupFit(NamedTuple):
     """
 
     images: Images
-    fit: Fit
+    fit: TriangleFit
     trials: TrialEstimates
-    share: FloatArray
-    stated: FloatArray
+    middle: FloatArray
     error: FloatArray
     signal: float
 
     @classmethod
-    def of(cls, samples: Sequence[FrameSample], level: FloatArray, sizes: FloatArray, size: float) -> GroupFit:
+    def of(
+        cls, samples: Sequence[TrialSample], level: FloatArray, sizes: FloatArray, size: float
+    ) -> GroupTriangle:
         """Fit the triangle of some trials, whose sizes are alike."""
         turns = np.array([sample.trial.orientation.quarter_turns for sample in samples])
         even = samples[0].trial.stimulus.polarity * np.array([sample.even for sample in samples])
         known = np.logical_and.reduce([sample.known for sample in samples])
         noise = noise_of_frames(even, level, known, size)
         share = np.square(level / noise) / np.square(level / noise).sum()
-        stated = np.column_stack([[sample.offset for sample in samples], np.log(sizes / size)])
-        frames = {"level": level, "noise": noise, "turns": turns, "apart": stated - share @ stated}
-        images = Images.of(even, known=known, hole=HOLE_IN_SIZES * size, **frames)
+        stated = np.column_stack([[sample.offset for sample in samples], np.log(sizes)])
+        frames = {"level": level, "noise": noise, "turns": turns}
+        hole = HOLE_IN_SIZES * size
+        images = Images.of(even, known=known, hole=hole, **frames)
         found = fitted(images, first_guess(images, size), CERTAIN_TURN)
+        middle = share @ stated
+        apart = stated - middle
+        if np.abs(apart).max() > LEAST_APART:
+            even = aligned(even, found, level=level, turns=turns, apart=apart)
+            images = Images.of(even, known=known, hole=hole, **frames)
+            found = fit(images, found.shape, found.shown)
         each = of_trials(found, images, even, **frames)
         excess = np.maximum(np.square(share) @ (np.square(each.away) - np.square(each.error)), 0.0)
         of_noise = np.array([*(found.error((one, 1.0)) for one in (AMPLITUDE, X, Y)), found.size_error])
         signal = float(abs(found.shape.amplitude) / of_noise[0]) if of_noise[0] > 0.0 else math.inf
-        return cls(images, found, each, share, stated, np.sqrt(np.square(of_noise) + excess), signal)
+        return cls(images, found, each, middle, np.sqrt(np.square(of_noise) + excess), signal)
 
     @property
-    def middle(self) -> FloatArray:
-        """The mean of what is stated, (3,)."""
-        return np.asarray(self.share @ self.stated)
+    def size_ratio(self) -> float:
+        """Size of the triangle divided by the stated one."""
+        return float(self.fit.shape.size / math.exp(self.middle[2]))
 
     @property
     def offset(self) -> FloatArray:
-        """The way from the stated place to the triangle, (2,)."""
+        """The displacement from the stated place to the triangle, (2,)."""
         return np.array([self.fit.shape.x, self.fit.shape.y]) - self.middle[:2]
 
 
 def _of_triangle(
-    samples: Sequence[FrameSample], level: FloatArray, sizes: FloatArray, size: float, block_px: int
+    samples: Sequence[TrialSample], level: FloatArray, sizes: FloatArray, size: float, block_px: int
 ) -> dict[str, Any]:
     """Measure the triangle; lengths are in blocks until the end."""
-    of_group = GroupFit.of(samples, level, sizes, size)
-    images, found, each, share, stated, error, signal = of_group
-    shape, middle = found.shape, of_group.middle
+    of_group = GroupTriangle.of(samples, level, sizes, size)
+    images, found, each, _, error, signal = of_group
+    shape = found.shape
     turns = np.array([sample.trial.orientation.quarter_turns for sample in samples])
     known = images.weight > 0.0
     polarity = samples[0].trial.stimulus.polarity
@@ -384,24 +412,22 @@ def _of_triangle(
     }
     if signal < LEAST_SIGNAL:
         return measured
-    size_ratio = float(shape.size / (size * math.exp(middle[2])))
     clear_place = each.error[:, 1:3].max(axis=1) < CLEAR * size
     clear_level = each.error[:, 0] < CLEAR * amplitude
     off_level = clear_level & (np.abs(each.away[:, 0]) > OFF_LEVEL * amplitude)
     ranked = np.sort(each.likeness, axis=1)
     clear_turn = ranked[:, 3] - ranked[:, 2] > CLEARLY_TURNED * each.likeness_error
     shown = np.array(found.shown)[turns]
-    stated_variance = float(share @ np.square(stated[:, :2] - middle[:2]).mean(axis=1))
     return measured | {
         "offset_px": tuple((block_px * of_group.offset).tolist()),
         "offset_error_px": tuple((block_px * error[1:3]).tolist()),
         "scatter_px": _scatter(block_px * each.away[clear_place, 1:3], block_px * each.error[clear_place, 1:3]),
-        "size_ratio": size_ratio,
-        "size_ratio_error": size_ratio * float(error[3]) if is_whole else None,
+        "size_ratio": of_group.size_ratio,
+        "size_ratio_error": of_group.size_ratio * float(error[3]) if is_whole else None,
         "size_scatter": _scatter(each.away[clear_place, 3:], each.error[clear_place, 3:]),
         "turned_rad": shape.turn_rad,
         "turned_error_rad": found.turn_error_rad,
-        "blur_px": block_px * math.sqrt(max(shape.variance - stated_variance, 0.0)),
+        "blur_px": block_px * math.sqrt(max(shape.variance, 0.0)),
         "shown_as": next(one.name for one in TURNED if one.shown == found.shown),
         "wrong_orientation": int((clear_turn & (each.likeness.argmax(axis=1) != shown)).sum()),
         "n_orientation": int(clear_turn.sum()),
@@ -444,7 +470,7 @@ def _scatter(apart: FloatArray, noise: FloatArray) -> float | None:
 def _unevenness(
     seen: FloatArray, images: Images, level: FloatArray, turns: NDArray[np.intp], size: float
 ) -> dict[str, Any]:
-    """Measure how like the orientations of a triangle the background's own structure is, in contrast.
+    """Measure the contrast of the triangle that would answer the templates as the background's own structure does.
 
     The structure elsewhere on the frames, such as a fixed pattern, is measured in the same way. Nothing is
     returned if the frames show too little else.

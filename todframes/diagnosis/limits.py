@@ -1,4 +1,4 @@
-"""The numbers that the diagnosis rests on, each with its derivation or with what set it."""
+"""The constants of the diagnosis, each with its derivation or with the measurement that set it."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 
 # Windows of frames
 
-BLOCKS_PER_SIZE = 8
+PICTURE_BLOCKS_PER_SIZE = 8
 """Number of square blocks along a triangle's size that its picture is reduced to; fewer if these are pixels."""
 
 REACH_IN_SIZES = 3.0
@@ -19,7 +19,7 @@ REACH_IN_SIZES = 3.0
 DEGREE = 2
 """Degree of the polynomial background."""
 
-REACH = 2.2
+FITTED_REACH_IN_SIZES = 2.2
 """Half of the side of the square that is fitted, in sizes; corners lie at 0.88."""
 
 CELL = 1.5
@@ -42,11 +42,15 @@ MOST_BESIDE_TURN_RAD = math.radians(8.0)
 """Largest rotation beside a quarter turn: a triangle turned by 25° is one turned by -90° and by 5° back."""
 
 SEPARABLE = 1.2
-"""Least ratio of the highest level to the lowest for what all frames share to be known."""
+"""Least ratio of the highest level to the lowest at which the part that all frames share can be separated."""
 
 UNSTEADY = 2.0
 """Standard deviation of a block around the triangle over trials, in those of the noise there, beyond which it
 counts less: letters that change from frame to frame then count no more than the noise does elsewhere."""
+
+LEAST_APART = 1e-3
+"""Least difference of stated places, in blocks, and of sizes for frames to be aligned: a twentieth of what fits of
+single frames resolve."""
 
 SIZES_TRIED = np.geomspace(0.25, 5.0, 11)
 """Sizes that are tried, as multiples of the stated one."""
@@ -57,9 +61,9 @@ MOST_SAMPLED, LEAST_SAMPLED = 24, 8
 """Most and fewest trials of a stimulus in a group that are measured."""
 
 SAMPLED, SAMPLED_SHARE = 96, 0.04
-"""Number of trials that are measured in all, and their share of the trials if that is more."""
+"""Number of frames that are measured in all, and their share of the frames if that is more."""
 
-CONTRASTS = (1e-9, 1e9)
+USABLE_CONTRASTS = (1e-9, 1e9)
 """Range of contrasts that are computed with; beyond it are mistakes in a manifest, whose squares may overflow."""
 
 SIZES_ALIKE = 1.15
@@ -88,7 +92,7 @@ SCATTER_ERRORS = 5.0
 # Warnings
 
 CERTAIN = 5.0
-"""Least deviation that is told, in standard errors."""
+"""Least deviation that is reported, in standard errors."""
 
 MATTERS = 0.03
 """Relative error of a threshold that matters."""
@@ -107,13 +111,13 @@ OFFSET_MRAD, SCATTER_MRAD = 0.08, 0.1
 thresholds by 2 to 5 % for sizes up to 4 mrad, and more for larger ones."""
 
 LEAST_OFFSET_PX = 0.05
-"""Least offset that is told, in pixels; a smaller one is within the errors of the fit."""
+"""Least offset that is reported, in pixels; a smaller one is within the errors of the fit."""
 
 OFFSET_PER_BLUR = 0.3
 """Offset of a blurred triangle that does not matter, in standard deviations of its blur."""
 
 SIZE_MRAD, LEAST_SIZE_ERROR = 0.08, 0.02
-"""Error of a size that matters, and the least relative one that is told."""
+"""Error of a size that matters, and the least relative one that is reported."""
 
 SIZE_SCATTER = 0.2
 """Relative scatter of a size over trials beyond which a group has triangles of several sizes."""
@@ -128,13 +132,13 @@ SCATTER_PER_BLUR = 0.4
 """Scatter of the place that sampling may cause, in standard deviations of the triangle's blur."""
 
 CONTRAST_ERROR = 0.05
-"""Relative deviation of the displayed contrast from the level that is told."""
+"""Relative deviation of the displayed contrast from the level that is reported."""
 
-LEAST_SIZE_PX = 2.0
+LEAST_DISPLAYED_SIZE_PX = 2.0
 """Size of a triangle in pixels below which its orientation is not displayed."""
 
 MOST_CLIPPED, MOST_CLIPPED_NOISE, LOUD = 0.002, 0.01, 0.1
-"""Share of the triangle's pixels at an end of the code values that is told: of quiet frames, and of loud ones,
+"""Share of the triangle's pixels at an end of the code values that is reported: of quiet frames, and of loud ones,
 whose noise reaches that end. Loud is a noise of that contrast."""
 
 SKEWED = 0.1
@@ -161,6 +165,9 @@ BLOCKS = 2**19
 MOST_BLOCKS = 2**24
 """Largest number of blocks of a frame; more would fill the memory."""
 
+CLEAR_PEAK = 100.0
+"""Height of a correlation peak, in standard deviations of the correlation, above which noise does not count."""
+
 LEAST_BLOCKS = 16
 """Least number of blocks along a triangle's size, unless blocks are pixels: larger blocks blur its edges."""
 
@@ -185,7 +192,7 @@ SEARCHED, LEAST_SEARCHED_PX = 2.5, 8.0
 """Largest distance of a trial's position from where its search begins: so many sizes, and pixels more."""
 
 NEARBY = 4.0
-"""The same in standard deviations of the positions, if that is more."""
+"""The same distance in standard deviations of the positions, if that is larger."""
 
 MOST_ERROR_MRAD = 0.09
 """Standard error of single positions along an axis from which they raise a threshold by more than 3 %: between
@@ -219,6 +226,10 @@ JITTERS = (0.0, 0.03, 0.2)
 """Shares of the variance without memory that are tried."""
 
 # Missing thresholds
+
+SIZES_SOUGHT = tuple(np.geomspace(1.0 / 20.0, 20.0, 15).tolist())
+"""Sizes that are sought on whole frames, as multiples of the stated one: degrees or minutes of arc taken for mrad
+are 0.06 to 17.5 times. Steps of 1.53 lose at most a fifth of the correlation's height."""
 
 LEAST_TRIALS, MOST_TRIALS = 8, 32
 """Least number of strong trials, as far as a group has them, and the largest number that are looked at again."""

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError, FrameError, SettingsError
 from todframes.diagnosis.arrangement import ARRANGEMENTS, Arrangement
-from todframes.diagnosis.inspection import GroupFit, alike, is_contrast, noise_of_frames, strengths
+from todframes.diagnosis.inspection import GroupTriangle, alike, is_contrast, noise_of_frames, strengths
 from todframes.diagnosis.limits import (
     LEAST_PEAK,
     LEAST_SEARCHED_PX,
@@ -29,7 +29,7 @@ from todframes.diagnosis.limits import (
 from todframes.diagnosis.places import Template, chosen_places
 from todframes.diagnosis.triangle import Shape
 from todframes.diagnosis.whole_frames import MeanFrames, search
-from todframes.diagnosis.windows import FrameSample, measure_frame
+from todframes.diagnosis.windows import TrialSample, measure_trial
 from todframes.frames.contrast import skipped_frames
 from todframes.frames.dataset import Dataset, DatasetWarning, Skipped
 from todframes.frames.position import from_centroid, size_in_px, to_centroid
@@ -44,10 +44,11 @@ class Location(NamedTuple):
 
     The error is None if no triangle stands out and the manifest's positions stay.
 
-    `arrangement` tells whether the triangles are as the manifest says. `n_located` of `n_trials` trials have a
+    `arrangement` states whether the triangles are as the manifest says. `n_located` of `n_trials` trials have a
     position of their own, whose standard deviation along either axis is `scatter_px`; all three are None if the
     group has one position. `moved_px` is the mean way from the manifest's positions, None if it has none.
     From `sure_level` on, single positions are known well enough not to raise a threshold; None: nowhere.
+    `size_ratio` is the size of the triangles on the frames divided by that in the manifest, 1 if not known.
     """
 
     group: Group
@@ -60,6 +61,7 @@ class Location(NamedTuple):
     scatter_px: float | None = None
     moved_px: tuple[float, float] | None = None
     sure_level: float | None = None
+    size_ratio: float = 1.0
 
 
 def locate_triangles(
@@ -69,13 +71,14 @@ def locate_triangles(
     centre: Centre = "centroid",
     skip_bad_frames: bool = False,
     progress: Callable[[int], None] | None = None,
+    sizes: Sequence[float] = (1.0,),
 ) -> tuple[Dataset, tuple[Location, ...]]:
     """Find the positions of triangles.
 
-    Positions in the manifest are where the search begins: all of a group are moved by one displacement, or each
-    by its own. They stay if no triangle stands out near them. Of other trials whole frames are searched.
+    The search begins at the positions in the manifest: all of a group are moved by one displacement, or each by
+    its own. They stay if no triangle stands out near them. Of other trials whole frames are searched.
 
-    Whole frames are searched by what their means by orientation differ in: what the orientations share (bezel,
+    The search of whole frames compares the mean frames of the orientations: the part that these share (bezel,
     overlay, shading, fixed pattern) is subtracted. There, the triangle is fitted to the group's strongest trials.
     Triangles that are mirrored, turned or of the opposite polarity are found too.
 
@@ -94,6 +97,8 @@ def locate_triangles(
         Skip trials that cannot be read and groups in which no triangle stands out, and list them in `bad_rows`.
     progress : callable
         Called with the number of trials done since the last call: once for each trial, twice with "each".
+    sizes : sequence of float
+        Sizes to search whole frames for, as multiples of those in the manifest.
 
     Returns
     -------
@@ -129,15 +134,18 @@ def locate_triangles(
     for members in indices_by(2 * trials.group_codes.astype(np.int64) + is_placed):
         try:
             if is_placed[members[0]]:
-                start_px, reach_px = position_px[members], 0.0
+                start_px, reach_px, ratio = position_px[members], 0.0, 1.0
                 advance(len(members))
             else:
-                members, start_px, reach_px = _begun(dataset, members, locate, centre, leave_out, advance)
+                members, start_px, reach_px, ratio = _begun(
+                    dataset, members, locate, centre, sizes, leave_out, advance
+                )
             if not len(members):
                 continue
             found, of_size = [], list(alike(trials.select(members)))
             for part in of_size:
-                ways = _Ways(dataset, trials.select(members[part]).placed(start_px[part]), reach_px)
+                ours = trials.select(members[part]).placed(start_px[part])
+                ways = _Ways(dataset, ours if ratio == 1.0 else _scaled(ours, ratio), reach_px)
                 found.append(
                     ways.of_each(members[part], leave_out, advance) if locate == "each" else ways.of_all()
                 )
@@ -149,9 +157,8 @@ def locate_triangles(
             for part, one in zip(of_size, found, strict=True):
                 position_px[members[part]] = start_px[part] + one.way_px
             wanted = None if is_placed[members[0]] else centre
-            locations.append(
-                _location(trials.select(members), found, start_px, wanted, dataset.display.pitch_mrad)
-            )
+            location = _location(trials.select(members), found, start_px, wanted, dataset.display.pitch_mrad)
+            locations.append(location._replace(size_ratio=ratio * location.size_ratio))
         except FrameError:
             raise
         except DataError as error:
@@ -159,6 +166,13 @@ def locate_triangles(
                 leave_out(k, str(error))
     placed = trials.placed(position_px).select(is_kept)
     return replace(dataset, trials=placed, bad_rows=(*dataset.bad_rows, *skipped)), tuple(locations)
+
+
+def _scaled(trials: Trials, ratio: float) -> Trials:
+    """Return trials with another size."""
+    return Trials.of(
+        one._replace(stimulus=replace(one.stimulus, size_mrad=ratio * one.stimulus.size_mrad)) for one in trials
+    )
 
 
 LeaveOut = Callable[[int, FrameError | str], None]
@@ -170,10 +184,11 @@ def _begun(
     members: NDArray[np.intp],
     locate: Locate,
     centre: Centre,
+    sizes: Sequence[float],
     leave_out: LeaveOut,
     advance: Callable[[int], None],
-) -> tuple[NDArray[np.intp], FloatArray, float]:
-    """Find about where the triangles of a group are, anywhere on the frames.
+) -> tuple[NDArray[np.intp], FloatArray, float, float]:
+    """Find the approximate place of a group's triangles, anywhere on the frames.
 
     Returns
     -------
@@ -183,6 +198,8 @@ def _begun(
         Centroids, in pixels.
     float
         Distance within which the places of single trials are expected, in pixels; 0: not known.
+    float
+        Size of the triangles divided by the stated one: one of `sizes`.
     """
     frames, is_usable = MeanFrames(dataset), np.ones(len(members), bool)
     for k, (member, trial) in enumerate(zip(members.tolist(), dataset.trials.select(members), strict=True)):
@@ -195,13 +212,13 @@ def _begun(
     members = members[is_usable]
     usable = dataset.trials.select(members)
     if not len(members):
-        return members, np.zeros((0, 2)), 0.0
+        return members, np.zeros((0, 2)), 0.0, 1.0
     pitch_mrad = dataset.display.pitch_mrad
     strongest = _of_strongest(frames, usable, pitch_mrad) if locate == "each" else None
     if strongest is not None:
         (x_px, y_px), scatter_px = strongest
-        return members, np.tile([x_px, y_px], (len(members), 1)), NEARBY * scatter_px
-    found = search(frames.take_means(), frames.block_px * pitch_mrad, centre)
+        return members, np.tile([x_px, y_px], (len(members), 1)), NEARBY * scatter_px, 1.0
+    found = search(frames.take_means(), frames.block_px * pitch_mrad, centre, sizes)
     if found.height == -math.inf:
         rows, columns = frames.shape or (0, 0)
         size = f"frames of {columns} × {rows} pixels"
@@ -209,7 +226,9 @@ def _begun(
     if not found.height > LEAST_PEAK * found.spread:
         raise _nothing_stands_out(dataset, usable[0].group)
     x_px, y_px = frames.in_pixels((found.x, found.y))
-    return members, np.array([to_centroid(one, x_px, y_px, centre, pitch_mrad) for one in usable]), 0.0
+    seen = usable if found.size == 1.0 else _scaled(usable, found.size)
+    start_px = np.array([to_centroid(one, x_px, y_px, centre, pitch_mrad) for one in seen])
+    return members, start_px, 0.0, found.size
 
 
 def _nothing_stands_out(dataset: Dataset, group: Group) -> DataError:
@@ -256,7 +275,8 @@ def _of_strongest(
 
 
 class _Found(NamedTuple):
-    """Ways of trials from where their search began, (trial, 2), and their mean, its error and scatter, in pixels.
+    """Displacements of trials from the start of their search, (trial, 2), and their mean, its error and scatter,
+    in pixels.
 
     `error_px` is None if no triangle stands out; `is_own`, (trial,), marks those with a place of their own.
     """
@@ -268,11 +288,12 @@ class _Found(NamedTuple):
     is_own: NDArray[np.bool_] | None = None
     scatter_px: float = 0.0
     sure_level: float = math.inf
+    size_ratio: float = 1.0
 
 
 @dataclass(frozen=True, slots=True)
 class _Ways:
-    """The search for the triangles of trials whose sizes are alike, from about where they are."""
+    """The search for the triangles of trials of similar sizes, from their approximate places."""
 
     dataset: Dataset
     trials: Trials
@@ -282,18 +303,10 @@ class _Ways:
         pitch_mrad = self.dataset.display.pitch_mrad
         return min(float(np.median([one.stimulus.size_mrad for one in self.trials])) / pitch_mrad, 1e300)
 
-    def _window(self, trial: Trial, reach_px: float = 0.0) -> FrameSample:
-        """Measure the mean of a trial's frames."""
-        samples = [
-            measure_frame(
-                self.dataset, trial, "centroid", size_px=self._size_px(), reach_px=reach_px, number=number
-            )
-            for number in range(len(trial.frames))
-        ]
-        known = np.logical_and.reduce([one.known for one in samples])
-        return samples[0]._replace(even=np.mean([one.even for one in samples], axis=0), known=known)
+    def _window(self, trial: Trial, reach_px: float) -> TrialSample:
+        return measure_trial(self.dataset, trial, "centroid", size_px=self._size_px(), reach_px=reach_px)
 
-    def _windows(self, trials: Trials, reach_px: float = 0.0) -> list[FrameSample]:
+    def _windows(self, trials: Trials, reach_px: float = 0.0) -> list[TrialSample]:
         """Measure the strongest trials; those that cannot be read are reported where all are read."""
         found = []
         for trial in trials.select(np.sort(np.argsort(-trials.levels, kind="stable")[:MOST_FITTED])):
@@ -303,7 +316,7 @@ class _Ways:
                 continue
         return found
 
-    def _fit(self, trials: Trials) -> tuple[GroupFit, int] | None:
+    def _fit(self, trials: Trials) -> tuple[GroupTriangle, int] | None:
         """Fit the triangle of the strongest trials; returns it and the pixels along a block, or None."""
         samples = self._windows(trials)
         if not samples:
@@ -311,7 +324,7 @@ class _Ways:
         block_px, pitch_mrad = samples[0].block_px, self.dataset.display.pitch_mrad
         sizes = np.array([size_in_px(one.trial, pitch_mrad) for one in samples]) / block_px
         level = strengths(self.dataset, np.array([one.trial.level for one in samples]))
-        found = GroupFit.of(samples, level, sizes, self._size_px() / block_px)
+        found = GroupTriangle.of(samples, level, sizes, self._size_px() / block_px)
         return (found, block_px) if found.signal >= LEAST_SIGNAL else None
 
     def _nothing(self) -> _Found:
@@ -319,17 +332,18 @@ class _Ways:
         return _Found(np.zeros((n, 2)), np.zeros(2), None, ARRANGEMENTS[0], np.zeros(n, bool))
 
     def of_all(self) -> _Found:
-        """Find the way that all trials have in common."""
+        """Find the displacement that all trials have in common."""
         fitted = self._fit(self.trials)
         if fitted is None:
             return self._nothing()._replace(is_own=None)
         found, block_px = fitted
         mean = block_px * found.offset
         way = np.tile(mean, (len(self.trials), 1))
-        return _Found(way, mean, block_px * float(found.error[1:3].max()), _arrangement(found))
+        error_px = block_px * float(found.error[1:3].max())
+        return _Found(way, mean, error_px, _arrangement(found), size_ratio=found.size_ratio)
 
     def of_each(self, members: NDArray[np.intp], leave_out: LeaveOut, advance: Callable[[int], None]) -> _Found:
-        """Find the way of each trial."""
+        """Find the displacement of each trial."""
         size_px = self._size_px()
         reach_px = max(SEARCHED * size_px + LEAST_SEARCHED_PX, self.reach_px)
         # The place of the strongest, with a triangle as stated, and the picture of the triangle from these.
@@ -395,16 +409,16 @@ class _Ways:
         error_px = math.sqrt(mean_square / int(chosen.is_own.sum()))
         error_mrad = block_px * self.dataset.display.pitch_mrad * chosen.error
         sure_level = _sure_level(levels[kept], error_mrad)
-        return _Found(way, mean, error_px, _arrangement(found), is_own, scatter_px, sure_level)
+        return _Found(way, mean, error_px, _arrangement(found), is_own, scatter_px, sure_level, found.size_ratio)
 
-    def _noise(self, samples: Sequence[FrameSample], size: float) -> FloatArray:
+    def _noise(self, samples: Sequence[TrialSample], size: float) -> FloatArray:
         known = np.logical_and.reduce([one.known for one in samples])
         level = strengths(self.dataset, np.array([one.trial.level for one in samples]))
         return noise_of_frames(np.array([one.even for one in samples]), level, known, size)
 
 
 def _sure_level(levels: FloatArray, error_mrad: FloatArray) -> float:
-    """Return the lowest level from which on single positions are known well; infinite if they are at none."""
+    """Return the lowest level from which single positions are known well; infinite if there is none."""
     distinct = np.unique(levels)
     error = np.array([math.sqrt(float(np.square(error_mrad[levels == one]).mean())) for one in distinct])
     is_sure = np.logical_and.accumulate((error <= MOST_ERROR_MRAD)[::-1])[::-1]
@@ -417,7 +431,7 @@ def _sure_level(levels: FloatArray, error_mrad: FloatArray) -> float:
     return float(distinct[first] * (distinct[first - 1] / distinct[first]) ** share)
 
 
-def _arrangement(found: GroupFit) -> Arrangement:
+def _arrangement(found: GroupTriangle) -> Arrangement:
     sign = 1 if found.fit.shape.amplitude > 0.0 else -1
     return next(one for one in ARRANGEMENTS if (one.shown, one.sign) == (found.fit.shown, sign))
 
@@ -448,17 +462,19 @@ def _location(
         middle += np.mean([from_centroid(one, centre, pitch_mrad) for one in trials], axis=0)
     own = [one.is_own for one in found if one.is_own is not None]
     sure_level = max(one.sure_level for one in found)
+    surest = found[int(weight.argmax())]
     return Location(
         trials[0].group,
         float(middle[0]),
         float(middle[1]),
         1.0 / math.sqrt(float(weight.sum())) if errors else None,
-        found[int(weight.argmax())].arrangement,
+        surest.arrangement,
         len(trials) if own else None,
         int(sum(one.sum() for one in own)) if own else None,
         math.sqrt(float(np.mean([one.scatter_px**2 for one in found]))) if own else None,
         (float(moved[0]), float(moved[1])) if centre is None else None,
         None if math.isinf(sure_level) else sure_level,
+        surest.size_ratio,
     )
 
 

@@ -1,4 +1,5 @@
-"""Explanation of a missing threshold: the answers in the strongest trials, and what would make them right."""
+"""Explanation of a missing threshold: the answers in the strongest trials, and changes that would make them
+right."""
 
 from __future__ import annotations
 
@@ -12,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray
-from todframes.base.errors import TodframesError
+from todframes.base.errors import SettingsError, TodframesError, argument
 from todframes.diagnosis.arrangement import ARRANGEMENTS, TURNED, Arrangement
 from todframes.diagnosis.limits import (
     LEAST_EVIDENCE,
@@ -22,9 +23,11 @@ from todframes.diagnosis.limits import (
     LEAST_TRIALS,
     MOST_GRID_SIDE,
     MOST_TRIALS,
+    SIZES_ALIKE,
+    SIZES_SOUGHT,
     STRONG_SHARE,
 )
-from todframes.diagnosis.locate import locate_triangles
+from todframes.diagnosis.locate import Locate, Location, locate_triangles
 from todframes.frames.dataset import Dataset, WarningCode
 from todframes.frames.position import centroid_position
 from todframes.frames.trials import Group, Trial, Trials
@@ -40,6 +43,9 @@ SIZE_UNITS = (
     (60.0 * 180.0 / math.pi / 1000.0, "Is the pixel pitch in arcmin?"),
 )
 """Factors of the size if a unit was mistaken for mrad, and the question to ask."""
+
+_Code = tuple[WarningCode, Any, Any]
+"""A code, the value found, and the value expected."""
 
 
 class Hint(NamedTuple):
@@ -75,10 +81,10 @@ def explain_missing(
 ) -> tuple[Explanation, ...]:
     """Explain each threshold that is missing.
 
-    For groups whose criterion is not reached at the levels shown, changes are tried on the strongest trials:
-    mirrored, turned or inverted triangles from the answers and scores; other positions and other units of the size
-    by scoring these trials again, though not if the threshold is merely extrapolated. A hint is given only for a
-    change after which most answers are right.
+    For groups whose criterion is not reached at the levels shown, the strongest trials are looked at. Their
+    answers show triangles that are mirrored or turned. The fit of the triangle, anywhere on their frames, shows
+    place, size and polarity; with these the trials are scored again, though not if the threshold is merely
+    extrapolated. A hint is given only for a change after which most answers are right.
 
     Parameters
     ----------
@@ -110,7 +116,7 @@ def explain_missing(
         hints: tuple[Hint, ...] = ()
         if one.fit.status == "never_reached" or not is_missing:
             strong = _some(strong, MOST_TRIALS)
-            search = _Search(
+            search = _MistakeSearch(
                 dataset,
                 observer,
                 decisions,
@@ -128,7 +134,7 @@ def explain_missing(
 
 
 def _is_beyond(fit: PsychometricFit) -> bool:
-    """Tell whether a threshold is extrapolated to levels stronger than all that were shown."""
+    """Return whether a threshold is extrapolated to levels stronger than all that were shown."""
     return fit.threshold is not None and fit.threshold > max(point.level for point in fit.points)
 
 
@@ -142,7 +148,7 @@ def _strongest(trials: Trials, group: Group) -> NDArray[np.intp]:
 
 
 def _some(places: NDArray[np.intp], most: int) -> NDArray[np.intp]:
-    """Return at most so many of the places, at an odd step, so that all orientations are among them."""
+    """Return at most this number of the places, at an odd step, so that all orientations are among them."""
     step = math.ceil(len(places) / most)
     return places[:: step + (step + 1) % 2 if step > 1 else 1]
 
@@ -158,25 +164,33 @@ def _answers(scored: ScoredDataset, places: NDArray[np.intp]) -> FloatArray:
     return np.where(np.isfinite(probabilities), probabilities, drawn)
 
 
+def _named_size(ratio: float) -> tuple[float, str]:
+    """Return a ratio of sizes, replaced by that of a mistaken unit if it is near one, and the question to ask."""
+    named = ((1.0, ""), *SIZE_UNITS, (ratio, "Is it the root of the area, and is the pixel pitch right?"))
+    return next(one for one in named if max(ratio / one[0], one[0] / ratio) <= SIZES_ALIKE)
+
+
 @dataclass(frozen=True, slots=True)
 class _Change:
-    """A change of the trials that was tried, with the answers after it: clauses of a hint, and its codes.
+    """A change of the trials, with the answers after it: clauses of a hint, and its codes.
 
-    `shown` is the orientation of each trial, an index into `ORIENTATIONS`, if it is not that in its row.
+    The orientations may be arranged in one of `arrangements`. `shown` is the orientation of each trial, an index
+    into `ORIENTATIONS`, if it is not that in its row.
     """
 
     answers: FloatArray
     clauses: tuple[str, ...] = ()
-    codes: tuple[tuple[WarningCode, Any, Any], ...] = ()
+    codes: tuple[_Code, ...] = ()
+    arrangements: tuple[Arrangement, ...] = TURNED
     shown: tuple[int, ...] | None = None
 
 
 @dataclass(frozen=True, slots=True)
-class _Search:
-    """Search for what would make the answers in the strongest trials of a group right.
+class _MistakeSearch:
+    """Search for a change that would make the answers in the strongest trials of a group right.
 
-    `before` and `after` are the orientations of the neighbouring trials. `is_inverted` tells whether the scores of
-    most triangles are those of the other polarity.
+    `before` and `after` are the orientations of the neighbouring trials. `is_inverted`: the scores of most
+    triangles are those of the other polarity.
     """
 
     dataset: Dataset
@@ -195,7 +209,7 @@ class _Search:
         Without `is_scored_again`, only changes that need no frame are tried.
         """
         for change in chain(self._rearranged(), self._reviewed() if is_scored_again else ()):
-            for arrangement in TURNED if change.shown is None else TURNED[:1]:
+            for arrangement in change.arrangements:
                 share = self._right(change, arrangement)
                 if self._works(share) and (change.codes or arrangement.mismatches):
                     return self._hints(change, arrangement, share)
@@ -208,96 +222,76 @@ class _Search:
         yield _Change(self.answers)
         for which, shown in (("before", self.before), ("after", self.after)):
             clause = f"each trial had the orientation of the one {which} it: Are frames and rows out of step?"
-            yield _Change(self.answers, (clause,), (("orientation_mismatch", which, "its own"),), shown)
+            code: _Code = ("orientation_mismatch", which, "its own")
+            yield _Change(self.answers, (clause,), (code,), TURNED[:1], shown)
 
     def _reviewed(self) -> Iterator[_Change]:
-        """Yield changes for which the frames are looked at again."""
-        if self.is_inverted:
-            yield from self._scored_again(self.trials, -1)
-        yield from self._elsewhere(1.0)
-        yield from self._each()
-        for factor, question in SIZE_UNITS:
-            yield from self._elsewhere(factor, question)
+        """Yield the answers at the places where the frames show triangles: one place with any size, or a place for
+        each trial."""
+        sought: tuple[tuple[Locate, Sequence[float]], ...] = (("group", SIZES_SOUGHT), ("each", (1.0,)))
+        for locate, sizes in sought:
+            trials = [trial._replace(x_px=None, y_px=None) for trial in self.trials]
+            try:
+                placed, (location,) = locate_triangles(
+                    self._of(trials), locate=locate, centre=self.observer.centre, sizes=sizes
+                )
+                size, question = _named_size(location.size_ratio)
+                ways = [*self._size(size, question), *self._place(location), *self._polarity(location)]
+                if not ways:
+                    continue
+                answers = self._answers(placed.trials, size, location.arrangement.sign)
+            except TodframesError:
+                continue
+            clauses, codes = zip(*ways, strict=True)
+            found = next(one for one in TURNED if one.shown == location.arrangement.shown)
+            yield _Change(answers, clauses, codes, (found,))
 
-    def _elsewhere(self, factor: float, question: str = "") -> Iterator[_Change]:
-        """Yield the answers at the position where triangles of another size are found, if they are."""
-        trials = tuple(
-            trial._replace(
-                x_px=None,
-                y_px=None,
-                stimulus=replace(trial.stimulus, size_mrad=factor * trial.stimulus.size_mrad),
-            )
-            for trial in self.trials
-        )
-        try:
-            if factor != 1.0 and self.observer.grid(trials[0].stimulus).side > MOST_GRID_SIDE:
-                return
-            placed, (location,) = locate_triangles(self._of(trials), centre=self.observer.centre)
-            stated = self._stated_position()
-        except TodframesError:
-            return
-        here = (round(placed.trials[0].x_px or 0.0, 2), round(placed.trials[0].y_px or 0.0, 2))
-        apart_px = math.dist(here, stated)
-        clauses: list[str] = []
-        codes: list[tuple[WarningCode, Any, Any]] = []
-        if factor != 1.0:
-            size_mrad = self.trials[0].stimulus.size_mrad
-            clauses.append(f"triangles had {factor:.3g} times the size in the manifest: {question}")
-            codes.append(("size_mismatch", factor * size_mrad, size_mrad))
-        size_px = trials[0].stimulus.size_mrad / self.dataset.display.pitch_mrad
-        if apart_px > max(3.0 * (location.standard_error_px or 0.0) + 0.5, LEAST_OFFSET * size_px):
-            clauses.append(
-                f"the triangle's centroid were at x_px {here[0]:g}, y_px {here[1]:g} instead of {stated[0]:g}, "
-                f"{stated[1]:g}: Give it in the manifest, or let --locate find it."
-            )
-            codes.append(("position_offset", here, stated))
-        if codes:
-            for change in self._scored_again(placed.trials, location.arrangement.sign):
-                yield replace(change, clauses=(*clauses, *change.clauses), codes=(*codes, *change.codes))
+    def _size(self, ratio: float, question: str) -> Iterator[tuple[str, _Code]]:
+        if max(ratio, 1.0 / ratio) > SIZES_ALIKE:
+            stated = self.trials[0].stimulus.size_mrad
+            clause = f"triangles had {ratio:.3g} times the size in the manifest: {question}"
+            yield clause, ("size_mismatch", ratio * stated, stated)
 
-    def _each(self) -> Iterator[_Change]:
-        """Yield the answers at the position of each trial, if most are found and they scatter."""
-        trials = self._of([trial._replace(x_px=None, y_px=None) for trial in self.trials])
-        try:
-            placed, (location,) = locate_triangles(trials, locate="each", centre=self.observer.centre)
-        except TodframesError:
+    def _place(self, location: Location) -> Iterator[tuple[str, _Code]]:
+        size_px = location.size_ratio * self.trials[0].stimulus.size_mrad / self.dataset.display.pitch_mrad
+        if location.scatter_px is not None and location.n_located is not None:
+            if 2 * location.n_located >= len(self.trials) and location.scatter_px > LEAST_OFFSET * size_px:
+                clause = (
+                    f"each trial had a position of its own, which scatter by {location.scatter_px:.2g} pixels: "
+                    "Was the camera held by hand? Leave out x_px and y_px, and let "
+                    f"{argument.locate} each find them."
+                )
+                yield clause, ("position_scatter", location.scatter_px, 0.0)
             return
-        assert location.n_located is not None and location.scatter_px is not None
-        size_px = self.trials[0].stimulus.size_mrad / self.dataset.display.pitch_mrad
-        if 2 * location.n_located >= len(self.trials) and location.scatter_px > LEAST_OFFSET * size_px:
+        here, stated = (round(location.x_px, 2), round(location.y_px, 2)), self._stated_position()
+        if math.dist(here, stated) > max(3.0 * (location.standard_error_px or 0.0) + 0.5, LEAST_OFFSET * size_px):
             clause = (
-                f"each trial had a position of its own, which scatter by {location.scatter_px:.2g} pixels: Was "
-                "the camera held by hand? Leave out x_px and y_px, and let --locate each find them."
+                f"the triangle's centroid were at x_px {here[0]:g}, y_px {here[1]:g} instead of {stated[0]:g}, "
+                f"{stated[1]:g}: Give it in the manifest, or let {argument.locate} find it."
             )
-            code: tuple[WarningCode, Any, Any] = ("position_scatter", location.scatter_px, 0.0)
-            for change in self._scored_again(placed.trials, location.arrangement.sign):
-                yield replace(change, clauses=(clause, *change.clauses), codes=(code, *change.codes))
+            yield clause, ("position_offset", here, stated)
 
-    def _scored_again(self, trials: Sequence[Trial], sign: int) -> Iterator[_Change]:
-        """Yield the answers to trials whose polarity is multiplied by a sign, unless they cannot be scored."""
+    def _polarity(self, location: Location) -> Iterator[tuple[str, _Code]]:
         polarity = self.trials[0].stimulus.polarity
-        if sign == -1:
-            trials = [t._replace(stimulus=replace(t.stimulus, polarity=-t.stimulus.polarity)) for t in trials]
-        try:
-            scored = score_dataset(
-                self._of(trials),
-                self.observer,
-                decisions=self.decisions,
-                seed=self.seed,
-                fit_settings=FitSettings(resamples=0),
-            )
-        except TodframesError:
-            return
-        if sign == 1:
-            yield _Change(_answers(scored, np.arange(len(scored.trials))))
-            return
-        contrast = "brighter" if polarity == -1 else "darker"
-        clause = f"polarity were {-polarity}: Are the triangles {contrast} than the background?"
-        yield _Change(
-            _answers(scored, np.arange(len(scored.trials))),
-            (clause,),
-            (("polarity_mismatch", -polarity, polarity),),
+        if location.arrangement.sign == -1:
+            contrast = "brighter" if polarity == -1 else "darker"
+            clause = f"polarity were {-polarity}: Are the triangles {contrast} than the background?"
+            yield clause, ("polarity_mismatch", -polarity, polarity)
+
+    def _answers(self, placed: Trials, size_ratio: float, sign: int) -> FloatArray:
+        """Score the trials at other places, for another size, and for another polarity if the sign is -1."""
+        old = self.trials[0].stimulus
+        stimulus = replace(old, size_mrad=size_ratio * old.size_mrad, polarity=sign * old.polarity)
+        if size_ratio != 1.0 and self.observer.grid(stimulus).side > MOST_GRID_SIDE:
+            raise SettingsError(f"size_mrad: found {stimulus.size_mrad:g}, expected a smaller one")
+        scored = score_dataset(
+            self._of([trial._replace(stimulus=stimulus) for trial in placed]),
+            self.observer,
+            decisions=self.decisions,
+            seed=self.seed,
+            fit_settings=FitSettings(resamples=0),
         )
+        return _answers(scored, np.arange(len(scored.trials)))
 
     def _of(self, trials: Sequence[Trial]) -> Dataset:
         return replace(self.dataset, trials=Trials.of(trials), bad_rows=(), spoilt=frozenset())
@@ -314,7 +308,7 @@ class _Search:
         return float(change.answers[np.arange(len(change.answers)), shown].mean())
 
     def _works(self, share: float) -> bool:
-        """Tell whether a share of right answers is high, much higher than now, and no chance result."""
+        """Return whether a share of right answers is high, much higher than now, and no chance result."""
         now = self._right(_Change(self.answers))
         if share < max(LEAST_RIGHT, now + LEAST_GAIN):
             return False

@@ -1,8 +1,8 @@
 """The places of single triangles in a shaken recording: what each frame shows, and what its neighbours predict.
 
-The likelihood of a place is the mean over the four orientations, so that no place favours the stated one. Peaks
-of its logarithm are weighed against a Gaussian process in time, whose scatter and memory come from the clear
-trials: empirical Bayes. A trial that shows nothing has the place that its neighbours and the group predict.
+The likelihood of a place is the mean over the four orientations, so that no place favours the stated one. Peaks of
+its logarithm are combined with a Gaussian process in time, whose scatter and memory are estimated from the clear
+trials (empirical Bayes). A trial that shows nothing has the place that its neighbours and the group predict.
 """
 
 from __future__ import annotations

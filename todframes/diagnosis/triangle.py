@@ -1,4 +1,4 @@
-"""The triangle that frames show: a fit of where it is, how large, how turned, how bright, and which way up.
+"""The triangle that frames show: a fit of its place, size, turn, contrast and orientation.
 
 The picture of a triangle is its exact coverage of the pixels, under an affine map, after a Gaussian blur, on a
 polynomial background. It is fitted to windows about the stated place by least squares, which is maximum likelihood
@@ -22,12 +22,12 @@ from todframes.diagnosis.arrangement import TURNED
 from todframes.diagnosis.limits import (
     CELL,
     DEGREE,
+    FITTED_REACH_IN_SIZES,
     FOUND,
     LEAST_VARIANCE,
     MOST_BESIDE_TURN_RAD,
     MOST_ROUNDS,
     MOST_STRETCH,
-    REACH,
     SEPARABLE,
     SIZES_TRIED,
     UNSTEADY,
@@ -102,7 +102,7 @@ class Square(NamedTuple):
     @classmethod
     def about(cls, shape: Shape, n: int) -> Square:
         """Return the square about a triangle that is fitted; it may reach beyond the window."""
-        reach = math.ceil(REACH * shape.size + 1.0)
+        reach = math.ceil(FITTED_REACH_IN_SIZES * shape.size + 1.0)
         middle = (n - 1) // 2
         return cls(middle + round(shape.y) - reach, middle + round(shape.x) - reach, 2 * reach + 1)
 
@@ -130,14 +130,14 @@ def within(n: int, radius: float) -> NDArray[np.bool_]:
     return np.asarray(np.hypot(u, v) <= radius)
 
 
-class Picture(NamedTuple):
+class RenderedTriangle(NamedTuple):
     """A triangle in each orientation, (4, side, side), and its changes by the parameters, (4, 8, side, side)."""
 
     images: FloatArray
     slopes: FloatArray
 
 
-def picture(shape: Shape, square: Square, n: int) -> Picture:
+def picture(shape: Shape, square: Square, n: int) -> RenderedTriangle:
     """Compute the picture of a triangle on a square of a window of n × n blocks, in each orientation."""
     side = square.side
     x, y = (n - 1) / 2.0 + shape.x - square.column, (n - 1) / 2.0 + shape.y - square.row
@@ -158,7 +158,7 @@ def picture(shape: Shape, square: Square, n: int) -> Picture:
     slopes = np.concatenate(
         [blurred[:, :1], shape.amplitude * blurred[:, 1:], shape.amplitude * blurring[:, None]], axis=1
     )
-    return Picture(shape.amplitude * blurred[:, 0], slopes)
+    return RenderedTriangle(shape.amplitude * blurred[:, 0], slopes)
 
 
 def blur_matrices(variance: float, side: int) -> tuple[FloatArray, FloatArray]:
@@ -175,7 +175,7 @@ def blur_matrices(variance: float, side: int) -> tuple[FloatArray, FloatArray]:
 
 
 class Images(NamedTuple):
-    """Mean frames of a group by orientation, and how well they are known.
+    """Mean frames of a group by orientation, with their weights.
 
     Attributes
     ----------
@@ -189,8 +189,6 @@ class Images(NamedTuple):
         Inverse covariance of a block of the triangles for noise of unit variance.
     weight : ndarray, shape (n, n)
         Share with which a block counts: 0 beyond the frames, less than 1 where they are unsteady.
-    apart : ndarray, shape (4, 3)
-        Mean distance of the stated places, along x and y, and of the logarithms of the sizes from the group's.
     """
 
     background: FloatArray
@@ -198,7 +196,6 @@ class Images(NamedTuple):
     shares: FloatArray
     information: FloatArray
     weight: FloatArray
-    apart: FloatArray
 
     @classmethod
     def of(
@@ -209,12 +206,11 @@ class Images(NamedTuple):
         noise: FloatArray,
         turns: NDArray[np.intp],
         known: NDArray[np.bool_],
-        apart: FloatArray,
         hole: float,
     ) -> Images:
-        """Separate what all frames share from what grows with the level in each orientation.
+        """Separate the part that all frames share from the part that grows with the level in each orientation.
 
-        If the levels hardly differ, the two cannot be told apart, and all of it counts as triangle.
+        If the levels hardly differ, the two cannot be separated, and all of it counts as triangle.
 
         Parameters
         ----------
@@ -226,8 +222,6 @@ class Images(NamedTuple):
             Stated orientation, an index into `ORIENTATIONS`.
         known : ndarray of bool, shape (n, n)
             Blocks that all frames have.
-        apart : ndarray, shape (trial, 3)
-            Distance of the stated place, along x and y, and of the logarithm of the size from those of the group.
         hole : float
             Distance from the middle within which all blocks count.
         """
@@ -247,11 +241,10 @@ class Images(NamedTuple):
             spread = np.sqrt(np.square(left / noise[:, None, None]).mean(axis=0))
             steady = np.square(UNSTEADY / np.maximum(spread, UNSTEADY))
             weight *= np.where(within(len(known), hole), 1.0, steady)
-        of_own = np.array([(shares[k] * columns[k]) @ apart for k in range(4)])
-        return cls(parts[4], parts[:4], shares, information, weight, of_own)
+        return cls(parts[4], parts[:4], shares, information, weight)
 
 
-class Fit(NamedTuple):
+class TriangleFit(NamedTuple):
     """The triangle that explains mean frames best, and its covariance, (8, 8), in steps of the parameters.
 
     `shown` are the orientations on the frames for the four stated ones.
@@ -260,7 +253,7 @@ class Fit(NamedTuple):
     shape: Shape
     covariance: FloatArray
     shown: tuple[int, ...]
-    picture: Picture
+    picture: RenderedTriangle
     square: Square
 
     def error(self, *parameters: tuple[int, float]) -> float:
@@ -303,7 +296,7 @@ def _without_background(images: FloatArray, weight: FloatArray) -> FloatArray:
     return np.asarray(flat - (flat @ terms.T) @ np.linalg.pinv(terms @ terms.T, hermitian=True) @ terms)
 
 
-def fit(images: Images, start: Shape, shown: tuple[int, ...] = (0, 1, 2, 3)) -> Fit:
+def fit(images: Images, start: Shape, shown: tuple[int, ...] = (0, 1, 2, 3)) -> TriangleFit:
     """Fit the picture of a triangle to mean frames by Gauss–Newton steps.
 
     Parameters
@@ -315,7 +308,7 @@ def fit(images: Images, start: Shape, shown: tuple[int, ...] = (0, 1, 2, 3)) -> 
 
     Returns
     -------
-    Fit
+    TriangleFit
         `covariance` is that for noise as the fit leaves it.
     """
     n = images.weight.shape[0]
@@ -327,7 +320,7 @@ def fit(images: Images, start: Shape, shown: tuple[int, ...] = (0, 1, 2, 3)) -> 
         weight = square.of(images.weight)
         model = picture(shape, square, n)
         design = _design(model.slopes[order], factors, weight)
-        left = square.of(images.triangles) - model.images[order] - _displaced(model.slopes[order], images.apart)
+        left = square.of(images.triangles) - model.images[order]
         away = _without_background(np.tensordot(factors, left, 1), weight).ravel()
         step = _solved(design, away)
         shape = _bounded(shape.moved(_limited(step, shape)), start, n)
@@ -337,18 +330,13 @@ def fit(images: Images, start: Shape, shown: tuple[int, ...] = (0, 1, 2, 3)) -> 
     model = picture(shape, square, n)
     design = _design(model.slopes[order], factors, square.of(images.weight))
     left = images.triangles.copy()
-    subtract(left, model.images[order] + _displaced(model.slopes[order], images.apart), square)
+    subtract(left, model.images[order], square)
     spectrum = noise_spectrum(np.tensordot(factors, left, 1), images.weight, square.side)
     # The fit has taken the noise of its parameters out of what it leaves.
     cells = np.linalg.matrix_rank(images.information) * float(images.weight.sum()) / (CELL * shape.size) ** 2
     covariance = _covariance(design, square, images.weight, spectrum)
     covariance *= cells / max(cells - N_PARAMETERS, cells / 4.0)
-    return Fit(shape, covariance, shown, model, square)
-
-
-def _displaced(slopes: FloatArray, apart: FloatArray) -> FloatArray:
-    """Return the changes of pictures, (…, side, side), for places and sizes apart from the group's, (…, 3)."""
-    return np.asarray(np.einsum("kpij,kp->kij", np.tensordot(OF_TRIAL[1:], slopes, (1, 1)).swapaxes(0, 1), apart))
+    return TriangleFit(shape, covariance, shown, model, square)
 
 
 def _design(slopes: FloatArray, factors: FloatArray, weight: FloatArray) -> FloatArray:
@@ -365,7 +353,7 @@ def _solved(design: FloatArray, away: FloatArray) -> FloatArray:
 
 
 def _limited(step: FloatArray, shape: Shape) -> FloatArray:
-    """Limit a step to what the derivatives describe."""
+    """Limit a step to the range in which the derivatives hold."""
     reach = np.full(N_PARAMETERS, 0.25)
     reach[AMPLITUDE] = np.inf
     reach[[X, Y]] = 0.3 * shape.size
@@ -374,7 +362,7 @@ def _limited(step: FloatArray, shape: Shape) -> FloatArray:
 
 
 def _bounded(shape: Shape, start: Shape, n: int) -> Shape:
-    """Return a shape within what a window can show, and not far from a triangle."""
+    """Return a shape that fits into the window and is not far from a triangle."""
     left, stretch, right = np.linalg.svd(shape.map)
     mean = float(np.sqrt(stretch.prod()))
     size = min(max(mean, 0.5 * start.size, 0.5), 2.0 * start.size, float(n))
@@ -403,7 +391,8 @@ def noise_spectrum(noise: FloatArray, weight: FloatArray, side: int) -> FloatArr
 
 
 def filter_covariance(filters: NDArray[np.floating], spectrum: FloatArray) -> FloatArray:
-    """Return the covariance of what filters, (…, p, side, side), measure of noise with this spectrum: (p, p)."""
+    """Return the covariance of the outputs of filters, (…, p, side, side), for noise with this spectrum: (p,
+    p)."""
     length = spectrum.shape[0]
     seen = np.fft.rfft2(filters, (length, length)).reshape(-1, filters.shape[-3], spectrum.size)
     twice = np.full(spectrum.shape, 2.0)
@@ -446,14 +435,13 @@ class TrialEstimates(NamedTuple):
 
 
 def of_trials(
-    found: Fit,
+    found: TriangleFit,
     images: Images,
     frames: FloatArray,
     *,
     level: FloatArray,
     noise: FloatArray,
     turns: NDArray[np.intp],
-    apart: FloatArray,
 ) -> TrialEstimates:
     """Estimate what each trial shows, for frames as in `Images.of`."""
     weight = found.square.of(images.weight)
@@ -462,7 +450,7 @@ def of_trials(
     design = _without_background(slopes, weight)
     steps = np.linalg.pinv(design.swapaxes(1, 2)) * np.sqrt(weight).ravel()
     per_level = (frames - images.background) / level[:, None, None]
-    models = found.picture.images[shown] + np.einsum("kpij,kp->kij", slopes[shown, 1:], apart)
+    models = found.picture.images[shown]
     cut = found.square.of(per_level)
     left = (cut - models).reshape(len(frames), -1)
     differ = (found.picture.images - found.picture.images.mean(axis=0)) * weight
@@ -483,10 +471,46 @@ def of_trials(
     )
 
 
+def aligned(
+    frames: FloatArray, found: TriangleFit, *, level: FloatArray, turns: NDArray[np.intp], apart: FloatArray
+) -> FloatArray:
+    """Return frames as if their triangles were at one place and of one size.
+
+    The picture of the fit where a triangle is said to be is replaced by the picture at the place of the fit.
+
+    Parameters
+    ----------
+    frames : ndarray, shape (trial, n, n)
+        Contrast.
+    found : TriangleFit
+    level, turns : ndarray, shape (trial,)
+        As in `Images.of`.
+    apart : ndarray, shape (trial, 3)
+        Distance of the stated place, along x and y, and of the logarithm of the size from those of the group.
+    """
+    moved, n = frames.copy(), frames.shape[-1]
+    shape = found.shape
+    for frame, strength, turn, (dx, dy, larger) in zip(moved, level, turns, apart, strict=True):
+        own = shape._replace(x=shape.x + dx, y=shape.y + dy, map=math.exp(larger) * shape.map)
+        shown = found.shown[turn]
+        there = _blurred(own, found.square, n, shown)
+        subtract(frame, strength * (there - found.picture.images[shown]), found.square)
+    return moved
+
+
+def _blurred(shape: Shape, square: Square, n: int, turn: int) -> FloatArray:
+    """Compute the picture of a triangle in one orientation."""
+    at = (n - 1) / 2.0 + shape.x - square.column, (n - 1) / 2.0 + shape.y - square.row
+    corners = vertices(size=1.0, orientation=ORIENTATIONS[turn]) @ shape.map.T + at
+    kernel, _ = blur_matrices(shape.variance, square.side)
+    covered = moving_coverage(corners, (square.side, square.side))[0]
+    return np.asarray(shape.amplitude * (kernel @ covered @ kernel.T))
+
+
 def first_guess(images: Images, size: float) -> Shape:
     """Find the place, the size and the sign of a triangle: where those of many sizes correlate best.
 
-    The mean over the orientations is compared, so the guess does not depend on what was done to these.
+    The mean over the orientations is compared, so the guess does not depend on how these are arranged.
     """
     n = len(images.weight)
     counts = np.diag(images.information)
@@ -511,8 +535,8 @@ def first_guess(images: Images, size: float) -> Shape:
     return found
 
 
-def fitted(images: Images, start: Shape, certain: float) -> Fit:
-    """Fit a triangle, and take another arrangement of the orientations if it is certainly more like the frames.
+def fitted(images: Images, start: Shape, certain: float) -> TriangleFit:
+    """Fit a triangle, and take another arrangement of the orientations if this certainly fits the frames better.
 
     Parameters
     ----------

@@ -1,9 +1,10 @@
-"""The search of whole frames for triangles, by what the orientations differ in."""
+"""The search of whole frames for triangles, by the differences between the orientations."""
 
 from __future__ import annotations
 
 import math
 from collections import Counter
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -11,8 +12,8 @@ import numpy as np
 from todframes.base._typing import ComplexArray, FloatArray
 from todframes.base.errors import FrameError
 from todframes.diagnosis.arrangement import TURNED
-from todframes.diagnosis.limits import BLOCKS, LEAST_BLOCKS, MOST_BLOCKS, MOST_LOCATED_PX
-from todframes.frames.contrast import Patch, read_contrast
+from todframes.diagnosis.limits import BLOCKS, CLEAR_PEAK, LEAST_BLOCKS, MOST_BLOCKS, MOST_LOCATED_PX
+from todframes.frames.contrast import ContrastPatch, read_contrast
 from todframes.frames.dataset import Dataset
 from todframes.frames.trials import FrameReference, Trial
 from todframes.stimulus import ORIENTATIONS, Centre, Orientation, Stimulus, coverage
@@ -49,7 +50,8 @@ class MeanFrames:
         return np.asarray(sum(self.totals.values()) / self.counts.total())
 
     def take_means(self) -> Means:
-        """Return the mean contrast of each stimulus and orientation; the totals become them, and are given up."""
+        """Return the mean contrast of each stimulus and orientation. They replace the totals, which no longer
+        exist."""
         means: Means = {}
         for (stimulus, orientation), total in self.totals.items():
             total /= self.counts[stimulus, orientation]
@@ -93,7 +95,7 @@ def _block_px(shape: tuple[int, ...], size_px: float) -> int:
     return max(min(wanted, int(min(size_px, 1e9) / LEAST_BLOCKS)), 1)
 
 
-def block_means(patch: Patch, block_px: int) -> FloatArray:
+def block_means(patch: ContrastPatch, block_px: int) -> FloatArray:
     """Average the contrast of a whole frame over square blocks; incomplete blocks are dropped."""
     if block_px == 1 and patch.to_contrast is None:
         return patch.values
@@ -115,8 +117,8 @@ def _size(shape: tuple[int, ...]) -> str:
     return f"{shape[1]} × {shape[0]}"
 
 
-class Found(NamedTuple):
-    """The highest correlation on whole blocks: where, and how high.
+class CorrelationPeak(NamedTuple):
+    """The highest correlation on whole blocks: its place, its height, and the multiple of the stated size.
 
     `height` is that of the peak above the median of the correlation as stated, `spread` the standard deviation of
     that correlation over the frame. The height is -inf if the frames are smaller than the triangles.
@@ -126,73 +128,88 @@ class Found(NamedTuple):
     y: int
     height: float
     spread: float
+    size: float
+
+    @property
+    def rank(self) -> tuple[float, float]:
+        """Rank of a peak among those of several sizes: its significance, or its height if there is no noise."""
+        return min(self.height, CLEAR_PEAK * self.spread) / max(self.spread, 1e-300), self.height
 
 
-def search(means: Means, pitch_mrad: float, centre: Centre) -> Found:
-    """Find the highest correlation of triangles with mean frames, over all places, arrangements and polarities.
+def search(means: Means, pitch_mrad: float, centre: Centre, sizes: Sequence[float] = (1.0,)) -> CorrelationPeak:
+    """Find the highest correlation of triangles with mean frames, over places, arrangements, polarities and sizes.
 
     The mean over the orientations is subtracted from frames and triangles alike. It contains everything that the
-    orientations share: bezel, overlay, shading, fixed pattern.
+    orientations share: bezel, overlay, shading, fixed pattern. `sizes` are multiples of those of the stimuli.
     """
+    spectra = {stimulus: _of_images(images) for stimulus, images in means.items()}
     shape = next(iter(next(iter(means.values())).values())).shape
+    peaks = (_peak(spectra, (shape[0], shape[1]), size, pitch_mrad, centre) for size in sizes)
+    return max(peaks, key=lambda one: one.rank)
+
+
+Spectra = dict[int, ComplexArray]
+"""Spectra of images by orientation, an index into `ORIENTATIONS`."""
+
+
+def _of_images(images: dict[Orientation, FloatArray]) -> Spectra:
+    """Return the spectra of images without what they share: a single one only loses its mean level."""
+    common = np.mean(list(images.values()), axis=0) if len(images) > 1 else next(iter(images.values())).mean()
+    return {one.quarter_turns: np.fft.rfft2(image - common) for one, image in images.items()}
+
+
+def _peak(
+    spectra: Mapping[Stimulus, Spectra], shape: tuple[int, int], size: float, pitch_mrad: float, centre: Centre
+) -> CorrelationPeak:
+    """Find the highest correlation with triangles of a multiple of the stated sizes."""
     rows, columns = shape
-    largest_px = max(stimulus.size_mrad for stimulus in means) / pitch_mrad
+    largest_px = size * max(stimulus.size_mrad for stimulus in spectra) / pitch_mrad
     # The centroid is at least a third of the height, 0.439 sizes, away from each edge of the triangle.
     edge = max(int(np.ceil(0.4386 * largest_px - 0.5)), 0)
-    best = Found(0, 0, -math.inf, 0.0)
+    best = CorrelationPeak(0, 0, -math.inf, 0.0, size)
     if 2 * edge >= min(rows, columns):
         return best
-    spectra = [_spectra(stimulus, images, pitch_mrad, centre) for stimulus, images in means.items()]
+    triangles = {
+        one: _triangles(one, shape, size * one.size_mrad / pitch_mrad, centre, is_single=len(images) == 1)
+        for one, images in spectra.items()
+    }
     for arrangement in TURNED:
-        total = np.asarray(sum(_cross(one, arrangement.shown) for one in spectra))
+        total = np.asarray(
+            sum(_cross(images, *triangles[one], arrangement.shown) for one, images in spectra.items())
+        )
         correlation = np.fft.fftshift(np.fft.irfft2(total, shape))[edge : rows - edge, edge : columns - edge]
         median = float(np.median(correlation))
         spread = best.spread or 1.4826 * float(np.median(np.abs(correlation - median)))
         row, column = np.unravel_index(np.abs(correlation).argmax(), correlation.shape)
         height = abs(float(correlation[row, column]) - median)
         if height > best.height:
-            best = Found(int(column) + edge, int(row) + edge, height, spread)
+            best = CorrelationPeak(int(column) + edge, int(row) + edge, height, spread, size)
     return best
 
 
-class _Spectra(NamedTuple):
-    """Spectra of images by orientation, conjugate spectra of triangles and their inner products, (4, 4)."""
-
-    images: dict[int, ComplexArray]
-    triangles: list[ComplexArray]
-    products: FloatArray
-
-
-def _spectra(
-    stimulus: Stimulus, images: dict[Orientation, FloatArray], pitch_mrad: float, centre: Centre
-) -> _Spectra:
-    """Return the spectra of a stimulus's images and of its triangles in the middle of the frame."""
-    shape = next(iter(images.values())).shape
-    at = {"size_px": stimulus.size_mrad / pitch_mrad, "x_px": shape[1] // 2, "y_px": shape[0] // 2}
+def _triangles(
+    stimulus: Stimulus, shape: tuple[int, int], size_px: float, centre: Centre, *, is_single: bool
+) -> tuple[list[ComplexArray], FloatArray]:
+    """Return conjugate spectra of triangles in the middle of the frame, and their inner products, (4, 4)."""
+    at = {"size_px": size_px, "x_px": shape[1] // 2, "y_px": shape[0] // 2}
     triangles = np.array(
-        [
-            stimulus.polarity * coverage((shape[0], shape[1]), **at, orientation=one, centre=centre)
-            for one in ORIENTATIONS
-        ]
+        [stimulus.polarity * coverage(shape, **at, orientation=one, centre=centre) for one in ORIENTATIONS]
     ).reshape(4, -1)
     products = triangles @ triangles.T
-    if len(images) == 1:  # a single orientation only loses its mean level
+    if is_single:
         totals = triangles.sum(axis=1)
         products = products - np.outer(totals, totals) / triangles.shape[1]
-    common = np.mean(list(images.values()), axis=0) if len(images) > 1 else next(iter(images.values())).mean()
-    return _Spectra(
-        {one.quarter_turns: np.fft.rfft2(image - common) for one, image in images.items()},
-        [np.conj(np.fft.rfft2(one.reshape(shape))) for one in triangles],
-        products,
-    )
+    return [np.conj(np.fft.rfft2(one.reshape(shape))) for one in triangles], products
 
 
-def _cross(spectra: _Spectra, shown: tuple[int, ...]) -> ComplexArray:
+def _cross(
+    images: Spectra, triangles: list[ComplexArray], products: FloatArray, shown: tuple[int, ...]
+) -> ComplexArray:
     """Return the spectrum of the correlation with unit-energy triangle differences in an arrangement."""
-    turns = [shown[turn] for turn in spectra.images]
-    products = spectra.products[np.ix_(turns, turns)]
+    turns = [shown[turn] for turn in images]
+    products = products[np.ix_(turns, turns)]
     energy = float(np.trace(products) - (products.sum() / len(turns) if len(turns) > 1 else 0.0))
     # The images add up to zero, so the mean of the triangles needs no subtraction.
-    total = sum(image * spectra.triangles[k] for image, k in zip(spectra.images.values(), turns, strict=True))
+    total = sum(image * triangles[k] for image, k in zip(images.values(), turns, strict=True))
     # Within one pixel all orientations are alike: only rounding is left of their differences.
     return np.asarray(total / math.sqrt(energy) if energy > 1e-9 * np.trace(products) else 0.0 * total)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError, FrameError
-from todframes.diagnosis.limits import BLOCKS_PER_SIZE, REACH_IN_SIZES
+from todframes.diagnosis.limits import PICTURE_BLOCKS_PER_SIZE, REACH_IN_SIZES
 from todframes.display.display import border_values
 from todframes.frames.contrast import LuminanceFound
 from todframes.frames.dataset import Dataset
@@ -26,12 +26,12 @@ from todframes.frames.surround import (
     hole_radius_px,
     surround_window,
 )
-from todframes.frames.trials import Trial
+from todframes.frames.trials import FrameReference, Trial
 from todframes.stimulus import Centre
 
 
-class FrameSample(NamedTuple):
-    """Measurements of one frame of a trial.
+class TrialSample(NamedTuple):
+    """Measurements of a trial: contrast is the mean over its frames, all else is that of its first.
 
     Attributes
     ----------
@@ -85,10 +85,10 @@ class Codes(NamedTuple):
     step_contrast: float
 
 
-def measure_frame(
-    dataset: Dataset, trial: Trial, centre: Centre, *, size_px: float, reach_px: float = 0.0, number: int = 0
-) -> FrameSample:
-    """Measure a frame of a trial.
+def measure_trial(
+    dataset: Dataset, trial: Trial, centre: Centre, *, size_px: float, reach_px: float = 0.0
+) -> TrialSample:
+    """Measure the frames of a trial about its stated place.
 
     Parameters
     ----------
@@ -99,15 +99,27 @@ def measure_frame(
         The size that the window and its blocks are made for: that of the trial, or one for several alike.
     reach_px : float
         Least distance from the stated place that the window has.
-    number : int
-        Number of the frame in the trial.
 
     Raises
     ------
     FrameError, DataError
-        If the frame cannot be read, or has no background.
+        If a frame cannot be read, or has no background.
     """
-    display, frame = dataset.display, trial.frames[number]
+    first, *others = (_measured(dataset, trial, frame, centre, size_px, reach_px) for frame in trial.frames)
+    if not others:
+        return first
+    frames = (first, *others)
+    return first._replace(
+        known=np.logical_and.reduce([one.known for one in frames]),
+        seen=np.mean([one.seen for one in frames], axis=0),
+        even=np.mean([one.even for one in frames], axis=0),
+    )
+
+
+def _measured(
+    dataset: Dataset, trial: Trial, frame: FrameReference, centre: Centre, size_px: float, reach_px: float
+) -> TrialSample:
+    display = dataset.display
     rule = display.background_luminance_cd_m2
     with dataset.open(frame) as file:
         header = file.header
@@ -122,7 +134,7 @@ def measure_frame(
         if triangle.size_px > 2 * max(header.height, header.width) or min(b - a for a, b in window) < 1:
             raise FrameError(file.path, "the triangle does not lie on the frame")
         whole = rule in ("border", "frame_mean")
-        blocks = _Blocks.about(triangle, reach_px)
+        blocks = _BlockMeans.about(triangle, reach_px)
         surround, found, codes = SurroundSums(triangle, window), LuminanceFound(), _CodeCounts(triangle)
         stop_row = all_rows[1]
         for band in file.bands() if whole else file.bands(rows=read.rows, columns=read.columns):
@@ -167,7 +179,7 @@ def measure_frame(
         even[outside] = 0.0
         if rule == "surround":
             seen = even
-    return FrameSample(
+    return TrialSample(
         trial=trial,
         known=known,
         seen=seen,
@@ -183,7 +195,7 @@ def measure_frame(
     )
 
 
-class _Blocks:
+class _BlockMeans:
     """The means of square blocks about a triangle, by bands; their number depends on its size alone."""
 
     def __init__(self, triangle: TrianglePlace, block_px: int, n_blocks: int) -> None:
@@ -195,8 +207,8 @@ class _Blocks:
         self.sums, self.counts = np.zeros((n_blocks, n_blocks)), np.zeros((n_blocks, n_blocks))
 
     @classmethod
-    def about(cls, triangle: TrianglePlace, reach_px: float) -> _Blocks:
-        block_px = max(int(triangle.size_px / BLOCKS_PER_SIZE), 1)
+    def about(cls, triangle: TrianglePlace, reach_px: float) -> _BlockMeans:
+        block_px = max(int(triangle.size_px / PICTURE_BLOCKS_PER_SIZE), 1)
         reach = max(REACH_IN_SIZES * triangle.size_px, hole_radius_px(triangle.size_px) + 8.0, reach_px)
         return cls(triangle, block_px, 2 * math.ceil(reach / block_px) + 1)
 

@@ -1,5 +1,1 @@
 """Displays: from code values to luminance and back."""
-
-import lazy_loader
-
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -15,21 +15,16 @@ from todframes.base.reading import spelling_hint
 
 Eotf = Literal["linear", "srgb", "bt1886", "gamma", "lut"]
 
-
 BackgroundRule = Literal["surround", "border", "frame_mean", "column"]
-
 
 REC_709_LUMINANCE_WEIGHTS = np.array([0.2126, 0.7152, 0.0722])
 """Weights of linear red, green and blue in the luminance, of ITU-R BT.709."""
 
-
 LARGEST_LUMINANCE_CD_M2 = 1e12
 """Largest luminance accepted, a thousand times that of the sun; a larger one is a mistake in the input."""
 
-
 PITCH_RANGE_MRAD = (1e-6, 1e6)
 """Smallest and largest pixel pitch accepted; others are a mistake in the input and might overflow."""
-
 
 PITCH_TOLERANCE = 1e-3
 """Largest relative difference between two pitches that count as equal when both are given."""

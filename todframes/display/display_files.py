@@ -1,6 +1,6 @@
 """Descriptions of displays: the table [display] of a dataset, files to share, and the displays of this package.
 
-A file has the table as a dataset has it, and texts that say what it is and where its numbers come from:
+A file has the same table as a dataset, and texts that name the display and the source of its numbers:
 
     schema = 1
     title = "Monitor in room 3"
@@ -38,21 +38,18 @@ from todframes.display.display import Display, LuminanceTable
 SCHEMA = 1
 """Version of the format of display files that this package reads."""
 
-
 SUFFIX = ".toml"
 """End of the names of display files; any other text is the name of a display of this package."""
 
-
 LUT_FILE = "lut.csv"
 """Name that a display's table of luminances gets in a dataset."""
-
 
 FOLDER = Path(__file__).with_name("displays")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DisplayDescription:
-    """A display with what it is and where its numbers come from."""
+    """A display with its name and the source of its numbers."""
 
     display: Display
     title: str = ""
@@ -88,7 +85,7 @@ def find_display(name: str, *, where: str = "display", folder: Location | None =
         try:
             path_inside(resolved(folder), name, f"{where}:")
         except DataError as error:
-            raise SettingsError(str(error)) from None
+            raise SettingsError(error.marked) from None
         return read_display(folder / name)
     names = display_names()
     if name not in names:
@@ -182,7 +179,7 @@ def _read_lut(folder: Location, name: str, named: str) -> LuminanceTable:
         path_inside(resolved(folder), name, named)
         values = read_numbers(path, columns)
     except DataError as error:
-        raise SettingsError(str(error)) from None
+        raise SettingsError(error.marked) from None
     code, luminance = np.array(values, dtype=np.float64).reshape(-1, 2).T
     try:
         return LuminanceTable(code, luminance)

@@ -12,10 +12,8 @@ from todframes.base._typing import FloatArray
 TILE = 64
 """Side of the pattern of thresholds in pixels; it repeats beyond."""
 
-
-ROUNDING = 1e-9
-"""Relative difference to a code's luminance that is taken for none."""
-
+SAME_LUMINANCE = 1e-9
+"""Relative difference to a code's luminance below which the two count as equal."""
 
 TILE_SIGMA = 1.5
 """Standard deviation of the repulsion between pixels of the pattern, in pixels (Ulichney 1993)."""
@@ -26,7 +24,8 @@ def blue_noise() -> FloatArray:
     """Return thresholds in (0, 1), each once, shape (64, 64), whose lowest ones are spread evenly for any number.
 
     Each next threshold goes where the repulsion of all lower ones is least (void and cluster, Ulichney 1993), so
-    the pattern has no coarse grain and no lines that a camera's pixels could beat with. Opposite edges fit.
+    the pattern has no coarse grain and no lines that could give moiré with a camera's pixels. Opposite edges fit
+    together.
     """
     distance = np.minimum(np.arange(TILE), TILE - np.arange(TILE))
     bell = np.exp(-(distance**2) / (2.0 * TILE_SIGMA**2))
@@ -44,7 +43,7 @@ def blue_noise() -> FloatArray:
 
 
 def dithered(luminance: FloatArray, luminance_of_code: FloatArray) -> NDArray[np.uint16]:
-    """Return code values whose luminances have the sum that was asked for, as exactly as code values can.
+    """Return code values whose luminances have the required sum, as exactly as code values allow.
 
     Parameters
     ----------
@@ -59,14 +58,14 @@ def dithered(luminance: FloatArray, luminance_of_code: FloatArray) -> NDArray[np
         Each pixel has one of the two code values on either side of its luminance, and that of its luminance if
         there is one. The sum over all pixels is off by at most half of a code step of one pixel.
     """
-    index = np.searchsorted(luminance_of_code, luminance * (1.0 + ROUNDING), side="right") - 1
+    index = np.searchsorted(luminance_of_code, luminance * (1.0 + SAME_LUMINANCE), side="right") - 1
     below = np.clip(index, 0, luminance_of_code.size - 2)
     step = luminance_of_code[below + 1] - luminance_of_code[below]
     share = (luminance - luminance_of_code[below]) / step
     rows, columns = luminance.shape
     tiles = np.tile(blue_noise(), (-(-rows // TILE), -(-columns // TILE)))[:rows, :columns]
     # A plain comparison, share > threshold, has the sum only on average; the first pixels by this order have it.
-    between = np.flatnonzero(share > ROUNDING)
+    between = np.flatnonzero(share > SAME_LUMINANCE)
     order = between[np.argsort((tiles - share).ravel()[between], kind="stable")]
     added = np.concatenate([[0.0], np.cumsum(step.ravel()[order])])
     n_raised = int(np.argmin(np.abs(added - np.sum(share * step))))

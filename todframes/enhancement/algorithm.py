@@ -28,20 +28,15 @@ from todframes.base.user_code import import_named, in_words
 
 Domain = Literal["code_value", "luminance"]
 
-
 Image = NDArray[np.floating]
 
-
 F = TypeVar("F", bound=Callable[..., Any])
-
 
 REFERENCE = "none"
 """Name of the algorithm that leaves frames as they are."""
 
-
 DECLARATION = "todframes_enhancement"
 """Name of the function attribute that holds its declaration."""
-
 
 ROUNDING = 1e-6
 """Largest excess of a value over its range that counts as rounding of 32-bit values near 1."""
@@ -144,7 +139,7 @@ class Parameter:
 class Enhancement:
     """An algorithm with the values of its parameters.
 
-    `spec` is the text that the user wrote, `name` the part of it before the parameters. `any_parameter` tells
+    `spec` is the text that the user wrote, `name` the part of it before the parameters. `any_parameter` states
     whether the function accepts parameters that it does not name.
     """
 
@@ -167,7 +162,7 @@ class Enhancement:
 
     @property
     def is_reference(self) -> bool:
-        """Whether this is the algorithm that leaves frames as they are."""
+        """True for the algorithm that leaves frames as they are."""
         return self.name == REFERENCE
 
     @property
@@ -232,7 +227,7 @@ ENTRY_POINT_GROUP = "todframes.enhancements"
 
 
 def find_enhancement(spec: str | Callable[..., Any]) -> Enhancement:
-    """Return the algorithm with a given name, or made of a given function.
+    """Return the algorithm with a given name, or one that calls a given function.
 
     Parameters
     ----------

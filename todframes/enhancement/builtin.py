@@ -17,15 +17,11 @@ from todframes.enhancement.algorithm import Image, algorithm, meaning, parameter
 
 F = TypeVar("F", bound=Callable[..., Any])
 
-
 Sigma = Annotated[float, parameter(0.1, 50.0, unit="px", what="standard deviation of the Gaussian")]
-
 
 Radius = Annotated[int, parameter(1, 50, unit="px", what="half the window's side")]
 
-
 Factor = Annotated[int, parameter(2, 8, what="pixels for one along each axis")]
-
 
 Iterations = Annotated[int, parameter(1, 1000, what="iterations")]
 
@@ -37,7 +33,7 @@ def _built_in(library: str, *, magnification: float | str = 1.0) -> Callable[[F]
 
 @_built_in("–")
 def none(image: Image) -> Image:
-    """The frame as it is: what all others are compared with."""
+    """The frame as it is; all others are compared with it."""
     return image
 
 

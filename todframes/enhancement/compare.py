@@ -19,7 +19,7 @@ import numpy as np
 from todframes.base.errors import SettingsError
 from todframes.enhancement.algorithm import REFERENCE, Enhancement, find_enhancement
 from todframes.enhancement.contrast_gain import contrast_gains, strongest_levels, triangle_contrasts
-from todframes.enhancement.enhanced_frame import Measured, Screen, TrialReader
+from todframes.enhancement.enhanced_frame import AlgorithmDisplay, FrameMeasurements, TrialReader
 from todframes.enhancement.image_quality import psnr_db
 from todframes.frames.dataset import Dataset
 from todframes.frames.position import check_places
@@ -44,17 +44,15 @@ from todframes.scoring.seen_trials import (
     SeenColumns,
     SeenTrial,
     SeenTrials,
-    look_at,
     see,
+    trial_viewing,
 )
 from todframes.scoring.work import Run, see_trials
 
 Verdict = Literal["better", "worse", "no difference shown", "mixed"]
 
-
 SIGNIFICANCE = 0.05
 """Corrected p-value below which a difference of thresholds is reported."""
-
 
 RESAMPLES_PER_COMPARISON = 80
 """Resamples for each ratio: the smallest p-value, 2 / resamples, is half of 5 % even after Holm's correction."""
@@ -71,7 +69,7 @@ class Compared(NamedTuple):
     """The threshold ratio of an algorithm to the reference and its verdict, in a group, or in all if it is None.
 
     `p_value_holm` is corrected for the number of ratios in the whole comparison; the verdict is based on it.
-    `is_p_value_least` tells whether the resamples allow no smaller one. `beyond_gain` is None if answers were
+    `is_p_value_least` states whether the resamples allow no smaller one. `beyond_gain` is None if answers were
     drawn, or if the triangle's contrast is not positive before or after the algorithm.
     """
 
@@ -112,7 +110,7 @@ def compare_dataset(
     curve: CurveName | None = None,
     seed: int = 1,
     fit_settings: FitSettings | None = None,
-    screen: Screen | None = None,
+    screen: AlgorithmDisplay | None = None,
     plan_name: PlanName = "needed",
     skip_bad_frames: bool = False,
     run: Run | None = None,
@@ -126,7 +124,7 @@ def compare_dataset(
     ----------
     enhancements : sequence of Enhancement
         Algorithms to compare. The reference, `none`, is the first in the result even if it is not among them.
-    screen : Screen, optional
+    screen : AlgorithmDisplay, optional
         Default: the dataset's display with a white of 1, and no clipping.
     plan_name : {"needed", "full"}
         As in `score_dataset`. All algorithms have one plan, made from frames before and after enhancement.
@@ -153,7 +151,7 @@ def compare_dataset(
     for number, one in enumerate(algorithms):
         if one.spec in [other.spec for other in algorithms[:number]]:
             raise SettingsError(f"enhance {one.spec!r}: found twice, expected once")
-    screen = screen or Screen(dataset.display)
+    screen = screen or AlgorithmDisplay(dataset.display)
     whole, skipped = usable_trials(dataset, skip_bad_frames=skip_bad_frames)
     if not skip_bad_frames:
         check_places(dataset, whole, observer.centre)
@@ -161,7 +159,7 @@ def compare_dataset(
     # The plan considers frames after the algorithms too: what it leaves out is left out for all algorithms.
     plan = plan_score(dataset, whole, observer, name=plan_name, expected=expected, read=reader)
     strongest = strongest_levels(whole)
-    columns = _Columns(whole, len(algorithms))
+    columns = _ResultColumns(whole, len(algorithms))
     skipped += see_trials(
         Scoring(dataset, plan, decisions, seed),
         whole,
@@ -206,7 +204,7 @@ class _SeenTrial(NamedTuple):
     """
 
     seen: tuple[SeenTrial, ...]
-    measured: tuple[tuple[Measured, ...], ...]
+    measured: tuple[tuple[FrameMeasurements, ...], ...]
     contrasts: tuple[float, ...]
 
 
@@ -219,20 +217,20 @@ class _Show:
 
     def __call__(self, scoring: Scoring, trial: Trial, readout: Readout | None) -> _SeenTrial:
         started = time.perf_counter()
-        look = look_at(scoring, trial, readout)
+        viewing = trial_viewing(scoring, trial, readout)
         found = self.reader.read(
             scoring.dataset,
             trial,
-            look.observer,
-            look.grid,
-            look.displacement_samples,
+            viewing.observer,
+            viewing.grid,
+            viewing.displacement_samples,
             whole=scoring.plan.whole_frames,
         )
-        seen = see(scoring, trial, look, [one.shown for one in found], started)
+        seen = see(scoring, trial, viewing, [one.shown for one in found], started)
         contrasts = [math.nan] * len(found)
         if trial.level == self.strongest[trial.group]:
-            centre = look.observer.centre
-            contrasts = triangle_contrasts([one.shown for one in found], trial, grid=look.grid, centre=centre)
+            centre = viewing.observer.centre
+            contrasts = triangle_contrasts([one.shown for one in found], trial, grid=viewing.grid, centre=centre)
         return _SeenTrial(tuple(seen), tuple(one.measured for one in found), tuple(contrasts))
 
 
@@ -243,7 +241,7 @@ class _Measurements:
         self.squared_errors, self.ssims, self.cpu_s = array("d"), array("d"), array("d")
         self.n_clipped = 0
 
-    def add(self, one: Measured) -> None:
+    def add(self, one: FrameMeasurements) -> None:
         if one.squared_error is not None:
             self.squared_errors.append(one.squared_error)
         if one.ssim is not None:
@@ -252,7 +250,7 @@ class _Measurements:
         self.n_clipped += one.n_clipped
 
 
-class _Columns:
+class _ResultColumns:
     """The results of all trials, in columns that are filled in any order.
 
     Sums are exact whatever the order: `math.fsum` rounds once.

@@ -1,7 +1,6 @@
-"""Contrast gain of an enhancement: how much more contrast the triangle has on the display after it.
-
-A person can turn up a display. An algorithm that only amplifies is no better than that, however much it lowers the
-threshold. So each algorithm is also compared with a plain gain of the same amount, which nothing clips.
+"""Contrast gain of an enhancement: the triangle's displayed contrast after it, divided by that before it.  A
+person can turn up a display. An algorithm that only amplifies is no better than that, even if it lowers the
+threshold a lot. So each algorithm is also compared with a plain gain of the same amount, which nothing clips.
 """
 
 from __future__ import annotations
@@ -18,10 +17,8 @@ from todframes.stimulus import Centre, coverage
 RING_SIZES = (1.3, 2.0)
 """Inner and outer end of the ring that the triangle's contrast is measured against, in sizes of the triangle."""
 
-
 LEAST_GAIN = 1e-6
 """Smallest gain that counts as one: below it the contrast after the algorithm is rounding."""
-
 
 GroupValues = tuple[float | str, ...]
 

@@ -19,8 +19,8 @@ from todframes.enhancement.algorithm import ROUNDING, Enhancement, Image
 from todframes.enhancement.image_quality import squared_error_and_ssim
 from todframes.frames.contrast import (
     Background,
+    ContrastPatch,
     LuminanceFound,
-    Patch,
     check_contrast,
     displayed_contrast,
     luminance_at_triangle,
@@ -36,7 +36,7 @@ from todframes.scoring.retina_view import Placement, Shown, place_grid
 
 
 @dataclass(frozen=True, slots=True)
-class Screen:
+class AlgorithmDisplay:
     """A display, the white of the algorithms on it, and whether their results may be clipped.
 
     Attributes
@@ -89,7 +89,7 @@ class EnhancedImage:
     display's range; `cpu_s` is the algorithm's own processor time in seconds.
     """
 
-    screen: Screen
+    screen: AlgorithmDisplay
     values: NDArray[np.floating]
     magnification: float = 1.0
     n_clipped: int = 0
@@ -116,7 +116,7 @@ class EnhancedImage:
 class CroppedImage(NamedTuple):
     """A part of a picture, and the middle of the undisplaced retina on it, in the picture's pixels."""
 
-    patch: Patch
+    patch: ContrastPatch
     x_px: float
     y_px: float
     pixel_pitch_mrad: float
@@ -129,7 +129,7 @@ class DecodedFrame:
     ----------
     file : FrameSource
         The open frame; it is decoded whole.
-    screen : Screen
+    screen : AlgorithmDisplay
 
     Raises
     ------
@@ -137,7 +137,7 @@ class DecodedFrame:
         If the frame's pixels are damaged or not finite.
     """
 
-    def __init__(self, file: FrameSource, screen: Screen) -> None:
+    def __init__(self, file: FrameSource, screen: AlgorithmDisplay) -> None:
         self.screen = screen
         frame = file.read()
         self.first_row, self.first_column = frame.first_row, frame.first_column
@@ -252,7 +252,9 @@ class DecodedFrame:
             background = given * self._brightening(picture)
         check_contrast(found.largest, background)
         to_contrast = partial(_contrast, self.screen.display, background)
-        patch = Patch(part, y.first, x.first, found.n_negative, to_contrast, luminance_at_triangle(background))
+        patch = ContrastPatch(
+            part, y.first, x.first, found.n_negative, to_contrast, luminance_at_triangle(background)
+        )
         return CroppedImage(patch.held(), x.centre_px, y.centre_px, self.screen.display.pitch_mrad / m)
 
     def _surround(self, picture: EnhancedImage, triangle: TrianglePlace) -> Surface:
@@ -323,7 +325,7 @@ class _Axis(NamedTuple):
         return cls(slice(start, stop), offset + start, centre_px)
 
 
-class Measured(NamedTuple):
+class FrameMeasurements(NamedTuple):
     """The measurements of a frame after an algorithm.
 
     `squared_error`, in (cd/m²)², and `ssim` compare the displayed luminance with the frame without noise; None if
@@ -341,18 +343,18 @@ class EnhancedTrial(NamedTuple):
     """A trial after an algorithm, and the measurements of each of its frames."""
 
     shown: Shown
-    measured: tuple[Measured, ...]
+    measured: tuple[FrameMeasurements, ...]
 
 
 class TrialReader:
     """A `Reader` of trials that applies several algorithms; it returns one `Shown` for each of them."""
 
-    def __init__(self, algorithms: Sequence[Enhancement], screen: Screen) -> None:
+    def __init__(self, algorithms: Sequence[Enhancement], screen: AlgorithmDisplay) -> None:
         self.algorithms = tuple(algorithms)
         self.screen = screen
         self.reference_luminance = lru_cache(maxsize=16)(self._reference_luminance)
 
-    def __reduce__(self) -> tuple[type, tuple[tuple[Enhancement, ...], Screen]]:
+    def __reduce__(self) -> tuple[type, tuple[tuple[Enhancement, ...], AlgorithmDisplay]]:
         return TrialReader, (self.algorithms, self.screen)
 
     def __call__(
@@ -401,11 +403,11 @@ class TrialReader:
             except FrameError:
                 raise
             except DataError as error:
-                raise FrameError(file.path, str(error)) from None
+                raise FrameError(file.path, error.marked) from None
             frames.append(looked)
         return [_of_trial(of_algorithm, n_rows[0]) for of_algorithm in zip(*frames, strict=True)]
 
-    def _measured(self, dataset: Dataset, frame: FrameReference, picture: EnhancedImage) -> Measured:
+    def _measured(self, dataset: Dataset, frame: FrameReference, picture: EnhancedImage) -> FrameMeasurements:
         path = dataset.reference_path(frame)
         error = ssim = None
         if path is not None:
@@ -413,7 +415,7 @@ class TrialReader:
             if picture.values.shape[:2] == reference.shape:
                 black, white = self.screen.luminance_range
                 error, ssim = squared_error_and_ssim(picture.luminance(), reference, data_range=white - black)
-        return Measured(error, ssim, picture.n_clipped, picture.cpu_s)
+        return FrameMeasurements(error, ssim, picture.n_clipped, picture.cpu_s)
 
     def _reference_luminance(self, path: Path, max_frame_mb: int) -> FloatArray:
         try:
@@ -421,10 +423,10 @@ class TrialReader:
         except FrameError:
             raise
         except DataError as error:
-            raise FrameError(path, str(error)) from None
+            raise FrameError(path, error.marked) from None
 
 
-def _of_trial(frames: Sequence[tuple[CroppedImage, Measured]], n_rows: int) -> EnhancedTrial:
+def _of_trial(frames: Sequence[tuple[CroppedImage, FrameMeasurements]], n_rows: int) -> EnhancedTrial:
     """Combine one algorithm's frames into a trial."""
     looked, measured = zip(*frames, strict=True)
     patches, xs, ys, pitches = zip(*looked, strict=True)

@@ -3,8 +3,8 @@
     ANSWERS/data/subject-ID_session-1_data.csv     a row a trial
     ANSWERS/data/subject-ID_session-1_data.json    the session: monitor, consent, dataset, design, software
 
-A row is on the disk before the next trial is shown. A line that was torn by a killed server or a full disk is cut
-off when the session goes on.
+A row is on the disk before the next trial is shown. If a killed server or a full disk leaves a part of a line,
+that part is cut off when the session continues.
 """
 
 from __future__ import annotations
@@ -39,16 +39,12 @@ if sys.platform != "win32":
 SCHEMA = 1
 """Version of the format of the sidecar."""
 
-
 MAX_SIDECAR_MB = 4
 """Largest size of a sidecar that is read, in units of 2**20 bytes."""
 
-
 Method = Literal["constant", "quest"]
 
-
 Phase = Literal["practice", "main"]
-
 
 Flag = Literal["hidden", "unfocused", "too_fast"]
 """Reason for which an answer says nothing about what the person saw: the page was hidden or had lost the focus
@@ -56,7 +52,7 @@ during the trial, or the response came earlier than `LEAST_RESPONSE_MS`."""
 
 LEAST_RESPONSE_MS = 150.0
 """Least response time of an answer to the picture. People need some 200 ms to press one of two keys (Luce 1986);
-what comes earlier was on its way before the picture."""
+an earlier response began before the picture."""
 
 NO_RESPONSE = "none"
 """Response of a trial whose time limit passed."""
@@ -74,14 +70,11 @@ BEFORE_LEVEL = (
 )
 """Columns in front of the level and the columns of `group_by`."""
 
-
 AFTER_GROUPS = ("size_mrad", "dither_seed", "clipped_px", "shown_at")
 """Columns behind them; `size_mrad` is not repeated if it is the level or in `group_by`."""
 
-
 SAME_PITCH = 0.005
-"""Relative difference of two pitches of a pixel in mrad that a ruler cannot tell."""
-
+"""Relative difference of two pitches of a pixel in mrad that a ruler cannot resolve."""
 
 SHARED = ("frame", "orientation", "size_mrad")
 """Columns whose values are those of the manifest, so that the level or `group_by` may name them."""
@@ -97,7 +90,7 @@ class Consent:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ShownDataset:
-    """The dataset that a session shows: its place, and what of it a session depends on."""
+    """The dataset that a session shows: its place, and the properties that a session depends on."""
 
     path: str
     manifest_sha256: str
@@ -186,7 +179,7 @@ class TrialRow:
 
     @property
     def is_correct(self) -> bool:
-        """Whether the response was right."""
+        """True if the response was right."""
         return self.response is self.orientation
 
 
@@ -412,7 +405,7 @@ def flag_of(response_time_ms: float | None) -> Flag | None:
 
 
 def _without_quote(text: str) -> str:
-    """Return a text without the mark that `csv_text` puts in front of what a spreadsheet would compute."""
+    """Return a text without the mark that `csv_text` puts before texts that a spreadsheet would compute."""
     return text[1:] if text.startswith("'") and text[1:].startswith(FORMULA_STARTS) else text
 
 
@@ -487,7 +480,7 @@ class AnswerFile:
             )
 
     def append(self, row: TrialRow) -> None:
-        """Write a row to the disk; when this returns it is there, when it raises the file is as before.
+        """Write a row to the disk. When this returns, the row is there; if it raises, the file is as before.
 
         Raises
         ------
@@ -576,9 +569,9 @@ def count_file(folder: Path, subject: str) -> Path:
 def write_counts(path: Path, record: SessionRecord, rows: Sequence[TrialRow]) -> None:
     """Write how often a person was right at each level of each group, for `todframes fit`.
 
-    Trials of the main phase count that have a response and no flag, or any flag if the record includes them. Where
-    a pixel had another visual angle than at the dataset's display, by more than `SAME_PITCH`, `size_mrad` is that
-    at the eye.
+    Trials of the main phase count that have a response and no flag, or any flag if the record includes them. If
+    the visual angle of a pixel differed from that of the dataset's display by more than `SAME_PITCH`, `size_mrad`
+    is the size at the eye.
 
     Raises
     ------

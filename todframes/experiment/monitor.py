@@ -14,30 +14,24 @@ from todframes.base.errors import SettingsError
 N_CODES = 256
 """Number of code values of a monitor: 8 bits a channel."""
 
-
 READING_EXPONENT = 2.2
 """Exponent of the scale in which luminance is interpolated between readings: there it is almost straight."""
 
-
 LARGEST_CD_M2, SMALLEST_RISE_CD_M2 = 1e5, 1e-6
-"""Largest luminance of a monitor, and smallest difference of two readings that a photometer can tell."""
-
+"""Largest luminance of a monitor, and smallest difference of two readings that a photometer resolves."""
 
 CARD_WIDTH_MM = 85.60
 """Width of a bank card: ID-1 of ISO/IEC 7810."""
 
-
 HALF_TONE = 0.5
-"""Luminance over that of white of a pattern whose rows are white and black by turns."""
-
+"""Luminance, relative to white, of a pattern with alternate white and black rows."""
 
 PITCH_RATIOS = (0.5, 2.0)
-"""Range of the visual angle of a pixel over that of the dataset's display; beyond it the test is another one."""
-
+"""Range of the visual angle of a pixel over that of the dataset's display; beyond it the test would not be the
+same."""
 
 RANGES = {"pixel_pitch_mm": (0.02, 2.0), "viewing_distance_mm": (50.0, 50_000.0)}
-"""Pixel pitches of real monitors, and distances that people sit at; others are slips of the pen."""
-
+"""Pixel pitches of real monitors, and viewing distances of people; other values are mistakes."""
 
 Reason = Literal["calibration", "scaling", "viewport", "pitch", "range"]
 
@@ -95,7 +89,7 @@ class ContrastRange(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Monitor:
-    """A monitor as a person sat at it; the sidecar of the answers holds it.
+    """A monitor with the distance of the person; the sidecar of the answers holds it.
 
     Attributes
     ----------

@@ -19,8 +19,8 @@ from todframes.psychometrics.quest import QuestGrid
 ORDER, GROUPS, FRAMES, PRACTICE, DITHER, AGAIN = range(6)
 
 MOST_AGAIN = 0.25
-"""Largest number of trials that a session shows again because their answers have flags, over the number of its
-trials: a person who never looks comes to an end, too."""
+"""Largest number of trials that a session shows again because their answers have flags, as a share of its trials.
+So the session ends even if the person never looks."""
 
 
 class NextTrial(NamedTuple):
@@ -40,7 +40,7 @@ class Practised(NamedTuple):
 
     @property
     def is_enough(self) -> bool:
-        """Whether the main trials may begin."""
+        """True if the main trials may begin."""
         return self.n_correct >= self.n_needed
 
 
@@ -77,7 +77,7 @@ class TrialOrder:
         return len(self._practice) if phase == "practice" else n_main_trials(self._record, rows)
 
     def practised(self, rows: Sequence[TrialRow]) -> Practised | None:
-        """Return how the last complete block of practice went; None before its end."""
+        """Return the progress after the last complete block of practice; None before the end of the first."""
         n_block = len(self._practice)
         answers = [row for row in rows if row.phase == "practice"]
         n_blocks = len(answers) // n_block if n_block else 0
@@ -116,7 +116,7 @@ class TrialOrder:
         return NextTrial("main", row, dither_seed)
 
     def _constant(self, order: NDArray[np.intp], main: Sequence[TrialRow]) -> int:
-        """Return the next trial in an order, into which flagged trials come again at a random later place."""
+        """Return the next trial in the order, in which flagged trials are repeated at a random later place."""
         queue, n_trials = order.tolist(), n_main_trials(self._record, main)
         for place, row in enumerate(main):
             if not self._counts(row) and len(queue) < n_trials:

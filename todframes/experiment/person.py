@@ -1,4 +1,4 @@
-"""The internal noise of people: that with which a model observer answers their trials as they did.
+"""The internal noise of people: with it, a model observer most likely gives the answers that they gave.
 
 Each trial is shown to the observer as the person saw it: the code values of the monitor, their dither included, at
 the visual angle of its pixels. The scores of a trial are computed once; any internal noise then costs little.
@@ -35,14 +35,14 @@ from todframes.psychometrics.observer_curve import GUESS_RATE
 from todframes.scoring.plan import ScorePlan, plan_score
 from todframes.scoring.retina_view import read_trial
 from todframes.scoring.score import check_seen, groups_of, settings_of_level
-from todframes.scoring.seen_trials import Scoring, look_at, see
+from todframes.scoring.seen_trials import Scoring, see, trial_viewing
 from todframes.scoring.work import Run, see_trials
 from todframes.stimulus import Stimulus
 
 Free = Literal["lapse", "blur"]
 
 NOISE, NOISE_SD, BLUR = "internal_noise", "internal_noise_sd", "template_blur_samples"
-"""Settings of an observer that are fitted, or contradict one that is."""
+"""Settings of an observer that are fitted, or that contradict a fitted one."""
 
 DISPLACEMENTS = 1
 """Number of displacements of the retina in each of the `REPLICATES` sets that P(correct) of a trial averages."""
@@ -55,13 +55,15 @@ NOISE_GRID_STEP = 0.25
 """Distance of the values of ln noise for which answers are computed; those between are interpolated."""
 
 WEAKEST_D_PRIME, STRONGEST_D_PRIME = 0.05, 20.0
-"""d′ of the strongest trials with the largest noise that is tried, and of weak ones with the smallest."""
+"""d′ of the strongest trials under the largest noise that is tried, and of the weakest trials under the
+smallest."""
 
 SURPRISING = 0.01
-"""Smallest p-value that is no warning."""
+"""P-value below which there is a warning."""
 
 PLANNED_NOISE = 0.1
-"""Internal noise for which the plan leaves out what does not matter: less than people have."""
+"""Internal noise for which the plan is made. It is smaller than that of people, so the plan's bounds hold for
+them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +89,7 @@ class SeenDataset(Dataset):
         return self.shown.frame_path(trial.frames[0])
 
     def has_frame(self, frame: FrameReference) -> bool:
-        """Tell whether the files of the frame exist."""
+        """Return whether the files of the frame exist."""
         trial, _ = self.originals[frame.path]
         return all(self.shown.has_frame(one) for one in trial.frames)
 
@@ -289,11 +291,11 @@ def answered_trials(
 
 def _show(plans: Sequence[ScorePlan], scoring: Scoring, trial: Trial, readout: Readout | None) -> _Seen:
     """Show a trial to the observer of each plan, with the same displacements."""
-    look = look_at(scoring, trial, readout)
-    displaced, whole = look.displacement_samples, scoring.plan.whole_frames
-    shown = read_trial(scoring.dataset, trial, look.observer, look.grid, displaced, whole=whole)
-    looks = [look, *(look._replace(readout=plan.readout(trial.stimulus)) for plan in plans[1:])]
-    return _Seen(np.stack([see(scoring, trial, one, [shown], 0.0)[0].deviations for one in looks]))
+    viewing = trial_viewing(scoring, trial, readout)
+    displaced, whole = viewing.displacement_samples, scoring.plan.whole_frames
+    shown = read_trial(scoring.dataset, trial, viewing.observer, viewing.grid, displaced, whole=whole)
+    viewings = [viewing, *(viewing._replace(readout=plan.readout(trial.stimulus)) for plan in plans[1:])]
+    return _Seen(np.stack([see(scoring, trial, one, [shown], 0.0)[0].deviations for one in viewings]))
 
 
 def _readout(plan: ScorePlan, stimulus: Stimulus) -> Readout:
@@ -350,7 +352,7 @@ def _changed(observer: Observer, changes: dict[str, Any]) -> Observer:
 
 
 def noise_grid(answered: Sequence[AnsweredTrials]) -> FloatArray:
-    """Return the ln of the internal noises to try: from hardly any wrong answer to guesses in all trials."""
+    """Return ln of the internal noises to try: from hardly any wrong answers to guesses in all trials."""
     strengths = np.concatenate([one.strengths() for one in answered])
     most = float(strengths.max())
     if not most > 0.0:
@@ -365,10 +367,10 @@ def noise_grid(answered: Sequence[AnsweredTrials]) -> FloatArray:
 
 @dataclass(frozen=True, slots=True)
 class GroupCurve:
-    """The person's curve in one group, by the counts alone, and that of the fitted model.
+    """The curve of a person in one group, fitted to the counts alone, and the curve of the fitted model.
 
-    `predicted` is None where no noise is known. `predicted_ci95` has the model's thresholds at the ends of the
-    noise's interval; None where there is none.
+    `predicted` is None if the noise is not known. `predicted_ci95` has the model's thresholds at the ends of the
+    interval of the noise; None without an interval.
     """
 
     group: Group
@@ -394,9 +396,9 @@ class PersonFit:
 
 
 class PersonWarning(NamedTuple):
-    """A warning that an internal noise says less than it seems to: `poor_fit` of a person, or `persons_differ`.
+    """A warning about an internal noise: `poor_fit` of a person, or `persons_differ`.
 
-    `found` is the p-value, `expected` the least that is no warning. `group` names the person.
+    `found` is the p-value; below `expected` there is a warning. `group` names the person.
     """
 
     code: Literal["poor_fit", "persons_differ"]
@@ -444,7 +446,7 @@ class Calibrated:
         if p_value is not None and p_value < SURPRISING:
             message = (
                 f"the persons do not have the same internal noise (p = {p_value:.2g}); that of all together is a "
-                "mean of them, and its interval does not tell how they differ"
+                "mean of them, and its interval does not describe how they differ"
             )
             found.append(PersonWarning("persons_differ", {}, message, p_value, SURPRISING))
         return tuple(found)
@@ -480,7 +482,7 @@ def calibrate_persons(
     skip_bad_frames : bool
         Leave out trials whose frames cannot be used or have changed, instead of raising.
     run : Run, optional
-        Engine of the scoring, and whom to tell of its progress.
+        Engine of the scoring, and the function that receives its progress.
 
     Raises
     ------

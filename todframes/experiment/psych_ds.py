@@ -11,8 +11,7 @@ from todframes.base._typing import Json
 from todframes.base.output import write_file
 from todframes.experiment.answers import ShownDataset, columns
 
-NAME = "dataset_description.json"
-
+DESCRIPTION_FILE = "dataset_description.json"
 
 DESCRIPTIONS: Mapping[str, tuple[str, str | None]] = {
     "trial": ("Number of the trial in its session, from 1; practice trials count", None),
@@ -82,4 +81,4 @@ def write_description(folder: Path, shown: ShownDataset, software: Mapping[str, 
         If it cannot be written.
     """
     content = msgspec.json.format(msgspec.json.encode(description(shown, software)), indent=2)
-    write_file(folder / NAME, content + b"\n", is_private=True)
+    write_file(folder / DESCRIPTION_FILE, content + b"\n", is_private=True)

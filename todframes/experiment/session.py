@@ -1,7 +1,5 @@
-"""A session of a person: its settings, its steps from consent to the last answer, and how it goes on.
-
-The next trial follows from the record and the rows that are on the disk, so a session that was ended anywhere goes
-on where it was.
+"""A session of a person: its settings, and its steps from consent to the last answer.  The next trial follows from
+the record and the rows on the disk, so a session that was interrupted at any point continues there.
 """
 
 from __future__ import annotations
@@ -60,7 +58,7 @@ from todframes.experiment.monitor import (
     check_shows,
 )
 from todframes.experiment.order import NextTrial, TrialOrder, n_main_trials
-from todframes.experiment.psych_ds import NAME as DESCRIPTION_NAME
+from todframes.experiment.psych_ds import DESCRIPTION_FILE as DESCRIPTION_NAME
 from todframes.experiment.psych_ds import write_description
 from todframes.experiment.stimuli import clipped, contrast_range, dithered_codes, png, trial_image
 from todframes.frames.dataset import Dataset
@@ -88,20 +86,18 @@ CONTACT = "the person who invited you"
 PRACTICE_CORRECT = 0.75
 """Default of the share of a block of practice that has to be correct. Guesses give 6 of 8 once in 240 blocks."""
 
-
 PRIVATE = 0o700
-"""Permissions of the folders of answers: nobody but their owner looks into them."""
+"""Permissions of the folders of answers: only their owner can read them."""
 
 QUEST_TRIALS = 60
 """Default of the number of trials of a group that QUEST+ chooses."""
-
 
 Step = Literal["consent", "monitor", "practice", "main", "break", "done", "stopped"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Design:
-    """Settings of a session; None: the default, or what a session that goes on has.
+class SessionDesign:
+    """Settings of a session. None stands for the default, or for the setting of the session that is continued.
 
     Attributes
     ----------
@@ -157,7 +153,7 @@ class Material(NamedTuple):
 
 
 class Picture(NamedTuple):
-    """A trial as the monitor shows it: a PNG and its size, and what the trial's row will say about it."""
+    """A trial as the monitor shows it: a PNG and its size, and the values for the trial's row."""
 
     trial: Trial
     content: bytes
@@ -184,7 +180,7 @@ def make_picture(dataset: Dataset, monitor: Monitor, asked: NextTrial) -> Pictur
     return Picture(trial, png(codes), width, height, dither_seed, n_clipped, frames_sha256(dataset, trial))
 
 
-class Prepared(NamedTuple):
+class CurrentTrial(NamedTuple):
     """The trial that is shown. `shown_at` is the time at which it was asked for, ISO 8601."""
 
     number: int
@@ -210,7 +206,7 @@ class Sitting:
         self.record = record
         self._order = TrialOrder(dataset.trials, record)
         self._lock = threading.Lock()
-        self._prepared: Prepared | None = None
+        self._prepared: CurrentTrial | None = None
         self._is_break = False
         # Pictures that may come next are made while the person looks: a large one takes a second.
         self._artist = ThreadPoolExecutor(1, "pictures")
@@ -441,7 +437,7 @@ class Sitting:
         is_practice = row.phase == "practice" and flag is None
         return {**self._state(), "correct": row.is_correct if is_practice else None, "flag": flag}
 
-    def _prepare(self) -> Prepared:
+    def _prepare(self) -> CurrentTrial:
         step, following = self._step()
         if following is None or step == "break":
             raise StepError(f"the session is at the step {step}, which has no trial; reload the page")
@@ -452,10 +448,10 @@ class Sitting:
                 picture = make_picture(self._dataset, self._monitor, following)
             else:
                 picture = ahead.result()
-            self._prepared = Prepared(number, following.phase, picture, _now())
+            self._prepared = CurrentTrial(number, following.phase, picture, _now())
         return self._prepared
 
-    def _look_ahead(self, shown: Prepared) -> None:
+    def _look_ahead(self, shown: CurrentTrial) -> None:
         """Begin to make the pictures of the trials that follow a right and a wrong answer."""
         orientation = shown.picture.trial.orientation
         wrong = next(one for one in ORIENTATIONS if one is not orientation)
@@ -487,7 +483,7 @@ class Sitting:
 
 
 def _row(
-    shown: Prepared, response: Orientation | None, response_time_ms: float, lost: Flag | None = None
+    shown: CurrentTrial, response: Orientation | None, response_time_ms: float, lost: Flag | None = None
 ) -> TrialRow:
     """Return the row of a trial that was answered."""
     trial, picture = shown.picture.trial, shown.picture
@@ -528,12 +524,12 @@ def open_sitting(
     folder: Path | str,
     *,
     subject: str | None = None,
-    design: Design | None = None,
+    design: SessionDesign | None = None,
     consent_text: str | None = None,
     contact: str | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> Iterator[Sitting]:
-    """Begin a session, or go on with one that is not finished; its files stay locked in the block.
+    """Begin a session, or continue one that is not finished; its files stay locked in the block.
 
     Parameters
     ----------
@@ -542,7 +538,7 @@ def open_sitting(
         Folder of answers; made if it does not exist.
     subject : str, optional
         Anonymous id, letters and digits. Default: that of the only session that is not finished, or a random one.
-    design : Design, optional
+    design : SessionDesign, optional
         Settings; those of a session that has rows cannot change.
     consent_text : str, optional
         Text that the person is to agree to.
@@ -560,7 +556,7 @@ def open_sitting(
     OutputError
         If the folder cannot be written, or another server is in the session.
     """
-    folder, design = Path(folder), design or Design()
+    folder, design = Path(folder), design or SessionDesign()
     shown = _shown_dataset(dataset)
     software = {"todframes": __version__, "python": platform.python_version(), "numpy": np.__version__}
     records = _records_in(folder, shown)
@@ -602,7 +598,8 @@ def open_sitting(
 
 
 def _shown_dataset(dataset: Dataset) -> ShownDataset:
-    """Return what a session depends on of a dataset; raise an error if people cannot be shown it."""
+    """Return the properties of a dataset that a session depends on; raise an error if the dataset cannot be
+    shown."""
     if dataset.manifest_sha256 is None:
         raise SettingsError("experiment: found frames in memory, expected a dataset in a folder")
     if dataset.bad_rows:
@@ -673,7 +670,7 @@ def _make_folders(folder: Path, shown: ShownDataset, software: Mapping[str, str]
 
 
 def _new_record(
-    dataset: Dataset, shown: ShownDataset, subject: str, software: Mapping[str, str], design: Design
+    dataset: Dataset, shown: ShownDataset, subject: str, software: Mapping[str, str], design: SessionDesign
 ) -> SessionRecord:
     """Return the record of a new session, with defaults for what the design leaves open."""
     method = design.method or "constant"
@@ -702,7 +699,7 @@ def _new_record(
     )
 
 
-def _difference(record: SessionRecord, design: Design) -> str | None:
+def _difference(record: SessionRecord, design: SessionDesign) -> str | None:
     """Return the first setting in which the session differs from the design, with both values; or None."""
     for field in fields(design):
         asked = getattr(design, field.name)

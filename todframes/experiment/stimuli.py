@@ -21,7 +21,6 @@ from todframes.stimulus import coverage
 MEAN_TOLERANCE = 5e-4
 """Largest error of the mean contrast over a triangle that dither may leave."""
 
-
 MOST_SEEDS = 16
 """Number of places of the dither pattern that are tried."""
 
@@ -40,7 +39,7 @@ def trial_image(dataset: Dataset, trial: Trial) -> TrialImage:
     """Read the frames of a trial and average them in contrast, all pixels of them.
 
     The luminance that contrast refers to is that of the dataset's rule at the triangle, one number a frame: a
-    slope or a border of the background is shown as it is. Pixels that a file leaves out of its frame have the
+    slope or a border of the background is shown unchanged. Pixels that a file leaves out of its frame have the
     contrast 0.
 
     Raises
@@ -73,7 +72,7 @@ def trial_image(dataset: Dataset, trial: Trial) -> TrialImage:
             except FrameError:
                 raise
             except TodframesError as error:
-                raise FrameError(file.path, str(error)) from None
+                raise FrameError(file.path, error.marked) from None
         if total is not None and total.shape != contrast.shape:
             raise FrameError(
                 file.path,
@@ -157,7 +156,7 @@ def shown_contrast(codes: NDArray[np.uint8], monitor: Monitor) -> FloatArray:
 
 
 def clipped(contrast: FloatArray, monitor: Monitor) -> NDArray[np.bool_]:
-    """Tell which contrasts a monitor cannot show: beyond its white or black by more than half of a code step."""
+    """Return which contrasts a monitor cannot show: beyond its white or black by more than half of a code step."""
     low, high = monitor.contrast_limits()
     return np.asarray((contrast < low) | (contrast > high))
 

@@ -1,5 +1,1 @@
 """Frame files, displays, datasets and the position of the triangle on a frame."""
-
-import lazy_loader
-
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,67 +1,21 @@
-"""The warning about frame files without a checksum, and the writing of the manifest's `sha256` column."""
+"""The writing of the manifest's `sha256` column."""
 
 from __future__ import annotations
 
 import csv
 import io
 import os
-import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 
 from todframes.base.errors import DataError, OutputError
-from todframes.base.locations import RemotePath, in_utf8
-from todframes.base.output import write_file
-from todframes.frames.dataset import Dataset, DatasetWarning
-from todframes.frames.files import has_own_checksums
-from todframes.frames.memory import MemoryDataset
-from todframes.frames.trials import Trial
+from todframes.base.locations import RemotePath
+from todframes.frames.dataset import Dataset
 
 COLUMN = "sha256"
 """Name of the manifest column with the checksums."""
 
-
 BYTE_ORDER_MARK = "\ufeff"
-
-
-def dataset_warnings(dataset: Dataset, trials: Sequence[Trial]) -> list[DatasetWarning]:
-    """Return the warnings about a dataset that make results from these trials less certain.
-
-    The only warning is `unverified_frames`. It counts the frames that have no checksum in the manifest and whose
-    file format has none either: PNG files contain checksums of their own, EXR files do not.
-
-    Parameters
-    ----------
-    dataset : Dataset
-    trials : sequence of Trial
-
-    Returns
-    -------
-    list of DatasetWarning
-        Empty if every frame is checked, or if the frames are in memory.
-
-    Raises
-    ------
-    FrameError
-        If a frame file can no longer be read.
-    """
-    if isinstance(dataset, MemoryDataset):
-        return []
-    n_frames = unverified = 0
-    for trial in trials:
-        for frame in trial.frames:
-            n_frames += 1
-            unverified += frame.sha256 is None and not has_own_checksums(dataset.frame_path(frame))
-    if not unverified:
-        return []
-    is_remote = isinstance(dataset.path, RemotePath)
-    folder = "FOLDER" if is_remote else in_utf8(shlex.quote(str(dataset.path)))
-    message = (
-        f"{unverified} of {n_frames} frames are EXR without a sha256 in manifest.csv: nothing checks these "
-        "files, and damage to them would change thresholds unseen; add checksums with "
-        f"`todframes validate {folder} --add-sha256`" + (" on a local copy, and upload it" if is_remote else "")
-    )
-    return [DatasetWarning("unverified_frames", {}, message, found=unverified, expected=0)]
 
 
 def check_writable(dataset: Dataset) -> None:
@@ -93,6 +47,8 @@ def write_sha256(dataset: Dataset, sha256_of: Mapping[str, str]) -> None:
     """
     if not sha256_of:
         return
+    from todframes.base.output import write_file
+
     path = _manifest(dataset)
     try:
         text = path.read_bytes().decode()

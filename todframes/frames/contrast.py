@@ -24,7 +24,7 @@ MOST_HELD_PX = 2**20
 """Largest number of pixels of a patch that is held as contrast, which takes eight bytes a pixel."""
 
 
-class Patch(NamedTuple):
+class ContrastPatch(NamedTuple):
     """A rectangle of a frame, held as contrast or as the stored values that contrast is computed from.
 
     `row` and `column` are the position of its first pixel in the frame. A large rectangle is held as stored, with
@@ -41,17 +41,17 @@ class Patch(NamedTuple):
     to_contrast: Callable[[NDArray[Any], int, int], FloatArray] | None = None
     background_luminance_cd_m2: float | None = None
 
-    def bands(self) -> Iterator[Patch]:
+    def bands(self) -> Iterator[ContrastPatch]:
         """Yield the patch in bands of rows, each as contrast."""
         if self.to_contrast is None:
             yield self
             return
         begin = self.row
         for values in row_bands(self.values):
-            yield Patch(self.to_contrast(values, begin, self.column), begin, self.column, 0)
+            yield ContrastPatch(self.to_contrast(values, begin, self.column), begin, self.column, 0)
             begin += len(values)
 
-    def held(self) -> Patch:
+    def held(self) -> ContrastPatch:
         """Return the patch for storage: as contrast if it is small, else as a copy of its stored values alone."""
         if self.to_contrast is None:
             return self
@@ -88,7 +88,7 @@ def read_contrast(
     columns: tuple[int, int] | None = None,
     *,
     triangle: TrianglePlace | None = None,
-) -> Patch:
+) -> ContrastPatch:
     """Read a rectangle of an open frame as contrast.
 
     Only the rows of the rectangle are decoded, unless the background is a mean over the frame. Pixels are decoded
@@ -155,12 +155,12 @@ def read_contrast(
     except FrameError:
         raise
     except DataError as error:
-        raise FrameError(file.path, str(error)) from None
+        raise FrameError(file.path, error.marked) from None
     if is_small:
         contrast = displayed_contrast(kept, background, top, left)
-        return Patch(contrast, top, left, found.n_negative, None, luminance_at_triangle(background))
+        return ContrastPatch(contrast, top, left, found.n_negative, None, luminance_at_triangle(background))
     to_contrast = partial(_contrast, display, background)
-    return Patch(kept, top, left, found.n_negative, to_contrast, luminance_at_triangle(background))
+    return ContrastPatch(kept, top, left, found.n_negative, to_contrast, luminance_at_triangle(background))
 
 
 def check_pixels(file: FrameSource, display: Display, frame: FrameReference, triangle: TrianglePlace) -> None:
@@ -199,7 +199,7 @@ def check_pixels(file: FrameSource, display: Display, frame: FrameReference, tri
     except FrameError:
         raise
     except DataError as error:
-        raise FrameError(file.path, str(error)) from None
+        raise FrameError(file.path, error.marked) from None
 
 
 def _extremes(stored: NDArray[Any]) -> NDArray[Any]:

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import hashlib
 import os
+import shlex
 import threading
 from array import array
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal, NamedTuple
 
 from todframes.base.errors import DataError, FrameError, RemoteError, SettingsError
-from todframes.base.locations import Location, RemotePath
+from todframes.base.locations import Location, RemotePath, location
 from todframes.base.reading import (
     check_columns,
     check_fields,
@@ -26,7 +27,7 @@ from todframes.base.reading import (
     resolved,
     spelling_hint,
 )
-from todframes.base.remote import entity_tag, list_folder, location, read_content
+from todframes.base.safe_text import in_utf8
 from todframes.display.display import Display
 from todframes.display.display_files import display_of_table, find_display
 from todframes.frames.files import (
@@ -35,6 +36,7 @@ from todframes.frames.files import (
     FrameSource,
     check_max_frame_mb,
     frame_sha256,
+    has_own_checksums,
 )
 from todframes.frames.trials import FrameReference, Trial, Trials, TrialsBuilder
 from todframes.stimulus import ORIENTATIONS, Stimulus
@@ -42,25 +44,19 @@ from todframes.stimulus import ORIENTATIONS, Stimulus
 SCHEMA = 1
 """Version of the format of `dataset.toml` that this package reads."""
 
-
 BACKGROUND_COLUMN = "background_luminance_cd_m2"
 """Name of the manifest column with each frame's background luminance."""
-
 
 REFERENCE_COLUMN = "reference_frame"
 """Name of the manifest column with the path of the same frame without noise."""
 
-
 MOST_REMEMBERED = 1024
 """Number of files behind URLs of which a thread remembers what it read."""
 
-
 ORIENTATION_OF = {one.value: one for one in ORIENTATIONS}
-
 
 MOST_ROWS, MOST_BAD_ROWS = 20_000_000, 100_000
 """Largest number of rows of a manifest, and of those that cannot be used: each has a message."""
-
 
 LEAST_SLOTS = 1024
 """Number of slots of a new index; a power of 2."""
@@ -100,7 +96,7 @@ WarningCode = Literal[
 
 
 class DatasetWarning(NamedTuple):
-    """A warning that results from a dataset are less certain, as written under `warnings` in `result.json`.
+    """A warning about a dataset, which makes its results less certain; `warnings` in `result.json` has it.
 
     `code` is for programs, `message` for people. `group` has the `group_by` values of the group concerned, by
     column; it is empty if the warning concerns the whole dataset.
@@ -154,6 +150,11 @@ class Dataset:
         object.__setattr__(self, "trials", Trials.of(self.trials))
 
     @property
+    def is_in_memory(self) -> bool:
+        """True if the frames are arrays, and in no file."""
+        return self.manifest_sha256 is None
+
+    @property
     def n_frames(self) -> int:
         """Number of frames in the manifest, those in bad rows included."""
         return self.trials.n_frames + len(self.bad_rows)
@@ -163,14 +164,14 @@ class Dataset:
         return self.path / frame.path
 
     def has_frame(self, frame: FrameReference) -> bool:
-        """Tell whether the frame's file exists."""
+        """Return whether the frame's file exists."""
         # A million paths take seconds; as Path objects, half a minute.
         return os.path.exists(os.path.join(str(self.path), frame.path))  # noqa: PTH110, PTH118
 
     def content_id(self, frame: FrameReference, *, is_read: bool = False) -> str:
         """Return a text that changes whenever the bytes of the frame do: the SHA-256 of its file.
 
-        `is_read` tells whether this thread has just opened the frame with `verify`.
+        `is_read` states whether this thread has just opened the frame with `verify`.
 
         Raises
         ------
@@ -211,6 +212,8 @@ class RemoteContents:
 
     def listed(self, folder: RemotePath) -> dict[str, str | None] | None:
         """Return the entity tags of the files of a folder by name; None if it cannot be listed."""
+        from todframes.base.remote import list_folder
+
         with self._lock:
             if folder not in self._listed:
                 self._listed[folder] = list_folder(folder)
@@ -224,6 +227,8 @@ class RemoteContents:
         FrameError, RemoteError
             If it cannot be read.
         """
+        from todframes.base.remote import read_content
+
         try:
             content = read_content(path)
         except RemoteError:
@@ -256,7 +261,7 @@ class RemoteDataset(Dataset):
     contents: RemoteContents = field(default_factory=RemoteContents, compare=False, repr=False)
 
     def has_frame(self, frame: FrameReference) -> bool:
-        """Tell whether the frame's file exists; True if its folder cannot be listed."""
+        """Return whether the frame's file exists; True if its folder cannot be listed."""
         path = self.path / frame.path
         listed = self.contents.listed(path.parent)
         return listed is None or path.name in listed
@@ -281,6 +286,8 @@ class RemoteDataset(Dataset):
             if found is None:
                 raise FrameError(path, "was not read by this thread, so its content is not known")
             return found
+        from todframes.base.remote import entity_tag
+
         listed = self.contents.listed(path.parent) or {}
         try:
             tag = listed[path.name] if path.name in listed else entity_tag(path)
@@ -351,7 +358,7 @@ def _read_settings(path: Location) -> tuple[Display, Experiment]:
     try:
         path_inside(resolved(path.parent), path.name, f"{path}:")
     except DataError as error:
-        raise SettingsError(str(error)) from None
+        raise SettingsError(error.marked) from None
     content = read_toml(path)
     check_keys(content, ["schema", "display", "experiment"], str(path))
     if content.get("schema") != SCHEMA:
@@ -478,7 +485,7 @@ class _Manifest:
         return frame
 
     def _is_there(self, frame: str) -> bool:
-        """Tell whether there is a local file of this name."""
+        """Return whether there is a local file of this name."""
         return isinstance(self.folder, str) and os.path.lexists(os.path.join(self.folder, frame))  # noqa: PTH118
 
     def _real_path(self, number_of_path: int) -> str:
@@ -518,9 +525,8 @@ class _Manifest:
 
 
 class _Index:
-    """Numbers of distinct texts in the order in which they come, without the texts: some 20 bytes for each.
-
-    It is exact: where the hashes of two texts agree, the earlier one is made again and compared.
+    """Numbers distinct texts in their order, without keeping the texts: some 20 bytes for each.  It is exact: if
+    the hashes of two texts are equal, the earlier text is made again and compared.
     """
 
     # A dict of the texts takes 168 bytes for each, and one of their hashes 115, in about the same time.
@@ -533,7 +539,8 @@ class _Index:
         return len(self._hashes)
 
     def number(self, text: str, text_of: Callable[[int], str]) -> int:
-        """Return a text's number: for a new one, that of texts before it. `text_of` makes a text by its number."""
+        """Return the number of a text. A new text gets the number of texts before it. `text_of` makes the text of
+        a number."""
         found, hashes, slots = hash(text), self._hashes, self._slots
         last = len(slots) - 1
         slot = found & last
@@ -555,3 +562,43 @@ class _Index:
             while slots[slot] >= 0:
                 slot = (slot + 1) & last
             slots[slot] = count
+
+
+def dataset_warnings(dataset: Dataset, trials: Sequence[Trial]) -> list[DatasetWarning]:
+    """Return the warnings about a dataset that make results from these trials less certain.
+
+    The only warning is `unverified_frames`. It counts the frames that have no checksum in the manifest and whose
+    file format has none either: PNG files contain checksums of their own, EXR files do not.
+
+    Parameters
+    ----------
+    dataset : Dataset
+    trials : sequence of Trial
+
+    Returns
+    -------
+    list of DatasetWarning
+        Empty if every frame is checked, or if the frames are in memory.
+
+    Raises
+    ------
+    FrameError
+        If a frame file can no longer be read.
+    """
+    if dataset.is_in_memory:
+        return []
+    n_frames = unverified = 0
+    for trial in trials:
+        for frame in trial.frames:
+            n_frames += 1
+            unverified += frame.sha256 is None and not has_own_checksums(dataset.frame_path(frame))
+    if not unverified:
+        return []
+    is_remote = isinstance(dataset.path, RemotePath)
+    folder = "FOLDER" if is_remote else in_utf8(shlex.quote(str(dataset.path)))
+    message = (
+        f"{unverified} of {n_frames} frames are EXR without a sha256 in manifest.csv: nothing checks these "
+        "files, and damage to them would change thresholds unseen; add checksums with "
+        f"`todframes validate {folder} --add-sha256`" + (" on a local copy, and upload it" if is_remote else "")
+    )
+    return [DatasetWarning("unverified_frames", {}, message, found=unverified, expected=0)]

@@ -20,41 +20,31 @@ import OpenImageIO as oiio
 from numpy.typing import ArrayLike, NDArray
 
 from todframes.base.errors import FrameError, OutputError, RemoteError, SettingsError, argument
-from todframes.base.locations import Location, RemotePath
-from todframes.base.remote import location, read_content
+from todframes.base.locations import Location, RemotePath, location
 
 PathLike = str | os.PathLike[str]
 
-
 Range = tuple[int, int]
 
-
 PixelType = Literal["half", "float", "uint8", "uint16"]
-
 
 READ_AT_ONCE = 2**14
 """Number of bytes that are read at a time of a file whose checksums are compared."""
 
-
 MAX_SIDE_PX = 32768
 """Largest number of rows or columns of a frame."""
-
 
 MAX_CHANNELS = 256
 """Largest number of channels of a frame file."""
 
-
 MAX_FRAME_MB = 256
 """Default of the largest frame that is decoded: all channels, in their own pixel types. One MB is 2**20 bytes."""
-
 
 BAND_VALUES = 2**19
 """Number of values, of all channels, that are decoded at a time, unless one chunk of the file holds more."""
 
-
 MOST_ROWS_PER_CHUNK = 256
 """Largest number of rows in a chunk of an EXR for any compression; smaller chunk sizes divide it."""
-
 
 # OpenImageIO checks these, and `limits:imagesize_MB`, before it allocates anything.
 oiio.attribute("limits:resolution", MAX_SIDE_PX)
@@ -62,23 +52,17 @@ oiio.attribute("limits:channels", MAX_CHANNELS)
 oiio.attribute("limits:imagesize_MB", MAX_FRAME_MB)
 
 _OPEN_OPTIONS = oiio.ImageSpec()
-
-
 _OPEN_OPTIONS.attribute("oiio:UnassociatedAlpha", 1)  # or OpenImageIO multiplies PNG colours by alpha
-
 
 NUMPY_TYPES: dict[PixelType, Any] = {
     "half": np.float16, "float": np.float32, "uint8": np.uint8, "uint16": np.uint16
 }  # fmt: skip
 
-
 FULL_SCALE: dict[PixelType, int] = {"uint8": 255, "uint16": 65535}
 """Stored value of code value 1, by integer pixel type."""
 
-
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 """First bytes of every PNG file."""
-
 
 OTHER_FORMATS = {
     rb"\xff\xd8\xff": "JPEG",
@@ -95,17 +79,14 @@ OTHER_FORMATS = {
 }
 """Patterns of the first bytes of files that are taken for frames, and their names."""
 
-
 CONVERT = "convert it without loss, integers to PNG, floating-point values to EXR"
-
 
 OTHER_ADVICE = {
     "JPEG": "its compression has changed the pixels; record frames without loss",
     "video": "write each of its frames to a file of its own",
     "Git LFS pointer": "the frame itself is not here; fetch it with git lfs pull",
 }
-"""Advice for formats that cannot just be converted."""
-
+"""Advice for formats that need more than a conversion."""
 
 _LAYOUT_ATTRIBUTES = ("oiio:", "openexr:", "compression")
 
@@ -456,6 +437,8 @@ def frame_sha256(path: PathLike | RemotePath) -> str:
     path = location(path)
     try:
         if isinstance(path, RemotePath):
+            from todframes.base.remote import read_content
+
             return hashlib.sha256(read_content(path).data).hexdigest()
         _check_is_file(path)
         with path.open("rb") as file:
@@ -467,7 +450,7 @@ def frame_sha256(path: PathLike | RemotePath) -> str:
 
 
 def has_own_checksums(path: PathLike | RemotePath) -> bool:
-    """Tell whether a frame file contains checksums of all of its content: a PNG does, an EXR does not.
+    """Return whether a frame file contains checksums of all of its content: a PNG does, an EXR does not.
 
     Raises FrameError if the file cannot be read. Of a file behind a URL only the name is looked at.
     """
@@ -490,6 +473,8 @@ def _local(path: Location, content: bytes | None, stack: ExitStack) -> Path:
     if content is None:
         if not isinstance(path, RemotePath):
             return path_in_utf8(path, stack)
+        from todframes.base.remote import read_content
+
         content = read_content(path).data
     memory = stack.enter_context(os.fdopen(os.memfd_create("frame"), "wb"))
     memory.write(content)
@@ -621,7 +606,6 @@ def openimageio_reason(source: Any, max_frame_mb: int = MAX_FRAME_MB) -> str:
 
 
 Compression = Literal["none", "rle", "zips", "zip", "piz", "pxr24", "b44", "b44a", "dwaa", "dwab"]
-
 
 _WRITABLE: dict[str, tuple[PixelType, ...]] = {".exr": ("half", "float"), ".png": ("uint16", "uint8")}
 

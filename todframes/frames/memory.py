@@ -20,7 +20,7 @@ from todframes.frames.files import Frame, FrameHeader, FrameSource, Range, clip_
 from todframes.frames.trials import FrameReference, Trial, Trials
 from todframes.stimulus import ORIENTATIONS, Orientation, Stimulus
 
-PIXEL_TYPES: dict[str, Any] = {"uint8": "uint8", "uint16": "uint16", "float16": "half"}
+OIIO_TYPES: dict[str, Any] = {"uint8": "uint8", "uint16": "uint16", "float16": "half"}
 """Pixel type by NumPy type; other floating-point arrays are held as "float", 32 bits."""
 
 
@@ -31,7 +31,7 @@ class MemoryDataset(Dataset):
     arrays: Mapping[str, NDArray[Any]]
 
     def has_frame(self, frame: FrameReference) -> bool:
-        """Tell whether the frame exists."""
+        """Return whether the frame exists."""
         return frame.path in self.arrays
 
     def content_id(self, frame: FrameReference, *, is_read: bool = False) -> str:  # noqa: ARG002
@@ -66,7 +66,7 @@ class ArrayFrame:
             stored = stored.astype(np.float32, copy=False)
         if stored.ndim == 2:
             stored = stored[..., None]
-        pixel_type: Any = "float" if stored.dtype == np.float32 else PIXEL_TYPES.get(stored.dtype.name)
+        pixel_type: Any = "float" if stored.dtype == np.float32 else OIIO_TYPES.get(stored.dtype.name)
         if pixel_type is None or stored.ndim != 3 or stored.shape[2] not in (1, 3) or not stored.size:
             raise FrameError(
                 path,

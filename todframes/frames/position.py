@@ -61,7 +61,7 @@ def check_place(dataset: Dataset, trial: Trial, centre: Centre) -> None:
 
 
 def from_centroid(trial: Trial, centre: Centre, pixel_pitch_mrad: float) -> tuple[float, float]:
-    """Return the way, (dx, dy) in pixels, from the centroid of a trial's triangle to its `centre`."""
+    """Return the displacement, (dx, dy) in pixels, from the centroid of a trial's triangle to its `centre`."""
     if centre == "centroid":
         return 0.0, 0.0
     dx, dy = bounding_box_offset(trial.orientation)

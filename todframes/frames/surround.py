@@ -14,37 +14,30 @@ from todframes.base.errors import DataError
 
 Range = tuple[int, int]
 
-
 HOLE_IN_SIZES, HOLE_MARGIN_PX = 1.1, 2.0
 """Radius about the centroid within which the triangle, turned or mirrored too, may lie: its corners
 are at 0.88 sizes."""
 
-
 REACH_IN_SIZES, LEAST_RING_PX = 3.0, 8.0
 """Distance from the centroid to the window's edges, in sizes, and the least distance beyond the hole in pixels."""
-
 
 BLOCKS_PER_SIZE = 4
 """Number of square blocks along a triangle's size; the surface is fitted to their means."""
 
-
 STEP, STEP_NEXT_TO_HOLE, STEP_IN_ERRORS = 0.03, 0.1, 6.0
-"""Relative change from block to block that ends the background, unless it is within so many standard errors. Next
-to the hole a larger one is allowed, because the slope of the background is not known there."""
-
+"""Relative change from block to block that ends the background, unless it is within `STEP_IN_ERRORS` standard
+errors. Next to the hole a larger one is allowed, because the slope of the background is not known there."""
 
 BIWEIGHT = 6.0
 """Deviation at which a block has no weight in the surface, in standard deviations of the blocks."""
 
-
 DEGREES = (2, 1, 4)
-"""Degrees of the surface that are tried after the constant, in turn; the first only if the second is not known."""
-
+"""Degrees of the surface that are tried after the constant, in this order. The first degree is tried only if the
+blocks do not determine the second."""
 
 BETTER = 1.1
 """Factor by which the second degree must describe the blocks better than a constant; noise alone hardly reaches
-it. The fourth needs its square, the first its root."""
-
+it. The fourth degree needs the square of this factor, the first degree its square root."""
 
 EVEN = 1e-4
 """Relative deviation of the blocks from the surface below which no higher degree is tried."""
@@ -128,7 +121,7 @@ class Surface(NamedTuple):
         return np.asarray(v @ self.coefficients @ u.T)
 
     def has(self, y_px: FloatArray, x_px: FloatArray) -> NDArray[np.bool_]:
-        """Tell which pairs of two sets of places belong to the background: (y, x)."""
+        """Return which pairs of two sets of places belong to the background: (y, x)."""
         inside = (
             (places > first - 0.5) & (places < stop - 0.5)
             for places, (first, stop) in zip((y_px, x_px), self.extent, strict=True)
@@ -190,10 +183,10 @@ class SurroundSums:
     def surface(self) -> Surface:
         """Fit the background.
 
-        First the extent of the background is found: in each of the four directions, from the triangle outwards,
-        the medians of rows or columns of blocks end where one departs from what those before it lead to expect. A
+        First the extent of the background is found: in each of the four directions, from the triangle outwards, it
+        ends at the first row or column of blocks whose median differs from a prediction from those before it. A
         surface is then fitted to the blocks around the triangle, outliers without weight. It is a constant unless
-        a higher degree describes the blocks better and is known under the triangle as well as in one block.
+        a higher degree describes the blocks better and is as certain under the triangle as the mean of one block.
 
         Raises
         ------
@@ -205,7 +198,7 @@ class SurroundSums:
             (triangle.y_px, triangle.x_px), window, strict=True))  # fmt: skip
         spans = tuple((first - at, stop - at) for at, (first, stop) in zip(middle, window, strict=True))
         hole = hole_radius_px(triangle.size_px)
-        blocks = _Blocks.of(spans, self.block_px, hole)
+        blocks = _SurroundBlocks.of(spans, self.block_px, hole)
         if not blocks.around.any():
             raise DataError(
                 "no pixels around the triangle to take the background from: the frame reaches no farther than "
@@ -215,7 +208,7 @@ class SurroundSums:
         means = self.sums / blocks.counts
         noise = blocks.noise(means)
         kept = blocks.extent(means)
-        fitted = _Fitted.of(spans, self.block_px, hole, *kept)
+        fitted = _SurfaceFit.of(spans, self.block_px, hole, *kept)
         coefficients = fitted.surface(means, noise)
         extent = Window(*(
             (int(edges[first]) + at, int(edges[stop]) + at)
@@ -228,7 +221,7 @@ Spans = tuple[Range, ...]
 """The rows and columns of a window, counted from the pixel at the triangle's centroid."""
 
 
-class _Blocks(NamedTuple):
+class _SurroundBlocks(NamedTuple):
     """The square blocks of a window: their edges and middles along y and x, those around and next to the hole."""
 
     edges: tuple[NDArray[np.intp], ...]
@@ -241,16 +234,17 @@ class _Blocks(NamedTuple):
 
     @staticmethod
     @lru_cache(maxsize=64)
-    def of(spans: Spans, block_px: int, hole: float) -> _Blocks:
+    def of(spans: Spans, block_px: int, hole: float) -> _SurroundBlocks:
         edges = tuple(np.append(np.arange(first, stop, block_px), stop) for first, stop in spans)
         y, x = ((edge[1:] + edge[:-1] - 1) / 2.0 for edge in edges)
         away = np.hypot(y[:, None], x) - hole - block_px / 2.0
         counts = np.diff(edges[0])[:, None] * np.diff(edges[1])
         near = (away > 0.0) & (away <= max(2 * block_px, float(away.max()) / 8.0))
-        return _Blocks(edges, y, x, counts, away > 0.0, near if near.any() else away > 0.0, hole)
+        return _SurroundBlocks(edges, y, x, counts, away > 0.0, near if near.any() else away > 0.0, hole)
 
     def noise(self, means: FloatArray) -> float:
-        """Estimate the standard deviation of a block's mean from three neighbours at a time; a slope cancels."""
+        """Estimate the standard deviation of a block's mean from triples of neighbours, in which a slope
+        cancels."""
         bends = []
         for values, known in ((means, self.around), (means.T, self.around.T)):
             bend = values[2:] - 2.0 * values[1:-1] + values[:-2]
@@ -277,7 +271,7 @@ class _Blocks(NamedTuple):
 
 
 def _n_alike(profile: FloatArray, error: float) -> int:
-    """Count the values from the first that follow from those before them."""
+    """Count the leading values that agree with a prediction from the values before them."""
     for k in range(1, len(profile)):
         if k == 1:
             expected, slack, factor = profile[0], STEP_NEXT_TO_HOLE, math.sqrt(2.0)
@@ -288,7 +282,7 @@ def _n_alike(profile: FloatArray, error: float) -> int:
     return len(profile)
 
 
-class _Fitted(NamedTuple):
+class _SurfaceFit(NamedTuple):
     """The blocks that a surface is fitted to, their shares of pixels, and the terms of each degree at them."""
 
     places: tuple[NDArray[np.intp], ...]
@@ -298,8 +292,8 @@ class _Fitted(NamedTuple):
 
     @staticmethod
     @lru_cache(maxsize=64)
-    def of(spans: Spans, block_px: int, hole: float, rows: Range, columns: Range) -> _Fitted:
-        blocks = _Blocks.of(spans, block_px, hole)
+    def of(spans: Spans, block_px: int, hole: float, rows: Range, columns: Range) -> _SurfaceFit:
+        blocks = _SurroundBlocks.of(spans, block_px, hole)
         within = np.zeros_like(blocks.around)
         within[slice(*rows), slice(*columns)] = True
         places = np.nonzero(within & blocks.around)
@@ -309,7 +303,7 @@ class _Fitted(NamedTuple):
         for degree in DEGREES:
             if not (degree == 1 and 2 in terms) and _is_known(degree, x / scale, y / scale, hole / scale):
                 terms[degree] = _terms(x / scale, y / scale, degree)
-        return _Fitted(places, blocks.counts[places] / block_px**2, terms, scale)
+        return _SurfaceFit(places, blocks.counts[places] / block_px**2, terms, scale)
 
     def surface(self, block_means: FloatArray, noise: float) -> FloatArray:
         """Fit a surface; return its coefficients, (5, 5)."""
@@ -340,7 +334,8 @@ def _terms(u: FloatArray, v: FloatArray, degree: int) -> FloatArray:
 
 
 def _is_known(degree: int, u: FloatArray, v: FloatArray, hole: float) -> bool:
-    """Tell whether a surface through blocks at (u, v) is known under the triangle as well as in one block."""
+    """Return whether a surface through blocks at (u, v) is as certain under the triangle as the mean of one
+    block."""
     terms = _terms(u, v, degree)
     at_hole = _terms(hole * np.array([0, 1, -1, 0, 0]), hole * np.array([0, 0, 0, 1, -1]), degree)
     normal = terms.T @ terms

@@ -15,9 +15,7 @@ from todframes.stimulus import ORIENTATIONS, Orientation, Stimulus
 
 V = TypeVar("V", bound=Hashable)
 
-
 Group = tuple[float | str, ...]
-
 
 BLOCK = 4096
 """Number of trials that are made from the columns at a time."""
@@ -65,7 +63,7 @@ class Trials(Sequence[Trial]):
 
     __slots__ = ("_columns", "_rows")
 
-    def __init__(self, columns: _Columns, rows: NDArray[np.intp]) -> None:
+    def __init__(self, columns: _TrialColumns, rows: NDArray[np.intp]) -> None:
         self._columns = columns
         self._rows = rows
 
@@ -249,7 +247,7 @@ class TrialsBuilder:
         return _decoded(self._name[index])[1:] if self._name[index] else self.path(self._first_frame[index])
 
     def without_frames(self, index: int) -> Trial:
-        """Return the trial at an index, but for its frames."""
+        """Return the trial at an index, without its frames."""
         x_px, y_px = self._position_px[2 * index : 2 * index + 2]
         return Trial(
             number=self._number[index],
@@ -275,7 +273,7 @@ class TrialsBuilder:
         if np.any(np.diff(trial_of_frame) < 0):  # the frames of a trial are to follow each other
             frames = frames.taken(np.argsort(trial_of_frame, kind="stable"))
         n_frames = np.bincount(trial_of_frame, minlength=len(self))
-        columns = _Columns(
+        columns = _TrialColumns(
             number=_column(self._number, np.int64),
             name=self._name.or_none(),
             first_frame=np.concatenate([[0], np.cumsum(n_frames)]),
@@ -319,7 +317,7 @@ class _Frames:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Columns:
+class _TrialColumns:
     """Columns of trials.
 
     Attributes
@@ -383,12 +381,12 @@ class _Columns:
         own = map(_decoded, self.name.at(rows))
         return [one[1:] if one else path for one, path in zip(own, names, strict=True)]
 
-    def taken(self, rows: NDArray[np.intp]) -> _Columns:
+    def taken(self, rows: NDArray[np.intp]) -> _TrialColumns:
         """Return the columns of some rows alone."""
         n_frames = self.first_frame[rows + 1] - self.first_frame[rows]
         stimuli, stimulus = np.unique(self.stimulus[rows], return_inverse=True)
         groups, group = np.unique(self.group[rows], return_inverse=True)
-        return _Columns(
+        return _TrialColumns(
             number=self.number[rows],
             name=None if self.name is None else self.name.taken(rows),
             first_frame=np.concatenate([[0], np.cumsum(n_frames)]),
@@ -417,7 +415,7 @@ class _Codes(Generic[V]):
         self._codes: dict[V, int] = {}
 
     def code(self, value: V) -> int:
-        """Return the number of a value, which is new or was there before."""
+        """Return the number of a value; a new value gets the next number."""
         code = self._codes.get(value)
         if code is None:
             code = self._codes[value] = len(self.values)

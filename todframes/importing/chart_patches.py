@@ -16,7 +16,7 @@ from todframes.recordings.noise3d import FramePatch, Region
 from todframes.recordings.recording import Recording
 
 INNER_SHARE = 0.7
-"""Part of a patch's width and height that is measured: the rest keeps the camera's blur away."""
+"""Part of a patch's width and height that is measured; the camera may blur the rest."""
 
 
 def find_patches(recording: Recording, chart: Path) -> list[FramePatch]:

@@ -1,4 +1,4 @@
-"""Recordings of a chart: each frame is looked at, and what it shows of the chart is handed on as clips."""
+"""Recordings of a chart: each frame is searched for the chart, and frames that show one page become clips."""
 
 from __future__ import annotations
 
@@ -17,48 +17,49 @@ from numpy.typing import NDArray
 from todframes.base.errors import SettingsError, argument
 from todframes.charts.layout import Chart, read_chart
 from todframes.charts.markers import CORNERS, page_of
-from todframes.importing.clips import GAP, Clip, ClipFrame, Placed, clean_clips
+from todframes.diagnosis.limits import MOST_TURN_RAD
+from todframes.importing.clips import Clip, ClipFrame, Placed, clean_clips
 from todframes.importing.filmed_trials import OBJECT_SIZE, TriangleDescription
 from todframes.importing.geometry import PlacedTriangle, place_triangle
 from todframes.importing.marker_finder import MarkerFinder, Sighting
 from todframes.importing.windows import clipped, field_reach_px, part_of, window_about
-from todframes.recordings.recording import Recording, RecordingWarning
+from todframes.recordings.recording import GAP, Recording, RecordingWarning
 
 SLACK_PX = 16
 """Distance that a triangle may move within a trial."""
 
-
 SIZE_MARGIN = 1.1
-"""Factor by which a window is larger than a triangle needs, so that those of a size have windows of a size."""
-
+"""Factor by which a window is larger than a triangle needs, so that triangles of one size have windows of one
+size."""
 
 MOST_RESIDUAL_PX = 0.3
 """Residual of the markers' edges from which the places of triangles are doubtful."""
 
+LARGEST_ROLL_DEGREES = 30.0
+"""Largest angle between a triangle and the nearest of the four orientations."""
 
-MOST_ROLL_DEGREES, LARGEST_ROLL_DEGREES = 3.0, 30.0
-"""Angle between a triangle and the nearest of the four orientations that is told, and that is too large."""
+REPORTED_STRETCH = 1.05
+"""Ratio of the largest to the smallest scale that is reported; a chart tilted by 18° has it."""
 
-
-MOST_STRETCH = 1.05
-"""Ratio of the largest to the smallest scale that is told; a chart tilted by 18° has it."""
-
+EQUAL_SCALES = 1.02
+"""Ratio of the magnifications of two recordings up to which they count as one; thresholds change by less."""
 
 LARGEST_CLOCK_ERROR = 0.1
 """Relative difference of the pages' duration in a film from that of the chart, from which there is a warning."""
 
-
 FEWEST_PAGE_CHANGES = 3
 """Number of changes to the next page from which the duration of pages is measured."""
 
+FEWEST_FRAMES_PER_PAGE = 2
+"""Number of frames of a page from which the duration of pages is measured; photographs may have one of each."""
 
 MOST_UNEVEN_CHANGES = 0.2
-"""Share of page changes at other intervals up to which a program, and no person, has turned the pages."""
+"""Largest share of page changes at other intervals at which a program, not a person, has turned the pages."""
 
 
 @dataclass(slots=True)
 class RecordingReport:
-    """The content of a recording: numbers of frames by what became of them, and its clips.
+    """The content of a recording: numbers of frames, kept or left out for each reason, and its clips.
 
     `n_without_markers` are frames in which the four markers were not found, `n_transition` those with markers of
     two pages or with a share of another page, `n_other_page` those with the chart's key but a page that it does
@@ -123,7 +124,7 @@ class ChartSource:
         self._reaches: dict[float, _Reach] = {}
 
     def described(self, page: int, index: int) -> TriangleDescription:
-        """Return what a triangle of a page is."""
+        """Return the description of a triangle of a page."""
         one = self.chart.pages[page].triangles[index]
         columns = {OBJECT_SIZE: repr(one.size_mrad), "page": page}
         return TriangleDescription(abs(one.strength), self.chart.polarity, columns)
@@ -229,7 +230,7 @@ class ChartSource:
         )
 
     def _reach_px(self, size_mm: float, size_px: float) -> int:
-        """Return how far a window reaches, the same for all triangles of a size if they are displayed alike."""
+        """Return the reach of a window, which is the same for all triangles of one displayed size."""
         reach = self._reaches.get(size_mm)
         if reach is None or size_px > reach.size_px or size_px * SIZE_MARGIN**2 < reach.size_px:
             held_px = math.ceil(size_px * SIZE_MARGIN)
@@ -286,7 +287,7 @@ class ChartSource:
         )
 
     def warnings(self) -> Iterator[RecordingWarning]:
-        """Yield what makes the places and sizes of triangles less certain."""
+        """Yield warnings about conditions that make the places and sizes of triangles less certain."""
         if self.chart.with_key().key != self.chart.key:
             yield RecordingWarning(
                 "edited_chart",
@@ -314,7 +315,7 @@ class ChartSource:
                     f"chart shows each for {screen.page_duration_s:.3g} s: {rate:.4g} frames/s here, "
                     f"{rate * ratio:.4g} by the chart; trials average {1 / ratio:.2g} times as many frames "
                     "as the eye does; give "
-                    f"--frames-per-second {rate * ratio:.4g} if the chart is right",
+                    f"{argument.frames_per_second} {rate * ratio:.4g} if the chart is right",
                 )
 
         def worst(name: str) -> float:
@@ -326,13 +327,13 @@ class ChartSource:
                 f"{where}the markers' edges lie {residual:.2g} px (rms) off a plane chart's: the lens distorts, "
                 "the chart is bent, or the frames are noisy or blurred; triangles may be placed wrong by as much",
             )
-        if abs(roll := worst("roll_degrees")) > MOST_ROLL_DEGREES:
+        if abs(roll := worst("roll_degrees")) > math.degrees(MOST_TURN_RAD):
             yield RecordingWarning(
                 "rolled",
                 f"{where}triangles are turned by {abs(roll):.1f}° from their orientation, which the observer does "
                 "not expect; turn the camera, or the chart",
             )
-        if (stretch := worst("stretch")) > MOST_STRETCH:
+        if (stretch := worst("stretch")) > REPORTED_STRETCH:
             yield RecordingWarning(
                 "tilted",
                 f"{where}triangles are stretched by {100 * (stretch - 1):.2g} %, as in a view at "
@@ -364,11 +365,11 @@ class ChartSource:
                 yield RecordingWarning(code, f"{where}{n_found} {what}")
 
     def report(self) -> list[dict[str, object]]:
-        """Return what was found in each recording and its clips."""
+        """Return the findings in each recording and its clips."""
         return [asdict(report) for report in self.reports]
 
     def notes(self) -> Iterator[str]:
-        """Yield what was found and needs no action."""
+        """Yield remarks that need no action."""
         for report in self.reports:
             if not report.clips:
                 continue
@@ -384,6 +385,19 @@ class ChartSource:
                 + (", mirrored" if mirrored else "")
                 + (f", turned by {90 * (round(turn / 90) % 4)}°" if round(turn / 90) % 4 else "")
                 + ("; orientations are those in the frames" if mirrored or round(turn / 90) % 4 else "")
+            )
+        scales = {
+            report.path: median(float(str(clip["scale_px_per_mm"])) for clip in report.clips)
+            for report in self.reports
+            if report.clips
+        }
+        if not scales:
+            return
+        least, most = min(scales, key=scales.__getitem__), max(scales, key=scales.__getitem__)
+        if (ratio := scales[most] / scales[least]) > EQUAL_SCALES:
+            yield (
+                f"{most} shows the chart {ratio:.3g} times as large as {least}: triangles of one size are "
+                "displayed with several, and share a curve; import recordings one by one for a curve each"
             )
 
 
@@ -427,18 +441,21 @@ def page_duration_s(starts: Sequence[tuple[int, float]], frame_s: float) -> floa
     Returns
     -------
     float or None
-        None with fewer than `FEWEST_PAGE_CHANGES`, or if they are not regular: a person has turned the pages.
+        None with fewer than `FEWEST_PAGE_CHANGES`, with less than `FEWEST_FRAMES_PER_PAGE`, or if they are not
+        regular: a person has turned the pages.
         Single pauses count for nothing.
     """
     steps_s = [after_s - s for (page, s), (after, after_s) in pairwise(starts) if after == page + 1]
     if len(steps_s) < FEWEST_PAGE_CHANGES:
         return None
     usual_s = median(steps_s)
+    if usual_s < FEWEST_FRAMES_PER_PAGE * frame_s:
+        return None
     regular_s = [one for one in steps_s if abs(one - usual_s) <= 1.5 * frame_s]
     return fmean(regular_s) if len(regular_s) >= (1.0 - MOST_UNEVEN_CHANGES) * len(steps_s) else None
 
 
 def _is_same(one: NDArray[np.generic], other: NDArray[np.generic]) -> bool:
-    """Tell whether two frames are equal bit by bit; a row in the middle tells nearly always."""
+    """Return whether two frames are equal bit by bit; a row in the middle nearly always differs."""
     middle = len(one) // 2
     return np.array_equal(one[middle], other[middle]) and np.array_equal(one, other)

@@ -1,13 +1,14 @@
 """Clips and trials: the runs of frames in which a chart shows one page, and the parts that an observer integrates.
 
-Frames of transitions are left out. A frame whose markers are of two pages, or of none, tells so itself. A frame
-that holds a small share of the page before or after (a slow display, an exposure across the change) does not: its
-markers read well. The modules in which the markers of the two pages differ tell the share, and it is compared
-with that of the other frames of the clip.
+Frames of transitions are left out. Most have markers of two pages, or of none. If a frame holds only a small share
+of the page before or after (a slow display, an exposure across the change), its markers read well. Then the
+modules in which the markers of the two pages differ give the share, which is compared with that of the other
+frames of the clip.
 """
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -17,32 +18,28 @@ from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray
 from todframes.charts.markers import marker_bits, marker_ids
+from todframes.recordings.recording import GAP
 from todframes.stimulus import Orientation
 
 EDGE_FRAMES = 3
 """Frames at the beginning and the end of a clip that may hold a share of another page."""
 
-
 REFERENCE_FRAMES = 7
 """Frames of a clip whose median share the edge frames are compared with."""
-
 
 MOST_OF_OTHER = 0.03
 """Share of another page, beyond the median, from which a frame is left out: 3 % of a triangle's contrast."""
 
-
 SCATTER = 6.0
-"""The same in median deviations of the shares; noise alone hardly reaches it."""
+"""The same limit in median deviations of the shares; noise alone hardly reaches it."""
 
-
-GAP = 1.5
-"""Interval between frames, in frames, from which frames are missing."""
-
+RECENT_INTERVALS = 4
+"""Number of the latest intervals between frames, of which the shortest is the frame rate if it is longer than the
+mean: at 15 % dropped frames at random, as many in a row are missing once in 2,000."""
 
 TIME_TOLERANCE = 0.05
 """Part of a frame's interval by which its time may be off: containers round times to 1 ms. Without it, the number
 of frames in 0.1 s would depend on that rounding at 25 frames/s, where 2 and 3 are as near."""
-
 
 Rectangle = tuple[int, int, int, int]
 """Half-open ranges of rows and columns: top, bottom, left, right."""
@@ -59,7 +56,7 @@ class FramePart(NamedTuple):
 class Placed(NamedTuple):
     """A triangle in a recorded frame, with the part of the frame about it.
 
-    `x_px` and `y_px` are its centroid in the frame, None if nothing tells it; `size_px` is √(area). `window` are
+    `x_px` and `y_px` are its centroid in the frame, None if it is not known; `size_px` is √(area). `window` are
     the rows and columns that the observer needs, top, bottom, left, right; `part` reaches beyond them, since the
     next frames may show the triangle elsewhere.
     """
@@ -111,7 +108,7 @@ class Clip:
 
 
 def clean_clips(frames: Iterable[ClipFrame], *, key: int, first_number: int) -> Iterator[tuple[Clip, ClipFrame]]:
-    """Yield the frames of each clip that show nothing but its page, each with its clip.
+    """Yield the frames of each clip that show its page alone, each with its clip.
 
     Frames are held back only as long as needed for the comparison, so memory does not grow with the clip.
 
@@ -220,12 +217,16 @@ class TrialEnd(NamedTuple):
 class Integration:
     """The division of a clip's frames into trials of the observer's integration time.
 
+    Each frame is shown until the next one. The interval between frames may vary: where it is far from the mean,
+    the latest one counts. Frames are missing where it is longer, by `GAP`, than one of the latest and the mean.
+
     Parameters
     ----------
     time_s : float or None
         Integration time; None: a clip is one trial, and so is each still without a time.
     frame_s : float or None
-        Interval from frame to frame; None if nothing tells it, then each frame is a trial unless `time_s` is None.
+        Mean interval from frame to frame; None if it is not known, then each frame is a trial unless `time_s` is
+        None.
     """
 
     def __init__(self, time_s: float | None, frame_s: float | None) -> None:
@@ -233,27 +234,45 @@ class Integration:
         self.frame_s = frame_s
         self._start_s: float | None = None
         self._last_s: float | None = None
+        self._intervals_s: deque[float] = deque(maxlen=RECENT_INTERVALS)
+
+    def begin_clip(self) -> None:
+        """Begin another clip: the interval from the last one says nothing of the frame rate."""
+        self._start_s = self._last_s = None
 
     def ends_before(self, time_s: float | None) -> TrialEnd | None:
         """Return how the present trial ends if it ends before a frame of this time; None if it goes on."""
         start, last = self._start_s, self._last_s
         if self.frame_s is None or time_s is None or start is None or last is None:
             return None if self.time_s is None else TrialEnd(is_whole=True, is_gap=False)
-        is_gap = time_s - last > GAP * self.frame_s
         if self.time_s is None:
             return None
-        if is_gap or time_s - start >= self.time_s - (0.5 + TIME_TOLERANCE) * self.frame_s:
-            return TrialEnd(self.is_whole, is_gap)
+        if self.frame_s > GAP * self.time_s:  # photographs: each is a trial, and no frame is missing between two
+            return TrialEnd(is_whole=True, is_gap=False)
+        is_slow = len(self._intervals_s) == RECENT_INTERVALS
+        if time_s - last > GAP * max(self.frame_s, min(self._intervals_s) if is_slow else 0.0):
+            return TrialEnd(self.is_whole, is_gap=True)
+        if time_s - start >= self.time_s - (0.5 + TIME_TOLERANCE) * self._local_s(time_s - last):
+            return TrialEnd(is_whole=True, is_gap=False)
         return None
+
+    def _local_s(self, latest_s: float) -> float:
+        """Return the interval between frames here: the mean one, unless the latest is another frame rate's."""
+        assert self.frame_s is not None
+        return self.frame_s if self.frame_s <= GAP * latest_s and latest_s <= GAP * self.frame_s else latest_s
 
     def add(self, time_s: float | None, *, first: bool) -> None:
         """Take a frame into the present trial, or begin one with it."""
+        if time_s is not None and self._last_s is not None:
+            self._intervals_s.append(time_s - self._last_s)
         self._start_s = time_s if first else self._start_s
         self._last_s = time_s
 
     @property
     def is_whole(self) -> bool:
-        """Whether the present trial covers the integration time, which a single frame does if it is short."""
+        """True if the present trial covers the integration time. If the time is short, a single frame covers
+        it."""
         if self.time_s is None or self.frame_s is None or self._start_s is None or self._last_s is None:
             return True
-        return self._last_s - self._start_s >= self.time_s - (1.5 + TIME_TOLERANCE) * self.frame_s
+        frame_s = max(self.frame_s, self._local_s(self._intervals_s[-1]) if self._intervals_s else 0.0)
+        return self._last_s - self._start_s >= self.time_s - (1.5 + TIME_TOLERANCE) * frame_s

@@ -20,22 +20,17 @@ from todframes.stimulus import ORIENTATIONS
 SETTINGS_FILE, MANIFEST_FILE = "dataset.toml", "manifest.csv"
 """Files that make a folder of frames a dataset."""
 
-
 NOT_FROM_NAMES = ("frame", "sha256", "reference_frame")
 """Columns of a manifest that names of files cannot give."""
-
 
 NUMBERS = ("size_mrad", "x_px", "y_px")
 """Columns of a manifest, beside the level, whose values are numbers."""
 
-
 ORIENTATION_WORDS = {word: one.value for one in ORIENTATIONS for word in (one.value, one.value[0])}
 """Orientations by the words for them in names of files, in small letters."""
 
-
 POLARITY_WORDS = {"1": "1", "+1": "1", "pos": "1", "-1": "-1", "neg": "-1"}
 """Polarities by the words for them in names of files, in small letters."""
-
 
 _FIELD = re.compile(r"\{([^{}]*)\}|(\*)")
 _NUMBER = r"[+-]?[0-9]+(?:[.,p][0-9]+)?(?:e[+-]?[0-9]+)?"

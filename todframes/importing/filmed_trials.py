@@ -9,19 +9,17 @@ from typing import NamedTuple
 import numpy as np
 
 from todframes.importing.clips import Clip, ClipFrame, Integration, Placed, Rectangle
-from todframes.importing.windows import CodeRange, Window, WrittenWindow, narrowed, suffix
+from todframes.importing.windows import CodeRange, RecordedWindow, WrittenWindow, narrowed, suffix
 from todframes.stimulus import Orientation
 
 OBJECT_SIZE = "object_size_mrad"
 """Column with the size at the camera. It groups, because the displayed size varies a little with perspective."""
 
-
 SAME_SIZE = 0.005
 """Relative difference of displayed sizes below which they count as one; thresholds change by a quarter of it."""
 
-
 SHAKE_PX = 0.25
-"""Root mean square motion within a trial from which it is told; it blurs like half of a pixel's width."""
+"""Root mean square motion within a trial from which it is reported; it blurs like half of a pixel's width."""
 
 
 class TriangleDescription(NamedTuple):
@@ -97,7 +95,7 @@ class TrialDivision:
     Parameters
     ----------
     described : function
-        Tells what a triangle on a page is.
+        Returns what a triangle on a page is.
     integration_time_s : float or None
         None: each clip is a trial.
     steady : bool
@@ -124,7 +122,7 @@ class TrialDivision:
 
     def windows(
         self, frames: Iterable[tuple[Clip, ClipFrame]], scale: CodeRange, frame_s: float | None
-    ) -> Iterator[Window]:
+    ) -> Iterator[RecordedWindow]:
         """Yield the windows of the frames of one recording, in the order of time."""
         integration = Integration(self._time_s, frame_s)
         clip: Clip | None = None
@@ -132,6 +130,7 @@ class TrialDivision:
         for now, frame in frames:
             if clip is not now:
                 self._end(clip, integration.is_whole)
+                integration.begin_clip()
                 clip, number = now, 0
             elif self._open and (end := integration.ends_before(frame.time_s)) is not None:
                 self._end(clip, end.is_whole)
@@ -161,7 +160,9 @@ class TrialDivision:
             start_px=(placed.x_px or 0.0, placed.y_px or 0.0),
         )
 
-    def _taken(self, frame: ClipFrame, index: int, placed: Placed | None, scale: CodeRange) -> Iterator[Window]:
+    def _taken(
+        self, frame: ClipFrame, index: int, placed: Placed | None, scale: CodeRange
+    ) -> Iterator[RecordedWindow]:
         """Yield the window of a triangle, unless its trial has ended early or does now."""
         trial = self._open[index]
         if trial is None:
@@ -179,7 +180,7 @@ class TrialDivision:
         trial.sizes_px.append(placed.size_px)
         if placed.x_px is not None and placed.y_px is not None:
             trial.places_px.append((placed.x_px - window[2], placed.y_px - window[0]))
-        yield Window(name, values, scale)
+        yield RecordedWindow(name, values, scale)
 
     def _end(self, clip: Clip | None, is_whole: bool) -> None:
         """End the present trials; keep them if they are whole."""

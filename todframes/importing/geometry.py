@@ -21,9 +21,9 @@ from todframes.stimulus import ORIENTATIONS, Orientation, vertices
 class View(NamedTuple):
     """The local geometry of a chart in a frame, about a place on the chart.
 
-    `turn_degrees` is the direction in the frame of what points up on the chart, clockwise from up. `stretch` is
-    the ratio of the largest to the smallest scale among all directions: 1 for a chart seen squarely, and 1 / cos
-    φ for one that is tilted by φ, far away.
+    `turn_degrees` is the direction in the frame of the chart's upward direction, clockwise from up. `stretch` is
+    the ratio of the largest to the smallest scale among all directions: 1 for a chart seen squarely, and 1 / cos φ
+    for one that is tilted by φ, far away.
     """
 
     scale_px_per_mm: float
@@ -65,7 +65,7 @@ class Geometry:
         return math.sqrt(abs(float(np.linalg.det(self.jacobian(place_mm)))))
 
     def view(self, place_mm: ArrayLike) -> View:
-        """Return how the frame shows the chart about a place on it."""
+        """Return the local geometry of the chart in the frame at a place on the chart."""
         (a, b), (c, d) = self.jacobian(place_mm).tolist()
         # Singular values of a matrix: the sum and the difference of those of its turning and its mirroring part.
         turning, mirroring = math.hypot(a + d, c - b) / 2.0, math.hypot(a - d, c + b) / 2.0
@@ -116,8 +116,8 @@ class PlacedTriangle(NamedTuple):
     """A triangle of a chart as recorded.
 
     `x_px` and `y_px` are the centroid of what the frame shows, `size_px` is √(area) there. `orientation` is the
-    direction of the four that its apex points nearest to, `roll_degrees` the angle from there, clockwise.
-    `corners_px` has shape (3, 2), apex first.
+    one of the four directions that is nearest to that of the apex, and `roll_degrees` the angle from it to the
+    apex, clockwise. `corners_px` has shape (3, 2), apex first.
     """
 
     x_px: float

@@ -6,19 +6,25 @@ import json
 import math
 import os
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, Protocol
 
+import numpy as np
+
 from todframes import __version__
-from todframes.base.errors import DataError, SettingsError, argument
+from todframes.base.errors import DataError, SettingsError, argument, for_reader
 from todframes.base.output import Going, new_folder, remove_others, store_path
 from todframes.base.reading import toml_text
 from todframes.base.safe_text import csv_text, one_line
+from todframes.diagnosis.findings import place_deviations
+from todframes.diagnosis.inspection import inspect
+from todframes.diagnosis.limits import SIZES_ALIKE
 from todframes.display.display import Display
 from todframes.display.display_files import DisplayDescription, find_display, table_of_display
+from todframes.frames.dataset import Dataset, load_dataset
 from todframes.frames.files import MAX_FRAME_MB
 from todframes.importing.chart_source import ChartSource
 from todframes.importing.clips import TIME_TOLERANCE, Clip, ClipFrame
@@ -28,31 +34,26 @@ from todframes.importing.schedule_source import ScheduleSource
 from todframes.importing.windows import WindowWriter, WrittenWindow, code_range
 from todframes.jobs.store import Store
 from todframes.recordings.opening import open_recordings
-from todframes.recordings.recording import INTEGRATION_TIME_S, Recording, RecordingWarning, natural_order
+from todframes.recordings.recording import GAP, INTEGRATION_TIME_S, Recording, RecordingWarning, natural_order
 
 LARGEST_TIME_ERROR = 0.1
-"""Relative difference of the trials' time from the integration time, above which it is told."""
-
-
-LARGEST_SIZE_RATIO = 1.15
-"""Ratio of the displayed sizes of one curve that is told; a tilt of 10° in a field of view of 28° has 1.09."""
-
+"""Relative difference of the trials' time from the integration time, above which it is reported."""
 
 LARGEST_IMBALANCE = 3.0
-"""Ratio of the numbers of trials of two orientations at one level that is told."""
+"""Ratio of the numbers of trials of two orientations at one level that is reported."""
 
+CAUSES: Mapping[str, str] = {"position_scatter": "shake", "turned": "rolled"}
+"""Warnings of recordings that explain what the frames of the dataset show."""
 
 DEFAULT_LEVEL = "contrast"
 
-
 REPORT_FILE = "import.json"
-
 
 PathLike = str | os.PathLike[str]
 
 
 class Source(Protocol):
-    """Protocol of what finds the clips in recordings: by a chart's markers, or by a schedule.
+    """Protocol of objects that find the clips in recordings: by a chart's markers, or by a schedule.
 
     `level` and `group_by` are columns of the manifest, `clips` are those found so far.
     """
@@ -62,7 +63,7 @@ class Source(Protocol):
     clips: list[Clip]
 
     def described(self, page: int, index: int) -> TriangleDescription:
-        """Return what a triangle of a page is."""
+        """Return the description of a triangle of a page."""
 
     def frames(self, recording: Recording, number: int) -> Iterator[tuple[Clip, ClipFrame]]:
         """Yield the frames of a recording that show one page, each with its clip."""
@@ -71,13 +72,13 @@ class Source(Protocol):
         """Return why there is no clip at all; None if there are some."""
 
     def warnings(self) -> Iterator[RecordingWarning]:
-        """Yield what makes the dataset less certain."""
+        """Yield warnings about conditions that make the dataset less certain."""
 
     def notes(self) -> Iterator[str]:
-        """Yield what was found and needs no action."""
+        """Yield remarks that need no action."""
 
     def report(self) -> list[dict[str, object]]:
-        """Return what was found, as it is written into import.json."""
+        """Return the findings for import.json."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -135,7 +136,7 @@ def import_recordings(
     chart : path, optional
         The `chart.toml` of the chart that was recorded; either it or `schedule`.
     schedule : path, optional
-        CSV file that tells what each part of the recordings shows.
+        CSV file that states what each part of the recordings shows.
     display : str or Display
         Display that shows the frames: the name of one of this package, a TOML file, or a `Display`.
     integration_time_s : float or "all"
@@ -223,26 +224,7 @@ def import_recordings(
             del written[name]
             (folder / name).unlink()
         rows = list(division.rows(written, level=source.level, pitch_mrad=pitch_mrad))
-        warnings = (
-            *_of_recordings(opened),
-            *source.warnings(),
-            *_of_trials(division, source, opened, time_s, steady=steady),
-            *_of_design(division.trials, written, source),
-            *_of_windows(written, is_clipped=is_clipped),
-        )
-        notes = (*source.notes(), *_of_time(opened, time_s))
-        n_clips = sum(clip.n_trials > 0 for clip in source.clips)
-        report = {
-            "version": __version__,
-            "n_frames": len(rows),
-            "n_trials": len(division.trials),
-            "n_clips": n_clips,
-            "from_store": store.n_used,
-            "warnings": [one._asdict() for one in warnings],
-            "found": source.report(),
-        }
         remove_others(folder, written)
-        _write(folder / REPORT_FILE, json.dumps(report, indent=1, ensure_ascii=False) + "\n")
         _write(folder / "manifest.csv", csv_text([rows[0], *(row.values() for row in rows)], as_it_is=True))
         _write(
             folder / "dataset.toml",
@@ -256,6 +238,28 @@ def import_recordings(
                 f"Display: {one_line(shown.title)}",
             ),
         )
+        to_report = (
+            *_of_recordings(opened),
+            *source.warnings(),
+            *_of_trials(division, source, opened, time_s, steady=steady),
+            *_of_design(division.trials, written, source),
+            *_of_windows(written, is_clipped=is_clipped),
+        )
+        dataset = load_dataset(folder, max_frame_mb=max_frame_mb)
+        to_report += tuple(_of_frames(dataset, {code for code, _ in to_report}))
+        warnings = tuple(RecordingWarning(code, for_reader(message)) for code, message in to_report)
+        notes = (*source.notes(), *_of_time(opened, time_s))
+        n_clips = sum(clip.n_trials > 0 for clip in source.clips)
+        report = {
+            "version": __version__,
+            "n_frames": len(rows),
+            "n_trials": len(division.trials),
+            "n_clips": n_clips,
+            "from_store": store.n_used,
+            "warnings": [one._asdict() for one in warnings],
+            "found": source.report(),
+        }
+        _write(folder / REPORT_FILE, json.dumps(report, indent=1, ensure_ascii=False) + "\n")
     return Imported(
         path=Path(out),
         n_frames=len(rows),
@@ -317,10 +321,10 @@ def _check_settings(
             f"{argument.value_range}: found {low:g}:{high:g}, expected two numbers, the lower one first"
         )
     if level is not None and not has_schedule:
-        raise SettingsError(f"{argument.level}: is given but not used with a chart, which tells its levels")
+        raise SettingsError(f"{argument.level}: is given but not used with a chart, which states its levels")
     if ifov_mrad is not None and not has_schedule:
         raise SettingsError(
-            f"{argument.ifov_mrad}: is given but not used with a chart, whose markers tell the scale"
+            f"{argument.ifov_mrad}: is given but not used with a chart, whose markers give the scale"
         )
     if ifov_mrad is not None and not (math.isfinite(ifov_mrad) and ifov_mrad > 0):
         raise SettingsError(f"{argument.ifov_mrad}: found {ifov_mrad!r}, expected a number > 0")
@@ -354,7 +358,7 @@ def _of_recordings(opened: Sequence[Recording]) -> Iterator[RecordingWarning]:
 def _of_trials(
     division: TrialDivision, source: Source, opened: Sequence[Recording], time_s: float | None, *, steady: bool
 ) -> Iterator[RecordingWarning]:
-    """Yield what the division into trials has left out, and motion within them."""
+    """Yield warnings about parts that the division into trials left out, and about motion within trials."""
     short = [clip for clip in source.clips if clip.n_frames and not clip.n_trials]
     if short and time_s is not None:
         yield RecordingWarning(
@@ -373,9 +377,9 @@ def _of_trials(
                 yield RecordingWarning(
                     "no_times",
                     f"{recording.path}: has no times, so each frame is a trial of its own; "
-                    "--frames-per-second gives them",
+                    f"{argument.frames_per_second} or a times.csv in their folder gives them",
                 )
-            elif interval_s > 1.5 * time_s:
+            elif interval_s > GAP * time_s:
                 yield RecordingWarning(
                     "slow_frames",
                     f"{recording.path}: frames are {interval_s:.3g} s apart, more than the integration time of "
@@ -394,14 +398,15 @@ def _of_trials(
             "shake",
             f"in {len(moving)} of {len(motions)} trials the triangle moves on the display within the integration "
             f"time, by up to {max(moving):.2g} px (rms); the eye sees it blurred, and so does the observer; if "
-            "the camera in use does not shake, take a tripod, or --steady",
+            f"the camera in use does not shake, take a tripod, or {argument.steady}",
         )
 
 
 def _of_design(
     trials: Sequence[ImportedTrial], written: Mapping[str, WrittenWindow], source: Source
 ) -> Iterator[RecordingWarning]:
-    """Yield what makes trials unfit for one curve: repeats, two magnifications, more of one orientation."""
+    """Yield warnings about trials that do not suit one curve: repeats, two magnifications, more of one
+    orientation."""
     n_repeats = len(trials) - len({tuple(written[name].sha256 for name in trial.frames) for trial in trials})
     if n_repeats:
         yield RecordingWarning(
@@ -416,7 +421,7 @@ def _of_design(
         sizes_px[size] += trial.sizes_px
         numbers[size, trial.stimulus.level][trial.orientation.value] += 1
     size, of_size = max(sizes_px.items(), key=lambda one: max(one[1]) / min(one[1]))
-    if size is not None and max(of_size) > LARGEST_SIZE_RATIO * min(of_size):
+    if size is not None and max(of_size) > SIZES_ALIKE * min(of_size):
         yield RecordingWarning(
             "sizes_differ",
             f"triangles of {size} mrad are displayed with {min(of_size):.3g} to {max(of_size):.3g} px, so their "
@@ -433,11 +438,33 @@ def _of_design(
             )
 
 
+def _of_frames(dataset: Dataset, said: Collection[str]) -> Iterator[RecordingWarning]:
+    """Yield a warning if triangles are not where, as large and as upright as the manifest says.
+
+    A sample of the trials that have a place is measured. Differences that the codes in `said` explain are left
+    out.
+    """
+    trials = dataset.trials
+    found: dict[str, str] = {}
+    for one in inspect(dataset, trials.select(np.flatnonzero(np.isfinite(trials.positions_px[:, 0])))):
+        seen = [way.seen for way in place_deviations(dataset, one) if CAUSES.get(way.code) not in said]
+        if seen:
+            found.setdefault(f"{dataset.experiment.group_by[0]} {one.group[0]:g}", "; ".join(seen))
+    if found:
+        group, first = next(iter(found.items()))
+        others = f", and {len(found) - 1} other sizes are wrong too" if len(found) > 1 else ""
+        yield RecordingWarning(
+            "misplaced",
+            f"{group}: {first}{others}: the places and sizes that were imported are not those in the frames; "
+            f"check the chart or the schedule, and the lens, and use {argument.locate} to score",
+        )
+
+
 def _of_time(opened: Sequence[Recording], time_s: float | None) -> Iterator[str]:
-    """Yield the time that trials have where whole frames do not make up the integration time."""
+    """Yield the time of the trials if whole frames do not make up the integration time."""
     for recording in opened:
         frame_s = _interval_s(recording)
-        if time_s is None or frame_s is None:
+        if time_s is None or frame_s is None or frame_s > GAP * time_s:
             continue
         n_frames = max(1, math.ceil(time_s / frame_s - 0.5 - TIME_TOLERANCE))
         if abs(n_frames * frame_s / time_s - 1.0) > LARGEST_TIME_ERROR:
@@ -453,8 +480,8 @@ def _of_windows(written: dict[str, WrittenWindow], *, is_clipped: bool) -> Itera
         done = "and were clipped, as the display does" if is_clipped else "and were kept"
         yield RecordingWarning(
             "beyond_range",
-            f"{100 * n_beyond / n_values:.2g} % of the values lie beyond black and white {done}; a wider --range "
-            "keeps them",
+            f"{100 * n_beyond / n_values:.2g} % of the values lie beyond black and white {done}; a wider "
+            f"{argument.value_range} keeps them",
         )
 
 

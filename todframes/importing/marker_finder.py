@@ -24,45 +24,35 @@ from todframes.importing.geometry import Geometry, fit_geometry
 PIECES, POINTS = 3, 6
 """Pieces of a marker's edge, and points along each piece whose profiles across the edge are averaged."""
 
-
 EDGE = 0.76
 """Middle part of an edge that is measured; beside it blur brings in the corner."""
 
-
-REACH = 0.5
+PROFILE_REACH = 0.5
 """Length of a profile on either side of an edge, in modules: to the middle of the black border, where black is
 measured, and of the white around, which is as wide."""
 
-
-STEPS = 8
+PROFILE_STEPS = 8
 """Samples of a profile on either side of an edge."""
-
 
 MOST_STEPS, CONVERGED_PX = 8, 0.02
 """Number of adjustments of a homography, and the motion of the edges after which there is no further one: each
 leaves a small part of the motion that it corrects."""
 
-
 CORNER_OF_KEY = 3
 """Corner whose marker carries the key of the chart."""
 
-
 ENOUGH_MARKERS = 3
-"""Number of markers that a search has to find; the fourth's place follows from these, and its edges tell if it is
+"""Number of markers that a search has to find; the fourth's place follows from these, and its edges show if it is
 there."""
 
-
 LARGEST_RESIDUAL = 0.2
-"""Residual of the edges, in modules, above which the four markers are no chart."""
-
+"""Residual of the edges, in modules, above which the four markers do not belong to one chart."""
 
 LEAST_CONTRAST_IN_ERRORS = 3.0
 """Least difference of a marker's white and black modules, in standard deviations of its black ones."""
 
-
 SAMPLES, SAMPLED = 3, 0.5
 """Samples along a module's side that are averaged to its value, and the part of the side that they cover."""
-
 
 MOST_WRONG_BITS = 1
 """Number of modules of a marker that may read wrong; two markers of the dictionary differ in five or more."""
@@ -211,9 +201,9 @@ class _Edges:
     """The outer edges of four markers, which homographies are adjusted to.
 
     Each of the 16 edges has `PIECES` pieces. The profile of a piece, averaged along it, is antisymmetric about the
-    edge whatever the blur, so its integral above the middle of black and white over as far on either side vanishes
-    there. White that spreads (a display that glares, a non-linear camera) moves all edges outwards or inwards
-    alike; that is fitted besides.
+    edge for any blur. So the integral of its difference from the middle of black and white, over equal distances
+    on both sides, is zero at the edge. White that spreads (a display that glares, a non-linear camera) moves all
+    edges outwards or inwards by the same amount, which is also fitted.
     """
 
     def __init__(self, corners_mm: FloatArray, module_mm: float) -> None:
@@ -222,7 +212,7 @@ class _Edges:
         middles = corners_mm[:, :, None] + along[:, None] * (after - corners_mm)[:, :, None]
         inwards = corners_mm.mean(axis=1)[:, None] - (corners_mm + after) / 2.0
         outwards = -inwards / np.linalg.norm(inwards, axis=-1, keepdims=True)
-        distances = np.linspace(-REACH, REACH, 2 * STEPS + 1) * module_mm
+        distances = np.linspace(-PROFILE_REACH, PROFILE_REACH, 2 * PROFILE_STEPS + 1) * module_mm
         self._module_mm = module_mm
         self._places_mm = middles.reshape(16 * PIECES * POINTS, 1, 2) + distances[:, None] * np.repeat(
             outwards.reshape(16, 1, 2), PIECES * POINTS, axis=0
@@ -249,7 +239,7 @@ class _Edges:
         return geometry if geometry.residual_px <= LARGEST_RESIDUAL * module_px else None
 
     def _shifts_px(self, grey: NDArray[np.float32], geometry: Geometry) -> FloatArray | None:
-        """Measure how far outwards each piece lies of where the geometry has it, along the mapped normal."""
+        """Measure the distance of each piece from its place in the geometry, outwards along the mapped normal."""
         places = geometry.to_px(self._places_mm)
         height, width = grey.shape
         lowest, highest = places.min(axis=(0, 1)), places.max(axis=(0, 1))
@@ -264,7 +254,7 @@ class _Edges:
         above = (profiles - black[:, None]) / (white - black)[:, None] - 0.5
         integral = above.sum(axis=1) - (above[:, 0] + above[:, -1]) / 2.0
         length_px = np.linalg.norm(places[:, -1] - places[:, 0], axis=1).reshape(16 * PIECES, POINTS).mean(axis=1)
-        return np.asarray(-integral * length_px / (2 * STEPS))
+        return np.asarray(-integral * length_px / (2 * PROFILE_STEPS))
 
     def _moved(self, geometry: Geometry, shifts_px: FloatArray) -> tuple[Geometry, float]:
         """Move a geometry's edges by the least squares of the shifts; return it and how far they moved at most."""

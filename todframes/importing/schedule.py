@@ -1,4 +1,4 @@
-"""Schedules: tables of what a recording shows when no chart with markers tells it.
+"""Schedules: tables of what a recording shows when no chart with markers states it.
 
 A schedule is a CSV file with a row for each trial:
 
@@ -25,8 +25,7 @@ from todframes.stimulus import ORIENTATIONS, Orientation
 SIZE_COLUMNS = ("size_mrad", "size_px")
 """Columns with the size of the triangle; a schedule has one of them, or both."""
 
-
-COLUMNS = ("file", "start_s", "end_s", "orientation", *SIZE_COLUMNS, "x_px", "y_px", "polarity")
+SCHEDULE_COLUMNS = ("file", "start_s", "end_s", "orientation", *SIZE_COLUMNS, "x_px", "y_px", "polarity")
 """Columns of a schedule with a meaning of their own, beside the level."""
 
 
@@ -164,10 +163,10 @@ def _check_header(header: Mapping[str, str], level: str, path: Path) -> None:
     check_columns(header, ["orientation", level], path)
     if not set(SIZE_COLUMNS) & header.keys():
         check_columns(header, ["size_mrad"], path)
-    known = [*COLUMNS, level]
+    known = [*SCHEDULE_COLUMNS, level]
     for name in header:
         hint = spelling_hint(name, known) or next(
-            (f"; write {one}" for one in COLUMNS if one.startswith(f"{name.lower()}_")), ""
+            (f"; write {one}" for one in SCHEDULE_COLUMNS if one.startswith(f"{name.lower()}_")), ""
         )
         if name not in known and hint:
             raise DataError(f"{path}: found column {name!r}{hint}")
@@ -213,7 +212,7 @@ def _trial(row: Mapping[str, str], where: str, level: str) -> ScheduledTrial:
         polarity=int(polarity),
         x_px=x_px,
         y_px=y_px,
-        other={name: text.strip() for name, text in row.items() if name not in (*COLUMNS, level)},
+        other={name: text.strip() for name, text in row.items() if name not in (*SCHEDULE_COLUMNS, level)},
     )
 
 

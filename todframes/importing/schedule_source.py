@@ -1,4 +1,4 @@
-"""Recordings with a schedule: its rows tell which frames show what, and nothing is looked for in the frames."""
+"""Recordings with a schedule: its rows state what each frame shows, so the frames are not searched."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ class ScheduleSource:
         self.group_by = OBJECT_SIZE if with_angle else "size_mrad"
 
     def _object_mrad(self, row: ScheduledTrial) -> float | None:
-        """Return the size at the camera; None if the schedule does not tell it."""
+        """Return the size at the camera; None if the schedule does not state it."""
         if row.size_mrad is not None and (self._ifov_mrad is not None or row.size_px is not None):
             return row.size_mrad
         return row.size_px * self._ifov_mrad if row.size_px is not None and self._ifov_mrad is not None else None
@@ -81,7 +81,7 @@ class ScheduleSource:
         return row.size_mrad / (self._pitch_mrad if self._ifov_mrad is None else self._ifov_mrad)
 
     def described(self, page: int, index: int) -> TriangleDescription:  # noqa: ARG002
-        """Return what a row of the schedule shows."""
+        """Return the description of the triangle in a row of the schedule."""
         row = self._rows[page]
         size = self._object_mrad(row)
         columns: dict[str, object] = {} if size is None else {OBJECT_SIZE: repr(size)}
@@ -151,7 +151,7 @@ class ScheduleSource:
         return f"{self.path}: no frame lies in the times of any row; times count from the start of a recording"
 
     def warnings(self) -> Iterator[RecordingWarning]:
-        """Yield what was left out, or is smaller than it should be."""
+        """Yield warnings about parts that were left out, or are smaller than they should be."""
         empty = [clip for clip in self.clips if not clip.n_frames]
         if empty:
             yield RecordingWarning(
@@ -167,12 +167,12 @@ class ScheduleSource:
             )
 
     def notes(self) -> Iterator[str]:
-        """Yield what was found and needs no action."""
+        """Yield remarks that need no action."""
         n_frames = sum(clip.n_frames for clip in self.clips)
         yield f"{self.path}: {n_frames} frames in {sum(clip.n_frames > 0 for clip in self.clips)} rows"
         if any(row.x_px is None for row in self._rows):
             yield "frames without x_px and y_px are whole; todframes score --locate finds the triangles"
 
     def report(self) -> list[dict[str, object]]:
-        """Return what was found in each clip."""
+        """Return the findings in each clip."""
         return [asdict(clip) for clip in self.clips]

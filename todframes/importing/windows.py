@@ -29,10 +29,8 @@ from todframes.stimulus import Stimulus
 MARGIN_PX = 2
 """Pixels of a window beyond what the observer and the background need."""
 
-
 WINDOWS_A_COMMIT = 64
 """Number of windows that are entered into the store together."""
-
 
 EVERYWHERE = (-(10**9), 10**9)
 
@@ -107,7 +105,7 @@ def code_range(recording: Recording, asked: tuple[float, float] | None) -> CodeR
     return CodeRange(recording.zero, recording.full_scale)
 
 
-class Window(NamedTuple):
+class RecordedWindow(NamedTuple):
     """A window to write: its path in the dataset, its values as recorded, and their range."""
 
     name: str
@@ -129,7 +127,7 @@ def suffix(scale: CodeRange, dtype: np.dtype[Any]) -> str:
     return ".png" if is_full else ".exr"
 
 
-def write_window(folder: Path, window: Window, *, clip: bool) -> WrittenWindow:
+def write_window(folder: Path, window: RecordedWindow, *, clip: bool) -> WrittenWindow:
     """Write a window into a dataset's folder: 8 or 16 bits as PNG, all else as EXR of the code values.
 
     Parameters
@@ -172,7 +170,7 @@ class WindowWriter:
     clip : bool
         As in `write_window`.
     store : Store or None
-        Store that tells which windows of the folder are finished.
+        Store that states which windows of the folder are finished.
     """
 
     def __init__(self, folder: Path, *, clip: bool, store: Store | None) -> None:
@@ -181,8 +179,8 @@ class WindowWriter:
         self._rows: list[tuple[bytes, bytes]] = []
         self._started = time.perf_counter()
 
-    def write(self, window: Window) -> WrittenWindow:
-        """Write a window, unless it is there as it would be; raise OutputError if it cannot be written."""
+    def write(self, window: RecordedWindow) -> WrittenWindow:
+        """Write a window unless the same one is already there; raise OutputError if it cannot be written."""
         if self._store is None:
             return write_window(self._folder, window, clip=self._clip)
         key = fingerprint(window.name, window.values, window.scale, self._clip)

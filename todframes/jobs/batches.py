@@ -1,9 +1,9 @@
 """Work that is handed in batches to an executor, and the items that kill their workers.
 
 Batches take about the same time, by the worker's own clock, and few are in flight, so that little is lost with a
-worker. A batch whose worker died is tried again in halves, and so on. An item that is left alone may still be
-innocent: all batches that waited for a dead worker look the same. Such items are put aside, and done one at a time
-with nothing else in flight. One that is killed then, twice, is lost.
+worker. A batch whose worker died is tried again in halves, and so on. A single item that is left may still not be
+the cause: all batches that waited for a dead worker look the same. Such items are put aside, and done one at a
+time with nothing else in flight. If the worker dies again, twice, the item is lost.
 """
 
 from __future__ import annotations
@@ -90,7 +90,7 @@ class ExecutorEngine(ABC):
         TodframesError
             If workers cannot be started, or one of them cannot do the work.
         """
-        plan = Plan(work, items, self.batch_s)
+        plan = BatchQueue(work, items, self.batch_s)
         pickled = self._pickled(work)
         key = hashlib.sha256(pickled).hexdigest()
         outcomes: queue.SimpleQueue[tuple[Batch[T], Future[Any]]] = queue.SimpleQueue()
@@ -122,7 +122,7 @@ class ExecutorEngine(ABC):
 
     @abstractmethod
     def _begin(self, key: str, work: bytes) -> None:
-        """Have each worker, those that come later included, receive a pickled work under a key."""
+        """Send a pickled work under a key to each worker, including workers that join later."""
 
     @abstractmethod
     def _submit(self, key: str, items: bytes) -> Future[Any]:
@@ -154,8 +154,8 @@ class Batch(Generic[T]):
     deaths: int | None = None
 
 
-class Plan(Generic[T, R]):
-    """The batches of a run: items not begun, what is left of batches, and items put aside."""
+class BatchQueue(Generic[T, R]):
+    """The batches of a run: items not begun, the rest of unfinished batches, and items put aside."""
 
     def __init__(self, work: Work[T, R], items: Iterable[tuple[int, T]], batch_s: float) -> None:
         self._work = work
@@ -180,7 +180,7 @@ class Plan(Generic[T, R]):
         return None
 
     def take(self, batch: Batch[T], outcome: Done | Killed) -> Iterator[list[tuple[int, R | Lost]]]:
-        """Yield the results of a batch, if there are any, and plan what is left of it. Raises the items' error."""
+        """Yield the results of a batch, if there are any, and plan the rest of it. Raises the items' error."""
         self._is_alone = False
         if isinstance(outcome, Killed):
             yield from self._take_killed(batch, outcome.deaths)

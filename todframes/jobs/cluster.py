@@ -37,36 +37,28 @@ LOCAL = "local:"
 CONNECT_S = 10.0
 """Time within which a scheduler has to answer, and then its first worker."""
 
-
 WITHOUT_WORKERS_S = 60.0
 """Time after which a run ends if all workers have gone."""
-
 
 CLOSE_S = 10.0
 """Longest time to leave a cluster in order."""
 
-
 CLOSE_CLIENT_S = 0.5
 """Time that the connection to the scheduler has to end in order."""
-
 
 KILL_S = 0.2
 """Time that the processes of a local cluster have to end by themselves."""
 
-
 COUNT_WORKERS_S = 1.0
 """Interval between counts of the workers."""
-
 
 BATCH_S = 2.0
 """Time that a batch is meant to take."""
 
-
 BATCHES_PER_THREAD = 4
 """Largest number of batches in flight for each thread of the workers."""
 
-
-LIBRARIES = ("distributed", "tornado", "bokeh")
+LOGGERS = ("distributed", "tornado", "bokeh")
 """Names of the loggers that are silenced, with those below them."""
 
 
@@ -86,7 +78,7 @@ def cluster_engine(cluster: str) -> Iterator[ClusterEngine]:
 
 
 class ClusterEngine(ExecutorEngine):
-    """The engine that has work done by a Dask cluster; `cluster_engine` makes it.
+    """The engine whose work is done by a Dask cluster; `cluster_engine` makes it.
 
     Attributes
     ----------
@@ -356,8 +348,8 @@ async def _count_threads(client: Client) -> int:
 
 @contextmanager
 def _without_messages() -> Iterator[None]:
-    """Silence the loggers of Dask: about lost connections and dead processes, the engine says what matters."""
-    names = {*LIBRARIES, *(name for name in logging.root.manager.loggerDict if name.split(".")[0] in LIBRARIES)}
+    """Silence the loggers of Dask: the engine itself reports lost connections and dead processes."""
+    names = {*LOGGERS, *(name for name in logging.root.manager.loggerDict if name.split(".")[0] in LOGGERS)}
     levels = {logger: logger.level for logger in map(logging.getLogger, names)}
     for logger in levels:
         logger.setLevel(logging.CRITICAL + 1)

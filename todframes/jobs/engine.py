@@ -7,8 +7,7 @@ from contextlib import closing, contextmanager
 from importlib.util import find_spec
 
 from todframes.base.errors import SettingsError, argument
-from todframes.jobs.local import LocalEngine
-from todframes.jobs.work import Engine
+from todframes.jobs.work import Engine, LocalEngine
 
 
 @contextmanager

@@ -19,12 +19,8 @@ PACKAGES = ("numpy", "scipy", "opencv-contrib-python-headless", "OpenImageIO", "
 """Packages whose versions may change the last digits of a result."""
 
 
-OWN_PACKAGES = ("todframes", "sensor_sim")
-"""Packages whose code gives the results."""
-
-
 def fingerprint(*values: object) -> bytes:
-    """Return a hash, 32 bytes, of values and of all that they hold.
+    """Return a hash, 32 bytes, of values and of all that they hold, and of the code of this package.
 
     Parameters
     ----------
@@ -37,7 +33,7 @@ def fingerprint(*values: object) -> bytes:
     TypeError
         If the code of a class or function is in no file, as in a notebook.
     """
-    found = hashlib.sha256()
+    found = hashlib.sha256(code_fingerprint(__name__))
     for part in _parts(values):
         found.update(part)
     return found.digest()
@@ -75,7 +71,7 @@ def _parts(value: object) -> Iterator[bytes]:
 
 
 def _attributes(value: Any) -> dict[str, object]:
-    """Return the attributes of an object; of an observer the settings, which are all that it is made of."""
+    """Return the attributes of an object; for an observer its settings, which determine everything else."""
     if dataclasses.is_dataclass(value):
         return {one.name: getattr(value, one.name) for one in dataclasses.fields(value)}
     settings = getattr(value, "settings", None)
@@ -86,8 +82,8 @@ def _attributes(value: Any) -> dict[str, object]:
 def code_fingerprint(module: str) -> bytes:
     """Return a hash of a module's code: of all Python files of its package, or of its file if it is in none.
 
-    For this package it is that of both packages of the project, with the versions of the libraries. Modules that
-    a user's own module imports from elsewhere do not count.
+    For this package the versions of the libraries count too. Modules that a module imports from other packages do
+    not count.
 
     Raises
     ------
@@ -96,15 +92,12 @@ def code_fingerprint(module: str) -> bytes:
     """
     top = module.partition(".")[0]
     found = hashlib.sha256()
-    if top in OWN_PACKAGES:
-        folder = Path(__file__).parents[2]
-        files = sorted(path for name in OWN_PACKAGES for path in (folder / name).rglob("*.py"))
+    file = getattr(sys.modules.get(top), "__file__", None)
+    if file is None or not Path(file).is_file():
+        raise TypeError(f"the code of {module} is in no file")
+    files = sorted(Path(file).parent.rglob("*.py")) if Path(file).name == "__init__.py" else [Path(file)]
+    if top == __name__.partition(".")[0]:
         found.update(repr([(name, importlib.metadata.version(name)) for name in PACKAGES]).encode())
-    else:
-        file = getattr(sys.modules.get(top), "__file__", None)
-        if file is None or not Path(file).is_file():
-            raise TypeError(f"the code of {module} is in no file")
-        files = sorted(Path(file).parent.rglob("*.py")) if Path(file).name == "__init__.py" else [Path(file)]
     for path in files:
         found.update(path.name.encode() + hashlib.sha256(path.read_bytes()).digest())
     return found.digest()

@@ -43,7 +43,7 @@ class Processes(Executor):
         self._processes = [_Process() for _ in range(n_processes)]
 
     def submit(self, function: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        """Have the process with the fewest tasks call a function.
+        """Make the process with the fewest tasks call a function.
 
         Raises
         ------
@@ -54,11 +54,11 @@ class Processes(Executor):
         return process.submit(self._set_ups, partial(function, *args, **kwargs))
 
     def set_up(self, name: str, function: Callable[[], object]) -> None:
-        """Have each process call a function once before the tasks that are submitted from now on."""
+        """Make each process call a function once before the tasks that are submitted from now on."""
         self._set_ups[name] = function
 
     def tear_down(self, name: str, function: Callable[[], object]) -> None:
-        """Have each process that has called the function of `set_up` call another one."""
+        """Make each process that has called the function of `set_up` call another one."""
         if self._set_ups.pop(name, None) is not None:
             for process in self._processes:
                 process.tear_down(name, function)
@@ -82,7 +82,7 @@ class _Process:
         self._pool: ProcessPoolExecutor | None = None
 
     def submit(self, set_ups: Mapping[str, Callable[[], object]], task: Callable[[], Any]) -> Future[Any]:
-        """Have the process do a task, and before it those of `set_ups` that it has not done."""
+        """Make the process do a task, and before it the `set_ups` that it has not done."""
         while True:
             pool = self._pool or self._start()
             try:
@@ -99,7 +99,7 @@ class _Process:
             return future
 
     def tear_down(self, name: str, function: Callable[[], object]) -> None:
-        """Have the process call a function if it has done the set-up of this name."""
+        """Make the process call a function if it has done the set-up of this name."""
         if self._pool is not None and name in self._set_up:
             self._set_up.remove(name)
             with suppress(BrokenProcessPool):

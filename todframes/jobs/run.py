@@ -1,4 +1,4 @@
-"""Work whose finished results are kept: what an earlier run has finished is not done again."""
+"""Work whose finished results are kept, so that a later run does not compute them again."""
 
 from __future__ import annotations
 
@@ -8,22 +8,22 @@ from collections.abc import Callable, Generator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Generic, NamedTuple, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, NamedTuple, Protocol, TypeVar
 
 import msgspec
 
 from todframes.base.errors import TodframesError
-from todframes.jobs.local import ITEMS_PER_TASK
-from todframes.jobs.store import Store
-from todframes.jobs.work import Engine, Lost, Work
+from todframes.jobs.work import ITEMS_PER_TASK, Engine, Lost, Work
+
+if TYPE_CHECKING:
+    from todframes.jobs.store import Store
 
 Item = TypeVar("Item")
 Item_contra = TypeVar("Item_contra", contravariant=True)
 Result = TypeVar("Result")
 
 LOOKED_AT_S = 0.5
-"""Time after which a run is judged by its rate, in seconds."""
-
+"""Time after which the duration of a run is estimated from its rate, in seconds."""
 
 WORTH_S = 4.0
 """Shortest run whose results are kept as they come, in seconds."""
@@ -36,18 +36,18 @@ class StoredWork(Work[Item_contra, Result], Protocol[Item_contra, Result]):
     """
 
     def key(self, item: Item_contra, *, is_done: bool) -> bytes | None:
-        """Return the key of an item's result; None if it cannot be told, or the result is not to be kept.
+        """Return the key of an item's result; None if it cannot be known, or the result is not to be kept.
 
-        `is_done` tells whether the function has just returned for this item, which may have checked its files.
+        `is_done` states whether the function has just returned for this item, which may have checked its files.
         """
 
     def stamp(self, item: Item_contra) -> object:
-        """Return what changes when a file of the item is written, without reading it."""
+        """Return properties of the item's files that change when one is written, without reading them."""
 
     def stamped_key(self, item: Item_contra, stamp: object) -> bytes | None:
         """Return a key that stands for the stamp in place of the bytes of files; None if that is not enough.
 
-        It spares the reading of files that an earlier run has read.
+        With it, files that an earlier run has read need not be read again.
         """
 
     def encode(self, result: Result) -> bytes | None:
@@ -66,8 +66,8 @@ def run_stored(
 ) -> Generator[tuple[int, Result | Lost], None, None]:
     """Yield the result of each item with its place in `items`: first those in the store, then the others as done.
 
-    Results are kept in the store in the batches in which they come. A store that holds none yet is begun once the
-    run turns out to take longer than `WORTH_S`.
+    Results are kept in the store in the batches in which they come. An empty store is begun as soon as the run is
+    expected to take longer than `WORTH_S`.
 
     Parameters
     ----------
@@ -114,7 +114,7 @@ def run_stored(
 
 
 def _decoded(work: StoredWork[Item, Result], encoded: bytes) -> Result | None:
-    """Return a result of the store; None if it is no result, which only somebody else can have put there."""
+    """Return a result of the store; None if it is no result: then another program has written it."""
     try:
         return work.decode(encoded)
     except (ValueError, msgspec.MsgspecError):

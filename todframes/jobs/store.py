@@ -24,7 +24,7 @@ FILE = "results.store"
 """Name of the store in a folder of the user's."""
 
 MAGIC = b"todframes store 2\n"
-"""First bytes of a store; a file with others is begun anew."""
+"""First bytes of a store; a file with other first bytes is replaced."""
 
 HEAD = struct.Struct("<II16s")
 """Before each key and result: their lengths in bytes, and the checksum of lengths, key and result."""
@@ -35,8 +35,8 @@ READ_AT_ONCE = 2**20
 class Store:
     """Finished results by key, in a file that one process writes at a time.
 
-    Nothing is written before `begin`. What `add` has returned from survives the end of the process, however it
-    ends; after a power failure the last additions may be missing. A record whose checksum is wrong, and all
+    Nothing is written before `begin`. When `add` has returned, its results survive the end of the process, however
+    it ends; after a power failure the last additions may be missing. A record whose checksum is wrong, and all
     behind it, is cut off when the file is opened.
 
     The checksum binds a result to its key. It finds damage and results that changed places; it is no signature,
@@ -69,7 +69,7 @@ class Store:
 
     @property
     def is_begun(self) -> bool:
-        """Whether the store holds results, or is about to."""
+        """True if the store holds results, or is about to."""
         return self._file is not None or os.path.lexists(self.path)
 
     def begin(self) -> None:
@@ -162,7 +162,7 @@ class Store:
         return self.path.is_file() and not self.path.is_symlink() and status.st_nlink == 1
 
     def _read(self, file: io.FileIO) -> None:
-        """Find the records of the file, and cut off what is none."""
+        """Find the records of the file, and cut off everything behind the last good one."""
         del self._hashes[:], self._places[:]
         content = io.BufferedReader(file, READ_AT_ONCE)
         n_bytes = os.fstat(file.fileno()).st_size

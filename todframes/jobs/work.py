@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Generator, Iterable
+from itertools import islice
 from typing import NamedTuple, Protocol, TypeVar
 
 from todframes.base.errors import TodframesError
+from todframes.base.signals import raise_again
 
 Item = TypeVar("Item", contravariant=True)
 Result = TypeVar("Result", covariant=True)
 T = TypeVar("T")
 R = TypeVar("R")
+
+ITEMS_PER_TASK = 16
+"""Number of items that are done at a time if the work has no `items_at_once`."""
 
 
 class Lost(NamedTuple):
@@ -20,7 +25,7 @@ class Lost(NamedTuple):
 
 
 class Work(Protocol[Item, Result]):
-    """A value that can be pickled and says what to do with an item.
+    """A value that can be pickled and defines what is done with an item.
 
     It is sent once to each process, and the items go separately: large data belong in the work, or in files that
     it names, and never in the items. Errors of single items that shall not end the run are results. Work on large
@@ -37,7 +42,8 @@ class Work(Protocol[Item, Result]):
 
 
 class Engine(Protocol):
-    """Protocol of what does the work of a run: the calling thread if `is_local`, or `n_workers` processes.
+    """Protocol of objects that do the work of a run: in the calling thread if `is_local`, or in `n_workers`
+    processes.
 
     `dashboard` is the address of a page that shows the work; None if there is none.
     """
@@ -55,3 +61,21 @@ class Engine(Protocol):
         here, and items not begun are dropped, as they are by `close`.
         """
         ...
+
+
+class LocalEngine:
+    """Work in the calling thread, as an `Engine`; results come in the order of the items."""
+
+    n_workers = 1
+    is_local = True
+    dashboard: str | None = None
+
+    def run(
+        self, work: Work[Item, Result], items: Iterable[tuple[int, Item]]
+    ) -> Generator[list[tuple[int, Result | Lost]], None, None]:
+        """Yield lists of items that are finished, as (number, result)."""
+        function = work.function()
+        items, n = iter(items), getattr(work, "items_at_once", ITEMS_PER_TASK)
+        while task := list(islice(items, n)):
+            raise_again()
+            yield [(number, function(item)) for number, item in task]

@@ -101,7 +101,7 @@ def do_batch(key: str, items: bytes) -> Done | Unfit:
 
 
 def different_versions(found: Versions, expected: Versions) -> str:
-    """Return in words that versions differ."""
+    """Return a sentence about versions that differ."""
     ours, theirs = (f"Python {one.python} and todframes {one.todframes}" for one in (expected, found))
     return f"found {theirs}, expected {ours}"
 
@@ -147,7 +147,7 @@ def _do(function: Callable[[Any], Any], items: Sequence[Any]) -> Done:
 
 
 def _portable(error: BaseException) -> Exception:
-    """Return an exception that the client can unpickle; one that is a defect says where it was raised."""
+    """Return an exception that the client can unpickle; that of a defect names the place where it was raised."""
     if not isinstance(error, TodframesError):
         error.add_note("".join(["in a worker:\n", *traceback.format_tb(error.__traceback__)]).rstrip())
     try:

@@ -408,7 +408,7 @@ def checked_covariance(covariance: ArrayLike) -> FloatArray:
 
 
 def _has_pivots(covariances: FloatArray, slack: FloatArray) -> bool:
-    """Return whether elimination shows that no matrix has an eigenvalue below −slack; False where it cannot tell.
+    """Return whether elimination shows that no matrix has an eigenvalue below −slack.
 
     It takes a quarter of the time of the eigenvalues. The last pivot may be below 0: that of a singular matrix is.
     """

@@ -28,8 +28,8 @@ CUT = 4.0
 class GaborPyramid:
     """Gabor functions of many orientations on the levels of a Gaussian pyramid.
 
-    Half the orientations are the other half turned by a quarter, sample by sample, so that a turned image has the
-    turned responses: each neuron's at the turned place, by the neuron of the turned orientation.
+    One half of the orientations is the other half after a quarter turn, sample by sample. So a turned image causes
+    the turned responses: that of each neuron appears at the turned place, in the neuron of the turned orientation.
 
     Together the neurons of a place respond to gratings of their level's best frequency with the grating's own
     energy, averaged over its direction, however many orientations and phases they are divided into. None responds

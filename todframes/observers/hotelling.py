@@ -82,7 +82,7 @@ class HotellingObserver(PyramidObserver):
 
     Its display is described by two transfer functions, which a subclass may replace by any that are real and even
     along both axes: `presample_mtf` for what happens to the triangle alone, and `postsample_mtf` for what happens
-    to the triangle and to the noise of its samples. How wide a field they need is up to the settings still.
+    to the triangle and to the noise of its samples. The width of their field still follows from the settings.
 
     Parameters
     ----------

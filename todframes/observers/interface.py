@@ -1,23 +1,24 @@
 """The protocol of observers: a stimulus in, weights on the retina and noise on the four scores out.
 
-A linear observer needs no more than a `Readout`: its four scores are inner products with the retina image, and
-the noise on all its neurons reaches the decision as one four-vector. One that is not linear answers itself.
+A linear observer needs no more than a `Readout`: its four scores are inner products with the retina image, and the
+noise on all its neurons reaches the decision as one four-vector. An observer that is not linear returns its own
+answers.
 """
 
 from __future__ import annotations
 
 import hashlib
+import sys
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, is_dataclass, replace
 from functools import cached_property
 from typing import Any, ClassVar, NamedTuple, Protocol, cast, runtime_checkable
 
 import numpy as np
 
-from todframes.base._typing import FloatArray
+from todframes.base._typing import FloatArray, Json
 from todframes.base.errors import SettingsError
 from todframes.base.reading import check_keys
-from todframes.base.user_code import import_named
 from todframes.observers.decision import answer_probabilities
 from todframes.observers.internal_noise import edgeworth_correction, inner_product
 from todframes.observers.retina import RetinaGrid
@@ -77,7 +78,7 @@ class Readout:
 
     @cached_property
     def fourth_cumulants(self) -> FloatArray | None:
-        """Fourth cumulants of the noise on the scores, (4, 4, 4, 4); None: it is taken as Gaussian."""
+        """Fourth cumulants of the noise on the scores, (4, 4, 4, 4); None if the noise is taken as Gaussian."""
         return None if self.find_fourth_cumulants is None else self.find_fourth_cumulants()
 
     def scores(self, contrast: FloatArray) -> FloatArray:
@@ -85,7 +86,7 @@ class Readout:
         return self.score_deviations(contrast) + self.common_score(contrast)
 
     def score_deviations(self, contrast: FloatArray) -> FloatArray:
-        """Compute the scores less their mean, all that the decision needs, with all digits: (4,)."""
+        """Compute the scores minus their mean, with all digits: (4,). The decision needs no more."""
         return np.asarray(self.deviations.reshape(4, -1) @ contrast.reshape(-1))
 
     def common_score(self, contrast: FloatArray) -> float:
@@ -106,7 +107,8 @@ class Readout:
     def answer_probabilities(self, deviations: FloatArray) -> FloatArray:
         """Compute the probability of each answer under the internal noise, for score deviations of shape (..., 4).
 
-        To first order in what the summed noise is not Gaussian, if its fourth cumulants are known.
+        If the fourth cumulants of the summed noise are known, its deviation from a Gaussian is corrected to first
+        order.
         """
         probability = answer_probabilities(deviations, self.noise_covariance)
         if self.fourth_cumulants is None or not self.noise_covariance.any():
@@ -124,8 +126,8 @@ class Readout:
     def non_gaussian_bound(self) -> float:
         """Bound on the error in P(correct) from noise that is not Gaussian.
 
-        To first order in its kurtosis. Where that order is corrected for: twenty times its square, which is two to
-        five times the errors found for triangles of 0.1 to 2 mrad.
+        The bound is of first order in the kurtosis. If that order is corrected, it is twenty times the square,
+        which is two to five times the errors found for triangles of 0.1 to 2 mrad.
         """
         first_order = non_gaussian_bound(self.excess_kurtosis)
         return first_order if self.find_fourth_cumulants is None else SECOND_ORDER * first_order**2
@@ -164,9 +166,9 @@ def non_gaussian_bound(excess_kurtosis: float) -> float:
 class Observer(Protocol):
     """Protocol of all observers; register the class under the entry-point group `todframes.observers`.
 
-    The class is called with one argument, an instance of its `settings_type`, a frozen dataclass whose fields
-    are the names that users set. `centre` says which point of the triangle the grid's middle lies on and
-    `position_jitter_samples` how far, at most, it is displaced along x and y in each trial.
+    The class is called with one argument, an instance of its `settings_type`, a frozen dataclass whose fields are
+    the names that users set. The grid's middle lies on the point `centre` of the triangle. In each trial it is
+    displaced by at most `position_jitter_samples` along x and y.
     """
 
     settings_type: ClassVar[type[Any]]
@@ -196,17 +198,17 @@ class TruncatedObserver(Protocol):
     """Optional protocol of observers whose readout truncates the pyramid: report that, and build variants."""
 
     def with_extra_level(self) -> Observer:
-        """Return the same observer with a level more, which omits nothing of weight."""
+        """Return the same observer with one extra level, which omits nothing that matters."""
 
     def with_fewer_levels(self, stimulus: Stimulus) -> Observer | None:
-        """Return the same observer with a level less; None where that is not possible."""
+        """Return the same observer with one level fewer; None if that is not possible."""
 
     def omitted_bands(self, stimulus: Stimulus) -> OmittedWeights | None:
         """Estimate what the readout omits; None if it omits nothing."""
 
 
 def find_observer(name: str) -> type[Observer]:
-    """Return the class of an observer that is named.
+    """Return the class of the observer with a given name.
 
     Parameters
     ----------
@@ -232,8 +234,32 @@ def find_observer(name: str) -> type[Observer]:
 
 
 def _imported(name: str) -> type[Observer]:
+    from todframes.base.user_code import import_named
+
     module, _, class_name = name.partition(":")
     found = import_named(module, class_name, f"observer: {name!r}")
     if not (isinstance(found, type) and hasattr(found, "settings_type")):
         raise SettingsError(f"observer: {name!r}: found no observer, expected a class with a settings_type")
     return cast("type[Observer]", found)
+
+
+def described(observer: str | Observer) -> tuple[Observer, Json]:
+    """Return an observer, made if only its name is given, and its name and settings as JSON values."""
+    if isinstance(observer, str):
+        kind, name = find_observer(observer), observer
+        observer = kind(kind.settings_type())
+    else:
+        name = _name(type(observer))
+    settings = getattr(observer, "settings", None)
+    values = asdict(settings) if is_dataclass(settings) and not isinstance(settings, type) else {}
+    return observer, {"observer": name, **values}
+
+
+def _name(kind: type) -> str:
+    """Return the name that a class is registered under, or "module:Class" if it is not registered."""
+    from importlib.metadata import entry_points
+
+    for entry in entry_points(group=ENTRY_POINT_GROUP):
+        if entry.module in sys.modules and entry.load() is kind:
+            return entry.name
+    return f"{kind.__module__}:{kind.__qualname__}"

@@ -17,7 +17,7 @@ _Order = tuple[int, int, int]
 _SQRT_2PI = math.sqrt(2.0 * math.pi)
 
 _NEARLY_PLANE = 1e-6
-"""Determinant of three differences' correlations below which two of them all but tell the third."""
+"""Determinant of three differences' correlations below which two of them all but determine the third."""
 
 Bands = tuple[FloatArray, ...]
 """Activity, or weights, of all neurons: arrays of any shape, the finest band first."""
@@ -25,8 +25,8 @@ Bands = tuple[FloatArray, ...]
 UNIFORM_EXCESS_KURTOSIS = -1.2
 
 LEAST_KURTOSIS = 2e-3
-"""Smallest excess kurtosis that is not taken as Gaussian. Less comes from so many neurons that their fourth
-cumulants cost more than all else, and changes P(correct) by less than 1.4e-4."""
+"""Smallest excess kurtosis that is not taken as Gaussian. A smaller one comes from so many neurons that their
+fourth cumulants take more time than everything else, and it changes P(correct) by less than 1.4e-4."""
 
 
 class SummedNoise(NamedTuple):
@@ -211,7 +211,7 @@ def _order(*limits: int) -> _Order:
 def inner_product(a: FloatArray, b: FloatArray) -> float:
     """Sum the products of two arrays of one shape.
 
-    Not by BLAS, whose threads wait for each other a hundred times longer than the sum takes when other
-    threads keep the processors busy.
+    BLAS is not used: when other work keeps the processors busy, its threads wait for each other a hundred times
+    longer than the sum takes.
     """
     return float(np.einsum("i,i->", a.reshape(-1), b.reshape(-1)))

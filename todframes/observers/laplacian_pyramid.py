@@ -15,7 +15,7 @@ from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError
 
 BORDER = 4
-"""Samples of zeros about what is not zero: the filters of the pyramid reach two samples."""
+"""Number of zeros around the part that is not zero: the filters of the pyramid reach two samples."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +64,8 @@ class LaplacianPyramid:
         return np.array(image)
 
     def build_middle(self, image: NDArray[Any], half: int) -> list[NDArray[Any]]:
-        """Compute the bands and the residual of an image that is zero but in its middle, each in its own square.
+        """Compute the bands and the residual of an image that is zero except in its middle, each in its own
+        square.
 
         Parameters
         ----------
@@ -168,7 +169,7 @@ def even_half(half: float) -> int:
 
 
 def framed(image: NDArray[Any], half: int) -> NDArray[Any]:
-    """Return the middle of an image, so many samples to each side, with zeros where it ends before."""
+    """Return the middle of an image, this number of samples to each side, with zeros beyond its edges."""
     excess = half - image.shape[0] // 2
     if excess > 0:
         return np.pad(image, excess)

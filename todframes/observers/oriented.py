@@ -26,7 +26,8 @@ from todframes.observers.retina import RetinaGrid
 from todframes.stimulus import Stimulus
 
 LARGEST_NEURON_COUNT = 1e8
-"""Their activity then takes 0.8 GB, and what is made of it a few times that."""
+"""Largest number of neurons. Their activity then takes 0.8 GB, and the arrays computed from it a few times as
+much."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -69,7 +70,7 @@ class OrientedSettings(PyramidSettings):
             raise SettingsError(f"phases: found {self.phases!r} with complex_cells, expected both")
 
     def filters(self, levels: int) -> GaborPyramid:
-        """Make the neurons of so many levels."""
+        """Make the neurons of this number of levels."""
         return GaborPyramid(
             levels=levels,
             kernel_a=self.kernel_a,
@@ -117,7 +118,7 @@ class OrientedObserver(PyramidObserver):
     def activity(self, contrast: FloatArray) -> Bands:
         """Compute the noise-free activity of all neurons for a retina image of shape (side, side).
 
-        Of each level an array (phases, orientations, side of the level, side of the level), finest level first.
+        Each level has an array (phases, orientations, side of the level, side of the level), finest level first.
         """
         settings = self.settings
         bands = self._filters(len(contrast)).build(contrast)

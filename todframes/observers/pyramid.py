@@ -1,9 +1,9 @@
 """The model observer: a Laplacian pyramid, noise on every neuron, correlation with four templates.
 
-Everything from contrast to scores is linear, so the pyramid and the templates fold into one weight image an
-answer (`Readout`), and the noise on thousands of neurons into the covariance of four scores. They are folded where
-there is something: about the triangle. The literal path (`PyramidObserver.respond`), whole images through all
-bands, is the definition the folded one is held against.
+Everything from contrast to scores is linear, so the pyramid and the templates fold into one weight image an answer
+(`Readout`), and the noise on thousands of neurons into the covariance of four scores. Only the part about the
+triangle, where they are not zero, is folded. The literal path (`PyramidObserver.respond`), with whole images
+through all bands, is the definition with which tests compare the folded one.
 
 Hogervorst et al. 2001, section 4.
 """
@@ -30,7 +30,7 @@ from todframes.observers.retina import RetinaGrid, gaussian_blur
 from todframes.stimulus import HEIGHT_PER_SIZE, ORIENTATIONS, Centre, Orientation, Stimulus, coverage, vertices
 
 MOST_LEVELS = 11
-"""A retina image then takes half a GB."""
+"""Largest number of levels. A retina image then takes half a GB."""
 
 FEWEST_LEVELS = 4
 
@@ -256,13 +256,13 @@ class PyramidObserver:
         )
 
     def _common_template(self, stimulus: Stimulus) -> Bands:
-        """Compute what all four templates have in common."""
+        """Compute the part that all four templates have in common."""
         return self._expected(_mean_of_turns(self._upright(stimulus)))
 
     def _template_deviation(self, stimulus: Stimulus) -> Bands:
-        """Compute what the template of the upright triangle has besides.
-
-        The difference is taken before blur and bands, whose rounding is that of what all four have in common.
+        """Compute the deviation of the upright triangle's template from the common one.  The difference is taken
+        before blur and bands; after them, the rounding of the common part would be larger than the difference
+        needs.
         """
         image = self._upright(stimulus)
         return self._expected(image - _mean_of_turns(image))
@@ -281,7 +281,7 @@ class PyramidObserver:
         )
 
     def _expected(self, image: FloatArray) -> Bands:
-        """Compute the activity that is expected from an image, whose place is not quite known."""
+        """Compute the expected activity for an image whose place is not exactly known."""
         return self.activity(gaussian_blur(image, self.settings.template_blur_samples))
 
     def weights_within(
@@ -326,7 +326,7 @@ class PyramidObserver:
         return upright, beside, opposite, self.turned(opposite, 1)
 
     def _readout_deviation(self, stimulus: Stimulus, dtype: DTypeLike) -> Bands:
-        """Compute `_template_deviation` where there is something: each band in its own square.
+        """Compute `_template_deviation` where it is not zero: each band in its own square.
 
         The template of a triangle is zero beyond its blurred corners, and so are its fine bands: for a triangle of
         60 retina samples or more this takes half the time, or less.

@@ -207,7 +207,8 @@ def resampled_rows(
     first_row: int,
     first_column: int,
 ) -> tuple[int, FloatArray]:
-    """Those rows of `resample` that the pixels touch, and the number of the first; parameters are the same."""
+    """Return the rows of `resample` that the pixels touch, and the number of the first row. Parameters are the
+    same."""
     touched = [
         grid.pixel_range(centre_px=at - first, pixel_pitch_mrad=pixel_pitch_mrad, n_pixels=n_pixels)
         for at, first, n_pixels in zip((y_px, x_px), (first_row, first_column), contrast.shape, strict=True)
@@ -267,7 +268,7 @@ def _averaged(values: FloatArray, edges: FloatArray, first: int, stop: int) -> F
 def gaussian_blur(image: FloatArray, sigma: float) -> FloatArray:
     """Blur a retina image by a Gaussian of standard deviation `sigma` samples, mirrored at its border.
 
-    Only where there is something to blur: a triangle covers little of its grid.
+    Only the part that is not zero is blurred: a triangle covers little of its grid.
     """
     import cv2
 

@@ -1,4 +1,4 @@
-"""Interval of a threshold, by a bootstrap over trials: of the fitted curve and of the points themselves."""
+"""Bootstrap interval of a threshold over trials, for the fitted curve and for the points themselves."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class Observed:
 
     @property
     def shows_its_own_curve(self) -> bool:
-        """Whether the points are exact enough, and enough of them, to be followed without a fitted curve."""
+        """True if there are enough points, and these are exact enough, to be followed without a fitted curve."""
         return self.trials is not None and len(self.level) >= 3 and bool(self.n_trials.mean() >= 3)
 
     def resample(self, fitted: FloatArray, guess_rate: float, size: int, rng: np.random.Generator) -> FloatArray:
@@ -76,7 +76,7 @@ class Observed:
 
 
 def resampled_means(answers: FloatArray, size: int, rng: np.random.Generator) -> FloatArray:
-    """Draw means of all answers but one, `size` times with replacement; in batches, for there may be many.
+    """Draw means of all answers but one, `size` times with replacement, in batches because there may be many.
 
     Answers lie along the last axis, draws along that of the result; those on other axes are drawn together.
     """
@@ -102,8 +102,8 @@ def threshold_interval(
     """Bound ln x_c by BCa (Efron 1987), acceleration as for several samples (Davison & Hinkley 1997, 5.3).
 
     Where a step anywhere between two levels is as likely as the curve (likelihood ratio), the interval spans them.
-    Where the points show their own curve, and the fitted one is a convention, the interval is that of where they
-    cross the criterion, and reaches to the fitted threshold.
+    If the points show their own curve, and the fitted one is a convention, the interval is that of the level at
+    which the points cross the criterion, extended to the fitted threshold.
     """
     right, weight = model.influence(theta)
     second, third = observed.moments(right)

@@ -13,7 +13,7 @@ from todframes.base.reading import check_columns, check_fields, number, number_o
 COLUMNS = ("level", "n_correct", "n_trials")
 
 MOST_TRIALS = 2**53
-"""Above, not every whole number is a floating-point number."""
+"""Largest number of trials; above it, not every whole number is a floating-point number."""
 
 
 def read_counts(path: Path) -> list[tuple[dict[str, float | str], NDArray[np.float64]]]:

@@ -38,7 +38,7 @@ class FitSettings:
 
     Guess and lapse rates are those of Weibull's curve; `lapse_rate` None leaves δ free in [0, lapse_rate_max].
     `slope_spread` is the standard deviation of ln β of the observer's curve about 0 that a fit expects, for levels
-    that the signal is proportional to: few noisy trials hardly tell a steep curve with a low ceiling from a
+    that the signal is proportional to: few noisy trials hardly distinguish a steep curve with a low ceiling from a
     shallow one with a high ceiling. None: nothing is expected. `resamples` 0 gives no interval; fewer than 40
     would not reach into the 2.5 % tails.
 
@@ -252,15 +252,15 @@ def _check(values: FloatArray, valid: NDArray[np.bool_], name: str, expected: st
         raise DataError(f"{name}, element {row}: found {values[row]:g}, expected {expected}")
 
 
-class Prepared(NamedTuple):
-    """Model of a curve, whose z is ln(level) − `centre`, and a curve near the most likely one if that is known."""
+class CentredModel(NamedTuple):
+    """Model of a curve with z = ln(level) − `centre`, and a curve near the most likely one if that is known."""
 
     model: CurveModel
     centre: float
     near: FloatArray | None = None
 
 
-def curve_model(observed: Observed, curve: CurveName, settings: FitSettings) -> Prepared:
+def curve_model(observed: Observed, curve: CurveName, settings: FitSettings) -> CentredModel:
     """Build the model of a curve for some answers."""
     ln_level = np.log(observed.level)
     centre = float(ln_level[0] + ln_level[-1]) / 2
@@ -270,21 +270,21 @@ def curve_model(observed: Observed, curve: CurveName, settings: FitSettings) -> 
         fixed = settings.lapse_rate
         lapse_rates = (0.0, settings.lapse_rate_max) if fixed is None else (fixed, fixed)
         lower, upper = np.array([places, slopes, lapse_rates]).T
-        return Prepared(WeibullModel(z, trials, settings.guess_rate, settings.p_correct, lower, upper), centre)
-    # Two levels tell a place and a slope, no more.
+        return CentredModel(WeibullModel(z, trials, settings.guess_rate, settings.p_correct, lower, upper), centre)
+    # Two levels determine a place and a slope, no more.
     limits = (0.0, SMALLEST_CEILING**-2.0 if len(z) > 2 else 0.0)
     lower, upper = np.array([places, slopes, limits]).T
     model = ObserverModel(z, trials, GUESS_RATE, settings.p_correct, lower, upper)
     if settings.slope_spread is None:
-        return Prepared(model, centre)
+        return CentredModel(model, centre)
     theta, _ = model.fit_one(observed.p_correct, steps=20)
     right, _, _ = model.curves(theta[None], z)
     # The likelihood takes probabilities for answers of 0 and 1, and holds too little information by this factor.
     prior = observed.dispersion(right[0]) / settings.slope_spread**2
-    return Prepared(replace(model, slope_prior=prior), centre, theta)
+    return CentredModel(replace(model, slope_prior=prior), centre, theta)
 
 
-class _Fitted(NamedTuple):
+class _LikelyCurve(NamedTuple):
     """The most likely curve of a model, whose z is ln(level) − `centre`.
 
     `theta` is None where a flat line is as likely.
@@ -357,7 +357,7 @@ def _fit(observed: Observed, curve: CurveName, settings: FitSettings, rng: np.ra
     return replace(found, threshold_ci95=interval, points_threshold=points_threshold)
 
 
-def _most_likely(observed: Observed, curve: CurveName, settings: FitSettings) -> _Fitted:
+def _most_likely(observed: Observed, curve: CurveName, settings: FitSettings) -> _LikelyCurve:
     model, centre, near = curve_model(observed, curve, settings)
     theta, loglik = model.fit_one(observed.p_correct, near=near)
     mean = np.average(observed.p_correct, weights=observed.n_trials)
@@ -365,9 +365,9 @@ def _most_likely(observed: Observed, curve: CurveName, settings: FitSettings) ->
     flat_loglik = float(binomial_loglik(mean, flat))
     without_prior = loglik - float(model.ln_prior(theta))
     if without_prior / observed.n_trials.sum() <= flat_loglik + 1e-9:
-        return _Fitted(model, centre, "always_exceeded" if mean >= settings.p_correct else "never_reached")
+        return _LikelyCurve(model, centre, "always_exceeded" if mean >= settings.p_correct else "never_reached")
     ln_threshold = float(model.ln_threshold(theta[None])[0])
-    return _Fitted(model, centre, _status(model, theta, ln_threshold), theta, loglik, ln_threshold)
+    return _LikelyCurve(model, centre, _status(model, theta, ln_threshold), theta, loglik, ln_threshold)
 
 
 def _status(model: CurveModel, theta: FloatArray, ln_threshold: float) -> Status:

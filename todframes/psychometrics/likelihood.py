@@ -88,7 +88,7 @@ class CurveModel(ABC):
         return loglik + self.ln_prior(theta), score, information
 
     def ln_prior(self, theta: FloatArray) -> FloatArray:
-        """Return what the expected slope adds to the log-likelihood of each curve."""
+        """Return the addition to the log-likelihood of each curve by the expected slope."""
         return np.asarray(-self.slope_prior * theta[..., 1] ** 2 / 2.0)
 
     def climb(
@@ -96,7 +96,7 @@ class CurveModel(ABC):
     ) -> tuple[FloatArray, FloatArray]:
         """Maximise the likelihood of each row of `answers` from its row of `theta`: all rows at once.
 
-        Levenberg-damped Fisher scoring; a parameter at a bound that its score pushes against stands still
+        Levenberg-damped Fisher scoring; a parameter at a bound stays there while its score points beyond the bound
         (Bertsekas 1982). A row is done when its next step promises less than `tolerance` in log-likelihood.
         """
         best, best_loglik = theta.copy(), np.empty(len(theta))

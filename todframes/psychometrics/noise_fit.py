@@ -1,4 +1,4 @@
-"""Maximum-likelihood internal noise of a person: that with which a model observer answers as the person did.
+"""Maximum-likelihood internal noise of a person: with it, a model observer most likely answers as the person did.
 
 The model gives the probability of a correct answer in each single trial. It depends on the internal noise σ, and
 on the blur of the templates where that is free; a person may also lapse: with probability λ the answer is a guess.
@@ -27,7 +27,7 @@ from todframes.psychometrics.observer_curve import GUESS_RATE
 NoiseStatus = Literal["ok", "noise_free", "at_chance", "too_few_trials"]
 
 MOST_CERTAIN = 30.0 * math.log(10.0)
-"""Largest |ln P(right) / P(wrong)| that is told from larger ones: P is right to some digits down to 1e-30."""
+"""Largest |ln P(right) / P(wrong)| beyond which values count as equal: P is right to some digits down to 1e-30."""
 
 NOISE_STEP, LAPSE_STEP = 0.1, 0.01
 """Largest distances of the values of ln noise and δ among which a maximum is searched first."""
@@ -104,7 +104,7 @@ class NoiseFit:
     status : str
         `ok`: the answers determine the noise on both sides.
         `noise_free`: without any noise the model would answer no worse, as if all answers were right.
-        `at_chance`: the answers are not told from guesses.
+        `at_chance`: the answers cannot be distinguished from guesses.
         `too_few_trials`: both.
         Only `ok` has a noise; otherwise `noise_ci95` has the one end that is known.
     noise, noise_ci95
@@ -168,7 +168,7 @@ def fit_noise(
     -------
     NoiseFit
     """
-    search = _Search(table, is_correct.astype(np.float64), lapse_rates)
+    search = _NoiseSearch(table, is_correct.astype(np.float64), lapse_rates)
     best, most = search.maximum()
     intervals = [search.interval(axis, best, most) for axis in range(3)]
     low, high = intervals[0]
@@ -182,7 +182,7 @@ def fit_noise(
     if resamples:
         drawn = (rng.random((resamples, len(p_correct))) < p_correct).astype(np.float64)
         repeated = cells.deviance(drawn, search.p_correct_of_experiments(drawn, best, intervals))
-        # A rounding must not tell two experiments with the same answers apart.
+        # Rounding must not make two experiments with the same answers differ.
         p_value = float((1 + np.count_nonzero(repeated >= deviance - 1e-9)) / (resamples + 1))
 
     def exponential(interval: Interval) -> Interval:
@@ -215,7 +215,7 @@ def with_lapses(p_correct: FloatArray, lapse_rate: float) -> FloatArray:
     return (1.0 - share) * p_correct + share * GUESS_RATE
 
 
-class _Search:
+class _NoiseSearch:
     """Search for the most likely parameters θ = (ln noise, ln blur, δ); those that are fixed have equal bounds."""
 
     def __init__(self, table: AnswerTable, is_correct: FloatArray, lapse_rates: tuple[float, float]) -> None:
@@ -265,7 +265,8 @@ class _Search:
         return theta, -float(found.fun)
 
     def interval(self, axis: int, best: FloatArray, most: float) -> Interval:
-        """Bound a parameter by the profile likelihood; an end is None where that stays high up to the bound."""
+        """Bound a parameter by the profile likelihood; an end is None if the likelihood stays high up to the
+        limit."""
         from scipy.optimize import brentq
 
         values = self.axes[axis]

@@ -3,8 +3,8 @@
 The right answer's score exceeds the others by d′ standard deviations on average. The observer is right with
 probability P(d′) = ∫ φ(t − d′) Φ(t)³ dt, the largest of four independent scores. In frames of a fixed noise d′ is
 proportional to the level x. Noise of the observer's own limits it where the level is a signal-to-noise ratio, and
-so do places of the triangle on the detectors where it cannot be told: 1/d′² = (α/x)^2β + 1/d_max². The exponent β
-is 1 for linear chains; enhancement, gamma and clipping may change it.
+so do places on the detectors where the triangle is not recognised: 1/d′² = (α/x)^2β + 1/d_max². The exponent β is
+1 for linear chains; enhancement, gamma and clipping may change it.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from todframes.psychometrics.likelihood import CurveModel
 
 GUESS_RATE = 0.25
 LARGEST_D_PRIME = 16.0
-"""Largest d′ that is told from larger ones: an error has the probability 1e-29."""
+"""Largest d′; larger ones count as equal to it: an error has the probability 1e-29."""
 
 SMALLEST_CEILING = 0.1
 """Smallest `max_d_prime` of a fit: P(right) is 0.28 at most."""

@@ -1,7 +1,7 @@
 """Interval of the ratio of two thresholds from the same trials, by a bootstrap over pairs of answers.
 
-What two ways of showing a frame have in common, the frame's noise, the triangle's place and the observer's own
-noise, moves both thresholds alike. Answers to one trial are therefore drawn together, always.
+Two ways of showing a frame share the frame's noise, the triangle's place and the observer's own noise. These move
+both thresholds in the same way. Answers to one trial are therefore always drawn together.
 """
 
 from __future__ import annotations
@@ -29,7 +29,8 @@ from todframes.psychometrics.observer_curve import observer_curve
 from todframes.psychometrics.weibull import weibull
 
 SAME = 0.01
-"""ln of a ratio that counts as 1: thresholds 1 % apart are alike to a person, and fitted curves are no surer."""
+"""Largest |ln ratio| that counts as a ratio of 1: a person does not notice 1 %, and fitted curves are not more
+exact."""
 
 
 class RatioDraws(NamedTuple):
@@ -49,8 +50,8 @@ class ThresholdRatio(NamedTuple):
     """A ratio of thresholds, its 95 % interval, and the p-value of it being within 1 % of 1.
 
     Without a ratio there is no interval; an end of it is None where the data leave it open. The p-value is
-    two-sided and not below 2 / (resamples + 1). `is_lower` says whether it is below 1 in more experiments than
-    above.
+    two-sided and not below 2 / (resamples + 1). `is_lower` states whether the ratio is below 1 in more experiments
+    than above.
     """
 
     ratio: float | None
@@ -151,7 +152,7 @@ def threshold_ratio(groups: Sequence[RatioDraws]) -> ThresholdRatio:
 
 
 def holm(p_values: ArrayLike) -> FloatArray:
-    """Correct p-values for their number, so that all verdicts together are wrong as rarely as a single one.
+    """Correct p-values for their number, so that any wrong verdict among all is as rare as for a single test.
 
     The smallest times their number, the next times one less, and so on, never falling (Holm 1979).
     """
@@ -184,7 +185,7 @@ def _redrawn_probabilities(
 
 
 def _students_widening(n_trials: int, size: int, rng: np.random.Generator) -> FloatArray:
-    """Draw factors that make normal deviates those of Student's t, for a spread that few trials tell.
+    """Draw factors that make normal deviates those of Student's t, for a spread estimated from few trials.
 
     A threshold rests on the levels about it: a third of the trials' degrees of freedom are counted.
     """
@@ -220,7 +221,7 @@ def _redrawn_answers(
 
 
 def _agreement(by_level: Sequence[FloatArray], curves: FloatArray) -> FloatArray:
-    """Measure how far each series' answers follow the first's: from 0, not at all, to 1, as far as they can."""
+    """Measure the agreement of each series' answers with the first's: from 0, none, to 1, the largest possible."""
     n_trials = np.array([answers.shape[1] for answers in by_level])
     unlike = np.sum([np.count_nonzero(answers != answers[0], axis=1) for answers in by_level], axis=0)
     independent = (curves * (1 - curves[0]) + curves[0] * (1 - curves)) @ n_trials
@@ -242,7 +243,7 @@ def _fitted(fit: PsychometricFit, level: FloatArray) -> FloatArray:
 
 
 def _within_reach(model: CurveModel, ln_threshold: FloatArray) -> FloatArray:
-    """Replace thresholds that lie farther outside the levels than a fit tells by infinity."""
+    """Replace thresholds that lie farther outside the levels than a fit can reach by infinity."""
     reach = math.log(EXTRAPOLATION_FACTOR)
     known = np.where(ln_threshold > model.z[-1] + reach, np.inf, ln_threshold)
     return np.where(known < model.z[0] - reach, -np.inf, known)

@@ -1,4 +1,4 @@
-"""QUEST+: the adaptive choice of the next level, the one that is expected to leave the least entropy.
+"""QUEST+: the adaptive choice of the next level. It is the level with the least expected entropy of the posterior.
 
 Watson 2017, "QUEST+: a general multidimensional Bayesian adaptive psychometric method", J. Vision 17(3):10.
 The posterior of threshold, slope and lapse rate is held on a grid. The psychometric function is Weibull's, with
@@ -14,18 +14,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from todframes.base._typing import FloatArray
+from todframes.psychometrics.observer_curve import GUESS_RATE
 from todframes.psychometrics.weibull import weibull
-
-GUESS_RATE = 0.25
-
 
 BEYOND_LEVELS = 3.0
 """Factor by which the thresholds of the grid reach beyond the smallest and the largest level."""
 
-
 N_ALPHA, SLOPES, N_SLOPES, LAPSE_RATES, N_LAPSE_RATES = 61, (0.5, 8.0), 9, (0.0, 0.05), 6
 """Ranges and numbers of the grid's parameters: α and β evenly in their logarithm, δ evenly."""
-
 
 SMALLEST_P = 1e-300
 """Smallest probability of an answer; its logarithm is finite."""

@@ -14,10 +14,10 @@ SATURATED = 1e-3
 """Largest distance of P from its value at the upper bound at which a curve counts as having reached it."""
 
 USUAL_SLOPE, LEAST_SLOPE, LARGEST_SLOPE = 1.5, 0.01, 20.0
-"""Slope of the link of P against ln SNR: about, and the limits beyond which secants are not to be relied on."""
+"""Slope of the link of P against ln SNR: its usual value, and the limits within which secants are reliable."""
 
 LAST_STEP = 1e-5
-"""Step of a secant in ln level that is the last: the next one would be far smaller."""
+"""Step of a secant in ln level after which the search ends: the next step would be far smaller."""
 
 
 def crossing(

@@ -60,7 +60,7 @@ class WeibullModel(CurveModel):
         location, ln_slope, lapse_rate = (theta[:, k, None] for k in range(3))
         slope = np.exp(ln_slope)
         offset = slope * (z - location)
-        # The bounds keep ln P(wrong) >= -500, so that no ratio below overflows; no datum tells it from −∞.
+        # The bounds keep ln P(wrong) >= -500, so that no ratio below overflows; no datum distinguishes it from −∞.
         hazard = np.exp(np.clip(offset + _LN_LN2, -500.0, math.log(500.0)))
         miss = np.exp(-hazard)
         hit = -np.expm1(-hazard)

@@ -24,14 +24,11 @@ from todframes.recordings.recording import RecordedFrame, Recording, StillHeader
 NPY_START, ZIP_START = b"\x93NUMPY", b"PK\x03\x04"
 """First bytes of .npy files and of zip files, .npz among them."""
 
-
 TYPES = ("uint8", "uint16", "int16", "float16", "float32", "float64")
 """Types of values that are read; all others have values that 32-bit floats cannot hold."""
 
-
 LONGEST_HEADER = 2**16 - 1
 """Largest number of bytes in the header of an array; versions 2 and 3 of the format could claim 4 GB."""
-
 
 DAMAGE = (OSError, EOFError, ValueError, OverflowError, RuntimeError, struct.error, zlib.error, zipfile.BadZipFile)
 """Errors of `zipfile` for damaged files, and for those that it cannot read."""
@@ -44,7 +41,7 @@ class _Layout(NamedTuple):
 
 
 def is_array(start: bytes) -> bool:
-    """Tell whether a file that starts with these bytes is read here."""
+    """Return whether a file that starts with these bytes is read here."""
     return start.startswith((NPY_START, ZIP_START))
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +24,7 @@ from todframes.frames.files import (
 )
 from todframes.recordings.recording import RecordingWarning, StillHeader, check_size
 
-FORMATS = {
+IMAGE_FORMATS = {
     rb"\x76\x2f\x31\x01": "openexr",
     rb"\x89PNG\r\n\x1a\n": "png",
     rb"II[*+]\0|MM\0[*+]": "tiff",
@@ -34,14 +35,11 @@ FORMATS = {
 }
 """Patterns of the first bytes of the files that this module reads, and OpenImageIO's names of their formats."""
 
-
 PIXEL_TYPES = ("uint8", "uint16", "int16", "half", "float", "double")
 """Stored types that are read; all others have values that 32-bit floats cannot hold."""
 
-
-RATES = ("FramesPerSecond", "dpx:FrameRate", "dpx:TemporalFrameRate")
+RATE_ATTRIBUTES = ("FramesPerSecond", "dpx:FrameRate", "dpx:TemporalFrameRate")
 """Attributes with the frame rate."""
-
 
 LOSSY = RecordingWarning(
     "lossy_compression",
@@ -52,7 +50,7 @@ LOSSY = RecordingWarning(
 
 def format_of(start: bytes) -> str | None:
     """Return OpenImageIO's name of the format of a file that starts with these bytes; None if it has none."""
-    return next((name for pattern, name in FORMATS.items() if re.match(pattern, start)), None)
+    return next((name for pattern, name in IMAGE_FORMATS.items() if re.match(pattern, start)), None)
 
 
 def read_header(path: Path, max_frame_mb: int) -> StillHeader:
@@ -76,12 +74,14 @@ def read_header(path: Path, max_frame_mb: int) -> StillHeader:
                 )
             n_pages += 1
     shape, n_channels, pixel_type = header
+    time_s = _time_s(spec) if n_pages == 1 else None
     return StillHeader(
         shape,
         n_channels > 1,
         n_pages,
         float(_full_scale(path, spec)) if pixel_type in FULL_SCALE else None,
         frames_per_second=_rate(spec),
+        times_s=None if time_s is None else (time_s,),
         warnings=(LOSSY,) if name == "jpeg" else (),
     )
 
@@ -193,10 +193,21 @@ def _as_recorded(path: Path, stored: NDArray[Any]) -> NDArray[Any]:
     return values[..., 0] if values.shape[2] == 1 else values
 
 
+def _time_s(spec: Any) -> float | None:
+    """Return the moment of exposure that EXIF gives, in seconds of the camera's clock; None if it gives none."""
+    text = spec.get_string_attribute("Exif:DateTimeOriginal")
+    fraction = spec.get_string_attribute("Exif:SubsecTimeOriginal").strip()
+    try:
+        moment = datetime.strptime(text.strip(), "%Y:%m:%d %H:%M:%S").replace(tzinfo=UTC)
+    except ValueError:
+        return None
+    return moment.timestamp() + (float(f"0.{fraction}") if fraction.isdecimal() else 0.0)
+
+
 def _rate(spec: Any) -> float | None:
     """Return the frame rate that the metadata give, None if they give none."""
-    values = {one.name: one.value for one in spec.extra_attribs if one.name in RATES}
-    for name in RATES:
+    values = {one.name: one.value for one in spec.extra_attribs if one.name in RATE_ATTRIBUTES}
+    for name in RATE_ATTRIBUTES:
         value: Any = values.get(name)
         if isinstance(value, tuple):
             value = value[0] / value[1] if len(value) == 2 and value[1] else None

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray
-from todframes.base.errors import DataError, SettingsError
+from todframes.base.errors import DataError, SettingsError, argument, for_reader
 from todframes.base.reading import toml_text
 from todframes.display.display import REC_709_LUMINANCE_WEIGHTS
 from todframes.recordings.recording import INTEGRATION_TIME_S, Recording, RecordingWarning
@@ -35,21 +35,16 @@ PARTS = {
 }
 """Names of the parts of the noise, and their meanings."""
 
-
 DYNAMIC, STATIC = ("tv", "th", "tvh"), ("v", "h", "vh")
 """Parts of the dynamic noise of a pixel, and of the fixed pattern. Flicker of whole frames (t) is in neither."""
-
 
 MOST_SATURATED = 1e-3
 """Largest share of values at the ends of the scale that gives no warning."""
 
-
 SMALLEST_STEPS = 0.5
-"""Standard deviation in steps of the recording, below which quantisation decides what is measured."""
-
+"""Standard deviation in steps of the recording, below which quantisation determines the result."""
 
 Region = tuple[int, int, int, int]
-
 
 Combination = Mapping[str, float]
 """Weights of mean squares, by the name of the part."""
@@ -122,7 +117,7 @@ class Noise3D:
         By the names in `PARTS`; of a single frame only v, h and vh, and vh contains tvh.
     dynamic, fixed : NoisePart or None
         Noise of a pixel from frame to frame (tv, th, tvh together), and its fixed pattern (v, h, vh). None for a
-        single frame, where they cannot be told apart.
+        single frame, where they cannot be separated.
     drift : Drift or None
         None with fewer than three frames.
     frames_per_second : float or None
@@ -180,7 +175,9 @@ class Noise3D:
     def _both(self) -> tuple[NoisePart, NoisePart]:
         """Return the dynamic noise, which is not zero, and the fixed pattern; DataError if they are not known."""
         if self.dynamic is None or self.fixed is None:
-            raise DataError("noise: found one frame, expected 2 or more to tell temporal noise from fixed pattern")
+            raise DataError(
+                "noise: found one frame, expected 2 or more: one cannot separate temporal noise from fixed pattern"
+            )
         if self.dynamic.variance <= 0:
             raise DataError("noise: found none from frame to frame, expected some; are all frames the same?")
         return self.dynamic, self.fixed
@@ -218,9 +215,8 @@ class Noise3D:
             "fixed_pattern_ratio": float(f"{self.fixed_pattern_ratio.sd:.6g}"),
             "frames_integrated": self.frames_integrated,
         }
-        return toml_text(
-            {"noise": noise}, comment="netd_mk is not known: give --mk-per-count" if per_unit is None else ""
-        )
+        hint = for_reader(f"netd_mk is not known: give {argument.mk_per_count}")
+        return toml_text({"noise": noise}, comment=hint if per_unit is None else "")
 
 
 def _log_ratio(value: float, end: float) -> float:
@@ -236,7 +232,7 @@ def measure_noise(
 ) -> Noise3D:
     """Measure the three-dimensional noise of a recording of a scene that does not move.
 
-    The frames are read once. Memory does not grow with their number, but for one number a frame.
+    The frames are read once. Memory grows by one number for each frame only.
 
     Parameters
     ----------
@@ -281,7 +277,7 @@ def measure_noise(
 
 
 class _Gathered:
-    """Sums over the frames of one region, and counts of what makes its noise doubtful."""
+    """Sums over the frames of one region, and counts of properties that make its noise doubtful."""
 
     def __init__(self, region: Region) -> None:
         self.region = region
@@ -412,7 +408,7 @@ def fit_transfer(levels: Sequence[float], means: Sequence[float]) -> Transfer:
 
 
 class _Sums:
-    """Sums over frames of what the mean squares need.
+    """Sums over frames that the mean squares need.
 
     Differences from the first frame are summed: the parts with t are the same in them, and their squares do not
     lose digits to a mean that is a thousand times the noise.
@@ -492,8 +488,8 @@ def _warnings(noise: Noise3D, gathered: _Gathered) -> Iterator[RecordingWarning]
     if noise.n_frames == 1:
         yield RecordingWarning(
             "one_frame",
-            "one frame: its temporal noise cannot be told from its fixed pattern, and a scene that is not uniform "
-            "counts as noise; record at least 2 frames, better 100",
+            "one frame: its temporal noise cannot be separated from its fixed pattern, and a scene that is not "
+            "uniform counts as noise; record at least 2 frames, better 100",
         )
     if gathered.n_doubled:
         yield RecordingWarning(

@@ -2,31 +2,42 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Literal
 
 from todframes.base.errors import DataError, FrameError
+from todframes.base.reading import check_columns, check_fields, number, read_csv
 from todframes.frames.files import MAX_FRAME_MB, PathLike, check_max_frame_mb
-from todframes.recordings import arrays, images, radiometric, raw, video
-from todframes.recordings.recording import Recording, StillReader, check_rate, natural_order, still_recording
+from todframes.recordings import arrays, cedip, images, radiometric, raw, video
+from todframes.recordings.recording import (
+    TIMES_FILE,
+    Recording,
+    StillReader,
+    check_rate,
+    files_in,
+    natural_order,
+    still_recording,
+)
 
-StillKind = Literal["image", "camera raw", "radiometric", "array"]
-
+StillKind = Literal["image", "camera raw", "radiometric", "Cedip film", "array"]
 
 Kind = StillKind | Literal["video"]
-
 
 READERS: dict[StillKind, StillReader] = {
     "image": images,
     "camera raw": raw,
     "radiometric": radiometric,
+    "Cedip film": cedip,
     "array": arrays,
 }
 """Modules that read still frames, by kind of file."""
 
+SEQUENCES: tuple[StillKind, ...] = ("image", "camera raw", "radiometric")
+"""Kinds whose files are one recording together; each file of another kind is a recording by itself."""
 
-EXPECTED = "expected an image, video, camera raw, radiometric (FLIR) or NumPy file"
+EXPECTED = "expected an image, video, camera raw, radiometric (FLIR, Cedip) or NumPy file"
 
 
 def open_recordings(
@@ -50,7 +61,8 @@ def open_recordings(
     -------
     tuple of Recording
         In the order of `paths`; a sequence of images stands where its first image stands. Frames of a sequence are
-        in the natural order of their names: frame_9 before frame_10.
+        in the natural order of their names: frame_9 before frame_10. A file `times.csv` in a folder of images has
+        their times, in the columns `file` and `time_s`.
 
     Raises
     ------
@@ -70,7 +82,7 @@ def open_recordings(
     sequences: dict[StillKind, list[Path]] = {}
     kinds = {path: None if path.is_dir() else _kind(path) for path in given}
     for path, kind in kinds.items():
-        if kind in ("image", "camera raw", "radiometric"):
+        if kind is not None and kind != "video" and kind in SEQUENCES:
             sequences.setdefault(kind, []).append(path)
     for path, kind in kinds.items():
         if kind is None:
@@ -86,21 +98,57 @@ def open_recordings(
 def _folder(folder: Path, frames_per_second: float | None, max_frame_mb: int) -> list[Recording]:
     """Return the one sequence of a folder, or each of its videos or arrays."""
     try:
-        files = natural_order(one for one in folder.iterdir() if one.is_file() and not one.name.startswith("."))
+        files = files_in(folder)
     except OSError as error:
         raise DataError(f"{folder}: cannot be read: {error.strerror}") from None
     if not files:
         raise DataError(f"{folder}: the folder is empty, expected recordings")
     kinds = {path: _kind(path) for path in files}
-    first = kinds[files[0]]
+    first, times_file = kinds[files[0]], folder / TIMES_FILE
     for path, kind in kinds.items():
         if kind != first:
             raise DataError(
                 f"{path}: found {kind}, expected {first} as {files[0].name}: a folder has files of one kind"
             )
-    if first == "video" or first == "array":
+    if first == "video" or first not in SEQUENCES:
+        if times_file.is_file():
+            raise DataError(f"{times_file}: found times beside {files[0].name}, expected them beside stills")
         return [_single(path, first, frames_per_second, max_frame_mb) for path in files]
-    return [_stills(first, files, folder, frames_per_second, max_frame_mb)]
+    times_s = _times_s(times_file, files) if times_file.is_file() else None
+    return [_stills(first, files, folder, frames_per_second, max_frame_mb, times_s)]
+
+
+def _times_s(path: Path, files: Sequence[Path]) -> dict[str, float]:
+    """Return the times of the stills beside a times.csv, by file name.
+
+    Raises
+    ------
+    DataError
+        If the file cannot be read, names a file twice or that is not there, leaves one out, or a time is not later
+        than that of the still before, in the natural order of names.
+    """
+    rows = read_csv(path)
+    _, header = next(rows)
+    check_columns(header, ["file", "time_s"], path)
+    times_s: dict[str, float] = {}
+    names = {one.name for one in files}
+    for where, row in rows:
+        check_fields(row, len(header), where)
+        name = row["file"].strip()
+        if name not in names or name in times_s:
+            what = "a second time" if name in times_s else f"but {path.parent} has no such file"
+            raise DataError(f"{where}: file: found {name}, {what}, expected each of its files once")
+        times_s[name] = number(row["time_s"], f"{where}: time_s")
+    missing = next((one.name for one in files if one.name not in times_s), None)
+    if missing is not None:
+        raise DataError(f"{path}: found no time of {missing}, expected one of each file in the folder")
+    for before, after in pairwise(one.name for one in natural_order(files)):
+        if times_s[after] <= times_s[before]:
+            raise DataError(
+                f"{path}: found {times_s[before]:g} s for {before} and {times_s[after]:g} s for {after}, expected "
+                "later times in the order of the names"
+            )
+    return times_s
 
 
 def _kind(path: Path) -> Kind:
@@ -118,6 +166,8 @@ def _kind(path: Path) -> Kind:
         return "radiometric"
     if images.format_of(start) is not None:
         return "image"
+    if cedip.is_cedip(start):
+        return "Cedip film"
     if arrays.is_array(start):
         return "array"
     if video.format_of(start) is not None:
@@ -138,7 +188,13 @@ def _stills(
     folder: Path | None,
     frames_per_second: float | None,
     max_frame_mb: int,
+    times_s: Mapping[str, float] | None = None,
 ) -> Recording:
     return still_recording(
-        paths, READERS[kind], folder=folder, frames_per_second=frames_per_second, max_frame_mb=max_frame_mb
+        paths,
+        READERS[kind],
+        folder=folder,
+        frames_per_second=frames_per_second,
+        max_frame_mb=max_frame_mb,
+        times_s=times_s,
     )

@@ -1,7 +1,8 @@
 """Reading of radiometric thermal files of FLIR: detector counts, and temperatures by the file's own constants.
 
-A FFF is one container; a SEQ is one container behind the other, one a frame. Places of the constants: ExifTool's
-module FLIR.pm, table CameraInfo.
+A FFF is one container; a SEQ or CSQ is one container behind the other, one a frame. Places of the constants and of
+the time: ExifTool's module FLIR.pm, table CameraInfo. The frame rate beside the time is the camera's, also where
+the file has fewer frames, and is not used.
 """
 
 from __future__ import annotations
@@ -13,34 +14,46 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO, NamedTuple
+from typing import BinaryIO, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from todframes.base._typing import FloatArray
 from todframes.base.errors import FrameError
-from todframes.recordings.recording import Recording, StillHeader, check_size, natural_order
+from todframes.frames.files import PNG_SIGNATURE, FrameFile
+from todframes.recordings.recording import Recording, RecordingWarning, StillHeader, check_size, files_in
+from todframes.recordings.video import decoded_jpeg_ls, pyav
 
 FFF_START, JPEG_START = (b"FFF\0", b"AFF\0"), b"\xff\xd8\xff"
 """First bytes of FLIR's containers, and of JPEG files, which may contain one."""
 
-
 MAX_JPEG_MB = 256
 """Largest size of a radiometric JPEG, in 2**20 bytes."""
-
 
 MOST_RECORDS = 1000
 """Number of records of a container that are looked at."""
 
+JPEG_LS_START = b"\xff\xd8\xff\xf7"
+"""First bytes of counts that are compressed by JPEG-LS, as in CSQ: the start of the image, and of its frame."""
 
-COMPRESSED = {b"\x89PNG\r\n\x1a\n": "PNG", b"\xff\xd8\xff\xf7": "JPEG-LS (CSQ)"}
-"""First bytes of counts that are compressed, and the names of the compressions."""
+N_START = 256
+"""Number of bytes of a record of counts in which the headers of a PNG or JPEG-LS are looked for."""
 
+START_OF_SCAN = 0xDA
+"""Marker of the header of a JPEG-LS scan, which has one component here."""
+
+LONGEST_REST = 2**20
+"""Bytes that compressed counts may have besides twice those of plain ones; more are not read."""
+
+BYTE_ORDERS: dict[bytes, Literal["<", ">"]] = {b"\2\0": "<", b"\0\2": ">"}
+"""Byte orders of a record by its first two bytes, which are the number 2."""
 
 RAW_DATA, CAMERA_INFO = 1, 32
 """Types of the records with the counts, and with the constants of the camera."""
 
+TIME_AT = 0x384
+"""Place of the time in the record of the camera: seconds since 1970, and milliseconds."""
 
 ABSOLUTE_ZERO_CELSIUS = -273.15
 
@@ -77,7 +90,7 @@ class Radiometry:
 
 
 def is_radiometric(path: Path, start: bytes) -> bool:
-    """Tell whether a file is FLIR's container, or a JPEG that has one in it."""
+    """Return whether a file is FLIR's container, or a JPEG that has one in it."""
     if start.startswith(JPEG_START):
         with path.open("rb") as file:
             return bool(_container_parts(file.read(2**18)))
@@ -85,31 +98,50 @@ def is_radiometric(path: Path, start: bytes) -> bool:
 
 
 def read_header(path: Path, max_frame_mb: int) -> StillHeader:
-    """Return the size of the counts of a file, and its number of frames.
+    """Return the size of the counts of a file, its number of frames and their times.
 
     Raises
     ------
     FrameError
-        If a container is damaged or too large, its counts are compressed, or two of a file differ in size.
+        If a container is damaged or too large, its counts are compressed in an unknown way, or two of a file
+        differ in size.
+    DataError
+        If counts are compressed by JPEG-LS and PyAV is not installed.
     """
     with _opened(path) as file:
-        shapes = [_shape(path, file, one, max_frame_mb)[1] for one in _containers(path, file)]
+        shapes, times_s, largest_error = [], [], 0
+        for container in _containers(path, file):
+            counts = _counts(path, file, container, max_frame_mb)
+            if counts.stored_as == "JPEG-LS":
+                pyav(path)
+            largest_error = max(largest_error, counts.largest_error)
+            shapes.append(counts.shape)
+            times_s.append(_time_s(file, container))
     for number, shape in enumerate(shapes):
         if shape != shapes[0]:
             found, expected = (f"{columns} x {rows} pixels" for rows, columns in (shape, shapes[0]))
             raise FrameError(path, f"frame {number}: found {found}, expected {expected} as in frame 0")
-    return StillHeader(shapes[0], False, len(shapes), None, unit="counts")
+    known_s = tuple(time_s for time_s in times_s if time_s is not None)
+    return StillHeader(
+        shapes[0],
+        False,
+        len(shapes),
+        None,
+        unit="counts",
+        times_s=known_s if len(known_s) == len(shapes) else None,
+        warnings=(_near_lossless(largest_error),) if largest_error else (),
+    )
 
 
 def read_frames(path: Path, max_frame_mb: int) -> Iterator[NDArray[np.uint16]]:
     """Yield the counts of each frame of a file as the detector gave them. FrameError as for `read_header`."""
     with _opened(path) as file:
         for container in _containers(path, file):
-            begin, (rows, columns), order = _shape(path, file, container, max_frame_mb)
-            data = _bytes_at(file, begin, 2 * rows * columns)
-            if len(data) < 2 * rows * columns:
+            counts = _counts(path, file, container, max_frame_mb)
+            data = _bytes_at(file, counts.begin, counts.length)
+            if len(data) < counts.length:
                 raise FrameError(path, f"{_frame(container.number)}the counts are truncated")
-            yield np.frombuffer(data, f"{order}u2").reshape(rows, columns).astype(np.uint16)
+            yield _values(path, counts, data, _frame(container.number), max_frame_mb)
 
 
 def read_radiometry(path: Path) -> Radiometry:
@@ -140,7 +172,7 @@ def mk_per_count_of(recording: Recording, mean: float) -> float | None:
         return None
     path = recording.path
     if path.is_dir():
-        path = natural_order(one for one in path.iterdir() if one.is_file() and not one.name.startswith("."))[0]
+        path = files_in(path)[0]
     try:
         below, above = read_radiometry(path).celsius([mean - 0.5, mean + 0.5])
     except FrameError:
@@ -239,26 +271,114 @@ def _record(path: Path, container: _Container, kind: int, smallest: int) -> tupl
     return begin, length
 
 
-def _shape(
-    path: Path, file: BinaryIO, container: _Container, max_frame_mb: int
-) -> tuple[int, tuple[int, int], str]:
-    """Return where the counts of a container begin, their rows and columns, and their byte order."""
+Storage = Literal["<u2", ">u2", "PNG", "JPEG-LS"]
+"""Types of plain counts, and compressions."""
+
+
+class _Counts(NamedTuple):
+    """The place of the counts of a container, (first byte, bytes), their shape, and byte order or compression.
+
+    `largest_error` is the number of counts by which compression may have changed each of them.
+    """
+
+    begin: int
+    length: int
+    shape: tuple[int, int]
+    stored_as: Storage
+    largest_error: int = 0
+
+
+def _counts(path: Path, file: BinaryIO, container: _Container, max_frame_mb: int) -> _Counts:
+    """Return what the headers say of the counts of a container. FrameError if it is not what is read."""
     begin, length = _record(path, container, RAW_DATA, 32)
-    start = _bytes_at(file, begin, 40)
+    start, frame = _bytes_at(file, begin, N_START), _frame(container.number)
     order = _byte_order(path, start)
     columns, rows = struct.unpack_from(f"{order}2H", start, 2)
     check_size(path, (rows, columns), max_frame_mb)
-    for pattern, name in COMPRESSED.items():
-        if start[32:].startswith(pattern):
-            raise FrameError(path, f"its counts are compressed as {name}, expected plain ones; export 16-bit TIFF")
+    image = start[32:]
+    plain: Storage = "<u2" if order == "<" else ">u2"
+    name: Storage = plain
+    layout = (columns, rows, 16, 1)
+    if image.startswith(PNG_SIGNATURE) and len(image) >= 26:
+        width, height, bits, colours = struct.unpack_from(">2I2B", image, 16)
+        name, layout = "PNG", (width, height, bits, 1 if colours == 0 else 3)
+    elif image.startswith(JPEG_LS_START) and len(image) >= 12:
+        bits, height, width, n_channels = struct.unpack_from(">B2HB", image, 6)
+        name, layout = "JPEG-LS", (width, height, bits, n_channels)
+    if layout != (columns, rows, 16, 1):
+        width, height, bits, n_channels = layout
+        found = f"{width} x {height} pixels, {bits} bits, channels: {n_channels}"
+        raise FrameError(path, f"{frame}its counts are a {name} of {found}, expected {columns} x {rows}, 16, 1")
+    if name != plain:
+        longest = 4 * rows * columns + LONGEST_REST
+        error = _near(image) if name == "JPEG-LS" else 0
+        return _Counts(begin + 32, min(length - 32, longest), (rows, columns), name, error)
     if length < 32 + 2 * rows * columns:
-        found = f"found {length - 32} bytes of counts, expected {2 * rows * columns}"
-        raise FrameError(path, f"{_frame(container.number)}{found}: truncated")
-    return begin + 32, (rows, columns), order
+        raise FrameError(
+            path,
+            f"{frame}found {length - 32} bytes of counts, expected {2 * rows * columns}: truncated, or compressed "
+            "in a way that is not known",
+        )
+    return _Counts(begin + 32, 2 * rows * columns, (rows, columns), plain)
 
 
-def _byte_order(path: Path, record: bytes) -> str:
-    order = {b"\2\0": "<", b"\0\2": ">"}.get(record[:2])
+def _near(image: bytes) -> int:
+    """Return the parameter NEAR of a JPEG-LS image from its first bytes: the largest error (ITU-T T.87, C.2.3)."""
+    place = 2
+    while image[place : place + 1] == b"\xff" and len(image) >= place + 9:
+        if image[place + 1] == START_OF_SCAN:
+            return image[place + 7]
+        place += 2 + int.from_bytes(image[place + 2 : place + 4], "big")
+    return 0
+
+
+def _near_lossless(largest_error: int) -> RecordingWarning:
+    return RecordingWarning(
+        "lossy_compression",
+        f"the camera has compressed its counts with errors of up to {largest_error}: faint triangles and noise "
+        "are not what it saw; record plain counts (SEQ, FFF)",
+    )
+
+
+def _values(path: Path, counts: _Counts, data: bytes, frame: str, max_frame_mb: int) -> NDArray[np.uint16]:
+    """Return the counts of a container, given their bytes. FrameError if they are damaged."""
+    if counts.stored_as == "JPEG-LS":
+        try:
+            return decoded_jpeg_ls(path, data, counts.shape, max_frame_mb)
+        except FrameError as error:
+            raise FrameError(path, f"{frame}{error.problem}") from None
+    if counts.stored_as == "PNG":
+        try:
+            with FrameFile(path, content=data, max_frame_mb=max_frame_mb) as image:
+                return _in_order(image.read().stored[..., 0])
+        except FrameError as error:
+            raise FrameError(path, f"{frame}{error.problem}") from None
+    return np.frombuffer(data, counts.stored_as).reshape(counts.shape).astype(np.uint16)
+
+
+def _in_order(counts: NDArray[np.uint16]) -> NDArray[np.uint16]:
+    """Return the counts of a PNG with their two bytes in the order in which the picture is smoother.
+
+    Most of FLIR's cameras write the low byte first, against the PNG standard, and nothing in the file says so.
+    """
+    other = counts.byteswap()
+    as_stored, swapped = (np.abs(np.diff(one.astype(np.int32))).sum() for one in (counts, other))
+    return counts.copy() if as_stored < swapped else other
+
+
+def _time_s(file: BinaryIO, container: _Container) -> float | None:
+    """Return the moment of a frame in seconds since 1970; None if the container does not have it."""
+    begin, length = container.records.get(CAMERA_INFO, (0, 0))
+    record = _bytes_at(file, begin, TIME_AT + 8)
+    order = BYTE_ORDERS.get(record[:2])
+    if length < TIME_AT + 8 or len(record) < TIME_AT + 8 or order is None:
+        return None
+    seconds, milliseconds = struct.unpack_from(f"{order}2I", record, TIME_AT)
+    return float(seconds) + milliseconds / 1000 if seconds and milliseconds < 1000 else None
+
+
+def _byte_order(path: Path, record: bytes) -> Literal["<", ">"]:
+    order = BYTE_ORDERS.get(record[:2])
     if order is None:
         raise FrameError(path, f"a record starts with {record[:2]!r}, expected 2 as a number of two bytes")
     return order

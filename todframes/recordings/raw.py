@@ -23,7 +23,6 @@ SUFFIXES = (
 )
 """Extensions of camera raw files; many of them are TIFF by content."""
 
-
 HALF = RecordingWarning(
     "half_resolution",
     "each cell of 2 x 2 of the mosaic gives the mean of its two green values: frames have half the rows and "

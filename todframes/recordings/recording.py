@@ -1,12 +1,14 @@
-"""The one form in which frames of every kind of recording are handed on."""
+"""The common form of the frames of all kinds of recordings."""
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain, pairwise
 from pathlib import Path
+from statistics import fmean, median
 from typing import Any, Literal, NamedTuple, Protocol
 
 from numpy.typing import NDArray
@@ -16,11 +18,15 @@ from todframes.base.errors import DataError, FrameError, SettingsError, argument
 INTEGRATION_TIME_S = 0.1
 """Time in which the eye integrates. Hogervorst et al. 2001, section 4."""
 
-
 BYTES_PER_PIXEL = 8
-"""Bytes that a pixel of a recording counts as at least, whatever its type: as much is taken to look at it, and the
-pixel format of a video is known from a decoded frame only."""
+"""Least number of bytes that a pixel of a recording counts as, whatever its type: its decoding takes as much, and
+the pixel format of a video is known from a decoded frame only."""
 
+GAP = 1.5
+"""Interval between frames, in frames, from which frames are missing."""
+
+TIMES_FILE = "times.csv"
+"""File in a folder of stills that has their times."""
 
 Unit = Literal["code", "counts", "celsius"]
 """Code values of a picture, counts of a detector, or temperatures."""
@@ -30,7 +36,7 @@ class RecordedFrame(NamedTuple):
     """One frame: the values as recorded, their time and origin.
 
     `values` has shape (rows, columns), or (rows, columns, 3) for R, G, B, and is uint8, uint16 or float32.
-    `time_s` is the presentation time in seconds, None if nothing tells it. `source` names the frame in messages.
+    `time_s` is the presentation time in seconds, None if it is not known. `source` names the frame in messages.
     """
 
     values: NDArray[Any]
@@ -39,7 +45,7 @@ class RecordedFrame(NamedTuple):
 
 
 class RecordingWarning(NamedTuple):
-    """A property of a recording that costs precision: a code, and a sentence that says what it costs."""
+    """A property of a recording that reduces precision: a code, and a sentence about the effect."""
 
     code: str
     message: str
@@ -58,9 +64,9 @@ class Recording:
     is_colour : bool
         Frames have the channels R, G, B; else one.
     n_frames : int, optional
-        Number of frames as the file gives it; None if only reading it would tell.
+        Number of frames as the file gives it; None if it is known only after reading.
     frames_per_second : float, optional
-        Nominal frame rate; None if nothing tells it.
+        Nominal frame rate; None if it is not known.
     full_scale, zero : float
         Recorded values of white and black: 255 and 0 for a picture of 8 bits, 235 and 16 in the limited range of a
         grey video. `full_scale` is None for values without a white: temperatures, counts, floating-point values.
@@ -95,7 +101,7 @@ class Recording:
 
 
 class StillHeader(NamedTuple):
-    """The header of a file of still frames, without decoded values; the fields are those of `Recording`."""
+    """The header of a file of frames, without decoded values; the other fields are those of `Recording`."""
 
     shape: tuple[int, int]
     is_colour: bool
@@ -104,6 +110,8 @@ class StillHeader(NamedTuple):
     zero: float = 0.0
     unit: Unit = "code"
     frames_per_second: float | None = None
+    times_s: tuple[float, ...] | None = None
+    """Moments of the frames, in seconds of the camera's clock; None if the file does not have them."""
     warnings: tuple[RecordingWarning, ...] = ()
 
 
@@ -133,6 +141,12 @@ def natural_order(paths: Iterable[Path]) -> list[Path]:
     return sorted(paths, key=key)
 
 
+def files_in(folder: Path) -> list[Path]:
+    """Return the files of a folder in natural order, without hidden ones and `TIMES_FILE`. May raise OSError."""
+    files = (one for one in folder.iterdir() if one.is_file() and not one.name.startswith("."))
+    return natural_order(one for one in files if one.name != TIMES_FILE)
+
+
 def still_recording(
     paths: Sequence[Path],
     reader: StillReader,
@@ -140,6 +154,7 @@ def still_recording(
     folder: Path | None,
     frames_per_second: float | None,
     max_frame_mb: int,
+    times_s: Mapping[str, float] | None = None,
 ) -> Recording:
     """Return one recording of still frames, in the order of their file names.
 
@@ -155,6 +170,8 @@ def still_recording(
         Frame rate in place of that in the first file.
     max_frame_mb : int
         Largest decoded size of a frame in 2**20 bytes.
+    times_s : mapping of str to float, optional
+        Time of each file by its name, in place of those in the files.
 
     Raises
     ------
@@ -174,15 +191,20 @@ def still_recording(
             if found != expected:
                 problem = f"{what}: found {found}, expected {expected} as in {paths[0].name}"
                 raise FrameError(path, f"{problem}; a recording has frames of one kind")
-    rate = check_rate(frames_per_second) or first.frames_per_second
-    warnings = dict.fromkeys(one for header in headers for one in header.warnings)
+    if times_s is not None:
+        headers = [
+            header._replace(times_s=(times_s[path.name],), frames_per_second=None)
+            for path, header in zip(paths, headers, strict=True)
+        ]
+    clock = _clock(paths, headers, check_rate(frames_per_second))
+    warnings = dict.fromkeys((*(one for header in headers for one in header.warnings), *clock.warnings))
 
     def read() -> Iterator[RecordedFrame]:
         number = 0
         for path, header in zip(paths, headers, strict=True):
             for page, values in enumerate(reader.read_frames(path, max_frame_mb)):
                 source = path.name if header.n_frames == 1 else f"{path.name}, page {page}"
-                yield RecordedFrame(values, None if rate is None else number / rate, source)
+                yield RecordedFrame(values, clock.time_s(number), source)
                 number += 1
 
     return Recording(
@@ -190,12 +212,53 @@ def still_recording(
         shape=first.shape,
         is_colour=first.is_colour,
         n_frames=sum(header.n_frames for header in headers),
-        frames_per_second=rate,
+        frames_per_second=clock.frames_per_second,
         full_scale=first.full_scale,
         zero=first.zero,
         unit=first.unit,
         warnings=tuple(warnings),
         read=read,
+    )
+
+
+class _SequenceTimes(NamedTuple):
+    """Times of the frames of a sequence: of each frame, or by a rate; neither if nothing gives them."""
+
+    frames_per_second: float | None = None
+    times_s: tuple[float, ...] | None = None
+    warnings: tuple[RecordingWarning, ...] = ()
+
+    def time_s(self, number: int) -> float | None:
+        """Return the time of a frame, None without times; the first frame has the time 0."""
+        if self.times_s is not None:
+            return self.times_s[number]
+        return None if self.frames_per_second is None else number / self.frames_per_second
+
+
+def _clock(paths: Sequence[Path], headers: Sequence[StillHeader], asked: float | None) -> _SequenceTimes:
+    """Return the times of a sequence: by the rate asked for or in the first header, else those of the files."""
+    rate = asked or headers[0].frames_per_second
+    if rate is not None:
+        return _SequenceTimes(rate)
+    if any(header.times_s is None for header in headers) or sum(header.n_frames for header in headers) < 2:
+        return _SequenceTimes()
+    moments_s = list(chain.from_iterable(header.times_s or () for header in headers))
+    times_s = tuple(round(moment_s - moments_s[0], 6) for moment_s in moments_s)  # seconds since 1970 have no more
+    steps_s = [after - before for before, after in pairwise(times_s)]
+    if min(steps_s) > 0:
+        usual_s = median(steps_s)
+        return _SequenceTimes(1.0 / fmean(one for one in steps_s if one <= GAP * usual_s), times_s)
+    number = next(k for k, step_s in enumerate(steps_s) if step_s <= 0)
+    names = [path.name for path, header in zip(paths, headers, strict=True) for _ in range(header.n_frames)]
+    found = "the time of" if steps_s[number] == 0 else f"a time {-steps_s[number]:.6g} s before"
+    return _SequenceTimes(
+        warnings=(
+            RecordingWarning(
+                "times_not_used",
+                f"frame {number + 1} ({names[number + 1]}) has {found} frame {number} ({names[number]}), expected "
+                f"a later one, so these times are not used; {argument.frames_per_second} or times.csv give others",
+            ),
+        )
     )
 
 

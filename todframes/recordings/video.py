@@ -6,6 +6,7 @@ import re
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
+from types import ModuleType
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
     from av.video.frame import VideoFrame
     from av.video.stream import VideoStream
 
-FORMATS = {
+VIDEO_FORMATS = {
     rb"\x1a\x45\xdf\xa3": "matroska",
     rb"....(ftyp|moov|mdat|wide|free|skip)": "mov",
     rb"RIFF....AVI ": "avi",
@@ -44,29 +45,23 @@ FORMATS = {
 }
 """Patterns of the first bytes of video files, and FFmpeg's names of their formats.
 
-FFmpeg is told the format: playlists and scripts, which name other files or addresses, are none of them.
+FFmpeg is given the format: playlists and scripts, which name other files or addresses, are none of them.
 """
-
 
 N_START = 189
 """Number of first bytes that `format_of` needs."""
 
-
 MATRICES = {1: (0.2126, 0.0722), 5: (0.299, 0.114), 6: (0.299, 0.114), 7: (0.212, 0.087), 9: (0.2627, 0.0593)}
 """Weights of R' and B' in luma by number of the matrix in H.273: BT.709, BT.601 (twice), 240M, BT.2020."""
-
 
 MATRIX_NAMES = {1: "BT.709", 6: "BT.601"}
 """Names of the matrices that are assumed if the stream declares none."""
 
-
 LIMITED, UNSPECIFIED_MATRIX = 1, 2
 """FFmpeg's numbers of the limited range, and of a matrix that is not declared."""
 
-
 HD_ROWS = 720
 """Smallest number of rows for which BT.709 is assumed; BT.601 for fewer."""
-
 
 REPACKED = {
     "yuyv422": "yuv422p",
@@ -77,6 +72,8 @@ REPACKED = {
 }
 """Packed pixel formats and the planar ones with the same samples."""
 
+END_OF_IMAGE = b"\xff\xd9"
+"""Last bytes of a JPEG-LS image."""
 
 LATE_INTERVALS = 2.0
 """Number of the longest intervals between frames by which a video may end before its declared duration."""
@@ -101,7 +98,7 @@ class Levels(NamedTuple):
 
 def format_of(start: bytes) -> str | None:
     """Return FFmpeg's name of the format of a file that starts with these bytes; None if it is no video."""
-    return next((name for pattern, name in FORMATS.items() if re.match(pattern, start, re.DOTALL)), None)
+    return next((name for pattern, name in VIDEO_FORMATS.items() if re.match(pattern, start, re.DOTALL)), None)
 
 
 def pixel_format(name: str) -> PixelFormat | None:
@@ -258,19 +255,30 @@ def open_video(
     )
 
 
+def pyav(path: Path) -> ModuleType:
+    """Return the module of PyAV. Raises DataError if it is not installed."""
+    try:
+        import av
+    except ImportError:
+        raise missing_extra(path, "video", "av (PyAV)") from None
+    return av
+
+
+def _limit(max_frame_mb: int) -> dict[str, str]:
+    """Return the option by which FFmpeg refuses frames with more pixels than a limit."""
+    return {"max_pixels": str(max_frame_mb * 2**20 // BYTES_PER_PIXEL)}
+
+
 @contextmanager
 def _opened(path: Path, max_frame_mb: int) -> Iterator[tuple[InputContainer, VideoStream]]:
     """Open a file and its first video stream, to decode in as many threads as there are processors.
 
     FFmpeg decodes frames already when it opens a file, so it is given the largest number of pixels before.
     """
-    try:
-        import av
-    except ImportError:
-        raise missing_extra(path, "video", "av (PyAV)") from None
+    av = pyav(path)
     with path.open("rb") as file:
         name = format_of(file.read(N_START))
-    options = {"max_pixels": str(max_frame_mb * 2**20 // BYTES_PER_PIXEL)}
+    options = _limit(max_frame_mb)
     try:
         # The prefix keeps FFmpeg from taking a file name for an address.
         with _logged() as complaints:
@@ -386,6 +394,55 @@ def _frames(
                 f"is truncated: it ends at {last_s:.6g} s, expected {duration_s:.6g} s; {_good(number + 1)}; "
                 "copy the file again, or cut it to its good part",
             )
+
+
+def decoded_jpeg_ls(path: Path, data: bytes, shape: tuple[int, int], max_frame_mb: int) -> NDArray[np.uint16]:
+    """Decode a grey JPEG-LS image of 16 bits, which may have zeros behind its end.
+
+    Parameters
+    ----------
+    path : path
+        The file, for messages.
+    data : bytes
+        The image.
+    shape : (int, int)
+        Rows and columns that it has to have.
+    max_frame_mb : int
+        Largest size of a frame in 2**20 bytes; a pixel counts as `BYTES_PER_PIXEL`.
+
+    Raises
+    ------
+    DataError
+        If PyAV is not installed.
+    FrameError
+        If the image is damaged or has another size.
+    """
+    av = pyav(path)
+    data = data.rstrip(b"\0")
+    if not data.endswith(END_OF_IMAGE):
+        raise FrameError(path, "the JPEG-LS image has no end: truncated")
+
+    def decoded(image: bytes) -> NDArray[np.uint16]:
+        with _logged() as complaints:
+            try:
+                decoder = av.CodecContext.create("jpegls", "r")
+                decoder.options = _limit(max_frame_mb)
+                frames = [*decoder.decode(av.Packet(image)), *decoder.decode(None)]
+            except (av.FFmpegError, ValueError) as error:
+                raise FrameError(path, f"the JPEG-LS image cannot be decoded ({_reason(error)})") from None
+        if complaints or len(frames) != 1 or frames[0].is_corrupt:
+            raise FrameError(path, "the JPEG-LS image is damaged")
+        (frame,) = frames
+        if (frame.height, frame.width, frame.format.name) != (*shape, "gray16le"):
+            found = f"{frame.width} x {frame.height} pixels, {frame.format.name}"
+            raise FrameError(path, f"the JPEG-LS image has {found}, expected {shape[1]} x {shape[0]}, gray16le")
+        return _plane(frame, 0, np.dtype("<u2"))
+
+    values = decoded(data)
+    # FFmpeg goes on with zeros where data are missing: then others behind the data make another image.
+    if not np.array_equal(values, decoded(data[: -len(END_OF_IMAGE)] + bytes([0x55]) * 64 + END_OF_IMAGE)):
+        raise FrameError(path, "the JPEG-LS image is damaged")
+    return values
 
 
 def _good(n_frames: int) -> str:

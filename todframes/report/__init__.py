@@ -1,5 +1,1 @@
 """Results of commands, with their tables, figures, sentences and HTML page."""
-
-import lazy_loader
-
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -8,27 +8,22 @@ from collections.abc import Sequence
 from todframes.report.data import Fit, ResultWarning
 from todframes.report.wording import listed, plain
 
-FEWEST_LEVELS = 3
+FEWEST_LEVELS_SHOWN = 3
 """Smallest number of levels that show how fast a curve rises and whether it fits."""
-
 
 WIDEST_GAP = 4.0
 """Largest ratio of the two levels about a threshold; farther apart they do not show how the curve rises."""
 
-
-STEPS = (0.7, 1.0, 1.4)
+ADDED_LEVELS = (0.7, 1.0, 1.4)
 """Levels to add, in units of the estimated threshold: between 50 and 95 % correct for curves as steep as usual."""
-
 
 USUAL_SLOPE = 2.0
 """Weibull slope that a threshold outside the levels is estimated with: that of a linear observer is near it."""
 
-
-ALIKE = 1.15
+SAME_LEVEL = 1.15
 """Largest ratio of a level to add and one shown that counts as the same level."""
 
-
-TOLD_APART = 0.5
+HELPS_FROM = 0.5
 """Proportion correct from which stronger levels will help; below it something else may be wrong."""
 
 
@@ -83,11 +78,11 @@ def _open_reason(fit: Fit) -> str:
     if fit.status == "never_reached":
         best = max(fit.points, key=lambda point: point.p_correct)
         reached = f"at most {100.0 * best.p_correct:.0f} % correct is reached, at {best.level:.3g}"
-        return f"all levels are below the threshold of {criterion}: {reached}" * (best.p_correct >= TOLD_APART)
+        return f"all levels are below the threshold of {criterion}: {reached}" * (best.p_correct >= HELPS_FROM)
     if fit.status == "extrapolated" and fit.threshold is not None:
         side = "below" if fit.threshold < levels[0] else "above"
         return f"the threshold lies {side} all levels shown, {levels[0]:.3g} to {levels[-1]:.3g}"
-    if len(levels) < FEWEST_LEVELS:
+    if len(levels) < FEWEST_LEVELS_SHOWN:
         return f"found {len(levels)} level{'s' * (len(levels) > 1)}, too few to see how the curve rises"
     if fit.threshold is None:
         return ""
@@ -103,8 +98,8 @@ def _open_reason(fit: Fit) -> str:
 def _levels_near_threshold(fit: Fit) -> list[float]:
     """Return levels about the threshold, or about an estimate of it, that are not among those shown."""
     shown = [point.level for point in fit.points]
-    wanted = [float(f"{step * _estimate(fit):.2g}") for step in STEPS]
-    return [one for one in wanted if not any(one / ALIKE <= level <= one * ALIKE for level in shown)]
+    wanted = [float(f"{step * _estimate(fit):.2g}") for step in ADDED_LEVELS]
+    return [one for one in wanted if not any(one / SAME_LEVEL <= level <= one * SAME_LEVEL for level in shown)]
 
 
 def _estimate(fit: Fit) -> float:

@@ -23,9 +23,7 @@ from todframes.report.wording import (
 SUBJECT = "subject"
 """Column of the groups of `fits` that names the person."""
 
-
 TOGETHER = "all together"
-
 
 NOISE_COLUMNS = (
     Column(key=SUBJECT, header="person", is_name=True),
@@ -45,10 +43,8 @@ NOISE_COLUMNS = (
     Column(key="status"),
 )
 
-
-MOST_TOLD = 6
+MOST_DESCRIBED = 6
 """Largest number of persons that are described one by one; if there are more, the table shows them."""
-
 
 FLAGS = {
     "hidden": "while the page was hidden",
@@ -59,11 +55,10 @@ FLAGS = {
 
 NO_NOISE = {
     "noise_free": "without any noise the model would answer no worse; show weaker or smaller triangles",
-    "at_chance": "the answers are not told from guesses; show stronger or larger triangles",
+    "at_chance": "the answers cannot be distinguished from guesses; show stronger or larger triangles",
     "too_few_trials": "the answers are too few",
 }
 """Reasons for a missing noise, by status."""
-
 
 NOT_OF_OBSERVER = {
     "observer",
@@ -150,10 +145,10 @@ def curves_table(result: ResultData) -> Table:
 
 def sentences(result: ResultData) -> list[str]:
     """Return the findings in words, a sentence for each person; of many persons, for the first."""
-    told = [_sentence(result, one) for one in result.persons[:MOST_TOLD]]
-    if (more := len(result.persons) - MOST_TOLD) > 0:
-        told.append(f"{count(more, 'more person')} {'is' if more == 1 else 'are'} in the table.")
-    return told if result.pooled is None else [*told, _sentence(result, result.pooled)]
+    texts = [_sentence(result, one) for one in result.persons[:MOST_DESCRIBED]]
+    if (more := len(result.persons) - MOST_DESCRIBED) > 0:
+        texts.append(f"{count(more, 'more person')} {'is' if more == 1 else 'are'} in the table.")
+    return texts if result.pooled is None else [*texts, _sentence(result, result.pooled)]
 
 
 def _sentence(result: ResultData, one: PersonResult) -> str:

@@ -13,10 +13,11 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import msgspec
 from msgspec import Meta, Struct, field
+from msgspec.structs import force_setattr
 
-from todframes.base.errors import DataError
-from todframes.base.locations import in_utf8
+from todframes.base.errors import DataError, for_reader
 from todframes.base.reading import read_file
+from todframes.base.safe_text import in_utf8, visible_json
 
 if TYPE_CHECKING:
     from todframes.diagnosis.missing_threshold import Explanation
@@ -29,12 +30,9 @@ if TYPE_CHECKING:
 
 SCHEMA = 1
 
-
 MAX_MB = 64
 
-
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
-
 
 CONTENT = {
     "score": "fits",
@@ -47,24 +45,17 @@ CONTENT = {
 }
 """Commands with a report, and the key that the result of each must have."""
 
-
 Positive = Annotated[float, Meta(gt=0)]
-
 
 Proportion = Annotated[float, Meta(ge=0, le=1)]
 
-
 Interval = tuple[Positive | None, Positive | None]
-
 
 Group = dict[str, float | str]
 
-
 Record = dict[str, Any]
 
-
 NO_DIFFERENCE = "no difference shown"
-
 
 PSNR_STEP_DB, SSIM_STEP = 0.1, 0.005
 """Largest changes of PSNR and SSIM that count as no change."""
@@ -81,7 +72,6 @@ def _empty() -> tuple[()]:
 # JSON leaves out a value that equals its default, but not one that equals the value of a default factory.
 NULL: Any = field(default_factory=_null)
 """Field that may be missing when a result is read, and is written as null if it has no value."""
-
 
 EMPTY: Any = field(default_factory=_empty)
 """Field of a list that may be missing when a result is read, and is written even if it is empty."""
@@ -210,9 +200,9 @@ def group_of(dataset: Dataset, values: Sequence[float | str]) -> Group:
 class Ratio(Struct, frozen=True, kw_only=True):
     """An algorithm's threshold divided by that of the reference, in one group or, without `group`, in all.
 
-    `p_value_is_least` tells whether the p-value is the smallest that the resamples allow, so that the true one may
-    be smaller. `contrast_gain` is the algorithm's gain of the triangle's displayed contrast, and `beyond_gain` its
-    threshold divided by that of a plain gain of the same amount: below 1, it does more than to amplify.
+    `p_value_is_least`: the p-value is the smallest that the resamples allow, so the true one may be smaller.
+    `contrast_gain` is the algorithm's gain of the triangle's displayed contrast, and `beyond_gain` its threshold
+    divided by that of a plain gain of the same amount: below 1, it does more than to amplify.
     """
 
     verdict: str
@@ -412,7 +402,7 @@ class PersonResult(Struct, frozen=True, kw_only=True):
         Anonymous id of the person; None for all together.
     status : str
         "ok", or why there is no noise: "noise_free" (without noise the model would answer no worse), "at_chance"
-        (the answers are not told from guesses), "too_few_trials" (neither is).
+        (the answers cannot be distinguished from guesses), "too_few_trials" (neither is).
     internal_noise : float or None
         Full width of each neuron's noise.
     internal_noise_ci95 : (float or None, float or None)
@@ -537,6 +527,9 @@ class ResultWarning(Struct, frozen=True, kw_only=True):
     found: Any = None
     expected: Any = None
 
+    def __post_init__(self) -> None:
+        force_setattr(self, "message", for_reader(self.message))
+
 
 class ResultData(Struct, frozen=True, kw_only=True, omit_defaults=True):
     """The content of `result.json`; `todframes.report.result.Result` adds the methods."""
@@ -590,6 +583,15 @@ def read_bytes(path: Path) -> bytes:
         If it cannot be read or is too long.
     """
     return read_file(path, most_mb=MAX_MB)
+
+
+def json_file(content: object) -> bytes:
+    """Return a record as indented JSON; NaN becomes null.
+
+    Characters that a terminal would obey are escaped; the values of the JSON are the same.
+    """
+    text = msgspec.json.format(msgspec.json.encode(content), indent=2).decode()
+    return (visible_json(text) + "\n").encode()
 
 
 def decode(content: bytes, where: str, kind: type[D]) -> D:

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from todframes.base._typing import FloatArray
 from todframes.diagnosis.whole_frames import block_means
 from todframes.enhancement.compare import AlgorithmResult
-from todframes.enhancement.enhanced_frame import Screen, TrialReader
-from todframes.frames.contrast import Patch, read_contrast
+from todframes.enhancement.enhanced_frame import AlgorithmDisplay, TrialReader
+from todframes.frames.contrast import ContrastPatch, read_contrast
 from todframes.frames.dataset import Dataset
 from todframes.frames.position import centroid_position, size_in_px
 from todframes.frames.surround import TrianglePlace
@@ -32,31 +32,24 @@ from todframes.stimulus import Stimulus, vertices
 
 MOST_EXAMPLES, MOST_BANDS = 4, 8
 
-
-REACH_PER_SIZE = 1.5
-
+PICTURE_REACH_PER_SIZE = 1.5
 
 LEAST_REACH_PX, LEAST_REACH_SAMPLES = 8, 12
 """Least distance from the middle of a picture to its edge, in display pixels and in retina samples; a small
 triangle is shown with its surroundings."""
 
-
 MOST_REACH_PX = 1000
 """Largest distance from the middle to the edge, so that a wrong pitch cannot fill the memory; of a larger triangle
 only the middle is shown."""
 
-
 MOST_WITHOUT = 60
 """Largest number of groups without a threshold whose strongest trial is drawn."""
-
 
 WHOLE_SIDE_PX = 384
 """Largest side of the picture of a whole frame; a small frame is enlarged by a whole factor."""
 
-
 OUTLINE_BGR = (0, 128, 255)
 """Colour of the expected triangle's outline: orange."""
-
 
 DISPLAY_SIDE_PX, RETINA_SIDE_PX = 128, 96
 """Largest sides of pictures of the display and of the retina; larger ones are reduced by a whole factor."""
@@ -70,10 +63,10 @@ class ShowsBands(Protocol):
         """Return the noise-free activity of all neurons for a retina image of shape (side, side)."""
 
 
-class FramePart(NamedTuple):
+class ExamplePatch(NamedTuple):
     """Part of a frame, and the position of the triangle's centroid in the frame."""
 
-    patch: Patch
+    patch: ContrastPatch
     x_px: float
     y_px: float
 
@@ -179,7 +172,7 @@ def nearest_trial(scored: ScoredDataset, one: GroupFit) -> int:
     return int(places[np.lexsort([from_criterion, from_threshold])[0]])
 
 
-def _shown(dataset: Dataset, trial: Trial, observer: Observer) -> list[FramePart]:
+def _shown(dataset: Dataset, trial: Trial, observer: Observer) -> list[ExamplePatch]:
     """Read the part of each frame of a trial that surrounds the triangle."""
     pitch_mrad = dataset.display.pitch_mrad
     reach_px = _reach_px(observer, trial.stimulus, pitch_mrad)
@@ -190,14 +183,14 @@ def _shown(dataset: Dataset, trial: Trial, observer: Observer) -> list[FramePart
             rows, columns = ((round(place) - reach_px, round(place) + reach_px + 1) for place in (y, x))
             triangle = TrianglePlace(x, y, size_in_px(trial, pitch_mrad))
             patch = read_contrast(file, dataset.display, frame, rows, columns, triangle=triangle)
-            found.append(FramePart(patch, x, y))
+            found.append(ExamplePatch(patch, x, y))
     return found
 
 
 def _reach_px(observer: Observer, stimulus: Stimulus, pixel_pitch_mrad: float) -> int:
     """Return the number of display pixels shown on each side of the triangle's centroid."""
     reach_mrad = max(
-        REACH_PER_SIZE * stimulus.size_mrad,
+        PICTURE_REACH_PER_SIZE * stimulus.size_mrad,
         LEAST_REACH_PX * pixel_pitch_mrad,
         LEAST_REACH_SAMPLES * observer.grid(stimulus).pitch_mrad,
     )
@@ -205,7 +198,7 @@ def _reach_px(observer: Observer, stimulus: Stimulus, pixel_pitch_mrad: float) -
 
 
 def pictures(
-    shown: Sequence[FramePart],
+    shown: Sequence[ExamplePatch],
     retina: FloatArray,
     *,
     observer: Observer,
@@ -217,7 +210,7 @@ def pictures(
 
     Parameters
     ----------
-    shown : sequence of FramePart
+    shown : sequence of ExamplePatch
         Contrast of the frames of one trial; the picture is their mean, and background beyond the end of a frame.
     retina : ndarray, shape (side, side)
         Observer's input, in contrast.
@@ -250,7 +243,7 @@ def pictures(
     return width_mrad, tuple(found)
 
 
-def _crop(shown: FramePart, reach_px: int) -> FloatArray:
+def _crop(shown: ExamplePatch, reach_px: int) -> FloatArray:
     """Return the contrast within `reach_px` of the triangle's centroid, (2 reach + 1)²; 0 beyond the frame."""
     side = 2 * reach_px + 1
     top, left = (round(place) - reach_px for place in (shown.y_px, shown.x_px))
@@ -306,7 +299,7 @@ MOST_GROUPS, MOST_ALGORITHMS = 2, 6
 
 
 def compare_examples(
-    dataset: Dataset, results: Sequence[AlgorithmResult], observer: Observer, screen: Screen
+    dataset: Dataset, results: Sequence[AlgorithmResult], observer: Observer, screen: AlgorithmDisplay
 ) -> tuple[Example, ...]:
     """Draw the trial nearest to the reference's threshold in up to two groups, after each of up to six algorithms.
 
@@ -341,7 +334,7 @@ def _drawn(
 ) -> tuple[float, tuple[Thumbnail, ...]]:
     """Draw the display, retina image and bands after one algorithm."""
     return pictures(
-        [FramePart(*part) for part in zip(shown.patches, shown.x_px, shown.y_px, strict=True)],
+        [ExamplePatch(*part) for part in zip(shown.patches, shown.x_px, shown.y_px, strict=True)],
         retina_image(shown, observer.grid(stimulus), displacement_samples),
         observer=observer,
         stimulus=stimulus,

@@ -17,19 +17,14 @@ if TYPE_CHECKING:
 
 Colour = tuple[float, float, float, float]
 
-
 INK, PAPER = "#1f2328", "#ffffff"
-
 
 COLOURS = ("#3b76c4", "#1f8f8a", "#5a9136", "#a68217", "#cb6a2c", "#c94f6d", "#8a62c2")
 """Colours of curves, in the order of the rainbow because sizes have an order, and of about the same lightness."""
 
-
 MARKERS = "os^DvPX"
 
-
 LONGEST_LABEL = 40
-
 
 STYLE: dict[str, Any] = {
     **dict.fromkeys(("text.color", "axes.edgecolor", "axes.labelcolor", "xtick.color", "ytick.color"), INK),
@@ -91,7 +86,7 @@ def label_text(text: str) -> str:
     return " " * text.startswith("_") + text.replace("$", r"\$")
 
 
-class Look(NamedTuple):
+class CurveStyle(NamedTuple):
     """Colour and marker of one curve of several."""
 
     colour: Colour
@@ -111,11 +106,11 @@ def plain_ticks(axis: Any, values: Sequence[float]) -> None:
     axis.set_minor_locator(NullLocator())
 
 
-def look_of(number: int, of: int) -> Look:
-    """Return the look of curve `number` out of `of`; if `COLOURS` has too few colours, they are interpolated."""
+def curve_style(number: int, of: int) -> CurveStyle:
+    """Return the style of curve `number` out of `of`; if `COLOURS` has too few colours, they are interpolated."""
     from matplotlib.colors import LinearSegmentedColormap, to_rgba
 
     marker = MARKERS[number % len(MARKERS)]
     if of <= len(COLOURS):
-        return Look(to_rgba(COLOURS[round(number * (len(COLOURS) - 1) / max(of - 1, 1))]), marker)
-    return Look(LinearSegmentedColormap.from_list("sizes", COLOURS)(number / (of - 1)), marker)
+        return CurveStyle(to_rgba(COLOURS[round(number * (len(COLOURS) - 1) / max(of - 1, 1))]), marker)
+    return CurveStyle(LinearSegmentedColormap.from_list("sizes", COLOURS)(number / (of - 1)), marker)

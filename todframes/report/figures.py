@@ -19,10 +19,10 @@ from todframes.report.figure_style import (
     INK,
     PAPER,
     STYLE,
-    Look,
+    CurveStyle,
     add_legend,
+    curve_style,
     label_text,
-    look_of,
     new_figure,
     plain_ticks,
     style,
@@ -47,17 +47,15 @@ if TYPE_CHECKING:
 
 MOST_CURVES = 24
 
-
 MOST_IN_LEGEND = 12
-
 
 MOST_SIZES_NAMED = 8
 
 
-class Picture(NamedTuple):
+class ReportFigure(NamedTuple):
     """A figure to be drawn, for the page and as a PNG.
 
-    `note` says how to read it; `file` is the name of the PNG, or "" if only the page shows it.
+    `note` explains how to read it; `file` is the name of the PNG, or "" if only the page shows it.
     """
 
     title: str
@@ -119,7 +117,7 @@ def drawn(draw: Callable[[Axes], None], ax: Axes | None) -> Axes:
     return ax
 
 
-def pictures(result: ResultData) -> list[Picture]:
+def pictures(result: ResultData) -> list[ReportFigure]:
     """List the figures of a result, the most important first."""
     if result.persons:
         return _of_persons(result)
@@ -130,12 +128,12 @@ def pictures(result: ResultData) -> list[Picture]:
             "dotted where the data leave an end open."
         )
         draw = partial(draw_ratios, algorithms=result.algorithms)
-        found.append(Picture("Thresholds with and without", note, draw, "compare.png"))
+        found.append(ReportFigure("Thresholds with and without", note, draw, "compare.png"))
     everything = result.thresholds
     alone = bool(result.fits)
     if has_tod_curve(everything):
         file = "tod_curve.png" if alone else ""
-        found.append(Picture("TOD curve", _tod_note(everything), partial(draw_tod, fits=everything), file))
+        found.append(ReportFigure("TOD curve", _tod_note(everything), partial(draw_tod, fits=everything), file))
     of_algorithms = ((f"Psychometric functions: {one.name}", one.fits, "") for one in result.algorithms)
     for title, fits, file in (("Psychometric functions", result.fits, "psychometric.png"), *of_algorithms):
         seen = [fit for fit in fits if fit.points]
@@ -144,7 +142,7 @@ def pictures(result: ResultData) -> list[Picture]:
             note = f"Proportion correct against {level_name(seen[0].level)}; dashed: the criterion{guesses}."
             if len(seen) > MOST_CURVES:
                 note += f" {MOST_CURVES} of {len(seen)} curves are drawn."
-            found.append(Picture(title, note, partial(draw_psychometric, fits=seen), file))
+            found.append(ReportFigure(title, note, partial(draw_psychometric, fits=seen), file))
     for scene in result.scenes:
         if scene_runs(scene):
             note = (
@@ -152,22 +150,22 @@ def pictures(result: ResultData) -> list[Picture]:
                 "Grey: below the error of the converged value."
             )
             draw = partial(draw_errors, scene=scene)
-            found.append(Picture(scene.heading, note, draw, f"accuracy_{scene.name}.png"))
+            found.append(ReportFigure(scene.heading, note, draw, f"accuracy_{scene.name}.png"))
     return found
 
 
-def _of_persons(result: ResultData) -> list[Picture]:
+def _of_persons(result: ResultData) -> list[ReportFigure]:
     """List the figures of people's curves and those of the models that were fitted to them."""
     found = []
     if has_tod_curve(result.fits):
         note = _tod_note(result.fits) + " Symbols: the person, by the counts alone; lines: the fitted model."
-        found.append(Picture("Person and model", note, partial(draw_persons, result=result)))
+        found.append(ReportFigure("Person and model", note, partial(draw_persons, result=result)))
     for one in result.persons:
         fits = with_model_curves(result, one.subject)
         if fits:
             lapses = " without lapses" if one.lapse_rate else ""
             note = f"Proportion correct against {level_name(fits[0].level)}; curves: the fitted model{lapses}."
-            found.append(Picture(f"Answers of {one.subject}", note, partial(draw_psychometric, fits=fits)))
+            found.append(ReportFigure(f"Answers of {one.subject}", note, partial(draw_psychometric, fits=fits)))
     return [found[0]._replace(file="calibration.png"), *found[1:]] if found else []
 
 
@@ -198,7 +196,7 @@ def draw_tod(axes: Axes, fits: Sequence[Fit]) -> None:
     drawn = [
         place
         for number, (label, curve) in enumerate(curves)
-        for place in _draw_tod_curve(axes, curve, name, label, look_of(number, len(curves)))
+        for place in _draw_tod_curve(axes, curve, name, label, curve_style(number, len(curves)))
     ]
     if 1 < len(curves) <= MOST_IN_LEGEND:
         add_legend(axes)
@@ -231,17 +229,17 @@ def draw_persons(axes: Axes, result: ResultData) -> None:
     places: list[_Place] = []
     curves: list[tuple[float, float]] = []
     for number, one in enumerate(persons):
-        look = look_of(number, len(persons))
+        line_style = curve_style(number, len(persons))
         of_person = [pair for pair in shown if pair[0].group[SUBJECT] == one.subject]
         own = [fit for fit, _ in of_person]
-        places += _draw_tod_curve(axes, own, size, str(one.subject), look, line="")
+        places += _draw_tod_curve(axes, own, size, str(one.subject), line_style, line="")
         curve = sorted(
             (1.0 / within(float(model.group[size])), within(model.threshold))
             for _, model in of_person
             if model is not None and model.threshold is not None
         )
         if curve:
-            axes.plot(*zip(*curve, strict=True), color=look.colour, zorder=2)
+            axes.plot(*zip(*curve, strict=True), color=line_style.colour, zorder=2)
         curves += curve
     _label_tod_axes(axes, size, result.fits[0].level)
     plain_ticks(axes.xaxis, [place.x for place in places] + [x for x, _ in curves])
@@ -261,21 +259,21 @@ def _label_tod_axes(axes: Axes, name: str, level: str) -> None:
 
 
 def _draw_tod_curve(
-    axes: Axes, fits: Sequence[Fit], name: str, label: str, look: Look, *, line: str = "-"
+    axes: Axes, fits: Sequence[Fit], name: str, label: str, line_style: CurveStyle, *, line: str = "-"
 ) -> list[_Place]:
     places = [
         _Place(1.0 / within(float(fit.group[name])), within(fit.threshold), fit)
         for fit in fits
         if fit.threshold is not None
     ]
-    style_of_points: Json = {"color": look.colour, "marker": look.marker}
+    style_of_points: Json = {"color": line_style.colour, "marker": line_style.marker}
     x, thresholds = [place.x for place in places], [place.threshold for place in places]
     axes.plot(x, thresholds, label=label_text(label), zorder=2, ls=line, **style_of_points)
     for place in places:
         low, high = place.fit.threshold_ci95 or (None, None)
         if low is not None or high is not None:
             ends = [within(end or place.threshold) for end in (low, high)]
-            axes.plot([place.x] * 2, ends, "-_", color=look.colour)
+            axes.plot([place.x] * 2, ends, "-_", color=line_style.colour)
         if place.fit.status == "extrapolated":
             axes.plot(place.x, place.threshold, **style_of_points, markerfacecolor=PAPER, zorder=3)
     return places
@@ -317,7 +315,7 @@ def draw_psychometric(axes: Axes, fits: Sequence[Fit]) -> None:
     fits = evenly([fit for fit in fits if fit.points], MOST_CURVES)
     levels = [within(point.level) for fit in fits for point in fit.points]
     for number, fit in enumerate(fits):
-        _draw_psychometric_curve(axes, fit, look_of(number, len(fits)))
+        _draw_psychometric_curve(axes, fit, curve_style(number, len(fits)))
     for height, line in ((fits[0].p_correct, "--"), (fits[0].guess_rate, ":")):
         if height is not None:
             axes.axhline(height, color=INK, alpha=0.6, ls=line, lw=0.8)
@@ -345,25 +343,25 @@ def fitted_curve(fit: Fit) -> Callable[[FloatArray], FloatArray] | None:
     )
 
 
-def _draw_psychometric_curve(axes: Axes, fit: Fit, look: Look) -> None:
+def _draw_psychometric_curve(axes: Axes, fit: Fit, line_style: CurveStyle) -> None:
     x = [within(point.level) for point in fit.points]
     trials = [point.n_trials for point in fit.points]
     axes.scatter(
         x,
         [point.p_correct for point in fit.points],
         s=[24.0 if len(set(trials)) == 1 else 10.0 + 34.0 * n / max(trials) for n in trials],
-        color=look.colour,
-        marker=look.marker,
+        color=line_style.colour,
+        marker=line_style.marker,
         linewidths=0.0,
         label=label_text(group_phrase(fit.group)),
     )
     curve = fitted_curve(fit)
     if x and curve is not None:
         level = np.geomspace(min(x), max(x), 100)
-        axes.plot(level, curve(level), color=look.colour)
+        axes.plot(level, curve(level), color=line_style.colour)
     elif len(x) > 1 and not any(trials):
         axes.plot(
-            x, [point.p_correct for point in fit.points], color=look.colour
+            x, [point.p_correct for point in fit.points], color=line_style.colour
         )  # computed, with no error to fit
 
 
@@ -374,8 +372,8 @@ def draw_ratios(axes: Axes, algorithms: Sequence[Algorithm]) -> None:
     labels = list(dict.fromkeys(label for ratios in compared for label in ratios))[:MOST_CURVES]
     axes.set_yscale("log")
     for number, (one, ratios) in enumerate(zip(others, compared, strict=True)):
-        look, shift = look_of(number, len(others)), 0.6 * ((number + 0.5) / len(others) - 0.5)
-        points: Json = {"color": look.colour, "marker": look.marker, "ls": ""}
+        line_style, shift = curve_style(number, len(others)), 0.6 * ((number + 0.5) / len(others) - 0.5)
+        points: Json = {"color": line_style.colour, "marker": line_style.marker, "ls": ""}
         axes.plot([], [], label=label_text(one.name), **points)
         for place, label in enumerate(labels):
             ratio = ratios.get(label)
@@ -383,10 +381,13 @@ def draw_ratios(axes: Axes, algorithms: Sequence[Algorithm]) -> None:
                 continue
             ends = [within(end or ratio.ratio) for end in ratio.ratio_ci95 or (None, None)]
             axes.plot(
-                [place + shift] * 2, ends, ":" if None in (ratio.ratio_ci95 or ()) else "-", color=look.colour
+                [place + shift] * 2,
+                ends,
+                ":" if None in (ratio.ratio_ci95 or ()) else "-",
+                color=line_style.colour,
             )
             shown = ratio.verdict in ("better", "worse")
-            face = look.colour if shown else PAPER
+            face = line_style.colour if shown else PAPER
             axes.plot(place + shift, within(ratio.ratio), **points, markerfacecolor=face)
     axes.axhline(1.0, color=INK, lw=0.8)
     axes.set(ylabel="threshold ÷ that of the reference", xlim=(-0.5, max(len(labels), 1) - 0.5))
@@ -406,12 +407,12 @@ def draw_errors(axes: Axes, scene: SceneResult) -> None:
     """Draw error against CPU time for a scene of `accuracy`, both logarithmic, with a line for each estimator."""
     runs = scene_runs(scene)
     for number, (name, pairs) in enumerate(runs.items()):
-        look, (times, errors) = look_of(number, len(runs)), zip(*sorted(pairs), strict=True)
+        line_style, (times, errors) = curve_style(number, len(runs)), zip(*sorted(pairs), strict=True)
         axes.plot(
             [*map(within, times)],
             [*map(within, errors)],
-            color=look.colour,
-            marker=look.marker,
+            color=line_style.colour,
+            marker=line_style.marker,
             label=label_text(name),
         )
     axes.set(xscale="log", yscale="log", xlabel="CPU time (s)", ylabel="relative error of the threshold")

@@ -17,7 +17,7 @@ from todframes.base._typing import Json
 from todframes.report import calibration, tables
 from todframes.report.data import DatasetRecord, Example, Record, ResultData, Thumbnail
 from todframes.report.figure_style import style
-from todframes.report.figures import Picture, pictures
+from todframes.report.figures import ReportFigure, pictures
 from todframes.report.summary import cautions, remarks, verdict
 from todframes.report.svg import inline_svg
 from todframes.report.table import HIDDEN, Table, markup
@@ -29,7 +29,6 @@ if TYPE_CHECKING:
 
 
 MOST_FIGURES = 12
-
 
 TITLES = {
     "score": "TOD thresholds of display frames",
@@ -93,7 +92,7 @@ def _about(result: ResultData) -> str:
     return str(result.dataset_path or name or "")
 
 
-def figure_items(drawn: Sequence[Picture]) -> list[Json]:
+def figure_items(drawn: Sequence[ReportFigure]) -> list[Json]:
     """List figures for the page, up to `MOST_FIGURES`."""
     with style():
         return [
@@ -110,8 +109,8 @@ def _tables(result: ResultData) -> list[Json]:
     """List the tables under the figures: those of the terminal, then more, which the reader opens."""
     if result.persons:
         folded = tables.points(result)
-        told = [table_item(calibration.noise_table(result)), table_item(calibration.curves_table(result))]
-        return [*told, *([] if folded is None else [table_item(folded, folded=True)])]
+        items = [table_item(calibration.noise_table(result)), table_item(calibration.curves_table(result))]
+        return [*items, *([] if folded is None else [table_item(folded, folded=True)])]
     found = []
     answers = tables.answers(result)
     if result.algorithms:

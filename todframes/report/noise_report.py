@@ -13,8 +13,7 @@ from todframes.base._typing import FloatArray, Json
 from todframes.recordings.noise3d import PARTS, Noise3D, NoisePart
 from todframes.report.data import ResultWarning
 from todframes.report.figure_style import COLOURS, INK, label_text, style
-from todframes.report.result import Result
-from todframes.report.saving import Saving
+from todframes.report.result import Result, Saving
 from todframes.report.table import Column, Table
 from todframes.report.wording import interval_phrase, plain
 
@@ -23,8 +22,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-UNITS = {"code": "code values", "counts": "counts", "celsius": "°C"}
-
+VALUE_UNITS = {"code": "code values", "counts": "counts", "celsius": "°C"}
 
 SHOWN_PERCENTILES = (0.5, 99.5)
 """Percentiles of an image that are shown darkest and brightest."""
@@ -76,7 +74,7 @@ class NoiseResult(Saving):
         ]
         columns = [
             Column(key="part", is_name=True),
-            Column(key="sd", header=f"SD ({UNITS[noise.unit]})"),
+            Column(key="sd", header=f"SD ({VALUE_UNITS[noise.unit]})"),
             Column(key="sd_ci95", header="95 % interval", interval="sd_ci95"),
             Column(key="sd_mk", header="SD (mK)"),
             Column(key="meaning", rank=1, wraps=True),
@@ -112,7 +110,7 @@ class NoiseResult(Saving):
         """Return the findings in words."""
         noise = self.measured
         count = f"{noise.n_frames} frame{'s' * (noise.n_frames > 1)}"
-        found = [f"Mean {plain(noise.mean, 5)} {UNITS[noise.unit]} in {count}."]
+        found = [f"Mean {plain(noise.mean, 5)} {VALUE_UNITS[noise.unit]} in {count}."]
         if noise.dynamic is not None and noise.fixed is not None:
             found.append(
                 f"Noise of a pixel: dynamic {self._with_unit(noise.dynamic)}, "
@@ -128,7 +126,7 @@ class NoiseResult(Saving):
             )
         if (transfer := noise.transfer) is not None:
             error = "" if transfer.gain_error is None else f" ± {plain(transfer.gain_error, 2)}"
-            per_unit = f"{plain(transfer.gain, 4)}{error} {UNITS[noise.unit]} per unit of level"
+            per_unit = f"{plain(transfer.gain, 4)}{error} {VALUE_UNITS[noise.unit]} per unit of level"
             deviation = f"{plain(100 * transfer.nonlinearity, 2)} % of its range"
             found.append(
                 f"Signal transfer: {per_unit}; patches deviate from a straight line by up to {deviation}."
@@ -176,7 +174,7 @@ class NoiseResult(Saving):
         from matplotlib.figure import Figure
 
         with style():
-            unit, temporal_sd = UNITS[self.measured.unit], self.measured.temporal_sd
+            unit, temporal_sd = VALUE_UNITS[self.measured.unit], self.measured.temporal_sd
             n_rows = 1 if temporal_sd is None else 2
             figure = Figure(figsize=(9.6, 3.2 * n_rows), layout="constrained")
             (bars, mean), *more = figure.subplots(n_rows, 2, squeeze=False)
@@ -231,7 +229,7 @@ class NoiseResult(Saving):
         return None if per_unit is None else sd * per_unit
 
     def _with_unit(self, part: NoisePart) -> str:
-        text = f"{plain(part.sd)} ({interval_phrase(part.ci95, 3)}) {UNITS[self.measured.unit]}"
+        text = f"{plain(part.sd)} ({interval_phrase(part.ci95, 3)}) {VALUE_UNITS[self.measured.unit]}"
         in_mk = self._mk(part.sd)
         return text if in_mk is None else f"{text} = {plain(in_mk)} mK"
 
@@ -264,7 +262,7 @@ class NoiseResult(Saving):
         ]
         axes.bar(names, heights, color=COLOURS[0], width=0.6)
         axes.errorbar(names, heights, yerr=errors, fmt="none", ecolor=INK, elinewidth=1.0, capsize=3)
-        axes.set(title="Parts of the noise, with 95 % intervals", ylabel=f"SD ({UNITS[self.measured.unit]})")
+        axes.set(title="Parts of the noise, with 95 % intervals", ylabel=f"SD ({VALUE_UNITS[self.measured.unit]})")
         axes.title.set_fontsize("medium")
 
     def _draw_means(self, axes: Axes) -> None:
@@ -273,7 +271,9 @@ class NoiseResult(Saving):
         axes.plot(
             np.arange(noise.n_frames) / (rate or 1.0), noise.frame_means, ".", markersize=3, color=COLOURS[1]
         )
-        axes.set(title="Mean of each frame", xlabel="time (s)" if rate else "frame", ylabel=UNITS[noise.unit])
+        axes.set(
+            title="Mean of each frame", xlabel="time (s)" if rate else "frame", ylabel=VALUE_UNITS[noise.unit]
+        )
         axes.ticklabel_format(useOffset=False)
         axes.title.set_fontsize("medium")
 

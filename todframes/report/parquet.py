@@ -17,7 +17,7 @@ ROWS_A_GROUP = 65536
 
 
 def has_parquet() -> bool:
-    """Tell whether Parquet can be written: whether pyarrow is installed."""
+    """Return whether Parquet can be written: whether pyarrow is installed."""
     return find_spec("pyarrow") is not None
 
 

@@ -6,15 +6,14 @@ import csv
 import platform
 import sys
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, Protocol, Self
 
 import msgspec
 
 from todframes import __version__
-from todframes.report.data import SCHEMA, ResultData, decode, read_bytes
-from todframes.report.saving import Saving, json_file
+from todframes.report.data import SCHEMA, ResultData, decode, json_file, read_bytes
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -24,6 +23,36 @@ if TYPE_CHECKING:
 
 
 LIBRARIES = ("numpy", "scipy", "OpenImageIO", "cv2", "skimage")
+
+
+class HasFiles(Protocol):
+    """Protocol of a result that gives the content of its files by name."""
+
+    def files(self) -> Mapping[str, bytes | Iterable[bytes]]:
+        """Return the content of all files by name, long ones in parts."""
+
+
+class Saving:
+    """Mixin that saves what `files` gives."""
+
+    __slots__ = ()
+
+    def save(self: HasFiles, folder: Path | str) -> None:
+        """Write the files that the command writes with `-o`, each whole or not at all.
+
+        Parameters
+        ----------
+        folder : path
+            Folder, which is made if only its parent exists. Files of an earlier result are replaced.
+
+        Raises
+        ------
+        OutputError
+            If the place cannot be written.
+        """
+        from todframes.base.output import write_folder
+
+        write_folder(folder, self.files())
 
 
 class Result(ResultData, Saving, frozen=True, kw_only=True, dict=True):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from todframes.report.calibration import sentences
 from todframes.report.data import NO_DIFFERENCE, Algorithm, Fit, Group, Ratio, ResultData, SceneResult
 from todframes.report.wording import (
     count,
@@ -18,16 +17,14 @@ from todframes.report.wording import (
     unit_of,
 )
 
-LONGEST_LIST = 6
+MOST_DESCRIBED_CURVES = 6
 """Largest number of curves that are described one by one; if there are more, the table shows them."""
-
 
 NO_THRESHOLD = {
     "never_reached": "answers stay below {criterion} at the levels shown (never reached)",
     "always_exceeded": "answers stay above {criterion} at the levels shown (always exceeded)",
     "too_few_levels": "fewer than two levels were shown (too few levels)",
 }
-
 
 COMPUTED = {
     "never_reached": "{criterion} is never reached, however strong the signal",
@@ -64,28 +61,30 @@ def by_curve(fits: Sequence[Fit]) -> dict[str, list[Fit]]:
 def verdict(result: ResultData) -> list[str]:
     """Return the main findings, the most important first; sentences stored in the result take precedence."""
     given = [result.verdict] if isinstance(result.verdict, str) else list(map(str, result.verdict))
-    told = given or _told(result)
+    texts = given or _sentences_of(result)
     if result.skipped:
         n = len(result.skipped)
-        told.append(f"{count(n, 'frame')} could not be used and {'is' if n == 1 else 'are'} left out.")
-    return told
+        texts.append(f"{count(n, 'frame')} could not be used and {'is' if n == 1 else 'are'} left out.")
+    return texts
 
 
-def _told(result: ResultData) -> list[str]:
+def _sentences_of(result: ResultData) -> list[str]:
     if result.command == "accuracy":
         return timed(result.scenes)
     if result.persons:
+        from todframes.report.calibration import sentences
+
         return sentences(result)
     computed = result.command in ("curve", "naked-eye")
     curves = by_curve(result.thresholds)
-    told = [
+    texts = [
         sentence
-        for label, fits in list(curves.items())[:LONGEST_LIST]
+        for label, fits in list(curves.items())[:MOST_DESCRIBED_CURVES]
         for sentence in _curve(label, fits, computed=computed)
     ]
-    if len(curves) > LONGEST_LIST:
-        told.append(f"{len(curves) - LONGEST_LIST} more are in the table.")
-    return told
+    if len(curves) > MOST_DESCRIBED_CURVES:
+        texts.append(f"{len(curves) - MOST_DESCRIBED_CURVES} more are in the table.")
+    return texts
 
 
 def _curve(label: str, fits: Sequence[Fit], *, computed: bool) -> list[str]:
@@ -94,7 +93,7 @@ def _curve(label: str, fits: Sequence[Fit], *, computed: bool) -> list[str]:
     criterion = f"{100 * fits[0].p_correct:g} % correct"
     head = f"At {criterion}" + (f" with {label}" if label else "")
     known = [fit for fit in fits if fit.threshold is not None]
-    told = []
+    texts = []
     if known:
         first, last = known[0], known[-1]
         text = f"{head} the threshold {level_name(first.level)} is {_threshold(first)}"
@@ -103,8 +102,8 @@ def _curve(label: str, fits: Sequence[Fit], *, computed: bool) -> list[str]:
             assert first.threshold is not None and last.threshold is not None
             change = "falling" if last.threshold < first.threshold else "rising"
             text += f", {change} to {_threshold(last)} at {phrase(size, last.group[size])}"
-        told.append(text + ".")
-    told += _open_questions(known, size)
+        texts.append(text + ".")
+    texts += _open_questions(known, size)
     reasons = NO_THRESHOLD | (COMPUTED if computed else {})
     for status in dict.fromkeys(fit.status for fit in fits if fit.threshold is None):
         these = [fit for fit in fits if fit.threshold is None and fit.status == status]
@@ -112,23 +111,23 @@ def _curve(label: str, fits: Sequence[Fit], *, computed: bool) -> list[str]:
         where += f"with {label} " if label else ""
         where = f"{where[:1].upper()}{where[1:]}there" if where else "There"
         reason = reasons.get(status, f"the status is {status}").format(criterion=criterion)
-        told.append(f"{where} is no threshold: {reason}.")
-    return told
+        texts.append(f"{where} is no threshold: {reason}.")
+    return texts
 
 
 def _open_questions(known: Sequence[Fit], size: str | None) -> list[str]:
     """Return sentences about thresholds outside the levels shown, and intervals with an open end."""
-    told = []
+    texts = []
     for weaker, wanted in ((True, "weaker"), (False, "stronger")):
         outside = [fit for fit in known if fit.status == "extrapolated" and _below_levels(fit) == weaker]
         if outside:
             where = f" at {_sizes(outside, size)}" if size else ""
-            told.append(f"The threshold{where} is extrapolated from the levels shown: show {wanted} ones.")
+            texts.append(f"The threshold{where} is extrapolated from the levels shown: show {wanted} ones.")
     half_open = [fit for fit in known if fit.threshold_ci95 is not None and None in fit.threshold_ci95]
     if half_open:
         where = f" at {_sizes(half_open, size)}" if size else ""
-        told.append(f"The data leave an end of the 95 % interval{where} open.")
-    return told
+        texts.append(f"The data leave an end of the 95 % interval{where} open.")
+    return texts
 
 
 def _below_levels(fit: Fit) -> bool:
@@ -149,7 +148,7 @@ def _threshold(fit: Fit) -> str:
 
 def timed(scenes: Sequence[SceneResult]) -> list[str]:
     """Return sentences that compare the CPU time of the last estimator with that of the first, at equal error."""
-    told = []
+    texts = []
     for scene in scenes:
         parts = [
             f"{'at least ' * one.at_least}{plain(one.ratio)} times less at "
@@ -159,8 +158,8 @@ def timed(scenes: Sequence[SceneResult]) -> list[str]:
         ]
         if parts and len(scene.estimators) > 1:
             first, last = scene.estimators[0].title, scene.estimators[-1].title
-            told.append(f"{scene.heading}: the CPU time of {last} is {listed(parts)} than that of {first}.")
-    return told or [f"{count(len(scenes), 'scene')}: error against run time."]
+            texts.append(f"{scene.heading}: the CPU time of {last} is {listed(parts)} than that of {first}.")
+    return texts or [f"{count(len(scenes), 'scene')}: error against run time."]
 
 
 def _sizes(fits: Sequence[Fit], size: str | None) -> str:
@@ -172,7 +171,7 @@ def _sizes(fits: Sequence[Fit], size: str | None) -> str:
 REACHED = {
     "never_reached": "is never reached",
     "always_exceeded": "is always exceeded",
-    "too_few_levels": "cannot be told of one level",
+    "too_few_levels": "cannot be found from one level",
 }
 """Phrases about the criterion if there is no threshold, by status."""
 
@@ -192,12 +191,12 @@ def _paragraph(one: Algorithm, reference: Algorithm) -> str:
         level = level_name(one.fits[0].level)
         text += f"; the threshold {level} is {plain(whole.ratio)} times that without it ({sure}){mean}"
     if one.overall and len(set(verdicts)) > 1:
-        told = [
+        texts = [
             f"{verdict} at {group_phrases([ratio.group for ratio in one.ratios if ratio.verdict == verdict])}"
             for verdict in ("better", "worse", NO_DIFFERENCE)
             if verdict in verdicts
         ]
-        text += f"; {'; '.join(told)}"
+        text += f"; {'; '.join(texts)}"
     sentences = [text, *_beyond_gain(whole)]
     for reason, groups in _without_ratio(one, reference).items():
         where = f"At {group_phrases(groups)} " if groups[0] else ""
@@ -245,7 +244,7 @@ def _signed(value: float | None, form: str) -> str:
 
 def remarks(result: ResultData) -> list[str]:
     """Return sentences about the accuracy of a result's numbers."""
-    told = []
+    texts = []
     fits = result.thresholds
     relative = [
         fit.threshold_numerical_error / fit.threshold
@@ -253,23 +252,23 @@ def remarks(result: ResultData) -> list[str]:
         if fit.threshold is not None and fit.threshold_numerical_error is not None
     ]
     if relative:
-        told.append(f"Numerical error of the thresholds: {plain(100 * max(relative), 2)} % at most.")
+        texts.append(f"Numerical error of the thresholds: {plain(100 * max(relative), 2)} % at most.")
     bound = max((fit.p_correct_error_bound or 0.0 for fit in fits), default=0.0)
     if bound:
-        told.append(f"P(correct) is right within {plain(bound, 1)}, as the summed noise is not quite Gaussian.")
+        texts.append(f"P(correct) is right within {plain(bound, 1)}, as the summed noise is not quite Gaussian.")
     if any(fit.delta_t_as_printed_mk is not None for fit in fits):
-        told.append(
+        texts.append(
             "ΔT is SNR · NETD / k, as the noise of a displayed sample is NETD / k; eq. 4 of the paper as printed "
             "multiplies by k instead, which gives k² times this ΔT."
         )
     if result.negative_luminance_pixels:
-        told.append(f"{result.negative_luminance_pixels} display pixels have a luminance below zero.")
-    return told
+        texts.append(f"{result.negative_luminance_pixels} display pixels have a luminance below zero.")
+    return texts
 
 
 def cautions(result: ResultData) -> list[str]:
     """Return the cautions that a reader of the thresholds must know."""
-    told = []
+    texts = []
     of_each = [one for one in result.located or () if one.get("n_located") is not None]
     if of_each:
         n_located, n_trials = (sum(one[key] for one in of_each) for key in ("n_located", "n_trials"))
@@ -277,15 +276,15 @@ def cautions(result: ResultData) -> list[str]:
         faint = [one for one in of_each if one["n_located"] < one["n_trials"]]
         where = f" (at {group_phrases([one['group'] for one in faint])})" if faint and faint[0]["group"] else ""
         rest = f"; the others{where} are too faint and have the position of their group" if faint else ""
-        told.append(f"{text}{rest}.")
+        texts.append(f"{text}{rest}.")
     apart = [
         100 * abs(fit.points_threshold / fit.threshold - 1)
         for fit in result.thresholds
         if fit.curve != "observer" and fit.threshold is not None and fit.points_threshold is not None
     ]
     if max(apart, default=0.0) >= 1.0:
-        told.append(
+        texts.append(
             f"The points themselves cross the criterion up to {plain(max(apart), 2)} % away from the fitted "
             "Weibull curve; the intervals cover both."
         )
-    return told
+    return texts

@@ -22,21 +22,17 @@ if TYPE_CHECKING:
 BLOCK = 4096
 """Number of rows of a long table that are made, and written, at a time."""
 
-
 LONGEST_TABLE = 200
 """Largest number of rows in the HTML form; the CSV has all rows."""
 
-
 EXACT = 15
 """Number of digits of a number that is shown unrounded."""
-
 
 MOST_COLUMNS = 10
 """Largest number of columns that the HTML form shows side by side on a page of middling width."""
 
 LEAST_TEXT_WIDTH = 16
 """Least width, in letters, to which a column of long texts is wrapped in the terminal."""
-
 
 HIDDEN = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069\ud800-\udfff\ufffe\uffff]")
 """Pattern of characters that HTML does not allow or that change the direction of the text beside them."""

@@ -4,12 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from todframes.base._typing import FloatArray
-from todframes.enhancement.compare import AlgorithmResult
-from todframes.frames.dataset import Dataset
-from todframes.frames.trials import Trials
 from todframes.report.data import (
     Algorithm,
     DatasetRecord,
@@ -22,8 +18,14 @@ from todframes.report.data import (
 )
 from todframes.report.table import BLOCK, EXACT, Column, LongRecords, Table, field_text
 from todframes.report.wording import group_phrase, level_heading, plain, quantity, threshold_heading, unit_of
-from todframes.scoring.score import ScoredDataset
 from todframes.stimulus import ORIENTATIONS, Stimulus
+
+if TYPE_CHECKING:
+    from todframes.base._typing import FloatArray
+    from todframes.enhancement.compare import AlgorithmResult
+    from todframes.frames.dataset import Dataset
+    from todframes.frames.trials import Trials
+    from todframes.scoring.score import ScoredDataset
 
 THRESHOLD_COLUMNS = (
     Column(key="threshold_ci95", header="95 % interval", interval="threshold_ci95"),
@@ -47,10 +49,8 @@ THRESHOLD_COLUMNS = (
     Column(key="run_time_s", header="time (s)", digits=2, is_detail=True, rank=1),
 )
 
-
-RATES = {"gamma": "guess_rate", "delta": "lapse_rate"}
+RATE_COLUMNS = {"gamma": "guess_rate", "delta": "lapse_rate"}
 """Attributes of a fit whose columns have the names of the keys in JSON."""
-
 
 RATIO_COLUMNS = (
     Column(key="ratio", none="1", digits=3),
@@ -64,10 +64,8 @@ RATIO_COLUMNS = (
     Column(key="contrast_gain", header="gain", digits=3, none="", rank=5),
 )
 
-
 BEYOND_GAIN = ("contrast_gain", "beyond_gain", "beyond_gain_ci95")
 """Columns that a comparison of drawn answers does not have."""
-
 
 MEASURE_COLUMNS = (
     Column(key="domain", header="works on", is_detail=True),
@@ -81,9 +79,7 @@ MEASURE_COLUMNS = (
     Column(key="cpu_s", header="CPU time (s)", digits=3, rank=1),
 )
 
-
 ALGORITHM = Column(key="algorithm", is_name=True)
-
 
 TAKEN = {"algorithm", "spec", "threshold", "level", *(one.key for one in THRESHOLD_COLUMNS + RATIO_COLUMNS)}
 """Column names in use; a group column with one of these names is renamed."""
@@ -121,7 +117,7 @@ def thresholds(result: ResultData, title: str = "") -> Table:
     computed = not any(fit.n_trials for _, fit in fits)
     names = ("threshold", *(one.key for one in THRESHOLD_COLUMNS))
     records = [
-        more | _group_record(fit.group) | {name: getattr(fit, RATES.get(name, name)) for name in names}
+        more | _group_record(fit.group) | {name: getattr(fit, RATE_COLUMNS.get(name, name)) for name in names}
         for more, fit in fits
     ]
     if computed:
@@ -309,7 +305,6 @@ def plan(result: ResultData) -> Table:
 LONGEST_LIST = 16
 """Largest number of values of a setting that are shown."""
 
-
 UNUSED = ("bound", "saves_s")
 """Keys of a plan's step that have no meaning if the step is kept."""
 
@@ -397,7 +392,7 @@ def _trials(
     return list(kinds), LongRecords(kinds, sum(len(scored.trials) for _, scored in parts), blocks)
 
 
-Values = Callable[[Trials, slice], list[Any]]
+Values = Callable[["Trials", slice], list[Any]]
 """Function of some trials, and of their rows in the arrays of `ScoredDataset`, that returns a value for each."""
 
 

@@ -7,7 +7,6 @@ from typing import TypeVar
 
 T = TypeVar("T")
 
-
 SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
@@ -73,7 +72,7 @@ def group_phrases(groups: Sequence[Mapping[str, float | str]]) -> str:
     return "; ".join(map(group_phrase, groups))
 
 
-LEVELS = {
+LEVEL_NAMES = {
     "snr": ("SNR", ""),
     "size_mrad": ("size", "mrad"),
     "delta_t_k": ("ΔT", "K"),
@@ -84,12 +83,12 @@ LEVELS = {
 
 def level_name(level: str) -> str:
     """Return the name of a stimulus strength for a sentence."""
-    return LEVELS.get(level, (level, ""))[0]
+    return LEVEL_NAMES.get(level, (level, ""))[0]
 
 
 def level_heading(level: str) -> str:
     """Return the name of a stimulus strength with its unit, for a column or an axis."""
-    name, unit = LEVELS.get(level, (level, ""))
+    name, unit = LEVEL_NAMES.get(level, (level, ""))
     return f"{name} ({unit})" if unit else name
 
 

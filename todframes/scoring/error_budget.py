@@ -14,13 +14,12 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from todframes.base._typing import FloatArray
+from todframes.base.errors import for_reader
 
 PlanName = Literal["needed", "full"]
 
-
 LEFT_OUT_SHARE = 0.5
 """Share of the tolerance for the stages that are left out; the rest is for the number of trials."""
-
 
 SAFETY = 2.0
 """Safety factor of a bound: it is estimated on a few trials, and others may differ from them by less than this."""
@@ -57,7 +56,7 @@ def plan_object(steps: Sequence[Step], places: float) -> list[dict[str, Any]]:
         {
             "stage": step.stage,
             "kept": step.kept,
-            "why": step.why,
+            "why": for_reader(step.why),
             "bound": step.bound,
             "saves_s": round(step.saves_once_s + max(step.saves_s, 0.0) * places, 3),
         }

@@ -20,18 +20,14 @@ from todframes.stimulus import HEIGHT_PER_SIZE, ORIENTATIONS, Stimulus, coverage
 NODES = (6, 8, 12, 16, 24, 32, 48)
 """Numbers of Gauss–Legendre displacements along each axis, tried in turn until the threshold is stable."""
 
-
 FEW_NODES, FEW_NODES_FROM_SAMPLES = (3, 4), 200.0
 """Numbers tried first for triangles from this size in retina samples, which displacements hardly change."""
-
 
 TOLERANCE = 2e-4
 """Largest relative change of a stable threshold between two numbers of displacements."""
 
-
 CONTRAST_RANGE = (1e-12, 1e12)
 """Smallest and largest contrast in the search for a threshold; the largest also limits `contrast` arguments."""
-
 
 SIZE_RANGE_SAMPLES = (1e-2, 1e3)
 """Smallest and largest size in the search for an acuity, in retina samples; larger sizes are refused."""

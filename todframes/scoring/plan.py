@@ -17,7 +17,7 @@ from typing import cast
 import numpy as np
 
 from todframes.base._typing import FloatArray
-from todframes.base.errors import FrameError, SettingsError
+from todframes.base.errors import FrameError, SettingsError, argument
 from todframes.frames.dataset import Dataset
 from todframes.frames.position import check_place
 from todframes.frames.trials import Trial, Trials, indices_by
@@ -30,18 +30,14 @@ from todframes.stimulus import ORIENTATIONS, Stimulus, bounding_box_offset
 HALF_FIELDS_IN_SIZES = (1.5, 2.0, 2.5)
 """Half-widths of the fields that are tried, in triangle sizes."""
 
-
 SLOPE = 0.5
 """Approximate slope dP / d ln level of a psychometric function at its threshold."""
-
 
 MOST_TRIED, ONE_TRIED_OF = 4, 40
 """Largest number and share of a stimulus' trials read with a wide field, besides those nearest to the edges."""
 
-
 MOST_BAD = 100
 """Number of unusable frames after which the plan of a stimulus leaves nothing out."""
-
 
 OUTWARDS = np.array([[1.0, 1.0, 1.0, 0.0, 0.0, -1.0, -1.0, -1.0], [1.0, 0.0, -1.0, 1.0, -1.0, 1.0, 0.0, -1.0]])
 """Eight directions from the middle of a frame, as x and y, shape (2, 8)."""
@@ -52,7 +48,7 @@ class StimulusPlan:
     """The plan for the trials of one stimulus.
 
     `half_width` is the number of retina samples used on each side of the middle one; None: the whole grid.
-    `full_observer` tells whether further pyramid bands are needed. `bounds` has the bound on the change of
+    `full_observer` states whether further pyramid bands are needed. `bounds` has the bound on the change of
     P(correct) by each stage that is left out.
     """
 
@@ -130,7 +126,7 @@ def plan_score(
     if name == "full" or not expected:
         full = name == "full" and isinstance(observer, TruncatedObserver)
         plans = {stimulus: StimulusPlan(full_observer=full) for stimulus in of_stimulus}
-        why = "as --plan full asks" if name == "full" else "answers are drawn with noise on every neuron"
+        why = f"as {argument.plan} full asks" if name == "full" else "answers are drawn with noise on every neuron"
         return ScorePlan(observer, plans, name == "full", (Step("everything", True, why),))
     budget = LEFT_OUT_SHARE * tolerance * SLOPE / 2.0
     weighed = {
@@ -208,7 +204,7 @@ def _weigh(dataset: Dataset, trials: Trials, observer: Observer, budget: float, 
 
 
 def _has_place(dataset: Dataset, trial: Trial, observer: Observer) -> bool:
-    """Tell whether a trial's triangle lies on its first frame."""
+    """Return whether a trial's triangle lies on its first frame."""
     try:
         check_place(dataset, trial, observer.centre)
     except FrameError:

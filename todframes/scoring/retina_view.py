@@ -10,7 +10,7 @@ import numpy as np
 
 from todframes.base._typing import FloatArray
 from todframes.frames.contrast import (
-    Patch,
+    ContrastPatch,
     read_contrast,
 )
 from todframes.frames.dataset import Dataset
@@ -73,7 +73,7 @@ def _touched(grid: RetinaGrid, lowest: float, highest: float, pitch: float, n_pi
     return first, stop
 
 
-class View(NamedTuple):
+class RetinalContrast(NamedTuple):
     """The contrast on the retina that an observer sees in a trial.
 
     `contrast` has shape (side, side) of the observer's grid; `n_negative` counts display pixels with a luminance
@@ -90,7 +90,7 @@ class Shown(NamedTuple):
     `x_px` and `y_px` are these positions in pixels; `frame_rows` is the number of rows of the first frame.
     """
 
-    patches: tuple[Patch, ...]
+    patches: tuple[ContrastPatch, ...]
     x_px: tuple[float, ...]
     y_px: tuple[float, ...]
     pixel_pitch_mrad: float
@@ -193,7 +193,9 @@ def retina_image(
     return images[0] if len(images) == 1 else np.asarray(sum(images) / len(images))
 
 
-def _on_retina(patch: Patch, grid: RetinaGrid, x_px: float, y_px: float, pixel_pitch_mrad: float) -> FloatArray:
+def _on_retina(
+    patch: ContrastPatch, grid: RetinaGrid, x_px: float, y_px: float, pixel_pitch_mrad: float
+) -> FloatArray:
     if patch.to_contrast is None:
         return resample(
             patch.values,
@@ -221,7 +223,7 @@ def _on_retina(patch: Patch, grid: RetinaGrid, x_px: float, y_px: float, pixel_p
 
 def view_trial(
     dataset: Dataset, trial: Trial, observer: Observer, displacement_samples: tuple[float, float] = (0.0, 0.0)
-) -> View:
+) -> RetinalContrast:
     """Read a trial's frames and average them in contrast on the retina.
 
     Parameters
@@ -231,7 +233,7 @@ def view_trial(
 
     Returns
     -------
-    View
+    RetinalContrast
 
     Raises
     ------
@@ -240,4 +242,4 @@ def view_trial(
     """
     grid = observer.grid(trial.stimulus)
     shown = read_trial(dataset, trial, observer, grid, [displacement_samples])
-    return View(retina_image(shown, grid, displacement_samples), shown.n_negative)
+    return RetinalContrast(retina_image(shown, grid, displacement_samples), shown.n_negative)

@@ -1,4 +1,4 @@
-"""The scoring of a dataset by an observer: every trial is scored, and a psychometric function fitted a group."""
+"""The scoring of a dataset by an observer: every trial is scored, and each group gets a psychometric function."""
 
 from __future__ import annotations
 
@@ -39,14 +39,11 @@ S = TypeVar("S", bound=Sized)
 MOST_DISPLACEMENTS = 64
 """Largest number of displacements of each trial in each replicate."""
 
-
 SIGNAL_WORDS = ("contrast", "snr")
 """Words in the names of levels that the signal in a frame is proportional to."""
 
-
 DEFAULT_TOLERANCE = 2e-3
 """Relative tolerance of thresholds for the plan if no tolerance is given."""
-
 
 DECIDED_AT_A_TIME = 4096
 """Number of trials whose answers are computed together; the work on each takes 500 bytes a displacement."""
@@ -264,14 +261,15 @@ def usable_trials(dataset: Dataset, *, skip_bad_frames: bool) -> tuple[Trials, l
 
 
 def check_seen(dataset: Dataset, seen: S | None, skipped: Sequence[Skipped]) -> S:
-    """Return what was seen; raise DataError if no trial could be used."""
+    """Return the trials that were seen; raise DataError if no trial could be used."""
     if not seen:
         raise DataError(f"{dataset.path}: no frame can be scored; the first: {skipped[0].error}")
     return seen
 
 
 def _displacements_needed(group: GroupFit, tolerance: float) -> int:
-    """Return the number of displacements a replicate for an error below the tolerance, if it falls as 1/√n."""
+    """Return the number of displacements in a replicate for an error below the tolerance, if the error falls as
+    1/√n."""
     if group.numerical_error is None or group.fit.threshold is None:
         return 1
     ratio = group.numerical_error / (tolerance * group.fit.threshold)

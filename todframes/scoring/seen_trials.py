@@ -24,16 +24,13 @@ from todframes.scoring.retina_view import Shown, read_trial, retina_image
 
 Decisions = Literal["expected", "sampled"]
 
-
 NO_ANSWER = -1
 """Answer of a trial for which none was drawn."""
-
 
 # First elements of the spawn keys of random streams: they keep the streams of trials and fits apart.
 TRIAL_STREAMS, FIT_STREAMS, DISPLACEMENT_STREAMS, RATIO_STREAMS = range(4)
 
-
-KRONECKER_STEPS = np.array([0.7548776662466927, 0.5698402909980532])
+KRONECKER_STEPS_2D = np.array([0.7548776662466927, 0.5698402909980532])
 """Steps of a two-dimensional low-discrepancy sequence, powers of the root of x³ = x + 1 (Roberts 2018)."""
 
 
@@ -68,7 +65,8 @@ class SeenTrial(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SeenTrials:
-    """The observer's scores of many trials with as many displacements each: a `SeenTrial` a row, in columns."""
+    """The observer's scores of many trials with equal numbers of displacements. Each trial is a row of the
+    arrays."""
 
     trials: Trials
     displacement_samples: FloatArray
@@ -88,7 +86,8 @@ class SeenTrials:
         return SeenTrials(self.trials.select(rows), *columns)
 
     def amplified(self, gain: FloatArray) -> SeenTrials:
-        """Return the scores as a plain gain of contrast, one a trial, would make them: they are linear in it."""
+        """Return the scores after a plain gain of contrast, one gain for each trial; scores are linear in
+        contrast."""
         each = gain[:, None, None]
         return replace(self, scores=each * self.scores, deviations=each * self.deviations)
 
@@ -128,7 +127,7 @@ class SeenColumns:
 
 @dataclass(frozen=True, slots=True)
 class Scoring:
-    """The settings for the scoring of all trials of a dataset; they do not change, so threads share them.
+    """The settings for the scoring of all trials of a dataset.
 
     `displacements` is the number of displacements of each trial in each replicate; 0: a single one, from the
     trial's own random stream.
@@ -141,7 +140,7 @@ class Scoring:
     displacements: int = 0
 
 
-class Look(NamedTuple):
+class TrialViewing(NamedTuple):
     """The observer, retina grid and displacements for a trial, the same for all ways in which it is shown.
 
     `displacement_samples`, (d, 2), are the displacements of the retina grid in retina samples; `rng` is the
@@ -155,7 +154,7 @@ class Look(NamedTuple):
     readout: Readout | None
 
 
-def look_at(scoring: Scoring, trial: Trial, readout: Readout | None) -> Look:
+def trial_viewing(scoring: Scoring, trial: Trial, readout: Readout | None) -> TrialViewing:
     """Return the observer, retina grid and displacements for a trial.
 
     Raises
@@ -169,10 +168,12 @@ def look_at(scoring: Scoring, trial: Trial, readout: Readout | None) -> Look:
     rng = np.random.default_rng(np.random.SeedSequence(scoring.seed, spawn_key=(TRIAL_STREAMS, trial.number)))
     displaced = _displacements(scoring, trial, rng, observer.position_jitter_samples)
     grid = observer.grid(trial.stimulus) if readout is None else readout.grid
-    return Look(observer, grid, displaced, rng, readout)
+    return TrialViewing(observer, grid, displaced, rng, readout)
 
 
-def see(scoring: Scoring, trial: Trial, look: Look, ways: Sequence[Shown], started: float) -> list[SeenTrial]:
+def see(
+    scoring: Scoring, trial: Trial, viewing: TrialViewing, ways: Sequence[Shown], started: float
+) -> list[SeenTrial]:
     """Show a trial to the observer in each of several ways, with the same displacements and the same noise.
 
     Parameters
@@ -188,20 +189,20 @@ def see(scoring: Scoring, trial: Trial, look: Look, ways: Sequence[Shown], start
         One for each way.
     """
     reading_s = (time.perf_counter() - started) / len(ways)
-    displaced, is_sampled = look.displacement_samples, scoring.decisions == "sampled"
-    state = look.rng.bit_generator.state if is_sampled else {}
+    displaced, is_sampled = viewing.displacement_samples, scoring.decisions == "sampled"
+    state = viewing.rng.bit_generator.state if is_sampled else {}
     seen = []
     for shown in ways:
         started = time.perf_counter()
         scores = deviations = np.full((len(displaced), 4), np.nan)
         answer = NO_ANSWER
-        if look.readout is not None:
-            pairs = [_scores(look.readout, retina_image(shown, look.grid, (dx, dy))) for dx, dy in displaced]
+        if viewing.readout is not None:
+            pairs = [_scores(viewing.readout, retina_image(shown, viewing.grid, (dx, dy))) for dx, dy in displaced]
             scores, deviations = (np.array(part) for part in zip(*pairs, strict=True))
         if is_sampled:
-            image = retina_image(shown, look.grid, (displaced[0, 0], displaced[0, 1]))
-            look.rng.bit_generator.state = state
-            answer = look.observer.respond(image, trial.stimulus, look.rng).quarter_turns
+            image = retina_image(shown, viewing.grid, (displaced[0, 0], displaced[0, 1]))
+            viewing.rng.bit_generator.state = state
+            answer = viewing.observer.respond(image, trial.stimulus, viewing.rng).quarter_turns
         seconds = reading_s + time.perf_counter() - started
         background = shown.background_luminance_cd_m2
         seen.append(SeenTrial(displaced, scores, deviations, answer, shown.n_negative, background, seconds))
@@ -219,16 +220,16 @@ def score_trial(scoring: Scoring, trial: Trial, readout: Readout | None) -> Seen
         If the observer is not linear and its answer is not drawn.
     """
     started = time.perf_counter()
-    look = look_at(scoring, trial, readout)
+    viewing = trial_viewing(scoring, trial, readout)
     shown = read_trial(
         scoring.dataset,
         trial,
-        look.observer,
-        look.grid,
-        look.displacement_samples,
+        viewing.observer,
+        viewing.grid,
+        viewing.displacement_samples,
         whole=scoring.plan.whole_frames,
     )
-    (seen,) = see(scoring, trial, look, [shown], started)
+    (seen,) = see(scoring, trial, viewing, [shown], started)
     return seen
 
 
@@ -237,7 +238,7 @@ def _displacements(scoring: Scoring, trial: Trial, rng: np.random.Generator, jit
         return rng.uniform(-jitter, jitter, (1, 2))
     key = (DISPLACEMENT_STREAMS, scoring.displacements, trial.number)
     shifts = np.random.default_rng(np.random.SeedSequence(scoring.seed, spawn_key=key)).random((REPLICATES, 1, 2))
-    evenly = (shifts + np.arange(scoring.displacements)[:, None] * KRONECKER_STEPS) % 1.0
+    evenly = (shifts + np.arange(scoring.displacements)[:, None] * KRONECKER_STEPS_2D) % 1.0
     return np.asarray(jitter * (2.0 * evenly.reshape(-1, 2) - 1.0))
 
 

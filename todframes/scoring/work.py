@@ -1,4 +1,4 @@
-"""The work of a scoring: trials are shown to the observer by an engine, and what is finished may be kept."""
+"""The work of a scoring: an engine shows trials to the observer, and finished results may be kept."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import Any, Generic, NamedTuple, Protocol, TypeVar, cast
+from typing import TYPE_CHECKING, Any, Generic, NamedTuple, Protocol, TypeVar, cast
 
 import msgspec
 import numpy as np
@@ -20,17 +20,16 @@ from todframes.base.errors import FrameError, SettingsError
 from todframes.frames.contrast import skipped_frames
 from todframes.frames.dataset import Skipped
 from todframes.frames.files import frame_sha256
-from todframes.frames.memory import MemoryDataset
 from todframes.frames.position import check_place
 from todframes.frames.trials import FrameReference, Trial, Trials
-from todframes.jobs.fingerprint import fingerprint
-from todframes.jobs.local import LocalEngine
 from todframes.jobs.run import run_stored
-from todframes.jobs.store import Store
-from todframes.jobs.work import Engine, Lost
+from todframes.jobs.work import Engine, LocalEngine, Lost
 from todframes.observers.interface import Readout
 from todframes.scoring.seen_trials import Scoring
 from todframes.stimulus import Stimulus
+
+if TYPE_CHECKING:
+    from todframes.jobs.store import Store
 
 SETTLED_NS = 2_000_000_000
 """Time after which a file that is written again has another time; the coarsest file system counts 2 s."""
@@ -55,7 +54,7 @@ class Show(Protocol[T_co]):
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """Engine and store of a run, and whom to tell of its progress.
+    """Engine and store of a run, and the function that receives its progress.
 
     Attributes
     ----------
@@ -124,7 +123,7 @@ class TrialWork(Generic[T]):
                 try:
                     readout = readout_of(trial.stimulus)
                 except SettingsError as error:  # an error about this row's size
-                    raise FrameError(scoring.dataset.frame_path(trial.frames[0]), str(error)) from None
+                    raise FrameError(scoring.dataset.frame_path(trial.frames[0]), error.marked) from None
                 return _ENCODER.encode(self.show(scoring, trial, readout))
             except FrameError as error:
                 return Unusable(error)
@@ -138,7 +137,9 @@ class TrialWork(Generic[T]):
 
     @cached_property
     def identity(self) -> bytes | None:
-        """Fingerprint of all that is the same for all trials; None if the code of a part cannot be told."""
+        """Fingerprint of all that is the same for all trials; None if the code of a part cannot be identified."""
+        from todframes.jobs.fingerprint import fingerprint
+
         scoring = self.scoring
         try:
             return fingerprint(
@@ -188,11 +189,11 @@ class TrialWork(Generic[T]):
             (item.level, item.group) if self.with_levels else None,
             contents,
         )
-        # All are numbers and texts, which their representations tell apart; a fingerprint takes far longer.
+        # All are numbers and texts, which their representations distinguish; a fingerprint takes far longer.
         return hashlib.sha256(self.identity + repr(parts).encode(errors="surrogatepass")).digest()
 
     def stamp(self, item: Trial) -> list[Stamp] | None:
-        """Return what changes when a frame of the trial is written, without reading it."""
+        """Return properties of the trial's files that change when a frame is written, without reading them."""
         # The content of a file behind a URL is known by what came with it when it was read.
         folder = self.scoring.dataset.path
         if not isinstance(folder, Path):
@@ -215,7 +216,8 @@ class TrialWork(Generic[T]):
         return msgspec.msgpack.Decoder(self.kind, dec_hook=lambda _, packed: _array(*packed))
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return what is pickled: decoders are not, and other processes have no use for the trials."""
+        """Return the state to pickle, without decoders, and without the trials, which other processes do not
+        need."""
         self.identity  # noqa: B018 - to be the same in all processes
         return {name: value for name, value in vars(self).items() if name != "decoder"}
 
@@ -266,7 +268,7 @@ def see_trials(
     bare = replace(scoring, dataset=replace(scoring.dataset, trials=Trials.of(())))
     work = TrialWork(bare, show, kind, depends_on, with_references, with_levels)
     order = by_stimulus(trials)
-    store = None if isinstance(scoring.dataset, MemoryDataset) else run.store
+    store = None if scoring.dataset.is_in_memory else run.store
     unusable: dict[int, FrameError] = {}
     in_order = trials.select(order)
     for number, found in run_stored(work, in_order, engine=run.engine, store=store):
@@ -295,7 +297,7 @@ def by_stimulus(trials: Trials) -> NDArray[np.intp]:
 
 
 def _stamp(path: str) -> Stamp:
-    """Return the path of a file with what the file system changes when it is written."""
+    """Return the path of a file with the properties that the file system changes when it is written."""
     try:
         status = os.stat(path)  # noqa: PTH116 - pathlib is slow
     except OSError:

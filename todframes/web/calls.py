@@ -11,7 +11,7 @@ from todframes.base.reading import read_text
 from todframes.base.seeds import Rng, seed_of
 from todframes.experiment.answers import Method, flagged
 from todframes.experiment.order import n_main_trials
-from todframes.experiment.session import Design, open_sitting
+from todframes.experiment.session import SessionDesign, open_sitting
 from todframes.frames.dataset import Dataset, load_dataset
 from todframes.web import check_installed
 
@@ -54,8 +54,8 @@ def run_experiment(
 ) -> SessionProgress:
     """Serve a page on which a person does the test on the frames of a dataset, as `todframes experiment` does.
 
-    The call returns when Ctrl-C is pressed, or the process is asked to end. A session that is not finished goes on
-    with the same call.
+    The call returns when Ctrl-C is pressed, or the process is asked to end. The same call continues a session that
+    is not finished.
 
     Parameters
     ----------
@@ -114,7 +114,7 @@ def run_experiment(
         If the answers cannot be written, or another server is in the session.
     """
     check_installed("experiment")
-    design = Design(
+    design = SessionDesign(
         method=method,
         trials=trials,
         practice=practice,

@@ -18,24 +18,21 @@ from todframes.experiment.answers import NO_RESPONSE
 from todframes.experiment.monitor import Calibration, MonitorError
 from todframes.experiment.session import Sitting, StepError
 from todframes.stimulus import Orientation
-from todframes.web.pages import JSON, call, error_of, json_bytes, page
+from todframes.web.pages import JSON, EmptyRequest, call, error_of, json_bytes, page
 
 STATUS = {StepError: 409, MonitorError: 422, OutputError: 507}
-"""Status of the answer to an error; at 507 the page asks again, until there is room on the disk."""
-
-
-class Nothing(msgspec.Struct):
-    """A request that asks for no more than its path says."""
+"""HTTP status for each kind of error; after 507 the page repeats its request until there is room on the disk."""
 
 
 class Agreed(msgspec.Struct):
-    """Whether the person agrees to the text of consent."""
+    """The answer of the person to the text of consent."""
 
     agreed: bool
 
 
 class Answer(msgspec.Struct):
-    """The answer to a trial, the time from the picture to it, and what the page lost in between."""
+    """The answer to a trial, the time from the picture to the answer, and whether the page was hidden or unfocused
+    meanwhile."""
 
     number: Annotated[int, Meta(ge=1, le=2**31)]
     response: Literal["up", "right", "down", "left", "none"]
@@ -57,10 +54,10 @@ def experiment_app(sitting: Sitting) -> Starlette:
     app = page(
         files("todframes.web") / "static" / "experiment",
         [
-            call("/api/state", Nothing, lambda _: sitting.state()),
+            call("/api/state", EmptyRequest, lambda _: sitting.state()),
             call("/api/consent", Agreed, lambda asked: sitting.consent(asked.agreed)),
             call("/api/monitor", Calibration, sitting.calibrate),
-            call("/api/trial", Nothing, lambda _: sitting.trial()),
+            call("/api/trial", EmptyRequest, lambda _: sitting.trial()),
             Route("/stimulus/{number:int}.png", stimulus),
             call(
                 "/api/answer",
@@ -69,8 +66,8 @@ def experiment_app(sitting: Sitting) -> Starlette:
                     asked.number, asked.direction(), asked.response_time_ms, lost=asked.lost
                 ),
             ),
-            call("/api/continue", Nothing, lambda _: sitting.go_on()),
-            call("/api/stop", Nothing, lambda _: sitting.stop()),
+            call("/api/continue", EmptyRequest, lambda _: sitting.go_on()),
+            call("/api/stop", EmptyRequest, lambda _: sitting.stop()),
         ],
     )
     for kind in STATUS:

@@ -1,4 +1,5 @@
-"""The guard before a page: it lets only the page itself through, and small requests, and fences in the answers."""
+"""The guard before a page: it admits small requests of the page itself only, and restricts what the answers may
+load."""
 
 from __future__ import annotations
 
@@ -16,7 +17,8 @@ MOST_BODY_BYTES = 2**20
 """Largest body of a request."""
 
 MOST_READ_BYTES = 8 * MOST_BODY_BYTES
-"""Largest body that is read to its end, and then refused: a browser that still sends would not see the answer."""
+"""Largest body that is read to its end before it is refused: a browser that is still sending would not see the
+answer."""
 
 LONGEST_HEADERS_BYTES = 2**14
 """Largest size of the first line and the headers of a request."""
@@ -24,7 +26,7 @@ LONGEST_HEADERS_BYTES = 2**14
 LONGEST_BODY_S = 10.0
 """Longest time in which the body of a request must have arrived."""
 
-HEADERS = {
+RESPONSE_HEADERS = {
     "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:; "
     "connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
     "X-Content-Type-Options": "nosniff",
@@ -113,7 +115,7 @@ def _check_source(headers: Headers, hosts: Iterable[str]) -> None:
 
 
 def _check_token(given: Iterable[str], token: str) -> None:
-    """Raise Refusal unless one of the texts is the token; the time does not tell how much of it is right."""
+    """Raise Refusal unless one of the texts is the token; the time does not show how much of it is right."""
     if not any(hmac.compare_digest(one.encode(), token.encode()) for one in given):
         raise Refusal(403, "The token is missing or wrong; open the address that the command has printed.")
 
@@ -188,11 +190,11 @@ def _replayed(body: bytes, receive: Receive) -> Receive:
 
 
 def _fenced(send: Send) -> Send:
-    """Return a `send` that adds `HEADERS` to every answer."""
+    """Return a `send` that adds `RESPONSE_HEADERS` to every answer."""
 
     async def fence(message: Message) -> None:
         if message["type"] == "http.response.start":
-            MutableHeaders(scope=message).update(HEADERS)
+            MutableHeaders(scope=message).update(RESPONSE_HEADERS)
         await send(message)
 
     return fence

@@ -1,4 +1,4 @@
-"""Parts of all pages: files from a fixed list, calls that take and give JSON, errors of one line."""
+"""Parts of all pages: files from a fixed list, calls with JSON in both directions, errors of one line."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from todframes.base.safe_text import visible
 SHARED_FILES = ("base.css", "server.js", "icon.svg", "uplot/uPlot.iife.min.js", "uplot/uPlot.min.css")
 """Files of the folder `static` that all pages may load, as `/static/NAME`."""
 
-TYPES = {
+CONTENT_TYPES = {
     "css": "text/css; charset=utf-8",
     "html": "text/html; charset=utf-8",
     "js": "text/javascript; charset=utf-8",
@@ -39,6 +39,10 @@ JSON = "application/json"
 LEAST_COMPRESSED_BYTES = 4096
 
 T = TypeVar("T")
+
+
+class EmptyRequest(msgspec.Struct):
+    """A request without values: its path is all that it needs."""
 
 
 def page(folder: Traversable, calls: Sequence[Route], lifespan: Lifespan[Starlette] | None = None) -> Starlette:
@@ -58,7 +62,7 @@ def page(folder: Traversable, calls: Sequence[Route], lifespan: Lifespan[Starlet
     shared = files("todframes.web") / "static"
     routes = [_file(f"/static/{name.rpartition('/')[2]}", shared / name) for name in SHARED_FILES]
     for file in folder.iterdir():
-        if file.name.rpartition(".")[2] in TYPES:
+        if file.name.rpartition(".")[2] in CONTENT_TYPES:
             routes.append(_file("/" if file.name == "index.html" else f"/static/{file.name}", file))
     app = Starlette(
         routes=[*routes, *calls],
@@ -70,7 +74,7 @@ def page(folder: Traversable, calls: Sequence[Route], lifespan: Lifespan[Starlet
 
 
 def _file(path: str, file: Traversable) -> Route:
-    content, media_type = file.read_bytes(), TYPES[file.name.rpartition(".")[2]]
+    content, media_type = file.read_bytes(), CONTENT_TYPES[file.name.rpartition(".")[2]]
 
     async def endpoint(request: Request) -> Response:
         return _answer(request, content, media_type)
@@ -79,7 +83,7 @@ def _file(path: str, file: Traversable) -> Route:
 
 
 def _answer(request: Request, content: bytes, media_type: str) -> Response:
-    """Return an answer, compressed if it is long and the browser takes it so."""
+    """Return an answer, compressed if it is long and the browser accepts that."""
     if len(content) < LEAST_COMPRESSED_BYTES or "gzip" not in request.headers.get("accept-encoding", ""):
         return Response(content, media_type=media_type)
     small = gzip.compress(content, compresslevel=1, mtime=0)

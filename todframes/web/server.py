@@ -1,4 +1,4 @@
-"""The life of a local server: from the address that it prints to the signal that ends it."""
+"""A local server, from the address that it prints to the signal that ends it."""
 
 from __future__ import annotations
 
@@ -31,10 +31,10 @@ LONGEST_WAIT_S = 10
 """Longest time without a whole request after which a connection is closed."""
 
 LOOK_S = 1.0
-"""Interval at which a connection is looked at."""
+"""Interval at which a connection is checked."""
 
 FAREWELL_S = 0.5
-"""Time that answers under way have to finish when the server ends."""
+"""Time within which unfinished answers must end when the server ends."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -160,7 +160,7 @@ class _Connection(H11Protocol):
 
     @property
     def waits(self) -> bool:
-        """Whether no request is being answered."""
+        """True if no request is being answered."""
         cycle: RequestResponseCycle | None = self.cycle  # None before the first request
         return cycle is None or cycle.response_complete
 

@@ -300,9 +300,12 @@ class Explorer {
     this.#curveChart.draw(curve.thresholds, this.#pins, view);
     Object.assign(byId("curve").dataset, { stage: curve.stage, sequence: curve.sequence });
     this.#showNumbers(Object.keys(STRENGTHS).filter((name) => isOffered(name) && STRENGTHS[name].level === curve.level));
-    const never = curve.thresholds.filter((one) => one.status === "never_reached");
-    const sizes = never.map((one) => plain(one[SIZES[view.unit]])).join(", ");
-    byId("never").textContent = sizes && `× Never reached: ${sizes} ${view.unit}`;
+    const without = (status, text) => {
+      const missing = curve.thresholds.filter((one) => one.status === status);
+      return missing.length && `${text}: ${missing.map((one) => plain(one[SIZES[view.unit]])).join(", ")} ${view.unit}`;
+    };
+    const found = [without("never_reached", "× Never reached"), without("always_exceeded", "Always exceeded")];
+    byId("never").textContent = found.filter(Boolean).join("; ");
     this.#showPins(view);
   }
 

@@ -15,7 +15,7 @@ from typing import NamedTuple, Protocol, cast
 import numpy as np
 
 from todframes.base._typing import FloatArray, IntArray
-from todframes.base.errors import SettingsError
+from todframes.base.errors import SettingsError, argument
 from todframes.base.reading import check_keys
 from todframes.observers.decision import answer_probabilities
 
@@ -26,7 +26,7 @@ P_CORRECT = 0.75
 
 
 class Converged(NamedTuple):
-    """The threshold that estimators are held against.
+    """The threshold with which estimators are compared.
 
     `bound` is the half-width of its own error, 95 % where that is random; `slope` is dP(correct) / d ln(level).
     """
@@ -43,7 +43,7 @@ class Estimate(NamedTuple):
     threshold: float
 
 
-class Trials(NamedTuple):
+class FoldedTrials(NamedTuple):
     """Independent trials as the folded observer sees them.
 
     Attributes
@@ -114,7 +114,7 @@ class Quadrature:
 
 @dataclass(frozen=True, slots=True)
 class Variant:
-    """A quadrature of one size with something about it changed; the first of a scene's is what the others change.
+    """A quadrature of one size with one change; the first one of a scene is the one that the others change.
 
     `prepare` gives `run(rng)`; the same `rng` must give the same trials.
     """
@@ -136,7 +136,7 @@ class StudyScene(Protocol):
 
     @property
     def description(self) -> str:
-        """Description of what decides in the scene, in a sentence or two."""
+        """Description of the scene, in a sentence or two."""
 
     @property
     def level(self) -> str:
@@ -149,7 +149,7 @@ class StudyScene(Protocol):
         """List the estimators, the literal Monte Carlo first; a `Quadrature` is a closed form."""
 
     def variants(self, converged: Converged) -> Sequence[Variant]:
-        """List the closed form as it is, then with something changed."""
+        """List the closed form as it is, then with single changes."""
 
     def estimate(self, outcomes: FloatArray, converged: Converged) -> Estimate:
         """Estimate the threshold from the mean of independent trials: (columns,)."""
@@ -160,7 +160,7 @@ class StudyScene(Protocol):
 
 def monte_carlos(
     answers: Callable[[], Callable[[int, np.random.Generator], FloatArray]],
-    trials: Callable[[], Callable[[int, np.random.Generator], Trials]],
+    trials: Callable[[], Callable[[int, np.random.Generator], FoldedTrials]],
     smallest: int = 1,
     fewest: int = 64,
 ) -> tuple[MonteCarlo, MonteCarlo, MonteCarlo]:
@@ -171,7 +171,7 @@ def monte_carlos(
     answers : callable
         `prepare` of the literal one.
     trials : callable
-        Function that returns `draw(n, rng)` of `Trials`.
+        Function that returns `draw(n, rng)` of `FoldedTrials`.
     """
 
     def drawn() -> Callable[[int, np.random.Generator], FloatArray]:
@@ -219,7 +219,7 @@ def estimate_at_one_level(outcomes: FloatArray, converged: Converged) -> Estimat
 
 
 def find_scenes(names: Sequence[str]) -> dict[str, Callable[[], StudyScene]]:
-    """Find the makers of the scenes of these names, or of all that are registered if there are none.
+    """Return the functions that make the scenes of these names, or all registered scenes if no name is given.
 
     Raises
     ------
@@ -227,11 +227,11 @@ def find_scenes(names: Sequence[str]) -> dict[str, Callable[[], StudyScene]]:
         If there is no scene of a name, or it cannot be imported.
     """
     found = {entry.name: entry for entry in entry_points(group=ENTRY_POINT_GROUP)}
-    check_keys(names, found, "--scene")
+    check_keys(names, found, argument.scene)
     scenes = {}
     for name in names or found:
         try:
             scenes[name] = cast("Callable[[], StudyScene]", found[name].load())
         except (ImportError, AttributeError) as error:
-            raise SettingsError(f"--scene: {name!r} cannot be loaded ({error})") from None
+            raise SettingsError(f"{argument.scene}: {name!r} cannot be loaded ({error})") from None
     return scenes

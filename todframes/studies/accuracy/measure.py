@@ -37,18 +37,20 @@ TARGETS = (0.01, 0.001)
 """Errors of a threshold at which estimators are compared."""
 
 FEWEST_BLOCKS = 4
-"""Estimates that a root mean square is at least taken over: it is then known to a third."""
+"""Smallest number of estimates in a root mean square, which is then known to a third."""
 
 BLOCK_GROWTH = 2
 
-MOST_TRIALS = 2**17
-"""Drawn of an estimator; their blocks of all sizes then take seconds to estimate from."""
+MOST_DRAWN_TRIALS = 2**17
+"""Largest number of trials drawn for an estimator; the estimates from their blocks of all sizes then take
+seconds."""
 
 LARGEST_SHOWN = 0.5
-"""Error of a threshold beyond which an estimate is none."""
+"""Error of a threshold above which an estimate is not shown."""
 
 TIMED, LONG_S = 3, 0.5
-"""Runs of a set-up or variant, for the median of their times, and when they are enough."""
+"""Number of runs of a set-up or variant whose median time is taken, and the total time after which no further one
+begins."""
 
 
 class BudgetPoint(NamedTuple):
@@ -75,7 +77,7 @@ class TimeAt(NamedTuple):
     at_most: bool = False
 
 
-class Ratio(NamedTuple):
+class CostRatio(NamedTuple):
     """CPU time of the literal Monte Carlo over that of the fastest closed form, at equal error.
 
     `closed_form` is its name; None if none of them has this error.
@@ -92,7 +94,7 @@ class Curve(NamedTuple):
     """A measured estimator.
 
     `slope` is that of ln(threshold error) against ln(CPU time beyond the set-up), with its standard error; None
-    where there are too few budgets to tell.
+    where there are too few budgets to decide.
     """
 
     name: str
@@ -113,8 +115,8 @@ class Change(NamedTuple):
     threshold_change: float
 
 
-class Measured(NamedTuple):
-    """A scene with everything measured."""
+class MeasuredScene(NamedTuple):
+    """A scene with all measurements."""
 
     name: str
     title: str
@@ -123,11 +125,11 @@ class Measured(NamedTuple):
     converged: Converged
     estimators: tuple[Curve, ...]
     variants: tuple[Change, ...]
-    ratios: tuple[Ratio, ...]
+    ratios: tuple[CostRatio, ...]
     p_correct_error_bound: float
 
 
-def measure(scene: StudyScene, *, seconds: float, seed: int = 1) -> Measured:
+def measure(scene: StudyScene, *, seconds: float, seed: int = 1) -> MeasuredScene:
     """Run all estimators of a scene.
 
     Parameters
@@ -155,7 +157,7 @@ def measure(scene: StudyScene, *, seconds: float, seed: int = 1) -> Measured:
         else:
             curves.append(_measure_rule(estimator, converged, share, rng))
             closed_forms.append(curves[-1])
-    return Measured(
+    return MeasuredScene(
         scene.name,
         scene.title,
         scene.description,
@@ -184,7 +186,7 @@ def fitted_slope(
         Each error is the root mean square of so many independent estimates, and all are blocks of the same trials:
         the variance of its logarithm is 1/(2·blocks), and a sum over few blocks holds no more chance than the one
         over many that it is part of, so the covariance of two is the smaller variance. None: the scatter about the
-        line tells its error.
+        line gives its error.
     """
     n = len(x)
     if n < 2:
@@ -204,7 +206,7 @@ def fitted_slope(
 def time_of_draws(points: Sequence[BudgetPoint], set_up: float, drawn: int, error: float) -> TimeAt:
     """Return the CPU time for an error, extrapolated as 1/√N from the smallest blocks.
 
-    These give the most independent estimates, and larger blocks tell no more.
+    These give the most independent estimates, and larger blocks add no information.
     It is extrapolated beyond the number of trials that were `drawn` in all.
     """
     if not points:
@@ -228,13 +230,13 @@ def time_of_rule(points: Sequence[BudgetPoint], error: float) -> TimeAt:
     return TimeAt(error, before.cpu_s * (after.cpu_s / before.cpu_s) ** share)
 
 
-def speed_ratio(literal: TimeAt, closed_forms: Mapping[str, TimeAt]) -> Ratio:
+def speed_ratio(literal: TimeAt, closed_forms: Mapping[str, TimeAt]) -> CostRatio:
     """Compare the CPU time of one with that of the fastest of the others by name, all at the same error."""
     times = {at.cpu_s: (name, at.at_most) for name, at in closed_forms.items() if at.cpu_s is not None}
     if literal.cpu_s is None or not times:
-        return Ratio(literal.error, None, None, literal.extrapolated, at_least=False)
+        return CostRatio(literal.error, None, None, literal.extrapolated, at_least=False)
     name, at_most = times[min(times)]
-    return Ratio(literal.error, literal.cpu_s / min(times), name, literal.extrapolated, at_most)
+    return CostRatio(literal.error, literal.cpu_s / min(times), name, literal.extrapolated, at_most)
 
 
 class _Clock:
@@ -272,7 +274,7 @@ def _measure_draws(
     drawn: list[FloatArray] = []
     n, total = estimator.smallest, 0
     clock = _Clock()
-    while ((spent := clock.read()[0]) < seconds and total < MOST_TRIALS) or total < estimator.fewest:
+    while ((spent := clock.read()[0]) < seconds and total < MOST_DRAWN_TRIALS) or total < estimator.fewest:
         if total:  # so many that the time is just used up, but not more than there are already
             n = min(max(int((seconds - spent) / spent * total), 1), total)
         drawn.append(draw(n, rng))

@@ -19,15 +19,15 @@ from todframes.studies.accuracy.estimators import (
     P_CORRECT,
     Converged,
     Estimate,
+    FoldedTrials,
     MonteCarlo,
     Quadrature,
-    Trials,
     Variant,
     estimate_at_one_level,
     monte_carlos,
 )
 
-NODES = (1, 2, 3, 4, 6, 8, 12, 16, 24)
+STUDIED_NODES = (1, 2, 3, 4, 6, 8, 12, 16, 24)
 """Gauss–Legendre displacements along each axis."""
 
 VARIANT_NODES = 8
@@ -49,10 +49,9 @@ class NakedEye:
     level: ClassVar[str] = "contrast"
 
     def converge(self) -> Converged:
-        """Average many Gauss–Legendre displacements; the bound is how far fewer of them are from that.
-
-        Kinks of P(correct) let the error fall with the square of their number along an axis: the last one is
-        nearer than those before differ from it.
+        """Average many Gauss–Legendre displacements; the bound is the difference from fewer of them.  Because
+        P(correct) has kinks, the error falls with the square of their number along an axis. So the error of the
+        last average is smaller than its difference from those before.
         """
         observer = PyramidObserver()
         *before, last = (self._proportion(observer, nodes) for nodes in self.converged_nodes)
@@ -80,18 +79,18 @@ class NakedEye:
 
             return draw
 
-        def trials() -> Callable[[int, np.random.Generator], Trials]:
+        def trials() -> Callable[[int, np.random.Generator], FoldedTrials]:
             observer = PyramidObserver()
             readout = self._readout(observer)
 
-            def draw(n: int, rng: np.random.Generator) -> Trials:
+            def draw(n: int, rng: np.random.Generator) -> FoldedTrials:
                 correct = rng.integers(4, size=n)
                 places = rng.uniform(-1.0, 1.0, (n, 2))
                 score = [
                     readout.score_deviations(self._retina(observer, x, y, ORIENTATIONS[k]))
                     for (x, y), k in zip(places, correct, strict=True)
                 ]
-                return Trials(
+                return FoldedTrials(
                     converged.threshold * np.array(score)[:, None],
                     readout.noise_covariance,
                     correct[:, None],
@@ -105,7 +104,7 @@ class NakedEye:
             self._readout(observer)
             return lambda n, _: _estimate(self._proportion(observer, math.isqrt(n)), converged)
 
-        trials_of = tuple(nodes**2 for nodes in NODES)
+        trials_of = tuple(nodes**2 for nodes in STUDIED_NODES)
         label = "closed form, Gauss–Legendre nodes"
         return (*monte_carlos(answers, trials), Quadrature("closed_form", label, closed_form, trials_of, 0.3))
 

@@ -1,4 +1,5 @@
-"""Accuracy scene of recorded display frames: what is averaged is the retina's displacement and its noise."""
+"""Accuracy scene of recorded display frames: averages are over the retina's displacement and the observer's
+noise."""
 
 from __future__ import annotations
 
@@ -11,7 +12,7 @@ from typing import ClassVar
 import numpy as np
 
 from todframes.base._typing import FloatArray
-from todframes.base.errors import DataError
+from todframes.base.errors import DataError, argument
 from todframes.frames.dataset import Dataset, load_dataset
 from todframes.frames.trials import Trial
 from todframes.observers.interface import Readout
@@ -20,23 +21,23 @@ from todframes.psychometrics.fit import FitSettings, PsychometricFit, fit_trials
 from todframes.psychometrics.weibull import weibull
 from todframes.scoring.plan import plan_score
 from todframes.scoring.retina_view import read_trial, retina_image
-from todframes.scoring.seen_trials import KRONECKER_STEPS
+from todframes.scoring.seen_trials import KRONECKER_STEPS_2D
 from todframes.stimulus import Stimulus
 from todframes.studies.accuracy.estimators import (
     P_CORRECT,
     Converged,
     Estimate,
+    FoldedTrials,
     MonteCarlo,
     Quadrature,
-    Trials,
     Variant,
     monte_carlos,
 )
 
 DATASETS = (Path("sample_frames/naked_eye"), Path("sample_frames/staring_camera"))
-"""Folders in which recorded frames are looked for."""
+"""Folders that are searched for recorded frames."""
 
-DISPLACEMENTS = (1, 2, 4, 8, 16, 32, 64)
+STUDIED_DISPLACEMENTS = (1, 2, 4, 8, 16, 32, 64)
 REPEATS = 8
 VARIANT_DISPLACEMENTS = 4
 
@@ -105,8 +106,8 @@ class Frames:
 class Recorded:
     """Frames of one group of a dataset; the threshold is that of the fitted psychometric function.
 
-    The group is the middle one of the dataset's. All estimators are given the same frames, so what these frames
-    differ from others by is no part of the error.
+    The group is the middle one of the dataset's. All estimators get the same frames, so the difference of these
+    frames from others is no part of the error.
 
     Attributes
     ----------
@@ -170,13 +171,13 @@ class Recorded:
 
             return draw
 
-        def trials() -> Callable[[int, np.random.Generator], Trials]:
+        def trials() -> Callable[[int, np.random.Generator], FoldedTrials]:
             frames = self._planned()
 
-            def draw(n: int, rng: np.random.Generator) -> Trials:
+            def draw(n: int, rng: np.random.Generator) -> FoldedTrials:
                 displacements = rng.uniform(-1.0, 1.0, (n, len(self.trials), 2))
                 score = frames.score(displacements)
-                return Trials(score, frames.covariance, frames.correct, frames.answer_probabilities)
+                return FoldedTrials(score, frames.covariance, frames.correct, frames.answer_probabilities)
 
             return draw
 
@@ -190,7 +191,7 @@ class Recorded:
         return (
             # Fits to fewer answers of each frame are off by more than that.
             *monte_carlos(answers, trials, smallest=4, fewest=16),
-            Quadrature("closed_form", label, closed_form, DISPLACEMENTS, 0.3, REPEATS),
+            Quadrature("closed_form", label, closed_form, STUDIED_DISPLACEMENTS, 0.3, REPEATS),
         )
 
     def variants(self, converged: Converged) -> tuple[Variant, ...]:
@@ -254,7 +255,7 @@ class Recorded:
 
 def _sequence(n: int, trials: int, rng: np.random.Generator) -> FloatArray:
     """Draw displacements of each trial, (n, trials, 2): a low-discrepancy sequence begun anywhere for each."""
-    places = rng.random((trials, 2)) + np.arange(n)[:, None, None] * KRONECKER_STEPS
+    places = rng.random((trials, 2)) + np.arange(n)[:, None, None] * KRONECKER_STEPS_2D
     return np.asarray(2.0 * (places % 1.0) - 1.0)
 
 
@@ -277,7 +278,7 @@ def recorded(path: Path | None = None) -> Recorded:
         path = next((folder for folder in DATASETS if folder.is_dir()), None)
         if path is None:
             places = " or ".join(map(str, DATASETS))
-            raise DataError(f"scene recorded: found no {places} here, expected a dataset (--dataset)")
+            raise DataError(f"scene recorded: found no {places} here, expected a dataset ({argument.dataset})")
     dataset = load_dataset(path)
     groups: dict[tuple[float | str, ...], list[Trial]] = {}
     for trial in dataset.trials:

@@ -8,12 +8,12 @@ from todframes.report.figures import pictures
 from todframes.report.result import Result
 from todframes.report.tables import scene_tables
 from todframes.report.wording import plain
-from todframes.studies.accuracy.measure import Measured
+from todframes.studies.accuracy.measure import MeasuredScene
 
 NOTE = "* extrapolated along the measured 1/√N. Errors are root mean squares, that of a threshold relative."
 
 
-def scene_result(scene: Measured) -> SceneResult:
+def scene_result(scene: MeasuredScene) -> SceneResult:
     """Make the record of a scene as it stands in `accuracy.json`."""
     threshold, bound, slope = scene.converged
     return SceneResult(

@@ -1,1 +1,1 @@
-"""Extreme inputs: what is expected, what came, digits kept."""
+"""Extreme inputs: the expected value, the computed value, and the number of right digits."""

@@ -1,7 +1,6 @@
-"""Extreme inputs and what must come of them: cases, how many digits they keep, a table.
-
-What is expected comes from outside of the code under trial: a closed form, a law that holds exactly, algebra with
-fractions, or mpmath at 50 digits. Packages name functions that make cases under the entry-point group
+"""Extreme inputs and their expected results: cases, the number of right digits of each, and a table.  The expected
+value comes from outside of the code under test: a closed form, a law that holds exactly, algebra with fractions,
+or mpmath at 50 digits. Packages name functions that make cases under the entry-point group
 `todframes.stability_cases`.
 """
 
@@ -23,7 +22,7 @@ from todframes.report.table import Column, Table
 ENTRY_POINT_GROUP = "todframes.stability_cases"
 
 MPMATH = "mpmath, 50 digits: "
-"""Beginning of the source of numbers that tests/test_stability_references.py computes again."""
+"""First word of the source of numbers that tests/test_stability_references.py computes again."""
 
 MOST_DIGITS = 16.0
 """Digits of double precision, which exact results have."""
@@ -79,7 +78,7 @@ def find_cases() -> list[Case]:
 
 
 def run_case(case: Case) -> Outcome:
-    """Compute a case. A warning or an exception, whatever it is, makes it fall short and is what came."""
+    """Compute a case. Any warning or exception is its result, and the case falls short."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error")
@@ -112,7 +111,8 @@ def digits_kept(expected: ArrayLike, came: ArrayLike, *, scale: float | None = N
 
 
 def refusal(call: Callable[[], Any], naming: str) -> str:
-    """Return "refused" if a call is refused in one line that holds `naming`, else what came instead."""
+    """Return "refused" if a call is refused in one line that contains `naming`, otherwise the result of the
+    call."""
     try:
         call()
     except TodframesError as error:
@@ -163,7 +163,7 @@ def shown(value: Value, *, digits: float = 6.0, scale: float | None = None) -> s
     return ends[0] if numbers.size == 1 else f"{ends[0]} … {ends[1]} ({numbers.size})"
 
 
-HEADERS = ("case", "expected", "from", "came", "digits", "must keep")
+TABLE_HEADERS = ("case", "expected", "from", "came", "digits", "must keep")
 
 
 def cells(outcome: Outcome, *, documented: bool = False) -> list[str]:
@@ -187,14 +187,17 @@ def by_group(outcomes: Iterable[Outcome]) -> dict[str, list[Outcome]]:
 
 
 def outcome_table(outcomes: Sequence[Outcome], *, documented: bool = False) -> Table:
-    """Make the table of cases and what came of them."""
+    """Make the table of cases and their results."""
     wide = ("expected", "from", "came")
     columns = [
         Column(key="group", is_name=True, wraps=True, in_file_only=documented),
-        *(Column(key=name, wraps=name in wide or name == "case", rank=2 * (name == "from")) for name in HEADERS),
+        *(
+            Column(key=name, wraps=name in wide or name == "case", rank=2 * (name == "from"))
+            for name in TABLE_HEADERS
+        ),
     ]
     records = [
-        {"group": one.case.group} | dict(zip(HEADERS, cells(one, documented=documented), strict=True))
+        {"group": one.case.group} | dict(zip(TABLE_HEADERS, cells(one, documented=documented), strict=True))
         for one in outcomes
     ]
     return Table.of("Extreme inputs", "stability.csv", columns, records)

@@ -47,14 +47,14 @@ OBTUSE = np.array([[0.0, 0.0, 0.0], [4.0, 1.0, 0.0], [6.0, 0.0, 1.0], [5.0, -2.0
 OBTUSE_SNRS = np.array([2.0, 6.0, 12.5])
 
 ALIKE = 1.0 + 2e-6 * np.eye(4)
-"""Each with each is 1 − 1e-12 alike: (4 + 4e-6) / (4 + 4e-6 + 4e-12)."""
+"""Any two have the correlation 1 − 1e-12: (4 + 4e-6) / (4 + 4e-6 + 4e-12)."""
 
 D_PRIMES = np.array([0.5, 1.0, 1.5, 2.0, 3.0])
 HIGH_D_PRIMES = np.array([5.0, 10.0, 16.2])
 
 
 def pairs(even: float) -> FloatArray:
-    """Return templates of a tiny triangle: up and down, right and left are opposite but for `even`."""
+    """Return templates of a tiny triangle: up and down, right and left are opposite except for the part `even`."""
     odd = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]])
     return odd + even * np.array([[1.0, 0, 0], [-1.0, 0, 0], [1.0, 0, 0], [-1.0, 0, 0]])
 

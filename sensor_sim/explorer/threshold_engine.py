@@ -1,9 +1,8 @@
-"""Thresholds of one sensor after the other, computed with all that the sensors before have left.
-
-Parts are found by keys that hold all that they depend on: samples by optics and detector, weights by display and
-observer, trials by both. Gain and internal noise act as their ratio, and only where trials become answers.
-Background and NETD do not change a threshold SNR. A threshold contrast is that on the display, so the gain does
-not change it either.
+"""Thresholds of one sensor after the other; parts that earlier sensors have in common with a later one are kept.
+The key of a part holds everything on which the part depends: samples have optics and detector, weights have
+display and observer, trials have both. Only the ratio of internal noise to gain matters, and only in the step from
+trials to answers. Background and NETD do not change a threshold SNR. A threshold contrast is that on the display,
+so the gain does not change it either.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ from sensor_sim.explorer.estimate import (
     FEW_PLACES,
     LATTICES,
     MORE_PLACES,
-    ORTHANT_TOLERANCE,
+    QUICK_ORTHANT_TOLERANCE,
     Reference,
     corrected,
     lattice_phases,
@@ -37,9 +36,9 @@ from sensor_sim.sweeps.work import as_computed
 from sensor_sim.thresholds.curve_plan import CurvePlan, plan_curve
 from sensor_sim.thresholds.predict import (
     FoldedChain,
-    Found,
     Level,
     Phases,
+    PooledThreshold,
     PredictedThreshold,
     find_threshold,
     predict_threshold,
@@ -53,14 +52,15 @@ from todframes.stimulus import Stimulus
 T = TypeVar("T")
 
 KEPT_MB = {"readouts": 44, "samplers": 6, "samples": 8, "weights": 8, "refined weights": 24, "trials": 10}
-"""Largest size of what is kept, by kind, in units of 2**20 bytes. The weights at the many places of a refined
-threshold are kept apart: they would drive out those that the next estimate needs."""
+"""Largest size of the kept parts, by kind, in units of 2**20 bytes. The weights at the many places of a refined
+threshold are kept apart; otherwise they would displace those that the next estimate needs."""
 
 THRESHOLDS_KEPT = 2000
 
 FAR_TOO_LARGE = 1.5
-"""Error of an estimate, in tolerances, above which it is worth more time. What is stated is the upper end of the
-error, and mostly several times what it is; the estimate that is there in time then is good enough."""
+"""Error of an estimate, in tolerances, above which a second estimate with more places is computed. The stated
+error is an upper bound, usually several times the true error, so below this limit the first estimate is good
+enough."""
 
 
 class Request(NamedTuple):
@@ -91,7 +91,7 @@ class Request(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Answer:
+class CurvePoint:
     """A threshold at the place `index` of the curve."""
 
     index: int
@@ -100,14 +100,14 @@ class Answer:
     is_refined: bool
 
 
-class Engine:
-    """Computer of thresholds that keeps what the next sensor may need.
+class ThresholdEngine:
+    """Computes thresholds, and keeps the parts that the next sensor may need.
 
     Parameters
     ----------
     check : function of no arguments
-        Called every few milliseconds; it raises an exception when the computation is no longer wanted. What is
-        kept stays right.
+        Called every few milliseconds; it raises an exception when the computation is no longer wanted. Kept parts
+        stay valid.
     """
 
     def __init__(self, check: Callable[[], None]) -> None:
@@ -119,10 +119,10 @@ class Engine:
         self._near: dict[tuple[Level, float], tuple[float, float]] = {}
         self._references: dict[tuple[Level, float], Reference] = {}
 
-    def answers(self, request: Request) -> Iterator[Answer]:
+    def answers(self, request: Request) -> Iterator[CurvePoint]:
         """Yield estimates of all sizes and then refined thresholds, the easiest first.
 
-        A refined threshold that is known comes at once, instead of the estimate.
+        A refined threshold that is already known is yielded at once, instead of the estimate.
 
         Raises
         ------
@@ -143,11 +143,11 @@ class Engine:
             task = _Task(sensor, observer, size, request.p_correct, request.level)
             key: Hashable = (sensor, pickled, scale, size, request.p_correct, request.level, fine)
             if key in self._known:
-                yield Answer(index, *self._known[key], is_refined=True)
+                yield CurvePoint(index, *self._known[key], is_refined=True)
                 continue
             self._check()
             found, shares, on_few = self._estimated(task, rough)
-            yield Answer(index, found, shares, is_refined=False)
+            yield CurvePoint(index, found, shares, is_refined=False)
             difficulty = (
                 found.numerical_error / found.threshold if found.threshold and found.numerical_error else 0.0
             )
@@ -156,10 +156,10 @@ class Engine:
             self._known[name] = self._refined(task, fine, on_few)
             if len(self._known) > THRESHOLDS_KEPT:
                 self._known.popitem(last=False)
-            yield Answer(index, *self._known[name], is_refined=True)
+            yield CurvePoint(index, *self._known[name], is_refined=True)
 
     def _estimated(self, task: _Task, tolerance: float) -> tuple[PredictedThreshold, Shares, _OnLattices]:
-        """Return an estimate, and that on few places.
+        """Return an estimate, its shares, and the trials on few places.
 
         More places, which take three times as long, are for an estimate whose error is far too large.
         """
@@ -180,14 +180,14 @@ class Engine:
         stimulus = Stimulus(size * sensor.display.detector_pitch_mrad)
         grid = judge.grid(stimulus)
         half_width = seen_samples(sensor, judge, size, grid)
-        look = observer.look(stimulus, half_width)
+        noise = observer.noise(stimulus, half_width)
 
         def make() -> _Trials:
             phases = lattice_phases(
                 sensor,
                 judge,
                 size,
-                quick_plan(sensor, judge, size, symmetric=look.is_symmetric, shared=self._shared),
+                quick_plan(sensor, judge, size, symmetric=noise.is_symmetric, shared=self._shared),
                 places=places,
                 jitter=observer.position_jitter_samples * grid.pitch_mrad / sensor.display.detector_pitch_mrad,
                 name=(observer.name, stimulus),
@@ -200,17 +200,17 @@ class Engine:
         near, slope = self._near.get((level, size), (None, math.nan))
         found = find_threshold(
             phases,
-            look.noise_covariance,
+            noise.noise_covariance,
             p_correct,
             n_replicates=LATTICES,
             level=level,
             near=near,
             slope=slope,
-            tolerance=ORTHANT_TOLERANCE,
+            tolerance=QUICK_ORTHANT_TOLERANCE,
         )
         if found.status == "ok":
             self._near[level, size] = found.threshold, found.slope
-        return _OnLattices(found, phases, look.noise_covariance)
+        return _OnLattices(found, phases, noise.noise_covariance)
 
     def _refined(self, task: _Task, tolerance: float, on_few: _OnLattices) -> tuple[PredictedThreshold, Shares]:
         sensor, observer, size, p_correct, level = task
@@ -254,7 +254,7 @@ class Engine:
 class _OnLattices(NamedTuple):
     """An estimate without correction, its trials, and the covariance of the internal noise."""
 
-    found: Found
+    found: PooledThreshold
     phases: list[Phases]
     internal: FloatArray
 

@@ -1,0 +1,124 @@
+"""The call `simulate`: a dataset of display frames of a sensor."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from contextlib import closing
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from sensor_sim.chain.sensor import Sensor, sensor_of
+from todframes.base.seeds import Rng, seed_of
+
+if TYPE_CHECKING:
+    from sensor_sim.chain.simulation import FrameFormat, Written
+    from todframes.jobs.work import Engine
+
+
+def simulate(
+    sensor: Sensor | Path | str,
+    *,
+    size_detectors: Sequence[float],
+    snr: Sequence[float],
+    out: Path | str,
+    trials: int = 40,
+    rng: Rng = 1,
+    frame_format: FrameFormat = "exr",
+    allow_clipping: bool = False,
+    stages: bool = False,
+    workers: int = 1,
+    cluster: str | Engine | None = None,
+    restart: bool = False,
+    keep_store: bool = False,
+    tell: Callable[[str], None] | None = None,
+    progress: Callable[[int], None] | None = None,
+) -> Written:
+    """Make a dataset of display frames that `todframes.score` reads, as `sensor-sim simulate` does.
+
+    Parameters
+    ----------
+    sensor : Sensor or path
+        Settings of the sensor, or the path of its SENSOR.toml.
+    size_detectors : sequence of float
+        Sizes √(area) in detector pitches.
+    snr : sequence of float
+        Signals of a large triangle divided by the standard deviation of the noise of a sample.
+    out : path
+        Folder to make, new or empty.
+    trials : int
+        Frames of each size and SNR.
+    rng : int, SeedSequence or Generator
+        Seed of all random draws.
+    frame_format : {"exr", "png"}
+        Half-float EXR in cd/m², or 16-bit PNG.
+    allow_clipping : bool
+        Let PNG clip more than 1 % of the pixels.
+    stages : bool
+        Also write the stages of a trial with the highest SNR as pictures.
+    workers : int
+        Processes that draw frames. With more than one, a script calls this below `if __name__ == "__main__":`,
+        because they import the script.
+    cluster : str, optional
+        Address of a Dask scheduler, "tcp://…", or "local:N" for N processes; they draw instead.
+    restart : bool
+        Begin anew even if an earlier call with the same `out` was interrupted.
+    keep_store : bool
+        Keep the list of the frames that are finished after the dataset is whole.
+    tell : function of a text, optional
+        Called with a remark if an earlier call has finished some of the frames.
+    progress : function of an int, optional
+        Called with the number of frames that were just done.
+
+    Returns
+    -------
+    Written
+        Number of frames, `n_frames`, and `clipped_share` of the pixels.
+
+    Raises
+    ------
+    SettingsError
+        If a setting is invalid, or too many pixels would be clipped.
+    OutputError
+        If the place cannot be written.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import sensor_sim as ss
+    >>> out = tempfile.mkdtemp()
+    >>> camera = "sample_frames/staring_camera.toml"
+    >>> ss.simulate(camera, size_detectors=[4], snr=[2, 8], trials=4, out=out).n_frames
+    8
+    """
+    seed = seed_of(rng)
+    from sensor_sim.chain.simulation import plan_trials, write_dataset
+    from todframes.base.output import Going, new_folder, store_path
+    from todframes.jobs.engine import open_engine
+    from todframes.jobs.store import Store
+
+    sensor = sensor_of(sensor)
+    planned = plan_trials([float(one) for one in size_detectors], [float(one) for one in snr], trials)
+    going = Going(restart=restart, keep=keep_store)
+    with (
+        open_engine(cluster, workers) as engine,
+        new_folder(str(out), going=going) as folder,
+        closing(Store(store_path(folder), str(out), tell)) as store,
+    ):
+        written = write_dataset(
+            folder,
+            sensor,
+            planned,
+            seed=seed,
+            frame_format=frame_format,
+            allow_clipping=allow_clipping,
+            engine=engine,
+            store=store,
+            progress=progress,
+        )
+        if stages:
+            from sensor_sim.pictures import write_stages
+
+            # The picture shows the trial with the most visible triangle.
+            clearest = max(planned, key=lambda trial: (trial.snr, trial.size_detectors))
+            write_stages(folder / "stages", sensor, clearest, seed=seed)
+    return written

@@ -1,0 +1,153 @@
+"""The call `sweep`: the thresholds of many designs of a sensor."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from sensor_sim.chain.sensor import Sensor, sensor_of
+from todframes.base.seeds import Rng, seed_of
+from todframes.observers.interface import Observer, described
+from todframes.scoring.error_budget import PlanName
+
+if TYPE_CHECKING:
+    from sensor_sim.sweeps.designs import Designs
+    from sensor_sim.sweeps.result import SweepResult
+    from todframes.jobs.store import Store
+    from todframes.jobs.work import Engine
+
+
+def sweep(
+    sensor: Sensor | Path | str,
+    *,
+    size_detectors: Sequence[float],
+    vary: Mapping[str, str | Sequence[float]] | None = None,
+    design: Path | str | Sequence[Mapping[str, float]] | Designs | None = None,
+    sample: int | None = None,
+    keep_fill_factor: bool = False,
+    couple_netd: bool = False,
+    minimise: Sequence[str] = (),
+    maximise: Sequence[str] = (),
+    acuity_snr: float | None = None,
+    acuity_delta_t_mk: float | None = None,
+    observer: str | Observer = "pyramid",
+    p_correct: float = 0.75,
+    tolerance: float = 2e-3,
+    plan: PlanName = "needed",
+    rng: Rng = 1,
+    workers: int = 1,
+    cluster: str | Engine | None = None,
+    store: Store | None = None,
+    progress: Callable[[int], None] | None = None,
+) -> SweepResult:
+    """Compute the thresholds of many designs of a sensor, as `sensor-sim sweep` does.
+
+    The numbers of each design are those that `curve` gives for it alone. Parts that designs share are computed
+    once.
+
+    Parameters
+    ----------
+    sensor : Sensor or path
+        Settings that all designs share but for the varied ones, or the path of a SENSOR.toml.
+    size_detectors : sequence of float
+        Sizes √(area) in detector pitches, without repetitions; the first is the one that tables are ordered by.
+    vary : mapping
+        For each key, such as "optics.aperture_mm" or "observer.internal_noise", its values, or a text
+        "FROM:TO:N" or "FROM:TO:N:log". All combinations are computed. With `sample`, texts "FROM:TO" or
+        "FROM:TO:log".
+    design : path, or sequence of mappings
+        CSV file with a column for each key and a row for each design, or a mapping of values for each design.
+    sample : int
+        Number of designs of a Latin hypercube over the ranges of `vary`.
+    keep_fill_factor : bool
+        Whether the detectors' width follows a varied pitch.
+    couple_netd : bool
+        Whether the sensor's NETD follows aperture and detectors: NETD ∝ (f-number)² / (area of a detector).
+    minimise, maximise : sequence of str
+        Columns that are best when low or high, for the trade-off front: varied keys, "delta_t_mk",
+        "threshold_snr", "acuity_mrad", "acuity_detectors". The first orders the designs.
+    acuity_snr, acuity_delta_t_mk : float, optional
+        Signal of a large triangle for which the smallest visible size is interpolated, as an SNR or in mK.
+    observer, p_correct, tolerance, plan, rng
+        As for `curve`; the seed is also that of `sample`.
+    workers : int
+        Processes to compute in. A script then calls this below `if __name__ == "__main__":`.
+    cluster : str or Engine, optional
+        Address of a Dask scheduler or "local:N", instead of `workers`.
+    store : Store, optional
+        Thresholds that an earlier run has computed; this one adds its own.
+    progress : function of an int, optional
+        Called with the number of designs × sizes that were just done.
+
+    Returns
+    -------
+    SweepResult
+        A row for each design and size by `table()` or `to_dataframe()`; `plot_map()`, `plot_front()`, `save()`.
+
+    Raises
+    ------
+    SettingsError
+        If a setting, key or range is invalid, or the observer is not linear.
+    DataError
+        If a file of designs is invalid.
+
+    Examples
+    --------
+    >>> import sensor_sim as ss
+    >>> camera = "sample_frames/staring_camera.toml"
+    >>> vary = {"optics.aperture_mm": "110:220:2", "noise.netd_mk": [16, 32]}
+    >>> result = ss.sweep(camera, size_detectors=[6], vary=vary, tolerance=0.1)
+    >>> [round(row["delta_t_mk"]) for row in result.records()]
+    [12, 25, 10, 21]
+    """
+    started, seed = time.perf_counter(), seed_of(rng)
+    from sensor_sim.sweeps.designs import Base, check_coupling, make_designs
+    from sensor_sim.sweeps.result import SweepResult
+    from sensor_sim.sweeps.tables import Criterion, objectives
+    from sensor_sim.sweeps.work import SweepWork, Variants, check_sweep, run_sweep
+    from todframes.jobs.engine import open_engine
+
+    judge, settings = described(observer)
+    sensor = sensor_of(sensor)
+    sizes = [float(size) for size in size_detectors]
+    check_sweep(sensor, judge, sizes, p_correct=p_correct, tolerance=tolerance)
+    observers = Variants.of(judge)
+    base = Base(sensor, observers.settings, keep_fill_factor, couple_netd)
+    designs = make_designs(base, vary=vary, design=design, sample=sample, seed=seed)
+    if couple_netd:
+        check_coupling(sensor, designs.keys)
+    has_netd = sensor.noise.netd_mk is not None or "noise.netd_mk" in designs.keys
+    criterion = Criterion.of(acuity_snr, acuity_delta_t_mk, has_netd=has_netd)
+    goals = objectives(minimise, maximise, designs.keys, has_netd=has_netd, has_acuity=criterion is not None)
+    work = SweepWork(observers=observers, p_correct=p_correct, tolerance=tolerance, seed=seed, plan=plan)
+    with open_engine(cluster, workers) as engine:
+        swept = run_sweep(base, designs, sizes, work, engine, store=store, progress=progress)
+    settings |= {
+        "p_correct": p_correct,
+        "size_detectors": sizes,
+        "vary": {key: one if isinstance(one, str) else list(one) for key, one in (vary or {}).items()},
+        "design": str(design) if isinstance(design, Path | str) else None,
+        "sample": sample,
+        "keep_fill_factor": keep_fill_factor,
+        "couple_netd": couple_netd,
+        "minimise": [one.column for one in goals if one.sign > 0],
+        "maximise": [one.column for one in goals if one.sign < 0],
+        "acuity_snr": acuity_snr,
+        "acuity_delta_t_mk": acuity_delta_t_mk,
+        "sensor": asdict(sensor),
+        "tolerance": tolerance,
+        "plan": plan,
+    }
+    return SweepResult(
+        swept=swept,
+        objectives=goals,
+        criterion=criterion,
+        whole_keys=tuple(key for key in designs.keys if base.keys[key]),
+        settings=settings,
+        seed=seed,
+        from_store=0 if store is None else store.n_used,
+        run_time_s=round(time.perf_counter() - started, 4),
+    )

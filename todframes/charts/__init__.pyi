@@ -1,2 +1,0 @@
-from .layout import Chart as Chart
-from .layout import read_chart as read_chart

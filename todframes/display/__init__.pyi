@@ -1,1 +1,0 @@
-from .display import Display as Display
