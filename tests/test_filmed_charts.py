@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import csv
+import json
 import re
 from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import cv2
 import numpy as np
 import pytest
-from independent_camera import Camera, Chart, film, looking_at, write_tiffs, write_video
+from independent_camera import Bending, Camera, Chart, Seen, film, looking_at, write_tiffs, write_video
 from numpy.typing import NDArray
 
 import todframes as tod
@@ -57,19 +59,29 @@ def make_chart(folder: Path, *, sizes: str, contrasts: str) -> Chart:
 
 
 class Film(NamedTuple):
-    """A recording: frames with their page and the shift of the hand, their times in frames, and the homography."""
+    """A recording: frames with their page and the shift of the hand, times in frames, homography and the lens."""
 
     chart: Chart
     frames: list[tuple[int, tuple[float, float], NDArray]]
     times: Sequence[int]
     matrix: NDArray
+    bending: Bending | None = None
 
     @classmethod
-    def of(cls, chart: Chart, camera: Camera, *, frames_per_page: int = 4, shake_px: float = 0.0, **view) -> Film:
+    def of(
+        cls,
+        chart: Chart,
+        camera: Camera,
+        *,
+        frames_per_page: int = 4,
+        shake_px: float = 0.0,
+        pages: Sequence[int] | None = None,
+        **view,
+    ) -> Film:
         view = {"scale": 0.46, "tilt_deg": 2.0, **view}
         matrix = looking_at(chart, width=camera.width, height=camera.height, **view)
-        frames = film(chart, camera, matrix, frames_per_page=frames_per_page, shake_px=shake_px)
-        return cls(chart, frames, range(len(frames)), matrix)
+        frames = film(chart, camera, matrix, frames_per_page=frames_per_page, shake_px=shake_px, pages=pages)
+        return cls(chart, frames, range(len(frames)), matrix, camera.bending)
 
     def pick(self, numbers: Sequence[int], times: Sequence[int]) -> Film:
         """The film with other frames, at other times."""
@@ -79,10 +91,10 @@ class Film(NamedTuple):
         write_video(path, (values for *_, values in self.frames), times=self.times, frames_per_second=FPS, **how)
         return path
 
-    def seen(self, number: int):
+    def seen(self, number: int) -> Seen:
         """The triangle as the camera saw it in a frame."""
         page, (x, y), _ = self.frames[number]
-        return self.chart.triangle(page, np.array([[1, 0, x], [0, 1, y], [0, 0, 1.0]]) @ self.matrix)
+        return self.chart.triangle(page, np.array([[1, 0, x], [0, 1, y], [0, 0, 1.0]]) @ self.matrix, self.bending)
 
 
 def rows_of(dataset: Path) -> list[dict[str, str]]:
@@ -301,3 +313,98 @@ def test_what_a_lossy_codec_costs_is_as_the_page_says(chart: Chart, tmp_path: Pa
         if name != "FFV1":
             assert small > 1.1 * found["FFV1"][0]
             assert large > 1.1 * found["FFV1"][1]
+
+
+LENS_VIEWS: dict[str, tuple[int, int, dict[str, Any]]] = {
+    "centred": (480, 320, {}),
+    "off axis": (640, 440, {"shift_px": (70, 50)}),
+    "in a quarter": (960, 640, {"shift_px": (-215, -135)}),
+}
+
+
+def through_lens(chart: Chart, view: str, *, noise: bool = False, **bending) -> Film:
+    """Film each page twice through a lens, clean or with noise of 10 % of white."""
+    width, height, how = LENS_VIEWS[view]
+    lens = Bending(width=width, height=height, **bending)
+    electrons = 100.0 if noise else 40_000.0
+    camera = Camera(
+        width=width,
+        height=height,
+        bending=lens,
+        oversampling=3,
+        electrons_at_white=electrons,
+        read_noise_electrons=electrons / 10.0 if noise else 6.0,
+    )
+    return Film.of(chart, camera, frames_per_page=2, turn_deg=0.6, **how)
+
+
+def misplacement_px(film: Film, dataset: Path) -> float:
+    """Root mean square distance of the places in the manifest from those that the camera saw."""
+    distances = []
+    for row in rows_of(dataset):
+        number = number_of(row)
+        seen, whole = film.seen(number), film.frames[number][2]
+        window = cv2.imread(str(dataset / row["frame"]), cv2.IMREAD_UNCHANGED)
+        top, left = round(seen.y_px - float(row["y_px"])), round(seen.x_px - float(row["x_px"]))
+        (place,) = [
+            (left + dx, top + dy)
+            for dy in range(-3, 4)
+            for dx in range(-3, 4)
+            if np.array_equal(whole[top + dy :, left + dx :][: window.shape[0], : window.shape[1]], window)
+        ]
+        distances.append((place[0] + float(row["x_px"]) - seen.x_px, place[1] + float(row["y_px"]) - seen.y_px))
+    return float(np.sqrt((np.array(distances) ** 2).sum(axis=1).mean()))
+
+
+def test_a_triangle_is_placed_through_the_lens(tmp_path: Path) -> None:
+    """A barrel of 2 % and a chart beside the axis: a homography alone would misplace triangles by 0.3 px."""
+    chart = make_chart(tmp_path, sizes="4", contrasts="0.3")
+    made = through_lens(chart, "off axis", k=(-0.02,))
+    done = imported(made, made.write(tmp_path / "film.mkv"), integration_time_s="all")
+    assert misplacement_px(made, done.path) < 0.1
+    assert {code for code, _ in done.warnings} <= {"clock", "residual"}
+    assert any("the lens distorts" in note for note in done.notes)
+    for row in rows_of(done.path):
+        assert float(row["size_mrad"]) == pytest.approx(made.seen(number_of(row)).size_px * PITCH_MRAD, rel=2e-3)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("noise", [False, True], ids=["clean", "noise"])
+@pytest.mark.parametrize("view", LENS_VIEWS)
+@pytest.mark.parametrize("k1", [-0.1, -0.01, 0.1])
+def test_thresholds_through_a_lens_are_those_of_frames_placed_by_hand(
+    k1: float, view: str, noise: bool, chart: Chart, tmp_path: Path
+) -> None:
+    made = through_lens(chart, view, noise=noise, k=(k1,))
+    done = imported(made, made.write(tmp_path / "film.mkv"))
+    assert misplacement_px(made, done.path) < 0.1
+    (report,) = json.loads((done.path / "import.json").read_text(encoding="utf-8"))["found"]
+    found = {one.group["object_size_mrad"]: one for one in tod.score(done.path, **SCORING).thresholds}
+    expected = by_hand(made, done.path, LINEAR) if not noise else {}
+    for size, threshold in expected.items():
+        assert found[size].threshold == pytest.approx(threshold, rel=ONE_PERCENT)
+    assert report["place_error_px"] < 0.1
+
+
+def test_a_fisheye_lens_is_found_by_the_residual(tmp_path: Path) -> None:
+    chart = make_chart(tmp_path, sizes="4", contrasts="0.3")
+    made = through_lens(chart, "off axis", fisheye_deg=120.0)
+    done = imported(made, made.write(tmp_path / "film.mkv"), integration_time_s="all")
+    assert misplacement_px(made, done.path) < 0.1
+    assert any("fisheye model" in note for note in done.notes)
+    # Seen 20 px beside the axis of a lens that squeezes the picture outwards: by far more than 3 %.
+    assert "lens_stretch" in {code for code, _ in done.warnings}
+
+
+def test_a_zoom_is_found_with_the_frame_where_it_begins(tmp_path: Path) -> None:
+    chart = make_chart(tmp_path, sizes="4", contrasts="0.3")
+    camera = Camera(width=320, height=180, oversampling=3)
+    frames: list[tuple[int, tuple[float, float], NDArray]] = []
+    for number in range(24):
+        scale = 0.28 * (1.0 + 0.01 * max(0, number - 13))
+        matrix = looking_at(chart, width=camera.width, height=camera.height, scale=scale)
+        frames += film(chart, camera, matrix, frames_per_page=1, pages=[number // 6], seed=number)
+    zoomed = Film(chart, frames, range(len(frames)), matrix)
+    done = imported(zoomed, zoomed.write(tmp_path / "film.mkv"))
+    (message,) = [one.message for one in done.warnings if one.code == "zoom"]
+    assert re.search(r"frame 14 on: the lens zooms", message)

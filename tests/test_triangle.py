@@ -110,10 +110,11 @@ def test_arrangement_and_polarity_are_found(shown, sign) -> None:
 @pytest.mark.slow
 @pytest.mark.weekly
 def test_intervals_are_honest() -> None:
-    """300 groups in blur, noise, patterns, tilts and cut windows, five intervals each."""
-    deviates = np.array([triangles.estimate(np.random.default_rng([7, k])) for k in range(300)])
-    # The share of 1500 intervals has a standard deviation of 0.6 %; those of a group are not independent.
-    assert 0.92 <= (np.abs(deviates) < 1.96).mean() <= 0.98
+    """150 groups in blur, noise, patterns, tilts and cut windows, five intervals each."""
+    deviates = np.array([triangles.estimate(np.random.default_rng([7, k]))[1] for k in range(150)])
+    measured = np.abs(deviates[np.isfinite(deviates)])
+    # The share of 750 intervals has a standard deviation of 0.8 %; those of a group are not independent.
+    assert 0.92 <= (measured < 1.96).mean() <= 0.985
 
 
 @pytest.mark.slow
@@ -158,6 +159,39 @@ def test_sizes_in_perspective_are_measured_together() -> None:
     assert found.n_trials == 24
     assert found.size_ratio == pytest.approx(1.0, abs=5.0 * found.size_ratio_error)
     assert found.size_ratio_error < 0.01
+    assert frame_warnings(dataset, [found]) == []
+
+
+def test_places_between_pixels_cost_no_precision() -> None:
+    """Windows begin at whole pixels, so places on either side of a half are half a window's pixel apart, twice."""
+    rng, size = np.random.default_rng(12), 18.0
+    frames, places, orientation, level = [], [], [], []
+    for k in range(24):
+        x, y = 48.5 + np.array([1e-3, -1e-3])[[k % 2, k // 2 % 2]]
+        change = triangles.seen_from(np.random.default_rng(1), tilt_deg=25.0, turn_deg=1.0)
+        contrast = (0.1, 0.3)[k % 2]
+        image = triangles.drawn(97, turn=k // 2 % 4, size_px=size, x=x, y=y, change=change, blur_px=0.8)
+        frames.append(50.0 * (1.0 + contrast * image + 0.005 * rng.normal(size=image.shape)))
+        places.append((x, y))
+        orientation.append(ORIENTATIONS[k // 2 % 4])
+        level.append(contrast)
+    display = tod.Display(
+        eotf="linear", white_luminance_cd_m2=1.0, pixel_pitch_mrad=0.25, background_luminance_cd_m2="surround"
+    )
+    dataset = memory_dataset(
+        frames,
+        orientation=orientation,
+        level=level,
+        size_mrad=0.25 * size,
+        display=display,
+        position=np.array(places),
+    )
+    (found,) = inspect(dataset, dataset.trials)
+    assert np.hypot(*found.offset_error_px) < 0.02
+    assert np.hypot(*found.offset_px) < 5.0 * np.hypot(*found.offset_error_px)
+    assert found.contrast_slope == pytest.approx(1.0, abs=5.0 * found.contrast_slope_error)
+    assert found.blur_px == pytest.approx(0.8, abs=0.1)
+    assert found.scatter_px == 0.0
     assert frame_warnings(dataset, [found]) == []
 
 

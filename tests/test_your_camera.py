@@ -103,6 +103,18 @@ def moved(matrix: list[list[float]]) -> Callable[[NDArray[np.uint8]], NDArray[np
     return lambda frame: cv2.warpPerspective(frame, np.array(matrix), frame.shape[::-1], borderValue=10)
 
 
+def waved(height_px: float) -> Callable[[NDArray[np.uint8]], NDArray[np.uint8]]:
+    """Bend the page in waves, as no lens does."""
+
+    def spoil(frame: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        y, x = np.mgrid[: frame.shape[0], : frame.shape[1]].astype(np.float32)
+        wave = np.float32(height_px) * np.sin(y / np.float32(8.0))
+        return cv2.remap(frame, x + wave, y, cv2.INTER_LINEAR, borderValue=10)
+
+    return spoil
+
+
+NEARER = moved([[0.95, 0.0, 7.8], [0.0, 0.95, 4.3], [0.0, 0.0, 1.0]])
 ROLLED = moved([[0.85, -0.09, 31.0], [0.09, 0.85, -1.0], [0.0, 0.0, 1.0]])  # by 6 degrees
 FROM_THE_SIDE = moved([[0.7, 0.0, 45.0], [0.0, 0.95, 4.0], [0.0, 0.0, 1.0]])
 AT_20_HZ = ("--frames-per-second", "20")
@@ -114,6 +126,9 @@ SPOILED: dict[str, tuple[Callable[[Frames], Frames], tuple[str, ...], int]] = {
     "more than the integration time of": (lambda frames: frames, ("--frames-per-second", "5"), 0),
     "triangles are turned by": (lambda frames: [*map(ROLLED, frames)], AT_20_HZ, 0),
     "triangles are stretched by": (lambda frames: [*map(FROM_THE_SIDE, frames)], AT_20_HZ, 0),
+    "triangles may be placed wrong by": (lambda frames: [*map(waved(1.0), frames)], AT_20_HZ, 0),
+    "px off a flat chart behind a lens": (lambda frames: [*map(waved(3.0), frames)], AT_20_HZ, 1),
+    "the lens zooms": (lambda frames: [*frames[:4], *map(NEARER, frames[4:])], AT_20_HZ, 0),
     "the triangle moves on the display": (
         lambda frames: [np.roll(frame, 2 * (number % 2), axis=1) for number, frame in enumerate(frames)],
         AT_20_HZ,

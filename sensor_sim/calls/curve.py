@@ -44,7 +44,7 @@ def curve(
     tolerance : float
         Relative error of the thresholds to reach.
     plan : {"needed", "full"}
-        Leave out the computations that the sensor does not need, or leave out none.
+        Leave out computations that the sensor does not need, or none.
     rng : int, SeedSequence or Generator
         Seed of the places of the triangle on the detectors.
     examples : bool

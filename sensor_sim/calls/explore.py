@@ -30,7 +30,7 @@ def explore(
     open_browser : bool
         Whether to open the page in the browser.
     tell : function of a text
-        Called with the address of the page when the server listens; only who knows it gets the page.
+        Called with the address of the page when the server listens. Nobody can open the page without this address.
     warn : function of a text, optional
         Called with a remark if other machines can reach the server.
 

@@ -59,11 +59,11 @@ def simulate(
         Processes that draw frames. With more than one, a script calls this below `if __name__ == "__main__":`,
         because they import the script.
     cluster : str, optional
-        Address of a Dask scheduler, "tcp://…", or "local:N" for N processes; they draw instead.
+        Address of a Dask scheduler, "tcp://…", or "local:N" for N processes, which then draw the frames.
     restart : bool
         Begin anew even if an earlier call with the same `out` was interrupted.
     keep_store : bool
-        Keep the list of the frames that are finished after the dataset is whole.
+        Keep the list of finished frames after the dataset is complete.
     tell : function of a text, optional
         Called with a remark if an earlier call has finished some of the frames.
     progress : function of an int, optional

@@ -51,9 +51,9 @@ def sweep(
     Parameters
     ----------
     sensor : Sensor or path
-        Settings that all designs share but for the varied ones, or the path of a SENSOR.toml.
+        Settings of all designs except the varied ones, or the path of a SENSOR.toml.
     size_detectors : sequence of float
-        Sizes √(area) in detector pitches, without repetitions; the first is the one that tables are ordered by.
+        Sizes √(area) in detector pitches, without repetitions; tables are ordered by the first one.
     vary : mapping
         For each key, such as "optics.aperture_mm" or "observer.internal_noise", its values, or a text
         "FROM:TO:N" or "FROM:TO:N:log". All combinations are computed. With `sample`, texts "FROM:TO" or

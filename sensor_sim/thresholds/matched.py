@@ -20,8 +20,8 @@ def matched_settings(sensor: Sensor, **others: Any) -> HotellingSettings:
     ----------
     sensor : Sensor
     **others
-        Any other settings, such as internal_noise. With `sample_noise_sd`, the display's gain over a
-        signal-to-noise ratio, the weights are ideal for that noise too.
+        Any other settings, such as internal_noise. If `sample_noise_sd` is given, as the display's gain divided by
+        a signal-to-noise ratio, the weights are ideal for that noise too.
 
     Raises
     ------

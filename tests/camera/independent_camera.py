@@ -63,8 +63,8 @@ class Chart:
         grey = code if code.ndim == 2 else code[..., :3].mean(axis=2)
         return TO_LIGHT[self.content["screen"]["eotf"]](grey)
 
-    def triangle(self, page: int, matrix: Image) -> Seen:
-        """Where a camera with this homography sees the triangle of a page."""
+    def triangle(self, page: int, matrix: Image, bending: Bending | None = None) -> Seen:
+        """Where a camera with this homography and lens sees the triangle of a page."""
         (one,) = self.content["pages"][page]["triangles"]
         pitch = self.content["screen"]["pixel_pitch_mm"]
         u, v = one["x_mm"] / pitch - 0.5, one["y_mm"] / pitch - 0.5
@@ -75,15 +75,21 @@ class Chart:
         corners = (u, v) + height * np.array(
             [ahead * 2 / 3, -ahead / 3 + aside / math.sqrt(3), -ahead / 3 - aside / math.sqrt(3)]
         )
-        seen = np.column_stack([corners, np.ones(3)]) @ matrix.T
-        apex, *base = seen = seen[:, :2] / seen[:, 2:]
-        x, y = seen.mean(axis=0)
-        sides = base[0] - apex, base[1] - apex
-        pointing = apex - (x, y)
+        # A lens bends the sides, so they are followed in small steps.
+        shares = np.linspace(0.0, 1.0, 100, endpoint=False)[:, None]
+        outline = np.vstack([a + (b - a) * shares for a, b in zip(corners, np.roll(corners, -1, 0), strict=True)])
+        seen = np.column_stack([outline, np.ones(len(outline))]) @ matrix.T
+        seen = seen[:, :2] / seen[:, 2:]
+        if bending is not None:
+            seen = bending.bent(seen)
+        after = np.roll(seen, -1, axis=0)
+        slices = seen[:, 0] * after[:, 1] - seen[:, 1] * after[:, 0]
+        x, y = ((seen + after) * slices[:, None]).sum(axis=0) / (3 * slices.sum())
+        pointing = seen[0] - (x, y)
         return Seen(
             x_px=float(x),
             y_px=float(y),
-            size_px=math.sqrt(abs(sides[0][0] * sides[1][1] - sides[0][1] * sides[1][0]) / 2),
+            size_px=math.sqrt(abs(slices.sum()) / 2),
             orientation=max(DIRECTIONS, key=lambda name: pointing @ DIRECTIONS[name]),
             contrast=one["contrast"],
             size_mrad=one["size_mrad"],
@@ -124,6 +130,56 @@ def looking_at(
 
 
 @dataclass(frozen=True, kw_only=True)
+class Bending:
+    """A lens that bends straight lines, about the middle of a frame of width × height pixels.
+
+    The radius of an ideal picture, in units of half the frame's diagonal, becomes r (1 + k1 r² + k2 r⁴ + k3 r⁶)
+    for a lens with barrel or pincushion distortion, and the angle of the ray for a fisheye lens whose picture
+    spans `fisheye_deg` along the diagonal: the ideal picture's centre then keeps its scale. The lens may sit
+    beside the middle, by (x, y) pixels.
+    """
+
+    width: int
+    height: int
+    k: tuple[float, ...] = ()
+    fisheye_deg: float | None = None
+    beside_px: tuple[float, float] = (0.0, 0.0)
+
+    @property
+    def middle(self) -> Image:
+        return np.array([(self.width - 1) / 2, (self.height - 1) / 2]) + self.beside_px
+
+    @property
+    def half_diagonal(self) -> float:
+        return math.hypot(self.width, self.height) / 2
+
+    def radius(self, ideal: Image) -> Image:
+        """Where a radius of the ideal picture is found, both in units of half the diagonal."""
+        if self.fisheye_deg is not None:
+            widest = math.radians(self.fisheye_deg) / 2
+            return np.arctan(ideal * widest) / widest
+        return ideal * (1 + sum(k * ideal ** (2 * n) for n, k in enumerate(self.k, start=1)))
+
+    def bent(self, places: Image) -> Image:
+        """Pixels of places of the ideal picture, (n, 2)."""
+        away = (places - self.middle) / self.half_diagonal
+        radius = np.linalg.norm(away, axis=1, keepdims=True)
+        stretch = np.where(radius > 0, self.radius(radius) / np.maximum(radius, 1e-12), 1.0)
+        return self.middle + away * stretch * self.half_diagonal
+
+    def straightened(self, places: Image) -> Image:
+        """Places of the ideal picture for pixels, (..., 2); far away where no ray arrives."""
+        ideal = np.linspace(0.0, 5.0, 50_001)
+        found = self.radius(ideal)
+        turning = np.flatnonzero(np.diff(found) <= 0)
+        stop = turning[0] + 1 if turning.size else len(found)
+        away = (places - self.middle) / self.half_diagonal
+        radius = np.linalg.norm(away, axis=-1, keepdims=True)
+        straight = np.interp(radius, found[:stop], ideal[:stop], right=1e4)
+        return self.middle + away * straight / np.maximum(radius, 1e-12) * self.half_diagonal
+
+
+@dataclass(frozen=True, kw_only=True)
 class Camera:
     """What a camera does to the light: blur, vignetting, noise, mosaic, tone curve and rounding."""
 
@@ -137,6 +193,7 @@ class Camera:
     gamma: float = 1.0  # code = light ** (1 / gamma)
     bits: int = 16
     oversampling: int = 5
+    bending: Bending | None = None
 
     def image(self, light: Image, matrix: Image) -> Image:
         """The light on each pixel: mean over its area of the warped and blurred page, shape (height, width)."""
@@ -148,11 +205,26 @@ class Camera:
         halves = light.astype(np.float32).repeat(2, axis=0).repeat(2, axis=1)
         to_halves = np.array([[2.0, 0, 0.5], [0, 2.0, 0.5], [0, 0, 1.0]])
         whole = to_fine @ matrix @ np.linalg.inv(to_halves)
-        warped = cv2.warpPerspective(halves, whole, size, flags=cv2.INTER_LINEAR, borderValue=0.02)
+        if self.bending is None:
+            warped = cv2.warpPerspective(halves, whole, size, flags=cv2.INTER_LINEAR, borderValue=0.02)
+        else:
+            warped = self._bent(halves, to_fine, whole)
         blurred = cv2.GaussianBlur(warped, (0, 0), self.blur_sigma_px * fine)
         pixels = cv2.resize(blurred, (self.width, self.height), interpolation=cv2.INTER_AREA)
         y, x = np.mgrid[-1 : 1 : self.height * 1j, -1 : 1 : self.width * 1j]
         return pixels * (1.0 - self.vignetting * (x**2 + y**2) / 2.0)
+
+    def _bent(self, halves: NDArray[np.float32], to_fine: Image, whole: Image) -> NDArray[np.float32]:
+        """The page through a lens that bends lines, on the fine grid."""
+        assert self.bending is not None
+        y, x = np.mgrid[: self.height * self.oversampling, : self.width * self.oversampling].astype(float)
+        pixels = (np.stack([x, y], axis=-1) - to_fine[:2, 2]) / self.oversampling
+        straight = self.bending.straightened(pixels) * self.oversampling + to_fine[:2, 2]
+        back = np.linalg.inv(whole)
+        on_page = straight @ back[:, :2].T + back[:, 2]
+        behind = on_page[..., 2] <= 0
+        places = np.where(behind[..., None], -1e4, on_page[..., :2] / on_page[..., 2:]).astype(np.float32)
+        return cv2.remap(halves, places[..., 0], places[..., 1], cv2.INTER_LINEAR, borderValue=0.02)
 
     def expose(self, image: Image, rng: np.random.Generator) -> NDArray[np.uint8 | np.uint16]:
         """One frame of code values, grey or RGB, with new noise."""

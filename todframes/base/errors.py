@@ -88,7 +88,8 @@ class DataError(TodframesError, ValueError):
 
 
 class FrameError(DataError):
-    """Error for a frame that cannot be used; `path`, a `Location`, names it and `problem` says why, without it."""
+    """Error for a frame that cannot be used: `path` is its `Location`, and `problem` is the reason, without the
+    path."""
 
     def __init__(self, path: Any, problem: str) -> None:
         super().__init__(f"{path}: {problem}")

@@ -62,12 +62,12 @@ def calibrate(
     observer : str or Observer
         A linear observer with a setting `internal_noise`, whose value is not used.
     free : sequence of {"lapse", "blur"}
-        Parameters that are fitted besides: the rate δ of lapses, up to `lapse_rate_max` of `fit`, and the
-        observer's `template_blur_samples`, from a quarter to twice its value.
+        Further parameters to fit: the rate δ of lapses, up to `lapse_rate_max` of `fit`, and the observer's
+        `template_blur_samples`, from a quarter to twice its value.
     subjects : sequence of str
         Ids of the persons. Default: all.
     include_flagged : bool
-        Whether answers count that came within 150 ms, or while the page was hidden or had lost the focus.
+        Whether answers within 150 ms, or while the page was hidden or had lost the focus, count as well.
     fit : FitSettings, optional
         Fixed and free parameters of the persons' own curves. A fixed `lapse_rate` is that of the model too.
     rng : int, SeedSequence or Generator
@@ -83,13 +83,13 @@ def calibrate(
     Returns
     -------
     Result
-        Result whose `persons` have the internal noise of each person and the thresholds that the model then
-        has; `pooled` is that of all together. `thresholds` are those of the persons, by their counts alone.
+        Result whose `persons` have the internal noise of each person and the thresholds of the model with this
+        noise; `pooled` is for all persons together. `thresholds` are the persons' own, from their counts alone.
 
     Raises
     ------
     DataError, FrameError
-        If the answers are damaged or to another dataset, or a frame cannot be used or has changed since.
+        If the answers are damaged or belong to another dataset, or a frame cannot be used or has changed since.
     SettingsError
         If a setting is invalid, or the observer's noise cannot be fitted.
     """

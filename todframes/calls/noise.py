@@ -50,15 +50,15 @@ def noise(
         Uniform parts of the frame, as `region`, and the level of each: luminance, reflectance or temperature.
         They give the signal transfer, and a signal-to-noise ratio for each level.
     chart : path, optional
-        `chart.toml` of the chart that the recording shows: its patches are found by its markers. Default of
-        the region is then the largest patch.
+        `chart.toml` of the chart that the recording shows: its patches are found by its markers. The default of
+        `region` is then the largest patch.
     signal : float or sequence of float
         Differences of the values, whose signal-to-noise ratios are given too.
     mk_per_count : float, optional
         Temperature difference in mK for a difference of one in the values. Default: from the constants of a
         radiometric file, at the mean of the recording.
     frames_per_second : float, optional
-        Frame rate in place of what the files say.
+        Frame rate, in place of the times in the files.
     max_frame_mb : int
         Largest size of a frame in 2**20 bytes: all channels in their own pixel types, at least 8 bytes a pixel.
     progress : function of an int, optional

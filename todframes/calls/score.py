@@ -78,7 +78,7 @@ def score(
         Largest relative error of the thresholds that displacing the retina may cause. The number of displacements
         of each frame is chosen to meet it. Default: one displacement for each frame.
     plan : {"needed", "full"}
-        Leave out the computations that the scene does not need, or leave out none.
+        Leave out computations that the scene does not need, or none.
     rng : int, SeedSequence or Generator
         Seed of all random draws.
     fit : FitSettings, optional
@@ -94,14 +94,13 @@ def score(
     cluster : str, optional
         Address of a Dask scheduler, "tcp://…", or "local:N" for N processes; they do the work instead.
     store : path, optional
-        Folder for the results of single trials as they are finished, so that a run that was interrupted goes on
-        where it was. It is written once the run turns out to take more than some seconds, and is the caller's to
-        remove.
+        Folder for the results of finished trials, so that an interrupted run can be continued. It is written if
+        the run is expected to take more than some seconds. The caller has to remove it.
     examples : bool
         Also draw a triangle at threshold, for the page.
     progress : function of an int, optional
-        Called with the number of trials that were just done; each trial is done once more with `locate`,
-        and twice more with "each".
+        Called with the number of trials that were just done. With `locate`, each trial is done one extra time, and
+        with "each" two extra times.
 
     Returns
     -------

@@ -38,7 +38,7 @@ def validate(
     -------
     Result
         Result whose `skipped` has the frames and rows that cannot be used, with the reasons; `warnings` are about
-        the others, and `dataset` says what they show.
+        the other frames, and `dataset` has the measurements of these.
 
     Raises
     ------

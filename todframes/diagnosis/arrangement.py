@@ -39,12 +39,6 @@ class Arrangement(NamedTuple):
         polarity: tuple[WarningCode, ...] = ("polarity_mismatch",) if self.sign == -1 else ()
         return polarity if self.code is None else (*polarity, self.code)
 
-    @property
-    def twin(self) -> Arrangement:
-        """The arrangement that is hard to distinguish from this one: half a turn, and the opposite polarity."""
-        shown = tuple((k + 2) % 4 for k in self.shown)
-        return next(one for one in ARRANGEMENTS if (one.shown, one.sign) == (shown, -self.sign))
-
     def of(self, orientation: Orientation) -> Orientation:
         """Return the orientation on the frames of a triangle with this orientation in the manifest."""
         return ORIENTATIONS[self.shown[orientation.quarter_turns]]

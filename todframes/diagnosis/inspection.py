@@ -376,7 +376,8 @@ class GroupTriangle(NamedTuple):
         each = of_trials(found, images, even, **frames)
         excess = np.maximum(np.square(share) @ (np.square(each.away) - np.square(each.error)), 0.0)
         of_noise = np.array([*(found.error((one, 1.0)) for one in (AMPLITUDE, X, Y)), found.size_error])
-        signal = float(abs(found.shape.amplitude) / of_noise[0]) if of_noise[0] > 0.0 else math.inf
+        alone = float(of_noise[0]) / math.sqrt(found.roughness)
+        signal = abs(found.shape.amplitude) / alone if alone > 0.0 else math.inf
         return cls(images, found, each, middle, np.sqrt(np.square(of_noise) + excess), signal)
 
     @property

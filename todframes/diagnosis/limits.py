@@ -26,6 +26,11 @@ CELL = 1.5
 """Side of the square, in sizes, that counts as one independent value of the noise as a fit sees it: with it, 95 %
 intervals hold 94 to 95 % of true values in `tests/campaigns/triangles.py`, and 92 to 94 % without any."""
 
+MOST_ROUGH = 2.0
+"""Largest factor of the covariance for what a fit leaves at the edges of a triangle, the power there over that
+elsewhere: pictures with little blur are not quite exact there, and in little noise that is 1.0 to 1.3 times it.
+More is a mishap, such as trials without a triangle."""
+
 MOST_ROUNDS = 12
 """Largest number of steps of a fit."""
 

@@ -25,7 +25,7 @@ from todframes.diagnosis.limits import (
     MOST_PEAKS,
     NEIGHBOURS,
 )
-from todframes.diagnosis.triangle import Shape, Square, picture
+from todframes.diagnosis.triangle import Shape, Square, multiplicity, picture
 
 
 class Template(NamedTuple):
@@ -52,11 +52,7 @@ class Template(NamedTuple):
         padded[:, : square.side, : square.side] = images
         spectrum = np.fft.rfft2(np.roll(padded, (-reach, -reach), axis=(1, 2)))
         spectrum[:, 0, 0] = 0.0
-        twice = np.full(spectrum.shape[1:], 2.0)
-        twice[:, 0] = 1.0
-        if length % 2 == 0:
-            twice[:, -1] = 1.0
-        energy = (twice * np.square(np.abs(spectrum)) / noise).sum(axis=(1, 2)) / length**2
+        energy = (multiplicity(length) * np.square(np.abs(spectrum)) / noise).sum(axis=(1, 2))
         return cls(np.asarray(np.conj(spectrum) / noise, np.complex128), energy, length)
 
     def peaks(self, window: FloatArray, *, contrast: float | None, noise: float, reach: float) -> Peaks:

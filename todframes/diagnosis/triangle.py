@@ -26,6 +26,7 @@ from todframes.diagnosis.limits import (
     FOUND,
     LEAST_VARIANCE,
     MOST_BESIDE_TURN_RAD,
+    MOST_ROUGH,
     MOST_ROUNDS,
     MOST_STRETCH,
     SEPARABLE,
@@ -140,11 +141,8 @@ class RenderedTriangle(NamedTuple):
 def picture(shape: Shape, square: Square, n: int) -> RenderedTriangle:
     """Compute the picture of a triangle on a square of a window of n × n blocks, in each orientation."""
     side = square.side
-    x, y = (n - 1) / 2.0 + shape.x - square.column, (n - 1) / 2.0 + shape.y - square.row
-    parts = np.empty((4, 7, side, side))
-    for part, orientation in zip(parts, ORIENTATIONS, strict=True):
-        corners = vertices(size=1.0, orientation=orientation) @ shape.map.T + (x, y)
-        part[:] = moving_coverage(corners, (side, side))
+    x, y = _place(shape, square, n)
+    parts = np.array([_covered(shape, square, n, turn) for turn in range(4)])
     of_x, of_y = parts[:, 1], parts[:, 2]
     for k, (moved, at) in enumerate(((of_x, x), (of_x, y), (of_y, x), (of_y, y))):
         parts[:, 3 + k] -= at * moved  # the map is about the centroid
@@ -159,6 +157,17 @@ def picture(shape: Shape, square: Square, n: int) -> RenderedTriangle:
         [blurred[:, :1], shape.amplitude * blurred[:, 1:], shape.amplitude * blurring[:, None]], axis=1
     )
     return RenderedTriangle(shape.amplitude * blurred[:, 0], slopes)
+
+
+def _place(shape: Shape, square: Square, n: int) -> FloatArray:
+    """Return the place (x, y) of a triangle on a square of a window."""
+    return np.array([shape.x - square.column, shape.y - square.row]) + (n - 1) / 2.0
+
+
+def _covered(shape: Shape, square: Square, n: int, turn: int) -> FloatArray:
+    """Compute the coverage by a triangle in an orientation, and its changes: see `moving_coverage`."""
+    corners = vertices(size=1.0, orientation=ORIENTATIONS[turn]) @ shape.map.T + _place(shape, square, n)
+    return moving_coverage(corners, (square.side, square.side))
 
 
 def blur_matrices(variance: float, side: int) -> tuple[FloatArray, FloatArray]:
@@ -247,7 +256,8 @@ class Images(NamedTuple):
 class TriangleFit(NamedTuple):
     """The triangle that explains mean frames best, and its covariance, (8, 8), in steps of the parameters.
 
-    `shown` are the orientations on the frames for the four stated ones.
+    `shown` are the orientations on the frames for the four stated ones. The covariance is that of the noise times
+    `roughness`, as the fit leaves more at the edges of the triangle.
     """
 
     shape: Shape
@@ -255,6 +265,7 @@ class TriangleFit(NamedTuple):
     shown: tuple[int, ...]
     picture: RenderedTriangle
     square: Square
+    roughness: float
 
     def error(self, *parameters: tuple[int, float]) -> float:
         """Return the standard error of a sum of parameters with factors."""
@@ -315,28 +326,42 @@ def fit(images: Images, start: Shape, shown: tuple[int, ...] = (0, 1, 2, 3)) -> 
     order = np.array(shown)
     factors = _whitened(images.information)
     shape = start
-    for _ in range(MOST_ROUNDS):
+    is_found = False
+    for number in range(MOST_ROUNDS + 1):
         square = Square.about(shape, n)
         weight = square.of(images.weight)
         model = picture(shape, square, n)
         design = _design(model.slopes[order], factors, weight)
+        if is_found or number == MOST_ROUNDS:
+            break
         left = square.of(images.triangles) - model.images[order]
         away = _without_background(np.tensordot(factors, left, 1), weight).ravel()
         step = _solved(design, away)
         shape = _bounded(shape.moved(_limited(step, shape)), start, n)
-        if np.abs(step[[X, Y]]).max() < FOUND * shape.size and np.abs(step[[XX, XY, YX, YY]]).max() < FOUND:
-            break
-    square = Square.about(shape, n)
-    model = picture(shape, square, n)
-    design = _design(model.slopes[order], factors, square.of(images.weight))
+        is_found = bool(
+            np.abs(step[[X, Y]]).max() < FOUND * shape.size and np.abs(step[[XX, XY, YX, YY]]).max() < FOUND
+        )
     left = images.triangles.copy()
     subtract(left, model.images[order], square)
-    spectrum = noise_spectrum(np.tensordot(factors, left, 1), images.weight, square.side)
+    white = np.tensordot(factors, left, 1)
+    spectrum = noise_spectrum(white, images.weight, square.side)
     # The fit has taken the noise of its parameters out of what it leaves.
     cells = np.linalg.matrix_rank(images.information) * float(images.weight.sum()) / (CELL * shape.size) ** 2
     covariance = _covariance(design, square, images.weight, spectrum)
     covariance *= cells / max(cells - N_PARAMETERS, cells / 4.0)
-    return TriangleFit(shape, covariance, shown, model, square)
+    roughness = _roughness(white, images.weight, model.images[order], square)
+    return TriangleFit(shape, roughness * covariance, shown, model, square, roughness)
+
+
+def _roughness(white: FloatArray, weight: FloatArray, pictures: FloatArray, square: Square) -> float:
+    """Return the power that a fit leaves at the edges of triangles over that elsewhere: from 1 to `MOST_ROUGH`."""
+    edges = np.square(np.gradient(pictures, axis=(1, 2))).sum(axis=(0, 1))
+    at = np.zeros(weight.shape)
+    subtract(at, -edges / max(float(edges.max()), 1e-300), square)
+    power = np.square(white).sum(axis=0)
+    here = float((at * weight * power).sum() / max((at * weight).sum(), 1e-300))
+    all_of = float((weight * power).sum() / max(weight.sum(), 1e-300))
+    return min(max(here / max(all_of, 1e-300), 1.0), MOST_ROUGH)
 
 
 def _design(slopes: FloatArray, factors: FloatArray, weight: FloatArray) -> FloatArray:
@@ -390,16 +415,21 @@ def noise_spectrum(noise: FloatArray, weight: FloatArray, side: int) -> FloatArr
     return np.asarray(power / max(float(np.square(weight).sum()), 1e-300))
 
 
+def multiplicity(length: int) -> FloatArray:
+    """Return how often each value of a real spectrum, (length, length/2 + 1), counts in a mean over an image."""
+    twice = np.full((length, length // 2 + 1), 2.0 / length**2)
+    twice[:, 0] = 1.0 / length**2
+    if length % 2 == 0:
+        twice[:, -1] = 1.0 / length**2
+    return twice
+
+
 def filter_covariance(filters: NDArray[np.floating], spectrum: FloatArray) -> FloatArray:
     """Return the covariance of the outputs of filters, (…, p, side, side), for noise with this spectrum: (p,
     p)."""
     length = spectrum.shape[0]
     seen = np.fft.rfft2(filters, (length, length)).reshape(-1, filters.shape[-3], spectrum.size)
-    twice = np.full(spectrum.shape, 2.0)
-    twice[:, 0] = 1.0
-    if length % 2 == 0:
-        twice[:, -1] = 1.0
-    weighted = seen * (spectrum * twice / length**2).ravel()
+    weighted = seen * (spectrum * multiplicity(length)).ravel()
     return np.asarray(np.einsum("kaf,kbf->ab", weighted, seen.conj(), optimize=True).real, np.float64)
 
 
@@ -489,22 +519,21 @@ def aligned(
         Distance of the stated place, along x and y, and of the logarithm of the size from those of the group.
     """
     moved, n = frames.copy(), frames.shape[-1]
-    shape = found.shape
+    # The places apart have blurred the first fit.
+    by_places = float(np.square(apart[:, :2]).mean())
+    shape = found.shape._replace(variance=max(found.shape.variance - by_places, 0.0))
+    pictures = [_blurred(shape, found.square, n, turn) for turn in found.shown]
     for frame, strength, turn, (dx, dy, larger) in zip(moved, level, turns, apart, strict=True):
         own = shape._replace(x=shape.x + dx, y=shape.y + dy, map=math.exp(larger) * shape.map)
-        shown = found.shown[turn]
-        there = _blurred(own, found.square, n, shown)
-        subtract(frame, strength * (there - found.picture.images[shown]), found.square)
+        there = _blurred(own, found.square, n, found.shown[turn])
+        subtract(frame, strength * (there - pictures[turn]), found.square)
     return moved
 
 
 def _blurred(shape: Shape, square: Square, n: int, turn: int) -> FloatArray:
     """Compute the picture of a triangle in one orientation."""
-    at = (n - 1) / 2.0 + shape.x - square.column, (n - 1) / 2.0 + shape.y - square.row
-    corners = vertices(size=1.0, orientation=ORIENTATIONS[turn]) @ shape.map.T + at
     kernel, _ = blur_matrices(shape.variance, square.side)
-    covered = moving_coverage(corners, (square.side, square.side))[0]
-    return np.asarray(shape.amplitude * (kernel @ covered @ kernel.T))
+    return np.asarray(shape.amplitude * (kernel @ _covered(shape, square, n, turn)[0] @ kernel.T))
 
 
 def first_guess(images: Images, size: float) -> Shape:

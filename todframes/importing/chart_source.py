@@ -6,6 +6,7 @@ import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from statistics import fmean, median
@@ -14,14 +15,16 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError, argument
 from todframes.charts.layout import Chart, read_chart
 from todframes.charts.markers import CORNERS, page_of
 from todframes.diagnosis.limits import MOST_TURN_RAD
 from todframes.importing.clips import Clip, ClipFrame, Placed, clean_clips
-from todframes.importing.filmed_trials import OBJECT_SIZE, TriangleDescription
-from todframes.importing.geometry import PlacedTriangle, place_triangle
-from todframes.importing.marker_finder import MarkerFinder, Sighting
+from todframes.importing.filmed_trials import OBJECT_SIZE, Correction, TriangleDescription
+from todframes.importing.geometry import Geometry, PlacedTriangle, place_triangle
+from todframes.importing.lens_fit import Pieces, choose_lens, solve
+from todframes.importing.marker_finder import MarkerFinder, SeenEdges, Sighting
 from todframes.importing.windows import clipped, field_reach_px, part_of, window_about
 from todframes.recordings.recording import GAP, Recording, RecordingWarning
 
@@ -38,11 +41,29 @@ MOST_RESIDUAL_PX = 0.3
 LARGEST_ROLL_DEGREES = 30.0
 """Largest angle between a triangle and the nearest of the four orientations."""
 
+MOST_ERROR_PX = 0.1
+"""Standard error of the triangles' places from which there is a warning."""
+
+MOST_LENS_STRETCH = 1.03
+"""Stretch by the lens from which a triangle is another one."""
+
 REPORTED_STRETCH = 1.05
 """Ratio of the largest to the smallest scale that is reported; a chart tilted by 18° has it."""
 
 EQUAL_SCALES = 1.02
 """Ratio of the magnifications of two recordings up to which they count as one; thresholds change by less."""
+
+LEAST_ZOOM, NOTICED_ZOOM = 0.03, 0.003
+"""Relative changes of the chart's size in the picture: of a zoom, and from which on it has begun."""
+
+FIRST_FRAMES = 8
+"""Frames that a zoom is measured from."""
+
+MOST_MOVED = 0.03
+"""Motion of the chart besides that by a zoom, in diagonals of the frame, from which it is no zoom."""
+
+MOST_SOLVED = 16
+"""Frames of a recording, from its beginning to its end, from which its lens is solved."""
 
 LARGEST_CLOCK_ERROR = 0.1
 """Relative difference of the pages' duration in a film from that of the chart, from which there is a warning."""
@@ -66,6 +87,8 @@ class RecordingReport:
     not have, `n_rolled` those turned too far. `n_doubled` are equal to the frame before, bit by bit, and kept.
     `n_off_frame` and `n_cut` count triangles that do not lie on the frame, and windows that its border cuts.
     `page_duration_s` is the mean time from a page to the next by the times of the frames, None if not regular.
+    `place_error_px` is the standard error of the triangles' places, `size_error` that of their sizes, relative,
+    and `lens` the lens that they were placed through; None for one that bends nothing.
     """
 
     path: str
@@ -80,6 +103,11 @@ class RecordingReport:
     most_markers: int = 0
     frames_per_second: float | None = None
     page_duration_s: float | None = None
+    place_error_px: float | None = None
+    size_error: float | None = None
+    lens: dict[str, object] | None = None
+    zoom_from: str | None = None
+    misfit_px: float | None = None
     other_keys: dict[int, int] = field(default_factory=dict)
     clips: list[dict[str, object]] = field(default_factory=list)
 
@@ -120,7 +148,9 @@ class ChartSource:
         self._markers = self.chart.markers
         self._pitch_mrad = pitch_mrad
         self._progress = progress
+        self.corrections: dict[int, Correction] = {}
         self._n_runs = 0
+        self._n_placed = 0
         self._reaches: dict[float, _Reach] = {}
 
     def described(self, page: int, index: int) -> TriangleDescription:
@@ -141,12 +171,14 @@ class ChartSource:
         self.reports.append(report)
         clips: list[Clip] = []
         measured: list[_Measured] = []
-        looked = self._looked(recording, report, measured)
+        finder = MarkerFinder(self._markers.centres_mm, self._markers.side_mm)
+        looked = self._looked(recording, finder, report, measured)
         for clip, frame in clean_clips(looked, key=self.chart.key, first_number=self._n_runs + 1):
             if not clips or clip is not clips[-1]:
                 clips.append(clip)
             yield clip, frame
         report.n_transition += sum(clip.n_transition for clip in clips)
+        self._settle(finder.pieces, recording.shape, measured, report)
         report.clips = [asdict(clip) | measured[clip.number - self._n_runs - 1].medians() for clip in clips]
         if recording.frames_per_second is not None:
             starts = [(one.page, one.start_s) for one in measured if one.start_s is not None]
@@ -155,9 +187,8 @@ class ChartSource:
         self._n_runs += len(measured)
 
     def _looked(
-        self, recording: Recording, report: RecordingReport, measured: list[_Measured]
+        self, recording: Recording, finder: MarkerFinder, report: RecordingReport, measured: list[_Measured]
     ) -> Iterator[ClipFrame]:
-        finder = MarkerFinder(self._markers.centres_mm, self._markers.side_mm)
         before: NDArray[np.generic] | None = None
         seen: Sighting | None = None
         for frame in recording.frames():
@@ -167,24 +198,25 @@ class ChartSource:
             else:
                 seen = finder.look(frame.values)
             before = frame.values
-            report.most_markers = finder.most_found
+            report.most_markers, report.misfit_px = finder.most_found, finder.misfit_px
             if self._progress is not None:
                 self._progress(1)
             page = self._page(seen, finder.key, report)
             if page is not None and seen is not None:
-                placed = self._placed(page, seen)
+                placed = self._placed(page, seen.geometry)
                 roll = max((one.roll_degrees for one in placed), key=abs)
                 if abs(roll) > LARGEST_ROLL_DEGREES:
                     report.n_rolled += 1
                     continue
                 if not measured or measured[-1].page != page:
                     measured.append(_Measured(page, frame.time_s))
-                self._measure(measured[-1], seen, placed[0], roll)
+                measured[-1].seen.append(_SeenChart(seen.geometry, seen.edges, self._n_placed, frame.source))
                 sizes_mm = [one.size_mm for one in self.chart.pages[page].triangles]
                 parts = tuple(
-                    self._part(frame.values, one, self._reach_px(size_mm, one.size_px), report)
-                    for size_mm, one in zip(sizes_mm, placed, strict=True)
+                    self._part(frame.values, one, self._reach_px(size_mm, one.size_px), report, number)
+                    for number, (size_mm, one) in enumerate(zip(sizes_mm, placed, strict=True), self._n_placed)
                 )
+                self._n_placed += len(placed)
                 yield ClipFrame(page, frame.time_s, frame.source, parts, seen.modules)
 
     def _page(self, seen: Sighting | None, searched_key: int | None, report: RecordingReport) -> int | None:
@@ -207,26 +239,78 @@ class ChartSource:
             return None
         return page
 
-    def _placed(self, page: int, seen: Sighting) -> list[PlacedTriangle]:
+    def _placed(self, page: int, geometry: Geometry) -> list[PlacedTriangle]:
         return [
             place_triangle(
-                seen.geometry, orientation=one.orientation, size_mm=one.size_mm, x_mm=one.x_mm, y_mm=one.y_mm
+                geometry, orientation=one.orientation, size_mm=one.size_mm, x_mm=one.x_mm, y_mm=one.y_mm
             )
             for one in self.chart.pages[page].triangles
         ]
 
-    def _measure(self, measured: _Measured, seen: Sighting, placed: PlacedTriangle, roll_degrees: float) -> None:
-        one = self.chart.pages[measured.page].triangles[0]
-        view = seen.geometry.view((one.x_mm, one.y_mm))
+    def _settle(
+        self, pieces: Pieces, shape: tuple[int, int], measured: list[_Measured], report: RecordingReport
+    ) -> None:
+        """Solve the lens of a recording from frames of all of it, and place the triangles through it.
+
+        From where the lens zooms on it is another lens.
+        """
+        seen = [(one, frame) for one in measured for frame in one.seen]
+        begin = zoom_begin(self._markers.centres_mm, [frame.geometry for _, frame in seen], shape)
+        if begin is not None:
+            report.zoom_from = seen[begin][1].source
+        for part in (seen[:begin], [] if begin is None else seen[begin:]):
+            if part:
+                self._settle_part(pieces, shape, part, report)
+
+    def _settle_part(
+        self,
+        pieces: Pieces,
+        shape: tuple[int, int],
+        seen: list[tuple[_Measured, _SeenChart]],
+        report: RecordingReport,
+    ) -> None:
+        some = [seen[k] for k in np.unique(np.linspace(0, len(seen) - 1, MOST_SOLVED).round().astype(int))]
+        choice = choose_lens(
+            pieces,
+            [frame.edges.measured(pieces) for _, frame in some],
+            [partial(self._places, one.page) for one, _ in some],
+            shape,
+        )
+        lens = None
+        if choice is not None:
+            lens = choice.fit.lens
+            report.place_error_px = max(round(choice.error_px, 6), report.place_error_px or 0.0)
+            report.size_error = max(round(choice.size_error, 8), report.size_error or 0.0)
+            if lens is not None:
+                report.lens = lens.described(choice.fit.free)
+        for one, frame in seen:
+            geometry = frame.geometry
+            if geometry.lens != lens:
+                start = geometry.with_lens(lens, pieces.places_mm)
+                solved = solve(pieces, [frame.edges.measured(pieces)._replace(start=start)], lens, 0)
+                geometry = start if solved is None else solved.geometries[0]
+                pairs = zip(self._placed(one.page, frame.geometry), self._placed(one.page, geometry), strict=True)
+                for number, (was, now) in enumerate(pairs, frame.number):
+                    self.corrections[number] = Correction(now.x_px - was.x_px, now.y_px - was.y_px, now.size_px)
+            self._measure(one, geometry)
+
+    def _places(self, page: int, geometry: Geometry) -> FloatArray:
+        return np.array([(one.x_px, one.y_px, one.size_px) for one in self._placed(page, geometry)])
+
+    def _measure(self, measured: _Measured, geometry: Geometry) -> None:
+        triangles = self.chart.pages[measured.page].triangles
+        views = [geometry.view((one.x_mm, one.y_mm)) for one in (triangles if geometry.lens else triangles[:1])]
+        placed = self._placed(measured.page, geometry)
         measured.add(
-            residual_px=seen.geometry.residual_px,
-            scale_px_per_mm=view.scale_px_per_mm,
-            turn_degrees=view.turn_degrees,
-            mirrored=float(view.is_mirrored),
-            stretch=view.stretch,
-            roll_degrees=roll_degrees,
-            x_px=placed.x_px,
-            y_px=placed.y_px,
+            residual_px=geometry.residual_px,
+            scale_px_per_mm=views[0].scale_px_per_mm,
+            turn_degrees=views[0].turn_degrees,
+            mirrored=float(views[0].is_mirrored),
+            stretch=max(one.stretch for one in views),
+            lens_stretch=max(geometry.lens_stretch((one.x_mm, one.y_mm)) for one in triangles),
+            roll_degrees=max((one.roll_degrees for one in placed), key=abs),
+            x_px=placed[0].x_px,
+            y_px=placed[0].y_px,
         )
 
     def _reach_px(self, size_mm: float, size_px: float) -> int:
@@ -238,7 +322,12 @@ class ChartSource:
         return reach.reach_px
 
     def _part(
-        self, values: NDArray[np.generic], triangle: PlacedTriangle, reach: int, report: RecordingReport
+        self,
+        values: NDArray[np.generic],
+        triangle: PlacedTriangle,
+        reach: int,
+        report: RecordingReport,
+        number: int,
     ) -> Placed | None:
         height, width = values.shape[:2]
         if (triangle.corners_px < -0.5).any() or (triangle.corners_px > (width - 0.5, height - 0.5)).any():
@@ -249,7 +338,13 @@ class ChartSource:
         report.n_cut += window != whole
         held = clipped(window_about(triangle.x_px, triangle.y_px, reach + SLACK_PX), values.shape)
         return Placed(
-            triangle.x_px, triangle.y_px, triangle.size_px, triangle.orientation, window, part_of(values, held)
+            triangle.x_px,
+            triangle.y_px,
+            triangle.size_px,
+            triangle.orientation,
+            window,
+            part_of(values, held),
+            number,
         )
 
     def why_nothing(self) -> str | None:
@@ -279,6 +374,12 @@ class ChartSource:
             found = f"no marker found in {n_frames} frames"
         elif most < len(CORNERS):
             found = f"at most {most} of the 4 markers found in one of {n_frames} frames"
+        elif misfits := [report.misfit_px for report in self.reports if report.misfit_px is not None]:
+            return (
+                f"{names}: found the four markers, but {min(misfits):.2g} px off a flat chart behind a lens, "
+                "expected less than a fifth of a module; the chart is bent, blurred by motion, or not the one of "
+                f"{self.path}; without markers give {argument.schedule}"
+            )
         else:
             found = f"found the 4 markers of no single page in {n_frames} frames"
         return (
@@ -321,11 +422,21 @@ class ChartSource:
         def worst(name: str) -> float:
             return max((float(clip[name]) for clip in clips), key=abs)  # type: ignore[arg-type]
 
-        if (residual := worst("residual_px")) > MOST_RESIDUAL_PX:
+        residual, error_px = worst("residual_px"), report.place_error_px or 0.0
+        if residual > MOST_RESIDUAL_PX or error_px > MOST_ERROR_PX:
             yield RecordingWarning(
                 "residual",
-                f"{where}the markers' edges lie {residual:.2g} px (rms) off a plane chart's: the lens distorts, "
-                "the chart is bent, or the frames are noisy or blurred; triangles may be placed wrong by as much",
+                f"{where}triangles may be placed wrong by {max(error_px, residual):.2g} px (rms); the markers' "
+                f"edges lie {residual:.2g} px off a flat chart behind "
+                + ("an ideal lens" if report.lens is None else f"a lens of the {report.lens['model']} model")
+                + ": the chart is bent, the frames are noisy or blurred, or the markers are too few for this "
+                "lens; film the chart larger, or nearer to the middle of the frame",
+            )
+        if report.zoom_from is not None:
+            yield RecordingWarning(
+                "zoom",
+                f"{where}the picture of the chart changes its size from {report.zoom_from} on: the lens zooms, or "
+                "camera and chart come nearer; curves then mix magnifications; import each part on its own",
             )
         if abs(roll := worst("roll_degrees")) > math.degrees(MOST_TURN_RAD):
             yield RecordingWarning(
@@ -333,7 +444,15 @@ class ChartSource:
                 f"{where}triangles are turned by {abs(roll):.1f}° from their orientation, which the observer does "
                 "not expect; turn the camera, or the chart",
             )
-        if (stretch := worst("stretch")) > REPORTED_STRETCH:
+        stretch, by_lens = worst("stretch"), worst("lens_stretch")
+        if stretch >= MOST_LENS_STRETCH and by_lens >= MOST_LENS_STRETCH:
+            yield RecordingWarning(
+                "lens_stretch",
+                f"{where}triangles are stretched by {100 * (stretch - 1):.2g} %, and the lens alone would stretch "
+                f"them by {100 * (by_lens - 1):.2g} %, so they are not the triangles that the observer expects; "
+                "film the chart nearer to the middle of the frame",
+            )
+        elif stretch > REPORTED_STRETCH:
             yield RecordingWarning(
                 "tilted",
                 f"{where}triangles are stretched by {100 * (stretch - 1):.2g} %, as in a view at "
@@ -381,7 +500,8 @@ class ChartSource:
             )
             yield (
                 f"{report.path}: {float(str(first['scale_px_per_mm'])):.4g} px per mm of the chart, residual "
-                f"{median(float(str(clip['residual_px'])) for clip in report.clips):.2g} px"
+                f"{report.place_error_px or 0.0:.2g} px"
+                + _lens_words(report.lens)
                 + (", mirrored" if mirrored else "")
                 + (f", turned by {90 * (round(turn / 90) % 4)}°" if round(turn / 90) % 4 else "")
                 + ("; orientations are those in the frames" if mirrored or round(turn / 90) % 4 else "")
@@ -408,12 +528,23 @@ class _Reach(NamedTuple):
     reach_px: int
 
 
+class _SeenChart(NamedTuple):
+    """The chart in one frame: its geometry as far as known then, its edges, the number of its first triangle, and
+    the frame's name."""
+
+    geometry: Geometry
+    edges: SeenEdges
+    number: int
+    source: str
+
+
 class _Measured:
     """Measurements in the frames of one clip, by name."""
 
     def __init__(self, page: int, start_s: float | None) -> None:
         self.page = page
         self.start_s = start_s
+        self.seen: list[_SeenChart] = []
         self._values: dict[str, list[float]] = {}
 
     def add(self, **values: float) -> None:
@@ -426,6 +557,50 @@ class _Measured:
         medians = {name: round(median(of_frames), 6) for name, of_frames in values.items()}
         motion = math.hypot(*(float(np.std(self._values[name])) for name in ("x_px", "y_px")))
         return medians | {"motion_px": round(motion, 6)}
+
+
+def _lens_words(lens: dict[str, object] | None) -> str:
+    """Return what the note says about a lens: its model and first coefficients."""
+    if lens is None:
+        return ""
+    named = ", ".join(f"{name} {value:.3g}" for name, value in lens.items() if isinstance(value, float))
+    return f", the lens distorts ({lens['model']} model: {named})"
+
+
+def zoom_begin(centres_mm: FloatArray, geometries: Sequence[Geometry], shape: tuple[int, int]) -> int | None:
+    """Return the number of the first frame in which a lens zooms; None if it does not.
+
+    Parameters
+    ----------
+    centres_mm : ndarray, shape (4, 2)
+        Corners of an area on the chart, one after the other.
+    geometries : sequence of Geometry
+        The chart in the frames, in the order of time.
+    shape : (int, int)
+        Rows and columns of a frame.
+
+    Returns
+    -------
+    int or None
+        None also if the chart has been moved in the frame: its size in the picture then says nothing of the zoom.
+    """
+    corners = np.array([one.to_px(centres_mm) for one in geometries])
+    if len(corners) < 2:
+        return None
+    middle = (np.array(shape[::-1]) - 1.0) / 2.0
+    places = corners.mean(axis=1) - middle
+    after = np.roll(corners, -1, axis=1)
+    areas = (corners[..., 0] * after[..., 1] - corners[..., 1] * after[..., 0]).sum(axis=1) / 2.0
+    scales = np.sqrt(np.abs(areas))
+    first = slice(0, min(FIRST_FRAMES, max(len(scales) // 2, 1)))
+    start, noise = np.median(scales[first]), float(np.std(scales[first]) / np.median(scales[first]))
+    change = scales / start
+    moved = np.linalg.norm(places - np.median(places[first], axis=0) * change[:, None], axis=1)
+    zoomed = np.flatnonzero((np.abs(change - 1.0) > LEAST_ZOOM) & (moved < MOST_MOVED * math.hypot(*shape)))
+    if not zoomed.size:
+        return None
+    still = np.flatnonzero(np.abs(change[: zoomed[0]] - 1.0) <= max(NOTICED_ZOOM, 5.0 * noise))
+    return int(still[-1]) + 1 if still.size else 0
 
 
 def page_duration_s(starts: Sequence[tuple[int, float]], frame_s: float) -> float | None:

@@ -58,7 +58,8 @@ class Placed(NamedTuple):
 
     `x_px` and `y_px` are its centroid in the frame, None if it is not known; `size_px` is √(area). `window` are
     the rows and columns that the observer needs, top, bottom, left, right; `part` reaches beyond them, since the
-    next frames may show the triangle elsewhere.
+    next frames may show the triangle elsewhere. `number` is by what the source knows the place, which it may know
+    better at the end of a recording.
     """
 
     x_px: float | None
@@ -67,6 +68,7 @@ class Placed(NamedTuple):
     orientation: Orientation
     window: Rectangle
     part: FramePart
+    number: int | None = None
 
 
 class ClipFrame(NamedTuple):

@@ -58,9 +58,9 @@ def new_dataset(
         Folder that exists; the frames are in it or in folders below.
     pattern : str
         Path of the frames relative to `dataset`. `{size_mrad}`, `{orientation}` and the level have to be in it.
-        Other names in braces become columns, too; those of a manifest have the meaning that they have there. `*`
-        stands for any text that matters to nobody; neither matches a slash. Numbers may have a point, a comma or a
-        p before the decimals; an orientation is a word or its first letter.
+        Other names in braces become columns, too; columns of a manifest keep their meaning. `*` stands for any
+        text that is ignored. Neither matches a slash. Numbers may have a point, a comma or a p before the
+        decimals; an orientation is a word or its first letter.
     display : Display or str
         Display, the name of one, or a file that describes one; its numbers are written into `dataset.toml`.
     level : str
@@ -73,7 +73,7 @@ def new_dataset(
     Raises
     ------
     SettingsError
-        If the pattern lacks something, or there is no such display.
+        If the pattern lacks a column, or there is no such display.
     DataError
         If no file matches, or a value is wrong.
     OutputError

@@ -34,6 +34,14 @@ Described = Callable[[int, int], TriangleDescription]
 """Function of the number of a page and of a triangle on it."""
 
 
+class Correction(NamedTuple):
+    """The place and size of a triangle as known when all frames are read: motion of the place, and √(area)."""
+
+    right_px: float
+    down_px: float
+    size_px: float
+
+
 @dataclass(slots=True, kw_only=True)
 class ImportedTrial:
     """Frames of one triangle that the observer integrates, with its places in the windows.
@@ -51,6 +59,7 @@ class ImportedTrial:
     times_s: list[float | None] = field(default_factory=list)
     places_px: list[tuple[float, float]] = field(default_factory=list)
     sizes_px: list[float] = field(default_factory=list)
+    numbers: list[int | None] = field(default_factory=list)
 
     @property
     def motion_px(self) -> float:
@@ -59,6 +68,14 @@ class ImportedTrial:
             return 0.0
         places = np.array(self.places_px)
         return float(np.sqrt(((places - places.mean(axis=0)) ** 2).sum(axis=1).mean()))
+
+    def correct(self, corrections: Mapping[int, Correction]) -> None:
+        """Move the places, and replace the sizes, for which the source knows better ones."""
+        for k, number in enumerate(self.numbers):
+            if number is not None and (found := corrections.get(number)) is not None:
+                x, y = self.places_px[k]
+                self.places_px[k] = x + found.right_px, y + found.down_px
+                self.sizes_px[k] = found.size_px
 
 
 def _followed(trial: ImportedTrial, placed: Placed) -> Rectangle:
@@ -178,6 +195,7 @@ class TrialDivision:
         trial.sources.append(frame.source)
         trial.times_s.append(frame.time_s)
         trial.sizes_px.append(placed.size_px)
+        trial.numbers.append(placed.number)
         if placed.x_px is not None and placed.y_px is not None:
             trial.places_px.append((placed.x_px - window[2], placed.y_px - window[0]))
         yield RecordedWindow(name, values, scale)

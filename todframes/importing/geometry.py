@@ -15,7 +15,14 @@ from numpy.typing import ArrayLike
 
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError
+from todframes.importing.lens import Lens
 from todframes.stimulus import ORIENTATIONS, Orientation, vertices
+
+SIDE_STEPS = 16
+"""Steps in which a side of a triangle is followed where a lens bends it; its bulge is then known to 1/256."""
+
+UNBENT_STEPS = 5
+"""Steps in which a lens is put into a geometry; a start of another search, which needs no more than a pixel."""
 
 
 class View(NamedTuple):
@@ -39,26 +46,54 @@ class Geometry:
     Attributes
     ----------
     homography : ndarray, shape (3, 3)
-        Matrix that maps homogeneous chart coordinates in millimetres to pixels.
+        Matrix that maps homogeneous chart coordinates in millimetres to pixels of an ideal picture.
     residual_px : float
         Root mean square distance of the points that the homography was fitted to from where it puts them, per
         degree of freedom; 0 for four points.
+    lens : Lens or None
+        Map from pixels of the ideal picture to those of the frame; None if they are the same.
     """
 
     homography: FloatArray
     residual_px: float
+    lens: Lens | None = None
 
-    def to_px(self, places_mm: ArrayLike) -> FloatArray:
-        """Map places on the chart, (…, 2) in millimetres, to pixels of the frame, (…, 2)."""
+    def ideal_px(self, places_mm: ArrayLike) -> FloatArray:
+        """Map places on the chart, (…, 2) in millimetres, to pixels of the ideal picture, (…, 2)."""
         places = np.asarray(places_mm, np.float64)
         mapped = places @ self.homography[:, :2].T + self.homography[:, 2]
         return np.asarray(mapped[..., :2] / mapped[..., 2:])
 
+    def to_px(self, places_mm: ArrayLike) -> FloatArray:
+        """Map places on the chart, (…, 2) in millimetres, to pixels of the frame, (…, 2)."""
+        ideal = self.ideal_px(places_mm)
+        return ideal if self.lens is None else self.lens.to_px(ideal)
+
+    def with_lens(self, lens: Lens | None, places_mm: FloatArray) -> Geometry:
+        """Return a geometry with another lens that maps places on the chart, (n, 2), about as this one does."""
+        if lens == self.lens:
+            return self
+        targets = self.to_px(places_mm)
+        geometry = fit_geometry(places_mm, targets)
+        if lens is None:
+            return geometry
+        # What the lens moves is taken off the targets, step by step.
+        ideal = targets
+        for _ in range(UNBENT_STEPS):
+            ideal = ideal - (lens.to_px(geometry.ideal_px(places_mm)) - targets)
+            geometry = fit_geometry(places_mm, ideal)
+        return Geometry(geometry.homography, geometry.residual_px, lens)
+
+    def jacobians(self, places_mm: FloatArray) -> FloatArray:
+        """Return the derivative of the map at places on the chart, (n, 2), in pixels per millimetre: (n, 2, 2)."""
+        x, y, w = self.homography @ np.column_stack([places_mm, np.ones(len(places_mm))]).T
+        at = np.column_stack([x / w, y / w])
+        ideal = (self.homography[:2, :2] - at[:, :, None] * self.homography[2, :2]) / w[:, None, None]
+        return ideal if self.lens is None else np.asarray(self.lens.jacobian(at) @ ideal)
+
     def jacobian(self, place_mm: ArrayLike) -> FloatArray:
         """Return the derivative of the map at a place on the chart, in pixels per millimetre: (2, 2)."""
-        x, y, w = self.homography @ np.append(np.asarray(place_mm, np.float64), 1.0)
-        top = self.homography[:2, :2]
-        return np.asarray(top / w - np.outer([x, y], self.homography[2, :2]) / w**2)
+        return np.asarray(self.jacobians(np.asarray(place_mm, np.float64)[None])[0])
 
     def scale_px_per_mm(self, place_mm: ArrayLike) -> float:
         """Return the scale at a place on the chart: the root of how it maps areas, in pixels per millimetre."""
@@ -67,15 +102,27 @@ class Geometry:
     def view(self, place_mm: ArrayLike) -> View:
         """Return the local geometry of the chart in the frame at a place on the chart."""
         (a, b), (c, d) = self.jacobian(place_mm).tolist()
-        # Singular values of a matrix: the sum and the difference of those of its turning and its mirroring part.
-        turning, mirroring = math.hypot(a + d, c - b) / 2.0, math.hypot(a - d, c + b) / 2.0
         determinant = a * d - b * c
         return View(
             scale_px_per_mm=math.sqrt(abs(determinant)),
             turn_degrees=math.degrees(math.atan2(-b, d)),
             is_mirrored=determinant < 0.0,
-            stretch=(turning + mirroring) / abs(turning - mirroring),
+            stretch=stretch_of(self.jacobian(place_mm)),
         )
+
+    def lens_stretch(self, place_mm: ArrayLike) -> float:
+        """Return the stretch by the lens alone about a place on the chart; 1 for none."""
+        if self.lens is None:
+            return 1.0
+        return stretch_of(self.lens.jacobian(self.ideal_px(place_mm)[None])[0])
+
+
+def stretch_of(jacobian: FloatArray) -> float:
+    """Return the ratio of the largest to the smallest scale of a linear map, shape (2, 2), in any direction."""
+    (a, b), (c, d) = jacobian.tolist()
+    # Singular values of a matrix: the sum and the difference of those of its turning and its mirroring part.
+    turning, mirroring = math.hypot(a + d, c - b) / 2.0, math.hypot(a - d, c + b) / 2.0
+    return (turning + mirroring) / abs(turning - mirroring)
 
 
 def fit_geometry(places_mm: ArrayLike, places_px: ArrayLike) -> Geometry:
@@ -134,7 +181,7 @@ def place_triangle(
     """Place a triangle of a chart in the frame.
 
     A homography maps a triangle to a triangle, so its corners give centroid and area exactly; the mapped centroid
-    would be off by the second order of the perspective.
+    would be off by the second order of the perspective. A lens bends the sides, which are then followed in steps.
 
     Parameters
     ----------
@@ -149,10 +196,18 @@ def place_triangle(
     -------
     PlacedTriangle
     """
-    corners = geometry.to_px(vertices(size=size_mm, orientation=orientation, x=x_mm, y=y_mm))
-    (x, y), (apex_x, apex_y) = corners.mean(axis=0).tolist(), corners[0].tolist()
-    (ax, ay), (bx, by) = corners[1] - corners[0], corners[2] - corners[0]
-    area = abs(float(ax * by - ay * bx)) / 2.0
+    corners_mm = np.asarray(vertices(size=size_mm, orientation=orientation, x=x_mm, y=y_mm))
+    steps = 1 if geometry.lens is None else SIDE_STEPS
+    shares = np.arange(steps)[:, None, None] / steps
+    outline_mm = (corners_mm + shares * (np.roll(corners_mm, -1, axis=0) - corners_mm)).swapaxes(0, 1)
+    outline = geometry.to_px(outline_mm.reshape(-1, 2))
+    corners = outline[::steps]
+    apex_x, apex_y = corners[0].tolist()
+    away = outline - corners[0]
+    after = np.roll(away, -1, axis=0)
+    doubled = away[:, 0] * after[:, 1] - away[:, 1] * after[:, 0]
+    x, y = (corners[0] + ((away + after) * doubled[:, None]).sum(axis=0) / (3.0 * doubled.sum())).tolist()
+    area = abs(float(doubled.sum())) / 2.0
     clockwise_from_up = math.degrees(math.atan2(apex_x - x, y - apex_y))
     quarters = round(clockwise_from_up / 90.0)
     return PlacedTriangle(

@@ -28,7 +28,13 @@ from todframes.frames.dataset import Dataset, load_dataset
 from todframes.frames.files import MAX_FRAME_MB
 from todframes.importing.chart_source import ChartSource
 from todframes.importing.clips import TIME_TOLERANCE, Clip, ClipFrame
-from todframes.importing.filmed_trials import SHAKE_PX, ImportedTrial, TrialDivision, TriangleDescription
+from todframes.importing.filmed_trials import (
+    SHAKE_PX,
+    Correction,
+    ImportedTrial,
+    TrialDivision,
+    TriangleDescription,
+)
 from todframes.importing.schedule import read_schedule
 from todframes.importing.schedule_source import ScheduleSource
 from todframes.importing.windows import WindowWriter, WrittenWindow, code_range
@@ -55,12 +61,14 @@ PathLike = str | os.PathLike[str]
 class Source(Protocol):
     """Protocol of objects that find the clips in recordings: by a chart's markers, or by a schedule.
 
-    `level` and `group_by` are columns of the manifest, `clips` are those found so far.
+    `level` and `group_by` are columns of the manifest, `clips` are those found so far. `corrections` are those of
+    triangles by their numbers, known at the end of a recording.
     """
 
     level: str
     group_by: str
     clips: list[Clip]
+    corrections: dict[int, Correction]
 
     def described(self, page: int, index: int) -> TriangleDescription:
         """Return the description of a triangle of a page."""
@@ -92,9 +100,9 @@ class Imported:
     n_frames, n_trials, n_clips : int
         Windows in the dataset, trials, and clips that gave trials.
     notes : tuple of str
-        What was found and needs no action.
+        Remarks that need no action.
     warnings : tuple of RecordingWarning
-        What makes a result from the dataset less certain: a code, and a sentence.
+        Warnings about conditions that make results from the dataset less certain: a code, and a sentence.
     """
 
     path: Path
@@ -129,8 +137,8 @@ def import_recordings(
     Parameters
     ----------
     recordings : path, or sequence of path or of Recording
-        Files and folders: videos, image sequences, camera raw, radiometric files, arrays. Or what
-        `open_recordings` returns.
+        Files and folders: videos, image sequences, camera raw, radiometric files, arrays. Or the return value of
+        `open_recordings`.
     out : path
         Folder of the dataset, new or empty.
     chart : path, optional
@@ -140,15 +148,15 @@ def import_recordings(
     display : str or Display
         Display that shows the frames: the name of one of this package, a TOML file, or a `Display`.
     integration_time_s : float or "all"
-        Time in which the observer averages frames; "all": each clip is one trial. Frames without times are a trial
-        each, unless it is "all".
+        Time in which the observer averages frames. With "all", each clip is one trial. Otherwise each frame
+        without a time is a trial by itself.
     steady : bool
-        Let the windows follow the triangle by whole pixels within a trial, which takes out shake that the camera
-        in use would not have.
+        Let the windows follow the triangle by whole pixels within a trial. This removes shake that the camera
+        would not have in use.
     value_range : (float, float), optional
         Recorded values that the display shows black and white. Needed for values without a white: temperatures.
     frames_per_second : float, optional
-        Frame rate in place of what the files say.
+        Frame rate, in place of the times in the files.
     max_frame_mb : int
         Largest size of a frame in 2**20 bytes: all channels in their own pixel types, at least 8 bytes a pixel.
     ifov_mrad : float, optional
@@ -161,7 +169,7 @@ def import_recordings(
         written are not written again; the recordings are read again from their beginning, as the frames of a video
         follow from those before.
     keep_store : bool
-        Keep the list of the windows that are finished after the dataset is whole.
+        Keep the list of finished windows after the dataset is complete.
     tell : function of a text, optional
         Called with a remark if an earlier call has written some of the windows.
     progress : function of an int, optional
@@ -220,6 +228,8 @@ def import_recordings(
                 written[window.name] = writer.write(window)
         if not division.trials:
             raise DataError(source.why_nothing() or _why_no_trial(division, source, time_s))
+        for trial in division.trials:
+            trial.correct(source.corrections)
         for name in division.left_out:
             del written[name]
             (folder / name).unlink()

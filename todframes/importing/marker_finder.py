@@ -9,6 +9,7 @@ white. That place does not depend on the blur, and averages the noise over the w
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from functools import cache
 from itertools import product
 from typing import Any, NamedTuple
@@ -20,6 +21,15 @@ from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError
 from todframes.charts.markers import CORNERS, DICTIONARY, MODULES, N_DIGITS, marker_bits
 from todframes.importing.geometry import Geometry, fit_geometry
+from todframes.importing.lens import Lens
+from todframes.importing.lens_fit import (
+    MeasuredEdges,
+    Pieces,
+    corner_pieces,
+    first_lens,
+    measured_edges,
+    with_lenses,
+)
 
 PIECES, POINTS = 3, 6
 """Pieces of a marker's edge, and points along each piece whose profiles across the edge are averaged."""
@@ -57,17 +67,37 @@ SAMPLES, SAMPLED = 3, 0.5
 MOST_WRONG_BITS = 1
 """Number of modules of a marker that may read wrong; two markers of the dictionary differ in five or more."""
 
+MOST_RECENT = 8
+"""Frames from which the lens is estimated while a recording is read."""
+
+NOTICED_PX = 0.1
+"""Residual of the edges from which a lens is looked for while a recording is read."""
+
+
+class SeenEdges(NamedTuple):
+    """The edges of the markers in one frame: the geometry that they were looked for with, and how far outwards of
+    it each piece lies, in pixels."""
+
+    start: Geometry
+    shifts_px: NDArray[np.float32]
+
+    def measured(self, pieces: Pieces) -> MeasuredEdges:
+        """Return the places of the edges."""
+        return measured_edges(pieces, self.start, self.shifts_px)
+
 
 class Sighting(NamedTuple):
     """The four markers of a page in one frame.
 
     `modules` has shape (4, 7, 7): the mean values in the modules of the markers. `ids` are the identities that
-    they spell, -1 for one that is no marker; a blend of two pages spells nonsense.
+    they spell, -1 for one that is no marker; a blend of two pages spells nonsense. `edges` are those of the
+    markers.
     """
 
     geometry: Geometry
     ids: tuple[int, ...]
     modules: FloatArray
+    edges: SeenEdges
 
 
 class MarkerFinder:
@@ -86,6 +116,9 @@ class MarkerFinder:
         Number of frames that were searched whole.
     most_found : int
         Largest number of corners of the chart of which one frame showed a marker.
+    misfit_px : float or None
+        How far four markers that were found lie off a flat chart behind a lens, if none fits: the least of all
+        frames, root mean square.
     key : int or None
         Key of the chart in the present frame if it was searched and the marker that carries the key was found.
         Markers of another chart are no sighting where they stand at other places.
@@ -96,6 +129,7 @@ class MarkerFinder:
 
         self.n_searched = 0
         self.most_found = 0
+        self.misfit_px: float | None = None
         self.key: int | None = None
         self._module_mm = side_mm / MODULES
         corner = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]]) * side_mm
@@ -108,6 +142,11 @@ class MarkerFinder:
         dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{DICTIONARY.upper()}"))
         self._detector = cv2.aruco.ArucoDetector(dictionary, _search_parameters())
         self._last: Geometry | None = None
+        self.pieces = self._edges.pieces
+        self.lens: Lens | None = None
+        self._corners = corner_pieces(self._corners_mm)
+        self._recent: list[SeenEdges] = []
+        self._n_seen = 0
         # Ways to prepare a frame for the search: how often enlarged, and whether mirrored.
         self._ways = list(product((1, 2), (False, True)))
 
@@ -124,7 +163,18 @@ class MarkerFinder:
         seen = seen or self._search(grey)
         if seen is not None:
             self._last = seen.geometry
+            self._follow_lens(seen, grey.shape)
         return seen
+
+    def _follow_lens(self, seen: Sighting, shape: tuple[int, ...]) -> None:
+        """Estimate the lens from the frames so far, ever more rarely, where markers do not fit without one."""
+        self._n_seen += 1
+        self._recent = [*self._recent, seen.edges][-MOST_RECENT:]
+        is_turn = self._n_seen & (self._n_seen - 1) == 0
+        if is_turn and (self.lens is not None or seen.geometry.residual_px > NOTICED_PX):
+            self.lens = first_lens(self.pieces, [one.measured(self.pieces) for one in self._recent], shape)
+            if self._last is not None:
+                self._last = self._last.with_lens(self.lens, self.pieces.places_mm)
 
     def _search(self, grey: NDArray[np.float32]) -> Sighting | None:
         """Search the whole frame, and its mirror image unless something was found the right way round before."""
@@ -136,15 +186,32 @@ class MarkerFinder:
             if len(corners) < ENOUGH_MARKERS:
                 continue
             known = sorted(corners)
-            try:
-                start = fit_geometry(self._corners_mm[known], np.array([corners[k] for k in known]))
-            except DataError:
-                continue
-            seen = self._sighting(grey, start)
-            if seen is not None:
-                self._ways = [one for one in self._ways if one[1] == way[1]]
-                return seen
+            for start in self._starts(known, np.array([corners[k] for k in known]), grey.shape):
+                seen = self._sighting(grey, start)
+                if seen is not None:
+                    self._ways = [one for one in self._ways if one[1] == way[1]]
+                    return seen
+                if len(known) == len(CORNERS):
+                    away = start.to_px(self._corners_mm) - np.array([corners[k] for k in known])
+                    misfit = math.sqrt(float((away**2).sum(axis=-1).mean()))
+                    self.misfit_px = min(misfit, self.misfit_px or math.inf)
         return None
+
+    def _starts(self, known: list[int], corners_px: FloatArray, shape: tuple[int, ...]) -> Iterator[Geometry]:
+        """Yield geometries that fit the corners of markers: without a lens, and with one."""
+        try:
+            plain = fit_geometry(self._corners_mm[known], corners_px)
+        except DataError:
+            return
+        if self.lens is not None:
+            yield plain.with_lens(self.lens, self._corners_mm[known].reshape(-1, 2))
+        yield plain
+        if len(known) == len(CORNERS):
+            x, y = (
+                np.repeat(corners_px.reshape(-1, 2), 2, axis=0),
+                np.tile(np.eye(2), (corners_px[..., 0].size, 1)),
+            )
+            yield from with_lenses(self._corners, MeasuredEdges(plain, x, y), shape)
 
     def _detected(self, image: NDArray[np.uint8], times: int, mirrored: bool) -> dict[int, FloatArray]:
         """Return the corners of the markers that ArUco finds, (4, 2) each, by the corner of the chart."""
@@ -166,9 +233,10 @@ class MarkerFinder:
 
     def _sighting(self, grey: NDArray[np.float32], start: Geometry) -> Sighting | None:
         """Adjust a geometry to the edges of the markers, and read these; None if they are not there."""
-        geometry = self._edges.adjusted(grey, start)
-        if geometry is None:
+        found = self._edges.adjusted(grey, start)
+        if found is None:
             return None
+        geometry, edges = found
         modules = self._read(grey, geometry)
         ids = []
         for one in modules:
@@ -179,7 +247,7 @@ class MarkerFinder:
             wrong = np.count_nonzero(_all_bits() != (one > (white + black.mean()) / 2.0), axis=(1, 2))
             nearest = int(wrong.argmin())
             ids.append(nearest if wrong[nearest] <= MOST_WRONG_BITS else -1)
-        return Sighting(geometry, tuple(ids), modules)
+        return Sighting(geometry, tuple(ids), modules, edges)
 
     def _read(self, grey: NDArray[np.float32], geometry: Geometry) -> FloatArray:
         side = MODULES * SAMPLES
@@ -217,26 +285,30 @@ class _Edges:
         self._places_mm = middles.reshape(16 * PIECES * POINTS, 1, 2) + distances[:, None] * np.repeat(
             outwards.reshape(16, 1, 2), PIECES * POINTS, axis=0
         )
-        self._pieces_mm = middles.reshape(16 * PIECES, POINTS, 2).mean(axis=1)
-        self._outwards = np.repeat(outwards.reshape(16, 2), PIECES, axis=0)
-        self._tangents = self._outwards @ np.array([[0.0, 1.0], [-1.0, 0.0]])
-        self._middle_mm = corners_mm.mean(axis=(0, 1))
-        self._spread_mm = float(corners_mm.std())
+        pieces_mm = middles.reshape(16 * PIECES, POINTS, 2).mean(axis=1)
+        self.pieces = Pieces(
+            pieces_mm,
+            np.repeat(outwards.reshape(16, 2), PIECES, axis=0),
+            corners_mm.mean(axis=(0, 1)),
+            float(corners_mm.std()),
+        )
 
-    def adjusted(self, grey: NDArray[np.float32], start: Geometry) -> Geometry | None:
+    def adjusted(self, grey: NDArray[np.float32], start: Geometry) -> tuple[Geometry, SeenEdges] | None:
         """Return the geometry whose edges lie in the middles of the slopes; None if there are no such edges."""
-        geometry, module_px = start, 0.0
+        geometry, edges, module_px = start, None, 0.0
         for _ in range(MOST_STEPS):
-            module_px = geometry.scale_px_per_mm(self._middle_mm) * self._module_mm
+            module_px = geometry.scale_px_per_mm(self.pieces.middle_mm) * self._module_mm
             shifts = self._shifts_px(grey, geometry)
             if shifts is None:
                 return None
+            edges = SeenEdges(geometry, shifts.astype(np.float32))
             geometry, moved_px = self._moved(geometry, shifts)
             if not np.isfinite(geometry.homography).all():
                 return None
             if moved_px < CONVERGED_PX:
                 break
-        return geometry if geometry.residual_px <= LARGEST_RESIDUAL * module_px else None
+        assert edges is not None
+        return (geometry, edges) if geometry.residual_px <= LARGEST_RESIDUAL * module_px else None
 
     def _shifts_px(self, grey: NDArray[np.float32], geometry: Geometry) -> FloatArray | None:
         """Measure the distance of each piece from its place in the geometry, outwards along the mapped normal."""
@@ -258,36 +330,14 @@ class _Edges:
 
     def _moved(self, geometry: Geometry, shifts_px: FloatArray) -> tuple[Geometry, float]:
         """Move a geometry's edges by the least squares of the shifts; return it and how far they moved at most."""
-        x, y, w = geometry.homography @ np.column_stack([self._pieces_mm, np.ones(len(self._pieces_mm))]).T
-        at = np.column_stack([x / w, y / w])
-        top, bottom = geometry.homography[:2, :2], geometry.homography[2, :2]
-        jacobian = (top - at[:, :, None] * bottom) / w[:, None, None]
-        normals = np.einsum("nij,nj->ni", jacobian, self._tangents) @ np.array([[0.0, 1.0], [-1.0, 0.0]])
-        outwards = np.einsum("nij,nj->ni", jacobian, self._outwards)
-        outwards /= np.linalg.norm(outwards, axis=1, keepdims=True)
-        normals *= np.sign((normals * outwards).sum(axis=1))[:, None] / np.linalg.norm(normals, axis=1)[:, None]
-        # A change of the homography after a map to coordinates about 1: ξ' = (I + E) ξ with E[2, 2] = 0.
-        u, v = ((self._pieces_mm - self._middle_mm) / self._spread_mm).T
-        one, none = np.ones_like(u), np.zeros_like(u)
-        to_px = _scaled(self._middle_mm, self._spread_mm)
-        base = geometry.homography @ np.linalg.inv(to_px)
-        base /= base[2, 2]
-        depth = base[2] @ np.array([u, v, one])
-        columns_x = [u, v, one, none, none, none, -u * at[:, 0], -v * at[:, 0]]
-        columns_y = [none, none, none, u, v, one, -u * at[:, 1], -v * at[:, 1]]
-        design = (normals[:, 0] * np.array(columns_x) + normals[:, 1] * np.array(columns_y)) / depth
-        design = np.column_stack([design.T, one])
+        normals, outwards = self.pieces.directions(geometry)
+        design = self.pieces.design(geometry, normals)
         wanted = shifts_px * (normals * outwards).sum(axis=1)
         solution, *_ = np.linalg.lstsq(design, wanted, rcond=None)
         left = wanted - design @ solution
-        base += np.append(solution[:8], 0.0).reshape(3, 3)
         residual = math.sqrt(float(left @ left) / (len(left) - len(solution)))
-        return Geometry(base @ to_px, residual), float(np.abs(design[:, :8] @ solution[:8]).max())
-
-
-def _scaled(middle_mm: FloatArray, spread_mm: float) -> FloatArray:
-    x, y = middle_mm.tolist()
-    return np.array([[1.0, 0.0, -x], [0.0, 1.0, -y], [0.0, 0.0, spread_mm]]) / spread_mm
+        moved = Geometry(self.pieces.moved(geometry, solution), residual, geometry.lens)
+        return moved, float(np.abs(design[:, :8] @ solution[:8]).max())
 
 
 def _search_parameters() -> Any:

@@ -75,11 +75,11 @@ def answer_probabilities(
         Mean scores; only their differences matter.
     covariance : array_like, shape (..., 4, 4)
         Covariance of the Gaussian noise on the scores, symmetric and positive semi-definite, of any rank,
-        broadcast against `score`. Subtract the mean template before forming it from templates: the digits of
-        the differences are then kept.
+        broadcast against `score`. If you compute it from templates, subtract their mean first: otherwise the
+        differences lose digits.
     factor : array_like, shape (..., 4, n)
-        Instead of it: rows whose inner products it is, templates for instance. Only their differences matter,
-        which keep the digits that the covariance of templates that are nearly alike has lost.
+        Used instead of `covariance`, which is the inner products of these rows: templates, for instance. Only
+        their differences matter. These keep the digits that a covariance of nearly equal templates has lost.
 
     Returns
     -------

@@ -56,7 +56,8 @@ class HotellingSettings(PyramidSettings):
         Standard deviation of the noise on each sample (on each retina sample if the display is not sampled), in
         contrast as displayed, for which the weights are ideal; 0: for internal noise alone.
     informative_share : float
-        The fewest neurons are used that have this share of all squared differences between expected activities.
+        The smallest number of neurons is used that has this share of all squared differences between expected
+        activities.
 
     Raises
     ------
@@ -80,9 +81,9 @@ class HotellingSettings(PyramidSettings):
 class HotellingObserver(PyramidObserver):
     """The neurons of `PyramidObserver`, read out with the weights that suit the display.
 
-    Its display is described by two transfer functions, which a subclass may replace by any that are real and even
-    along both axes: `presample_mtf` for what happens to the triangle alone, and `postsample_mtf` for what happens
-    to the triangle and to the noise of its samples. The width of their field still follows from the settings.
+    Its display is described by two transfer functions: `presample_mtf` acts on the triangle alone, and
+    `postsample_mtf` on the triangle and on the noise of its samples. A subclass may replace them by any functions
+    that are real and even along both axes. The width of their field still follows from the settings.
 
     Parameters
     ----------

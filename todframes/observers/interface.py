@@ -32,24 +32,25 @@ SECOND_ORDER = 20.0
 class Readout:
     """A linear observer of one stimulus: the weight of each retina sample in each of the four scores.
 
-    The four templates are nearly alike, so they are kept as their mean and the deviations from it, and the
-    noise covariance is formed from deviations: no digit is lost to what all four have in common.
+    The four templates are nearly equal, so they are kept as their mean and the deviations from it. The noise
+    covariance is computed from the deviations, so the common part costs no digits.
 
     Attributes
     ----------
     grid : RetinaGrid
     find_common : function of no arguments
-        Finds `common`, the weights that all four scores share, (side, side): no decision needs them, so they are
-        computed when the scores themselves are asked for.
+        Returns `common`, the weights that all four scores share, (side, side). Decisions do not need them, so they
+        are computed only if the scores themselves are needed.
     deviations : ndarray, shape (4, side, side)
-        Weights of each score less `common`, in the order of `ORIENTATIONS`.
+        Weights of each score minus `common`, in the order of `ORIENTATIONS`.
     noise_covariance : ndarray, shape (4, 4)
-        Covariance of the internal noise on the four scores less the noise they share.
+        Covariance of the internal noise on the four scores, minus the noise that they share.
     excess_kurtosis : float
-        Excess kurtosis of the noise on the difference of two scores: the one farthest from the Gaussian's 0.
+        Excess kurtosis of the noise on the difference of two scores, for the pair that is farthest from 0, the
+        value of a Gaussian.
     find_fourth_cumulants : function of no arguments, or None
-        Finds `fourth_cumulants`, (4, 4, 4, 4), of the same noise as `noise_covariance`, when a decision needs
-        them; None: decisions take it as Gaussian.
+        Returns `fourth_cumulants`, (4, 4, 4, 4), of the same noise as `noise_covariance`, when a decision needs
+        them. None: decisions take the noise as Gaussian.
     """
 
     grid: RetinaGrid
@@ -141,7 +142,7 @@ class OmittedWeights(NamedTuple):
     grid : RetinaGrid
         May be coarser than the readout's; its middle lies at the same place.
     kept : ndarray, shape (4, side, side)
-        The readout's own weights on this grid, about.
+        The readout's own weights on this grid, approximately.
     deviations : ndarray, shape (4, side, side)
         Weights that are missing from them.
     noise_covariance : ndarray, shape (4, 4)

@@ -83,7 +83,7 @@ class OrientedSettings(PyramidSettings):
 
 
 class OrientedObserver(PyramidObserver):
-    """Oriented neurons, read out as the paper reads its own.
+    """An observer with oriented neurons, whose readout is that of the paper's observer.
 
     Parameters
     ----------

@@ -102,8 +102,8 @@ class PsychometricFit:
 
     status
         `ok`: the threshold lies within the levels shown.
-        `extrapolated`: it lies outside, by a factor of 2 at most, and at the nearest level the curve is no farther
-        from the criterion than half the way to its floor or ceiling.
+        `extrapolated`: it lies outside, by a factor of 2 at most, and at the nearest level the curve is at most
+        half as far from the criterion as its floor or ceiling.
         `never_reached`, `always_exceeded`: the threshold lies farther up or down than that, or the curve is no
         more likely than a flat line at the mean proportion, which is below or not below the criterion.
         `too_few_levels`: fewer than two distinct levels.

@@ -72,13 +72,13 @@ def run_experiment(
     practice, break_every : int, optional
         Number of trials with feedback before, default 8, and of trials between breaks, default 60; 0 for none.
     practice_correct : float, optional
-        Share of the practice trials that has to be correct; else they come again. Default: 0.75.
+        Share of the practice trials that has to be correct; otherwise they are repeated. Default: 0.75.
     time_limit_s : float, optional
         Time in which to answer. Default: no limit.
     background : float, optional
         Luminance of the background over that of white. Default: 0.5.
     dither : bool, optional
-        Show luminances between two code values by pixels of both. Default: True.
+        Show a luminance between two code values by a mixture of pixels of both. Default: True.
     include_flagged : bool, optional
         Count answers that came within 150 ms, or while the page was hidden or had lost the focus, as all others.
         Default: False; their trials are shown again later.
@@ -93,7 +93,7 @@ def run_experiment(
     open_browser : bool
         Whether to open the page in the browser.
     tell : function of a text
-        Called with the address of the page when the server listens; only who knows it gets the page.
+        Called with the address of the page when the server listens. Nobody can open the page without this address.
     warn : function of a text, optional
         Called with a remark if other machines can reach the server.
     progress : function of an int, optional
@@ -102,7 +102,7 @@ def run_experiment(
     Returns
     -------
     SessionProgress
-        How far the session is.
+        Progress of the session.
 
     Raises
     ------
