@@ -323,7 +323,7 @@ LENS_VIEWS: dict[str, tuple[int, int, dict[str, Any]]] = {
 
 
 def through_lens(chart: Chart, view: str, *, noise: bool = False, **bending) -> Film:
-    """Film each page through a lens: twice, or 16 times with noise of 10 % of white, which averages out slowly."""
+    """Film each page through a lens: twice, or eight times with noise of 10 % of white."""
     width, height, how = LENS_VIEWS[view]
     lens = Bending(width=width, height=height, **bending)
     electrons = 100.0 if noise else 40_000.0
@@ -335,7 +335,7 @@ def through_lens(chart: Chart, view: str, *, noise: bool = False, **bending) -> 
         electrons_at_white=electrons,
         read_noise_electrons=electrons / 10.0 if noise else 6.0,
     )
-    return Film.of(chart, camera, frames_per_page=16 if noise else 2, turn_deg=0.6, **how)
+    return Film.of(chart, camera, frames_per_page=8 if noise else 2, turn_deg=0.6, **how)
 
 
 def misplacement_px(film: Film, dataset: Path) -> float:

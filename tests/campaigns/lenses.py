@@ -3,8 +3,9 @@
 python tests/campaigns/lenses.py [CASES]        # cases whose name has this text; all by default
 
 The camera is that of tests/camera, which shares nothing with the package. Each case is a film of 16 pages, two
-frames each, or 16 with noise. The exit status is 1 if a triangle is misplaced by more than 0.1 px, or a threshold
-differs by more than 1 % (2 % for k1 = -0.3) from that of frames placed by hand, without a warning or an error.
+frames each, or eight with noise. The exit status is 1 if triangles are misplaced by more than 0.1 px, or if a
+threshold differs by more than 1 % (2 % for k1 = -0.3) from that of frames placed by hand, without a warning or an
+error.
 """
 
 from __future__ import annotations
@@ -60,8 +61,8 @@ def main(arguments: Sequence[str]) -> int:
     )
     with tempfile.TemporaryDirectory() as made:
         chart = make_chart(Path(made), sizes="4", contrasts="0.03,0.06,0.12,0.24")
-        for number, (name, view, lens, tolerance) in enumerate(cases()):
-            for noise in (False, True):
+        for noise in (False, True):
+            for number, (name, view, lens, tolerance) in enumerate(cases()):
                 if asked not in name:
                     continue
                 folder = Path(made) / f"case_{number}_{noise:d}"
