@@ -45,8 +45,9 @@ from todframes.observers.pyramid import PyramidObserver, PyramidSettings
 from todframes.observers.retina import resample
 from todframes.psychometrics.fit import CurveName, FitSettings, PsychometricFit, fit_trials
 from todframes.psychometrics.observer_curve import observer_curve
+from todframes.psychometrics.threshold_search import ComputedThreshold
 from todframes.psychometrics.weibull import weibull
-from todframes.scoring.naked_eye import Threshold, acuity, contrast_threshold, proportion_correct
+from todframes.scoring.naked_eye import acuity, contrast_threshold, proportion_correct
 from todframes.stimulus import ORIENTATIONS, Orientation, Stimulus, coverage
 
 HERE = Path(__file__).parent
@@ -104,13 +105,13 @@ def with_noise(internal_noise: float) -> PyramidSettings:
 
 
 @cache
-def contrast(settings: PyramidSettings, size_mrad: float) -> Threshold:
+def contrast(settings: PyramidSettings, size_mrad: float) -> ComputedThreshold:
     """Naked-eye threshold contrast."""
     return contrast_threshold(observer(settings), size_mrad=size_mrad)
 
 
 @cache
-def naked_eye_acuity(settings: PyramidSettings) -> Threshold:
+def naked_eye_acuity(settings: PyramidSettings) -> ComputedThreshold:
     """Naked-eye acuity at a contrast of 100 %."""
     return acuity(observer(settings))
 

@@ -3,6 +3,7 @@ from .calls.explore import explore as explore
 from .calls.mtf import mtf as mtf
 from .calls.simulate import simulate as simulate
 from .calls.sweep import sweep as sweep
+from .chain.dataset import Written as Written
 from .chain.sensor import Detector as Detector
 from .chain.sensor import Electronics as Electronics
 from .chain.sensor import Noise as Noise
@@ -10,7 +11,6 @@ from .chain.sensor import Optics as Optics
 from .chain.sensor import Sensor as Sensor
 from .chain.sensor import SensorDisplay as SensorDisplay
 from .chain.sensor import load_sensor as load_sensor
-from .chain.simulation import Written as Written
 from .mtf_report import SensorMtf as SensorMtf
 from .sweeps.result import SweepResult as SweepResult
 from .thresholds.matched import matched_settings as matched_settings

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -11,18 +12,19 @@ from sensor_sim.chain.sampling import sample_image
 from sensor_sim.chain.sensor import Detector, Sensor
 from sensor_sim.chain.simulation import SimulatedTrial, Simulator
 from todframes.base._typing import FloatArray
-from todframes.frames.contrast import ContrastPatch
-from todframes.frames.files import write_frame
 from todframes.observers.interface import Observer
 from todframes.observers.retina import resample
 from todframes.report.data import Example, Fit
-from todframes.report.examples import MOST_EXAMPLES, ExamplePatch, pictures
 from todframes.report.figure_style import label_text, style
 from todframes.report.figures import save_png
+from todframes.report.thumbnails import ExamplePatch, pictures
 from todframes.report.wording import evenly
 from todframes.stimulus import Orientation, Stimulus, bounding_box_offset, coverage
 
 FINE_PIXELS_PER_DETECTOR = 8
+
+MOST_EXAMPLES = 4
+"""Largest number of sizes of which a frame at threshold is drawn."""
 
 
 def trial_stages(sensor: Sensor, trial: SimulatedTrial, *, seed: int) -> dict[str, FloatArray]:
@@ -90,6 +92,17 @@ def threshold_examples(
     return tuple(_threshold_example(sensor, observer, fit, seed) for fit in evenly(known, MOST_EXAMPLES))
 
 
+class _WholeFrame(NamedTuple):
+    """The contrast of a whole frame, in one band."""
+
+    values: FloatArray
+    row: int = 0
+    column: int = 0
+
+    def bands(self) -> Iterator[_WholeFrame]:
+        yield self
+
+
 def _threshold_example(sensor: Sensor, observer: Observer, fit: Fit, seed: int) -> Example:
     size, pitch_mrad = float(fit.group["size_detectors"]), sensor.display.pixel_pitch_mrad
     assert fit.threshold is not None
@@ -107,7 +120,7 @@ def _threshold_example(sensor: Sensor, observer: Observer, fit: Fit, seed: int) 
         pixel_pitch_mrad=pitch_mrad,
     )
     width_mrad, drawn = pictures(
-        [ExamplePatch(ContrastPatch(contrast, 0, 0, 0), frame.x_px, frame.y_px)],
+        [ExamplePatch(_WholeFrame(contrast), frame.x_px, frame.y_px)],
         retina,
         observer=observer,
         stimulus=stimulus,
@@ -139,6 +152,8 @@ STAGE_TITLES = {
 
 def write_stages(folder: Path, sensor: Sensor, trial: SimulatedTrial, *, seed: int) -> None:
     """Write each stage of a trial as an 8-bit PNG, and all stages with labels as `stages.png`."""
+    from todframes.frames.files import write_frame
+
     folder.mkdir()
     found = trial_stages(sensor, trial, seed=seed)
     for name, image in found.items():

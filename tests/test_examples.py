@@ -18,7 +18,8 @@ from todframes.frames.dataset import load_dataset
 from todframes.observers.pyramid import PyramidObserver, PyramidSettings
 from todframes.observers.retina import RetinaGrid
 from todframes.report.data import Example, Thumbnail
-from todframes.report.examples import ExamplePatch, examples, pictures
+from todframes.report.examples import examples
+from todframes.report.thumbnails import ExamplePatch, pictures
 from todframes.scoring.score import score_dataset
 from todframes.stimulus import Stimulus
 

@@ -308,8 +308,8 @@ class FakeCurves:
         assert level in ("snr", "contrast")
         self.is_wanted.append(is_wanted)
         sizes = sensor_observer_sizes[2]
-        reached = PredictedThreshold(sizes[0], "ok", 2.0, 0.04, 8, ())
-        never = PredictedThreshold(sizes[1], "never_reached", None, None, 8, ())
+        reached = PredictedThreshold("ok", 2.0, 0.04, sizes[0], 8)
+        never = PredictedThreshold("never_reached", size_detectors=sizes[1], n_phases=8)
         shares = Shares(0.25, 0.5, 0.25)
         yield LiveCurve((reached, never), (shares, shares), 0.03, p_correct, True)
 

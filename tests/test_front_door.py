@@ -34,7 +34,8 @@ from todframes.report.data import decode
 ROOT = Path(__file__).parent.parent
 NAKED_EYE, ENHANCEMENT = ROOT / "sample_frames" / "naked_eye", ROOT / "sample_frames" / "enhancement"
 CAMERA = ROOT / "sample_frames" / "staring_camera.toml"
-SLOW_TO_LOAD = {"OpenImageIO", "sqlite3", "matplotlib", "todframes.frames", "todframes.jobs"}
+CURVE = ["curve", CAMERA, "--size-detectors", "4,6", "--tolerance", "0.1"]
+OF_FRAMES = {"OpenImageIO", "sqlite3", "scipy.sparse", "todframes.frames", "todframes.jobs"}
 MOST_FILES_RUN = 60
 NAMES = [(package, name) for package in (tod, ss) for name in dir(package)]
 
@@ -107,11 +108,13 @@ def test_import_loads_nothing(package: str) -> None:
 @pytest.mark.parametrize(
     ("group", "arguments", "unused"),
     [
-        pytest.param("sensor_sim.cli", ["curve", CAMERA, "--size-detectors", "4,6"], SLOW_TO_LOAD, id="curve"),
+        pytest.param("sensor_sim.cli", CURVE, {"matplotlib", *OF_FRAMES}, id="curve"),
+        pytest.param("sensor_sim.cli", [*CURVE, "-o", "out"], OF_FRAMES, id="curve with -o"),
         pytest.param("todframes.cli.main", ["score", CAMERA.with_suffix("")], {"sqlite3"}, id="score"),
     ],
 )
-def test_a_command_runs_few_files(group: str, arguments: list[object], unused: set[str]) -> None:
+def test_a_command_runs_few_files(group, arguments, unused, tmp_path, monkeypatch) -> None:
+    monkeypatch.chdir(tmp_path)
     code = f"import sys; from {group} import cli; from todframes.cli.console import run; run(cli, sys.argv[1:])"
     loaded = loaded_by(code, *arguments)
     assert not unused & loaded.keys()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import errno
 import hashlib
+import math
 import os
 import signal
 import subprocess
@@ -19,15 +20,10 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from sensor_sim import cli
-from sensor_sim.chain import simulation
+from sensor_sim.chain import dataset as simulated_dataset
+from sensor_sim.chain.dataset import white_luminance_cd_m2, write_dataset
 from sensor_sim.chain.sensor import Detector, Electronics, Noise, Optics, Sensor, SensorDisplay
-from sensor_sim.chain.simulation import (
-    SimulatedTrial,
-    Simulator,
-    plan_trials,
-    white_luminance_cd_m2,
-    write_dataset,
-)
+from sensor_sim.chain.simulation import LARGEST_SIDE_PX, SimulatedTrial, Simulator, plan_trials
 from sensor_sim.pictures import trial_stages
 from todframes import __version__
 from todframes.base.errors import FrameError, SettingsError
@@ -36,7 +32,7 @@ from todframes.cli.console import run
 from todframes.frames import files as frame_writing
 from todframes.frames.contrast import frame_problems
 from todframes.frames.dataset import load_dataset
-from todframes.frames.files import read_frame, read_header
+from todframes.frames.files import MAX_FRAME_MB, MAX_SIDE_PX, read_frame, read_header
 from todframes.jobs.engine import open_engine
 from todframes.observers.pyramid import PyramidObserver
 from todframes.psychometrics.fit import FitSettings
@@ -130,6 +126,10 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 
 # The chain ----------------------------------------------------------------------------------------------------
+
+
+def test_the_largest_frame_is_one_that_is_read() -> None:
+    assert min(MAX_SIDE_PX, math.isqrt(MAX_FRAME_MB * 2**20 // 2)) == LARGEST_SIDE_PX
 
 
 def test_frame_is_the_held_and_blurred_samples_on_the_background():
@@ -637,7 +637,7 @@ def test_disk_full_at_the_manifest(simulate_command, tmp_path, monkeypatch):
     def no_space(*_, **__):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    monkeypatch.setattr(simulation, "csv_text", no_space)
+    monkeypatch.setattr(simulated_dataset, "csv_text", no_space)
     assert_refused(
         simulate_command(tmp_path / "dataset"), BAD_SETTINGS, str(tmp_path / "dataset"), "No space left on device"
     )

@@ -95,13 +95,11 @@ def curve(
                 float(convert(snr, noise=sensor.noise)) for convert in (delta_t_mk, delta_t_as_printed_mk)
             )
         fits.append(
-            Fit(
-                group={"size_detectors": size},
-                level="snr",
-                status=found.status,
-                threshold=snr,
-                threshold_numerical_error=found.numerical_error,
-                p_correct=p_correct,
+            Fit.of_computed(
+                {"size_detectors": size},
+                "snr",
+                p_correct,
+                found,
                 points=tuple(FitPoint(level, 0, p) for level, p in found.points),
                 n_phases=found.n_phases,
                 p_correct_error_bound=chain.non_gaussian_bound(),

@@ -11,7 +11,7 @@ from sensor_sim.chain.sensor import Sensor, sensor_of
 from todframes.base.seeds import Rng, seed_of
 
 if TYPE_CHECKING:
-    from sensor_sim.chain.simulation import FrameFormat, Written
+    from sensor_sim.chain.dataset import FrameFormat, Written
     from todframes.jobs.work import Engine
 
 
@@ -91,7 +91,8 @@ def simulate(
     8
     """
     seed = seed_of(rng)
-    from sensor_sim.chain.simulation import plan_trials, write_dataset
+    from sensor_sim.chain.dataset import write_dataset
+    from sensor_sim.chain.simulation import plan_trials
     from todframes.base.output import Going, new_folder, store_path
     from todframes.jobs.engine import open_engine
     from todframes.jobs.store import Store

@@ -227,7 +227,12 @@ def divided(sizes: Sequence[float], n_parts: int) -> list[tuple[tuple[int, float
 
 
 class _Worker:
-    """A process at the other end of a pipe."""
+    """A process at the other end of a pipe.
+
+    It is no executor of `todframes.jobs`, because futures lack three things that live curves need. A request has
+    several answers, each shown as soon as it is there. A request under way is given up within milliseconds of a
+    newer one. And a size stays with the process that has kept its parts.
+    """
 
     def __init__(self, wanted: Any) -> None:
         context = multiprocessing.get_context("spawn")

@@ -171,7 +171,7 @@ class ThresholdEngine:
                 found = self._on_lattices(task, MORE_PLACES)
                 threshold, error = corrected(found.found, None) if found.found.status == "ok" else (None, None)
         n_phases = sum(part.signal[..., 0].size for part in found.phases)
-        of_size = PredictedThreshold(task.size, found.found.status, threshold, error, n_phases)
+        of_size = PredictedThreshold(found.found.status, threshold, error, task.size, n_phases)
         return of_size, _shares(found, task.level, threshold), on_few
 
     def _on_lattices(self, task: _Task, places: int) -> _OnLattices:

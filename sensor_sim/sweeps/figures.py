@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sensor_sim.sweeps.tables import BY_SIZE, CRITERION_UNITS, SweepData
-from sensor_sim.sweeps.work import IMPOSSIBLE
 from todframes import __version__
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError
+from todframes.psychometrics.threshold_search import IMPOSSIBLE
 from todframes.report.figure_style import COLOURS, INK, add_legend, curve_style, label_text, plain_ticks
 from todframes.report.figures import ReportFigure
 from todframes.report.html import figure_items, render, table_item

@@ -14,11 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sensor_sim.sweeps.designs import FILL_FACTOR, NAME_COLUMN, NETD, PITCH, WIDTH
-from sensor_sim.sweeps.work import IMPOSSIBLE, Swept
+from sensor_sim.sweeps.work import Swept
 from todframes import __version__
 from todframes.base._typing import FloatArray, Json
 from todframes.base.errors import SettingsError, argument, for_reader
 from todframes.base.reading import check_keys
+from todframes.psychometrics.threshold_search import IMPOSSIBLE
 from todframes.report.data import json_file
 from todframes.report.table import BLOCK, Column, LongRecords, Table
 from todframes.report.wording import count, listed, plain

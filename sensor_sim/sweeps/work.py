@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, is_dataclass, replace
 from functools import lru_cache
-from typing import Any, ClassVar, Literal, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import msgspec
 import numpy as np
@@ -29,6 +29,7 @@ from todframes.jobs.store import Store
 from todframes.jobs.work import Engine, Lost
 from todframes.observers.interface import Observer
 from todframes.psychometrics.fit import FitSettings
+from todframes.psychometrics.threshold_search import IMPOSSIBLE
 from todframes.scoring.error_budget import PlanName
 from todframes.stimulus import Stimulus
 
@@ -40,9 +41,6 @@ ALIKE_TOGETHER = 8
 
 OBSERVERS_KEPT = 4
 """Number of observers that are kept, each with its readouts, while sensors change."""
-
-IMPOSSIBLE: Literal["impossible"] = "impossible"
-"""Status of a design, or of a size of it, that cannot be computed."""
 
 
 class Chain(NamedTuple):
@@ -142,9 +140,11 @@ class SweepWork:
                     n_points=0,
                 )
             except SettingsError as error:
-                return PredictedThreshold(size, IMPOSSIBLE, reason=str(error))
+                return PredictedThreshold(IMPOSSIBLE, size_detectors=size, reason=str(error))
             except MemoryError:
-                return PredictedThreshold(size, IMPOSSIBLE, reason="it needs more memory than there is")
+                return PredictedThreshold(
+                    IMPOSSIBLE, size_detectors=size, reason="it needs more memory than there is"
+                )
 
         return compute
 
@@ -340,11 +340,11 @@ def run_sweep(
     uses = np.bincount(plan.places[plan.places >= 0].ravel(), minlength=len(plan.chains)).tolist()
     if progress is not None:
         progress(len(plan.reasons) * len(sizes))
-    results: list[PredictedThreshold] = [PredictedThreshold(math.nan, IMPOSSIBLE)] * len(plan.chains)
+    results: list[PredictedThreshold] = [PredictedThreshold(IMPOSSIBLE)] * len(plan.chains)
     for number, result in run_stored(work, plan.chains, engine=engine, store=store):
         if isinstance(result, Lost):
             size = plan.chains[number].size_detectors
-            result = PredictedThreshold(size, IMPOSSIBLE, reason=str(result.error))
+            result = PredictedThreshold(IMPOSSIBLE, size_detectors=size, reason=str(result.error))
         results[number] = result
         if progress is not None:
             progress(uses[number])

@@ -35,7 +35,7 @@ from todframes.base.errors import SettingsError
 from todframes.observers.decision import answer_probability
 from todframes.observers.interface import Observer, Readout, non_gaussian_bound
 from todframes.psychometrics.replicates import REPLICATES, half_width_95
-from todframes.psychometrics.threshold_search import Status, crossing
+from todframes.psychometrics.threshold_search import ComputedThreshold, Status, crossing
 from todframes.stimulus import Orientation
 
 PLACES = (5, 7, 11, 17, 25, 37)
@@ -393,7 +393,7 @@ def find_threshold(
 
 
 @dataclass(frozen=True, slots=True)
-class PredictedThreshold:
+class PredictedThreshold(ComputedThreshold):
     """A threshold computed for a sensor.
 
     `threshold` is an SNR, or a contrast if that was varied. `numerical_error` is the half-width of
@@ -402,10 +402,7 @@ class PredictedThreshold:
     threshold cannot be computed, with the status "impossible".
     """
 
-    size_detectors: float
-    status: Status | Literal["impossible"]
-    threshold: float | None = None
-    numerical_error: float | None = None
+    size_detectors: float = math.nan
     n_phases: int = 0
     points: tuple[tuple[float, float], ...] = ()
     reason: str = ""
@@ -470,7 +467,7 @@ def predict_threshold(
             check=check,
         )
         if found.status != "ok":
-            return PredictedThreshold(chain.size_detectors, found.status, None, None, n_phases, ())
+            return PredictedThreshold(found.status, size_detectors=chain.size_detectors, n_phases=n_phases)
         near, slope = found.threshold, found.slope
         error, left_out = half_width_95(found.deviations), chain.plan.bound / found.slope
         # More trials do not reduce the error of the omissions: on a flat curve, the stated error may stay above
@@ -483,4 +480,4 @@ def predict_threshold(
         levels = (threshold * 2.0 ** np.linspace(-1.0, 1.0, n_points)).tolist()
         points = tuple(zip(levels, chain.proportions_correct(parts[0], levels).tolist(), strict=True))
     error = (error + left_out) * threshold
-    return PredictedThreshold(chain.size_detectors, found.status, threshold, error, n_phases, points)
+    return PredictedThreshold(found.status, threshold, error, chain.size_detectors, n_phases, points)

@@ -1,4 +1,4 @@
-"""Peak memory of loading and scoring up to a million small frames, links to a few files: half an hour."""
+"""Memory and time of loading and scoring up to a million small frames, links to a few files: half an hour."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from todframes.frames.files import frame_sha256, write_frame
 from todframes.stimulus import ORIENTATIONS, coverage
 
 SCORED = (10**4, 10**5, 10**6)
-SIDE, PITCH_MRAD = 32, 0.5
+SIDE, PITCH_MRAD = 40, 0.5
 SIZES_MRAD, CONTRASTS = (2.0, 2.5, 3.0), (0.02, 0.05, 0.1, 0.2, 0.4)
 FRAMES_A_FOLDER = 1000
 LOAD = "import sys; from todframes.frames.dataset import load_dataset; load_dataset(sys.argv[1])"
@@ -24,13 +24,20 @@ def rows() -> list[Row]:
     with tempfile.TemporaryDirectory() as folder:
         datasets = [_dataset(Path(folder, str(n)), n) for n in SCORED]
         loads = [process("-c", LOAD, str(path)) for path in datasets]
-        scores = [
-            process("-m", "todframes", "score", str(path), "-o", f"{path}.out", "--quiet", "--workers", "2")
-            for path in datasets
-        ]
+        alone, scores = (
+            [
+                process("-m", "todframes", "score", str(path), "-o", f"{path}.{n}", "--quiet", "--workers", n)
+                for path in datasets
+            ]
+            for n in "12"
+        )
     return [
         *_rows("load", loads, "<= 250"),
-        *_rows("score -o", scores, "<= 700"),
+        *_rows("score -o, two workers", scores, "<= 700"),
+        Row("score -o, two workers: CPU ms a trial", 1e3 * scores[-1].cpu_s / SCORED[-1], "<= 0.5"),
+        Row(
+            "score -o: times as fast with two workers as with one", alone[-1].wall_s / scores[-1].wall_s, ">= 1.7"
+        ),
     ]
 
 

@@ -70,7 +70,7 @@ def location(name: str | os.PathLike[str] | RemotePath) -> Location:
     if isinstance(name, RemotePath):
         return name
     if not isinstance(name, str) or not URL.match(name):
-        path = Path(name)
+        path = name if isinstance(name, Path) else Path(name)
         if COLLAPSED_URL.match(str(path)) and not path.exists():
             found = "a URL with one slash" if isinstance(name, str) else "a Path made from a URL"
             raise DataError(f"dataset: found {found}, expected the URL as a text, with ://")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,12 +16,8 @@ from todframes.psychometrics.fit import FitSettings
 from todframes.report.advice import above_contrast_1
 from todframes.report.data import (
     Fit,
-    Group,
 )
 from todframes.report.result import Result
-
-if TYPE_CHECKING:
-    from todframes.scoring.naked_eye import Threshold
 
 
 def naked_eye(
@@ -80,7 +75,7 @@ def naked_eye(
             found = contrast_threshold(judge, size_mrad=value, p_correct=p_correct)
         else:
             found = acuity(judge, contrast=value, p_correct=p_correct)
-        fits.append(_computed({given: value}, level, p_correct, found))
+        fits.append(Fit.of_computed({given: value}, level, p_correct, found))
         if progress is not None:
             progress(1)
     return Result.made(
@@ -89,15 +84,4 @@ def naked_eye(
         settings=settings | {"p_correct": p_correct},
         fits=tuple(fits),
         warnings=above_contrast_1(fits),
-    )
-
-
-def _computed(group: Group, level: str, p_correct: float, found: Threshold) -> Fit:
-    return Fit(
-        group=group,
-        level=level,
-        status=found.status,
-        threshold=found.threshold,
-        threshold_numerical_error=found.numerical_error,
-        p_correct=p_correct,
     )

@@ -257,6 +257,11 @@ def weber_contrast(luminance: FloatArray, background_luminance_cd_m2: float) -> 
     DataError
         If the background is not a positive number.
     """
-    if not (math.isfinite(background_luminance_cd_m2) and background_luminance_cd_m2 > 0):
-        raise DataError(f"background luminance is {background_luminance_cd_m2:g} cd/m², expected > 0")
+    check_background(background_luminance_cd_m2)
     return luminance / background_luminance_cd_m2 - 1.0
+
+
+def check_background(luminance_cd_m2: float) -> None:
+    """Raise DataError if the luminance of a background is not a positive number."""
+    if not (math.isfinite(luminance_cd_m2) and luminance_cd_m2 > 0):
+        raise DataError(f"background luminance is {luminance_cd_m2:g} cd/m², expected > 0")

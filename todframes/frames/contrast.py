@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError, FrameError
-from todframes.display.display import BackgroundRule, Display, border_values, weber_contrast
+from todframes.display.display import BackgroundRule, Display, border_values, check_background, weber_contrast
 from todframes.frames.dataset import Dataset, Skipped
 from todframes.frames.files import BAND_VALUES, FrameFile, FrameSource, code_values
 from todframes.frames.position import centroid_position, check_on_frame, size_in_px
@@ -279,7 +279,7 @@ def luminance_at_triangle(background: Background) -> float:
 def check_contrast(largest_luminance_cd_m2: float, background: Background) -> None:
     """Raise DataError if Weber contrast overflows, or the background is not a positive number."""
     middle = luminance_at_triangle(background)
-    weber_contrast(np.zeros(0), middle)  # raises if the background is not > 0
+    check_background(middle)
     if largest_luminance_cd_m2 > sys.float_info.max * min(middle, 1.0):
         raise DataError("the contrast is beyond all numbers; expected luminances nearer to the background's")
 

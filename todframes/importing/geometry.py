@@ -110,6 +110,17 @@ class Geometry:
             stretch=stretch_of(self.jacobian(place_mm)),
         )
 
+    def direction_mrad(self, place_mm: ArrayLike, *, middle_px: FloatArray, distance_m: float) -> FloatArray:
+        """Return the angles at the camera, (x, y), of a place on a chart from the middle of the frame.
+
+        A chart square to the camera's axis is assumed. The lens counts: angles are those of the ideal picture.
+        """
+        place = np.asarray(place_mm, np.float64)
+        scale = Geometry(self.homography, 0.0).scale_px_per_mm(place)
+        away = (self.ideal_px(place) - middle_px) / (scale * distance_m * 1e3)
+        tangent = max(float(np.linalg.norm(away)), 1e-12)
+        return np.asarray(away * (1e3 * math.atan(tangent) / tangent))
+
     def lens_stretch(self, place_mm: ArrayLike) -> float:
         """Return the stretch by the lens alone about a place on the chart; 1 for none."""
         if self.lens is None:

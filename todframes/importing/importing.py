@@ -29,6 +29,7 @@ from todframes.frames.files import MAX_FRAME_MB
 from todframes.importing.chart_source import ChartSource
 from todframes.importing.clips import TIME_TOLERANCE, Clip, ClipFrame
 from todframes.importing.filmed_trials import (
+    FIELD_PLACE,
     SHAKE_PX,
     Correction,
     ImportedTrial,
@@ -75,6 +76,9 @@ class Source(Protocol):
 
     def frames(self, recording: Recording, number: int) -> Iterator[tuple[Clip, ClipFrame]]:
         """Yield the frames of a recording that show one page, each with its clip."""
+
+    def field_places(self) -> dict[int, dict[str, str]]:
+        """Return the columns `FIELD_PLACE` by the numbers of clips; none if the chart stays at one place."""
 
     def why_nothing(self) -> str | None:
         """Return why there is no clip at all; None if there are some."""
@@ -233,7 +237,9 @@ def import_recordings(
         for name in division.left_out:
             del written[name]
             (folder / name).unlink()
-        rows = list(division.rows(written, level=source.level, pitch_mrad=pitch_mrad))
+        field_places = source.field_places()
+        rows = list(division.rows(written, level=source.level, pitch_mrad=pitch_mrad, field_places=field_places))
+        group_by = [source.group_by, *(FIELD_PLACE if field_places else ())]
         remove_others(folder, written)
         _write(folder / "manifest.csv", csv_text([rows[0], *(row.values() for row in rows)], as_it_is=True))
         _write(
@@ -242,7 +248,7 @@ def import_recordings(
                 {
                     "schema": 1,
                     "display": table_of_display(shown.display, folder),
-                    "experiment": {"level": source.level, "group_by": [source.group_by]},
+                    "experiment": {"level": source.level, "group_by": group_by},
                 },
                 comment=f"Imported by todframes {__version__}; {REPORT_FILE} says what was found\n"
                 f"Display: {one_line(shown.title)}",
@@ -424,13 +430,15 @@ def _of_design(
             f"{n_repeats} of {len(trials)} trials repeat another one bit by bit: they add nothing, and intervals "
             "come out too narrow; give each recording once",
         )
-    sizes_px: dict[object, list[float]] = defaultdict(list)
+    field_places = source.field_places()
+    sizes_px: dict[tuple[object, tuple[str, ...]], list[float]] = defaultdict(list)
     numbers: dict[tuple[object, float], Counter[str]] = defaultdict(Counter)
     for trial in trials:
         size = trial.stimulus.columns.get(source.group_by)
-        sizes_px[size] += trial.sizes_px
+        place = tuple(field_places.get(trial.clip, {}).values())
+        sizes_px[size, place] += trial.sizes_px
         numbers[size, trial.stimulus.level][trial.orientation.value] += 1
-    size, of_size = max(sizes_px.items(), key=lambda one: max(one[1]) / min(one[1]))
+    (size, _), of_size = max(sizes_px.items(), key=lambda one: max(one[1]) / min(one[1]))
     if size is not None and max(of_size) > SIZES_ALIKE * min(of_size):
         yield RecordingWarning(
             "sizes_differ",

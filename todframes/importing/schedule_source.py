@@ -145,6 +145,10 @@ class ScheduleSource:
         self._n_cut += window != whole
         return Placed(row.x_px, row.y_px, size_px, row.orientation, window, part_of(values, window))
 
+    def field_places(self) -> dict[int, dict[str, str]]:
+        """Return no places: a schedule does not say where its targets are in the camera's field."""
+        return {}
+
     def why_nothing(self) -> str | None:
         """Return why there is no frame in any clip; None if there are some."""
         if any(clip.n_frames for clip in self.clips):

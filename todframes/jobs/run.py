@@ -8,7 +8,7 @@ from collections.abc import Callable, Generator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, NamedTuple, Protocol, TypeVar
 
 import msgspec
 
@@ -136,8 +136,7 @@ def _rows(
     return rows
 
 
-@dataclass
-class KeyedResult(Generic[Result]):
+class KeyedResult(NamedTuple, Generic[Result]):
     """A result with its key, None if it is not to be kept, and the key by its stamp, under which `key` is kept."""
 
     key: bytes | None

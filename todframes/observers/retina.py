@@ -261,7 +261,7 @@ def _averaged(values: FloatArray, edges: FloatArray, first: int, stop: int) -> F
     rows[1::2] = (1.0 - beyond) * rows[:-1:2]
     rows[1::2] += beyond * rows[2::2]
     start = np.arange(first, stop, dtype=np.float64)
-    row = np.searchsorted(edges, start, side="right") + np.searchsorted(edges, start + 1.0, side="left")
+    row = edges.searchsorted(start, side="right") + edges.searchsorted(start + 1.0, side="left")
     return rows.take(row, axis=0)
 
 

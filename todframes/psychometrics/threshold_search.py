@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Literal
 
 Status = Literal["ok", "never_reached", "always_exceeded"]
+IMPOSSIBLE: Literal["impossible"] = "impossible"
+"""Status of a threshold that cannot be computed."""
+
 Crossing = tuple[Status, float | None]
 LEVEL_RANGE = (1e-6, 1e9)
 SATURATED = 1e-3
@@ -18,6 +22,18 @@ USUAL_SLOPE, LEAST_SLOPE, LARGEST_SLOPE = 1.5, 0.01, 20.0
 
 LAST_STEP = 1e-5
 """Step of a secant in ln level after which the search ends: the next step would be far smaller."""
+
+
+@dataclass(frozen=True, slots=True)
+class ComputedThreshold:
+    """A threshold that was computed without trials, or the status of one that is missing.
+
+    `threshold` and `numerical_error` are in the unit of the varied quantity.
+    """
+
+    status: Status | Literal["impossible"]
+    threshold: float | None = None
+    numerical_error: float | None = None
 
 
 def crossing(

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from todframes.enhancement.compare import AlgorithmResult, Compared
     from todframes.frames.dataset import Dataset
     from todframes.psychometrics.fit import PsychometricFit
+    from todframes.psychometrics.threshold_search import ComputedThreshold
     from todframes.scoring.score import GroupFit
 
 SCHEMA = 1
@@ -174,6 +175,19 @@ class Fit(Struct, frozen=True, kw_only=True, omit_defaults=True):
         if fit.observer_curve is not None:
             values["observer_curve"] = CurveParameters(*fit.observer_curve)
         return cls(group=group, level=level, points=points, **values)
+
+    @classmethod
+    def of_computed(cls, group: Group, level: str, p_correct: float, found: ComputedThreshold, **more: Any) -> Fit:
+        """Return the record of a threshold that was computed without trials, with `more` of its values."""
+        return cls(
+            group=group,
+            level=level,
+            p_correct=p_correct,
+            status=found.status,
+            threshold=found.threshold,
+            threshold_numerical_error=found.numerical_error,
+            **more,
+        )
 
     @classmethod
     def of_trials(cls, dataset: Dataset, fit: GroupFit, explanation: Explanation | None = None) -> Fit:

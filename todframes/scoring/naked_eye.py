@@ -7,14 +7,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from dataclasses import replace
 
 import numpy as np
 
 from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError
 from todframes.observers.interface import Observer, Readout
-from todframes.psychometrics.threshold_search import Status, find_crossing
+from todframes.psychometrics.threshold_search import ComputedThreshold, find_crossing
 from todframes.stimulus import HEIGHT_PER_SIZE, ORIENTATIONS, Stimulus, coverage
 
 NODES = (6, 8, 12, 16, 24, 32, 48)
@@ -31,18 +31,6 @@ CONTRAST_RANGE = (1e-12, 1e12)
 
 SIZE_RANGE_SAMPLES = (1e-2, 1e3)
 """Smallest and largest size in the search for an acuity, in retina samples; larger sizes are refused."""
-
-
-class Threshold(NamedTuple):
-    """A threshold, or the reason why there is none.
-
-    `threshold` is in the unit of the varied quantity. `numerical_error` is its change at the last increase of the
-    number of displacements that it is averaged over, in the same unit.
-    """
-
-    status: Status
-    threshold: float | None
-    numerical_error: float | None
 
 
 def proportion_correct(observer: Observer, *, size_mrad: float, contrast: float, nodes: int = 16) -> float:
@@ -68,7 +56,7 @@ def proportion_correct(observer: Observer, *, size_mrad: float, contrast: float,
     return _proportion_correct(contrast, readout, deviations, weights)
 
 
-def contrast_threshold(observer: Observer, *, size_mrad: float, p_correct: float = 0.75) -> Threshold:
+def contrast_threshold(observer: Observer, *, size_mrad: float, p_correct: float = 0.75) -> ComputedThreshold:
     """Find the Weber contrast at which a triangle of a given size is answered correctly with `p_correct`.
 
     Parameters
@@ -82,7 +70,7 @@ def contrast_threshold(observer: Observer, *, size_mrad: float, p_correct: float
 
     Returns
     -------
-    Threshold
+    ComputedThreshold
         A Weber contrast.
 
     Raises
@@ -91,7 +79,7 @@ def contrast_threshold(observer: Observer, *, size_mrad: float, p_correct: float
         If the observer is not linear, or a value is out of range.
     """
 
-    def threshold(nodes: int) -> Threshold:
+    def threshold(nodes: int) -> ComputedThreshold:
         response = _responses(observer, size_mrad, nodes)
         return _crossing(
             lambda contrast: _proportion_correct(contrast, *response),
@@ -105,7 +93,7 @@ def contrast_threshold(observer: Observer, *, size_mrad: float, p_correct: float
     return _refined(threshold, NODES if size_samples < FEW_NODES_FROM_SAMPLES else FEW_NODES + NODES)
 
 
-def acuity(observer: Observer, *, contrast: float = 1.0, p_correct: float = 0.75) -> Threshold:
+def acuity(observer: Observer, *, contrast: float = 1.0, p_correct: float = 0.75) -> ComputedThreshold:
     """Find the size at which a triangle of a given contrast is answered correctly with `p_correct`.
 
     Parameters
@@ -119,7 +107,7 @@ def acuity(observer: Observer, *, contrast: float = 1.0, p_correct: float = 0.75
 
     Returns
     -------
-    Threshold
+    ComputedThreshold
         √(area) of the triangle in mrad.
 
     Raises
@@ -130,7 +118,7 @@ def acuity(observer: Observer, *, contrast: float = 1.0, p_correct: float = 0.75
     pitch = observer.grid(Stimulus(1.0)).pitch_mrad
     sizes = (SIZE_RANGE_SAMPLES[0] * pitch, SIZE_RANGE_SAMPLES[1] * pitch)
 
-    def threshold(nodes: int) -> Threshold:
+    def threshold(nodes: int) -> ComputedThreshold:
         return _crossing(
             lambda size: proportion_correct(observer, size_mrad=size, contrast=contrast, nodes=nodes),
             p_correct,
@@ -142,14 +130,16 @@ def acuity(observer: Observer, *, contrast: float = 1.0, p_correct: float = 0.75
     return _refined(threshold, NODES[:-2])
 
 
-def _refined(threshold: Callable[[int], Threshold], nodes_to_try: Sequence[int] = NODES) -> Threshold:
+def _refined(
+    threshold: Callable[[int], ComputedThreshold], nodes_to_try: Sequence[int] = NODES
+) -> ComputedThreshold:
     """Compute a threshold with more and more displacements until it is stable."""
     result = threshold(nodes_to_try[0])
     for nodes in nodes_to_try[1:]:
         before, result = result, threshold(nodes)
         if before.threshold is not None and result.threshold is not None:
             change = abs(result.threshold - before.threshold)
-            result = result._replace(numerical_error=change)
+            result = replace(result, numerical_error=change)
             if change <= TOLERANCE * before.threshold:
                 break
         elif before.status == result.status:
@@ -221,6 +211,6 @@ def _crossing(
     start: float,
     *,
     saturates: bool = False,
-) -> Threshold:
+) -> ComputedThreshold:
     found = find_crossing(proportion, p_correct, bounds=bounds, start=start, factor=4.0, saturates=saturates)
-    return Threshold(*found, None)
+    return ComputedThreshold(*found)

@@ -60,9 +60,9 @@ def place_grid(
     to_centre_x, to_centre_y = from_centroid(trial, observer.centre, pitch)
     x, y = x + to_centre_x, y + to_centre_y
     offsets = np.asarray(displacement_samples) * grid.pitch_mrad / pitch
-    (left, top), (right, bottom) = offsets.min(axis=0).tolist(), offsets.max(axis=0).tolist()
-    rows = _touched(grid, y + top, y + bottom, pitch, header.height)
-    columns = _touched(grid, x + left, x + right, pitch, header.width)
+    along_x, along_y = zip(*offsets.tolist(), strict=True)
+    rows = _touched(grid, y + min(along_y), y + max(along_y), pitch, header.height)
+    columns = _touched(grid, x + min(along_x), x + max(along_x), pitch, header.width)
     return Placement(x, y, rows, columns, triangle)
 
 

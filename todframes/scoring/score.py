@@ -318,7 +318,7 @@ def fit_groups(
     trials, n = seen.trials, len(seen)
     correct = trials.quarter_turns
     again = [np.searchsorted(trials.numbers, look.trials.numbers) for look in looks]
-    of_look = np.zeros(n, np.intp)  # 0: the first one
+    of_look = np.zeros(n, np.int16)  # 0: the first one
     for number, rows in enumerate(again):
         of_look[rows] = number + 1
     first = np.flatnonzero(of_look == 0)
@@ -334,7 +334,7 @@ def fit_groups(
             displaced[rows] = part.displacement_samples[:, 0]
         scores[rows] = part.scores.mean(axis=1)
         background[rows], seconds[rows] = part.background_luminance_cd_m2, part.seconds
-        probabilities[rows], p_each[number], bounds[rows] = _decide(plan, part, correct[rows])
+        p_each[number] = _decide(plan, part, correct[rows], rows, probabilities, bounds)
         p_correct[rows] = p_each[number].mean(axis=1)
     answers = probabilities.argmax(axis=1)
     if not expected:
@@ -378,25 +378,32 @@ def fit_groups(
 
 
 def _decide(
-    plan: ScorePlan, seen: SeenTrials, correct: NDArray[np.intp]
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Compute the probability of each answer, of the correct one with each displacement, and its error bound."""
+    plan: ScorePlan,
+    seen: SeenTrials,
+    correct: NDArray[np.intp],
+    places: NDArray[np.intp],
+    probabilities: FloatArray,
+    bounds: FloatArray,
+) -> FloatArray:
+    """Compute the probability of the correct answer with each displacement.
+
+    The probability of each answer and its error bound are written to `places` of the last two arguments.
+    """
     n, n_displacements, _ = seen.deviations.shape
-    probabilities, bounds = np.full((n, 4), np.nan), np.zeros(n)
     p_each = np.full((n, n_displacements), np.nan)
     for members in indices_by(seen.trials.stimulus_codes):
         stimulus = seen.trials.stimuli[seen.trials.stimulus_codes[members[0]]]
         readout = plan.observer_of(stimulus).readout(stimulus)
         if readout is None:
             continue
-        bounds[members] = readout.non_gaussian_bound
+        bounds[places[members]] = readout.non_gaussian_bound
         for start in range(0, len(members), DECIDED_AT_A_TIME):
             rows = members[start : start + DECIDED_AT_A_TIME]
             answers = readout.answer_probabilities(seen.deviations[rows].reshape(-1, 4))
             answers = answers.reshape(len(rows), n_displacements, 4)
-            probabilities[rows] = answers.mean(axis=1)
+            probabilities[places[rows]] = answers.mean(axis=1)
             p_each[rows] = np.take_along_axis(answers, correct[rows, None, None], axis=2)[..., 0]
-    return probabilities, p_each, bounds
+    return p_each
 
 
 def _numerical_error(

@@ -1,0 +1,244 @@
+"""Simulated trials as a dataset that `todframes score` reads: frames on disk, and what is written with them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import lru_cache, partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal, NamedTuple
+
+import msgspec
+import numpy as np
+
+from sensor_sim.chain.detector_noise import noise_parts
+from sensor_sim.chain.sensor import Sensor
+from sensor_sim.chain.simulation import SimulatedFrame, SimulatedTrial, Simulator
+from todframes import __version__
+from todframes.base._typing import FloatArray
+from todframes.base.errors import DataError, FrameError, SettingsError
+from todframes.base.output import held, remove_others
+from todframes.base.reading import toml_text
+from todframes.base.safe_text import csv_text, one_line
+from todframes.frames.files import frame_sha256, write_frame
+from todframes.jobs.fingerprint import fingerprint
+from todframes.jobs.run import run_stored
+from todframes.jobs.work import Engine, LocalEngine, Lost
+
+if TYPE_CHECKING:
+    from todframes.jobs.store import Store
+
+FrameFormat = Literal["exr", "png"]
+
+LARGEST_CLIPPED_SHARE = 0.01
+
+MANIFEST_COLUMNS = ("frame", "orientation", "size_mrad", "size_detectors", "snr", "x_px", "y_px", "sha256")
+
+TRIALS_PER_TASK = 32
+
+
+@dataclass(frozen=True, slots=True)
+class Written:
+    """Number of frames that `write_dataset` wrote, and the share of PNG pixels that had to be clipped."""
+
+    n_frames: int
+    clipped_share: float
+
+
+def white_luminance_cd_m2(sensor: Sensor, snrs: Sequence[float]) -> float:
+    """Return the luminance of PNG code value 1: above that of the brightest triangle in the strongest noise.
+
+    Uniform noise reaches to √3 standard deviations of either of its parts and no blur adds to that; Gaussian noise
+    is given four.
+    """
+    parts = noise_parts(sensor.noise, total_sd=1.0 / min(snrs))
+    reach = math.sqrt(3.0) * sum(parts) if sensor.noise.distribution == "uniform" else 4.0 / min(snrs)
+    return sensor.display.background_luminance_cd_m2 * (1.0 + sensor.display.gain * (1.0 + reach))
+
+
+class WrittenFrames(NamedTuple):
+    """The rows of the manifest of frames that were written, and their clipped and all pixels if they are PNG."""
+
+    rows: list[list[str]]
+    n_clipped: int
+    n_pixels: int
+
+
+@dataclass(frozen=True)
+class SimulationWork:
+    """The drawing and writing of frames, as a `StoredWork`: an item is a list of trials of one size.
+
+    Attributes
+    ----------
+    folder : Path
+        Staging folder of the dataset, by its real path, which other processes have too.
+    sensor : Sensor
+    seed : int
+    frame_format : {"exr", "png"}
+    white_cd_m2 : float
+        Luminance of code value 1.
+    """
+
+    folder: Path
+    sensor: Sensor
+    seed: int
+    frame_format: FrameFormat
+    white_cd_m2: float
+    items_at_once = 1
+
+    def function(self) -> Callable[[list[SimulatedTrial]], WrittenFrames]:
+        """Return the function that writes the frames of some trials."""
+        simulator_of = lru_cache(maxsize=4)(partial(Simulator, self.sensor, seed=self.seed))
+
+        def write(trials: list[SimulatedTrial]) -> WrittenFrames:
+            rows, clipped, n_pixels = [], 0, 0
+            frames = simulator_of(trials[0].size_detectors).frames(trials)
+            with held(self.folder) as folder:
+                for trial, frame in zip(trials, frames, strict=True):
+                    code = frame.luminance_cd_m2 / self.white_cd_m2
+                    if self.frame_format == "png":
+                        clipped += int(np.count_nonzero((code < 0.0) | (code > 1.0)))
+                        n_pixels += code.size
+                        code = np.clip(code, 0.0, 1.0)
+                    rows.append(self._written(folder, trial, frame, code))
+            return WrittenFrames(rows, clipped, n_pixels)
+
+        return write
+
+    def _written(self, folder: Path, trial: SimulatedTrial, frame: SimulatedFrame, code: FloatArray) -> list[str]:
+        name = "frames/s{}_n{}_{}_{}.{}".format(*trial.key[:2], trial.orientation, trial.key[2], self.frame_format)
+        write_frame(folder / name, code, attributes=provenance(self.sensor, self.seed, trial))
+        size_mrad = trial.size_detectors * self.sensor.display.detector_pitch_mrad
+        numbers = [repr(size_mrad), repr(trial.size_detectors), repr(trial.snr)]
+        place = [f"{frame.x_px:.6f}", f"{frame.y_px:.6f}"]
+        return [name, trial.orientation.value, *numbers, *place, frame_sha256(folder / name)]
+
+    def lost(self, item: list[SimulatedTrial]) -> DataError:
+        """Return the error about trials whose process died with them."""
+        return DataError(
+            f"the process that draws triangles of {item[0].size_detectors:g} detectors died each time"
+        )
+
+    def key(self, item: list[SimulatedTrial], *, is_done: bool) -> bytes:  # noqa: ARG002
+        """Return the key of frames: it stands for the sensor, the trials and the format."""
+        trials = [(trial.key, trial.size_detectors, trial.snr, trial.orientation.value) for trial in item]
+        return fingerprint(self.sensor, self.seed, self.frame_format, self.white_cd_m2, trials)
+
+    def stamp(self, item: list[SimulatedTrial]) -> None:
+        """Return None: no file is read."""
+
+    def stamped_key(self, item: list[SimulatedTrial], stamp: object) -> None:
+        """Return None: no file is read."""
+
+    def encode(self, result: WrittenFrames) -> bytes:
+        """Return the rows of the manifest and the numbers of pixels as bytes."""
+        return msgspec.msgpack.encode(result)
+
+    def decode(self, encoded: bytes) -> WrittenFrames | None:
+        """Return the result that `encode` got; None if a frame is missing or has changed."""
+        found = msgspec.msgpack.decode(encoded, type=WrittenFrames)
+        try:
+            is_there = all(frame_sha256(self.folder / row[0]) == row[-1] for row in found.rows)
+        except FrameError:
+            return None
+        return found if is_there else None
+
+
+def write_dataset(
+    folder: Path,
+    sensor: Sensor,
+    trials: Sequence[SimulatedTrial],
+    *,
+    seed: int,
+    frame_format: FrameFormat = "exr",
+    allow_clipping: bool = False,
+    engine: Engine | None = None,
+    store: Store | None = None,
+    progress: Callable[[int], None] | None = None,
+) -> Written:
+    """Write frames, `manifest.csv` and `dataset.toml` into a folder that is empty, or holds frames of the store.
+
+    Parameters
+    ----------
+    frame_format : {"exr", "png"}
+        EXR is half float in cd/m² and keeps luminance unclipped, below zero included. PNG has 16 bits, linear
+        from 0 cd/m² to `white_luminance_cd_m2`.
+    allow_clipping : bool
+        Whether more than 1 % of the pixels of a PNG dataset may be clipped.
+    engine : Engine, optional
+        Default: this thread. The bytes written do not depend on it.
+    store : Store, optional
+        Store that states which frames of the folder were written by an earlier run.
+
+    Raises
+    ------
+    SettingsError
+        If too many pixels would be clipped.
+    OutputError
+        If a frame cannot be written.
+    """
+    (folder / "frames").mkdir(exist_ok=store is not None)
+    white = white_luminance_cd_m2(sensor, [trial.snr for trial in trials]) if frame_format == "png" else 1.0
+    tasks: list[list[SimulatedTrial]] = []
+    for trial in trials:
+        if not tasks or len(tasks[-1]) == TRIALS_PER_TASK or tasks[-1][0].size_detectors != trial.size_detectors:
+            tasks.append([])
+        tasks[-1].append(trial)
+    for size in {task[0].size_detectors for task in tasks}:
+        Simulator(sensor, size, seed=seed)  # refuses a size before anything is drawn
+    work = SimulationWork(folder.resolve(), sensor, seed, frame_format, white)
+    done: list[WrittenFrames | None] = [None] * len(tasks)
+    for number, found in run_stored(work, tasks, engine=engine or LocalEngine(), store=store):
+        if isinstance(found, Lost):
+            raise found.error
+        done[number] = found
+        if progress is not None:
+            progress(len(found.rows))
+    written = [one for one in done if one is not None]
+    n_pixels = sum(one.n_pixels for one in written)
+    share = sum(one.n_clipped for one in written) / n_pixels if n_pixels else 0.0
+    if share > LARGEST_CLIPPED_SHARE and not allow_clipping:
+        raise SettingsError(
+            f"format: {100 * share:.2g} % of the PNG pixels would be clipped, expected at most "
+            f"{100 * LARGEST_CLIPPED_SHARE:g} %; lower display.gain, take EXR, or allow clipping"
+        )
+    rows = [row for one in written for row in one.rows]
+    if store is not None:
+        remove_others(folder, {row[0] for row in rows})
+    manifest = csv_text([MANIFEST_COLUMNS, *rows], as_it_is=True)
+    (folder / "manifest.csv").write_text(manifest, encoding="utf-8")
+    (folder / "dataset.toml").write_text(_settings(sensor, white, seed), encoding="utf-8")
+    return Written(len(rows), share)
+
+
+def provenance(sensor: Sensor, seed: int, trial: SimulatedTrial) -> dict[str, str]:
+    """Return the text attributes of a frame that record how it was made."""
+    return {
+        "sensor_sim:sensor": sensor.name or "unnamed",
+        "sensor_sim:version": __version__,
+        "sensor_sim:seed": str(seed),
+        "sensor_sim:size_detectors": repr(trial.size_detectors),
+        "sensor_sim:snr": repr(trial.snr),
+        "sensor_sim:orientation": trial.orientation.value,
+        "sensor_sim:trial": "-".join(map(str, trial.key)),
+    }
+
+
+def _settings(sensor: Sensor, white: float, seed: int) -> str:
+    display = sensor.display
+    return toml_text(
+        {
+            "schema": 1,
+            "display": {
+                "eotf": "linear",
+                "white_luminance_cd_m2": white,
+                "black_luminance_cd_m2": 0.0,
+                "pixel_pitch_mm": float(display.pixel_pitch_mm),
+                "viewing_distance_mm": float(display.viewing_distance_mm),
+                "background_luminance_cd_m2": float(display.background_luminance_cd_m2),
+            },
+            "experiment": {"level": "snr", "group_by": ["size_detectors"]},
+        },
+        comment=f"Simulated by sensor-sim {__version__} with seed {seed}; sensor: {one_line(sensor.name)}",
+    )
