@@ -366,17 +366,18 @@ class GroupTriangle(NamedTuple):
         frames = {"level": level, "noise": noise, "turns": turns}
         hole = HOLE_IN_SIZES * size
         images = Images.of(even, known=known, hole=hole, **frames)
-        found = fitted(images, first_guess(images, size), CERTAIN_TURN)
         middle = share @ stated
         apart = stated - middle
-        if np.abs(apart).max() > LEAST_APART:
+        is_apart = bool(np.abs(apart).max() > LEAST_APART)
+        found = fitted(images, first_guess(images, size), CERTAIN_TURN, with_errors=not is_apart)
+        if is_apart:
             even = aligned(even, found, level=level, turns=turns, apart=apart)
             images = Images.of(even, known=known, hole=hole, **frames)
             found = fit(images, found.shape, found.shown)
         each = of_trials(found, images, even, **frames)
         excess = np.maximum(np.square(share) @ (np.square(each.away) - np.square(each.error)), 0.0)
         of_noise = np.array([*(found.error((one, 1.0)) for one in (AMPLITUDE, X, Y)), found.size_error])
-        alone = float(of_noise[0]) / math.sqrt(found.roughness)
+        alone = float(of_noise[0]) / math.sqrt(found.larger)
         signal = abs(found.shape.amplitude) / alone if alone > 0.0 else math.inf
         return cls(images, found, each, middle, np.sqrt(np.square(of_noise) + excess), signal)
 

@@ -256,8 +256,8 @@ class Images(NamedTuple):
 class TriangleFit(NamedTuple):
     """The triangle that explains mean frames best, and its covariance, (8, 8), in steps of the parameters.
 
-    `shown` are the orientations on the frames for the four stated ones. The covariance is that of the noise times
-    `roughness`, as the fit leaves more at the edges of the triangle.
+    `shown` are the orientations on the frames for the four stated ones. The covariance is `larger` times that of
+    the noise that the fit leaves: it has taken some of the noise, and leaves more at the edges of the triangle.
     """
 
     shape: Shape
@@ -265,7 +265,7 @@ class TriangleFit(NamedTuple):
     shown: tuple[int, ...]
     picture: RenderedTriangle
     square: Square
-    roughness: float
+    larger: float
 
     def error(self, *parameters: tuple[int, float]) -> float:
         """Return the standard error of a sum of parameters with factors."""
@@ -307,7 +307,9 @@ def _without_background(images: FloatArray, weight: FloatArray) -> FloatArray:
     return np.asarray(flat - (flat @ terms.T) @ np.linalg.pinv(terms @ terms.T, hermitian=True) @ terms)
 
 
-def fit(images: Images, start: Shape, shown: tuple[int, ...] = (0, 1, 2, 3)) -> TriangleFit:
+def fit(
+    images: Images, start: Shape, shown: tuple[int, ...] = (0, 1, 2, 3), *, with_errors: bool = True
+) -> TriangleFit:
     """Fit the picture of a triangle to mean frames by Gauss–Newton steps.
 
     Parameters
@@ -316,6 +318,8 @@ def fit(images: Images, start: Shape, shown: tuple[int, ...] = (0, 1, 2, 3)) -> 
     start : Shape
     shown : tuple of int
         Orientation on the frames for each stated one.
+    with_errors : bool
+        Without, the covariance is 0.
 
     Returns
     -------
@@ -341,16 +345,18 @@ def fit(images: Images, start: Shape, shown: tuple[int, ...] = (0, 1, 2, 3)) -> 
         is_found = bool(
             np.abs(step[[X, Y]]).max() < FOUND * shape.size and np.abs(step[[XX, XY, YX, YY]]).max() < FOUND
         )
+    if not with_errors:
+        return TriangleFit(shape, np.zeros((N_PARAMETERS, N_PARAMETERS)), shown, model, square, 1.0)
     left = images.triangles.copy()
     subtract(left, model.images[order], square)
     white = np.tensordot(factors, left, 1)
     spectrum = noise_spectrum(white, images.weight, square.side)
     # The fit has taken the noise of its parameters out of what it leaves.
     cells = np.linalg.matrix_rank(images.information) * float(images.weight.sum()) / (CELL * shape.size) ** 2
+    larger = cells / max(cells - N_PARAMETERS, cells / 4.0)
+    larger *= _roughness(white, images.weight, model.images[order], square)
     covariance = _covariance(design, square, images.weight, spectrum)
-    covariance *= cells / max(cells - N_PARAMETERS, cells / 4.0)
-    roughness = _roughness(white, images.weight, model.images[order], square)
-    return TriangleFit(shape, roughness * covariance, shown, model, square, roughness)
+    return TriangleFit(shape, larger * covariance, shown, model, square, larger)
 
 
 def _roughness(white: FloatArray, weight: FloatArray, pictures: FloatArray, square: Square) -> float:
@@ -564,7 +570,7 @@ def first_guess(images: Images, size: float) -> Shape:
     return found
 
 
-def fitted(images: Images, start: Shape, certain: float) -> TriangleFit:
+def fitted(images: Images, start: Shape, certain: float, *, with_errors: bool = True) -> TriangleFit:
     """Fit a triangle, and take another arrangement of the orientations if this certainly fits the frames better.
 
     Parameters
@@ -573,8 +579,10 @@ def fitted(images: Images, start: Shape, certain: float) -> TriangleFit:
     start : Shape
     certain : float
         Least advantage of another arrangement than stated, in standard errors.
+    with_errors : bool
+        As in `fit`.
     """
-    found = fit(images, start)
+    found = fit(images, start, with_errors=with_errors)
     counts = np.diag(images.information)
     stated = np.flatnonzero(counts)
     if len(stated) < 2:
@@ -592,7 +600,7 @@ def fitted(images: Images, start: Shape, certain: float) -> TriangleFit:
     best = max(gain, key=lambda shown: gain[shown])
     if gain[best] <= 0.0:
         return found
-    other = fit(images, start, best)
+    other = fit(images, start, best, with_errors=with_errors)
     left = images.triangles.copy()
     subtract(left, other.picture.images[list(best)], other.square)
     whitened = np.tensordot(_whitened(images.information), left, 1)
