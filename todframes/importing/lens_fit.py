@@ -32,7 +32,8 @@ TRIED: tuple[tuple[LensModel, int], ...] = (
     ("fisheye", 5),
 )
 """Models and numbers of coefficients, the first ones of `PARAMETERS`; each begins with the result of the one
-before."""
+before. More are tried only if the first one explains something, as it does for any lens: where it does not, others
+would follow what shifts edges in another way, such as a colour mosaic."""
 
 USUAL: dict[LensModel, tuple[float, ...]] = {
     "polynomial": (math.inf, 0.1, 0.02, 0.02, 0.05, 0.002, 0.002),
@@ -319,6 +320,8 @@ def choose_lens(
     ideal = solve(pieces, measured, None, 0)
     for model, free in TRIED:
         before = ladders[model][-1] if ladders[model] else None
+        if before is not None and ideal is not None and before.criterion >= ideal.criterion:
+            continue
         start = Lens.ideal(model, shape) if before is None or before.lens is None else before.lens
         starts = (
             measured
