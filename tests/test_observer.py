@@ -15,6 +15,7 @@ from todframes.observers.interface import ENTRY_POINT_GROUP, Observer, find_obse
 from todframes.observers.laplacian_pyramid import LaplacianPyramid
 from todframes.observers.pyramid import PyramidObserver, PyramidSettings
 from todframes.observers.retina import RetinaGrid
+from todframes.psychometrics.threshold_search import ComputedThreshold
 from todframes.scoring.naked_eye import acuity, contrast_threshold, proportion_correct
 from todframes.stimulus import ORIENTATIONS, Orientation, Stimulus, coverage
 
@@ -400,11 +401,8 @@ def test_criterion_is_met_at_the_threshold() -> None:
 
 
 def test_no_threshold_where_there_is_none() -> None:
-    assert contrast_threshold(PyramidObserver(PyramidSettings(internal_noise=0.0)), size_mrad=5.0) == (
-        "always_exceeded",
-        None,
-        None,
-    )
+    found = contrast_threshold(PyramidObserver(PyramidSettings(internal_noise=0.0)), size_mrad=5.0)
+    assert found == ComputedThreshold("always_exceeded", None, None)
     # Displaced by up to half a sample, a triangle of a hundredth of one is lost whatever its contrast.
     assert contrast_threshold(PyramidObserver(), size_mrad=0.0015).status == "never_reached"
 
