@@ -71,9 +71,11 @@ def understand(page: Any) -> None:
             wrong = next(one for one in KEYS if one != direction)
             page.click(f"#check [data-response={wrong}]")
             wait_until(page, f"document.getElementById('check-said').textContent.includes('points {direction}')")
+            page.wait_for_timeout(2000)  # the next one may point the same way
         else:
             page.keyboard.press(KEYS[direction])
-        page.wait_for_timeout(500)
+            is_next = f"document.getElementById('check-triangle').dataset.direction !== '{direction}'"
+            wait_until(page, is_next if number < 5 else "document.getElementById('check').hidden")
     assert sorted(directions[2:]) == sorted(KEYS)
     page.wait_for_selector("#check", state="hidden")
 
