@@ -824,6 +824,7 @@ def test_a_reader_of_screens_has_names_tables_and_results(explore) -> None:
 def test_the_first_page_is_small(explore) -> None:
     page = explore()
     page.wait_for_selector("#curve[data-stage=refined]")
+    wait_until(page, "performance.getEntriesByType('resource').some((one) => one.name.endsWith('/mtf'))")
     sizes = page.evaluate(
         "[...performance.getEntriesByType('navigation'), ...performance.getEntriesByType('resource')]"
         ".map((one) => [one.name.split('/').at(-1), one.transferSize])"
