@@ -374,11 +374,10 @@ def test_a_triangle_is_placed_through_the_lens(tmp_path: Path) -> None:
     ("k1", "view", "noise"),
     [
         (-0.1, "off axis", False),
-        (-0.01, "centred", True),
         *(
             pytest.param(k1, view, noise, marks=pytest.mark.weekly)
             for k1, view, noise in itertools.product([-0.1, -0.01, 0.1], LENS_VIEWS, [False, True])
-            if (k1, view, noise) not in {(-0.1, "off axis", False), (-0.01, "centred", True)}
+            if (k1, view, noise) != (-0.1, "off axis", False)
         ),
     ],
 )
