@@ -19,7 +19,7 @@ from msgspec import Meta
 from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError
 from todframes.base.reading import MAX_TOML_MB, check_keys, check_values, from_table, read_toml, toml_text
-from todframes.charts.markers import CORNERS, MODULES, MOST_PAGES, N_DIGITS
+from todframes.charts.markers import BORDER_IDS, CORNERS, MODULES, MOST_PAGES, N_DIGITS
 from todframes.display.display import Display, Eotf, LuminanceTable
 from todframes.stimulus import Orientation
 
@@ -32,6 +32,9 @@ ChartKind = Literal["screen", "print", "thermal"]
 
 SIZE_TOLERANCE = 1e-3
 """Largest relative difference between size_mm and size_mrad · distance_m."""
+
+GRID_TOLERANCE = 1e-6
+"""Part of a step by which a place on a grid may be off by rounding."""
 
 LARGEST_ON_CHART = 1e6
 """Largest length in mm or m, size in mrad or ΔT in K; a larger one is a mistake."""
@@ -56,20 +59,24 @@ class Point:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Markers:
-    """The ArUco markers in the corners of all pages.
+    """The ArUco markers in the corners and along the borders of all pages.
 
     Attributes
     ----------
     dictionary : {"5x5_1000"}
+        Dictionary of the markers in the corners.
     side_mm : float
         Side of a marker with its black border, > 0.
     top_left, top_right, bottom_right, bottom_left : Point
-        Centre of each marker.
+        Centre of each marker in a corner.
+    borders : tuple of Point
+        Centre of each marker along the borders, in the order of `BORDER_IDS`. Charts made by the first versions
+        have none.
 
     Raises
     ------
     SettingsError
-        If a value is out of range, or the corners are not where their names say.
+        If a value is out of range, the corners are not where their names say, or markers overlap.
     """
 
     side_mm: Length
@@ -78,6 +85,7 @@ class Markers:
     bottom_right: Point
     bottom_left: Point
     dictionary: Literal["5x5_1000"] = "5x5_1000"
+    borders: tuple[Point, ...] = ()
 
     def __post_init__(self) -> None:
         check_values(self)
@@ -90,6 +98,11 @@ class Markers:
                 "top_left, top_right, bottom_right, bottom_left: found markers that overlap or are exchanged, "
                 "expected each in the corner of its name, at least side_mm apart"
             )
+        if len(self.borders) > len(BORDER_IDS):
+            raise SettingsError(f"borders: found {len(self.borders)} markers, expected {len(BORDER_IDS)} at most")
+        apart = np.abs(self.all_centres_mm[:, None] - self.all_centres_mm).max(axis=-1)
+        if (apart + np.diag([np.inf] * len(apart)) < self.side_mm).any():
+            raise SettingsError("borders: found markers that overlap, expected all at least side_mm apart")
 
     @classmethod
     def in_corners(cls, *, width_mm: float, height_mm: float, module_mm: float, margin_mm: float) -> Markers:
@@ -106,9 +119,47 @@ class Markers:
 
     @property
     def centres_mm(self) -> FloatArray:
-        """Centres (x, y) in the order of `CORNERS`, shape (4, 2)."""
-        points = (getattr(self, corner) for corner in CORNERS)
+        """Centres (x, y) of those in the corners in the order of `CORNERS`, shape (4, 2)."""
+        return self.all_centres_mm[: len(CORNERS)]
+
+    @property
+    def all_centres_mm(self) -> FloatArray:
+        """Centres (x, y): those in the corners in the order of `CORNERS`, then along the borders, shape (n, 2)."""
+        points = [*(getattr(self, corner) for corner in CORNERS), *self.borders]
         return np.array([(point.x_mm, point.y_mm) for point in points])
+
+    def with_borders(self, *, free_mm: float, step_mm: float) -> Markers:
+        """Return the markers with two more along each side of the page, in thirds between the corners.
+
+        A square in the middle of the page stays free of them: they then stand nearer to the corners, and a side
+        that has no place for them has none.
+
+        Parameters
+        ----------
+        free_mm : float
+            Side of the square.
+        step_mm : float
+            Distances from the corners are multiples of it, > 0.
+        """
+        reach_mm, apart_mm = (0.5 + 1.0 / MODULES) * self.side_mm, (1.0 + 1.0 / MODULES) * self.side_mm
+        corners = self.centres_mm
+        (left, top), (right, bottom) = corners[0].tolist(), corners[2].tolist()
+        places: list[tuple[float, float]] = []
+        for length, across, is_row in ((right - left, bottom - top, True), (bottom - top, right - left, False)):
+            from_corner = length / 3.0
+            if across / 2.0 - reach_mm < free_mm / 2.0:
+                from_corner = min(from_corner, (length - free_mm) / 2.0 - reach_mm)
+            from_corner = math.floor(from_corner / step_mm + GRID_TOLERANCE) * step_mm
+            if (
+                apart_mm <= from_corner + GRID_TOLERANCE * step_mm
+                and from_corner <= length - from_corner - apart_mm
+            ):
+                along = (from_corner, length - from_corner)
+                if is_row:
+                    places += [(left + one, y) for y in (top, bottom) for one in along]
+                else:
+                    places += [(x, top + one) for x in (left, right) for one in along]
+        return replace(self, borders=tuple(Point(x_mm=x, y_mm=y) for x, y in places))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -338,7 +389,8 @@ class Chart:
                 _check_equal(name, getattr(self, name), pixels * self.screen.pixel_pitch_mm, "the pixels give")
         if self.markers is not None:
             half = self.markers.side_mm / 2.0
-            for name, (x, y) in zip(CORNERS, self.markers.centres_mm, strict=True):
+            names = [*CORNERS, *("borders" for _ in self.markers.borders)]
+            for name, (x, y) in zip(names, self.markers.all_centres_mm, strict=True):
                 if min(x, self.page_width_mm - x, y, self.page_height_mm - y) < half:
                     raise SettingsError(f"[markers]: {name}: reaches beyond the page, expected it on the page")
         for place, page in enumerate(self.pages):
@@ -415,6 +467,9 @@ def read_chart(path: Path | str) -> Chart:
         table = dict(_table(content["markers"], where))
         for corner in set(CORNERS) & table.keys():
             table[corner] = _made(table[corner], Point, f"{where}: {corner}")
+        if "borders" in table:
+            points = _list(table["borders"], f"{where}: borders")
+            table["borders"] = tuple(_made(one, Point, f"{where}: borders") for one in points)
         content["markers"] = from_table(table, Markers, where)
     if "pages" in content:
         pages = _list(content["pages"], f"{path}: pages")
@@ -485,6 +540,7 @@ def chart_toml(chart: Chart) -> str:
     if chart.markers is not None:
         names = ("dictionary", "side_mm", *CORNERS)
         content["markers"] = {name: _plain(getattr(chart.markers, name)) for name in names}
+        content["markers"]["borders"] = [*map(_plain, chart.markers.borders)] or None
     content["pages"] = [
         {
             "number": page.number,
