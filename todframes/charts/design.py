@@ -24,6 +24,11 @@ from todframes.stimulus import ORIENTATIONS, Orientation
 FIELD_PER_SIZE = 5.0
 """Side of the square around a triangle that is kept free, in sizes: the width of the observer's field."""
 
+WINDOW_PER_SIZE = 7.0
+"""Side of the square around a triangle that markers along the borders keep free, in sizes. Most windows that
+`import` cuts are as large, with six sizes for the background; a marker in the window is taken for a triangle that
+lies elsewhere."""
+
 
 class Condition(NamedTuple):
     """A triangle to show: its size, its level without sign, and its orientation."""

@@ -15,11 +15,12 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 from msgspec import Meta
+from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError
 from todframes.base.reading import MAX_TOML_MB, check_keys, check_values, from_table, read_toml, toml_text
-from todframes.charts.markers import BORDER_IDS, CORNERS, MODULES, MOST_PAGES, N_DIGITS
+from todframes.charts.markers import BORDER_IDS, CORNERS, MODULES, MOST_PAGES, N_DIGITS, page_markers
 from todframes.display.display import Display, Eotf, LuminanceTable
 from todframes.stimulus import Orientation
 
@@ -129,10 +130,10 @@ class Markers:
         return np.array([(point.x_mm, point.y_mm) for point in points])
 
     def with_borders(self, *, free_mm: float, step_mm: float) -> Markers:
-        """Return the markers with two more along each side of the page, in thirds between the corners.
+        """Return the markers with two more along each side of the page, at thirds between the corners.
 
-        A square in the middle of the page stays free of them: they then stand nearer to the corners, and a side
-        that has no place for them has none.
+        A square in the middle of the page stays free of them: where they would reach into it, they stand nearer to
+        the corners, and a side that has no place for them has none.
 
         Parameters
         ----------
@@ -160,6 +161,13 @@ class Markers:
                 else:
                     places += [(x, top + one) for x in (left, right) for one in along]
         return replace(self, borders=tuple(Point(x_mm=x, y_mm=y) for x, y in places))
+
+    def borders_beside(self, free_mm: float) -> tuple[int, ...]:
+        """Return the numbers of the markers along the borders that a square in the middle stays free of."""
+        corners, borders = np.split(self.all_centres_mm, [len(CORNERS)])
+        away_mm = np.abs(borders - corners.mean(axis=0)).max(axis=1, initial=0.0)
+        away_mm = away_mm - (0.5 + 1.0 / MODULES) * self.side_mm + GRID_TOLERANCE
+        return tuple(np.flatnonzero(away_mm >= free_mm / 2.0).tolist())
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -249,7 +257,8 @@ class Patch:
 class Page:
     """A page of a chart: an image on the monitor, a sheet of paper, or a setting of the plate.
 
-    `file` is its path in the chart's folder; None for a setting of the plate.
+    `file` is its path in the chart's folder; None for a setting of the plate. `borders` are the numbers of the
+    markers along the borders that it has; None for all.
 
     Raises
     ------
@@ -261,6 +270,7 @@ class Page:
     triangles: tuple[Triangle, ...]
     patches: tuple[Patch, ...] = ()
     file: str | None = None
+    borders: tuple[Annotated[int, Meta(ge=0, lt=len(BORDER_IDS))], ...] | None = None
 
     def __post_init__(self) -> None:
         check_values(self)
@@ -399,6 +409,9 @@ class Chart:
                 raise SettingsError(f"{where}: number: found {page.number}, expected {place}")
             if self.kind == "screen" and page.file is None:
                 raise SettingsError(f"{where}: file is missing")
+            n_borders = 0 if self.markers is None else len(self.markers.borders)
+            if any(number >= n_borders for number in page.borders or ()):
+                raise SettingsError(f"{where}: borders: found {page.borders}, expected numbers below {n_borders}")
             for one in page.triangles:
                 self._check_triangle(one, where)
 
@@ -421,6 +434,15 @@ class Chart:
     def level(self) -> str:
         """Name of the stimulus strength: contrast, or delta_t_k for a thermal chart."""
         return "delta_t_k" if self.kind == "thermal" else "contrast"
+
+    def drawn_markers(self, page: Page) -> list[tuple[NDArray[np.bool_], FloatArray]]:
+        """Return the modules of each marker of a page, (7, 7), with its centre (x, y) in mm."""
+        if self.markers is None:
+            return []
+        bits = page_markers(page.number, self.key, n_borders=len(self.markers.borders))
+        numbers = range(len(self.markers.borders)) if page.borders is None else page.borders
+        shown = [*range(len(CORNERS)), *(len(CORNERS) + number for number in numbers)]
+        return [(bits[number], self.markers.all_centres_mm[number]) for number in shown]
 
     def with_key(self) -> Chart:
         """Return the chart with the key that a hash of its content gives."""
@@ -545,6 +567,7 @@ def chart_toml(chart: Chart) -> str:
         {
             "number": page.number,
             "file": page.file,
+            "borders": page.borders,
             "triangles": [*map(_plain, page.triangles)] or None,
             "patches": [*map(_plain, page.patches)] or None,
         }

@@ -28,7 +28,7 @@ from todframes.charts.layout import (
     Triangle,
     write_chart,
 )
-from todframes.charts.markers import MODULES, page_markers
+from todframes.charts.markers import MODULES
 from todframes.charts.page_drawing import Drawing, Outline, Shape, Text, area, pdf, rectangle, svg
 from todframes.display.display import srgb_to_linear
 from todframes.stimulus import vertices
@@ -380,8 +380,8 @@ def _marker_shapes(chart: Chart, page: Page) -> list[Shape]:
     side_mm = chart.markers.side_mm
     module_mm = side_mm / MODULES
     shapes: list[Shape] = []
-    all_bits = page_markers(page.number, chart.key, n_borders=len(chart.markers.borders))
-    for bits, (x_mm, y_mm) in zip(all_bits, chart.markers.all_centres_mm.tolist(), strict=True):
+    for bits, centre_mm in chart.drawn_markers(page):
+        x_mm, y_mm = centre_mm.tolist()
         left, top = x_mm - side_mm / 2.0, y_mm - side_mm / 2.0
         shapes.append(rectangle(left, top, side_mm, side_mm, 0))
         # Runs of white modules along rows and along columns: where they only touch, programs may show a line.

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError, SettingsError, argument
-from todframes.charts.design import FIELD_PER_SIZE, Condition, Design
+from todframes.charts.design import FIELD_PER_SIZE, WINDOW_PER_SIZE, Condition, Design
 from todframes.charts.layout import CHART_FILE, Chart, Markers, Page, Screen, Triangle, write_chart
-from todframes.charts.markers import MODULES, page_markers
+from todframes.charts.markers import MODULES
 from todframes.display.dither import dithered
 from todframes.stimulus import ORIENTATIONS, Orientation, coverage
 
@@ -68,8 +68,7 @@ class ScreenChart:
         module_px = round(markers.side_mm / screen.pixel_pitch_mm / MODULES)
         for page, condition in zip(self.chart.pages, self.order, strict=True):
             codes = np.full((screen.height_px, screen.width_px), self.background_code, np.uint16)
-            all_bits = page_markers(page.number, self.chart.key, n_borders=len(markers.borders))
-            for bits, centre_mm in zip(all_bits, markers.all_centres_mm, strict=True):
+            for bits, centre_mm in self.chart.drawn_markers(page):
                 with_white = np.pad(bits, 1, constant_values=True)
                 modules = np.where(with_white, 2**screen.bits - 1, 0).astype(np.uint16)
                 drawn = np.kron(modules, np.ones((module_px, module_px), np.uint16))
@@ -124,14 +123,17 @@ def design_screen_chart(design: Design, screen: Screen, *, marker_mm: float | No
     markers = Markers.in_corners(width_mm=width_mm, height_mm=height_mm, module_mm=module_mm, margin_mm=module_mm)
     for size_mrad in design.sizes_mrad:
         _check_size(design, size_mrad, markers, width_mm, height_mm, pitch_mm)
-    free_mm = FIELD_PER_SIZE * design.size_mm(max(design.sizes_mrad))
-    markers = markers.with_borders(free_mm=free_mm, step_mm=pitch_mm)
+    windows_mm = {size_mrad: WINDOW_PER_SIZE * design.size_mm(size_mrad) for size_mrad in design.sizes_mrad}
+    markers = markers.with_borders(free_mm=min(windows_mm.values()), step_mm=pitch_mm)
+    beside = {size_mrad: markers.borders_beside(window_mm) for size_mrad, window_mm in windows_mm.items()}
+    borders = {one: some if len(some) < len(markers.borders) else None for one, some in beside.items()}
     drawn = {one: _drawn(one, design, screen, luminance_of_code, background_code) for one in design.conditions}
     order = [condition for block in design.blocks() for condition in block]
     pages = [
         Page(
             number=number,
             file=f"pages/{number:0{max(4, len(str(len(order) - 1)))}d}.png",
+            borders=borders[condition.size_mrad],
             triangles=(_triangle(condition, design, drawn, x_mm=width_mm / 2.0, y_mm=height_mm / 2.0),),
         )
         for number, condition in enumerate(order)

@@ -76,6 +76,10 @@ LARGEST_RESIDUAL = 0.2
 LEAST_CONTRAST_IN_ERRORS = 3.0
 """Least difference of a marker's white and black modules, in standard deviations of its black ones."""
 
+LEAST_SHARE = 0.3
+"""Least contrast of the edges of a marker along the borders, relative to the markers in the corners: the light may
+fall off, and noise where there is no marker has none."""
+
 SAMPLES, SAMPLED = 3, 0.5
 """Samples along a module's side that are averaged to its value, and the part of the side that they cover."""
 
@@ -394,9 +398,12 @@ class _Edges:
         profiles = _sampled(grey, places).reshape(len(places), 4, PIECES, POINTS, -1).mean(axis=3)
         # Black and white of an edge, from all of its pieces: a level is as sharp as it is long.
         black, white = (profiles[..., [end]].mean(axis=2, keepdims=True) for end in (0, -1))
-        is_edge = (white > black).reshape(len(places), 4).all(axis=1)
-        if not is_edge[: len(CORNERS)].all():
+        contrast = (white - black).reshape(len(places), 4).min(axis=1)
+        of_corners = contrast[: len(CORNERS)]
+        if not (of_corners > 0.0).all():
             return None
+        is_edge = contrast > LEAST_SHARE * float(np.median(of_corners))
+        is_edge[: len(CORNERS)] = True
         with np.errstate(divide="ignore", invalid="ignore"):  # for markers that are not there
             above = (profiles - black) / (white - black) - 0.5
         integral = above.sum(axis=-1) - (above[..., 0] + above[..., -1]) / 2.0
