@@ -142,7 +142,8 @@ class Markers:
         step_mm : float
             Distances from the corners are multiples of it, > 0.
         """
-        reach_mm, apart_mm = (0.5 + 1.0 / MODULES) * self.side_mm, (1.0 + 1.0 / MODULES) * self.side_mm
+        # A module of white about each, and one of background between: all edges have the same neighbours.
+        reach_mm, apart_mm = (0.5 + 1.0 / MODULES) * self.side_mm, (1.0 + 3.0 / MODULES) * self.side_mm
         corners = self.centres_mm
         (left, top), (right, bottom) = corners[0].tolist(), corners[2].tolist()
         places: list[tuple[float, float]] = []

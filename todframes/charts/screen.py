@@ -34,8 +34,9 @@ triangle."""
 LARGEST_ROUNDING = 0.01
 """Largest relative change of a contrast by rounding to a code value; where it is larger, pixels are dithered."""
 
-MARKER_SHARE, LARGEST_MARKER_SHARE = 0.15, 0.2
-"""Side of a marker relative to the smaller side of the page: if none is asked for, and the largest."""
+MARKER_SHARE, LARGEST_MARKER_SHARE = 0.13, 0.2
+"""Side of a marker relative to the smaller side of the page: if none is asked for, and the largest. A page of
+16 : 9 then has room for all twelve beside the window of a triangle of 15 % of its height."""
 
 CORNER_REACH_PER_SIZE = 2.0 / 3.0**0.75
 """Distance from the centroid of a triangle to its corners, in sizes."""
@@ -94,7 +95,7 @@ def design_screen_chart(design: Design, screen: Screen, *, marker_mm: float | No
     screen : Screen
         The monitor. Its background luminance is replaced by that of the nearest code value.
     marker_mm : float, optional
-        Side of the markers, rounded to whole pixels a module. Default: 15 % of the smaller side of the page.
+        Side of the markers, rounded to whole pixels a module. Default: 13 % of the smaller side of the page.
 
     Raises
     ------
