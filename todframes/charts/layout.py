@@ -46,6 +46,9 @@ Place = Annotated[float, Meta(ge=0.0, le=LARGEST_ON_CHART)]
 
 Bits = Literal[8, 10]
 
+MarkerPlaces = Literal["borders", "corners"]
+"""Places of the markers of a new chart: in the corners and along the borders, or in the corners alone."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Point:
@@ -71,8 +74,8 @@ class Markers:
     top_left, top_right, bottom_right, bottom_left : Point
         Centre of each marker in a corner.
     borders : tuple of Point
-        Centre of each marker along the borders, in the order of `BORDER_IDS`. Charts made by the first versions
-        have none.
+        Centre of each marker along the borders, in the order of `BORDER_IDS`. Charts made before
+        there were such markers have none.
 
     Raises
     ------

@@ -21,6 +21,7 @@ from todframes.charts.layout import (
     CHART_FILE,
     Chart,
     Length,
+    MarkerPlaces,
     Markers,
     Page,
     Patch,
@@ -94,6 +95,8 @@ class Paper:
         Reflectance around the triangles.
     marker_mm : float or None
         Side of the markers. Default: 8 % of the smaller side of the sheet.
+    markers : {"borders", "corners"}
+        Markers in the corners, and one each in the bands above and below; or in the corners alone.
 
     Raises
     ------
@@ -109,6 +112,7 @@ class Paper:
     reflectances: str | None = None
     background_reflectance: Reflectance = 0.3
     marker_mm: Length | None = None
+    markers: MarkerPlaces = "borders"
 
     def __post_init__(self) -> None:
         check_values(self)
@@ -294,7 +298,7 @@ def _sheet(paper: Paper) -> _Sheet:
     ruler_mm = _ruler_mm(left + MOST_BESIDE * (right - left) - beside_mm - inner_mm[0])
     above: Parts = ((inner_mm[0], inner_width_mm),)
     below = above
-    if ruler_mm >= LEAST_RULER_MM:
+    if paper.markers == "borders" and ruler_mm >= LEAST_RULER_MM:
         x_above_mm, x_below_mm = width_mm / 2.0, max(width_mm / 2.0, inner_mm[0] + ruler_mm + beside_mm)
         above, below = (
             ((inner_mm[0], x - beside_mm - inner_mm[0]), (x + beside_mm, inner_mm[1] - x - beside_mm))

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError, SettingsError, argument
-from todframes.charts.design import FIELD_PER_SIZE, WINDOW_PER_SIZE, Condition, Design
-from todframes.charts.layout import CHART_FILE, Chart, Markers, Page, Screen, Triangle, write_chart
+from todframes.charts.design import FIELD_PER_SIZE, SURROUND_PER_SIZE, Condition, Design
+from todframes.charts.layout import CHART_FILE, Chart, MarkerPlaces, Markers, Page, Screen, Triangle, write_chart
 from todframes.charts.markers import MODULES
 from todframes.display.dither import dithered
 from todframes.stimulus import ORIENTATIONS, Orientation, coverage
@@ -34,9 +34,12 @@ triangle."""
 LARGEST_ROUNDING = 0.01
 """Largest relative change of a contrast by rounding to a code value; where it is larger, pixels are dithered."""
 
-MARKER_SHARE, LARGEST_MARKER_SHARE = 0.13, 0.2
-"""Side of a marker relative to the smaller side of the page: if none is asked for, and the largest. A page of
-16 : 9 then has room for all twelve beside the window of a triangle of 15 % of its height."""
+MARKER_SHARE: dict[MarkerPlaces, float] = {"borders": 0.13, "corners": 0.15}
+"""Side of a marker relative to the smaller side of the page if none is asked for. A page of 16 : 9 has room for
+twelve of 13 % beside the surround of a triangle of 15 % of its height."""
+
+LARGEST_MARKER_SHARE = 0.2
+"""Largest side of a marker relative to the smaller side of the page."""
 
 CORNER_REACH_PER_SIZE = 2.0 / 3.0**0.75
 """Distance from the centroid of a triangle to its corners, in sizes."""
@@ -85,7 +88,9 @@ def _put(codes: NDArray[np.uint16], patch: NDArray[np.uint16], x_edge_px: float,
     codes[top : top + rows, left : left + columns] = patch
 
 
-def design_screen_chart(design: Design, screen: Screen, *, marker_mm: float | None = None) -> ScreenChart:
+def design_screen_chart(
+    design: Design, screen: Screen, *, marker_mm: float | None = None, markers: MarkerPlaces = "borders"
+) -> ScreenChart:
     """Lay out a chart for a monitor: one triangle in the middle of each page, in blocks of random order.
 
     Parameters
@@ -95,7 +100,10 @@ def design_screen_chart(design: Design, screen: Screen, *, marker_mm: float | No
     screen : Screen
         The monitor. Its background luminance is replaced by that of the nearest code value.
     marker_mm : float, optional
-        Side of the markers, rounded to whole pixels a module. Default: 13 % of the smaller side of the page.
+        Side of the markers, rounded to whole pixels a module. Default: 13 % of the smaller side of the page,
+        and 15 % if they are in the corners alone.
+    markers : {"borders", "corners"}
+        Markers in the corners and along the borders, or in the corners alone.
 
     Raises
     ------
@@ -113,7 +121,7 @@ def design_screen_chart(design: Design, screen: Screen, *, marker_mm: float | No
     screen = replace(screen, background_luminance_cd_m2=float(luminance_of_code[background_code]))
     pitch_mm = screen.pixel_pitch_mm
     width_mm, height_mm = screen.width_px * pitch_mm, screen.height_px * pitch_mm
-    asked_mm = MARKER_SHARE * min(width_mm, height_mm) if marker_mm is None else marker_mm
+    asked_mm = MARKER_SHARE[markers] * min(width_mm, height_mm) if marker_mm is None else marker_mm
     least_mm, most_mm = 2 * MODULES * pitch_mm, LARGEST_MARKER_SHARE * min(width_mm, height_mm)
     if not least_mm <= asked_mm <= most_mm:
         raise SettingsError(
@@ -121,13 +129,14 @@ def design_screen_chart(design: Design, screen: Screen, *, marker_mm: float | No
             "fifth of the page)"
         )
     module_mm = round(asked_mm / pitch_mm / MODULES) * pitch_mm
-    markers = Markers.in_corners(width_mm=width_mm, height_mm=height_mm, module_mm=module_mm, margin_mm=module_mm)
+    laid = Markers.in_corners(width_mm=width_mm, height_mm=height_mm, module_mm=module_mm, margin_mm=module_mm)
     for size_mrad in design.sizes_mrad:
-        _check_size(design, size_mrad, markers, width_mm, height_mm, pitch_mm)
-    windows_mm = {size_mrad: WINDOW_PER_SIZE * design.size_mm(size_mrad) for size_mrad in design.sizes_mrad}
-    markers = markers.with_borders(free_mm=min(windows_mm.values()), step_mm=pitch_mm)
-    beside = {size_mrad: markers.borders_beside(window_mm) for size_mrad, window_mm in windows_mm.items()}
-    borders = {one: some if len(some) < len(markers.borders) else None for one, some in beside.items()}
+        _check_size(design, size_mrad, laid, width_mm, height_mm, pitch_mm)
+    surrounds_mm = {size_mrad: SURROUND_PER_SIZE * design.size_mm(size_mrad) for size_mrad in design.sizes_mrad}
+    if markers == "borders":
+        laid = laid.with_borders(free_mm=min(surrounds_mm.values()), step_mm=pitch_mm)
+    beside = {size_mrad: laid.borders_beside(surround_mm) for size_mrad, surround_mm in surrounds_mm.items()}
+    borders = {one: some if len(some) < len(laid.borders) else None for one, some in beside.items()}
     drawn = {one: _drawn(one, design, screen, luminance_of_code, background_code) for one in design.conditions}
     order = [condition for block in design.blocks() for condition in block]
     pages = [
@@ -148,7 +157,7 @@ def design_screen_chart(design: Design, screen: Screen, *, marker_mm: float | No
         page_height_mm=height_mm,
         polarity=design.polarity,
         screen=screen,
-        markers=markers,
+        markers=laid,
         pages=tuple(pages),
     )
     return ScreenChart(chart.with_key(), tuple(order), drawn, background_code)
