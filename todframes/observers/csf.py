@@ -1,4 +1,4 @@
-"""An observer with people's contrast sensitivity: one filter, an aperture, white noise, correlation with four templates.
+"""An observer with people's contrast sensitivity: a filter, an aperture, white noise and four templates.
 
 The filter is what people detect in the fovea, from 43 stimuli that 16 people saw (ModelFest). Pooling with an
 exponent of 2 makes it linear: the best template is then the filtered triangle itself, P(answer) stays in closed
@@ -29,12 +29,9 @@ from todframes.stimulus import ORIENTATIONS, Centre, Orientation, Stimulus, cove
 
 MRAD_PER_DEG = math.radians(1000.0)
 
-APERTURE_SD_DEG = 0.35
-"""Standard deviation of the Gaussian aperture of the linear observer, refitted to ModelFest with the exponent 2."""
-
 GAIN_PER_DEG = 509.37
-"""Sensitivity of the linear observer: at a threshold of ModelFest the filtered contrast, seen through the aperture,
-has a root of its integrated square of 1 / 509.37 degrees."""
+"""Sensitivity of the linear observer: at a threshold of ModelFest the filtered contrast, seen through the
+aperture, has a root of its integrated square of 1 / 509.37 degrees."""
 
 D_PRIME_AT_THRESHOLD = 1.406
 """d′ at a threshold of ModelFest, 84 % correct of two intervals: √2 Φ⁻¹(0.84)."""
@@ -42,9 +39,13 @@ D_PRIME_AT_THRESHOLD = 1.406
 NOISE_DEG = 1.0 / (D_PRIME_AT_THRESHOLD * GAIN_PER_DEG)
 """Root of the spectral density of the white internal noise, in degrees."""
 
-FIELD_MRAD, LARGEST_FIELD_MRAD = 6.0, 24.0
-"""Half-width of the field, beyond the size of the triangle, and its largest value. Beyond it the weights of a score
-have a root sum of squares of less than 2e-3 of all for triangles of 0.3 to 60 mrad."""
+FIELD_MRAD, APERTURE_SDS = 6.0, 4.0
+"""Half-width of the field, beyond the size of the triangle or so many standard deviations of the aperture,
+whichever is less. Beyond it the weights of a score have a root sum of squares of less than 1e-3 of all, for
+triangles of 0.5 to 30 mrad."""
+
+LARGEST_SIDE = 4097
+"""Largest side of the retina grid; filtering it takes 0.6 GB."""
 
 LARGEST_PITCH_MRAD = 0.2
 """Pitch whose Nyquist frequency, 44 cycles/degree, the filter passes 0.7 % of its peak."""
@@ -61,9 +62,9 @@ def contrast_sensitivity(frequency_cyc_per_deg: FloatArray) -> FloatArray:
     Returns
     -------
     ndarray, same shape
-        0.1507 at 0, 0.76 at its peak of 2.6 cycles/degree.
+        0.151 at 0, 0.582 at its peak of 3.45 cycles/degree.
 
-    Watson & Ahumada 2005, eq. 8 (HPmH), without the gain.
+    Watson & Ahumada 2005, the filter of their standard model, without its gain.
     """
     high, low = (frequency_cyc_per_deg / 4.1726) ** 0.7786, frequency_cyc_per_deg / 1.3625
     return _sech(high) - 0.8493 * _sech(low)
@@ -82,7 +83,7 @@ def oblique_effect(frequency_x: FloatArray, frequency_y: FloatArray) -> FloatArr
     ndarray
         1 along both axes and below 3.48 cycles/degree, least at 45°.
 
-    Watson & Ahumada 2005, eq. 13.
+    Watson & Ahumada 2005.
     """
     squared = frequency_x**2 + frequency_y**2
     # sin 2θ = 2 f_x f_y / f²
@@ -105,13 +106,16 @@ class CsfSettings:
     centre : {"centroid", "bounding_box"}
         Point that the four templates share, on the grid's middle, where the aperture is.
     retina_pitch_mrad : float
-        Visual angle of a retina sample. It is the step of a computation and no property of the eye: the filter undoes
-        the averaging over a sample.
+        Visual angle of a retina sample. It is the step of a computation and no property of the eye: the filter
+        undoes the averaging over a sample.
     position_jitter_samples : float
         The grid is displaced by up to this many samples along x and y in each trial; 0: never.
+    aperture_sd_deg : float
+        Standard deviation of the Gaussian aperture within which contrast is seen, in degrees; it is centred on the
+        grid's middle. 0.35 is that of a linear observer for ModelFest, whose stimuli people fixated.
     efficiency : float
-        Squared ratio of a person's d′ to that of ModelFest's average person: contrast thresholds are divided by its
-        root.
+        Squared ratio of a person's d′ to that of ModelFest's average person: contrast thresholds are divided by
+        its root.
 
     Raises
     ------
@@ -122,6 +126,7 @@ class CsfSettings:
     centre: Centre = "centroid"
     retina_pitch_mrad: Annotated[float, Meta(ge=1e-3, le=1e6)] = 0.1
     position_jitter_samples: Annotated[float, Meta(ge=0.0, le=1e3)] = 0.0
+    aperture_sd_deg: Annotated[float, Meta(ge=0.05, le=10.0)] = 0.35
     efficiency: Annotated[float, Meta(ge=1e-6, le=1e6)] = 1.0
 
     def __post_init__(self) -> None:
@@ -190,10 +195,23 @@ class CsfObserver:
         return self.settings.position_jitter_samples
 
     def grid(self, stimulus: Stimulus) -> RetinaGrid:
-        """Return the retina samples it looks at: as wide as triangle, filter and aperture reach."""
-        half_mrad = self._wider * min(FIELD_MRAD + stimulus.size_mrad, LARGEST_FIELD_MRAD)
-        pitch = self.settings.retina_pitch_mrad
-        return RetinaGrid(2 * math.ceil(half_mrad / pitch) + 1, pitch)
+        """Return the retina samples it looks at: as wide as triangle, filter and aperture reach.
+
+        Raises
+        ------
+        SettingsError
+            If there are too many of them.
+        """
+        pitch, aperture_mrad = self.settings.retina_pitch_mrad, self.settings.aperture_sd_deg * MRAD_PER_DEG
+        half_mrad = self._wider * (FIELD_MRAD + min(stimulus.size_mrad, APERTURE_SDS * aperture_mrad))
+        side = 2 * math.ceil(half_mrad / pitch) + 1
+        if side > LARGEST_SIDE:
+            raise SettingsError(
+                f"retina_pitch_mrad: found {pitch:g}, {side} samples along a side of the field for a triangle of "
+                f"{stimulus.size_mrad:g} mrad, expected at most {LARGEST_SIDE}: take a larger pitch, or a smaller "
+                "aperture_sd_deg"
+            )
+        return RetinaGrid(side, pitch)
 
     def with_extra_level(self) -> CsfObserver:
         """Return the observer with a field twice as wide."""
@@ -242,7 +260,7 @@ class CsfObserver:
 
     def _aperture(self, side: int) -> FloatArray:
         place_deg = (np.arange(side) - side // 2) * self.settings.retina_pitch_mrad / MRAD_PER_DEG
-        along = np.exp(-(place_deg**2) / (2.0 * APERTURE_SD_DEG**2))
+        along = np.exp(-(place_deg**2) / (2.0 * self.settings.aperture_sd_deg**2))
         return np.outer(along, along)
 
     def _upright(self, stimulus: Stimulus) -> FloatArray:
