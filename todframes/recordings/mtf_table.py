@@ -36,7 +36,7 @@ LARGEST_END = 0.05
 """MTF at the last frequency above which a table stops early: what follows may be a visible part of an edge."""
 
 MAPPER_PER_CYC_PER_PIXEL = 64.0
-"""Number of frequencies in a cycle/pixel in files of MTF Mapper, which begin at 0. Manual page of mtf_mapper 0.7, options -f and -q."""
+"""Frequencies in 1 cycle/pixel of files of MTF Mapper, from 0. Manual page of mtf_mapper, options -f and -q."""
 
 MAPPER_LENGTHS = (64, 128)
 """Numbers of MTF values of an edge in these files, without and with the option --full-sfr."""
