@@ -9,7 +9,6 @@ T = TypeVar("T")
 
 SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
-
 FIELD_AXES = {"object_x_mrad": "x", "object_y_mrad": "y"}
 """Names of the places of a chart in the camera's field, by column; the unit is mrad."""
 
