@@ -111,29 +111,6 @@ def overlaps(edge: ArrayLike, width: float, n_cells: int, n_columns: int) -> Ove
     return Overlaps(column.astype(np.intp), length)
 
 
-def overlap_matrix(
-    grid: RetinaGrid, *, centre_px: float, pixel_pitch_mrad: float, first_pixel: int, n_pixels: int
-) -> csr_array:
-    """Compute the share of each retina sample's width that lies on each display pixel, along one axis.
-
-    Parameters
-    ----------
-    grid : RetinaGrid
-    centre_px : float
-        Place of the grid's middle, in display pixels of the whole frame.
-    pixel_pitch_mrad : float
-        Visual angle of a display pixel, > 0.
-    first_pixel, n_pixels : int
-        Pixels first_pixel ... first_pixel + n_pixels - 1 of the frame are there.
-
-    Returns
-    -------
-    sparse array, shape (grid.side, n_pixels)
-        Rows sum to the share of the sample that lies on these pixels.
-    """
-    return _shares(grid, centre_px, pixel_pitch_mrad, first_pixel, n_pixels).matrix(n_pixels)
-
-
 def _shares(
     grid: RetinaGrid, centre_px: float, pixel_pitch_mrad: float, first_pixel: int, n_pixels: int
 ) -> Overlaps:
