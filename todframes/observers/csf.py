@@ -254,9 +254,10 @@ class CsfObserver:
     def _find_transfer(self, side: int) -> FloatArray:
         """Compute the filter of a retina image: (side, side // 2 + 1)."""
         pitch_deg = self.settings.retina_pitch_mrad / MRAD_PER_DEG
-        x, y = np.fft.rfftfreq(side, pitch_deg), np.fft.fftfreq(side, pitch_deg)[:, None]
+        x = np.asarray(np.fft.rfftfreq(side, pitch_deg), dtype=np.float64)
+        y = np.asarray(np.fft.fftfreq(side, pitch_deg), dtype=np.float64)[:, None]
         averaged = np.sinc(pitch_deg * x) * np.sinc(pitch_deg * y)
-        return contrast_sensitivity(np.hypot(x, y)) * oblique_effect(x, y) / averaged
+        return np.asarray(contrast_sensitivity(np.hypot(x, y)) * oblique_effect(x, y) / averaged)
 
     def _aperture(self, side: int) -> FloatArray:
         place_deg = (np.arange(side) - side // 2) * self.settings.retina_pitch_mrad / MRAD_PER_DEG
