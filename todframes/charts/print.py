@@ -26,7 +26,6 @@ from todframes.charts.layout import (
     Page,
     Patch,
     Point,
-    Triangle,
     write_chart,
 )
 from todframes.charts.markers import MODULES
@@ -209,23 +208,17 @@ def design_print_chart(design: Design, paper: Paper) -> PrintChart:
     patches, patch_codes = _patches(sheet, paper, reflectance, background_code)
     pages = []
     for page_number, content in enumerate(sheets):
-        triangles = []
-        for condition, x_mm, y_mm in content:
-            contrast = float(f"{reflectance[code_of_level[condition.level]] / background - 1.0:.6g}")
-            asked = design.polarity * condition.level
-            triangles.append(
-                Triangle(
-                    orientation=condition.orientation,
-                    size_mrad=condition.size_mrad,
-                    size_mm=design.size_mm(condition.size_mrad),
-                    x_mm=x_mm,
-                    y_mm=y_mm,
-                    contrast=contrast,
-                    contrast_asked=None if contrast == asked else asked,
-                )
+        triangles = tuple(
+            design.triangle(
+                condition,
+                x_mm=x_mm,
+                y_mm=y_mm,
+                contrast=float(reflectance[code_of_level[condition.level]]) / background - 1.0,
             )
+            for condition, x_mm, y_mm in content
+        )
         name = f"sheets/{page_number:02d}.svg"
-        pages.append(Page(number=page_number, file=name, triangles=tuple(triangles), patches=patches))
+        pages.append(Page(number=page_number, file=name, triangles=triangles, patches=patches))
     chart = Chart(
         kind="print",
         name=design.name,

@@ -20,7 +20,7 @@ from todframes.charts.design import FIELD_PER_SIZE, SURROUND_PER_SIZE, Condition
 from todframes.charts.layout import CHART_FILE, Chart, MarkerPlaces, Markers, Page, Screen, Triangle, write_chart
 from todframes.charts.markers import MODULES
 from todframes.display.dither import dithered
-from todframes.stimulus import ORIENTATIONS, Orientation, coverage
+from todframes.stimulus import ORIENTATIONS, coverage
 
 PLAYER = "play.html"
 
@@ -251,18 +251,8 @@ def _triangle(
     """
     alike = [drawn[condition._replace(orientation=orientation)] for orientation in ORIENTATIONS]
     # The area of covered pixels is off by 1e-5, which must not make black darker than black.
-    contrast = max(-1.0, float(f"{np.mean([one.contrast for one in alike]):.6g}"))
-    asked = design.polarity * condition.level
-    return Triangle(
-        orientation=Orientation(condition.orientation),
-        size_mrad=condition.size_mrad,
-        size_mm=design.size_mm(condition.size_mrad),
-        x_mm=x_mm,
-        y_mm=y_mm,
-        contrast=contrast,
-        contrast_asked=None if contrast == asked else asked,
-        dithered=alike[0].is_dithered,
-    )
+    contrast = max(-1.0, float(np.mean([one.contrast for one in alike])))
+    return design.triangle(condition, x_mm=x_mm, y_mm=y_mm, contrast=contrast, dithered=alike[0].is_dithered)
 
 
 def write_screen_chart(folder: Path, made: ScreenChart, *, progress: Callable[[int], None] | None = None) -> None:
