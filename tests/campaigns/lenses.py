@@ -40,7 +40,7 @@ LENS_VIEWS[AT_40_DEGREES] = (1440, 960, {"scale": 0.69, "shift_px": (577, 384)})
 VIEWS = ("centred", "off axis", "in a quarter")
 K1 = (-0.3, -0.1, -0.04, -0.02, -0.01, 0.1)
 MOST_MISPLACED_PX = 0.1
-TRUE_WARNINGS = {"residual", "lens_stretch", "misplaced", "tilted", "zoom"}
+TRUE_WARNINGS = {"residual", "few_points", "lens_stretch", "misplaced", "tilted", "zoom"}
 
 
 def cases() -> Iterator[tuple[str, str, dict[str, Any], float]]:
