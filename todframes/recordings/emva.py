@@ -233,15 +233,12 @@ class EmvaNoise:
             exposure_ms=self.exposure_ms,
         )
 
-    def snr(self, photons: FloatArray, *, with_spatial: bool = False) -> FloatArray | None:
-        """Return the signal-to-noise ratio of a pixel by numbers of photons; None without a quantum efficiency.
+    def snr(self, electrons: FloatArray, *, with_spatial: bool = False) -> FloatArray:
+        """Return the signal-to-noise ratio of a pixel by its mean number of electrons, η μ_p for μ_p photons.
 
-        EMVA 1288 release 4.0 linear: η μ_p / √(σ_d² + σ_q² / K² + η μ_p), and with the spatial parts
-        DSNU² and (PRNU η μ_p)² under the root.
+        EMVA 1288 release 4.0 linear: η μ_p / √(σ_d² + σ_q² / K² + η μ_p), and with the spatial parts DSNU² and
+        (PRNU η μ_p)² under the root.
         """
-        if self.quantum_efficiency is None:
-            return None
-        electrons = self.quantum_efficiency.value * photons
         variance = self.dark_noise.value**2 + QUANTISATION_VARIANCE / self.system_gain.value**2 + electrons
         if with_spatial:
             variance = variance + self.dsnu.value**2 + (self.prnu.value / 100.0 * electrons) ** 2
@@ -334,6 +331,13 @@ def measure_emva(
         raise DataError(f"noise: found stacks of {found} pixels, expected one size")
     pairs = sorted(((one, _dark_of(one, of_dark)) for one in of_bright), key=lambda pair: pair[0].mean)
     points = [TransferPoint(one, other, False) for one, other in pairs]
+    faintest = points[0].bright
+    if faintest.saturated > MOST_SATURATED:
+        raise DataError(
+            f"{faintest.name}: {100 * faintest.saturated:.3g} % of its values are at the end of the scale"
+            + ", and all other stacks are brighter" * (len(points) > 1)
+            + "; expected a stack below saturation"
+        )
     if points[-1].signal <= 0.0 or all(one.variance <= 0.0 for one in points):
         raise DataError(
             f"{points[-1].bright.name}: its mean is {points[-1].bright.mean:.4g} and that of dark frames "
@@ -341,11 +345,6 @@ def measure_emva(
         )
     series = _series(points)
     saturated = _saturation(series)
-    if saturated is None and points[0].bright.saturated > MOST_SATURATED:
-        raise DataError(
-            f"{points[0].bright.name}: {100 * points[0].bright.saturated:.2g} % of its values are at the end of "
-            "the scale, and all other stacks are brighter; expected a stack below saturation"
-        )
     if saturated is not None:
         most = series[saturated].signal
     else:
