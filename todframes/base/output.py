@@ -57,6 +57,10 @@ FILES_OF_COMMAND = {
         *("report.html", "internal_noise.csv", "calibration.csv"),
         *("calibration.png", "calibration.svg", "observer.toml"),
     },
+    "range": {
+        *("report.html", "ranges.csv", "probability.csv", "range_against_k.csv"),
+        *("probability.png", "crossing.png", "range_against_k.png"),
+    },
 }
 """Files that each command of this package writes beside `result.json`."""
 
