@@ -87,8 +87,8 @@ def acquisition_range(
     >>> text = "frequency_cyc_per_mrad,mrtd_k\\n1,0.054\\n3,0.4\\n5,2.97\\n"
     >>> _ = table.write_text(text)
     >>> found = tod.acquisition_range(table, target="nato", atmosphere=tod.Atmosphere(extinction_per_km=0.2))
-    >>> [(one.task, round(one.range_km, 2)) for one in found.acquired.ranges if one.probability == 0.5]
-    [('detection', 7.25), ('recognition', 3.06), ('identification', 1.64)]
+    >>> [(one.task, round(one.range_km, 1)) for one in found.acquired.ranges if one.probability == 0.5]
+    [('detection', 7.3), ('recognition', 3.1), ('identification', 1.6)]
     """
     started, seed = time.perf_counter(), seed_of(rng)
     from todframes.field.acquisition import acquire

@@ -137,7 +137,7 @@ class Target:
             raise SettingsError(f"{given[0]}: found {getattr(self, given[0])!r}, which shows no target")
 
     @property
-    def quantity(self) -> Quantity:
+    def quantity(self) -> str:
         """Quantity of `signal`: "delta_t_k" or "contrast"."""
         return "contrast" if self.delta_t_k is None else "delta_t_k"
 
@@ -151,7 +151,7 @@ class Target:
         return abs(self.contrast or 0.0)
 
     @property
-    def n50_cycles(self) -> Mapping[str, float]:
+    def n50_cycles(self) -> dict[str, float]:
         """N50 of each task, in line pairs across the target."""
         return N50_CYCLES[self.cycles] if isinstance(self.cycles, str) else self.cycles  # type: ignore[index]
 

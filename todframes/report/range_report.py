@@ -255,7 +255,7 @@ class RangeResult(Saving):
         """
         return drawn(self._draw_crossing, ax)
 
-    def pictures(self) -> list[ReportFigure]:
+    def _pictures(self) -> list[ReportFigure]:
         """List the figures, the most important first."""
         found = []
         if self.acquired.curves:
@@ -290,7 +290,7 @@ class RangeResult(Saving):
             "about": self._about(),
             "warnings": [one.message for one in self.warnings],
             "verdict": self.sentences(),
-            "figures": figure_items(self.pictures()),
+            "figures": figure_items(self._pictures()),
             "tables_shown": [
                 table_item(self.table().without_details()),
                 *(table_item(one, folded=True) for one in more),
@@ -305,7 +305,7 @@ class RangeResult(Saving):
         return render(content)
 
     def _repr_html_(self) -> str:
-        shown = [(one.figure, f"{one.title}. {one.note}") for one in self.pictures()[:1]]
+        shown = [(one.figure, f"{one.title}. {one.note}") for one in self._pictures()[:1]]
         return notebook_page(self.sentences(), self.table().without_details(), shown)
 
     def files(self) -> dict[str, bytes]:
@@ -313,7 +313,7 @@ class RangeResult(Saving):
         tables = [self.table(), self.probability_table(), self.k_table()]
         return {
             **{one.file: one.csv().encode() for one in tables if one is not None and one.records},
-            **{one.file: one.png() for one in self.pictures()},
+            **{one.file: one.png() for one in self._pictures()},
             "report.html": self.to_html().encode(),
             "result.json": self.to_json(),
         }
