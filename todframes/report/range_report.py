@@ -48,6 +48,9 @@ LIMIT_COLUMNS = ("contrast", "resolution", "air")
 
 MOST_CURVES = 7
 
+ABOVE_CONTRAST = 10.0
+"""Highest threshold in the figure of the crossing, divided by the contrast at the target."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RangeResult(Saving):
@@ -344,7 +347,7 @@ class RangeResult(Saving):
         most = min(most, acquired.atmosphere.longest_km)
         ranges = np.linspace(most / 400, most, 400)
         arriving = np.exp(acquired.ln_contrast(ranges))
-        axes.plot(ranges, arriving, color=INK, lw=1.8, label="arrives")
+        axes.plot(ranges, arriving, color=INK, lw=1.8, label="contrast that arrives")
         values = [float(arriving[-1]), float(arriving[0])]
         for number, (task, criterion) in enumerate(tasks):
             colour = curve_style(number, len(tasks)).colour
@@ -356,8 +359,9 @@ class RangeResult(Saving):
             values += np.exp(known[0][knots <= most]).tolist()
         heading = "ΔT (K)" if curve.quantity == "delta_t_k" else "contrast"
         axes.set(yscale="log", xlabel="range (km)", ylabel=f"{heading}, arriving and needed", xlim=(0.0, most))
-        axes.set_ylim(0.7 * min(values), 1.5 * max(values))
-        plain_ticks(axes.yaxis, values)
+        low, high = 0.7 * min(values), min(1.5 * max(values), ABOVE_CONTRAST * float(arriving[0]))
+        axes.set_ylim(low, high)
+        plain_ticks(axes.yaxis, [low, high])
         add_legend(axes)
 
 
