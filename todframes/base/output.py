@@ -64,6 +64,10 @@ FILES_OF_COMMAND = {
         *("noise.csv", "noise.png", "snr.csv", "patches.csv", "sensor_noise.toml"),
         *("emva.csv", "emva.png", "emva.xml", "photon_transfer.csv", "variances.csv"),
     },
+    "range": {
+        *("report.html", "ranges.csv", "probability.csv", "range_against_k.csv"),
+        *("probability.png", "crossing.png", "range_against_k.png"),
+    },
 }
 """Files that each command of this package writes beside `result.json`."""
 
