@@ -426,6 +426,7 @@ def test_every_command_has_a_call() -> None:
         "import": "import_recordings",
         "new": "new_dataset",
         "experiment": "run_experiment",
+        "range": "acquisition_range",
     }
     renamed |= {"report": "load_result", "enhancements": "find_enhancement"}
     alone = {"accuracy", "stability"}  # studies of this package
