@@ -104,20 +104,21 @@ def acquisition_range(
     changes = {name: value for name, value in changes.items() if value is not None}
     aim = replace(aim, **changes) if changes else aim
     air = atmosphere if isinstance(atmosphere, Atmosphere) else find_atmosphere(atmosphere)
-    curve, warnings = _curve(result, group, magnification)
+    curve, warnings = _curve(result, aim, group, magnification)
     acquired = acquire(curve, aim, air, rng=np.random.default_rng(seed))
     return RangeResult(acquired=acquired, warnings=(*warnings, *_warnings(curve, air)), seed=seed, started=started)
 
 
 def _curve(
-    result: Result | Path | str, group: Mapping[str, str] | None, magnification: float | None
+    result: Result | Path | str, aim: Target, group: Mapping[str, str] | None, magnification: float | None
 ) -> tuple[ThresholdCurve, tuple[ResultWarning, ...]]:
     from todframes.field.threshold_curve import read_curve
     from todframes.report.measured_curve import measured_curve
     from todframes.report.result import load_result
 
+    of_result: dict[str, Any] = {"quantity": aim.quantity, "group": group, "magnification": magnification}
     if isinstance(result, Result):
-        return measured_curve(result, "the result", group=group, magnification=magnification)
+        return measured_curve(result, "the result", **of_result)
     where = in_utf8(str(result))
     if where.endswith(TABLE_SUFFIX):
         if group or magnification is not None:
@@ -125,7 +126,7 @@ def _curve(
                 f"{where}: is a table of one curve in the field, expected no group and no magnification"
             )
         return read_curve(Path(result)), ()
-    return measured_curve(load_result(result), where, group=group, magnification=magnification)
+    return measured_curve(load_result(result), where, **of_result)
 
 
 def _warnings(curve: ThresholdCurve, air: Atmosphere) -> tuple[ResultWarning, ...]:
