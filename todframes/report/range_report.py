@@ -159,7 +159,7 @@ class RangeResult(Saving):
 
     def _named(self) -> list[TaskRange]:
         """Return the range of each task that a sentence names: at 50 %, for a TOD at its own criterion."""
-        wanted = self.acquired.curve.p_correct if self.is_tod else 0.5
+        wanted = self.acquired.own_probability
         firsts = {one.task: one for one in reversed(self.acquired.ranges)}
         return [
             next((one for one in self.acquired.ranges if one.task == task and one.probability == wanted), first)
