@@ -8,6 +8,7 @@ from .calls.acquisition_range import acquisition_range as acquisition_range
 from .calls.calibrate import calibrate as calibrate
 from .calls.compare import compare as compare
 from .calls.compare import compare_frames as compare_frames
+from .calls.emva import emva_noise as emva_noise
 from .calls.fit import fit_counts as fit_counts
 from .calls.naked_eye import naked_eye as naked_eye
 from .calls.noise import noise as noise
@@ -47,6 +48,7 @@ from .psychometrics.fit import FitSettings as FitSettings
 from .psychometrics.fit import PsychometricFit as PsychometricFit
 from .report.data import Fit as Fit
 from .report.data import ResultWarning as ResultWarning
+from .report.emva_report import EmvaResult as EmvaResult
 from .report.noise_report import NoiseResult as NoiseResult
 from .report.range_report import RangeResult as RangeResult
 from .report.result import Result as Result
