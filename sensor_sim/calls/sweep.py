@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from sensor_sim.chain.sensor import Sensor, sensor_of
+from sensor_sim.chain.sensor import Sensor, sensor_of, sensor_settings
 from todframes.base.seeds import Rng, seed_of
 from todframes.observers.interface import Observer, described
 from todframes.scoring.error_budget import PlanName
@@ -137,7 +136,7 @@ def sweep(
         "maximise": [one.column for one in goals if one.sign < 0],
         "acuity_snr": acuity_snr,
         "acuity_delta_t_mk": acuity_delta_t_mk,
-        "sensor": asdict(sensor),
+        "sensor": sensor_settings(sensor),
         "tolerance": tolerance,
         "plan": plan,
     }
