@@ -190,8 +190,8 @@ def curve(*, sensor: Path, sizes: str, luminances: str | None, out: str | None, 
 @click.option(
     "--minimise",
     metavar="COLUMN[,…]",
-    help="Columns to be low for the trade-off front: varied keys, delta_t_mk, threshold_snr, acuity_mrad, "
-    "acuity_detectors.  [default: delta_t_mk]",
+    help="Columns to be low for the trade-off front: varied keys, delta_t_mk, threshold_snr, "
+    "threshold_contrast, acuity_mrad, acuity_detectors.  [default: delta_t_mk]",
 )
 @click.option("--maximise", metavar="COLUMN[,…]", help="Columns to be high for it.")
 @click.option("--acuity-snr", type=float, metavar="R", help="Give the smallest size visible at this SNR.")

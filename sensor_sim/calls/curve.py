@@ -6,9 +6,8 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
-from sensor_sim.chain.sensor import Sensor, sensor_of, sensor_settings
+from sensor_sim.chain.sensor import Scene, Sensor, sensor_of, sensor_settings
 from todframes.base.errors import SettingsError
 from todframes.base.seeds import Rng, seed_of
 from todframes.observers.interface import Observer, described
@@ -17,8 +16,8 @@ from todframes.report.data import Fit, FitPoint
 from todframes.report.result import Result
 from todframes.scoring.error_budget import PlanName, Step, plan_object
 
-SHARED_MB = 128
-"""Largest size of the parts that the curves at several luminances share, in units of 2**20 bytes."""
+LEFT_OUT_GROWS = 4.0
+"""Factor by which a plan's bound may grow at other lights; with several lights, a plan leaves out less."""
 
 
 def curve(
@@ -80,32 +79,42 @@ def curve(
     """
     started, seed = time.perf_counter(), seed_of(rng)
     from sensor_sim.chain.detector_noise import delta_t_as_printed_mk, delta_t_mk
-    from sensor_sim.thresholds.curve_plan import plan_curve, plans_in_common
-    from sensor_sim.thresholds.predict import FoldedChain, predict_each
-    from sensor_sim.thresholds.sharing import NOTHING, Shared
-    from todframes.stimulus import Stimulus
+    from sensor_sim.thresholds.curve_plan import plan_curve
+    from sensor_sim.thresholds.predict import AtLight, FoldedChain, predict_each, predict_threshold
 
     judge, settings = described(observer)
     FitSettings(p_correct=p_correct)  # checks it
     sensor = sensor_of(sensor)
     sizes = _each_once(size_detectors, "size_detectors")
-    lights = _lights(sensor, _each_once(luminance_cd_m2, "luminance_cd_m2"))
-    of_lights: list[list[Fit]] = [[] for _ in lights]
+    luminances = _each_once(luminance_cd_m2, "luminance_cd_m2")
+    scenes = _scenes(sensor, luminances)
+    of_scenes: list[list[Fit]] = [[] for _ in scenes or (None,)]
     for size in sizes:
         started_size = time.perf_counter()
-        shared = Shared.of(SHARED_MB * 2**20) if len(lights) > 1 else NOTHING
-        plans = [
-            plan_curve(light, judge, size, name=plan, tolerance=tolerance, p_correct=p_correct, shared=shared)
-            for light in lights
-        ]
-        plans = plans_in_common(plans, Stimulus(size * sensor.display.detector_pitch_mrad))
-        chains = [FoldedChain(light, judge, size, of_light) for light, of_light in zip(lights, plans, strict=True)]
-        thresholds = predict_each(chains, p_correct=p_correct, tolerance=tolerance, seed=seed)
-        for light, chain, found, of_light in zip(lights, chains, thresholds, of_lights, strict=True):
-            steps = chain.plan
-            group: dict[str, Any] = {"size_detectors": size}
-            if len(lights) > 1 and light.scene is not None:
-                group = {"luminance_cd_m2": light.scene.background_cd_m2} | group
+
+        def chain_at(scene: Scene | None, size: float = size) -> FoldedChain:
+            at_light = replace(sensor, scene=scene)
+            steps = plan_curve(
+                at_light,
+                judge,
+                size,
+                name=plan,
+                tolerance=tolerance / (1.0 if len(scenes) < 2 else LEFT_OUT_GROWS),
+                p_correct=p_correct,
+            )
+            return FoldedChain(at_light, judge, size, steps)
+
+        if scenes:
+            thresholds = predict_each(chain_at, scenes, p_correct=p_correct, tolerance=tolerance, seed=seed)
+        else:
+            chain = chain_at(None)
+            found = predict_threshold(chain, p_correct=p_correct, tolerance=tolerance, seed=seed)
+            thresholds = [AtLight(found, chain, chain.plan.bound)]
+        for (found, at_light, bound), fits_of_scene in zip(thresholds, of_scenes, strict=True):
+            steps = at_light.plan
+            group: dict[str, float | str] = {"size_detectors": size}
+            if luminances and at_light.sensor.scene is not None:
+                group = {"luminance_cd_m2": at_light.sensor.scene.background_cd_m2, **group}
             phases = Step("phases", True, f"{found.n_phases} trials, chosen to meet the tolerance")
             warm = warm_as_printed = None
             if found.threshold is not None and sensor.level == "snr" and sensor.noise.netd_mk is not None:
@@ -120,18 +129,17 @@ def curve(
                 found,
                 points=tuple(FitPoint(level, 0, p) for level, p in found.points),
                 n_phases=found.n_phases,
-                p_correct_error_bound=chain.non_gaussian_bound(found.threshold),
-                p_correct_left_out_bound=steps.bound,
-                plan=tuple(plan_object((*steps.steps, phases), chain.drawing_s / steps.unit_s)),
+                p_correct_error_bound=at_light.non_gaussian_bound(found.threshold),
+                p_correct_left_out_bound=bound,
+                plan=tuple(plan_object((*steps.steps, phases), at_light.drawing_s / steps.unit_s)),
                 delta_t_mk=warm,
                 delta_t_as_printed_mk=warm_as_printed,
-                run_time_s=round(time.perf_counter() - started_size, 4),
+                run_time_s=round((time.perf_counter() - started_size) / len(thresholds), 4),
             )
-            of_light.append(fit)
-            started_size = time.perf_counter()
+            fits_of_scene.append(fit)
         if progress is not None:
             progress(1)
-    fits = [fit for of_light in of_lights for fit in of_light]
+    fits = [fit for fits_of_scene in of_scenes for fit in fits_of_scene]
     more = {}
     if examples:
         from sensor_sim.pictures import threshold_examples
@@ -156,17 +164,17 @@ def _each_once(values: Sequence[float], name: str) -> list[float]:
     return numbers
 
 
-def _lights(sensor: Sensor, luminances_cd_m2: Sequence[float]) -> list[Sensor]:
-    """Return the sensor at each of some luminances, or as it is if there are none.
+def _scenes(sensor: Sensor, luminances_cd_m2: Sequence[float]) -> list[Scene]:
+    """Return the lights of a camera that counts photons: its own, or some luminances; none for other sensors.
 
     Raises
     ------
     SettingsError
-        If the sensor does not count photons, or the background of a luminance saturates it.
+        If there are luminances for a sensor that does not count photons.
     """
-    if not luminances_cd_m2:
-        return [sensor]
     if sensor.scene is None:
-        needed = 'found for a sensor without [noise] model = "photon", expected none'
-        raise SettingsError(f"luminance_cd_m2: {needed}")
-    return [replace(sensor, scene=sensor.scene.at(luminance)) for luminance in luminances_cd_m2]
+        if luminances_cd_m2:
+            needed = 'found for a sensor without [noise] model = "photon", expected none'
+            raise SettingsError(f"luminance_cd_m2: {needed}")
+        return []
+    return [sensor.scene.at(luminance) for luminance in luminances_cd_m2] or [sensor.scene]

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from sensor_sim.chain.sensor import Sensor, sensor_of, sensor_settings
+from todframes.base.errors import SettingsError
 from todframes.base.seeds import Rng, seed_of
 from todframes.observers.interface import Observer, described
 from todframes.scoring.error_budget import PlanName
@@ -118,9 +119,14 @@ def sweep(
     designs = make_designs(base, vary=vary, design=design, sample=sample, seed=seed)
     if couple_netd:
         check_coupling(sensor, designs.keys)
+    if sensor.level != "snr" and (acuity_snr is not None or acuity_delta_t_mk is not None):
+        raise SettingsError("acuity: found an SNR or a ΔT for a camera that counts photons, expected none")
     has_netd = sensor.noise.netd_mk is not None or "noise.netd_mk" in designs.keys
     criterion = Criterion.of(acuity_snr, acuity_delta_t_mk, has_netd=has_netd)
-    goals = objectives(minimise, maximise, designs.keys, has_netd=has_netd, has_acuity=criterion is not None)
+    has_acuity = criterion is not None
+    goals = objectives(
+        minimise, maximise, designs.keys, has_netd=has_netd, has_acuity=has_acuity, level=sensor.level
+    )
     work = SweepWork(observers=observers, p_correct=p_correct, tolerance=tolerance, seed=seed, plan=plan)
     with open_engine(cluster, workers) as engine:
         swept = run_sweep(base, designs, sizes, work, engine, store=store, progress=progress)

@@ -28,7 +28,7 @@ BlurPixels = Annotated[float, Meta(ge=0.0, le=MAX_PIXELS)]
 Share = Annotated[float, Meta(ge=1e-6, le=1.0)]
 OptionalPositive = Annotated[float | None, Meta(ge=1.0 / LARGEST, le=LARGEST)]
 
-FOLLOWS = math.nan
+FOLLOWS = float("nan")
 """Default of a length or an angle that another key may give."""
 
 
@@ -66,8 +66,8 @@ class Optics:
                 raise SettingsError("focal_length_mm is missing: the aperture is focal_length_mm / f_number")
             check_values(self, ignored=("aperture_mm",))
             object.__setattr__(self, "aperture_mm", self.focal_length_mm / self.f_number)
-        elif math.isnan(self.aperture_mm):
-            raise SettingsError("aperture_mm is missing; expected it, or f_number and focal_length_mm")
+        elif self.aperture_mm is FOLLOWS:
+            raise SettingsError("aperture_mm is missing")
         check_values(self)
 
     @property
@@ -112,7 +112,7 @@ class Detector:
         if self.width_um is not None:
             raise SettingsError("pitch_um is missing: width_um is a width on the chip")
         for name in ("pitch_mrad", "width_mrad"):
-            if math.isnan(getattr(self, name)):
+            if getattr(self, name) is FOLLOWS:
                 raise SettingsError(f"{name} is missing")
         check_values(self)
         if self.width_mrad > self.pitch_mrad:

@@ -62,6 +62,19 @@ Size = Annotated[float, Meta(gt=0.0)]
 Sizes = Annotated[list[Size], Meta(min_length=1, max_length=12)]
 
 
+def shown(sensor: Sensor) -> Sensor:
+    """Return a sensor that the page can show.
+
+    Raises
+    ------
+    SettingsError
+        If it counts photons: the page has no light.
+    """
+    if sensor.photons is not None:
+        raise SettingsError("noise.model: the page cannot show a camera that counts photons; take curve or sweep")
+    return sensor
+
+
 class SensorAsked(msgspec.Struct):
     """A request about a sensor, given as the tables of SENSOR.toml."""
 
@@ -69,7 +82,7 @@ class SensorAsked(msgspec.Struct):
 
     def made(self) -> Sensor:
         """Return the sensor; see `sensor_from` for the errors."""
-        return sensor_from({"schema": SCHEMA, **self.sensor}, "SENSOR.toml")
+        return shown(sensor_from({"schema": SCHEMA, **self.sensor}, "SENSOR.toml"))
 
 
 class CurveAsked(SensorAsked):
@@ -373,4 +386,4 @@ def written(asked: TomlAsked) -> dict[str, Any]:
 
 def read(asked: TextAsked) -> dict[str, Any]:
     """Return the tables of a SENSOR.toml; see `load_sensor` for the errors."""
-    return {"sensor": sensor_settings(sensor_from(parse_toml(asked.text, asked.name), asked.name))}
+    return {"sensor": sensor_settings(shown(sensor_from(parse_toml(asked.text, asked.name), asked.name)))}

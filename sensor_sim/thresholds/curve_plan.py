@@ -214,25 +214,6 @@ def plan_curve(
     return _CurvePlanner(sensor, size_detectors, full, p_correct, tolerance).plan()
 
 
-def plans_in_common(plans: Sequence[CurvePlan], stimulus: Stimulus) -> list[CurvePlan]:
-    """Return plans of sensors that differ in noise alone with the parts of the one that leaves out least.
-
-    Sensors with the same parts share their trials. A plan that leaves out less changes less: each keeps the bounds
-    of its own. If no plan leaves out least of everything, they stay as they are.
-    """
-
-    def left(plan: CurvePlan) -> tuple[int, ...]:
-        side = plan.observer.grid(stimulus).side
-        return side, plan.field, plan.sampler.period, np.dtype(plan.dtype).itemsize
-
-    most = tuple(max(of_part) for of_part in zip(*map(left, plans), strict=True))
-    fullest = next((plan for plan in plans if left(plan) == most), None)
-    if fullest is None:
-        return list(plans)
-    parts = {name: getattr(fullest, name) for name in ("observer", "field", "sampler", "dtype")}
-    return [replace(plan, **parts) for plan in plans]
-
-
 def full_plan(sensor: Sensor, observer: Observer, size_detectors: float, shared: Shared = NOTHING) -> CurvePlan:
     """Return the plan that computes everything except exact identities.
 

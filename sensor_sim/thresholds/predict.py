@@ -11,12 +11,12 @@ Hogervorst et al. 2001, sections 3 to 5 and 8.
 
 from __future__ import annotations
 
+import copy
 import math
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from types import MappingProxyType
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from sensor_sim.chain.detector_noise import excess_kurtosis
 from sensor_sim.chain.photons import ContrastVariance, background_electrons, contrast_variance, largest_contrast
-from sensor_sim.chain.sensor import Sensor
+from sensor_sim.chain.sensor import Scene, Sensor
 from sensor_sim.thresholds.curve_plan import (
     ORTHANT_TOLERANCE,
     CurvePlan,
@@ -288,6 +288,13 @@ class FoldedChain:
             self.drawing_s += time.perf_counter() - started
         return self._drawn[places, seed]
 
+    def at(self, scene: Scene) -> FoldedChain:
+        """Return the chain of a camera that counts photons at another light; both keep their trials in common."""
+        other = copy.copy(self)
+        other.sensor = replace(self.sensor, scene=scene)
+        other.variance = contrast_variance(other.sensor)
+        return other
+
     def _made_replicates(self, places: int, seed: int) -> list[list[Phases]]:
         streams = np.random.SeedSequence(seed, spawn_key=(places,)).spawn(REPLICATES)
         return [self.phases(places, np.random.default_rng(stream)) for stream in streams]
@@ -380,12 +387,15 @@ class FoldedChain:
         """Return `proportion_correct` at each of several signal-to-noise ratios; for photons, at contrasts."""
         if self.variance is not None:
             found = []
-            for value in snrs:
-                covariance = partial(
-                    covariance_at, "contrast", value, self.noise_covariance, variance=self.variance
+            for part in phases:
+                at_levels = [
+                    covariance_at("contrast", value, self.noise_covariance, part, self.variance) for value in snrs
+                ]
+                p_correct = answer_probability(
+                    part.signal, np.stack(at_levels), part.correct, tolerance=ORTHANT_TOLERANCE
                 )
-                found.append(_each_proportion(phases, covariance, 1)[0])
-            return np.array(found)
+                found.append(p_correct.mean(axis=(1, 2)))
+            return np.asarray(np.mean(found, axis=0))
         internal, snr = self.noise_covariance / contrast**2, np.reshape(snrs, (-1, 1, 1, 1, 1))
         of_orientations = []
         for part in phases:
@@ -592,27 +602,115 @@ def predict_threshold(
     )[0]
 
 
-def predict_each(
-    chains: Sequence[FoldedChain], *, p_correct: float = 0.75, tolerance: float = 2e-3, seed: int = 1
-) -> Iterator[PredictedThreshold]:
-    """Yield thresholds of chains that differ little: each but the first is corrected by the first on few places.
+class AtLight(NamedTuple):
+    """A threshold of a camera that counts photons, and what it was computed from.
 
-    Parameters and errors are those of `predict_threshold`. The places become more until the ratio to the first
-    threshold, or the threshold itself, is known well enough.
+    Attributes
+    ----------
+    found : PredictedThreshold
+    chain : FoldedChain
+        At the light of the threshold.
+    left_out_bound : float
+        Bound on the change of P(correct) from all that the plan leaves out.
     """
-    references: dict[int, Reference] = {}
-    for chain in chains:
-        found, on_places = _predicted(
-            chain, p_correct=p_correct, tolerance=tolerance, seed=seed, references=references
-        )
-        yield found
-        if not references and found.threshold is not None:
-            # What both plans leave out has no part in the ratio.
-            finest = on_places[max(on_places)]
-            error = half_width_95(finest.deviations) * found.threshold
+
+    found: PredictedThreshold
+    chain: FoldedChain
+    left_out_bound: float
+
+
+def predict_each(
+    chain_at: Callable[[Scene], FoldedChain],
+    scenes: Sequence[Scene],
+    *,
+    p_correct: float = 0.75,
+    tolerance: float = 2e-3,
+    seed: int = 1,
+) -> list[AtLight]:
+    """Return the thresholds of a camera that counts photons at several lights.
+
+    The middle one is computed by itself, and the others with its plan. On few places each threshold has nearly the
+    same error, so that their ratio corrects it. The places become more until this ratio, or the threshold itself,
+    is known well enough.
+
+    Parameters
+    ----------
+    chain_at : function of a Scene
+        Returns the chain at a light, with a plan of its own.
+    scenes : sequence of Scene
+    p_correct, tolerance, seed
+        As for `predict_threshold`.
+    """
+    known: _AtKnownLight | None = None
+    computed: dict[int, AtLight] = {}
+    by_light = sorted(range(len(scenes)), key=lambda place: scenes[place].background_cd_m2)
+    middle = len(scenes) // 2
+    for place in [*by_light[middle:], *by_light[:middle]]:
+        chain = chain_at(scenes[place]) if known is None else known.chain.at(scenes[place])
+        wanted = tolerance if known is not None or len(scenes) == 1 else FIRST_SHARE * tolerance
+        found, on_places, bound = _predicted(chain, p_correct=p_correct, tolerance=wanted, seed=seed, known=known)
+        computed[place] = AtLight(found, chain, bound)
+        if known is None and found.threshold is not None:
+            # What both leave out has no part in the ratio.
+            error = half_width_95(on_places[max(on_places)].deviations) * found.threshold
             references = {
                 places: Reference.of(of_places, found.threshold, error) for places, of_places in on_places.items()
             }
+            phases = pooled(chain.replicates(min(on_places), seed))
+            known = _AtKnownLight(references, chain, found.threshold, phases)
+    return [computed[place] for place in range(len(scenes))]
+
+
+class _AtKnownLight(NamedTuple):
+    """A threshold at one light, from which that at another light is near and its bounds follow."""
+
+    references: Mapping[int, Reference]
+    chain: FoldedChain
+    threshold: float
+    phases: Sequence[Phases]
+
+    def _covariance(self, chain: FoldedChain, level: float) -> FloatArray:
+        """Return the mean covariance of the score differences that decide, (3, 3), at a contrast."""
+        part = self.phases[0]
+        covariance = covariance_at("contrast", level, chain.noise_covariance, part, chain.variance)
+        others = np.delete(np.eye(4)[part.correct] - np.eye(4), part.correct, axis=0)
+        return np.asarray(others @ covariance.mean(axis=(0, 1)) @ others.T)
+
+    def near(self, chain: FoldedChain) -> float:
+        """Return the contrast at which the noise of a camera at another light is as large against the signal."""
+        at_threshold = float(np.trace(self._covariance(self.chain, self.threshold)))
+
+        def excess(log_level: float) -> float:
+            return math.log(float(np.trace(self._covariance(chain, math.exp(log_level)))) / at_threshold)
+
+        x = math.log(self.threshold)
+        for _ in range(3):  # the logarithm of the noise is nearly straight: its slope lies between -2 and 0
+            slope = (excess(x + STEP) - excess(x)) / STEP
+            if not slope < -LEAST_SLOPE:
+                break
+            x -= min(max(excess(x) / slope, -3.0), 3.0)
+        return math.exp(x)
+
+    def bound(self, chain: FoldedChain, threshold: float) -> float:
+        """Return the bound on the change of P(correct) from the plan's omissions at another light.
+
+        Where `decision_change` divides a change of the scores by their standard deviation, the largest ratio of
+        these at the two lights bounds its growth; where it divides a change of their covariance by the covariance,
+        the largest ratio of covariances, and of the parts of the noise, does.
+        """
+        before, after = self._covariance(self.chain, self.threshold), self._covariance(chain, threshold)
+        ratio = float(np.linalg.eigvals(np.linalg.solve(after, before)).real.max())
+        assert chain.variance is not None and self.chain.variance is not None
+        parts = [(1.0, 1.0), *zip(self.chain.variance[:3], chain.variance[:3], strict=True)]
+        of_parts = max(other / one for one, other in parts if one > 0.0) * (self.threshold / threshold) ** 2
+        return self.chain.plan.bound * max(math.sqrt(ratio), ratio * of_parts)
+
+
+FIRST_SHARE = 0.75
+"""Share of the tolerance for the threshold that corrects others; the rest is for their ratio to it."""
+
+LEAST_SLOPE = 1e-3
+"""Slope of the logarithm of noise against that of contrast at which a search for equal noise ends."""
 
 
 def _predicted(
@@ -626,14 +724,17 @@ def _predicted(
     near: float | None = None,
     slope: float = math.nan,
     check: Callable[[], None] = lambda: None,
-    references: Mapping[int, Reference] = MappingProxyType({}),
-) -> tuple[PredictedThreshold, dict[int, PooledThreshold]]:
-    """Return a threshold, and what each number of places gives."""
+    known: _AtKnownLight | None = None,
+) -> tuple[PredictedThreshold, dict[int, PooledThreshold], float]:
+    """Return a threshold, what each number of places gives, and the bound on what the plan leaves out."""
     pixels = chain.sensor.display.pixels_per_detector
     ladder = [n for n in PLACES if math.gcd(n, pixels) == 1 and n >= chain.plan.fewest_places]
     on_places: dict[int, PooledThreshold] = {}
     if near is None and (level == "snr" or chain.variance is not None):
         near, slope = chain.plan.near_level, chain.plan.slope
+        if known is not None:
+            near = known.near(chain)
+    bound = chain.plan.bound
     for places in ladder:
         parts = chain.replicates(places, seed)
         phases = pooled(parts)
@@ -653,16 +754,19 @@ def _predicted(
         if chain.variance is not None and found.threshold > largest_contrast(chain.sensor):
             status = "never_reached"  # a triangle of more contrast saturates the pixels, and looks the same
         if status != "ok":
-            return PredictedThreshold(status, size_detectors=chain.size_detectors, n_phases=n_phases), {}
+            return PredictedThreshold(status, size_detectors=chain.size_detectors, n_phases=n_phases), {}, bound
         near, slope = found.threshold, found.slope
         threshold = found.threshold
-        error, left_out = half_width_95(found.deviations), chain.plan.bound / found.slope
+        if known is not None:
+            bound = known.bound(chain, threshold)
+        error, left_out = half_width_95(found.deviations), bound / found.slope
         on_places[places] = found
-        if places in references:
-            by_ratio = half_width_95(found.deviations - references[places].deviations)
-            if by_ratio + references[places].error + left_out <= tolerance:
-                threshold *= math.exp(references[places].correction)
-                error = by_ratio + references[places].error
+        if known is not None and places in known.references:
+            reference = known.references[places]
+            by_ratio = half_width_95(found.deviations - reference.deviations)
+            if by_ratio + reference.error + left_out <= tolerance:
+                threshold *= math.exp(reference.correction)
+                error = by_ratio + reference.error
                 break
         # More trials do not reduce the error of the omissions: on a flat curve, the stated error may stay above
         # the tolerance.
@@ -674,4 +778,4 @@ def _predicted(
         points = tuple(zip(levels, chain.proportions_correct(parts[0], levels).tolist(), strict=True))
     error = (error + left_out) * threshold
     predicted = PredictedThreshold(found.status, threshold, error, chain.size_detectors, n_phases, points)
-    return predicted, on_places
+    return predicted, on_places, bound
