@@ -194,8 +194,8 @@ def test_thresholds_of_photons_are_those_of_brute_force(tmp_path, draws, error):
         k = orientation.quarter_turns
         computed = answer_probabilities((weights @ signal)[None], covariance)[0, k]
         differences.append(answers[:, k].mean() - computed)
-    # P of an exposure has a standard deviation of at most 0.3. In 9,600 its mean has 0.0031, 1.2 % of the level at a
-    # slope of 0.25; in 240,000 it has 0.25 %: four of these, in both.
+    # P of an exposure has a standard deviation of at most 0.3. In 9,600 its mean has 0.0031, 1.2 % of the level at
+    # a slope of 0.25; in 240,000 it has 0.25 %: four of these, in both.
     assert slope > 0.25
     assert abs(np.mean(differences)) / slope < error
     assert fit.threshold_numerical_error < 2e-3 * contrast
