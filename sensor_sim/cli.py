@@ -191,11 +191,15 @@ def curve(*, sensor: Path, sizes: str, luminances: str | None, out: str | None, 
     "--minimise",
     metavar="COLUMN[,…]",
     help="Columns to be low for the trade-off front: varied keys, delta_t_mk, threshold_snr, "
-    "threshold_contrast, acuity_mrad, acuity_detectors.  [default: delta_t_mk]",
+    "threshold_contrast, acuity_mrad, acuity_detectors, range_km.  "
+    "[default: delta_t_mk; with --target, range_km is high]",
 )
 @click.option("--maximise", metavar="COLUMN[,…]", help="Columns to be high for it.")
 @click.option("--acuity-snr", type=float, metavar="R", help="Give the smallest size visible at this SNR.")
 @click.option("--acuity-delta-t-mk", type=float, metavar="T", help="Give the smallest size visible at this ΔT.")
+@click.option("--target", metavar="NAME|FILE", help="Give the range of this target, as for `todframes range`.")
+@click.option("--atmosphere", metavar="NAME|FILE", help="Air to the target.")
+@click.option("--k", type=float, metavar="K", help="The target is seen if a triangle of size / K is.")
 @observer_options
 @tolerance_option(2e-3, "Relative error of the thresholds to reach.")
 @plan_option

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from overlaps import shares_of_samples
 from scipy.ndimage import gaussian_filter
 
 from sensor_sim.chain.reconstruction import display_position_px
@@ -20,7 +21,7 @@ from todframes.base.errors import SettingsError
 from todframes.observers.decision import answer_probabilities
 from todframes.observers.interface import Observer, Readout
 from todframes.observers.pyramid import PyramidObserver, PyramidSettings
-from todframes.observers.retina import overlap_matrix, resample
+from todframes.observers.retina import resample
 from todframes.psychometrics.fit import FitSettings, fit_trials
 from todframes.scoring.naked_eye import contrast_threshold
 from todframes.stimulus import ORIENTATIONS, Stimulus, bounding_box_offset
@@ -157,9 +158,9 @@ def brute_force(sensor: Sensor, observer: Observer, size: float, snr: float, n: 
         offset = offset * size * pixels + jitter
         middle = [display_position_px(at, n_detectors=field, display=shown) for at in (x, y)] + offset
         across, down = (
-            overlap_matrix(
-                grid, centre_px=at, pixel_pitch_mrad=pixel, first_pixel=0, n_pixels=field * pixels
-            ).toarray()
+            shares_of_samples(
+                grid.side, grid.pitch_mrad, middle_mrad=at * pixel, pitch_mrad=pixel, n_pixels=field * pixels
+            )
             for at in middle
         )
         on_display = down.T @ readout.deviations @ across

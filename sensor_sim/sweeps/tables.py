@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sensor_sim.sweeps.designs import FILL_FACTOR, NAME_COLUMN, NETD, PITCHES, WIDTHS
+from sensor_sim.sweeps.ranges import Aim, DesignRange
 from sensor_sim.sweeps.work import Swept
 from todframes import __version__
 from todframes.base._typing import FloatArray, Json
@@ -35,6 +36,8 @@ BY_SIZE = (*(f"threshold_{level}" for level in LEVEL_NAMES), "delta_t_mk")
 
 OF_ACUITY = ("acuity_detectors", "acuity_mrad")
 
+OF_RANGE = "range_km"
+
 OF_ETENDUE = ("optics.aperture_mm", "optics.f_number", *WIDTHS, FILL_FACTOR)
 """Keys that change the light on a detector, besides the pitch if the fill factor is kept."""
 
@@ -47,6 +50,7 @@ CRITERION_UNITS = {
     "delta_t_mk": "mK",
     "acuity_detectors": "detectors",
     "acuity_mrad": "mrad",
+    OF_RANGE: "km",
 }
 
 
@@ -178,6 +182,8 @@ class SweepData:
         Columns of the trade-off front; the first one orders the designs.
     criterion : Criterion or None
         Signal for the acuity; None if none is asked for.
+    aim : Aim or None
+        Target and air of the range; None if none is asked for.
     whole_keys : tuple of str
         Varied keys whose values are whole numbers.
     settings : dict
@@ -191,6 +197,7 @@ class SweepData:
     swept: Swept
     objectives: tuple[Objective, ...]
     criterion: Criterion | None
+    aim: Aim | None
     whole_keys: tuple[str, ...]
     settings: Json
     seed: int
@@ -220,6 +227,19 @@ class SweepData:
             )
         ]
 
+    @cached_property
+    def ranges(self) -> list[DesignRange] | None:
+        """Range of each design in the field; None if none is asked for."""
+        if self.aim is None:
+            return None
+        swept, sizes, p_correct = self.swept, np.array(self.swept.size_detectors), self.settings["p_correct"]
+        return [
+            DesignRange(IMPOSSIBLE)
+            if math.isnan(pitch)
+            else self.aim.range_of(sizes * pitch, of_design / 1000.0, status, p_correct)
+            for pitch, of_design, status in zip(swept.pitch_mrad, swept.delta_t_mk, swept.status, strict=True)
+        ]
+
     def column(self, name: str, size: int) -> FloatArray:
         """Return the values of a column for each design, at one size by its place."""
         if name in BY_SIZE:
@@ -228,6 +248,8 @@ class SweepData:
         if name in OF_ACUITY:
             detectors = np.array([one.detectors for one in self.acuities or ()])
             return detectors if name == OF_ACUITY[0] else detectors * self.swept.pitch_mrad
+        if name == OF_RANGE:
+            return np.array([one.range_km for one in self.ranges or ()])
         return self.swept.designs.values[:, self.swept.designs.keys.index(name)]
 
     @cached_property
@@ -252,7 +274,7 @@ class SweepData:
             if self.settings["couple_netd"]:
                 of_design["netd_mk"] = _known(swept.netd_mk[row])
             pitch = _known(swept.pitch_mrad[row])
-            of_acuity = self._acuity_record(row, pitch)
+            of_design_alone = self._acuity_record(row, pitch) | self._range_record(row)
             for place, size in enumerate(swept.size_detectors):
                 threshold, error = swept.threshold[row, place], swept.numerical_error[row, place]
                 mk = swept.mk_per_snr[row]
@@ -265,7 +287,7 @@ class SweepData:
                     f"threshold_{swept.level}": _known(threshold),
                     f"threshold_{swept.level}_error": _known(error),
                     **(in_mk if has_netd else {}),
-                    **of_acuity,
+                    **of_design_alone,
                     "on_front": bool(self.on_front[row, place]),
                     "n_phases": int(swept.n_phases[row, place]) or None,
                     "reason": swept.reason[row][place] or None,
@@ -288,6 +310,13 @@ class SweepData:
             "acuity_status": found.status,
         }
 
+    def _range_record(self, row: int) -> Json:
+        if self.ranges is None:
+            return {}
+        status, range_km, at_least_km = self.ranges[row]
+        values = {OF_RANGE: _known(range_km), "range_at_least_km": _known(at_least_km)}
+        return values | {"range_status": status}
+
     def table(self) -> Table:
         """Return the table of all designs: a row for each design and size."""
         kinds = self._kinds()
@@ -296,7 +325,7 @@ class SweepData:
 
     def _kinds(self) -> dict[str, type]:
         """Return the type of each column."""
-        texts = {NAME_COLUMN, "status", "acuity_status", "reason"}
+        texts = {NAME_COLUMN, "status", "acuity_status", "range_status", "reason"}
         whole = {"design", "n_phases", *self.whole_keys}
         return {
             key: str if key in texts else int if key in whole else bool if key == "on_front" else float
@@ -347,7 +376,7 @@ class SweepData:
             record |= self._values(designs.values[row].tolist())
             record |= {"netd_mk": _known(swept.netd_mk[row])} if self.settings["couple_netd"] else {}
             record |= {f"at_{place}": _known(value) for place, value in enumerate(shown[row])}
-            record |= self._acuity_record(int(row), _known(swept.pitch_mrad[row]))
+            record |= self._acuity_record(int(row), _known(swept.pitch_mrad[row])) | self._range_record(int(row))
             records.append(record)
         columns = [Column(key="design"), *([Column(key=NAME_COLUMN, rank=3)] if designs.names is not None else [])]
         # A narrow terminal first drops the larger sizes; what is varied stays.
@@ -359,6 +388,8 @@ class SweepData:
         ]
         if self.acuities is not None:
             columns += [Column(key=key, header=key.replace("_", " "), rank=1) for key in OF_ACUITY]
+        if self.ranges is not None:
+            columns += [Column(key=OF_RANGE, header="range km"), Column(key="range_status", rank=2)]
         return Table.of(title, "best.csv", columns, records)
 
     def problems(self) -> Table | None:
@@ -411,6 +442,12 @@ class SweepData:
             found.append(
                 f"{end} {name} at {swept.size_detectors[0]:g} detectors: {value}, design {row + 1} ({of_design})."
             )
+        beyond = [one.at_least_km for one in self.ranges or () if math.isfinite(one.at_least_km)]
+        if beyond:
+            found.append(
+                f"The range of {count(len(beyond), 'design')} is beyond the smallest size, at "
+                f"{plain(max(beyond))} km or more; add smaller sizes."
+            )
         if len(self.objectives) > 1:
             names = listed(f"{'low' if one.sign > 0 else 'high'} {one.column}" for one in self.objectives)
             number = int(self.on_front[:, 0].sum())
@@ -452,23 +489,28 @@ def objectives(
     *,
     has_netd: bool,
     has_acuity: bool,
+    has_range: bool,
     level: str = "snr",
 ) -> tuple[Objective, ...]:
-    """Return the columns of the trade-off front; without any, ΔT or, if NETD is not known, the level.
+    """Return the columns of the trade-off front; without any, the range, ΔT, or if NETD is not known, the level.
 
     Raises
     ------
     SettingsError
         If there is no such column, or it would be empty.
     """
+    if not (minimise or maximise) and has_range:
+        return (Objective(OF_RANGE, -1),)
     if not (minimise or maximise):
         return (Objective("delta_t_mk" if has_netd else f"threshold_{level}", 1),)
     for where, names in (("minimise", minimise), ("maximise", maximise)):
-        check_keys(names, [f"threshold_{level}", "delta_t_mk", *OF_ACUITY, *keys], where)
+        check_keys(names, [f"threshold_{level}", "delta_t_mk", *OF_ACUITY, OF_RANGE, *keys], where)
         if "delta_t_mk" in names and not has_netd:
             raise SettingsError(f"{where}: found delta_t_mk, which needs noise.netd_mk of the sensor")
         if set(names) & set(OF_ACUITY) and not has_acuity:
             raise SettingsError(f"{where}: found {names[0]}, which needs an SNR or ΔT for the acuity")
+        if OF_RANGE in names and not has_range:
+            raise SettingsError(f"{where}: found {OF_RANGE}, which needs a target and an atmosphere")
     found = (*(Objective(name, 1) for name in minimise), *(Objective(name, -1) for name in maximise))
     if len({one.column for one in found}) < len(found):
         raise SettingsError("minimise, maximise: found a column twice, expected each once")

@@ -24,6 +24,7 @@ _FLAGS = {
     "patches": "--patch",
     "pattern": "--from",
     "rng": "--seed",
+    "search_time_s": "--search-time",
     "value_range": "--range",
 }
 """Options of the command line whose names are not those of the arguments."""

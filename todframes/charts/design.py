@@ -17,12 +17,17 @@ from msgspec import Meta
 
 from todframes.base.errors import SettingsError
 from todframes.base.reading import check_values
-from todframes.charts.layout import LARGEST_ON_CHART, Length
+from todframes.charts.layout import LARGEST_ON_CHART, Length, Triangle
 from todframes.charts.markers import MOST_PAGES
+from todframes.frames.surround import REACH_IN_SIZES
 from todframes.stimulus import ORIENTATIONS, Orientation
 
 FIELD_PER_SIZE = 5.0
 """Side of the square around a triangle that is kept free, in sizes: the width of the observer's field."""
+
+SURROUND_PER_SIZE = 2.0 * REACH_IN_SIZES
+"""Side of the square around a triangle that markers along the borders keep free, in sizes: its background is
+measured there."""
 
 
 class Condition(NamedTuple):
@@ -99,6 +104,38 @@ class Design:
     def size_mm(self, size_mrad: float) -> float:
         """Return √(area) on the page."""
         return size_mrad * self.distance_m
+
+    def triangle(
+        self, condition: Condition, *, x_mm: float, y_mm: float, contrast: float, dithered: bool = False
+    ) -> Triangle:
+        """Return the description of a triangle that is drawn with a contrast, to six digits.
+
+        Parameters
+        ----------
+        condition : Condition
+        x_mm, y_mm : float
+            Place of its centroid on the page.
+        contrast : float
+            Weber contrast that the drawing has.
+        dithered : bool
+            Whether pixels of two code values are mixed.
+
+        Returns
+        -------
+        Triangle
+            With the contrast asked for, if that is another.
+        """
+        drawn, asked = float(f"{contrast:.6g}"), self.polarity * condition.level
+        return Triangle(
+            orientation=condition.orientation,
+            size_mrad=condition.size_mrad,
+            size_mm=self.size_mm(condition.size_mrad),
+            x_mm=x_mm,
+            y_mm=y_mm,
+            contrast=drawn,
+            contrast_asked=None if drawn == asked else asked,
+            dithered=dithered,
+        )
 
     @property
     def conditions(self) -> list[Condition]:

@@ -1,0 +1,111 @@
+"""Tables of a measured MTF: what is read, and what is refused with a line that says where and why."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from todframes.base.errors import DataError
+from todframes.recordings.mtf_table import read_mtf_mapper, read_mtf_table
+
+
+@pytest.fixture
+def written(tmp_path):
+    def write(*lines, name="mtf.csv"):
+        path = tmp_path / name
+        path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+        return path
+
+    return write
+
+
+@pytest.mark.parametrize("unit", ["cyc_per_pixel", "cyc_per_mrad", "cyc_per_mm"])
+def test_a_table_keeps_its_unit_and_its_numbers(written, unit):
+    table = read_mtf_table(
+        written(
+            f"note,frequency_{unit},mtf,mtf_upper,mtf_lower", "a,0,1,1,1", "b,0.1,0.8,0.9,0.7", "c,1.5,0,0.1,0"
+        )
+    )
+    assert table.unit == unit
+    np.testing.assert_array_equal(table.frequency, [0.0, 0.1, 1.5])
+    np.testing.assert_array_equal(table.curves["mtf"], [1.0, 0.8, 0.0])
+    np.testing.assert_array_equal([table.lower, table.upper], [[1.0, 0.7, 0.0], [1.0, 0.9, 0.1]])
+    assert list(table.curves) == ["mtf"] and not table.stops_early
+
+
+def test_tangential_and_sagittal(written):
+    table = read_mtf_table(
+        written("frequency_cyc_per_mm,mtf_tangential,mtf_sagittal", "10,0.9,0.95", "40,0.2,0.5")
+    )
+    assert {name: one.tolist() for name, one in table.curves.items()} == {
+        "mtf_tangential": [0.9, 0.2],
+        "mtf_sagittal": [0.95, 0.5],
+    }
+    assert (table.lower, table.upper) == (None, None)
+    # The curve that ends highest says what is not known.
+    assert table.end_mtf == 0.5 and table.stops_early
+
+
+F = "frequency_cyc_per_pixel"
+
+
+@pytest.mark.parametrize(
+    ("lines", "message"),
+    [
+        (("mtf", "1"), r"column 'frequency_cyc_per_pixel' is missing; found mtf"),
+        ((f"{F},frequency_cyc_per_mm,mtf", "0,0,1"), "found columns .*pixel and .*mm, expected one of them"),
+        ((f"{F},sfr", "0,1"), "column 'mtf' is missing"),
+        ((f"{F},mtf_sagittal", "0,1"), "column 'mtf_tangential' is missing"),
+        ((f"{F},mtf,mtf_upper", "0,1,1"), "column 'mtf_lower' is missing"),
+        ((f"{F},mtf", "0,1"), "found 1 rows, expected at least two"),
+        ((f"{F},mtf", "0,1", "x,0.5"), "line 3: frequency_cyc_per_pixel: found 'x', expected a finite number"),
+        ((f"{F},mtf", "-1,1", "0,0.5"), "line 2: found frequency -1, expected 0 or more"),
+        ((f"{F},mtf", "0,1", "0.2,0.5", "0.2,0.4"), "line 4: found frequency 0.2 after 0.2, expected ascending"),
+        ((f"{F},mtf", "0,1", "0.2,-0.1"), "line 3: found mtf -0.1, expected 0 or more"),
+        ((f"{F},mtf", "0,0.9", "0.2,0.1"), "line 2: found mtf 0.9 at frequency 0, expected 1: divide"),
+        ((f"{F},mtf", "0,1", "0.2,1.02"), r"line 3: found mtf 1.02 at 0.2, expected at most 1 .*sharpened\?"),
+        (
+            (f"{F},mtf,mtf_lower,mtf_upper", "0,1,1,1", "0.2,0.5,0.6,0.7"),
+            "line 3: found mtf 0.5 outside of its band",
+        ),
+        ((f"{F},mtf,mtf_lower,mtf_upper", "0,1,1,1", "0.2,1.2,1.1,1.3"), r"expected at most 1 within .* of 0.1"),
+    ],
+)
+def test_what_is_no_mtf_is_one_line(written, lines, message):
+    with pytest.raises(DataError, match=message):
+        read_mtf_table(written(*lines))
+
+
+def test_above_1_within_the_error_or_where_it_may_be(written):
+    assert read_mtf_table(written(f"{F},mtf", "0,1", "0.2,1.005")).curves["mtf"][1] == 1.005
+    within = written(f"{F},mtf,mtf_lower,mtf_upper", "0,1,1,1", "0.2,1.05,0.98,1.12")
+    assert read_mtf_table(within).curves["mtf"][1] == 1.05
+    sharpened = written(f"{F},mtf", "0,1", "0.2,1.3")
+    assert read_mtf_table(sharpened, may_exceed_1=True).curves["mtf"][1] == 1.3
+
+
+@pytest.mark.parametrize("n", [64, 128])
+def test_files_of_mtf_mapper(written, n):
+    mtf = np.exp(-np.arange(n) / 20.0)
+    values = " ".join(f"{one:.6f}" for one in mtf)
+    first, second = read_mtf_mapper(written(f"5.25 {values} ", "", f"-3 {values}", name="raw_sfr_values.txt"))
+    assert (first.angle_deg, first.centre_px, second.angle_deg) == (5.25, None, -3.0)
+    np.testing.assert_array_equal(first.table.frequency, np.arange(n) / 64)
+    np.testing.assert_allclose(first.table.curves["mtf"], mtf, atol=5.1e-7)  # six decimals
+    (edge,) = read_mtf_mapper(written(f"7 100.5 20.25 5.25 33.1 {values}", name="edge_sfr_values.txt"))
+    assert (edge.angle_deg, edge.centre_px) == (5.25, (100.5, 20.25))
+    np.testing.assert_allclose(edge.table.curves["mtf"], mtf, atol=5.1e-7)
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ("5.0 1 0.5", "line 1: found 3 numbers, expected an angle and 64 or 128 values, or five"),
+        ("5.0 x" + " 0.5" * 63, "line 1: column 2: found 'x', expected a finite number"),
+        ("5.0" + " 0.5" * 64, "line 1: found mtf 0.5 at frequency 0, expected 1"),
+        ("", "found no edge, expected a line for each"),
+    ],
+)
+def test_what_is_no_file_of_mtf_mapper_is_one_line(written, line, message):
+    with pytest.raises(DataError, match=message):
+        read_mtf_mapper(written(line, name="edge_sfr_values.txt"))

@@ -1,0 +1,213 @@
+"""Tables of a measured MTF: CSV with frequencies in pixels, mrad or mm, and the text files of MTF Mapper."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from todframes.base._typing import FloatArray
+from todframes.base.errors import DataError
+from todframes.base.locations import Location
+from todframes.base.reading import MAX_CSV_MB, check_columns, check_fields, number, read_csv, read_text
+
+FrequencyUnit = Literal["cyc_per_pixel", "cyc_per_mrad", "cyc_per_mm"]
+
+FREQUENCIES: dict[str, FrequencyUnit] = {
+    "frequency_cyc_per_pixel": "cyc_per_pixel",
+    "frequency_cyc_per_mrad": "cyc_per_mrad",
+    "frequency_cyc_per_mm": "cyc_per_mm",
+}
+"""Columns of the frequency, of which a table has one, and their units."""
+
+RADIAL, DIRECTIONS = "mtf", ("mtf_tangential", "mtf_sagittal")
+"""Columns of the MTF: a table has the first, or both others, or all."""
+
+BAND = ("mtf_lower", "mtf_upper")
+"""Columns of the ends of the 95 % band of `RADIAL`, which a table may have."""
+
+READING_ERROR = 0.01
+"""Error of an MTF without a band: that of a value which was read from a printed curve to two decimals."""
+
+LARGEST_END = 0.05
+"""MTF at the last frequency above which a table stops early: what follows may be a visible part of an edge."""
+
+MAPPER_PER_CYC_PER_PIXEL = 64.0
+"""Frequencies in 1 cycle/pixel of files of MTF Mapper, from 0. Manual page of mtf_mapper, options -f and -q."""
+
+MAPPER_LENGTHS = (64, 128)
+"""Numbers of MTF values of an edge in these files, without and with the option --full-sfr."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class MtfTable:
+    """An MTF at ascending frequencies.
+
+    Attributes
+    ----------
+    unit : {"cyc_per_pixel", "cyc_per_mrad", "cyc_per_mm"}
+        Unit of the frequencies.
+    frequency : ndarray (n,)
+        At least two frequencies >= 0, ascending.
+    curves : dict of ndarray (n,)
+        Values by column: "mtf", or "mtf_tangential" and "mtf_sagittal", or all three; none is negative.
+    lower, upper : ndarray (n,) or None
+        Ends of the 95 % band of "mtf"; None if the table has no band.
+    """
+
+    unit: FrequencyUnit
+    frequency: FloatArray
+    curves: dict[str, FloatArray]
+    lower: FloatArray | None = None
+    upper: FloatArray | None = None
+
+    @property
+    def end_mtf(self) -> float:
+        """The largest MTF at the last frequency."""
+        return max(float(one[-1]) for one in self.curves.values())
+
+    @property
+    def stops_early(self) -> bool:
+        """Whether the MTF at the last frequency is above `LARGEST_END`: what follows is not known."""
+        return self.end_mtf > LARGEST_END
+
+
+class MapperEdge(NamedTuple):
+    """One edge in a file of MTF Mapper.
+
+    `angle_deg` is that of the edge against rows or columns; `centre_px` is (x, y), None if the file has no places.
+    """
+
+    angle_deg: float
+    centre_px: tuple[float, float] | None
+    table: MtfTable
+
+
+def read_mtf_table(path: Location, *, may_exceed_1: bool = False) -> MtfTable:
+    """Return the MTF in a CSV file.
+
+    The file has one column of `FREQUENCIES`, and `mtf`, or `mtf_tangential` and `mtf_sagittal`; `mtf` may have its
+    95 % band in `mtf_lower` and `mtf_upper`. Other columns are not read.
+
+    Parameters
+    ----------
+    path : Path or RemotePath
+    may_exceed_1 : bool
+        Accept an MTF above 1, as that of a camera which sharpens. No lens or detector has one.
+
+    Raises
+    ------
+    DataError
+        If the file cannot be read, a column is missing, frequencies do not ascend, or an MTF is negative, above 1
+        by more than its error, or not 1 at frequency 0; the message names the line.
+    """
+    rows = read_csv(path)
+    _, header = next(rows)
+    frequency_name = _frequency_column(list(header), path)
+    needed = [RADIAL] if RADIAL in header or not set(DIRECTIONS) & header.keys() else []
+    needed += DIRECTIONS if set(DIRECTIONS) & header.keys() else []
+    needed += BAND if set(BAND) & header.keys() and RADIAL in header else []
+    check_columns(header, needed, path)
+    places, found = [], []
+    for where, row in rows:
+        check_fields(row, len(header), where)
+        places.append(where)
+        found.append([number(row[name], f"{where}: {name}") for name in (frequency_name, *needed)])
+    if len(found) < 2:
+        raise DataError(f"{path}: found {len(found)} rows, expected at least two frequencies")
+    frequency, *columns = np.array(found).T
+    values = dict(zip(needed, columns, strict=True))
+    lower, upper = (values.pop(name, None) for name in BAND)
+    table = MtfTable(
+        unit=FREQUENCIES[frequency_name], frequency=frequency, curves=values, lower=lower, upper=upper
+    )
+    _check(table, [f"{where}:" for where in places], may_exceed_1=may_exceed_1)
+    return table
+
+
+def _frequency_column(header: Sequence[str], path: Location) -> str:
+    given = [name for name in FREQUENCIES if name in header]
+    if len(given) > 1:
+        raise DataError(f"{path}: found columns {' and '.join(given)}, expected one of them")
+    if not given:
+        check_columns(header, [next(iter(FREQUENCIES))], path)
+    return given[0]
+
+
+def _check(table: MtfTable, places: Sequence[str], *, may_exceed_1: bool) -> None:
+    """Raise DataError for values that no MTF has; `places` begin the messages, one for each frequency."""
+    frequency = table.frequency
+    steps = np.diff(frequency)
+    if frequency[0] < 0.0:
+        raise DataError(f"{places[0]} found frequency {frequency[0]:g}, expected 0 or more")
+    if (steps <= 0.0).any():
+        k = int(np.argmax(steps <= 0.0))
+        raise DataError(
+            f"{places[k + 1]} found frequency {frequency[k + 1]:g} after {frequency[k]:g}, expected ascending ones"
+        )
+    for name, values in table.curves.items():
+        error = np.full(len(values), READING_ERROR)
+        if name == RADIAL and table.upper is not None and table.lower is not None:
+            out = (table.lower > values) | (values > table.upper)
+            if out.any():
+                k = int(np.argmax(out))
+                raise DataError(
+                    f"{places[k]} found mtf {values[k]:g} outside of its band {table.lower[k]:g} to "
+                    f"{table.upper[k]:g}, expected mtf_lower <= mtf <= mtf_upper"
+                )
+            error = np.maximum(error, values - table.lower)
+        if values.min() < 0.0:
+            k = int(np.argmin(values))
+            raise DataError(f"{places[k]} found {name} {values[k]:g}, expected 0 or more")
+        if frequency[0] == 0.0 and abs(values[0] - 1.0) > error[0]:
+            raise DataError(
+                f"{places[0]} found {name} {values[0]:g} at frequency 0, expected 1: divide all values by it"
+            )
+        above = values > 1.0 + error
+        if above.any() and not may_exceed_1:
+            k = int(np.argmax(above))
+            raise DataError(
+                f"{places[k]} found {name} {values[k]:g} at {frequency[k]:g}, expected at most 1 within its error "
+                f"of {error[k]:.2g}: a lens or detector has no more; was the picture sharpened?"
+            )
+
+
+def read_mtf_mapper(path: Path) -> list[MapperEdge]:
+    """Return the edges of a text file that MTF Mapper wrote, whose MTF is at multiples of 1/64 cycles/pixel.
+
+    A line of `raw_sfr_values.txt` has the edge's angle and the MTF; a line of `edge_sfr_values.txt` has a number,
+    x, y, the edge's angle, the radial angle and the MTF. The manual page of mtf_mapper 0.7 describes both.
+    Sharpened pictures may have values above 1.
+
+    Raises
+    ------
+    DataError
+        If the file cannot be read, is empty, or a line has other fields; the message names the line.
+    """
+    edges = []
+    lengths = {n + 1: 0 for n in MAPPER_LENGTHS} | {n + 5: 3 for n in MAPPER_LENGTHS}
+    for n_line, line in enumerate(read_text(path, most_mb=MAX_CSV_MB).splitlines(), 1):
+        fields, where = line.split(), f"{path}, line {n_line}:"
+        if not fields:
+            continue
+        if len(fields) not in lengths:
+            raise DataError(
+                f"{where} found {len(fields)} numbers, expected an angle and 64 or 128 values, or five columns "
+                "and as many, as MTF Mapper writes"
+            )
+        values = [number(one, f"{where} column {k}") for k, one in enumerate(fields, 1)]
+        place = lengths[len(fields)]
+        mtf = np.array(values[place + 1 + (place > 0) :])
+        table = MtfTable(
+            unit="cyc_per_pixel",
+            frequency=np.arange(len(mtf), dtype=np.float64) / MAPPER_PER_CYC_PER_PIXEL,
+            curves={RADIAL: mtf},
+        )
+        _check(table, [where] * len(mtf), may_exceed_1=True)
+        edges.append(MapperEdge(values[place], (values[1], values[2]) if place else None, table))
+    if not edges:
+        raise DataError(f"{path}: found no edge, expected a line for each")
+    return edges
