@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from overlaps import shares_of_samples
 
 import sensor_sim as ss
 import todframes as tod
@@ -24,7 +25,7 @@ from todframes.cli.console import run
 from todframes.observers.decision import answer_probabilities
 from todframes.observers.interface import Readout
 from todframes.observers.pyramid import PyramidObserver, PyramidSettings
-from todframes.observers.retina import overlap_matrix, resample
+from todframes.observers.retina import resample
 from todframes.psychometrics.fit import FitSettings, fit_trials
 from todframes.stimulus import ORIENTATIONS, Stimulus
 
@@ -138,14 +139,15 @@ def test_saturation_and_rounding(tmp_path):
 def weights_at(sensor: ss.Sensor, readout: Readout, field: int, x: float, y: float) -> np.ndarray:
     """Weights of the scores on the detectors, (4, field²), with the retina's middle at a place; nothing blurs."""
     shown, grid = sensor.display, readout.grid
+    pixel = shown.pixel_pitch_mrad
     rows, columns = (
-        overlap_matrix(
-            grid,
-            centre_px=display_position_px(at, n_detectors=field, display=shown),
-            pixel_pitch_mrad=shown.pixel_pitch_mrad,
-            first_pixel=0,
+        shares_of_samples(
+            grid.side,
+            grid.pitch_mrad,
+            middle_mrad=display_position_px(at, n_detectors=field, display=shown) * pixel,
+            pitch_mrad=pixel,
             n_pixels=field * shown.pixels_per_detector,
-        ).toarray()
+        )
         for at in (y, x)
     )
     on_display = rows.T @ readout.deviations @ columns
