@@ -90,12 +90,12 @@ class RangeResult(Saving):
             Column(key="range_ci95_km", header="95 % interval", interval="range_ci95_km", digits=3),
             Column(key="at_least_km", header="at least (km)", digits=3),
             Column(key="at_most_km", header="at most (km)", digits=3),
-            Column(key="limited_by", header="limited by", rank=1),
+            Column(key="limited_by", header="limited by", rank=2),
             *(
                 Column(key=f"gain_{name}_percent", header=f"10 % {_more(name)}", digits=2, is_detail=True)
                 for name in LIMIT_COLUMNS
             ),
-            Column(key="status", rank=2),
+            Column(key="status", rank=1),
         ]
         table = Table.of(f"Range: {self._about()}", "ranges.csv", columns, records)
         return table.without_empty_columns("range_km", "range_ci95_km")
@@ -182,8 +182,11 @@ class RangeResult(Saving):
         return f"{target.title or 'target'}, {target.size_m:g} m, {signal}; {air.title or 'air'}"
 
     def _criteria(self) -> str:
-        named = ", ".join(f"{task} {value:g}" for task, value in self.acquired.criteria.items())
         cycles = self.acquired.target.cycles
+        tasks = self.acquired.criteria.items()
+        named = ", ".join(
+            f"{task} {value:g}" if isinstance(cycles, str) else f"{value:g}" for task, value in tasks
+        )
         return f"{named} line pairs on the target ({cycles if isinstance(cycles, str) else 'your own'})"
 
     def _criterion(self) -> str:
