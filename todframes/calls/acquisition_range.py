@@ -15,11 +15,10 @@ from todframes.base.safe_text import in_utf8
 from todframes.base.seeds import Rng, seed_of
 from todframes.field.atmosphere import Atmosphere, chosen_atmosphere
 from todframes.field.target import Target, chosen_target
-from todframes.report.data import ResultWarning
 from todframes.report.result import Result
 
 if TYPE_CHECKING:
-    from todframes.field.threshold_curve import ThresholdCurve
+    from todframes.field.threshold_curve import RangeWarning, ThresholdCurve
     from todframes.report.range_report import RangeResult
 
 TABLE_SUFFIX = ".csv"
@@ -106,7 +105,7 @@ def acquisition_range(
 
 def _curve(
     result: Result | Path | str, aim: Target, group: Mapping[str, str] | None, magnification: float | None
-) -> tuple[ThresholdCurve, tuple[ResultWarning, ...]]:
+) -> tuple[ThresholdCurve, tuple[RangeWarning, ...]]:
     from todframes.field.threshold_curve import read_curve
     from todframes.report.measured_curve import measured_curve
     from todframes.report.result import load_result
@@ -138,19 +137,21 @@ def _check_used(curve: ThresholdCurve, **criteria: object) -> None:
             raise SettingsError(f"{where}: is given but not used: {curve.name} is a curve {pattern}")
 
 
-def _warnings(curve: ThresholdCurve, air: Atmosphere) -> tuple[ResultWarning, ...]:
+def _warnings(curve: ThresholdCurve, air: Atmosphere) -> tuple[RangeWarning, ...]:
+    from todframes.field.threshold_curve import RangeWarning
+
     found = []
     if not curve.is_rising:
         message = (
             "the curve falls somewhere towards finer detail; each threshold counts as at least that of all "
             "coarser detail"
         )
-        found.append(ResultWarning(code="curve_not_rising", message=message))
+        found.append(RangeWarning(code="curve_not_rising", message=message))
     if air.varies_unseen and air.band_um is not None:
         low, high = air.band_um
         message = (
             f"one extinction for all ranges in {low:g} to {high:g} µm is wrong by up to a factor of 5 between 1 "
             "and 20 km; give a table of transmission over range"
         )
-        found.append(ResultWarning(code="one_extinction", message=message))
+        found.append(RangeWarning(code="one_extinction", message=message))
     return tuple(found)

@@ -13,6 +13,7 @@ import numpy as np
 from todframes import __version__
 from todframes.base._typing import Json
 from todframes.field.acquisition import GAIN, Acquisition, TaskCurve, TaskRange
+from todframes.field.threshold_curve import RangeWarning
 from todframes.report.data import ResultWarning
 from todframes.report.figure_style import INK, add_legend, curve_style, label_text, plain_ticks
 from todframes.report.figures import ReportFigure, drawn
@@ -60,19 +61,24 @@ class RangeResult(Saving):
     ----------
     acquired : Acquisition
         `ranges` has a record for each task and probability; `curves` the probability against range.
-    warnings : tuple of ResultWarning
-        Facts that make the range less certain, each with a code.
+    facts : tuple of RangeWarning
+        Facts about curve and air that make the range less certain.
     seed : int
         Seed of the curves that were drawn from the errors.
     """
 
     acquired: Acquisition
-    warnings: tuple[ResultWarning, ...]
+    facts: tuple[RangeWarning, ...]
     seed: int
     started: float = field(repr=False)
 
     def __repr__(self) -> str:
         return f"<Range: {' '.join(self.sentences())}>"
+
+    @property
+    def warnings(self) -> tuple[ResultWarning, ...]:
+        """Facts that make the range less certain, each with a code."""
+        return tuple(ResultWarning(code=one.code, message=one.message) for one in self.facts)
 
     @property
     def is_tod(self) -> bool:
