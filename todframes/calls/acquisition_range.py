@@ -100,7 +100,8 @@ def acquisition_range(
     curve, warnings = _curve(result, aim, group, magnification)
     _check_used(curve, k=k, cycles=cycles, cycles_per_size=cycles_per_size)
     acquired = acquire(curve, aim, air, rng=np.random.default_rng(seed))
-    return RangeResult(acquired=acquired, warnings=(*warnings, *_warnings(curve, air)), seed=seed, started=started)
+    facts = (*warnings, *_warnings(curve, air))
+    return RangeResult(acquired=acquired, facts=facts, seed=seed, started=started)
 
 
 def _curve(

@@ -49,7 +49,6 @@ THRESHOLDS: dict[str, tuple[Quantity, float]] = {
 }
 """Columns of a table that hold thresholds: the quantity, and the factor to K or Weber contrast."""
 
-
 RangeWarningCode = Literal[
     "size_at_the_eye", "level_without_unit", "extrapolated_thresholds", "curve_not_rising", "one_extinction"
 ]
