@@ -8,7 +8,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from sensor_sim.chain.sensor import Sensor, sensor_of
+from sensor_sim.chain.sensor import Sensor, sensor_of, sensor_settings
 from todframes.base.errors import SettingsError, argument
 from todframes.base.seeds import Rng, seed_of
 from todframes.observers.interface import Observer, described
@@ -132,6 +132,8 @@ def sweep(
     designs = make_designs(base, vary=vary, design=design, sample=sample, seed=seed)
     if couple_netd:
         check_coupling(sensor, designs.keys)
+    if sensor.level != "snr" and (acuity_snr is not None or acuity_delta_t_mk is not None):
+        raise SettingsError("acuity: found an SNR or a ΔT for a camera that counts photons, expected none")
     has_netd = sensor.noise.netd_mk is not None or "noise.netd_mk" in designs.keys
     criterion = Criterion.of(acuity_snr, acuity_delta_t_mk, has_netd=has_netd)
     aim = _aim(target, atmosphere, k, has_netd=has_netd, p_correct=p_correct)
@@ -142,6 +144,7 @@ def sweep(
         has_netd=has_netd,
         has_acuity=criterion is not None,
         has_range=aim is not None,
+        level=sensor.level,
     )
     work = SweepWork(observers=observers, p_correct=p_correct, tolerance=tolerance, seed=seed, plan=plan)
     with open_engine(cluster, workers) as engine:
@@ -160,7 +163,7 @@ def sweep(
         "acuity_delta_t_mk": acuity_delta_t_mk,
         "target": None if aim is None else asdict(aim.target),
         "atmosphere": None if aim is None else asdict(aim.atmosphere),
-        "sensor": asdict(sensor),
+        "sensor": sensor_settings(sensor),
         "tolerance": tolerance,
         "plan": plan,
     }

@@ -13,13 +13,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sensor_sim.sweeps.designs import FILL_FACTOR, NAME_COLUMN, NETD, PITCH, WIDTH
+from sensor_sim.sweeps.designs import FILL_FACTOR, NAME_COLUMN, NETD, PITCHES, WIDTHS
 from sensor_sim.sweeps.ranges import Aim, DesignRange
 from sensor_sim.sweeps.work import Swept
 from todframes import __version__
 from todframes.base._typing import FloatArray, Json
 from todframes.base.errors import SettingsError, argument, for_reader
-from todframes.base.reading import check_keys
+from todframes.base.reading import check_keys, check_positive
 from todframes.psychometrics.threshold_search import IMPOSSIBLE
 from todframes.report.data import json_file
 from todframes.report.table import BLOCK, Column, LongRecords, Table
@@ -28,14 +28,17 @@ from todframes.report.wording import count, listed, plain
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-BY_SIZE = ("threshold_snr", "delta_t_mk")
+LEVEL_NAMES = {"snr": "SNR", "contrast": "contrast"}
+"""Words for the quantities of thresholds."""
+
+BY_SIZE = (*(f"threshold_{level}" for level in LEVEL_NAMES), "delta_t_mk")
 """Columns with a separate value for each size."""
 
 OF_ACUITY = ("acuity_detectors", "acuity_mrad")
 
 OF_RANGE = "range_km"
 
-OF_ETENDUE = ("optics.aperture_mm", WIDTH, FILL_FACTOR)
+OF_ETENDUE = ("optics.aperture_mm", "optics.f_number", *WIDTHS, FILL_FACTOR)
 """Keys that change the light on a detector, besides the pitch if the fill factor is kept."""
 
 ROWS_SHOWN = 20
@@ -43,6 +46,7 @@ ROWS_SHOWN = 20
 
 CRITERION_UNITS = {
     "threshold_snr": "",
+    "threshold_contrast": "",
     "delta_t_mk": "mK",
     "acuity_detectors": "detectors",
     "acuity_mrad": "mrad",
@@ -72,8 +76,7 @@ class Criterion(NamedTuple):
         if len(found) > 1:
             raise SettingsError("acuity: found an SNR and a ΔT, expected one of them")
         level, value = found[0]
-        if not (math.isfinite(value) and value > 0.0):
-            raise SettingsError(f"acuity_{level}: found {value!r}, expected a finite number > 0")
+        check_positive(f"acuity_{level}", value)
         if level == "delta_t_mk" and not has_netd:
             raise SettingsError("acuity_delta_t_mk: needs noise.netd_mk of the sensor")
         return found[0]
@@ -219,7 +222,7 @@ class SweepData:
         return [
             Acuity(IMPOSSIBLE) if math.isnan(pitch) else acuity(sizes, *of_design)
             for pitch, *of_design in zip(
-                swept.pitch_mrad, swept.threshold_snr, swept.numerical_error, swept.status, levels, strict=True
+                swept.pitch_mrad, swept.threshold, swept.numerical_error, swept.status, levels, strict=True
             )
         ]
 
@@ -239,7 +242,8 @@ class SweepData:
     def column(self, name: str, size: int) -> FloatArray:
         """Return the values of a column for each design, at one size by its place."""
         if name in BY_SIZE:
-            return np.asarray(getattr(self.swept, name)[:, size])
+            values = self.swept.delta_t_mk if name == "delta_t_mk" else self.swept.threshold
+            return np.asarray(values[:, size])
         if name in OF_ACUITY:
             detectors = np.array([one.detectors for one in self.acuities or ()])
             return detectors if name == OF_ACUITY[0] else detectors * self.swept.pitch_mrad
@@ -253,7 +257,7 @@ class SweepData:
         columns = []
         for size in range(len(self.swept.size_detectors)):
             costs = np.stack([one.sign * self.column(one.column, size) for one in self.objectives], axis=1)
-            costs[np.isnan(self.swept.threshold_snr[:, size])] = np.nan
+            costs[np.isnan(self.swept.threshold[:, size])] = np.nan
             columns.append(front(costs))
         return np.stack(columns, axis=1)
 
@@ -271,16 +275,16 @@ class SweepData:
             pitch = _known(swept.pitch_mrad[row])
             of_design_alone = self._acuity_record(row, pitch) | self._range_record(row)
             for place, size in enumerate(swept.size_detectors):
-                snr, error = swept.threshold_snr[row, place], swept.numerical_error[row, place]
+                threshold, error = swept.threshold[row, place], swept.numerical_error[row, place]
                 mk = swept.mk_per_snr[row]
-                in_mk = {"delta_t_mk": _known(snr * mk), "delta_t_mk_error": _known(error * mk)}
+                in_mk = {"delta_t_mk": _known(threshold * mk), "delta_t_mk_error": _known(error * mk)}
                 yield {
                     **of_design,
                     "size_detectors": size,
                     "size_scene_mrad": None if pitch is None else size * pitch,
                     "status": swept.status[row][place],
-                    "threshold_snr": _known(snr),
-                    "threshold_snr_error": _known(error),
+                    f"threshold_{swept.level}": _known(threshold),
+                    f"threshold_{swept.level}_error": _known(error),
                     **(in_mk if has_netd else {}),
                     **of_design_alone,
                     "on_front": bool(self.on_front[row, place]),
@@ -315,7 +319,7 @@ class SweepData:
     def table(self) -> Table:
         """Return the table of all designs: a row for each design and size."""
         kinds = self._kinds()
-        records = LongRecords(kinds, self.swept.threshold_snr.size, self._blocks)
+        records = LongRecords(kinds, self.swept.threshold.size, self._blocks)
         return Table.of("All designs and sizes", "sweep.csv", kinds, records)
 
     def _kinds(self) -> dict[str, type]:
@@ -356,13 +360,13 @@ class SweepData:
             rows = np.flatnonzero(self.on_front[:, 0])
             title = f"Trade-off front at {size}"
         else:
-            rows = np.flatnonzero(np.isfinite(cost) & np.isfinite(swept.threshold_snr[:, 0]))
+            rows = np.flatnonzero(np.isfinite(cost) & np.isfinite(swept.threshold[:, 0]))
             title = f"Best designs at {size}"
         rows = rows[np.argsort(cost[rows], kind="stable")]
         if len(rows) > ROWS_SHOWN:
             title += f": the first {ROWS_SHOWN} of {len(rows)}"
         in_mk = np.isfinite(swept.mk_per_snr).any()
-        shown, unit = (swept.delta_t_mk, "mK") if in_mk else (swept.threshold_snr, "SNR")
+        shown, unit = (swept.delta_t_mk, "mK") if in_mk else (swept.threshold, LEVEL_NAMES[swept.level])
         records = []
         for row in rows[:ROWS_SHOWN]:
             record: Json = {"design": int(row) + 1}
@@ -414,7 +418,7 @@ class SweepData:
     def sentences(self) -> list[str]:
         """Return the findings in words."""
         swept = self.swept
-        known = np.isfinite(swept.threshold_snr)
+        known = np.isfinite(swept.threshold)
         sizes = count(len(swept.size_detectors), "size")
         found = [
             f"{count(self.n_designs, 'design')} at {sizes}: {int(known.sum())} of {known.size} thresholds found, "
@@ -456,7 +460,7 @@ class SweepData:
     def _misses_coupling(self) -> bool:
         """True if the light on a detector differs between the designs, but not their NETD."""
         keys, width_follows = self.swept.designs.keys, self.settings["keep_fill_factor"]
-        changes_light = {*OF_ETENDUE, PITCH} if width_follows or FILL_FACTOR in keys else {*OF_ETENDUE}
+        changes_light = {*OF_ETENDUE, *PITCHES} if width_follows or FILL_FACTOR in keys else {*OF_ETENDUE}
         has_netd = np.isfinite(self.swept.mk_per_snr).any()
         return bool(has_netd and not self.settings["couple_netd"] and NETD not in keys and changes_light & {*keys})
 
@@ -485,8 +489,9 @@ def objectives(
     has_netd: bool,
     has_acuity: bool,
     has_range: bool,
+    level: str = "snr",
 ) -> tuple[Objective, ...]:
-    """Return the columns of the trade-off front; without any, the range, ΔT, or if NETD is not known, the SNR.
+    """Return the columns of the trade-off front; without any, the range, ΔT, or if NETD is not known, the level.
 
     Raises
     ------
@@ -496,9 +501,9 @@ def objectives(
     if not (minimise or maximise) and has_range:
         return (Objective(OF_RANGE, -1),)
     if not (minimise or maximise):
-        return (Objective("delta_t_mk" if has_netd else "threshold_snr", 1),)
+        return (Objective("delta_t_mk" if has_netd else f"threshold_{level}", 1),)
     for where, names in (("minimise", minimise), ("maximise", maximise)):
-        check_keys(names, [*BY_SIZE, *OF_ACUITY, OF_RANGE, *keys], where)
+        check_keys(names, [f"threshold_{level}", "delta_t_mk", *OF_ACUITY, OF_RANGE, *keys], where)
         if "delta_t_mk" in names and not has_netd:
             raise SettingsError(f"{where}: found delta_t_mk, which needs noise.netd_mk of the sensor")
         if set(names) & set(OF_ACUITY) and not has_acuity:
