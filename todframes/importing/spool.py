@@ -7,6 +7,7 @@ import tempfile
 import weakref
 from array import array
 from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Generic, TypeVar
 
 from todframes.base.errors import OutputError
@@ -30,15 +31,10 @@ class Spool(Generic[T]):
     def append(self, item: T) -> None:
         """Add an object; raise OutputError if the folder for temporary files is full."""
         packed = pickle.dumps(item, pickle.HIGHEST_PROTOCOL)
-        try:
+        with _one_line():
             if not self._at_end:
                 self._file.seek(self._size)
             self._file.write(packed)
-        except OSError as error:
-            raise OutputError(
-                f"{tempfile.gettempdir()}: cannot be written ({error.strerror}); import keeps some 1 kB a frame "
-                "there while it runs"
-            ) from None
         self._at_end = True
         self._starts.append(self._size)
         self._size += len(packed)
@@ -49,10 +45,23 @@ class Spool(Generic[T]):
     def __getitem__(self, place: int) -> T:
         if not 0 <= place < len(self):
             raise IndexError(place)
-        self._file.seek(self._starts[place])
+        with _one_line():  # what is buffered is written first
+            self._file.seek(self._starts[place])
         self._at_end = False
         item: T = pickle.load(self._file)
         return item
 
     def __iter__(self) -> Iterator[T]:
         return (self[place] for place in range(len(self)))
+
+
+@contextmanager
+def _one_line() -> Iterator[None]:
+    """Raise OutputError for an OSError of the file."""
+    try:
+        yield
+    except OSError as error:
+        raise OutputError(
+            f"{tempfile.gettempdir()}: cannot be written ({error.strerror}); import keeps some 1 kB a frame there "
+            "while it runs"
+        ) from None
