@@ -10,7 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import sensor_sim as ss
 import todframes as tod
+from sensor_sim.sweeps.ranges import Aim
 from todframes.base.output import FILES_OF_COMMAND
 from todframes.cli.console import run
 from todframes.cli.main import cli
@@ -240,6 +242,46 @@ def test_targets_of_the_package() -> None:
     assert dict(replace(NATO, cycles="johnson").n50_cycles)["identification"] == 6.4
     assert tod.Target(size_m=1.0, reflectance=0.1, background_reflectance=0.4).signal == pytest.approx(0.75)
     assert tod.Target(size_m=1.0, delta_t_k=-3.0, delta_t_sd_k=4.0).signal == 5.0
+
+
+# Designs
+
+
+def test_range_of_a_design() -> None:
+    """TOD = a exp(b / S) at sizes in any order: the closed form with k, and a bound where the sizes end."""
+    aim = Aim(replace(NATO, k={"seen": 3.0, "read": 8.0}), BEER)
+    sizes = 1.0 / FREQUENCIES[[3, 0, 5, 1, 4, 2]]
+    found = aim.range_of(sizes, A_K * np.exp(B_MRAD / sizes), ["ok"] * 6, 0.75)
+    assert found[:2] == ("ok", pytest.approx(3.0612, abs=1e-4))
+    threshold = np.where(sizes > 0.9, A_K * np.exp(B_MRAD / sizes), np.nan)  # 1/S = 0.2 and 1 alone
+    short = aim.range_of(
+        sizes, threshold, ["never_reached" if math.isnan(one) else "ok" for one in threshold], 0.75
+    )
+    assert short.status == "beyond_curve" and math.isnan(short.range_km)
+    assert short.at_least_km == pytest.approx(2.3 / 3.0, rel=1e-12)
+    assert aim.range_of(sizes, np.full(6, np.nan), ["never_reached"] * 6, 0.75).status == "too_few_sizes"
+    with pytest.raises(tod.SettingsError, match="k: is missing, and the sweep is a TOD"):
+        Aim(NATO, BEER).check(0.75)
+    with pytest.raises(tod.SettingsError, match="target: found a contrast, expected a temperature difference"):
+        Aim(DAYLIGHT, BEER).check(0.75)
+
+
+@pytest.mark.slow
+def test_a_sweep_has_the_ranges_of_its_curves() -> None:
+    camera = Path(__file__).parent.parent / "sample_frames" / "staring_camera.toml"
+    target, sizes = tod.Target(size_m=2.3, delta_t_k=0.02, k={"seen": 8.0}), [4.0, 6.0, 9.0]
+    kinds = {"size_detectors": sizes, "tolerance": 0.1}
+    swept = ss.sweep(camera, vary={"noise.netd_mk": [16.0, 32.0]}, target=target, atmosphere=BEER, **kinds)
+    assert [one.column for one in swept.objectives] == ["range_km"]
+    alone = tod.acquisition_range(ss.curve(camera, **kinds), target=target, atmosphere=BEER)
+    (expected,) = [one.range_km for one in alone.acquired.ranges if one.probability == 0.75]
+    first, *_ = swept.records()
+    # The same thresholds, to the last bit; the crossing is found from other draws.
+    assert (first["range_status"], first["range_km"]) == ("ok", pytest.approx(expected, rel=1e-9))
+    with pytest.raises(tod.SettingsError, match="atmosphere: is missing, expected it beside target"):
+        ss.sweep(camera, vary={"noise.netd_mk": [16.0]}, target=target, **kinds)
+    with pytest.raises(tod.SettingsError, match="k: is given but not used without target"):
+        ss.sweep(camera, vary={"noise.netd_mk": [16.0]}, k=3.0, **kinds)
 
 
 # Files and commands

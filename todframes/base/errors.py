@@ -18,6 +18,7 @@ _ARGUMENT = re.compile("\x1a([a-z0-9_]+)\x1a")
 """Pattern of an argument in the text of an error."""
 _FLAGS = {
     "integration_time_s": "--integration-time",
+    "luminance_cd_m2": "--luminance",
     "dither": "--no-dither",
     "time_limit_s": "--time-limit",
     "patches": "--patch",

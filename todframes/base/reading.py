@@ -310,10 +310,11 @@ def _shortened(text: str) -> str:
     return text if len(text) <= LONGEST_KEY else f"{text[:LONGEST_KEY]}…"
 
 
-def check_values(settings: object) -> None:
+def check_values(settings: object, *, ignored: Sequence[str] = ()) -> None:
     """Raise SettingsError if the annotations of a settings dataclass do not allow one of its values.
 
-    The check covers numbers, with their ranges if these are annotated (`msgspec.Meta`), and choices (`Literal`).
+    The check covers numbers, with their ranges if these are annotated (`msgspec.Meta`), and choices (`Literal`);
+    the fields `ignored` are not checked.
 
     Raises
     ------
@@ -323,6 +324,8 @@ def check_values(settings: object) -> None:
     kind: Any = type(settings)
     for name, hint in _hints(kind).items():
         value = getattr(settings, name)
+        if name in ignored:
+            continue
         if expected := _unmet(value, hint):
             raise SettingsError(f"{name}: found {value!r}, expected {expected}")
 

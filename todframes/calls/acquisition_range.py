@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,8 +12,8 @@ import numpy as np
 from todframes.base.errors import DataError
 from todframes.base.safe_text import in_utf8
 from todframes.base.seeds import Rng, seed_of
-from todframes.field.atmosphere import Atmosphere, find_atmosphere
-from todframes.field.target import Target, find_target
+from todframes.field.atmosphere import Atmosphere, chosen_atmosphere
+from todframes.field.target import Target, chosen_target
 from todframes.report.data import ResultWarning
 from todframes.report.result import Result
 
@@ -94,30 +93,23 @@ def acquisition_range(
     from todframes.field.acquisition import acquire
     from todframes.report.range_report import RangeResult
 
-    aim = target if isinstance(target, Target) else find_target(target)
-    changes: dict[str, Any] = {
-        "k": {f"k {k:g}": float(k)} if isinstance(k, int | float) else k,
-        "cycles": {f"{cycles:g} line pairs": float(cycles)} if isinstance(cycles, int | float) else cycles,
-        "cycles_per_size": cycles_per_size,
-        "search_time_s": search_time_s,
-    }
-    changes = {name: value for name, value in changes.items() if value is not None}
-    aim = replace(aim, **changes) if changes else aim
-    air = atmosphere if isinstance(atmosphere, Atmosphere) else find_atmosphere(atmosphere)
-    curve, warnings = _curve(result, group, magnification)
+    aim = chosen_target(target, k=k, cycles=cycles, cycles_per_size=cycles_per_size, search_time_s=search_time_s)
+    air = chosen_atmosphere(atmosphere)
+    curve, warnings = _curve(result, aim, group, magnification)
     acquired = acquire(curve, aim, air, rng=np.random.default_rng(seed))
     return RangeResult(acquired=acquired, warnings=(*warnings, *_warnings(curve, air)), seed=seed, started=started)
 
 
 def _curve(
-    result: Result | Path | str, group: Mapping[str, str] | None, magnification: float | None
+    result: Result | Path | str, aim: Target, group: Mapping[str, str] | None, magnification: float | None
 ) -> tuple[ThresholdCurve, tuple[ResultWarning, ...]]:
     from todframes.field.threshold_curve import read_curve
     from todframes.report.measured_curve import measured_curve
     from todframes.report.result import load_result
 
+    of_result: dict[str, Any] = {"quantity": aim.quantity, "group": group, "magnification": magnification}
     if isinstance(result, Result):
-        return measured_curve(result, "the result", group=group, magnification=magnification)
+        return measured_curve(result, "the result", **of_result)
     where = in_utf8(str(result))
     if where.endswith(TABLE_SUFFIX):
         if group or magnification is not None:
@@ -125,7 +117,7 @@ def _curve(
                 f"{where}: is a table of one curve in the field, expected no group and no magnification"
             )
         return read_curve(Path(result)), ()
-    return measured_curve(load_result(result), where, group=group, magnification=magnification)
+    return measured_curve(load_result(result), where, **of_result)
 
 
 def _warnings(curve: ThresholdCurve, air: Atmosphere) -> tuple[ResultWarning, ...]:

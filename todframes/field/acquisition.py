@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -40,6 +40,9 @@ DRAWS = 1000
 
 PLACES = 121
 """Number of ranges of the probability curve."""
+
+MARGIN = 1.15
+"""End of the probability curve, divided by the longest range or end of an interval that is reported."""
 
 CELLS = 16
 """Number of cells between two points of the curve in which a crossing is searched."""
@@ -179,11 +182,16 @@ class Acquisition:
         return dict((self.target.k or {}) if self.road == "tod" else self.target.n50_cycles)
 
     @property
+    def own_probability(self) -> float:
+        """Probability of the criterion itself: 50 %, or the proportion correct of a TOD's thresholds."""
+        return 0.5 if self.road == "cycles" else self.curve.p_correct or math.nan
+
+    @property
     def probabilities(self) -> tuple[float, ...]:
         """Probabilities at which ranges are known; for a TOD they are proportions correct."""
         if self.road == "cycles" or self.curve.psychometric is not None:
             return PROBABILITIES
-        return (self.curve.p_correct or math.nan,)
+        return (self.own_probability,)
 
     def threshold_curves(self, probability: float | None = None) -> FloatArray:
         """Return ln(threshold) of the curve and of all drawn ones, none falling; shape (1 + n, points).
@@ -416,6 +424,30 @@ def acquire(
     DataError
         If the target is smaller than the curve's smallest detail at all ranges.
     """
+    made = _prepared(curve, target, atmosphere, rng)
+    ranges = tuple(made.task_range(task, p) for task in made.criteria for p in made.probabilities)
+    curves: tuple[TaskCurve, ...] = ()
+    if made.road == "cycles" or made.curve.psychometric is not None:
+        known = [one.range_km or one.at_least_km or one.at_most_km or 0.0 for one in ranges]
+        known += [end for one in ranges for end in one.range_ci95_km or () if end is not None]
+        most = MARGIN * max(known) or _farthest_km(made)
+        curves = made.task_curves((most / PLACES, min(most, atmosphere.longest_km)))
+    return replace(made, ranges=ranges, curves=curves)
+
+
+def first_range(curve: ThresholdCurve, target: Target, atmosphere: Atmosphere) -> TaskRange:
+    """Compute the range of the target's first task alone, at 50 % or, for a TOD with k, at the curve's criterion.
+
+    It has no interval. The errors are those of `acquire`.
+    """
+    made = _prepared(replace(curve, ln_sd=None), target, atmosphere, None)
+    return made.task_range(next(iter(made.criteria)), made.own_probability)
+
+
+def _prepared(
+    curve: ThresholdCurve, target: Target, atmosphere: Atmosphere, rng: np.random.Generator | None
+) -> Acquisition:
+    """Choose the road and draw curves; the errors are those of `acquire`."""
     _check_kind(curve, target, atmosphere)
     road: Road = "cycles"
     if curve.pattern == "triangle":
@@ -430,31 +462,21 @@ def acquire(
             road = "tod"
     if road == "tod" and target.search_time_s is not None:
         raise SettingsError("search_time_s: is given but not used with a TOD and k, whose answers are never free")
-    draws = curve.ln_thresholds(0 if curve.ln_sd is None else DRAWS, rng)
+    draws = np.empty((0, curve.threshold.size))
+    if curve.ln_sd is not None and rng is not None:
+        draws = curve.ln_thresholds(curve.ln_sd, DRAWS, rng)
     made = Acquisition(target=target, atmosphere=atmosphere, curve=curve, road=road, draws=draws)
-    farthest = curve.per_mrad[-1] * target.size_m / min(made.criteria.values())
-    if farthest < NEAREST_KM:
+    if (farthest := _farthest_km(made)) < NEAREST_KM:
         raise DataError(
             f"{curve.name}: the target of {target.size_m:g} m is smaller than the curve's smallest detail beyond "
             f"{1e3 * farthest:.2g} m, expected a larger target or a curve of finer detail"
         )
-    ranges = tuple(made.task_range(task, p) for task in made.criteria for p in made.probabilities)
-    curves: tuple[TaskCurve, ...] = ()
-    if road == "cycles" or curve.psychometric is not None:
-        known = [one.range_km or one.at_least_km or one.at_most_km or 0.0 for one in ranges]
-        known += [end for one in ranges for end in one.range_ci95_km or () if end is not None]
-        most = 1.15 * max(known, default=0.0) or float(farthest)
-        ends = (most / PLACES, min(most, atmosphere.longest_km))
-        curves = made.task_curves(ends)
-    return Acquisition(
-        target=target,
-        atmosphere=atmosphere,
-        curve=curve,
-        road=road,
-        draws=draws,
-        ranges=ranges,
-        curves=curves,
-    )
+    return made
+
+
+def _farthest_km(made: Acquisition) -> float:
+    """Return the range at which the easiest task needs the curve's smallest detail."""
+    return float(made.curve.per_mrad[-1]) * made.target.size_m / min(made.criteria.values())
 
 
 def _check_kind(curve: ThresholdCurve, target: Target, atmosphere: Atmosphere) -> None:

@@ -228,6 +228,11 @@ def thermal_extinction_per_km(
     return haze + vapour
 
 
+def chosen_atmosphere(atmosphere: Atmosphere | Path | str) -> Atmosphere:
+    """Return an air, or that of a name or file; see `find_atmosphere`."""
+    return atmosphere if isinstance(atmosphere, Atmosphere) else find_atmosphere(atmosphere)
+
+
 def atmosphere_names() -> tuple[str, ...]:
     """Return the names of the airs that this package provides, in alphabetical order."""
     return shipped_names(FOLDER)

@@ -14,9 +14,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Literal, get_args
+from typing import Annotated, Any, Literal, get_args
 
 from msgspec import Meta
 
@@ -163,6 +163,24 @@ def _check_tasks(name: str, tasks: Mapping[str, float], limits: tuple[float, flo
     for task, value in tasks.items():
         if not low <= value <= high:
             raise SettingsError(f"{name}.{task}: found {value!r}, expected a number from {low:g} to {high:g}")
+
+
+def chosen_target(target: Target | Path | str, **changes: Any) -> Target:
+    """Return a target, or that of a name or file, with those of the changes that are not None.
+
+    `k` and `cycles` may be numbers: the criterion of one task, which has the number as its name.
+
+    Raises
+    ------
+    SettingsError
+        If there is no such target, or a value is refused.
+    """
+    for name, unit in (("k", "k {}"), ("cycles", "{} line pairs")):
+        if isinstance(value := changes.get(name), int | float):
+            changes[name] = {unit.format(f"{value:g}"): float(value)}
+    changes = {name: value for name, value in changes.items() if value is not None}
+    found = target if isinstance(target, Target) else find_target(target)
+    return replace(found, **changes) if changes else found
 
 
 def target_names() -> tuple[str, ...]:

@@ -171,13 +171,10 @@ class ThresholdCurve:
             name=self.name,
         )
 
-    def ln_thresholds(self, n: int, rng: np.random.Generator) -> FloatArray:
+    def ln_thresholds(self, ln_sd: FloatArray, n: int, rng: np.random.Generator) -> FloatArray:
         """Draw n curves of ln(threshold) from the errors, shape (n, points); normal on each side of the value."""
-        known = np.log(self.threshold)
-        if self.ln_sd is None:
-            return np.broadcast_to(known, (n, known.size))
-        drawn = rng.standard_normal((n, known.size))
-        return np.asarray(known + drawn * np.where(drawn < 0.0, self.ln_sd[0], self.ln_sd[1]))
+        drawn = rng.standard_normal((n, self.threshold.size))
+        return np.asarray(np.log(self.threshold) + drawn * np.where(drawn < 0.0, ln_sd[0], ln_sd[1]))
 
 
 def rising(ln_threshold: FloatArray) -> FloatArray:

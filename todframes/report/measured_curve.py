@@ -23,6 +23,9 @@ LEVELS: dict[str, tuple[Quantity, float]] = {
 }
 """Levels that are contrasts of the field: the quantity, and the factor to it."""
 
+NAMELESS = "level"
+"""Level of counts, whose quantity nobody has named."""
+
 SHOWN_P = (0.3, 0.97)
 """Proportions correct between which points give the slope of a psychometric function that was not fitted."""
 
@@ -31,7 +34,12 @@ USUAL_GUESS_RATE = 0.25
 
 
 def measured_curve(
-    result: ResultData, where: str, *, group: Mapping[str, str] | None = None, magnification: float | None = None
+    result: ResultData,
+    where: str,
+    *,
+    quantity: Quantity,
+    group: Mapping[str, str] | None = None,
+    magnification: float | None = None,
 ) -> tuple[ThresholdCurve, tuple[ResultWarning, ...]]:
     """Return the curve of a result's thresholds, and the warnings about it.
 
@@ -40,6 +48,8 @@ def measured_curve(
     result : ResultData
     where : str
         Name of the result; messages begin with it.
+    quantity : {"delta_t_k", "contrast"}
+        Quantity of the target's contrast, in which a level without a name of its own is read.
     group : mapping, optional
         Values of the columns that tell one curve from the others.
     magnification : float, optional
@@ -57,7 +67,11 @@ def measured_curve(
     if size is None:
         raise DataError(f"{where}: found no column of sizes, expected one of {', '.join(SIZES)}")
     factor, warnings = _to_field_mrad(result, size, where, magnification)
-    quantity, level_factor = _level(fits, where)
+    if fits[0].level == NAMELESS:
+        unit = "K" if quantity == "delta_t_k" else "Weber contrast"
+        message = f"the level has no unit; it is taken for that of the target's contrast, {unit}"
+        warnings = (*warnings, ResultWarning(code="level_without_unit", message=message))
+    quantity, level_factor = (quantity, 1.0) if fits[0].level == NAMELESS else _level(fits, where)
     known = sorted((one for one in fits if one.threshold is not None), key=lambda one: -float(one.group[size]))
     sizes = factor * np.array([float(one.group[size]) for one in known])
     thresholds = np.array([_threshold(one) for one in known])

@@ -85,16 +85,14 @@ class RangeResult(Saving):
         columns = [
             Column(key="task", is_name=True),
             Column(key="criterion", header="k" if self.is_tod else "N50", digits=3),
-            Column(key="probability", header="P(correct)" if self.is_tod else "P", digits=3),
+            Column(key="probability", header="P(correct)" if self.is_tod else "P", digits=3, is_name=True),
             Column(key="range_km", header="range (km)"),
             Column(key="range_ci95_km", header="95 % interval", interval="range_ci95_km", digits=3),
             Column(key="at_least_km", header="at least (km)", digits=3),
             Column(key="at_most_km", header="at most (km)", digits=3),
             Column(key="limited_by", header="limited by", rank=1),
             *(
-                Column(
-                    key=f"gain_{name}_percent", header=f"10 % more {_more(name)}: + %", digits=2, is_detail=True
-                )
+                Column(key=f"gain_{name}_percent", header=f"10 % {_more(name)}", digits=2, is_detail=True)
                 for name in LIMIT_COLUMNS
             ),
             Column(key="status", rank=2),
@@ -161,7 +159,7 @@ class RangeResult(Saving):
 
     def _named(self) -> list[TaskRange]:
         """Return the range of each task that a sentence names: at 50 %, for a TOD at its own criterion."""
-        wanted = self.acquired.curve.p_correct if self.is_tod else 0.5
+        wanted = self.acquired.own_probability
         firsts = {one.task: one for one in reversed(self.acquired.ranges)}
         return [
             next((one for one in self.acquired.ranges if one.task == task and one.probability == wanted), first)
