@@ -21,14 +21,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from numpy.polynomial.polynomial import polyder, polyval
+from numpy.typing import NDArray
 
 from todframes.base._typing import ComplexArray, FloatArray
 from todframes.base.errors import DataError, SettingsError
+from todframes.recordings.mtf_table import mtf50_of
 
 Box = tuple[int, int, int, int]
 
@@ -39,7 +41,7 @@ NYQUIST = 32
 """Index of half a cycle/pixel, the Nyquist frequency of the pixels."""
 
 LEAST_SIDE_PX = 20
-"""Least width and height of a box: the tail begins 6 pixels from the edge at the least, and needs pixels behind it."""
+"""Least width and height of a box: the tail begins 6 pixels from the edge at the least, and needs pixels behind."""
 
 KNOTS_PX = 0.25
 """Interval of the knots at the edge. A spline with such knots passes 1 cycle/pixel but for 1 part in 2,000."""
@@ -51,8 +53,8 @@ GROWTH = 1.0 / 6.0
 """Interval of the knots farther out, relative to the distance."""
 
 TAIL_PX, TAIL_RISES = 6.0, 2.5
-"""Distance at which the tail begins: at least, and in units of the rise. The tail of a Gaussian is 0 from there on,
-and that of a diffraction-limited lens 1 / distance to 3 parts in 10,000 of the contrast."""
+"""Distance at which the tail begins: at least, and in units of the rise. That of a Gaussian is 0 from there on, and
+that of a diffraction-limited lens 1 / distance to 3 parts in 10,000 of the contrast."""
 
 FARTHEST_TAIL = 0.6
 """Largest distance at which the tail begins, relative to the distance of the farthest pixels."""
@@ -61,7 +63,7 @@ WIDEST_PX = 48.0
 """Largest distance of pixels that are used: what is farther adds shading, and no precision."""
 
 WIDEST_GAP_PX = 0.75
-"""Largest distance between neighbouring pixels of the profile. It is 0.71 at 45° exactly, and 1 for an upright edge;
+"""Largest distance between neighbouring pixels of the profile: 0.71 at 45° exactly, and 1 for an upright edge;
 frequencies up to 0.5 cycles/pixel are then still sampled twice."""
 
 DEGREE = 3
@@ -77,7 +79,7 @@ MOST_SATURATED_EDGE = 0.01
 """Largest share of the pixels of a box at an end of the scale."""
 
 LEAST_SHADING, SHADING_ERRORS = 0.01, 4.0
-"""Least change of the light across one side of the edge that is fitted, relative to the contrast and to its error."""
+"""Least change of light across one side of the edge that is fitted, relative to the contrast and to its error."""
 
 LARGEST_ERROR = 0.25
 """Largest half-width of the interval of MTF50, relative to it."""
@@ -108,8 +110,8 @@ class MtfBand:
     @property
     def mtf50_cyc_per_pixel(self) -> Estimate | None:
         """Frequency at which the MTF falls to 0.5, and those at which its band does; None if it stays above."""
-        value = _crossing(self.mtf)
-        return None if value is None else Estimate(value, (_crossing(self.lower), _crossing(self.upper)))
+        value, *ends = (mtf50_of(FREQUENCY_CYC_PER_PIXEL, one) for one in (self.mtf, self.lower, self.upper))
+        return None if value is None else Estimate(value, (ends[0], ends[1]))
 
     @property
     def mtf_at_nyquist(self) -> Estimate:
@@ -164,16 +166,6 @@ class EdgeMtf(MtfBand):
         return abs((self.normal_deg + 45.0) % 90.0 - 45.0)
 
 
-def _crossing(mtf: FloatArray) -> float | None:
-    below = np.flatnonzero(mtf < 0.5)
-    if not len(below) or below[0] == 0:
-        return None
-    k = int(below[0])
-    share = (mtf[k - 1] - 0.5) / (mtf[k - 1] - mtf[k])
-    step = FREQUENCY_CYC_PER_PIXEL[1]
-    return float(FREQUENCY_CYC_PER_PIXEL[k - 1] + share * step)
-
-
 def mean_band(bands: Sequence[MtfBand]) -> MtfBand:
     """Return the mean of MTFs, with the band that follows from theirs if their noise is independent."""
     mean = np.mean([one.mtf for one in bands], 0)
@@ -185,7 +177,7 @@ def mean_band(bands: Sequence[MtfBand]) -> MtfBand:
 
 
 def measure_edge(
-    image: FloatArray, box: Box, *, limits: tuple[float, float] | None = None, where: str = ""
+    image: FloatArray, box: Box, *, saturated: NDArray[np.bool_] | None = None, where: str = ""
 ) -> EdgeMtf:
     """Measure the MTF across the one edge in a box.
 
@@ -195,8 +187,8 @@ def measure_edge(
         Values proportional to light.
     box : (int, int, int, int)
         Left column, top row, width and height.
-    limits : (float, float), optional
-        Values at the ends of the scale, which are saturated.
+    saturated : ndarray of bool (rows, columns), optional
+        Whether a pixel was at an end of its scale.
     where : str
         Start of messages.
 
@@ -217,14 +209,13 @@ def measure_edge(
             f"frame of {columns} x {rows}"
         )
     values = image[top : top + height, left : left + width].astype(np.float64)
-    if limits is not None:
-        for limit, at_end in ((limits[0], values <= limits[0]), (limits[1], values >= limits[1])):
-            share = float(at_end.mean())
-            if share > MOST_SATURATED_EDGE:
-                raise DataError(
-                    f"{where}{100 * share:.0f} % of the pixels are at {limit:g}, an end of the scale: the edge is "
-                    "saturated and its MTF lost; change exposure or gain"
-                )
+    if saturated is not None:
+        share = float(saturated[top : top + height, left : left + width].mean())
+        if share > MOST_SATURATED_EDGE:
+            raise DataError(
+                f"{where}{100 * share:.0f} % of the pixels are at an end of the scale: the edge is saturated and its "
+                "MTF is lost; change exposure or gain"
+            )
     curve = _fitted_curve(values, where)
     fit = _fitted(values, curve, where)
     found = _edge_mtf(fit, box)
@@ -234,8 +225,9 @@ def measure_edge(
         if low is None or high is None or high - low > 2 * LARGEST_ERROR * mtf50.value:
             ends = f"{low or 0:.2g} to {'above 1' if high is None else f'{high:.2g}'}"
             raise DataError(
-                f"{where}noise of {found.noise_sd / (found.bright - found.dark):.1%} of the contrast leaves MTF50 at "
-                f"{ends} cycles/pixel, expected an interval within a quarter of it; average frames, or use a longer edge"
+                f"{where}noise of {found.noise_sd / (found.bright - found.dark):.1%} of the contrast leaves MTF50 "
+                f"at {ends} cycles/pixel, expected an interval within a quarter of it; average frames, or use a "
+                "longer edge"
             )
     return found
 
@@ -252,17 +244,13 @@ class _Curve(NamedTuple):
     normal: tuple[float, float]
     polynomial: FloatArray
 
-    def coordinates(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return t and s of points."""
-        (nx, ny), dx, dy = self.normal, x - self.x, y - self.y
-        return dx * nx + dy * ny, dy * nx - dx * ny
-
     def distance(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the distance of points from the edge along its normal, and s.
 
         The distance is right to first order in the slope of the polynomial squared, which is below 0.01.
         """
-        t, s = self.coordinates(x, y)
+        (nx, ny), dx, dy = self.normal, x - self.x, y - self.y
+        t, s = dx * nx + dy * ny, dy * nx - dx * ny
         slope = polyval(s, polyder(self.polynomial))
         return (t - polyval(s, self.polynomial)) / np.sqrt(1.0 + slope**2), s
 
@@ -284,7 +272,7 @@ def _fitted_curve(values: FloatArray, where: str) -> _Curve:
     squares = slopes[0] ** 2 + slopes[1] ** 2
     if not squares.max() > 0.0:
         raise DataError(f"{where}found no edge: all values are the same")
-    y, x = np.indices(values.shape, np.float64)
+    y, x = (one.astype(np.float64) for one in np.indices(values.shape))
     # The direction of the steepest slopes: the principal axis of the structure tensor.
     gx, gy = slopes
     jxx, jyy, jxy = (float((squares * one * other).sum()) for one, other in ((gx, gx), (gy, gy), (gx, gy)))
@@ -317,9 +305,9 @@ def _fitted_curve(values: FloatArray, where: str) -> _Curve:
 class _Profile:
     """Functions of the distance from an edge whose sum is its profile, and their Fourier transforms.
 
-    A constant; a step from 0 to 1 that is a spline; cubic B-splines between the two points at which the tails begin;
-    and, if it has one, the tail: -1 / distance, continued between those points by a quintic with the same value and
-    first two derivatives.
+    A constant; a step from 0 to 1 that is a spline; cubic B-splines between the two points at which the tails
+    begin; and, if it has one, the tail: -1 / distance, continued between those points by a quintic with the same
+    value and first two derivatives.
     """
 
     DARK, STEP = 0, 1
@@ -387,7 +375,7 @@ class _Profile:
         places = (middle[:, np.newaxis] + half[:, np.newaxis] * points).ravel()
         each = (half[:, np.newaxis] * weights).ravel()
         waves = np.exp(-2j * np.pi * np.outer(frequency, places)) * each
-        found: ComplexArray = waves @ self.slopes(places)
+        found: ComplexArray = waves @ self.slopes(places).astype(np.complex128)
         if not self.has_tail:
             return found
         omega = 2 * np.pi * frequency
@@ -493,8 +481,9 @@ def _knots_px(distance: FloatArray, uniform_px: float, curve: _Curve, where: str
     if gap_px > WIDEST_GAP_PX:
         angle = abs((math.degrees(math.atan2(curve.normal[1], curve.normal[0])) + 45.0) % 90.0 - 45.0)
         raise DataError(
-            f"{where}found an edge {angle:.2f}° from rows or columns, whose pixels leave a gap of {gap_px:.2g} pixels "
-            f"in its profile, expected at most {WIDEST_GAP_PX}; turn target or camera by 2° to 10°, or use a longer edge"
+            f"{where}found an edge {angle:.2f}° from rows or columns, whose pixels leave a gap of {gap_px:.2g} "
+            f"pixels in its profile, expected at most {WIDEST_GAP_PX}; turn target or camera by 2° to 10°, or use a "
+            "longer edge"
         )
     return max(KNOTS_PX, 1.02 * gap_px)
 
@@ -567,7 +556,7 @@ def _check_smooth(
 
 
 def _meat(
-    columns: FloatArray, residual: FloatArray, used: np.ndarray[tuple[int, ...], np.dtype[np.bool_]]
+    columns: FloatArray, residual: FloatArray, used: NDArray[np.bool_]
 ) -> FloatArray:
     """Return the sum of products of residuals with the columns, also of pixels up to two apart, whose noise an
     interpolated or compressed picture correlates.
@@ -594,13 +583,13 @@ def _meat(
 def _pass_through(
     fit: _Fit, columns: FloatArray, factor: tuple[FloatArray, bool], distance: FloatArray
 ) -> FloatArray:
-    """Return the share of each frequency that the fit passes: for a Gaussian edge of the same MTF50, at its pixels."""
+    """Return the share of each frequency that the fit passes of a Gaussian edge of the same MTF50, at its pixels."""
     from scipy.linalg import cho_solve
     from scipy.special import ndtr
 
     frequency = FREQUENCY_CYC_PER_PIXEL
     transforms = fit.profile.transforms(frequency)
-    mtf50 = _crossing(np.abs(transforms @ fit.weights) / fit.contrast) or 1.0
+    mtf50 = mtf50_of(frequency, np.abs(transforms @ fit.weights) / fit.contrast) or 1.0
     sigma_px = math.sqrt(math.log(2.0) / 2.0) / (math.pi * mtf50)
     solved = cho_solve(factor, columns.T @ ndtr(distance / sigma_px))[: len(fit.weights)]
     expected = np.exp(-2.0 * (np.pi * sigma_px * frequency) ** 2)

@@ -75,6 +75,16 @@ class MtfTable:
         return self.end_mtf > LARGEST_END
 
 
+def mtf50_of(frequency: FloatArray, mtf: FloatArray) -> float | None:
+    """Return the first frequency at which an MTF falls to 0.5, by lines between its values; None if it stays above."""
+    below = np.flatnonzero(mtf < 0.5)
+    if not len(below) or below[0] == 0:
+        return None
+    k = int(below[0])
+    share = (mtf[k - 1] - 0.5) / (mtf[k - 1] - mtf[k])
+    return float(frequency[k - 1] + share * (frequency[k] - frequency[k - 1]))
+
+
 class MapperEdge(NamedTuple):
     """One edge in a file of MTF Mapper.
 
