@@ -23,6 +23,7 @@ from matplotlib.figure import Figure
 from sensor_sim.chain.sensor import Sensor, load_sensor
 from sensor_sim.thresholds.matched import matched_settings
 from sensor_sim.thresholds.predict import FoldedChain, PredictedThreshold, predict_threshold
+from todframes.observers.csf import CsfObserver
 from todframes.observers.hotelling import HotellingObserver
 from todframes.observers.interface import Observer
 from todframes.observers.oriented import OrientedObserver
@@ -141,6 +142,7 @@ def texts(found: Curves) -> dict[str, str]:
         SHARP: PyramidObserver(),
         MATCHED: HotellingObserver(),
         ORIENTED: OrientedObserver(),
+        "csf": CsfObserver(),
     }
     for name, observer in plain.items():
         cells = [f"{contrast_threshold(observer, size_mrad=size).threshold:.4g}" for size in NAKED_EYE_MRAD]

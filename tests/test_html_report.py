@@ -12,7 +12,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from html.parser import HTMLParser
-from itertools import count, cycle, islice, pairwise
+from itertools import combinations, count, cycle, islice, pairwise
 from pathlib import Path
 from typing import Any
 from urllib.parse import unquote
@@ -29,8 +29,8 @@ from todframes.psychometrics.fit import FitSettings, fit_trials
 from todframes.psychometrics.observer_curve import observer_curve
 from todframes.report.data import Fit
 from todframes.report.figure_style import COLOURS
-from todframes.report.figures import draw_psychometric
-from todframes.report.result import read_result
+from todframes.report.figures import by_field_map, draw_field_map, draw_psychometric, pictures
+from todframes.report.result import Result, read_result
 from todframes.report.summary import verdict
 from todframes.report.tables import thresholds
 from todframes.report.wording import phrase, quantity, threshold_heading, unit_of
@@ -471,6 +471,63 @@ def test_colours_stand_out_on_both_pages(pages) -> None:
             assert contrast(colour, theme["paper"]) >= 3.0, (colour, theme)
 
 
+def test_a_map_of_the_field_has_each_place_with_its_numbers() -> None:
+    """Each place has a disc and its numbers at its angles; without a threshold it has a mark and the reason."""
+
+    def fit(x: float, y: float, size: float, **more: Any) -> Fit:
+        group = {"object_size_mrad": size, "object_x_mrad": x, "object_y_mrad": y}
+        return Fit(group=group, level="contrast", p_correct=0.75, n_trials=40, **more)
+
+    fits = [
+        fit(-20.0, -5.0, 1.0, status="ok", threshold=0.2, threshold_ci95=(0.18, 0.23)),
+        fit(0.0, 5.0, 1.0, status="extrapolated", threshold=0.5, threshold_ci95=(0.4, None)),
+        fit(20.0, -5.0, 1.0, status="never_reached", threshold=None),
+        fit(-20.0, -5.0, 2.0, status="ok", threshold=0.1),
+    ]
+    assert list(by_field_map(fits)) == [" at 1 mrad"]  # the other size has been seen at one place only
+    axes = Figure().add_subplot()
+    draw_field_map(axes, by_field_map(fits)[" at 1 mrad"])
+    axes.figure.draw_without_rendering()
+    (discs,) = axes.collections
+    assert discs.get_offsets().tolist() == [[-20.0, -5.0], [0.0, 5.0]]
+    assert discs.get_array().tolist() == [0.2, 0.5]
+    dashed = [dashes is not None for _, dashes in discs.get_linestyles()]
+    assert dashed == [False, True]
+    assert {text.get_text(): text.xy for text in axes.texts} == {
+        "0.200\n0.180 to 0.230": (-20.0, -5.0),
+        "0.500\nfrom 0.400, open above": (0.0, 5.0),
+        "never reached": (20.0, -5.0),
+    }
+    marks = {(line.get_marker(), *line.get_xydata()[0]) for line in axes.lines}
+    assert marks == {("+", 0.0, 0.0), ("x", 20.0, -5.0)}
+    # A mrad is as long to the right as downwards, on the picture as drawn.
+    origin, right, down = axes.transData.transform([(0, 0), (1, 0), (0, 1)])
+    assert right[0] - origin[0] == pytest.approx(origin[1] - down[1], rel=1e-6)
+    assert down[1] < origin[1]
+
+
+def test_letters_of_a_map_of_the_field_shrink_with_its_places() -> None:
+    """With 63 places no number lies over another, and with one place of two no map is drawn."""
+    fits = [
+        Fit(
+            group={"object_x_mrad": 3.0 * x, "object_y_mrad": 2.0 * y}, level="contrast", p_correct=0.75,
+            n_trials=40, status="ok", threshold=0.1 + 0.01 * abs(x), threshold_ci95=(0.1234, 0.5678),
+        )
+        for x in range(-4, 5) for y in range(-3, 4)
+    ]  # fmt: skip
+    (shown,) = (one for one in pictures(fitted(fits)) if one.file == "field_map.png")
+    figure = shown.figure()
+    figure.draw_without_rendering()
+    boxes = [text.get_window_extent() for text in figure.axes[0].texts]
+    assert len(boxes) == 63
+    assert not any(one.overlaps(other) for one, other in combinations(boxes, 2))
+    assert not by_field_map(fits[:1])
+
+
+def fitted(fits: list[Fit]) -> Result:
+    return Result.made("fit", 0.0, fits=fits)
+
+
 def test_many_curves(results) -> None:
     """100 groups: a figure of some, a table of all, and a page of a size to send by mail."""
     one = results["score"]["fits"][0]
@@ -728,6 +785,7 @@ def test_places_that_cannot_be_written(results, report, tmp_path: Path) -> None:
         ("size_detectors", "size", "detectors", "2 detectors"),
         ("oversize_mrad", "oversize mrad", "", "oversize_mrad 2"),
         ("camera", "camera", "", "camera 2"),
+        ("object_x_mrad", "object x mrad", "", "x 2 mrad"),
     ],
 )
 def test_columns_of_sizes_in_words(name: str, words: str, unit: str, value: str) -> None:

@@ -43,6 +43,8 @@ VARIANTS = [
     *(("oriented", variant) for variant in PYRAMID_VARIANTS[:5]),
     ("oriented", {"phases": "odd", "orientations": 6, "wavelength_samples": 3.0}),
     ("oriented", {"phases": "even", "elongation": 2.0, "bandwidth_octaves": 1.5, "include_residual": True}),
+    ("csf", {}),
+    ("csf", {"retina_pitch_mrad": 0.17, "centre": "bounding_box", "aperture_sd_deg": 0.6, "efficiency": 3.0}),
 ]
 NOT_LINEAR = [("oriented", {"complex_cells": True})]
 
@@ -182,9 +184,11 @@ def test_a_darker_triangle_is_a_brighter_one_on_the_negative(linear_observer: Ob
 
 def test_more_contrast_is_easier(linear_observer: Observer) -> None:
     readout = linear_observer.readout(Stimulus(1.0))
+    threshold = contrast_threshold(linear_observer, size_mrad=1.0).threshold
+    contrasts = threshold * np.geomspace(0.01, 6.0, 12)
     for orientation in ORIENTATIONS:
         deviations = readout.score_deviations(triangle_on(readout.grid, 1.0, orientation))
-        answers = answer_probabilities(np.geomspace(1e-3, 1.0, 12)[:, None] * deviations, readout.noise_covariance)
+        answers = answer_probabilities(contrasts[:, None] * deviations, readout.noise_covariance)
         correct = answers[:, orientation.quarter_turns]
         assert (np.diff(correct) > 0.0).all()
         assert correct[0] < 0.27 and correct[-1] > 0.99

@@ -45,6 +45,7 @@ OWN_SETTINGS = {
     "pyramid": {"band_gain": 1.5},
     "informative": {"display_blur_mrad": 0.3, "informative_share": 0.95},
     "oriented": {"orientations": 4, "phases": "even"},
+    "csf": {"efficiency": 4.0, "retina_pitch_mrad": 0.125},
 }
 
 
@@ -95,6 +96,12 @@ def test_every_command_takes_every_observer(name: str, make_dataset, tmp_path: P
         ("oriented", "orientation=8", "unknown key 'orientation'; the nearest valid one is 'orientations'"),
         ("oriented", "orientations=5", "orientations: found 5, expected an even number from 2 to 32"),
         ("oriented", "phases=evn", "phases: found 'evn' (expected one of both, even, odd)"),
+        (
+            "csf",
+            "retina_pitch_mrad=0.3",
+            "retina_pitch_mrad: found 0.3, whose Nyquist frequency is 29.1 cycles/degree",
+        ),
+        ("csf", "internal_noise=0.5", "unknown key 'internal_noise'; the nearest valid one is "),
         ("pyramid", "orientations=8", "unknown key 'orientations'; the nearest valid one is "),
         ("orientd", "orientations=8", "unknown key 'orientd'; the nearest valid one is 'oriented'"),
     ],
@@ -135,7 +142,7 @@ def test_documented_settings_are_the_settings() -> None:
     documented = [name for name in documented if name not in OWN_SETTINGS]
     own = [
         field.name
-        for name in ("informative", "oriented")
+        for name in ("informative", "oriented", "csf")
         for field in fields(find_observer(name).settings_type)
         if field.name not in common
     ]

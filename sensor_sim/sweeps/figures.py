@@ -13,7 +13,16 @@ from todframes import __version__
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError
 from todframes.psychometrics.threshold_search import IMPOSSIBLE
-from todframes.report.figure_style import COLOURS, INK, add_legend, curve_style, label_text, plain_ticks
+from todframes.report.figure_style import (
+    COLOURS,
+    INK,
+    add_colour_bar,
+    add_legend,
+    colour_scale,
+    curve_style,
+    label_text,
+    plain_ticks,
+)
 from todframes.report.figures import ReportFigure
 from todframes.report.html import figure_items, render, table_item
 from todframes.report.tables import records_table
@@ -21,7 +30,7 @@ from todframes.report.wording import evenly
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.colors import Colormap, Normalize
+    from matplotlib.colors import Colormap
 
 MOST_CURVES = 200
 
@@ -95,7 +104,7 @@ def draw_curves(axes: Axes, result: SweepData) -> None:
     keys = varied(result)
     colour = swept.designs.values[:, keys[0] if keys else 0]
     lines = [np.stack([inverse, shown[row, order]], axis=1)[np.isfinite(shown[row, order])] for row in rows]
-    drawn = LineCollection(lines, cmap=colours(), norm=scale_of(colour), linewidths=1.0, alpha=0.8)
+    drawn = LineCollection(lines, cmap=colours(), norm=colour_scale(colour), linewidths=1.0, alpha=0.8)
     drawn.set_array(colour[rows])
     axes.add_collection(drawn)
     axes.set(xscale="log", yscale="log", xlabel="1 / size (detectors⁻¹)", ylabel=heading)
@@ -104,7 +113,7 @@ def draw_curves(axes: Axes, result: SweepData) -> None:
     plain_ticks(axes.xaxis, inverse.tolist())
     plain_ticks(axes.yaxis, values[np.isfinite(values)].tolist())
     if keys:
-        _colour_bar(axes, drawn, swept.designs.keys[keys[0]])
+        add_colour_bar(axes, drawn, swept.designs.keys[keys[0]])
 
 
 def draw_map(axes: Axes, result: SweepData, size: int) -> None:
@@ -129,7 +138,7 @@ def draw_map(axes: Axes, result: SweepData, size: int) -> None:
             axes.set(**{f"{name}scale": "log"})
             plain_ticks(getattr(axes, f"{name}axis"), values.tolist())
     cells[np.isinf(cells)] = np.nan
-    look: Any = {"cmap": "viridis", "norm": scale_of(cells[np.isfinite(cells)] if is_grid else value[has])}
+    look: Any = {"cmap": "viridis", "norm": colour_scale(cells[np.isfinite(cells)] if is_grid else value[has])}
     drawn: Any
     if is_grid:
         drawn = axes.pcolormesh(edges(columns), edges(rows), cells, rasterized=cells.size > MOST_VECTORS, **look)
@@ -150,7 +159,7 @@ def draw_map(axes: Axes, result: SweepData, size: int) -> None:
             axes.scatter(x[is_kind], y[is_kind], marker=marker, s=16.0, color=INK, linewidths=0.8)
     names = [result.swept.designs.keys[key] for key in keys[:2]]
     axes.set(xlabel=label_text(names[0]), ylabel=label_text(names[1]))
-    _colour_bar(axes, drawn, heading)
+    add_colour_bar(axes, drawn, heading)
 
 
 def _hatch(axes: Axes, x: FloatArray, y: FloatArray, marked: NDArray[np.bool_], hatch: str) -> None:
@@ -216,15 +225,6 @@ def _with_unit(column: str) -> str:
     return label_text(f"{name} ({unit})" if unit else column if column not in BY_SIZE else name)
 
 
-def _colour_bar(axes: Axes, drawn: Any, label: str) -> None:
-    figure = axes.figure
-    bar = figure.colorbar(drawn, ax=axes, label=label_text(label))
-    norm = drawn.norm
-    if type(norm).__name__ == "LogNorm":
-        plain_ticks(bar.ax.yaxis, [norm.vmin, norm.vmax])
-    bar.outline.set_linewidth(0.6)
-
-
 def colours() -> Colormap:
     """Return the colours of the house from low to high."""
     from matplotlib.colors import LinearSegmentedColormap
@@ -235,14 +235,6 @@ def colours() -> Colormap:
 def is_log(values: FloatArray) -> bool:
     """Return whether values are shown on a logarithmic axis: their span is large, and all are above 0."""
     return bool(values.min() > 0.0 and values.max() > LOG_SPAN * values.min())
-
-
-def scale_of(values: FloatArray) -> Normalize:
-    """Return the scale of colours of some values, linear or logarithmic."""
-    from matplotlib.colors import LogNorm, Normalize
-
-    kind = LogNorm if values.min() > 0.0 and values.max() > 3.0 * values.min() else Normalize
-    return kind(float(values.min()), float(values.max()))
 
 
 def edges(middles: FloatArray) -> FloatArray:

@@ -80,7 +80,7 @@ observer_option = click.option(
     default="pyramid",
     show_default=True,
     metavar="NAME|MODULE:CLASS",
-    help="Observer: pyramid, informative, oriented or another that is registered; or a class of one's own, "
+    help="Observer: pyramid, informative, oriented, csf or another that is registered; or a class of one's own, "
     "whose code is run.",
 )
 

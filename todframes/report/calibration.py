@@ -12,12 +12,11 @@ from todframes.psychometrics.fit import FitSettings
 from todframes.report.data import Fit, PersonResult, Record, ResultData
 from todframes.report.table import EXACT, Column, Table
 from todframes.report.wording import (
+    column_heading,
     count,
     interval_phrase,
     plain,
-    quantity,
     threshold_heading,
-    unit_of,
 )
 
 SUBJECT = "subject"
@@ -120,11 +119,7 @@ def curves_table(result: ResultData) -> Table:
     columns = [
         Column(
             key=name,
-            header="person"
-            if name == SUBJECT
-            else f"{quantity(name)} ({unit_of(name)})"
-            if unit_of(name)
-            else name,
+            header="person" if name == SUBJECT else column_heading(name),
             digits=EXACT,
             is_name=True,
         )

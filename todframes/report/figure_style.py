@@ -10,8 +10,11 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from todframes.base._typing import FloatArray
+
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.colors import Normalize
     from matplotlib.figure import Figure
 
 
@@ -84,6 +87,24 @@ def label_text(text: str) -> str:
     text = "".join(character if character.isprintable() else " " for character in text)
     text = text if len(text) <= LONGEST_LABEL else text[: LONGEST_LABEL - 1] + "…"
     return " " * text.startswith("_") + text.replace("$", r"\$")
+
+
+def colour_scale(values: FloatArray) -> Normalize:
+    """Return the scale of colours of some values, linear or logarithmic."""
+    from matplotlib.colors import LogNorm, Normalize
+
+    kind = LogNorm if values.min() > 0.0 and values.max() > 3.0 * values.min() else Normalize
+    return kind(float(values.min()), float(values.max()))
+
+
+def add_colour_bar(axes: Axes, drawn: Any, label: str) -> None:
+    """Add the scale of colours of what has been drawn into the axes, as high as they are."""
+    figure = axes.figure
+    bar = figure.colorbar(drawn, cax=axes.inset_axes((1.04, 0.0, 0.045, 1.0)), label=label_text(label))
+    norm = drawn.norm
+    if type(norm).__name__ == "LogNorm":
+        plain_ticks(bar.ax.yaxis, [norm.vmin, norm.vmax])
+    bar.outline.set_linewidth(0.6)
 
 
 class CurveStyle(NamedTuple):

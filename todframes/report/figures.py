@@ -20,7 +20,9 @@ from todframes.report.figure_style import (
     PAPER,
     STYLE,
     CurveStyle,
+    add_colour_bar,
     add_legend,
+    colour_scale,
     curve_style,
     label_text,
     new_figure,
@@ -30,8 +32,10 @@ from todframes.report.figure_style import (
 )
 from todframes.report.summary import by_curve, size_column
 from todframes.report.wording import (
+    FIELD_AXES,
     evenly,
     group_phrase,
+    interval_phrase,
     level_heading,
     level_name,
     plain,
@@ -50,6 +54,17 @@ MOST_CURVES = 24
 MOST_IN_LEGEND = 12
 
 MOST_SIZES_NAMED = 8
+
+MOST_MAPS = 4
+
+FIELD_LABEL_POINTS = (3.0, 8.0)
+"""Smallest and largest letters of the numbers in a map of the field, in points; as large as the places allow."""
+
+FIELD_LABEL_EM = (8.8, 5.8)
+"""Width of the numbers of a place in a map of the field, and height with the disc, in sizes of the letters."""
+
+NO_THRESHOLD_MARKERS = {"never_reached": "x", "always_exceeded": "v"}
+"""Markers of places without a threshold by status; another status has a plus sign."""
 
 
 class ReportFigure(NamedTuple):
@@ -134,6 +149,10 @@ def pictures(result: ResultData) -> list[ReportFigure]:
     if has_tod_curve(everything):
         file = "tod_curve.png" if alone else ""
         found.append(ReportFigure("TOD curve", _tod_note(everything), partial(draw_tod, fits=everything), file))
+    for number, (label, of_map) in enumerate(evenly(list(by_field_map(result.fits).items()), MOST_MAPS)):
+        draw = partial(draw_field_map, fits=of_map)
+        file = "" if number else "field_map.png"
+        found.append(ReportFigure(f"Map of the field{label}", _field_note(of_map), draw, file))
     of_algorithms = ((f"Psychometric functions: {one.name}", one.fits, "") for one in result.algorithms)
     for title, fits, file in (("Psychometric functions", result.fits, "psychometric.png"), *of_algorithms):
         seen = [fit for fit in fits if fit.points]
@@ -178,6 +197,81 @@ def _tod_note(fits: Sequence[Fit]) -> str:
         open_ended = any(None in interval for interval in intervals)
         note += f" Vertical lines are 95 % intervals{', dotted where the data leave an end open' * open_ended}."
     return note
+
+
+def by_field_map(fits: Sequence[Fit]) -> dict[str, list[Fit]]:
+    """Return the fits of each map of the field, by a title: those of a chart at two or more places of the picture.
+
+    Fits of one map differ in their places alone.
+    """
+    maps: dict[str, list[Fit]] = {}
+    for fit in fits:
+        if all(isinstance(fit.group.get(name), float) for name in FIELD_AXES):
+            others = {name: value for name, value in fit.group.items() if name not in FIELD_AXES}
+            maps.setdefault(f" at {group_phrase(others)}" if others else "", []).append(fit)
+    return {
+        label: of_map
+        for label, of_map in maps.items()
+        if len({_field_place(fit) for fit in of_map}) > 1 and any(fit.threshold is not None for fit in of_map)
+    }
+
+
+def _field_place(fit: Fit) -> tuple[float, float]:
+    x, y = (float(fit.group[name]) for name in FIELD_AXES)
+    return x, y
+
+
+def _field_note(fits: Sequence[Fit]) -> str:
+    first = fits[0]
+    note = (
+        f"Threshold {level_name(first.level)} at {100 * first.p_correct:g} % correct and its 95 % interval, where "
+        "the chart was in the picture, with down as in the picture. The cross is the frame's middle."
+    )
+    if any(fit.status == "extrapolated" for fit in fits):
+        note += " A dashed rim: extrapolated."
+    if any(fit.threshold is None for fit in fits):
+        note += " Without a disc: no threshold, and why."
+    return note
+
+
+def draw_field_map(axes: Axes, fits: Sequence[Fit]) -> None:
+    """Draw thresholds over the field of a camera: a disc and its numbers at each place, equal angles equally long.
+
+    At least one fit must have a threshold, and two must have different places.
+    """
+    places = np.array([_field_place(fit) for fit in fits])
+    known = [fit.threshold for fit in fits if fit.threshold is not None]
+    steps = np.abs(places[:, None] - places[None, :])
+    steps = steps[steps.any(axis=2)]
+    margin = 0.6 * np.linalg.norm(steps, axis=1).min()
+    low, high = places.min(axis=0) - margin, places.max(axis=0) + margin
+    axes.set(xlim=(low[0], high[0]), ylim=(high[1], low[1]), aspect="equal")
+    axes.set(xlabel="right of the frame's middle (mrad)", ylabel="below the frame's middle (mrad)")
+    axes.plot(0.0, 0.0, "+", color=INK, markersize=12.0, alpha=0.5, zorder=1)
+    # The colour bar, titles and ticks leave about 0.7 of the width and 0.75 of the height.
+    figure = axes.get_figure(root=True)
+    assert figure is not None
+    inches_per_mrad = float((figure.get_size_inches() * (0.7, 0.75) / (high - low)).min())
+    room = 72.0 * inches_per_mrad * (steps / FIELD_LABEL_EM).max(axis=1).min()
+    points = float(np.clip(room, *FIELD_LABEL_POINTS))
+    has = [fit.threshold is not None for fit in fits]
+    drawn = axes.scatter(
+        places[has, 0], places[has, 1], c=known, s=(3.0 * points) ** 2, norm=colour_scale(np.array(known)),
+        cmap="viridis_r", edgecolors=INK, linewidths=0.8, zorder=2,
+        linestyles=["--" if fit.status == "extrapolated" else "-" for fit in fits if fit.threshold is not None],
+    )  # fmt: skip
+    for (x, y), fit in zip(places.tolist(), fits, strict=True):
+        if fit.threshold is None:
+            marker = NO_THRESHOLD_MARKERS.get(fit.status, "+")
+            axes.plot(x, y, marker, color=INK, markersize=2.0 * points, zorder=2)
+            text = fit.status.replace("_", " ")
+        else:
+            interval = "" if fit.threshold_ci95 is None else f"\n{interval_phrase(fit.threshold_ci95)}"
+            text = f"{plain(fit.threshold)}{interval}"
+        axes.annotate(
+            text, (x, y), (0.0, -1.7 * points), textcoords="offset points", ha="center", va="top", fontsize=points
+        )
+    add_colour_bar(axes, drawn, threshold_heading(fits[0].level))
 
 
 def has_tod_curve(fits: Sequence[Fit]) -> bool:

@@ -17,7 +17,7 @@ from todframes.report.data import (
     SceneResult,
 )
 from todframes.report.table import BLOCK, EXACT, Column, LongRecords, Table, field_text
-from todframes.report.wording import group_phrase, level_heading, plain, quantity, threshold_heading, unit_of
+from todframes.report.wording import column_heading, group_phrase, level_heading, plain, threshold_heading
 from todframes.stimulus import ORIENTATIONS, Stimulus
 
 if TYPE_CHECKING:
@@ -87,13 +87,7 @@ TAKEN = {"algorithm", "spec", "threshold", "level", *(one.key for one in THRESHO
 
 def _group_columns(names: Iterable[str]) -> list[Column]:
     return [
-        Column(
-            key=_group_key(name),
-            header=f"{quantity(name)} ({unit_of(name)})" if unit_of(name) else name,
-            digits=EXACT,
-            is_name=True,
-        )
-        for name in names
+        Column(key=_group_key(name), header=column_heading(name), digits=EXACT, is_name=True) for name in names
     ]
 
 

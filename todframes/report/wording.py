@@ -9,6 +9,9 @@ T = TypeVar("T")
 
 SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
+FIELD_AXES = {"object_x_mrad": "x", "object_y_mrad": "y"}
+"""Names of the places of a chart in the camera's field, by column; the unit is mrad."""
+
 
 def evenly(items: Sequence[T], most: int) -> list[T]:
     """Return at most `most` of the items, evenly spaced, with the first and the last."""
@@ -46,10 +49,19 @@ def quantity(name: str) -> str:
     return name.removesuffix(f"_{unit_of(name)}").replace("_", " ")
 
 
+def column_heading(name: str) -> str:
+    """Return a column of groups as a heading: "object size (mrad)", "object x (mrad)"; as it is without a unit."""
+    if unit_of(name):
+        return f"{quantity(name)} ({unit_of(name)})"
+    return f"object {FIELD_AXES[name]} (mrad)" if name in FIELD_AXES else name
+
+
 def phrase(name: str, value: float | str) -> str:
-    """Return a column and its value in words: "0.6 mrad" for a size, "camera left" for anything else."""
+    """Return a column and its value in words: "0.6 mrad" for a size, "x -25 mrad" for a place, "camera left"."""
     if unit_of(name) and isinstance(value, float):
         return f"{value_text(value)} {unit_of(name)}"
+    if name in FIELD_AXES and isinstance(value, float):
+        return f"{FIELD_AXES[name]} {value_text(value)} mrad"
     return value_text(value) if name == "algorithm" else f"{name} {value_text(value)}"
 
 

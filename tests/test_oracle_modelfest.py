@@ -1,0 +1,80 @@
+"""ModelFest, 43 stimuli seen by 16 people: drawn by the package stimupy, which also holds their thresholds."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+from todframes.observers.csf import contrast_sensitivity, oblique_effect
+
+pytestmark = pytest.mark.oracle
+
+PX_PER_DEG = 120.0
+NOISE_AND_SCENE = (35, 43)
+
+
+class Seen(NamedTuple):
+    number: int
+    contrast: np.ndarray
+    sensitivity_db: float
+
+
+@pytest.fixture(scope="module")
+def stimuli() -> list[Seen]:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        modelfest = pytest.importorskip("stimupy.papers.modelfest", reason="stimupy is in the extra people")
+
+        found = []
+        for name in dir(modelfest):
+            if name[0].isupper() and name[-1].isdigit() and name != "PPD2":
+                drawn = getattr(modelfest, name)()
+                runs = [drawn["experimental_data"][f"thresholds{run}"] for run in (1, 2, 3, 4)]
+                # Thresholds are −log10 of the contrast at the peak; grey is the middle of 0 to 1.
+                contrast = 2.0 * drawn["img"] - 1.0
+                number = int("".join(filter(str.isdigit, name)))
+                found.append(Seen(number, contrast / np.abs(contrast).max(), 20.0 * float(np.nanmean(runs))))
+    assert sorted(one.number for one in found) == list(range(1, 44))
+    return found
+
+
+def errors_db(stimuli: list[Seen], *, gain: float, aperture_sd_deg: float, exponent: float) -> dict[int, float]:
+    """Sensitivity of the model less that of people, by stimulus."""
+    side = 2 * stimuli[0].contrast.shape[0]
+    f = np.fft.fftfreq(side, 1.0 / PX_PER_DEG)
+    transfer = contrast_sensitivity(np.hypot(f, f[:, None])) * oblique_effect(f, f[:, None])
+    place = (np.arange(side // 2) - (side // 2 - 1) / 2.0) / PX_PER_DEG
+    aperture = np.exp(-np.add.outer(place**2, place**2) / (2.0 * aperture_sd_deg**2))
+    found = {}
+    for one in stimuli:
+        spectrum = np.fft.fft2(one.contrast, (side, side))
+        seen = np.abs(aperture * np.fft.ifft2(spectrum * transfer).real[: side // 2, : side // 2])
+        pooled = ((seen**exponent).sum() / PX_PER_DEG**2) ** (1.0 / exponent)
+        found[one.number] = 20.0 * math.log10(gain * pooled) - one.sensitivity_db
+    return found
+
+
+def rms(values: dict[int, float], *, without: tuple[int, ...] = ()) -> float:
+    return float(np.sqrt(np.mean([value**2 for number, value in values.items() if number not in without])))
+
+
+def test_the_published_model_describes_people(stimuli: list[Seen]) -> None:
+    """Watson & Ahumada 2005, pooling exponent 2.4081: they report 0.67 dB without the noise and the scene.
+
+    People scatter by 0.87 dB (a standard error over the sixteen), so 0.1 dB of the mean is their 0.13.
+    """
+    found = errors_db(stimuli, gain=373.08, aperture_sd_deg=0.6273, exponent=2.4081)
+    assert abs(np.mean(list(found.values()))) < 0.13
+    assert rms(found, without=NOISE_AND_SCENE) == pytest.approx(0.67, abs=0.03)
+    assert rms(found) < 1.1
+
+
+def test_the_linear_model_describes_people(stimuli: list[Seen]) -> None:
+    """Nothing is fitted here; 1.2 and 0.95 dB are what its use asks for."""
+    found = errors_db(stimuli, gain=509.37, aperture_sd_deg=0.35, exponent=2.0)
+    assert rms(found) < 1.2
+    assert rms(found, without=NOISE_AND_SCENE) < 0.95

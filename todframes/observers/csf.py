@@ -1,0 +1,315 @@
+"""An observer with people's contrast sensitivity: a filter, an aperture, white noise and four templates.
+
+The filter is what people detect in the fovea, from 43 stimuli that 16 people saw (ModelFest). Pooling with an
+exponent of 2 makes it linear: the best template is then the filtered triangle itself, P(answer) stays in closed
+form, and the two filters and the aperture fold into one weight image an answer.
+
+Watson & Ahumada 2005, J. Vision 5(9):6.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from functools import lru_cache
+from typing import Annotated, Any, ClassVar
+
+import numpy as np
+from msgspec import Meta
+
+from todframes.base._typing import FloatArray
+from todframes.base.errors import SettingsError
+from todframes.base.reading import check_keys, check_values
+from todframes.observers.interface import OmittedWeights, Readout
+from todframes.observers.internal_noise import Bands, inner_product, summed_covariance
+from todframes.observers.laplacian_pyramid import framed
+from todframes.observers.retina import RetinaGrid
+from todframes.stimulus import ORIENTATIONS, Centre, Orientation, Stimulus, coverage
+
+MRAD_PER_DEG = math.radians(1000.0)
+
+GAIN_PER_DEG = 509.37
+"""Sensitivity of the linear observer: at a threshold of ModelFest the filtered contrast, seen through the
+aperture, has a root of its integrated square of 1 / 509.37 degrees."""
+
+D_PRIME_AT_THRESHOLD = 1.406
+"""d′ at a threshold of ModelFest, 84 % correct of two intervals: √2 Φ⁻¹(0.84)."""
+
+NOISE_DEG = 1.0 / (D_PRIME_AT_THRESHOLD * GAIN_PER_DEG)
+"""Root of the spectral density of the white internal noise, in degrees."""
+
+FIELD_MRAD, APERTURE_SDS = 6.0, 4.0
+"""Half-width of the field, beyond the size of the triangle or so many standard deviations of the aperture,
+whichever is less. Beyond it the weights of a score have a root sum of squares of less than 1e-3 of all, for
+triangles of 0.5 to 30 mrad."""
+
+LARGEST_SIDE = 4097
+"""Largest side of the retina grid; filtering it takes 0.6 GB."""
+
+LARGEST_PITCH_MRAD = 0.2
+"""Pitch whose Nyquist frequency, 44 cycles/degree, the filter passes 0.7 % of its peak."""
+
+
+def contrast_sensitivity(frequency_cyc_per_deg: FloatArray) -> FloatArray:
+    """Compute the relative sensitivity of people to a frequency of any orientation near 0° or 90°.
+
+    Parameters
+    ----------
+    frequency_cyc_per_deg : ndarray, any shape
+        Radial spatial frequency, >= 0.
+
+    Returns
+    -------
+    ndarray, same shape
+        0.151 at 0, 0.582 at its peak of 3.45 cycles/degree.
+
+    Watson & Ahumada 2005, the filter of their standard model, without its gain.
+    """
+    high, low = (frequency_cyc_per_deg / 4.1726) ** 0.7786, frequency_cyc_per_deg / 1.3625
+    return _sech(high) - 0.8493 * _sech(low)
+
+
+def oblique_effect(frequency_x: FloatArray, frequency_y: FloatArray) -> FloatArray:
+    """Compute the loss of sensitivity to oblique gratings, a factor.
+
+    Parameters
+    ----------
+    frequency_x, frequency_y : ndarray
+        Cycles/degree, broadcast against each other.
+
+    Returns
+    -------
+    ndarray
+        1 along both axes and below 3.48 cycles/degree, least at 45°.
+
+    Watson & Ahumada 2005.
+    """
+    squared = frequency_x**2 + frequency_y**2
+    # sin 2θ = 2 f_x f_y / f²
+    sine = 2.0 * frequency_x * frequency_y / np.where(squared > 0.0, squared, 1.0)
+    loss = -np.expm1(-np.maximum(np.sqrt(squared) - 3.48, 0.0) / 13.57)
+    return np.asarray(1.0 - loss * sine**2)
+
+
+def _sech(x: FloatArray) -> FloatArray:
+    decay = np.exp(-x)  # no overflow at large frequencies
+    return np.asarray(2.0 * decay / (1.0 + decay**2))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CsfSettings:
+    """Settings of the observer with people's contrast sensitivity.
+
+    Attributes
+    ----------
+    centre : {"centroid", "bounding_box"}
+        Point that the four templates share, on the grid's middle, where the aperture is.
+    retina_pitch_mrad : float
+        Visual angle of a retina sample. It is the step of a computation and no property of the eye: the filter
+        undoes the averaging over a sample.
+    position_jitter_samples : float
+        The grid is displaced by up to this many samples along x and y in each trial; 0: never.
+    aperture_sd_deg : float
+        Standard deviation of the Gaussian aperture within which contrast is seen, in degrees; it is centred on the
+        grid's middle. 0.35 is that of a linear observer for ModelFest, whose stimuli people fixated.
+    efficiency : float
+        Squared ratio of a person's d′ to that of ModelFest's average person: contrast thresholds are divided by
+        its root.
+
+    Raises
+    ------
+    SettingsError
+        If a value is out of its range.
+    """
+
+    centre: Centre = "centroid"
+    retina_pitch_mrad: Annotated[float, Meta(ge=1e-3, le=1e6)] = 0.1
+    position_jitter_samples: Annotated[float, Meta(ge=0.0, le=1e3)] = 0.0
+    aperture_sd_deg: Annotated[float, Meta(ge=0.05, le=10.0)] = 0.35
+    efficiency: Annotated[float, Meta(ge=1e-6, le=1e6)] = 1.0
+
+    def __post_init__(self) -> None:
+        check_values(self)
+        if self.retina_pitch_mrad > LARGEST_PITCH_MRAD:
+            nyquist = MRAD_PER_DEG / (2.0 * self.retina_pitch_mrad)
+            raise SettingsError(
+                f"retina_pitch_mrad: found {self.retina_pitch_mrad:g}, whose Nyquist frequency is {nyquist:.3g} "
+                f"cycles/degree, which people see; expected at most {LARGEST_PITCH_MRAD:g}"
+            )
+
+    @property
+    def noise_sd(self) -> float:
+        """Standard deviation of the noise on each sample of the filtered contrast."""
+        return NOISE_DEG * MRAD_PER_DEG / (self.retina_pitch_mrad * math.sqrt(self.efficiency))
+
+
+class CsfObserver:
+    """A linear observer with people's contrast sensitivity, without a free parameter but the efficiency.
+
+    Parameters
+    ----------
+    settings : CsfSettings, optional
+    wider : float
+        Factor of the field's width.
+    **changes
+        Settings by name, in place of those of `settings`.
+
+    Raises
+    ------
+    SettingsError
+        If there is no such setting, or a value is out of its range.
+
+    Watson & Ahumada 2005, with the pooling exponent 2.
+    """
+
+    settings_type: ClassVar[type[CsfSettings]] = CsfSettings
+
+    def __init__(self, settings: CsfSettings | None = None, *, wider: float = 1.0, **changes: Any) -> None:
+        check_keys(changes, [field.name for field in fields(self.settings_type)], "settings")
+        self.settings = replace(settings if settings is not None else self.settings_type(), **changes)
+        self._wider = wider
+        self._make_caches()
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in vars(self).items() if not hasattr(value, "cache_info")}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self._make_caches()
+        vars(self).update(state)
+
+    def _make_caches(self) -> None:
+        # Per observer, not per class: a cache on the method would keep every observer alive.
+        self.templates = lru_cache(maxsize=4)(self._templates)
+        self.readout = lru_cache(maxsize=4)(self._readout)
+        self._transfer = lru_cache(maxsize=2)(self._find_transfer)
+
+    @property
+    def centre(self) -> Centre:
+        """Point of the triangle on which the retina grid is centred."""
+        return self.settings.centre
+
+    @property
+    def position_jitter_samples(self) -> float:
+        """Half the width of the uniform displacement of the grid, in retina samples."""
+        return self.settings.position_jitter_samples
+
+    def grid(self, stimulus: Stimulus) -> RetinaGrid:
+        """Return the retina samples it looks at: as wide as triangle, filter and aperture reach.
+
+        Raises
+        ------
+        SettingsError
+            If there are too many of them.
+        """
+        pitch, aperture_mrad = self.settings.retina_pitch_mrad, self.settings.aperture_sd_deg * MRAD_PER_DEG
+        half_mrad = self._wider * (FIELD_MRAD + min(stimulus.size_mrad, APERTURE_SDS * aperture_mrad))
+        side = 2 * math.ceil(half_mrad / pitch) + 1
+        if side > LARGEST_SIDE:
+            raise SettingsError(
+                f"retina_pitch_mrad: found {pitch:g}, {side} samples along a side of the field for a triangle of "
+                f"{stimulus.size_mrad:g} mrad, expected at most {LARGEST_SIDE}: take a larger pitch, or a smaller "
+                "aperture_sd_deg"
+            )
+        return RetinaGrid(side, pitch)
+
+    def with_extra_level(self) -> CsfObserver:
+        """Return the observer with a field twice as wide."""
+        return type(self)(self.settings, wider=2.0 * self._wider)
+
+    def with_fewer_levels(self, _: Stimulus) -> None:
+        """Return None: there is no observer with a narrower field."""
+
+    def omitted_bands(self, stimulus: Stimulus) -> OmittedWeights:
+        """Compute the weights beyond the field, to twice its width, on the coarsest retina allowed.
+
+        They are of low frequency: beyond the field there is nothing of the triangle.
+        """
+        coarse = type(self)(replace(self.settings, retina_pitch_mrad=LARGEST_PITCH_MRAD), wider=self._wider)
+        small, large = coarse.readout(stimulus), coarse.with_extra_level().readout(stimulus)
+        kept = np.array([framed(image, large.grid.side // 2) for image in small.deviations])
+        noise = large.noise_covariance - small.noise_covariance
+        return OmittedWeights(large.grid, kept, large.deviations - kept, noise)
+
+    def activity(self, contrast: FloatArray) -> Bands:
+        """Compute the filtered contrast as seen through the aperture, for a retina image: one (side, side)."""
+        seen = self._filtered(contrast)
+        seen *= self._aperture(len(contrast))
+        return (seen,)
+
+    def turned(self, bands: Bands, quarter_turns: int) -> Bands:
+        """Compute the activity that an image turned clockwise causes, from that of the image."""
+        return tuple(np.rot90(band, -quarter_turns) for band in bands)
+
+    def _filtered(self, image: FloatArray) -> FloatArray:
+        """Filter a retina image (side, side); beyond it there is nothing. The filter is its own adjoint."""
+        from scipy.fft import irfft2, next_fast_len, rfft2
+
+        side = len(image)
+        shape = (next_fast_len(2 * side, real=True),) * 2
+        spectrum = rfft2(image, shape)
+        spectrum *= self._transfer(shape[0])
+        return np.ascontiguousarray(irfft2(spectrum, shape, overwrite_x=True)[:side, :side])
+
+    def _find_transfer(self, side: int) -> FloatArray:
+        """Compute the filter of a retina image: (side, side // 2 + 1)."""
+        pitch_deg = self.settings.retina_pitch_mrad / MRAD_PER_DEG
+        x = np.asarray(np.fft.rfftfreq(side, pitch_deg), dtype=np.float64)
+        y = np.asarray(np.fft.fftfreq(side, pitch_deg), dtype=np.float64)[:, None]
+        averaged = np.sinc(pitch_deg * x) * np.sinc(pitch_deg * y)
+        return np.asarray(contrast_sensitivity(np.hypot(x, y)) * oblique_effect(x, y) / averaged)
+
+    def _aperture(self, side: int) -> FloatArray:
+        place_deg = (np.arange(side) - side // 2) * self.settings.retina_pitch_mrad / MRAD_PER_DEG
+        along = np.exp(-(place_deg**2) / (2.0 * self.settings.aperture_sd_deg**2))
+        return np.outer(along, along)
+
+    def _upright(self, stimulus: Stimulus) -> FloatArray:
+        """Draw the upright triangle on the retina: (side, side)."""
+        grid = self.grid(stimulus)
+        return stimulus.polarity * coverage(
+            (grid.side, grid.side),
+            size_px=stimulus.size_mrad / grid.pitch_mrad,
+            x_px=grid.side // 2,
+            y_px=grid.side // 2,
+            orientation=Orientation.UP,
+            centre=self.centre,
+        )
+
+    def _templates(self, stimulus: Stimulus) -> tuple[Bands, ...]:
+        """Compute the activity that the triangle in each of its orientations is expected to cause."""
+        expected = self.activity(self._upright(stimulus))
+        return tuple(self.turned(expected, k) for k in range(4))
+
+    def _readout(self, stimulus: Stimulus) -> Readout:
+        """Fold filter, aperture and templates onto the retina."""
+        image = self._upright(stimulus)
+        mean = sum(np.rot90(image, -k) for k in range(4)) / 4.0
+        upright = self.activity(image - mean)
+        turned = [self.turned(upright, k) for k in range(4)]
+        folded = self._fold(upright)
+        return Readout(
+            grid=self.grid(stimulus),
+            find_common=lambda: self._fold(self.activity(np.asarray(mean))),
+            deviations=np.stack([np.rot90(folded, -k) for k in range(4)]),
+            noise_covariance=summed_covariance(turned, self.settings.noise_sd),
+            excess_kurtosis=0.0,
+        )
+
+    def _fold(self, bands: Sequence[FloatArray]) -> FloatArray:
+        """Compute the weights on the retina of weights of the activity: the adjoint of `activity`."""
+        return self._filtered(bands[0] * self._aperture(len(bands[0])))
+
+    def literal_scores(
+        self, contrast: FloatArray, stimulus: Stimulus, rng: np.random.Generator | None = None
+    ) -> FloatArray:
+        """Compute the four scores by their definition, with noise on every sample if `rng` is given: (4,)."""
+        (seen,) = self.activity(contrast)
+        if rng is not None:
+            seen = seen + rng.normal(0.0, self.settings.noise_sd, seen.shape)
+        return np.array([inner_product(expected, seen) for (expected,) in self.templates(stimulus)])
+
+    def respond(self, contrast: FloatArray, stimulus: Stimulus, rng: np.random.Generator) -> Orientation:
+        """Answer with the largest score, ties at random."""
+        scores = self.literal_scores(contrast, stimulus, rng)
+        return ORIENTATIONS[int(rng.choice(np.flatnonzero(scores == scores.max())))]
