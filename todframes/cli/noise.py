@@ -18,7 +18,7 @@ from todframes.cli.console import (
     terminal_width,
     warning_lines,
 )
-from todframes.cli.options import json_option, max_frame_option, numbers, quiet_option, strict_option
+from todframes.cli.options import box, json_option, max_frame_option, numbers, quiet_option, strict_option
 
 
 @click.command()
@@ -87,7 +87,7 @@ def noise(
         with progress("reading", None, quiet=quiet) as advance:
             result = tod.noise(
                 recording,
-                region=None if region is None else _region(region),
+                region=None if region is None else box(region, "--region"),
                 patches=dict(map(_patch, patches)),
                 chart=chart,
                 signal=() if signal is None else numbers(signal, "--signal"),
@@ -119,20 +119,8 @@ def noise(
 def _patch(text: str) -> tuple[tuple[int, int, int, int], float]:
     place, _, level = text.partition("=")
     try:
-        return _four(place), float(level)
-    except ValueError:
+        return box(place, "--patch"), float(level)
+    except (ValueError, SettingsError):
         raise SettingsError(
             f"--patch: found {text!r}, expected X,Y,W,H=LEVEL: four whole numbers and one"
         ) from None
-
-
-def _region(text: str) -> tuple[int, int, int, int]:
-    try:
-        return _four(text)
-    except ValueError:
-        raise SettingsError(f"--region: found {text!r}, expected X,Y,W,H: four whole numbers of pixels") from None
-
-
-def _four(text: str) -> tuple[int, int, int, int]:
-    left, top, width, height = map(int, text.split(","))
-    return left, top, width, height

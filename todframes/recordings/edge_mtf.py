@@ -22,7 +22,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.polynomial.polynomial import polyder, polyval
@@ -41,7 +41,7 @@ NYQUIST = 32
 """Index of half a cycle/pixel, the Nyquist frequency of the pixels."""
 
 LEAST_SIDE_PX = 20
-"""Least width and height of a box: the tail begins 6 pixels from the edge at the least, and needs pixels behind."""
+"""Least width and height of a box: the tail begins 6 pixels from the edge or farther, and needs pixels behind."""
 
 KNOTS_PX = 0.25
 """Interval of the knots at the edge. A spline with such knots passes 1 cycle/pixel but for 1 part in 2,000."""
@@ -53,8 +53,8 @@ GROWTH = 1.0 / 6.0
 """Interval of the knots farther out, relative to the distance."""
 
 TAIL_PX, TAIL_RISES = 6.0, 2.5
-"""Distance at which the tail begins: at least, and in units of the rise. That of a Gaussian is 0 from there on, and
-that of a diffraction-limited lens 1 / distance to 3 parts in 10,000 of the contrast."""
+"""Distance at which the tail begins: at least, and in units of the rise. A Gaussian's is 0 from there on,
+and that of a diffraction-limited lens 1 / distance to 3 parts in 10,000 of the contrast."""
 
 FARTHEST_TAIL = 0.6
 """Largest distance at which the tail begins, relative to the distance of the farthest pixels."""
@@ -213,8 +213,8 @@ def measure_edge(
         share = float(saturated[top : top + height, left : left + width].mean())
         if share > MOST_SATURATED_EDGE:
             raise DataError(
-                f"{where}{100 * share:.0f} % of the pixels are at an end of the scale: the edge is saturated and its "
-                "MTF is lost; change exposure or gain"
+                f"{where}{100 * share:.0f} % of the pixels are at an end of the scale: the edge is saturated and "
+                "its MTF is lost; change exposure or gain"
             )
     curve = _fitted_curve(values, where)
     fit = _fitted(values, curve, where)
@@ -244,7 +244,7 @@ class _Curve(NamedTuple):
     normal: tuple[float, float]
     polynomial: FloatArray
 
-    def distance(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def distance(self, x: NDArray[Any], y: NDArray[Any]) -> tuple[FloatArray, FloatArray]:
         """Return the distance of points from the edge along its normal, and s.
 
         The distance is right to first order in the slope of the polynomial squared, which is below 0.01.
@@ -272,7 +272,8 @@ def _fitted_curve(values: FloatArray, where: str) -> _Curve:
     squares = slopes[0] ** 2 + slopes[1] ** 2
     if not squares.max() > 0.0:
         raise DataError(f"{where}found no edge: all values are the same")
-    y, x = (one.astype(np.float64) for one in np.indices(values.shape))
+    places = np.indices(values.shape).astype(np.float64)
+    y, x = places[0], places[1]
     # The direction of the steepest slopes: the principal axis of the structure tensor.
     gx, gy = slopes
     jxx, jyy, jxy = (float((squares * one * other).sum()) for one, other in ((gx, gx), (gy, gy), (gx, gy)))
@@ -375,7 +376,7 @@ class _Profile:
         places = (middle[:, np.newaxis] + half[:, np.newaxis] * points).ravel()
         each = (half[:, np.newaxis] * weights).ravel()
         waves = np.exp(-2j * np.pi * np.outer(frequency, places)) * each
-        found: ComplexArray = waves @ self.slopes(places).astype(np.complex128)
+        found: ComplexArray = np.asarray(waves @ self.slopes(places), np.complex128)
         if not self.has_tail:
             return found
         omega = 2 * np.pi * frequency
@@ -408,7 +409,10 @@ def _fitted(values: FloatArray, curve: _Curve, where: str) -> _Fit:
     y, x = (one.ravel() for one in np.indices(values.shape, np.float64))
     flat = values.ravel()
     distance, s = curve.distance(x, y)
-    widest_px = min(WIDEST_PX, float(distance.max()), float(-distance.min()))
+    # The farthest pixels, as many as the edge has along it, lie in corners of the box.
+    n_left_out = min(int(np.ptp(s)), len(s) // 4)
+    ordered = np.sort(distance)
+    widest_px = min(WIDEST_PX, float(ordered[-1 - n_left_out]), float(-ordered[n_left_out]))
     if widest_px * FARTHEST_TAIL < TAIL_PX:
         raise DataError(
             f"{where}found an edge with {widest_px:.0f} pixels beside it, expected at least "
@@ -482,8 +486,8 @@ def _knots_px(distance: FloatArray, uniform_px: float, curve: _Curve, where: str
         angle = abs((math.degrees(math.atan2(curve.normal[1], curve.normal[0])) + 45.0) % 90.0 - 45.0)
         raise DataError(
             f"{where}found an edge {angle:.2f}° from rows or columns, whose pixels leave a gap of {gap_px:.2g} "
-            f"pixels in its profile, expected at most {WIDEST_GAP_PX}; turn target or camera by 2° to 10°, or use a "
-            "longer edge"
+            f"pixels in its profile, expected at most {WIDEST_GAP_PX}; turn target or camera by 2° to 10°, or use "
+            "a longer edge"
         )
     return max(KNOTS_PX, 1.02 * gap_px)
 
@@ -555,9 +559,7 @@ def _check_smooth(
         )
 
 
-def _meat(
-    columns: FloatArray, residual: FloatArray, used: NDArray[np.bool_]
-) -> FloatArray:
+def _meat(columns: FloatArray, residual: FloatArray, used: NDArray[np.bool_]) -> FloatArray:
     """Return the sum of products of residuals with the columns, also of pixels up to two apart, whose noise an
     interpolated or compressed picture correlates.
 
@@ -569,12 +571,13 @@ def _meat(
     reach = 2
     padded = np.zeros((rows + reach, width + 2 * reach, columns.shape[1]))
     padded[:rows, reach:-reach][used] = columns * residual[:, np.newaxis]
-    whole = padded.reshape(-1, columns.shape[1])
+    whole = csr_matrix(padded.reshape(-1, columns.shape[1]))
+    n_places = whole.shape[0]
     total = np.zeros((columns.shape[1], columns.shape[1]))
     for down in range(reach + 1):
         for right in range(-reach if down else 0, reach + 1):
             lag = down * (width + 2 * reach) + right
-            product = csr_matrix(whole[: len(whole) - lag]).T @ whole[lag:]
+            product = (whole[: n_places - lag].T @ whole[lag:]).toarray()
             weight = (1.0 - down / (reach + 1)) * (1.0 - abs(right) / (reach + 1))
             total += weight * (product if lag == 0 else product + product.T)
     return total
@@ -583,7 +586,7 @@ def _meat(
 def _pass_through(
     fit: _Fit, columns: FloatArray, factor: tuple[FloatArray, bool], distance: FloatArray
 ) -> FloatArray:
-    """Return the share of each frequency that the fit passes of a Gaussian edge of the same MTF50, at its pixels."""
+    """Return the share that the fit passes of each frequency of a Gaussian edge with the same MTF50."""
     from scipy.linalg import cho_solve
     from scipy.special import ndtr
 

@@ -110,9 +110,7 @@ def measure_mtf(
     warnings += [RecordingWarning("edge_left_out", f"left out: {one}") for one in problems]
     names = dict.fromkeys(name for edge in edges for name in edge)
     means = {name: mean_band([edge[name] for edge in edges if name in edge]) for name in names}
-    return RecordingMtf(
-        n_frames=frames.n, edges=tuple(edges), means=means, image=whole, warnings=tuple(warnings)
-    )
+    return RecordingMtf(n_frames=frames.n, edges=tuple(edges), means=means, image=whole, warnings=tuple(warnings))
 
 
 class _MeanFrame(NamedTuple):
@@ -148,7 +146,7 @@ def _mean(recording: Recording, display: Display | None, progress: Callable[[int
         raise DataError(f"{recording.path}: found no frame, expected at least one")
     mean = total / n
     colours = {LUMA: mean if mean.ndim == 2 else mean @ REC_709_LUMINANCE_WEIGHTS}
-    if mean.ndim == 3:
+    if mean.ndim == 3 and np.ptp(mean, 2).any():  # grey pictures may be stored in three equal channels
         colours |= {name: mean[..., k] for k, name in enumerate(COLOURS)}
     return _MeanFrame(colours, None if white is None else saturated, n)
 
@@ -180,7 +178,7 @@ def find_edges(image: FloatArray) -> list[Box]:
     """Return boxes about the straight edges of an image, the longest first.
 
     Lines are found by OpenCV's line segment detector: Grompone von Gioi et al. 2012, "LSD: a line segment
-    detector", IPOL 2. A box leaves out the ends of its edge, and goes as far to the sides as there is no other edge.
+    detector", IPOL 2. A box leaves out the ends of its edge, and goes to the sides as far as there is no other.
 
     Raises
     ------
@@ -207,8 +205,8 @@ def find_edges(image: FloatArray) -> list[Box]:
         boxes += list(_boxes(one, [other for other in found if other is not one], image.shape))[:1]
     if not boxes:
         raise DataError(
-            f"found no straight edge of at least {LEAST_LENGTH_PX:g} pixels that stands alone, expected one; give the "
-            f"part of the frame with the edge: {argument.boxes}"
+            f"found no straight edge of at least {LEAST_LENGTH_PX:g} pixels that stands alone, expected one; give "
+            f"the part of the frame with the edge: {argument.boxes}"
         )
     return boxes
 
