@@ -77,7 +77,9 @@ def test_overshoot_of_a_sharpened_edge():
 
 def test_the_band_is_as_wide_as_its_noise_and_light_may_change_along_the_edge():
     optics, rng = gaussian(0.6), np.random.default_rng(3)
-    image = edge_image((100, 72), 4.0, optics) * np.linspace(0.95, 1.05, 100)[:, None]
+    y, x = np.indices((100, 72)) - 40.0
+    along = y * np.cos(np.radians(4.0)) - x * np.sin(np.radians(4.0))
+    image = edge_image((100, 72), 4.0, optics) * (1.0 + 1e-3 * along)
     noise = rng.normal(0.0, 0.012, (12, *image.shape))
     each = [measure_edge(image + one, whole(image)) for one in noise[:3]]
     of_mean = measure_edge(image + noise.mean(0), whole(image))
@@ -106,9 +108,9 @@ NOISE = np.random.default_rng(1).normal(0.0, 0.1, (72, 72))
         (0.0 * AN_EDGE + 0.5, "box 0,0,72,72: found no edge: all values are the same"),
         (0.5 + NOISE, "found no edge: the steepest step is .* against noise of .*, expected at least 5 times"),
         (edge_image((72, 72), 0.2, gaussian(0.5)), "0.20° from rows or columns, whose pixels leave a gap of 0.7"),
-        (torn(AN_EDGE), "departs from a smooth curve by 0.[45]. pixels, expected at most 0.15; is it torn"),
+        (torn(AN_EDGE), "departs from a smooth curve by 0.[345]. pixels, expected at most 0.15; is it torn"),
         (AN_EDGE + NOISE, "noise of 1.*% of the contrast leaves MTF50 at .*average frames"),
-        (AN_EDGE[:, 26:46], "found an edge with [78] pixels beside it, expected at least 10 on both sides"),
+        (AN_EDGE[:, 26:46], "found an edge with 9 pixels beside it, expected at least 10 on both sides"),
     ],
 )
 def test_what_is_no_edge_is_one_line(image, message):
@@ -153,6 +155,7 @@ def test_the_four_edges_of_a_square_are_found_and_are_in_their_boxes():
         assert sum(a + w / 3 < x < a + 2 * w / 3 and b + h / 3 < y < b + 2 * h / 3 for a, b, w, h in boxes) == 1
 
 
+@pytest.mark.slow
 def test_command_and_call(tmp_path, capsys):
     """A colour picture with a blur for each colour: JSON, CSV and MTF Mapper's form have the same numbers."""
     colours = [edge_image((72, 72), 6.0, gaussian(one), low=40, high=200) for one in (0.9, 0.7, 0.5)]
@@ -212,7 +215,7 @@ OTHER_PROGRAM = {
     "f2.8": (0.960, 0.798, 0.473, 0.479),
     "f16": (0.767, 0.299, 0.002, 0.180),
 }
-"""MTF at 0.1, 0.25 and 0.5 cycles/pixel, and MTF50, by SFR_calculation_code, in whose repository the pictures are."""
+"""MTF at 0.1, 0.25 and 0.5 cycles/pixel, and MTF50, by SFR_calculation_code, from which the pictures are."""
 
 
 @pytest.mark.parametrize("name", OTHER_PROGRAM)

@@ -471,7 +471,8 @@ def _fitted(values: FloatArray, curve: _Curve, where: str) -> _Fit:
     leverage = np.minimum(np.einsum("ij,ij->i", columns @ inverse, columns), 0.9)
     meat = _meat(columns, residual / np.sqrt(1.0 - leverage), used.reshape(values.shape))
     covariance = (inverse @ meat @ inverse)[: len(weights), : len(weights)]
-    ends = np.linspace(along.min(), along.max(), 101)
+    visible = along[np.abs(at) < 1.0]
+    ends = np.linspace(visible.min(), visible.max(), 101)
     line = polyval(ends, curve.polynomial)
     chord = line - np.polyval(np.polyfit(ends, line, 1), ends)
     fit = _Fit(curve, profile, weights, covariance, np.ones(0), float(residual.std()), float(np.ptp(chord)))
