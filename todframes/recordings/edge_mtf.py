@@ -87,7 +87,7 @@ LARGEST_ERROR = 0.25
 Z95 = 1.959963984540054
 
 
-class Estimate(NamedTuple):
+class EdgeValue(NamedTuple):
     """A value with its 95 % interval; an end is None where the data do not give one."""
 
     value: float
@@ -108,15 +108,15 @@ class MtfBand:
     upper: FloatArray
 
     @property
-    def mtf50_cyc_per_pixel(self) -> Estimate | None:
+    def mtf50_cyc_per_pixel(self) -> EdgeValue | None:
         """Frequency at which the MTF falls to 0.5, and those at which its band does; None if it stays above."""
         value, *ends = (mtf50_of(FREQUENCY_CYC_PER_PIXEL, one) for one in (self.mtf, self.lower, self.upper))
-        return None if value is None else Estimate(value, (ends[0], ends[1]))
+        return None if value is None else EdgeValue(value, (ends[0], ends[1]))
 
     @property
-    def mtf_at_nyquist(self) -> Estimate:
+    def mtf_at_nyquist(self) -> EdgeValue:
         """MTF at 0.5 cycles/pixel."""
-        return Estimate(float(self.mtf[NYQUIST]), (float(self.lower[NYQUIST]), float(self.upper[NYQUIST])))
+        return EdgeValue(float(self.mtf[NYQUIST]), (float(self.lower[NYQUIST]), float(self.upper[NYQUIST])))
 
     def at(self, frequency_cyc_per_pixel: float) -> float:
         """Return the MTF at a frequency of 0 to 1 cycles/pixel."""
@@ -141,7 +141,7 @@ class EdgeMtf(MtfBand):
         Levels beside the edge, in units of the values.
     noise_sd : float
         Standard deviation of a pixel from the fitted edge, in units of the values.
-    overshoot, undershoot : Estimate
+    overshoot, undershoot : EdgeValue
         How far the profile, averaged over one pixel, goes beyond the bright and the dark level, relative to the
         contrast; 0 where it stays between them.
     distance_px, profile : ndarray (n,)
@@ -155,8 +155,8 @@ class EdgeMtf(MtfBand):
     dark: float
     bright: float
     noise_sd: float
-    overshoot: Estimate
-    undershoot: Estimate
+    overshoot: EdgeValue
+    undershoot: EdgeValue
     distance_px: FloatArray
     profile: FloatArray
 
@@ -664,7 +664,7 @@ def _without_noise(
     return value, np.minimum(lower, value), np.maximum(upper, value)
 
 
-def _overshoots(fit: _Fit) -> tuple[FloatArray, FloatArray, Estimate, Estimate]:
+def _overshoots(fit: _Fit) -> tuple[FloatArray, FloatArray, EdgeValue, EdgeValue]:
     """Return the profile from 0 to 1, and how far its means over a pixel go beyond both levels."""
     end = 0.999 * fit.profile.end_px
     n_in_pixel = 20
@@ -674,13 +674,13 @@ def _overshoots(fit: _Fit) -> tuple[FloatArray, FloatArray, Estimate, Estimate]:
     means = (sums[n_in_pixel:] - sums[:-n_in_pixel]) / n_in_pixel
     level = (means @ fit.weights - fit.weights[_Profile.DARK]) / fit.contrast
 
-    def beyond(k: int, height: float, sign: float) -> Estimate:
+    def beyond(k: int, height: float, sign: float) -> EdgeValue:
         derivative = means[k] / fit.contrast
         derivative[_Profile.DARK] -= 1.0 / fit.contrast
         derivative[_Profile.STEP] -= level[k] / fit.contrast
         error = Z95 * math.sqrt(max(float(derivative @ fit.covariance @ derivative), 0.0))
         value = max(sign * (float(level[k]) - height), 0.0)
-        return Estimate(value, (max(value - error, 0.0), value + error))
+        return EdgeValue(value, (max(value - error, 0.0), value + error))
 
     over, under = beyond(int(np.argmax(level)), 1.0, 1.0), beyond(int(np.argmin(level)), 0.0, -1.0)
     return grid, (columns @ fit.weights - fit.weights[_Profile.DARK]) / fit.contrast, over, under

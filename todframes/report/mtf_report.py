@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from todframes.base._typing import FloatArray, Json
-from todframes.recordings.edge_mtf import FREQUENCY_CYC_PER_PIXEL, EdgeMtf, Estimate
+from todframes.recordings.edge_mtf import FREQUENCY_CYC_PER_PIXEL, EdgeMtf, EdgeValue
 from todframes.recordings.mtf_table import (
     MAPPER_PER_CYC_PER_PIXEL,
     RADIAL,
@@ -362,7 +362,7 @@ def _record(number: int, colour: str, edge: EdgeMtf) -> Json:
         "bright": edge.bright,
         "noise_percent": 100.0 * edge.noise_sd / (edge.bright - edge.dark),
     }
-    estimates: dict[str, Estimate | None] = {
+    estimates: dict[str, EdgeValue | None] = {
         "mtf50_cyc_per_pixel": edge.mtf50_cyc_per_pixel,
         "mtf_at_nyquist": edge.mtf_at_nyquist,
         "overshoot": edge.overshoot,
