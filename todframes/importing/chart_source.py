@@ -174,7 +174,7 @@ class ChartSource:
         self.reports.append(report)
         clips: list[Clip] = []
         measured: list[_Measured] = []
-        finder = MarkerFinder(self._markers.centres_mm, self._markers.side_mm)
+        finder = MarkerFinder(self._markers.all_centres_mm, self._markers.side_mm)
         looked = self._looked(recording, finder, report, measured)
         for clip, frame in clean_clips(looked, key=self.chart.key, first_number=self._n_runs + 1):
             if not clips or clip is not clips[-1]:

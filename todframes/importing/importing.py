@@ -17,7 +17,7 @@ import numpy as np
 from todframes import __version__
 from todframes.base.errors import DataError, SettingsError, argument, for_reader
 from todframes.base.output import Going, new_folder, remove_others, store_path
-from todframes.base.reading import toml_text
+from todframes.base.reading import check_positive, toml_text
 from todframes.base.safe_text import csv_text, one_line
 from todframes.diagnosis.findings import place_deviations
 from todframes.diagnosis.inspection import inspect
@@ -342,8 +342,8 @@ def _check_settings(
         raise SettingsError(
             f"{argument.ifov_mrad}: is given but not used with a chart, whose markers give the scale"
         )
-    if ifov_mrad is not None and not (math.isfinite(ifov_mrad) and ifov_mrad > 0):
-        raise SettingsError(f"{argument.ifov_mrad}: found {ifov_mrad!r}, expected a number > 0")
+    if ifov_mrad is not None:
+        check_positive(argument.ifov_mrad, ifov_mrad)
 
 
 def _interval_s(recording: Recording) -> float | None:
