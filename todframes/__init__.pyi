@@ -49,8 +49,8 @@ from .psychometrics.fit import FitSettings as FitSettings
 from .psychometrics.fit import PsychometricFit as PsychometricFit
 from .report.data import Fit as Fit
 from .report.data import ResultWarning as ResultWarning
-from .report.mtf_report import MtfResult as MtfResult
 from .report.emva_report import EmvaResult as EmvaResult
+from .report.mtf_report import MtfResult as MtfResult
 from .report.noise_report import NoiseResult as NoiseResult
 from .report.range_report import RangeResult as RangeResult
 from .report.result import Result as Result
