@@ -369,7 +369,7 @@ class GroupTriangle(NamedTuple):
         middle = share @ stated
         apart = stated - middle
         is_apart = bool(np.abs(apart).max() > LEAST_APART)
-        found = fitted(images, first_guess(images, size), CERTAIN_TURN, is_first=is_apart)
+        found = fitted(images, first_guess(images, size), CERTAIN_TURN, with_errors=not is_apart)
         if is_apart:
             even = aligned(even, found, level=level, turns=turns, apart=apart)
             images = Images.of(even, known=known, hole=hole, **frames)

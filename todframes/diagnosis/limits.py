@@ -34,10 +34,8 @@ More is a mishap, such as trials without a triangle."""
 MOST_ROUNDS = 12
 """Largest number of steps of a fit."""
 
-FOUND, FOUND_FIRST = 2e-4, 2e-3
-"""Last step of the fit, and of a first fit, in sizes and radians; the errors that matter are a hundred times as
-large. A first fit only moves pictures by the differences of stated places. With 1e-2 in place of 2e-3, places that
-are a pixel apart seem to scatter by 0.015 px."""
+FOUND = 2e-4
+"""Last step of the fit, in sizes and radians; the errors that matter are a hundred times as large."""
 
 LEAST_VARIANCE = -0.05
 """Least variance of the blur, in blocks: sharpened pictures have a negative one."""

@@ -24,7 +24,6 @@ from todframes.diagnosis.limits import (
     DEGREE,
     FITTED_REACH_IN_SIZES,
     FOUND,
-    FOUND_FIRST,
     LEAST_VARIANCE,
     MOST_BESIDE_TURN_RAD,
     MOST_ROUGH,
@@ -315,7 +314,7 @@ def _without_background(images: FloatArray, weight: FloatArray) -> FloatArray:
 
 
 def fit(
-    images: Images, start: Shape, shown: tuple[int, ...] = (0, 1, 2, 3), *, is_first: bool = False
+    images: Images, start: Shape, shown: tuple[int, ...] = (0, 1, 2, 3), *, with_errors: bool = True
 ) -> TriangleFit:
     """Fit the picture of a triangle to mean frames by Gauss–Newton steps.
 
@@ -325,8 +324,8 @@ def fit(
     start : Shape
     shown : tuple of int
         Orientation on the frames for each stated one.
-    is_first : bool
-        Fit a first guess for another fit, less exactly and without errors: the covariance is 0.
+    with_errors : bool
+        Without, the covariance is 0.
 
     Returns
     -------
@@ -342,7 +341,7 @@ def fit(
         square = Square.about(shape, n)
         model = picture(shape, square, n)
         is_last = is_found or number == MOST_ROUNDS
-        if is_last and is_first:
+        if is_last and not with_errors:
             return TriangleFit(shape, np.zeros((N_PARAMETERS, N_PARAMETERS)), shown, model, square, 1.0)
         weight = square.of(images.weight)
         design = _design(model.slopes[order], factors, weight)
@@ -352,8 +351,9 @@ def fit(
         away = _without_background(np.tensordot(factors, left, 1), weight).ravel()
         step = _solved(design, away)
         shape = _bounded(shape.moved(_limited(step, shape)), start, n)
-        largest = max(np.abs(step[[X, Y]]).max() / shape.size, np.abs(step[[XX, XY, YX, YY]]).max())
-        is_found = bool(largest < (FOUND_FIRST if is_first else FOUND))
+        is_found = bool(
+            np.abs(step[[X, Y]]).max() < FOUND * shape.size and np.abs(step[[XX, XY, YX, YY]]).max() < FOUND
+        )
     left = images.triangles.copy()
     subtract(left, model.images[order], square)
     white = np.tensordot(factors, left, 1)
@@ -588,7 +588,7 @@ def first_guess(images: Images, size: float) -> Shape:
     return found
 
 
-def fitted(images: Images, start: Shape, certain: float, *, is_first: bool = False) -> TriangleFit:
+def fitted(images: Images, start: Shape, certain: float, *, with_errors: bool = True) -> TriangleFit:
     """Fit a triangle, and take another arrangement of the orientations if this certainly fits the frames better.
 
     Parameters
@@ -597,10 +597,10 @@ def fitted(images: Images, start: Shape, certain: float, *, is_first: bool = Fal
     start : Shape
     certain : float
         Least advantage of another arrangement than stated, in standard errors.
-    is_first : bool
+    with_errors : bool
         As in `fit`.
     """
-    found = fit(images, start, is_first=is_first)
+    found = fit(images, start, with_errors=with_errors)
     counts = np.diag(images.information)
     stated = np.flatnonzero(counts)
     if len(stated) < 2:
@@ -618,7 +618,7 @@ def fitted(images: Images, start: Shape, certain: float, *, is_first: bool = Fal
     best = max(gain, key=lambda shown: gain[shown])
     if gain[best] <= 0.0:
         return found
-    other = fit(images, start, best, is_first=is_first)
+    other = fit(images, start, best, with_errors=with_errors)
     left = images.triangles.copy()
     subtract(left, other.picture.images[list(best)], other.square)
     whitened = np.tensordot(_whitened(images.information), left, 1)
