@@ -221,7 +221,8 @@ def test_places_are_checked_in_the_frames(tmp_path: Path, chart: Path, change: d
     """The chart has its triangles elsewhere than chart.toml says, by 1.24 pixels, or larger by 6 %."""
     moved = [replace(page, triangles=(replace(page.triangles[0], **change),)) for page in CHART.pages]
     shown = replace(CHART, pages=tuple(moved))
-    frames = film_of([film.filmed(shown, k, film.camera()) for k in range(8) for _ in range(3)], noise=0.005)
+    pages = [film.filmed(shown, page.number, film.camera()) for page in shown.pages]
+    frames = film_of([page for page in pages for _ in range(3)], noise=0.005)
     done, _ = imported(saved(tmp_path, frames), chart)
     found = [one.message for one in done.warnings if one.code == "misplaced"]
     assert len(found) == (message is not None)

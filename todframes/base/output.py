@@ -51,11 +51,22 @@ LAST_OF_DATASET, LAST_OF_RESULT = "dataset.toml", "result.json"
 LARGEST_RESULT_MB = 64
 
 FILES_OF_COMMAND = {
-    "score": {"report.html", "scores.csv", "scores.parquet", "psychometric.png", "tod_curve.png"},
+    "score": {
+        *("report.html", "scores.csv", "scores.parquet"),
+        *("psychometric.png", "tod_curve.png", "field_map.png"),
+    },
     "compare": {"report.html", "scores.csv", "scores.parquet", "compare.csv", "compare.png"},
     "calibrate": {
         *("report.html", "internal_noise.csv", "calibration.csv"),
         *("calibration.png", "calibration.svg", "observer.toml"),
+    },
+    "noise": {
+        *("noise.csv", "noise.png", "snr.csv", "patches.csv", "sensor_noise.toml"),
+        *("emva.csv", "emva.png", "emva.xml", "photon_transfer.csv", "variances.csv"),
+    },
+    "range": {
+        *("report.html", "ranges.csv", "probability.csv", "range_against_k.csv"),
+        *("probability.png", "crossing.png", "range_against_k.png"),
     },
 }
 """Files that each command of this package writes beside `result.json`."""
