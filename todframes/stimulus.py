@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from todframes.base._typing import ComplexArray, FloatArray
 from todframes.base.errors import SettingsError
+from todframes.base.reading import check_positive
 
 Centre = Literal["centroid", "bounding_box"]
 
@@ -87,8 +88,7 @@ def vertices(
     SettingsError
         If the size is not a positive number or `centre` is neither of the two.
     """
-    if not (np.isfinite(size) and size > 0):
-        raise SettingsError(f"size: found {size!r}, expected a finite number > 0")
+    check_positive("size", size)
     if centre not in get_args(Centre):
         raise SettingsError(f"centre: found {centre!r}, expected one of {', '.join(get_args(Centre))}")
     height, half_side = HEIGHT_PER_SIZE * size, SIDE_PER_SIZE * size / 2.0

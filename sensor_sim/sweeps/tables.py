@@ -19,7 +19,7 @@ from sensor_sim.sweeps.work import Swept
 from todframes import __version__
 from todframes.base._typing import FloatArray, Json
 from todframes.base.errors import SettingsError, argument, for_reader
-from todframes.base.reading import check_keys
+from todframes.base.reading import check_keys, check_positive
 from todframes.psychometrics.threshold_search import IMPOSSIBLE
 from todframes.report.data import json_file
 from todframes.report.table import BLOCK, Column, LongRecords, Table
@@ -76,8 +76,7 @@ class Criterion(NamedTuple):
         if len(found) > 1:
             raise SettingsError("acuity: found an SNR and a ΔT, expected one of them")
         level, value = found[0]
-        if not (math.isfinite(value) and value > 0.0):
-            raise SettingsError(f"acuity_{level}: found {value!r}, expected a finite number > 0")
+        check_positive(f"acuity_{level}", value)
         if level == "delta_t_mk" and not has_netd:
             raise SettingsError("acuity_delta_t_mk: needs noise.netd_mk of the sensor")
         return found[0]

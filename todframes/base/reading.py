@@ -330,6 +330,12 @@ def check_values(settings: object, *, ignored: Sequence[str] = ()) -> None:
             raise SettingsError(f"{name}: found {value!r}, expected {expected}")
 
 
+def check_positive(name: str, value: float) -> None:
+    """Raise SettingsError unless a value is a finite number above 0."""
+    if not (math.isfinite(value) and value > 0.0):
+        raise SettingsError(f"{name}: found {value!r}, expected a finite number > 0")
+
+
 @cache
 def _hints(kind: Any) -> dict[str, Any]:
     hints = get_type_hints(kind, include_extras=True)
