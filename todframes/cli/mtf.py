@@ -79,7 +79,7 @@ def mtf(
         click.echo(result.to_json(), nl=False)
         check_strict(warnings, strict)
         return
-    print_table(result.table(step=4))
+    print_table(result.short_table())
     edges = result.edge_table()
     if edges is not None:
         print_table(edges)

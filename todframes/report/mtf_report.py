@@ -46,6 +46,9 @@ NYQUIST_CYC_PER_PIXEL = 0.5
 LINE_COLOURS = {"red": COLOURS[5], "green": COLOURS[2], "blue": COLOURS[0], "tangential": COLOURS[4]}
 """Colours of curves; of others they follow in the order of `COLOURS`."""
 
+SHOWN_ROWS = 16
+"""Number of frequencies in the terminal, about: every eighth of the Nyquist frequency for slanted edges."""
+
 MOST_LINES = 12
 """Largest number of edges that the figure shows beside their mean."""
 
@@ -110,6 +113,10 @@ class MtfResult(Saving):
     def warnings(self) -> tuple[ResultWarning, ...]:
         """Properties of the recording or table that make the MTF less certain, each with a code."""
         return tuple(ResultWarning(code=one.code, message=one.message) for one in self.noted)
+
+    def short_table(self) -> Table:
+        """Return the table of some `SHOWN_ROWS` frequencies."""
+        return self.table(max((len(self.frequency) - 1) // SHOWN_ROWS, 1))
 
     def table(self, step: int = 1) -> Table:
         """Return the table of every `step`-th frequency, whose CSV `sensor_sim` reads."""
@@ -248,7 +255,7 @@ class MtfResult(Saving):
     def _repr_html_(self) -> str:
         from todframes.report.html import notebook_page
 
-        table = self.edge_table() or self.table(step=4)
+        table = self.edge_table() or self.short_table()
         return notebook_page(self.sentences(), table, [(self.figure, "MTF")])
 
     def _draw(self, axes: Axes) -> None:
