@@ -463,12 +463,18 @@ def _dark_of(bright: StackNoise, dark: Sequence[StackNoise]) -> StackNoise:
 
 
 def _series(points: Sequence[TransferPoint]) -> list[TransferPoint]:
-    """Return the points of photon transfer: those with the most common number of frames, if there are three.
+    """Return the points of photon transfer, those whose bright stacks are a series."""
+    bright = _with_common_frames([one.bright for one in points])
+    return [one for one in points if one.bright in bright]
+
+
+def _with_common_frames(stacks: Sequence[StackNoise]) -> list[StackNoise]:
+    """Return the stacks with the most common number of frames, if there are three; otherwise all.
 
     The others are stacks of many frames for the spatial measurement, which the standard takes on its own.
     """
-    ((n_frames, count),) = Counter(one.bright.n_frames for one in points).most_common(1)
-    return [one for one in points if one.bright.n_frames == n_frames or count < FEWEST_OF_SERIES]
+    ((n_frames, count),) = Counter(one.n_frames for one in stacks).most_common(1)
+    return [one for one in stacks if one.n_frames == n_frames or count < FEWEST_OF_SERIES]
 
 
 def _saturation(points: Sequence[TransferPoint]) -> int | None:
@@ -695,7 +701,7 @@ def _dark_current(
     power: int,
 ) -> Estimate | None:
     """Return electrons per second from the slope of a quantity of dark stacks over time; K's power converts it."""
-    known = [one for one in of_dark if one.exposure_ms is not None]
+    known = [one for one in _with_common_frames(of_dark) if one.exposure_ms is not None]
     seconds = np.array([one.exposure_ms for one in known], np.float64) / 1e3
     if len(np.unique(seconds)) < 3:
         return None
