@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from todframes.base._typing import FloatArray
-from todframes.base.errors import DataError
+from todframes.base.errors import DataError, argument, for_reader
 from todframes.recordings.emva_xml import EmvaCamera
 from todframes.recordings.noise3d import (
     MOST_SATURATED,
@@ -585,12 +585,12 @@ def _evaluated(
 
     electrons, capacity = _capacity(series, saturated, most, gain, gains, efficiency, efficiencies)
     if saturated is None:
+        where = "not known" if electrons is None else f"that of the end of the scale ({most:.5g} DN above dark)"
+        hint = "" if bits is not None else f", or give {argument.bits} if the camera has fewer bits than its files"
         warnings.append(
             RecordingWarning(
                 "saturation_not_reached",
-                "the variance still rises at the brightest stack: saturation is "
-                + ("not known" if electrons is None else "that of the end of the scale")
-                + "; add brighter stacks",
+                f"the variance still rises at the brightest stack: saturation is {where}; add brighter stacks{hint}",
             )
         )
     threshold = None
@@ -622,7 +622,7 @@ def _evaluated(
         dark=spatial.dark,
         bits=bits,
         exposure_ms=spatial.bright.exposure_ms,
-        warnings=(*of_recordings, *warnings),
+        warnings=(*of_recordings, *(RecordingWarning(code, for_reader(text)) for code, text in warnings)),
     )
 
 
