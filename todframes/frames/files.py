@@ -117,7 +117,7 @@ def code_values(stored: NDArray[Any]) -> NDArray[np.float32]:
     """Convert stored pixels of any shape to code values: integers are divided by full scale, 255 or 65535."""
     values = np.array(stored, np.float32, order="C")
     if stored.dtype.kind == "u":
-        values /= np.iinfo(stored.dtype).max
+        values /= 2 ** (8 * stored.itemsize) - 1
     return values
 
 
@@ -537,12 +537,13 @@ def _check_png(path: Path, file: BinaryIO, size: int) -> None:
     """Raise FrameError if a chunk is damaged; libpng would also print on standard error."""
     kind, end = b"", len(PNG_SIGNATURE)
     while kind != b"IEND":
-        head = file.read(8)
-        length, kind = int.from_bytes(head[:4], "big"), head[4:]
+        length = int.from_bytes(file.read(4), "big")
         end += length + 12
         if end > size:
             raise FrameError(path, "the PNG is truncated or damaged: a chunk reaches beyond the end of the file")
-        if zlib.crc32(file.read(length), zlib.crc32(kind)) != int.from_bytes(file.read(4), "big"):
+        chunk = memoryview(file.read(length + 8))
+        kind = bytes(chunk[:4])
+        if zlib.crc32(chunk[:-4]) != int.from_bytes(chunk[-4:], "big"):
             raise FrameError(path, f"the PNG is damaged: chunk {kind!r} does not match its checksum")
 
 

@@ -68,8 +68,9 @@ def place_grid(
 
 def _touched(grid: RetinaGrid, lowest: float, highest: float, pitch: float, n_pixels: int) -> tuple[int, int]:
     """Return the pixels, half-open, that the grid touches when its middle lies from `lowest` to `highest`."""
-    first, _ = grid.pixel_range(centre_px=lowest, pixel_pitch_mrad=pitch, n_pixels=n_pixels)
-    _, stop = grid.pixel_range(centre_px=highest, pixel_pitch_mrad=pitch, n_pixels=n_pixels)
+    first, stop = grid.pixel_range(centre_px=lowest, pixel_pitch_mrad=pitch, n_pixels=n_pixels)
+    if highest > lowest:
+        _, stop = grid.pixel_range(centre_px=highest, pixel_pitch_mrad=pitch, n_pixels=n_pixels)
     return first, stop
 
 

@@ -165,7 +165,8 @@ def trial_viewing(scoring: Scoring, trial: Trial, readout: Readout | None) -> Tr
     if readout is None and scoring.decisions == "expected":
         raise SettingsError("decisions: found 'expected', but this observer is not linear; expected 'sampled'")
     observer = scoring.plan.observer_of(trial.stimulus)
-    rng = np.random.default_rng(np.random.SeedSequence(scoring.seed, spawn_key=(TRIAL_STREAMS, trial.number)))
+    stream = np.random.SeedSequence(scoring.seed, spawn_key=(TRIAL_STREAMS, trial.number))
+    rng = np.random.Generator(np.random.PCG64(stream))
     displaced = _displacements(scoring, trial, rng, observer.position_jitter_samples)
     grid = observer.grid(trial.stimulus) if readout is None else readout.grid
     return TrialViewing(observer, grid, displaced, rng, readout)
@@ -191,16 +192,18 @@ def see(
     reading_s = (time.perf_counter() - started) / len(ways)
     displaced, is_sampled = viewing.displacement_samples, scoring.decisions == "sampled"
     state = viewing.rng.bit_generator.state if is_sampled else {}
+    places: list[tuple[float, float]] = list(map(tuple, displaced.tolist()))
     seen = []
     for shown in ways:
         started = time.perf_counter()
-        scores = deviations = np.full((len(displaced), 4), np.nan)
         answer = NO_ANSWER
-        if viewing.readout is not None:
-            pairs = [_scores(viewing.readout, retina_image(shown, viewing.grid, (dx, dy))) for dx, dy in displaced]
+        if viewing.readout is None:
+            scores = deviations = np.full((len(places), 4), np.nan)
+        else:
+            pairs = [_scores(viewing.readout, retina_image(shown, viewing.grid, place)) for place in places]
             scores, deviations = (np.array(part) for part in zip(*pairs, strict=True))
         if is_sampled:
-            image = retina_image(shown, viewing.grid, (displaced[0, 0], displaced[0, 1]))
+            image = retina_image(shown, viewing.grid, places[0])
             viewing.rng.bit_generator.state = state
             answer = viewing.observer.respond(image, trial.stimulus, viewing.rng).quarter_turns
         seconds = reading_s + time.perf_counter() - started
