@@ -22,14 +22,14 @@ def ratio(frequency: float, luminance: float) -> float:
 
 
 def test_ratios_are_those_of_another_program() -> None:
-    """Ratios to 50 cd/m² at 1, 4, 8, 16 and 32 cycles/degree, by independent code of the formula, to two digits."""
-    others = {
+    """Ratios to 50 cd/m² at 1, 4, 8, 16 and 32 cycles/degree, by other code of the formula, to two digits."""
+    found_by_others = {
         1.0: (0.67, 0.23, 0.13, 0.08, 0.05),
         10.0: (0.98, 0.66, 0.54, 0.45, 0.37),
         100.0: (0.98, 1.10, 1.17, 1.25, 1.32),
         300.0: (0.95, 1.20, 1.36, 1.53, 1.72),
     }
-    for luminance, expected in others.items():
+    for luminance, expected in found_by_others.items():
         found = [ratio(f, luminance) / ratio(f, 50.0) for f in (1.0, 4.0, 8.0, 16.0, 32.0)]
         assert found == pytest.approx(expected, abs=0.0051)
 
