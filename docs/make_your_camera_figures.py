@@ -1,7 +1,7 @@
 """Makes the pictures of your_camera.md: python docs/make_your_camera_figures.py [FOLDER].
 
-Pictures go to FOLDER/your_camera; by default FOLDER is that of this script. The chart is the one of the recording
-in sample_frames/filmed_chart.
+Pictures go to FOLDER/your_camera; by default FOLDER is that of this script. The chart has the triangles of
+the recording in sample_frames/filmed_chart, and more markers.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def main(folder: Path) -> None:
         )
         cv2.imwrite(str(folder / "frame.png"), large)
         dataset = tod.import_recordings(
-            SAMPLE / "recording", out=Path(made) / "camera", chart=chart / "chart.toml", frames_per_second=20
+            SAMPLE / "recording", out=Path(made) / "camera", chart=SAMPLE / "chart.toml", frames_per_second=20
         )
         tod.score(dataset.path).plot_tod().figure.savefig(folder / "tod_curve.png")
 

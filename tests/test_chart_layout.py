@@ -38,6 +38,7 @@ MARKERS = Markers(
     top_right=Point(x_mm=450.0, y_mm=30.0),
     bottom_right=Point(x_mm=450.0, y_mm=240.0),
     bottom_left=Point(x_mm=30.0, y_mm=240.0),
+    borders=(Point(x_mm=170.0, y_mm=30.0), Point(x_mm=310.0, y_mm=240.0)),
 )
 TRIANGLE = Triangle(
     orientation=Orientation.UP, size_mrad=2.0, size_mm=20.0, contrast=0.1, x_mm=240.125, y_mm=135.0
@@ -55,6 +56,7 @@ CHART = Chart(
             file="pages/0001.png",
             triangles=(replace(TRIANGLE, contrast=1.0 / 3.0, contrast_asked=0.3, dithered=True),),
             patches=(Patch(x_mm=1.0, y_mm=2.0, width_mm=3.0, height_mm=4.0, luminance_cd_m2=5.0),),
+            borders=(1,),
         ),
     ),
     markers=MARKERS,
@@ -122,6 +124,10 @@ def test_key_depends_on_the_content_alone() -> None:
         ("side_mm = 40.0", "side_mm = 70.0", r"\[markers\]: top_left: reaches beyond the page"),
         ("top_left = {x_mm = 30.0", "top_left = {x_mm = 450.0", "markers that overlap or are exchanged"),
         ("top_left = {x_mm = 30.0", "top_left = {x_m = 30.0", "top_left: unknown key 'x_m'"),
+        ("{x_mm = 170.0", "{x_mm = 60.0", r"\[markers\]: borders: found markers that overlap"),
+        ("{x_mm = 310.0, y_mm = 240.0}", "{x_mm = 310.0, y_mm = 260.0}", "borders: reaches beyond the page"),
+        ("{x_mm = 170.0", "{x_m = 170.0", "borders: unknown key 'x_m'"),
+        ("borders = [1]", "borders = [2]", r"number 1: borders: found \(2,\), expected numbers below 2"),
         ("bits = 8", "bits = 9", "bits: found 9"),
         ('eotf = "srgb"', 'eotf = "gamma"', r"\[screen\]: gamma: is missing"),
         ('eotf = "srgb"', 'eotf = "lut"\nlut = [[0.0], [1.0]]', "lut: found 1 rows"),
@@ -173,6 +179,50 @@ def test_ids_of_no_single_page() -> None:
         markers.marker_ids(0, 250)
     with pytest.raises(SettingsError, match="marker: found 1000"):
         markers.marker_bits(1000)
+
+
+def test_markers_along_the_borders_are_like_no_other() -> None:
+    """In any turn, mirrored or not: a search that reads two modules wrong takes none for another."""
+    dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_5X5_1000)
+    original = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_ARUCO_ORIGINAL)
+    corners = [cv2.aruco.generateImageMarker(dictionary, k, 7)[1:-1, 1:-1] for k in range(1000)]
+    borders = [cv2.aruco.generateImageMarker(original, k, 7)[1:-1, 1:-1] for k in markers.BORDER_IDS]
+    assert len({*markers.BORDER_IDS}) == 8
+    for k, one in enumerate(borders):
+        others = [other for n, other in enumerate(borders) if n != k]
+        for turn in range(4):
+            turned = np.rot90(one, turn)
+            assert min(np.count_nonzero(turned != other) for other in corners) >= 5
+            assert min(np.count_nonzero(turned != other) for other in others) >= 9
+            assert turn == 0 or np.count_nonzero(turned != one) >= 8
+        drawn = markers.page_markers(7, 3, n_borders=8)[4 + k]
+        np.testing.assert_array_equal(drawn[1:-1, 1:-1], one > 0)
+
+
+@pytest.mark.parametrize("free_mm", [60.0, 150.0, 190.0, 300.0])
+def test_markers_along_the_borders_keep_the_middle_free(free_mm: float) -> None:
+    corners = Markers.in_corners(width_mm=480.0, height_mm=270.0, module_mm=5.0, margin_mm=5.0)
+    laid = corners.with_borders(free_mm=free_mm, step_mm=0.25)
+    assert len(laid.borders) == (4 if free_mm == 300.0 else 8)
+    assert laid.borders_beside(free_mm) == tuple(range(len(laid.borders)))
+    middle, reach_mm = np.array([240.0, 135.0]), 22.5  # half a marker and its white border
+    gaps = np.abs(laid.all_centres_mm - middle).max(axis=1) - reach_mm - free_mm / 2.0
+    assert gaps.min() >= 0.0
+    if free_mm <= 160.0:  # the middle square ends where the rows of markers begin: thirds
+        np.testing.assert_allclose(laid.all_centres_mm[4], [27.5 + 425.0 / 3.0, 27.5], atol=0.25)
+    apart = np.abs(laid.all_centres_mm[:, None] - laid.all_centres_mm).max(axis=-1)
+    assert (apart + 1e3 * np.eye(len(apart))).min() >= 50.0  # 45 mm with the white borders, 5 mm of background
+    # Wider squares than the markers were laid out for: those that reach into them are known.
+    wide = laid.borders_beside(260.0)
+    assert wide == (
+        ()
+        if not laid.borders
+        else tuple(
+            k
+            for k, gap in enumerate(np.abs(laid.all_centres_mm[4:] - middle).max(axis=1) - reach_mm)
+            if gap >= 130.0
+        )
+    )
 
 
 def test_bits_are_those_that_opencv_detects() -> None:

@@ -138,6 +138,7 @@ def test_tutorial(folder: Path, capsys) -> None:
 # Files that a page tells its reader to save, by the number of the block that holds them.
 SAVED = {
     "charts.md": ("patches.csv", "text", 1),
+    "field_range.md": ("mrtd.csv", "text", 0),
     "fit_counts.md": ("counts.csv", "text", 0),
     "own_enhancement.md": ("my_enhancements.py", "python", 0),
 }
@@ -148,6 +149,7 @@ HOW_TO = [
     "compare_algorithms.md",
     "simulate_sensor.md",
     "sweep.md",
+    "field_range.md",
     "fit_counts.md",
     "own_enhancement.md",
 ]

@@ -9,12 +9,14 @@ import numpy as np
 import pytest
 
 from todframes.base.errors import DataError
+from todframes.charts.layout import Point
 from todframes.charts.markers import marker_ids
 from todframes.importing.geometry import Geometry, fit_geometry, place_triangle
 from todframes.importing.marker_finder import MarkerFinder
 from todframes.stimulus import ORIENTATIONS, Orientation
 
 CHART = film.make_chart()
+BORDERS = (Point(x_mm=240.0, y_mm=60.0), Point(x_mm=240.0, y_mm=324.0))
 RIGHT_ANGLES = {0: "up", 90: "right", 180: "down", 270: "left"}
 
 
@@ -156,6 +158,30 @@ def test_a_covered_marker_is_no_sighting() -> None:
     finder = MarkerFinder(film.CENTRES_MM, film.SIDE_MM)
     assert finder.look(film.recorded(image)) is None
     assert finder.most_found == 3
+
+
+def test_a_covered_marker_along_the_borders_is_left_out() -> None:
+    """One is covered by grey, another by a white sheet with a black stripe, which has edges and is no marker."""
+    homography = film.camera(tilt=2.5e-4)
+    chart = film.make_chart(borders=BORDERS)
+    image = film.filmed(chart, 3, homography)
+    whole = MarkerFinder(chart.markers.all_centres_mm, film.SIDE_MM).look(film.recorded(image))
+    assert whole is not None and np.isfinite(whole.edges.shifts_px).all()
+    for covered, stripe in ((0, None), (1, 0.05)):
+        x, y = mapped(homography, chart.markers.all_centres_mm[4 + covered : 5 + covered])[0].round().astype(int)
+        hidden = image.copy()
+        hidden[y - 30 : y + 30, x - 30 : x + 30] = 0.5 if stripe is None else 1.0
+        if stripe is not None:
+            hidden[y - 22 : y + 22, x - 22 : x + 22] = stripe
+        finder = MarkerFinder(chart.markers.all_centres_mm, film.SIDE_MM)
+        seen = finder.look(film.recorded(hidden))
+        assert seen is not None and seen.ids == marker_ids(3, chart.key)
+        shown = np.isfinite(seen.edges.shifts_px).reshape(6, -1)
+        assert shown.all(axis=1).tolist() == [k != 4 + covered for k in range(6)]
+        assert shown.any(axis=1).tolist() == shown.all(axis=1).tolist()
+        np.testing.assert_allclose(
+            seen.geometry.to_px(film.MIDDLE_MM), mapped(homography, [film.MIDDLE_MM])[0], atol=0.05
+        )
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.float32])

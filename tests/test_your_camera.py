@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from todframes.charts.layout import read_chart
 from todframes.cli.console import run
 from todframes.cli.main import cli
 
@@ -46,7 +47,9 @@ def test_commands_do_what_the_page_shows(tmp_path, monkeypatch, capsys) -> None:
         assert program == "todframes" and run(cli, arguments) == 0
         streams = capsys.readouterr()
         shown.append(words(streams.err + streams.out))
-    assert (tmp_path / "chart" / "chart.toml").read_bytes() == (SAMPLE / "chart.toml").read_bytes()
+    made, filmed = (read_chart(path / "chart.toml") for path in (tmp_path / "chart", SAMPLE))
+    assert [page.triangles for page in made.pages] == [page.triangles for page in filmed.pages]
+    assert made.markers is not None and len(made.markers.borders) == 8
     assert (tmp_path / "result" / "tod_curve.png").is_file()
     assert "warning" not in "".join(shown)
     chart, imported, scored, _ = blocks("text")

@@ -43,6 +43,7 @@ def main(folder: Path) -> None:
             repeats=1,
             pixel_pitch_mm=0.277,
             page_duration_s=0.15,
+            markers="corners",
         )
         chart = Chart.read(Path(made) / "chart")
         folder.mkdir(parents=True, exist_ok=True)

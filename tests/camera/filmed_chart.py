@@ -6,7 +6,6 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 
 from todframes.charts.layout import Chart, Markers, Page, Point, Screen, Triangle
-from todframes.charts.markers import marker_bits, marker_ids
 from todframes.stimulus import ORIENTATIONS, vertices
 
 ROWS, COLUMNS = 256, 320
@@ -17,7 +16,9 @@ BACKGROUND = 0.5
 SAMPLES = 4
 
 
-def make_chart(contrasts: tuple[float, ...] = (0.1, 0.3), name: str = "filmed") -> Chart:
+def make_chart(
+    contrasts: tuple[float, ...] = (0.1, 0.3), name: str = "filmed", borders: tuple[Point, ...] = ()
+) -> Chart:
     pages = []
     for number, (contrast, orientation) in enumerate((c, o) for c in contrasts for o in ORIENTATIONS):
         one = Triangle(
@@ -38,7 +39,7 @@ def make_chart(contrasts: tuple[float, ...] = (0.1, 0.3), name: str = "filmed") 
         page_width_mm=WIDTH_MM,
         page_height_mm=HEIGHT_MM,
         pages=tuple(pages),
-        markers=Markers(side_mm=SIDE_MM, **dict(zip(names, corners, strict=True))),
+        markers=Markers(side_mm=SIDE_MM, borders=borders, **dict(zip(names, corners, strict=True))),
         screen=Screen(
             width_px=1200, height_px=960, pixel_pitch_mm=0.4, background_luminance_cd_m2=50.0, page_duration_s=0.5
         ),
@@ -73,8 +74,8 @@ def filmed(chart: Chart, page: int, homography: np.ndarray, *, blur_px: float = 
     x_mm, y_mm = grid[..., 0] / grid[..., 2], grid[..., 1] / grid[..., 2]
     image = np.full(x_mm.shape, 0.02)
     image[(x_mm > 0) & (x_mm < WIDTH_MM) & (y_mm > 0) & (y_mm < HEIGHT_MM)] = BACKGROUND
-    for (at_x, at_y), marker in zip(CENTRES_MM, marker_ids(page, chart.key), strict=True):
-        shown = np.pad(np.where(marker_bits(marker), 1.0, 0.05), 1, constant_values=1.0)
+    for bits, (at_x, at_y) in chart.drawn_markers(chart.pages[page]):
+        shown = np.pad(np.where(bits, 1.0, 0.05), 1, constant_values=1.0)
         column, row = (
             np.floor((at - centre) / (SIDE_MM / 7) + 4.5).astype(int)
             for at, centre in ((x_mm, at_x), (y_mm, at_y))

@@ -18,11 +18,13 @@ _ARGUMENT = re.compile("\x1a([a-z0-9_]+)\x1a")
 """Pattern of an argument in the text of an error."""
 _FLAGS = {
     "integration_time_s": "--integration-time",
+    "luminance_cd_m2": "--luminance",
     "dither": "--no-dither",
     "time_limit_s": "--time-limit",
     "patches": "--patch",
     "pattern": "--from",
     "rng": "--seed",
+    "search_time_s": "--search-time",
     "value_range": "--range",
 }
 """Options of the command line whose names are not those of the arguments."""

@@ -19,10 +19,15 @@ from todframes.base.errors import SettingsError
 from todframes.base.reading import check_values
 from todframes.charts.layout import LARGEST_ON_CHART, Length, Triangle
 from todframes.charts.markers import MOST_PAGES
+from todframes.frames.surround import REACH_IN_SIZES
 from todframes.stimulus import ORIENTATIONS, Orientation
 
 FIELD_PER_SIZE = 5.0
 """Side of the square around a triangle that is kept free, in sizes: the width of the observer's field."""
+
+SURROUND_PER_SIZE = 2.0 * REACH_IN_SIZES
+"""Side of the square around a triangle that markers along the borders keep free, in sizes: its background is
+measured there."""
 
 
 class Condition(NamedTuple):

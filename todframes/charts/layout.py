@@ -15,11 +15,12 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 from msgspec import Meta
+from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError
 from todframes.base.reading import MAX_TOML_MB, check_keys, check_values, from_table, read_toml, toml_text
-from todframes.charts.markers import CORNERS, MODULES, MOST_PAGES, N_DIGITS
+from todframes.charts.markers import BORDER_IDS, CORNERS, MODULES, MOST_PAGES, N_DIGITS, page_markers
 from todframes.display.display import Display, Eotf, LuminanceTable
 from todframes.stimulus import Orientation
 
@@ -33,6 +34,9 @@ ChartKind = Literal["screen", "print", "thermal"]
 SIZE_TOLERANCE = 1e-3
 """Largest relative difference between size_mm and size_mrad · distance_m."""
 
+GRID_TOLERANCE = 1e-6
+"""Part of a step by which a place on a grid may be off by rounding."""
+
 LARGEST_ON_CHART = 1e6
 """Largest length in mm or m, size in mrad or ΔT in K; a larger one is a mistake."""
 
@@ -41,6 +45,9 @@ Length = Annotated[float, Meta(ge=1.0 / LARGEST_ON_CHART, le=LARGEST_ON_CHART)]
 Place = Annotated[float, Meta(ge=0.0, le=LARGEST_ON_CHART)]
 
 Bits = Literal[8, 10]
+
+MarkerPlaces = Literal["borders", "corners"]
+"""Places of the markers of a new chart: in the corners and along the borders, or in the corners alone."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -56,20 +63,24 @@ class Point:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Markers:
-    """The ArUco markers in the corners of all pages.
+    """The ArUco markers in the corners and along the borders of all pages.
 
     Attributes
     ----------
     dictionary : {"5x5_1000"}
+        Dictionary of the markers in the corners.
     side_mm : float
         Side of a marker with its black border, > 0.
     top_left, top_right, bottom_right, bottom_left : Point
-        Centre of each marker.
+        Centre of each marker in a corner.
+    borders : tuple of Point
+        Centre of each marker along the borders, in the order of `BORDER_IDS`. Charts made before
+        there were such markers have none.
 
     Raises
     ------
     SettingsError
-        If a value is out of range, or the corners are not where their names say.
+        If a value is out of range, the corners are not where their names say, or markers overlap.
     """
 
     side_mm: Length
@@ -78,6 +89,7 @@ class Markers:
     bottom_right: Point
     bottom_left: Point
     dictionary: Literal["5x5_1000"] = "5x5_1000"
+    borders: tuple[Point, ...] = ()
 
     def __post_init__(self) -> None:
         check_values(self)
@@ -90,6 +102,11 @@ class Markers:
                 "top_left, top_right, bottom_right, bottom_left: found markers that overlap or are exchanged, "
                 "expected each in the corner of its name, at least side_mm apart"
             )
+        if len(self.borders) > len(BORDER_IDS):
+            raise SettingsError(f"borders: found {len(self.borders)} markers, expected {len(BORDER_IDS)} at most")
+        apart = np.abs(self.all_centres_mm[:, None] - self.all_centres_mm).max(axis=-1)
+        if (apart + np.diag([np.inf] * len(apart)) < self.side_mm).any():
+            raise SettingsError("borders: found markers that overlap, expected all at least side_mm apart")
 
     @classmethod
     def in_corners(cls, *, width_mm: float, height_mm: float, module_mm: float, margin_mm: float) -> Markers:
@@ -106,9 +123,55 @@ class Markers:
 
     @property
     def centres_mm(self) -> FloatArray:
-        """Centres (x, y) in the order of `CORNERS`, shape (4, 2)."""
-        points = (getattr(self, corner) for corner in CORNERS)
+        """Centres (x, y) of those in the corners in the order of `CORNERS`, shape (4, 2)."""
+        return self.all_centres_mm[: len(CORNERS)]
+
+    @property
+    def all_centres_mm(self) -> FloatArray:
+        """Centres (x, y): those in the corners in the order of `CORNERS`, then along the borders, shape (n, 2)."""
+        points = [*(getattr(self, corner) for corner in CORNERS), *self.borders]
         return np.array([(point.x_mm, point.y_mm) for point in points])
+
+    def with_borders(self, *, free_mm: float, step_mm: float) -> Markers:
+        """Return the markers with two more along each side of the page, at thirds between the corners.
+
+        A square in the middle of the page stays free of them: where they would reach into it, they stand nearer to
+        the corners, and a side that has no place for them has none.
+
+        Parameters
+        ----------
+        free_mm : float
+            Side of the square.
+        step_mm : float
+            Distances from the corners are multiples of it, > 0.
+        """
+        # A module of white about each, and one of background between: all edges have the same neighbours.
+        reach_mm, apart_mm = (0.5 + 1.0 / MODULES) * self.side_mm, (1.0 + 3.0 / MODULES) * self.side_mm
+        corners = self.centres_mm
+        (left, top), (right, bottom) = corners[0].tolist(), corners[2].tolist()
+        places: list[tuple[float, float]] = []
+        for length, across, is_row in ((right - left, bottom - top, True), (bottom - top, right - left, False)):
+            from_corner = length / 3.0
+            if across / 2.0 - reach_mm < free_mm / 2.0:
+                from_corner = min(from_corner, (length - free_mm) / 2.0 - reach_mm)
+            from_corner = math.floor(from_corner / step_mm + GRID_TOLERANCE) * step_mm
+            if (
+                apart_mm <= from_corner + GRID_TOLERANCE * step_mm
+                and from_corner <= length - from_corner - apart_mm
+            ):
+                along = (from_corner, length - from_corner)
+                if is_row:
+                    places += [(left + one, y) for y in (top, bottom) for one in along]
+                else:
+                    places += [(x, top + one) for x in (left, right) for one in along]
+        return replace(self, borders=tuple(Point(x_mm=x, y_mm=y) for x, y in places))
+
+    def borders_beside(self, free_mm: float) -> tuple[int, ...]:
+        """Return the numbers of the markers along the borders that a square in the middle stays free of."""
+        corners, borders = np.split(self.all_centres_mm, [len(CORNERS)])
+        away_mm = np.abs(borders - corners.mean(axis=0)).max(axis=1, initial=0.0)
+        away_mm = away_mm - (0.5 + 1.0 / MODULES) * self.side_mm + GRID_TOLERANCE
+        return tuple(np.flatnonzero(away_mm >= free_mm / 2.0).tolist())
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -198,7 +261,8 @@ class Patch:
 class Page:
     """A page of a chart: an image on the monitor, a sheet of paper, or a setting of the plate.
 
-    `file` is its path in the chart's folder; None for a setting of the plate.
+    `file` is its path in the chart's folder; None for a setting of the plate. `borders` are the numbers of the
+    markers along the borders that it has; None for all.
 
     Raises
     ------
@@ -210,6 +274,7 @@ class Page:
     triangles: tuple[Triangle, ...]
     patches: tuple[Patch, ...] = ()
     file: str | None = None
+    borders: tuple[Annotated[int, Meta(ge=0, lt=len(BORDER_IDS))], ...] | None = None
 
     def __post_init__(self) -> None:
         check_values(self)
@@ -338,7 +403,8 @@ class Chart:
                 _check_equal(name, getattr(self, name), pixels * self.screen.pixel_pitch_mm, "the pixels give")
         if self.markers is not None:
             half = self.markers.side_mm / 2.0
-            for name, (x, y) in zip(CORNERS, self.markers.centres_mm, strict=True):
+            names = [*CORNERS, *("borders" for _ in self.markers.borders)]
+            for name, (x, y) in zip(names, self.markers.all_centres_mm, strict=True):
                 if min(x, self.page_width_mm - x, y, self.page_height_mm - y) < half:
                     raise SettingsError(f"[markers]: {name}: reaches beyond the page, expected it on the page")
         for place, page in enumerate(self.pages):
@@ -347,6 +413,9 @@ class Chart:
                 raise SettingsError(f"{where}: number: found {page.number}, expected {place}")
             if self.kind == "screen" and page.file is None:
                 raise SettingsError(f"{where}: file is missing")
+            n_borders = 0 if self.markers is None else len(self.markers.borders)
+            if any(number >= n_borders for number in page.borders or ()):
+                raise SettingsError(f"{where}: borders: found {page.borders}, expected numbers below {n_borders}")
             for one in page.triangles:
                 self._check_triangle(one, where)
 
@@ -369,6 +438,15 @@ class Chart:
     def level(self) -> str:
         """Name of the stimulus strength: contrast, or delta_t_k for a thermal chart."""
         return "delta_t_k" if self.kind == "thermal" else "contrast"
+
+    def drawn_markers(self, page: Page) -> list[tuple[NDArray[np.bool_], FloatArray]]:
+        """Return the modules of each marker of a page, (7, 7), with its centre (x, y) in mm."""
+        if self.markers is None:
+            return []
+        bits = page_markers(page.number, self.key, n_borders=len(self.markers.borders))
+        numbers = range(len(self.markers.borders)) if page.borders is None else page.borders
+        shown = [*range(len(CORNERS)), *(len(CORNERS) + number for number in numbers)]
+        return [(bits[number], self.markers.all_centres_mm[number]) for number in shown]
 
     def with_key(self) -> Chart:
         """Return the chart with the key that a hash of its content gives."""
@@ -415,6 +493,9 @@ def read_chart(path: Path | str) -> Chart:
         table = dict(_table(content["markers"], where))
         for corner in set(CORNERS) & table.keys():
             table[corner] = _made(table[corner], Point, f"{where}: {corner}")
+        if "borders" in table:
+            points = _list(table["borders"], f"{where}: borders")
+            table["borders"] = tuple(_made(one, Point, f"{where}: borders") for one in points)
         content["markers"] = from_table(table, Markers, where)
     if "pages" in content:
         pages = _list(content["pages"], f"{path}: pages")
@@ -485,10 +566,12 @@ def chart_toml(chart: Chart) -> str:
     if chart.markers is not None:
         names = ("dictionary", "side_mm", *CORNERS)
         content["markers"] = {name: _plain(getattr(chart.markers, name)) for name in names}
+        content["markers"]["borders"] = [*map(_plain, chart.markers.borders)] or None
     content["pages"] = [
         {
             "number": page.number,
             "file": page.file,
+            "borders": page.borders,
             "triangles": [*map(_plain, page.triangles)] or None,
             "patches": [*map(_plain, page.patches)] or None,
         }

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import fields
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from todframes.base.errors import SettingsError
 from todframes.base.output import new_folder
 from todframes.base.reading import convert, from_table
 from todframes.base.seeds import Rng, seed_of
 from todframes.charts.design import Design
-from todframes.charts.layout import CHART_FILE, Chart, ChartKind, Screen
+from todframes.charts.layout import CHART_FILE, Chart, ChartKind, MarkerPlaces, Screen
 from todframes.charts.print import Paper, design_print_chart, write_print_chart
 from todframes.charts.screen import design_screen_chart, write_screen_chart
 from todframes.charts.thermal import Plate, design_thermal_chart, write_thermal_chart
@@ -32,7 +32,7 @@ BACKGROUND_SHARE = 0.25
 """Background of a monitor relative to white if none is asked for; contrasts reach from -1 to 3."""
 
 SETTINGS: dict[ChartKind, set[str]] = {
-    "screen": {field.name for field in fields(Screen)} | {"display", "marker_mm"},
+    "screen": {field.name for field in fields(Screen)} | {"display", "marker_mm", "markers"},
     "print": {field.name for field in fields(Paper)},
     "thermal": {field.name for field in fields(Plate)},
 }
@@ -87,9 +87,11 @@ def chart(
         Called with the number of pages that were just drawn.
     **settings
         For "screen": `display`, a name or file as for a dataset; `pixel_pitch_mm`, needed unless the display has
-        it; others of the table [screen] of chart.toml; `marker_mm`.
+        it; others of the table [screen] of chart.toml; `marker_mm`, `markers`.
         For "print": `paper_width_mm`, `paper_height_mm`, `margin_mm`, `paper_reflectance`, `black_reflectance`,
-        `reflectances`, `background_reflectance`, `marker_mm`. For "thermal": `plate_mm`.
+        `reflectances`, `background_reflectance`, `marker_mm`, `markers`. For "thermal": `plate_mm`.
+        `markers` is "borders" (default) or "corners": also along the borders, by which `import_recordings` solves
+        a lens, or in the corners alone, as in charts made before there were others.
 
     Returns
     -------
@@ -150,11 +152,12 @@ def _screen(design: Design, settings: Mapping[str, Any], folder: Path, progress:
         table = _of_display(str(display)) | table
     table = SCREEN_DEFAULTS | table
     marker_mm = convert(table.pop("marker_mm", None), float | None, "screen: marker_mm")
+    markers = convert(table.pop("markers", "borders"), MarkerPlaces, "screen: markers")
     white = convert(table["white_luminance_cd_m2"], float, "screen: white_luminance_cd_m2")
     assert isinstance(white, float) and isinstance(marker_mm, float | None)
     table.setdefault("background_luminance_cd_m2", BACKGROUND_SHARE * white)
     screen = from_table(table, Screen, "screen")
-    made = design_screen_chart(design, screen, marker_mm=marker_mm)
+    made = design_screen_chart(design, screen, marker_mm=marker_mm, markers=cast("MarkerPlaces", markers))
     write_screen_chart(folder, made, progress=progress)
     return made.chart
 

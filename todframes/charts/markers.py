@@ -1,8 +1,9 @@
-"""The markers in the corners of a chart's pages: their ids, which name page and chart, and their drawing.
+"""The markers of a chart's pages, in the corners and along the borders: their ids and their drawing.
 
 The marker at corner k (see `CORNERS`) of a page has the id 4·digit + k, where 0 ≤ digit < 250. The digits are the
 page's number modulo 250, the number divided by 250, again the number modulo 250, and the key of the chart. So each
-marker states its corner, and a blend of two pages is noticed: it has markers of both.
+marker states its corner, and a blend of two pages is noticed: it has markers of both. Markers along the borders
+state their place alone, are the same on all pages, and come from another dictionary.
 """
 
 from __future__ import annotations
@@ -19,6 +20,13 @@ CORNERS = ("top_left", "top_right", "bottom_right", "bottom_left")
 
 DICTIONARY = "5x5_1000"
 """Name of the markers' dictionary in chart.toml; OpenCV calls it DICT_5X5_1000."""
+
+BORDER_DICTIONARY = "aruco_original"
+"""Name of the dictionary of the markers along the borders; OpenCV calls it DICT_ARUCO_ORIGINAL."""
+
+BORDER_IDS = (27, 72, 480, 533, 617, 638, 847, 955)
+"""Ids of the markers along the borders, in their order in chart.toml. In any turn they differ in five modules or
+more from all markers of `DICTIONARY`, as these do from each other, and in nine from one another."""
 
 MODULES = 7
 """Side of a marker in modules, its black border of one module included."""
@@ -67,9 +75,32 @@ def marker_bits(marker: int) -> NDArray[np.bool_]:
     SettingsError
         If the dictionary has no such marker.
     """
-    import cv2
-
     if not 0 <= marker < 4 * N_DIGITS:
         raise SettingsError(f"marker: found {marker!r}, expected a whole number from 0 to {4 * N_DIGITS - 1}")
-    dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_5X5_1000)
-    return np.asarray(cv2.aruco.generateImageMarker(dictionary, marker, MODULES)) > 0
+    return _bits(DICTIONARY, marker)
+
+
+def page_markers(page: int, key: int, *, n_borders: int) -> list[NDArray[np.bool_]]:
+    """Return the modules of all markers of a page: those in the corners, then those along the borders.
+
+    Parameters
+    ----------
+    page, key : int
+        As in `marker_ids`.
+    n_borders : int
+        Number of markers along the borders, 0 to 8.
+
+    Raises
+    ------
+    SettingsError
+        If the page or the key is out of its range.
+    """
+    corners = [marker_bits(marker) for marker in marker_ids(page, key)]
+    return corners + [_bits(BORDER_DICTIONARY, marker) for marker in BORDER_IDS[:n_borders]]
+
+
+def _bits(dictionary: str, marker: int) -> NDArray[np.bool_]:
+    import cv2
+
+    of_opencv = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{dictionary.upper()}"))
+    return np.asarray(cv2.aruco.generateImageMarker(of_opencv, marker, MODULES)) > 0

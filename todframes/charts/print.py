@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+import textwrap
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -20,12 +21,14 @@ from todframes.charts.layout import (
     CHART_FILE,
     Chart,
     Length,
+    MarkerPlaces,
     Markers,
     Page,
     Patch,
+    Point,
     write_chart,
 )
-from todframes.charts.markers import MODULES, marker_bits, marker_ids
+from todframes.charts.markers import MODULES
 from todframes.charts.page_drawing import Drawing, Outline, Shape, Text, area, pdf, rectangle, svg
 from todframes.display.display import srgb_to_linear
 from todframes.stimulus import vertices
@@ -50,6 +53,13 @@ RULER_MM, RULER_STEP_MM, LEAST_RULER_MM = 200.0, 10.0, 50.0
 
 TICK_MM, LINE_MM = 3.0, 0.2
 
+MOST_BESIDE = 2.0 / 3.0
+"""Farthest place of the marker in the band below, on the way from the left corner to the right one."""
+
+LETTER_MM, LETTER_WIDTH, SMALLER = 3.0, 0.55, 0.95
+"""Largest height of a letter, the mean width of letters in heights, and the factor from a height to the next one
+that is tried."""
+
 LINE_SPACING = 1.3
 """Distance of lines of text in heights of a letter."""
 
@@ -61,6 +71,9 @@ LEAST_PRINTED_SIZE_MM = 2.0
 PaperLength = Annotated[float, Meta(ge=10.0, le=2000.0)]
 
 Reflectance = Annotated[float, Meta(ge=0.0, le=2.0)]
+
+Parts = tuple[tuple[float, float], ...]
+"""Parts of a band between markers, (left, width) each, in mm."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -81,6 +94,8 @@ class Paper:
         Reflectance around the triangles.
     marker_mm : float or None
         Side of the markers. Default: 8 % of the smaller side of the sheet.
+    markers : {"borders", "corners"}
+        Markers in the corners, and one each in the bands above and below; or in the corners alone.
 
     Raises
     ------
@@ -96,6 +111,7 @@ class Paper:
     reflectances: str | None = None
     background_reflectance: Reflectance = 0.3
     marker_mm: Length | None = None
+    markers: MarkerPlaces = "borders"
 
     def __post_init__(self) -> None:
         check_values(self)
@@ -134,7 +150,11 @@ class PrintChart:
 
 @dataclass(frozen=True, slots=True)
 class _Sheet:
-    """The parts of a sheet: markers in the corners, a grey field, and bands above and below it."""
+    """The parts of a sheet: markers, a grey field, and bands above and below it.
+
+    A marker in each band leaves two parts of it, (left, width) each; narrow sheets have one part and no such
+    marker.
+    """
 
     markers: Markers
     band_mm: float
@@ -142,13 +162,13 @@ class _Sheet:
     top_mm: float
     width_mm: float
     height_mm: float
-    inner_left_mm: float
-    inner_width_mm: float
+    above_mm: Parts
+    below_mm: Parts
 
     @property
     def ruler_mm(self) -> float:
-        """Length of the ruler between the markers."""
-        return min(RULER_MM, math.floor(self.inner_width_mm / LEAST_RULER_MM) * LEAST_RULER_MM)
+        """Length of the ruler, in the first part of the band below."""
+        return _ruler_mm(self.below_mm[0][1])
 
 
 def design_print_chart(design: Design, paper: Paper) -> PrintChart:
@@ -264,6 +284,24 @@ def _sheet(paper: Paper) -> _Sheet:
             f"{marker_mm:g} mm and margins of {margin_mm:g} mm; expected larger paper or smaller markers"
         )
     markers = Markers.in_corners(width_mm=width_mm, height_mm=height_mm, module_mm=module_mm, margin_mm=margin_mm)
+    inner_mm = margin_mm + band_mm + GAP_MM, width_mm - margin_mm - band_mm - GAP_MM
+    beside_mm = band_mm / 2.0 + GAP_MM
+    # The marker below stands beside the ruler, between the thirds of the sheet: as good as the middle.
+    left, right = markers.top_left.x_mm, markers.top_right.x_mm
+    ruler_mm = _ruler_mm(left + MOST_BESIDE * (right - left) - beside_mm - inner_mm[0])
+    above: Parts = ((inner_mm[0], inner_width_mm),)
+    below = above
+    if paper.markers == "borders" and ruler_mm >= LEAST_RULER_MM:
+        x_above_mm, x_below_mm = width_mm / 2.0, max(width_mm / 2.0, inner_mm[0] + ruler_mm + beside_mm)
+        above, below = (
+            ((inner_mm[0], x - beside_mm - inner_mm[0]), (x + beside_mm, inner_mm[1] - x - beside_mm))
+            for x in (x_above_mm, x_below_mm)
+        )
+        borders = (
+            Point(x_mm=x_above_mm, y_mm=markers.top_left.y_mm),
+            Point(x_mm=x_below_mm, y_mm=markers.bottom_left.y_mm),
+        )
+        markers = replace(markers, borders=borders)
     return _Sheet(
         markers=markers,
         band_mm=band_mm,
@@ -271,9 +309,14 @@ def _sheet(paper: Paper) -> _Sheet:
         top_mm=margin_mm + band_mm + GAP_MM,
         width_mm=width_mm - 2.0 * margin_mm,
         height_mm=field_height_mm,
-        inner_left_mm=margin_mm + band_mm + GAP_MM,
-        inner_width_mm=inner_width_mm,
+        above_mm=above,
+        below_mm=below,
     )
+
+
+def _ruler_mm(room_mm: float) -> float:
+    """Return the length of the longest ruler that has room; 0 if there is none."""
+    return min(RULER_MM, max(0.0, math.floor(room_mm / LEAST_RULER_MM) * LEAST_RULER_MM))
 
 
 def _places(design: Design, size_mrad: float, sheet: _Sheet) -> list[tuple[float, float]]:
@@ -309,17 +352,22 @@ def _patches(
 ) -> tuple[tuple[Patch, ...], list[int]]:
     """Return the grey patches of every sheet, from left to right, and their code values."""
     codes = [background_code, *np.linspace(0, WHITE, N_PATCHES - 1).round().astype(int).tolist()]
-    pitch_mm = sheet.inner_width_mm / N_PATCHES
+    n_in_part = N_PATCHES // len(sheet.above_mm)
     height_mm = 0.7 * sheet.band_mm
+    slots = [
+        (left + k * width / n_in_part, width / n_in_part)
+        for left, width in sheet.above_mm
+        for k in range(n_in_part)
+    ]
     patches = tuple(
         Patch(
-            x_mm=sheet.inner_left_mm + (k + 0.5) * pitch_mm,
+            x_mm=left + pitch_mm / 2.0,
             y_mm=paper.margin_mm + height_mm / 2.0,
             width_mm=pitch_mm,
             height_mm=height_mm,
             reflectance=float(f"{reflectance[code]:.6g}"),
         )
-        for k, code in enumerate(codes)
+        for (left, pitch_mm), code in zip(slots, codes, strict=True)
     )
     return patches, codes
 
@@ -329,12 +377,11 @@ def _marker_shapes(chart: Chart, page: Page) -> list[Shape]:
     side_mm = chart.markers.side_mm
     module_mm = side_mm / MODULES
     shapes: list[Shape] = []
-    ids = marker_ids(page.number, chart.key)
-    for marker, (x_mm, y_mm) in zip(ids, chart.markers.centres_mm.tolist(), strict=True):
+    for bits, centre_mm in chart.drawn_markers(page):
+        x_mm, y_mm = centre_mm.tolist()
         left, top = x_mm - side_mm / 2.0, y_mm - side_mm / 2.0
         shapes.append(rectangle(left, top, side_mm, side_mm, 0))
         # Runs of white modules along rows and along columns: where they only touch, programs may show a line.
-        bits = marker_bits(marker)
         for row, start, stop in _runs(bits):
             place = left + start * module_mm, top + row * module_mm
             shapes.append(rectangle(*place, (stop - start) * module_mm, module_mm, WHITE))
@@ -364,7 +411,7 @@ def _patch_shapes(page: Page, codes: list[int]) -> list[Shape]:
 
 def _ruler(sheet: _Sheet) -> list[Shape]:
     """Return the ruler below the grey field; the left edge of each tick is its mark."""
-    left, top = sheet.inner_left_mm, sheet.top_mm + sheet.height_mm + GAP_MM
+    left, top = sheet.below_mm[0][0], sheet.top_mm + sheet.height_mm + GAP_MM
     ticks = range(round(sheet.ruler_mm / RULER_STEP_MM) + 1)
     return [
         rectangle(left, top + TICK_MM, sheet.ruler_mm, LINE_MM, 0),
@@ -373,7 +420,7 @@ def _ruler(sheet: _Sheet) -> list[Shape]:
 
 
 def _text(chart: Chart, page: Page, sheet: _Sheet, contrasts: str) -> list[Shape]:
-    """Return the lines of text below the ruler."""
+    """Return the text in the last part of the band below: beside the ruler, or below it."""
     one = page.triangles[0]
     lines = [
         f"{sheet.ruler_mm:g} mm from the first to the last mark. Print at 100 %, without fitting to the page.",
@@ -381,11 +428,19 @@ def _text(chart: Chart, page: Page, sheet: _Sheet, contrasts: str) -> list[Shape
         f"{chart.distance_m:g} m; {one.size_mrad:g} mrad = {one.size_mm:.4g} mm",
         f"Contrasts of 8-bit greys: {contrasts}. Numbers at the patches are code values; measure the patches.",
     ]
-    top = sheet.top_mm + sheet.height_mm + GAP_MM + TICK_MM + 1.0
-    height_mm = min(3.0, (sheet.band_mm - TICK_MM - 2.0) / len(lines) / LINE_SPACING)
+    below_mm = TICK_MM + 1.0 if len(sheet.below_mm) == 1 else 0.0
+    left, width_mm = sheet.below_mm[-1]
+    top = sheet.top_mm + sheet.height_mm + GAP_MM + below_mm
+    letter_mm, room_mm = LETTER_MM, sheet.band_mm - below_mm - 1.0
+    while True:
+        wrapped = [
+            part for line in lines for part in textwrap.wrap(line, int(width_mm / letter_mm / LETTER_WIDTH))
+        ]
+        if len(wrapped) * LINE_SPACING * letter_mm <= room_mm:
+            break
+        letter_mm *= SMALLER
     return [
-        Text(sheet.inner_left_mm, top + height_mm * (LINE_SPACING * k + 1.0), line, height_mm)
-        for k, line in enumerate(lines)
+        Text(left, top + letter_mm * (LINE_SPACING * k + 1.0), line, letter_mm) for k, line in enumerate(wrapped)
     ]
 
 

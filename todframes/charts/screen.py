@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError, SettingsError, argument
-from todframes.charts.design import FIELD_PER_SIZE, Condition, Design
-from todframes.charts.layout import CHART_FILE, Chart, Markers, Page, Screen, Triangle, write_chart
-from todframes.charts.markers import MODULES, marker_bits, marker_ids
+from todframes.charts.design import FIELD_PER_SIZE, SURROUND_PER_SIZE, Condition, Design
+from todframes.charts.layout import CHART_FILE, Chart, MarkerPlaces, Markers, Page, Screen, Triangle, write_chart
+from todframes.charts.markers import MODULES
 from todframes.display.dither import dithered
 from todframes.stimulus import ORIENTATIONS, coverage
 
@@ -34,8 +34,12 @@ triangle."""
 LARGEST_ROUNDING = 0.01
 """Largest relative change of a contrast by rounding to a code value; where it is larger, pixels are dithered."""
 
-MARKER_SHARE, LARGEST_MARKER_SHARE = 0.15, 0.2
-"""Side of a marker relative to the smaller side of the page: if none is asked for, and the largest."""
+MARKER_SHARE: dict[MarkerPlaces, float] = {"borders": 0.13, "corners": 0.15}
+"""Side of a marker relative to the smaller side of the page if none is asked for. A page of 16 : 9 has room for
+twelve of 13 % beside the surround of a triangle of 15 % of its height."""
+
+LARGEST_MARKER_SHARE = 0.2
+"""Largest side of a marker relative to the smaller side of the page."""
 
 CORNER_REACH_PER_SIZE = 2.0 / 3.0**0.75
 """Distance from the centroid of a triangle to its corners, in sizes."""
@@ -68,10 +72,9 @@ class ScreenChart:
         module_px = round(markers.side_mm / screen.pixel_pitch_mm / MODULES)
         for page, condition in zip(self.chart.pages, self.order, strict=True):
             codes = np.full((screen.height_px, screen.width_px), self.background_code, np.uint16)
-            ids = marker_ids(page.number, self.chart.key)
-            for marker, centre_mm in zip(ids, markers.centres_mm, strict=True):
-                bits = np.pad(marker_bits(marker), 1, constant_values=True)  # with its white border
-                modules = np.where(bits, 2**screen.bits - 1, 0).astype(np.uint16)
+            for bits, centre_mm in self.chart.drawn_markers(page):
+                with_white = np.pad(bits, 1, constant_values=True)
+                modules = np.where(with_white, 2**screen.bits - 1, 0).astype(np.uint16)
                 drawn = np.kron(modules, np.ones((module_px, module_px), np.uint16))
                 _put(codes, drawn, *(centre_mm / screen.pixel_pitch_mm))
             _put(codes, self.drawn[condition].code, screen.width_px / 2.0, screen.height_px / 2.0)
@@ -85,7 +88,9 @@ def _put(codes: NDArray[np.uint16], patch: NDArray[np.uint16], x_edge_px: float,
     codes[top : top + rows, left : left + columns] = patch
 
 
-def design_screen_chart(design: Design, screen: Screen, *, marker_mm: float | None = None) -> ScreenChart:
+def design_screen_chart(
+    design: Design, screen: Screen, *, marker_mm: float | None = None, markers: MarkerPlaces = "borders"
+) -> ScreenChart:
     """Lay out a chart for a monitor: one triangle in the middle of each page, in blocks of random order.
 
     Parameters
@@ -95,7 +100,10 @@ def design_screen_chart(design: Design, screen: Screen, *, marker_mm: float | No
     screen : Screen
         The monitor. Its background luminance is replaced by that of the nearest code value.
     marker_mm : float, optional
-        Side of the markers, rounded to whole pixels a module. Default: 15 % of the smaller side of the page.
+        Side of the markers, rounded to whole pixels a module. Default: 13 % of the smaller side of the page,
+        and 15 % if they are in the corners alone.
+    markers : {"borders", "corners"}
+        Markers in the corners and along the borders, or in the corners alone.
 
     Raises
     ------
@@ -113,7 +121,7 @@ def design_screen_chart(design: Design, screen: Screen, *, marker_mm: float | No
     screen = replace(screen, background_luminance_cd_m2=float(luminance_of_code[background_code]))
     pitch_mm = screen.pixel_pitch_mm
     width_mm, height_mm = screen.width_px * pitch_mm, screen.height_px * pitch_mm
-    asked_mm = MARKER_SHARE * min(width_mm, height_mm) if marker_mm is None else marker_mm
+    asked_mm = MARKER_SHARE[markers] * min(width_mm, height_mm) if marker_mm is None else marker_mm
     least_mm, most_mm = 2 * MODULES * pitch_mm, LARGEST_MARKER_SHARE * min(width_mm, height_mm)
     if not least_mm <= asked_mm <= most_mm:
         raise SettingsError(
@@ -121,15 +129,21 @@ def design_screen_chart(design: Design, screen: Screen, *, marker_mm: float | No
             "fifth of the page)"
         )
     module_mm = round(asked_mm / pitch_mm / MODULES) * pitch_mm
-    markers = Markers.in_corners(width_mm=width_mm, height_mm=height_mm, module_mm=module_mm, margin_mm=module_mm)
+    laid = Markers.in_corners(width_mm=width_mm, height_mm=height_mm, module_mm=module_mm, margin_mm=module_mm)
     for size_mrad in design.sizes_mrad:
-        _check_size(design, size_mrad, markers, width_mm, height_mm, pitch_mm)
+        _check_size(design, size_mrad, laid, width_mm, height_mm, pitch_mm)
+    surrounds_mm = {size_mrad: SURROUND_PER_SIZE * design.size_mm(size_mrad) for size_mrad in design.sizes_mrad}
+    if markers == "borders":
+        laid = laid.with_borders(free_mm=min(surrounds_mm.values()), step_mm=pitch_mm)
+    beside = {size_mrad: laid.borders_beside(surround_mm) for size_mrad, surround_mm in surrounds_mm.items()}
+    borders = {one: some if len(some) < len(laid.borders) else None for one, some in beside.items()}
     drawn = {one: _drawn(one, design, screen, luminance_of_code, background_code) for one in design.conditions}
     order = [condition for block in design.blocks() for condition in block]
     pages = [
         Page(
             number=number,
             file=f"pages/{number:0{max(4, len(str(len(order) - 1)))}d}.png",
+            borders=borders[condition.size_mrad],
             triangles=(_triangle(condition, design, drawn, x_mm=width_mm / 2.0, y_mm=height_mm / 2.0),),
         )
         for number, condition in enumerate(order)
@@ -143,7 +157,7 @@ def design_screen_chart(design: Design, screen: Screen, *, marker_mm: float | No
         page_height_mm=height_mm,
         polarity=design.polarity,
         screen=screen,
-        markers=markers,
+        markers=laid,
         pages=tuple(pages),
     )
     return ScreenChart(chart.with_key(), tuple(order), drawn, background_code)

@@ -74,7 +74,13 @@ SHOWN_TOLERANCE = 1e-3
 )
 @seed_option
 @click.option("--name", default="TOD chart", show_default=True, help="Title of the chart.")
-@click.option("--marker-mm", type=float, metavar="MM", help=f"{SCREEN_PRINT}Side of the markers in the corners.")
+@click.option("--marker-mm", type=float, metavar="MM", help=f"{SCREEN_PRINT}Side of the markers.")
+@click.option(
+    "--markers",
+    type=click.Choice(["borders", "corners"]),
+    help=f"{SCREEN_PRINT}Along the borders, too, by which `import` solves a lens; or in the corners alone.  "
+    "[default: borders]",
+)
 @click.option(
     "--width-px", type=int, metavar="N", help=f"{SCREEN}Pixels in a row of the monitor.  [default: 1920]"
 )

@@ -27,6 +27,7 @@ MODULES = {
         "naked-eye": "score:naked_eye",
         "new": "new:new",
         "noise": "noise:noise",
+        "range": "range:range_command",
         "report": "checks:report_command",
         "score": "score:score",
         "stability": "studies:stability",

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from todframes.base.errors import DataError, SettingsError
-from todframes.base.reading import check_keys, convert, toml_value
+from todframes.base.reading import check_keys, check_positive, convert, toml_value
 from todframes.base.user_code import import_named, in_words
 
 Domain = Literal["code_value", "luminance"]
@@ -70,8 +70,8 @@ class Declaration:
     def __post_init__(self) -> None:
         if self.domain not in get_args(Domain):
             raise SettingsError(f"domain: found {self.domain!r}, expected one of {', '.join(get_args(Domain))}")
-        if not isinstance(self.magnification, str) and not 0.0 < self.magnification < math.inf:
-            raise SettingsError(f"magnification: found {self.magnification!r}, expected a finite number > 0")
+        if not isinstance(self.magnification, str):
+            check_positive("magnification", self.magnification)
 
 
 def algorithm(

@@ -48,7 +48,7 @@ def find_patches(recording: Recording, chart: Path) -> list[FramePatch]:
     frame = next(recording.frames(), None)
     if frame is None:
         raise DataError(f"{recording.path}: found no frame, expected at least one")
-    seen = MarkerFinder(layout.markers.centres_mm, layout.markers.side_mm).look(frame.values)
+    seen = MarkerFinder(layout.markers.all_centres_mm, layout.markers.side_mm).look(frame.values)
     found = None if seen is None else page_of(seen.ids)
     if seen is None or found is None:
         raise DataError(f"{recording.path}: {frame.source}: found no page of a chart, expected its four markers")

@@ -117,7 +117,10 @@ class Pieces(NamedTuple):
 
 
 class MeasuredEdges(NamedTuple):
-    """Edges as measured in a frame: places, (n, 2) in pixels, which count along unit normals, (n, 2)."""
+    """Edges as measured in a frame: places, (n, 2) in pixels, which count along unit normals, (n, 2).
+
+    Places of edges that the frame does not show are NaN.
+    """
 
     start: Geometry
     places_px: FloatArray
@@ -141,7 +144,8 @@ def corner_pieces(corners_mm: FloatArray) -> Pieces:
 class LensFit:
     """A lens, and the geometries of the frames that it was solved from.
 
-    `influence` has, for each frame, the pseudo-inverse of its design, (9, n); `left_px` what is left of the edges'
+    `shown` states which edges each frame shows, (frame, n); all else is 0 for others. `influence` has, for each
+    frame, the pseudo-inverse of its design, (9, n); `left_px` what is left of the edges'
     distances, (frame, n). `gradients` are the derivatives of the edges by the coefficients, (frame, n, free), and
     `scores` those that the homographies do not explain; `covariance` is that of the coefficients for edges with an
     error of 1 px.
@@ -150,6 +154,7 @@ class LensFit:
     lens: Lens | None
     free: int
     geometries: list[Geometry]
+    shown: NDArray[np.bool_]
     left_px: FloatArray
     influence: FloatArray
     gradients: FloatArray
@@ -158,9 +163,16 @@ class LensFit:
     weights: FloatArray
 
     @property
+    def n_pieces(self) -> int:
+        """Number of edges that a frame shows."""
+        return int(self.shown.any(axis=0).sum())
+
+    @property
     def mean_square_px2(self) -> float:
         """Mean square of the edges' mean distances over the frames, with the error that edges always have."""
-        return float((self.left_px.mean(axis=0) ** 2).mean()) + LEAST_ERROR_PX**2
+        n_frames = self.shown.sum(axis=0)
+        means = self.left_px.sum(axis=0)[n_frames > 0] / n_frames[n_frames > 0]
+        return float((means**2).mean()) + LEAST_ERROR_PX**2
 
     @property
     def edge_variance_px2(self) -> float:
@@ -170,14 +182,14 @@ class LensFit:
     @property
     def criterion(self) -> float:
         """Bayesian information criterion; a coefficient counts as far as the edges determine it."""
-        n_pieces = self.left_px.shape[1]
+        n_pieces = self.n_pieces
         n_determined = self.free - float(np.diagonal(self.covariance) @ self.weights)
         return float(n_pieces) * math.log(self.mean_square_px2) + n_determined * math.log(n_pieces)
 
     @property
     def residual_px(self) -> float:
         """Root mean square distance of the edges from where the fit has them, per degree of freedom."""
-        n_free = self.left_px.size - 9 * len(self.left_px) - self.free
+        n_free = int(self.shown.sum()) - 9 * len(self.left_px) - self.free
         return math.sqrt(float((self.left_px**2).sum()) / max(n_free, 1))
 
 
@@ -208,18 +220,20 @@ def solve(
     """
     geometries = [one.start.with_lens(lens, pieces.places_mm) for one in measured]
     normals = np.array([one.normals for one in measured])
-    points = np.array([one.places_px for one in measured])
+    shown = np.array([np.isfinite(one.places_px).all(axis=1) for one in measured])
+    points = np.where(shown[..., None], [one.places_px for one in measured], 0.0)
     spreads = np.zeros(len(measured))
     usual = np.array(USUAL[lens.model][:free]) if lens is not None else np.zeros(0)
     weights = edge_variance_px2 / usual**2
     for _ in range(MOST_STEPS):
         at = np.array([one.to_px(pieces.places_mm) for one in geometries])
-        wanted = ((points - at) * normals).sum(axis=2) - spreads[:, None]
+        wanted = (((points - at) * normals).sum(axis=2) - spreads[:, None]) * shown
         design = np.array([pieces.design(one, n) for one, n in zip(geometries, normals, strict=True)])
+        design *= shown[..., None]
         gradients = np.zeros((*wanted.shape, free))
         if lens is not None and free:
             ideal = np.array([one.ideal_px(pieces.places_mm) for one in geometries])
-            gradients = np.einsum("vni,vnij->vnj", normals, lens.gradient(ideal, free))
+            gradients = np.einsum("vni,vnij->vnj", normals, lens.gradient(ideal, free)) * shown[..., None]
         if not all(np.isfinite(one).all() for one in (wanted, design, gradients)):
             return None
         influence = np.linalg.pinv(design)
@@ -254,7 +268,7 @@ def solve(
         spreads += moves[:, 8]
         if float(np.abs(moved).max()) < CONVERGED_PX:
             left = rest - (design @ moves[..., None])[..., 0]
-            fit = LensFit(lens, free, geometries, left, influence, gradients, scores, covariance, weights)
+            fit = LensFit(lens, free, geometries, shown, left, influence, gradients, scores, covariance, weights)
             return replace(fit, geometries=[replace(one, residual_px=fit.residual_px) for one in geometries])
     return None
 
@@ -356,7 +370,7 @@ def _variance(pieces: Pieces, fit: LensFit, placed: Sequence[tuple[int, Places]]
     What is left of an edge is alike in all frames if the camera stands still, so that it is an error of the edge
     and not of a frame: the residuals of a piece are summed over the frames before they are squared.
     """
-    n_pieces = fit.left_px.shape[1]
+    n_pieces = fit.n_pieces
     usual = np.array(USUAL[fit.lens.model][: fit.free]) if fit.lens is not None else np.zeros(0)
     n_known = np.count_nonzero(np.isinf(usual))
     of_knowledge = (fit.weights * np.where(np.isinf(usual), 0.0, usual)) ** 2

@@ -1,9 +1,12 @@
 """The markers of a chart in recorded frames: found anew in the first frame, and followed from frame to frame.
 
 A search of a whole frame for ArUco markers takes longer than the decoding of the frame. It is needed only where
-the four markers are not near their places in the frame before. From there, or from where ArUco has found them,
+the markers are not near their places in the frame before. From there, or from where ArUco has found them,
 the homography is adjusted until the outer edges of the markers lie in the middle of the slopes from black to
 white. That place does not depend on the blur, and averages the noise over the whole length of the edges.
+
+The four markers in the corners name the page, and all have to be there. Markers along the borders add edges: one
+that is hidden, or beyond the frame, is left out.
 """
 
 from __future__ import annotations
@@ -19,7 +22,16 @@ from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError
-from todframes.charts.markers import CORNERS, DICTIONARY, MODULES, N_DIGITS, marker_bits
+from todframes.charts.markers import (
+    BORDER_DICTIONARY,
+    BORDER_IDS,
+    CORNERS,
+    DICTIONARY,
+    MODULES,
+    N_DIGITS,
+    marker_bits,
+    page_markers,
+)
 from todframes.importing.geometry import Geometry, fit_geometry
 from todframes.importing.lens import Lens
 from todframes.importing.lens_fit import (
@@ -48,18 +60,25 @@ MOST_STEPS, CONVERGED_PX = 8, 0.02
 """Number of adjustments of a homography, and the motion of the edges after which there is no further one: each
 leaves a small part of the motion that it corrects."""
 
+FIRST_BORDER = len(CORNERS) * (N_DIGITS - 1)
+"""Difference between the id of a marker along the borders in the joint dictionary, and its number on the page."""
+
 CORNER_OF_KEY = 3
 """Corner whose marker carries the key of the chart."""
 
 ENOUGH_MARKERS = 3
-"""Number of markers that a search has to find; the fourth's place follows from these, and its edges show if it is
-there."""
+"""Number of markers that a search has to find; the places of others follow from these, and their edges show if
+they are there."""
 
 LARGEST_RESIDUAL = 0.2
-"""Residual of the edges, in modules, above which the four markers do not belong to one chart."""
+"""Residual of the edges, in modules, above which the markers do not belong to one chart."""
 
 LEAST_CONTRAST_IN_ERRORS = 3.0
 """Least difference of a marker's white and black modules, in standard deviations of its black ones."""
+
+LEAST_SHARE = 0.3
+"""Least contrast of the edges of a marker along the borders, relative to the markers in the corners: the light may
+fall off, and noise where there is no marker has none."""
 
 SAMPLES, SAMPLED = 3, 0.5
 """Samples along a module's side that are averaged to its value, and the part of the side that they cover."""
@@ -76,7 +95,7 @@ NOTICED_PX = 0.1
 
 class SeenEdges(NamedTuple):
     """The edges of the markers in one frame: the geometry that they were looked for with, and how far outwards of
-    it each piece lies, in pixels."""
+    it each piece lies, in pixels; NaN for markers that the frame does not show."""
 
     start: Geometry
     shifts_px: NDArray[np.float32]
@@ -87,11 +106,11 @@ class SeenEdges(NamedTuple):
 
 
 class Sighting(NamedTuple):
-    """The four markers of a page in one frame.
+    """The markers of a page in one frame.
 
-    `modules` has shape (4, 7, 7): the mean values in the modules of the markers. `ids` are the identities that
-    they spell, -1 for one that is no marker; a blend of two pages spells nonsense. `edges` are those of the
-    markers.
+    `modules` has shape (4, 7, 7): the mean values in the modules of the markers in the corners. `ids` are the
+    identities that they spell, -1 for one that is no marker; a blend of two pages spells nonsense. `edges` are
+    those of all markers.
     """
 
     geometry: Geometry
@@ -101,12 +120,13 @@ class Sighting(NamedTuple):
 
 
 class MarkerFinder:
-    """Finder of a chart's four markers in a sequence of frames.
+    """Finder of a chart's markers in a sequence of frames.
 
     Parameters
     ----------
-    centres_mm : ndarray, shape (4, 2)
-        Places of the markers' centres on the chart: top left, top right, bottom right, bottom left.
+    centres_mm : ndarray, shape (n, 2)
+        Places of the markers' centres on the chart: top left, top right, bottom right, bottom left, then those
+        along the borders.
     side_mm : float
         Side of a marker.
 
@@ -117,8 +137,8 @@ class MarkerFinder:
     most_found : int
         Largest number of corners of the chart of which one frame showed a marker.
     misfit_px : float or None
-        How far four markers that were found lie off a flat chart behind a lens, if none fits: the least of all
-        frames, root mean square.
+        How far markers that were found, with those in all corners, lie off a flat chart behind a lens, if none
+        fits: the least of all frames, root mean square.
     key : int or None
         Key of the chart in the present frame if it was searched and the marker that carries the key was found.
         Markers of another chart are no sighting where they stand at other places.
@@ -139,12 +159,10 @@ class MarkerFinder:
         along = (np.arange(MODULES) - (MODULES - 1) / 2)[:, None] + within
         grid = np.stack(np.meshgrid(along.ravel(), along.ravel()), axis=-1) * self._module_mm
         self._samples_mm = centres_mm[:, None, None, :] + grid
-        dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{DICTIONARY.upper()}"))
-        self._detector = cv2.aruco.ArucoDetector(dictionary, _search_parameters())
+        self._detector = cv2.aruco.ArucoDetector(_dictionary(len(centres_mm) - len(CORNERS)), _search_parameters())
         self._last: Geometry | None = None
         self.pieces = self._edges.pieces
         self.lens: Lens | None = None
-        self._corners = corner_pieces(self._corners_mm)
         self._recent: list[SeenEdges] = []
         self._n_seen = 0
         # Ways to prepare a frame for the search: how often enlarged, and whether mirrored.
@@ -162,8 +180,13 @@ class MarkerFinder:
         seen = self._sighting(grey, self._last) if self._last is not None else None
         seen = seen or self._search(grey)
         if seen is not None:
-            self._last = seen.geometry
+            self._last, lens = seen.geometry, self.lens
             self._follow_lens(seen, grey.shape)
+            if lens is None and self.lens is not None:
+                # Edges are measured best where the geometry that they are looked for with is right.
+                seen = self._sighting(grey, self._last) or seen
+                self._last = seen.geometry
+                self._recent = [seen.edges]
         return seen
 
     def _follow_lens(self, seen: Sighting, shape: tuple[int, ...]) -> None:
@@ -182,17 +205,18 @@ class MarkerFinder:
         eight_bits = _eight_bits(grey)
         for way in self._ways:
             corners = self._detected(eight_bits, *way)
-            self.most_found = max(self.most_found, len(corners))
-            if len(corners) < ENOUGH_MARKERS:
-                continue
             known = sorted(corners)
+            n_corners = sum(k < len(CORNERS) for k in known)
+            self.most_found = max(self.most_found, n_corners)
+            if len(known) < ENOUGH_MARKERS:
+                continue
             for start in self._starts(known, np.array([corners[k] for k in known]), grey.shape):
                 seen = self._sighting(grey, start)
                 if seen is not None:
                     self._ways = [one for one in self._ways if one[1] == way[1]]
                     return seen
-                if len(known) == len(CORNERS):
-                    away = start.to_px(self._corners_mm) - np.array([corners[k] for k in known])
+                if n_corners == len(CORNERS):
+                    away = start.to_px(self._corners_mm[known]) - np.array([corners[k] for k in known])
                     misfit = math.sqrt(float((away**2).sum(axis=-1).mean()))
                     self.misfit_px = min(misfit, self.misfit_px or math.inf)
         return None
@@ -206,15 +230,15 @@ class MarkerFinder:
         if self.lens is not None:
             yield plain.with_lens(self.lens, self._corners_mm[known].reshape(-1, 2))
         yield plain
-        if len(known) == len(CORNERS):
-            x, y = (
-                np.repeat(corners_px.reshape(-1, 2), 2, axis=0),
-                np.tile(np.eye(2), (corners_px[..., 0].size, 1)),
+        if len(known) >= len(CORNERS):
+            places = np.repeat(corners_px.reshape(-1, 2), 2, axis=0)
+            along = np.tile(np.eye(2), (corners_px[..., 0].size, 1))
+            yield from with_lenses(
+                corner_pieces(self._corners_mm[known]), MeasuredEdges(plain, places, along), shape
             )
-            yield from with_lenses(self._corners, MeasuredEdges(plain, x, y), shape)
 
     def _detected(self, image: NDArray[np.uint8], times: int, mirrored: bool) -> dict[int, FloatArray]:
-        """Return the corners of the markers that ArUco finds, (4, 2) each, by the corner of the chart."""
+        """Return the corners of the markers that ArUco finds, (4, 2) each, by the number of the marker."""
         import cv2
 
         prepared: NDArray[Any] = np.ascontiguousarray(image[:, ::-1]) if mirrored else image
@@ -226,34 +250,77 @@ class MarkerFinder:
             places = (quad.reshape(4, 2).astype(np.float64) + 0.5) / times - 0.5
             if mirrored:
                 places[:, 0] = image.shape[1] - 1 - places[:, 0]
-            corners.setdefault(int(marker) % len(CORNERS), places)
-            if int(marker) % len(CORNERS) == CORNER_OF_KEY:
-                self.key = int(marker) // len(CORNERS)
+            digit, corner = divmod(int(marker), len(CORNERS))
+            if digit < N_DIGITS and corner == CORNER_OF_KEY:
+                self.key = digit
+            corners.setdefault(corner if digit < N_DIGITS else int(marker) - FIRST_BORDER, places)
         return corners
 
     def _sighting(self, grey: NDArray[np.float32], start: Geometry) -> Sighting | None:
         """Adjust a geometry to the edges of the markers, and read these; None if they are not there."""
-        found = self._edges.adjusted(grey, start)
-        if found is None:
-            return None
-        geometry, edges = found
-        modules = self._read(grey, geometry)
-        ids = []
-        for one in modules:
-            black = one[_BORDER]
-            white = float(np.sort(one[~_BORDER])[-3:].mean())
-            if not white - black.mean() > LEAST_CONTRAST_IN_ERRORS * black.std():
+        hidden = np.zeros(len(self._corners_mm), np.bool_)
+        while True:
+            found = self._edges.adjusted(grey, start, hidden)
+            if found is None:
                 return None
-            wrong = np.count_nonzero(_all_bits() != (one > (white + black.mean()) / 2.0), axis=(1, 2))
-            nearest = int(wrong.argmin())
-            ids.append(nearest if wrong[nearest] <= MOST_WRONG_BITS else -1)
-        return Sighting(geometry, tuple(ids), modules, edges)
+            geometry, edges = found
+            there = np.asarray(np.isfinite(edges.shifts_px).reshape(len(hidden), -1).all(axis=1))
+            modules = self._read(grey, geometry, there)
+            wrong = [k for k in range(len(CORNERS), len(hidden)) if there[k] and not _is_border(modules[k], k)]
+            if not wrong:
+                break
+            hidden[wrong] = True
+        ids = []
+        for one in modules[: len(CORNERS)]:
+            bits = _bits(one)
+            if bits is None:
+                return None
+            n_wrong = np.count_nonzero(_all_bits() != bits, axis=(1, 2))
+            nearest = int(n_wrong.argmin())
+            ids.append(nearest if n_wrong[nearest] <= MOST_WRONG_BITS else -1)
+        return Sighting(geometry, tuple(ids), modules[: len(CORNERS)], edges)
 
-    def _read(self, grey: NDArray[np.float32], geometry: Geometry) -> FloatArray:
+    def _read(self, grey: NDArray[np.float32], geometry: Geometry, there: NDArray[np.bool_]) -> FloatArray:
+        """Return the mean values in the modules of the markers, (n, 7, 7); NaN for those that are not there."""
         side = MODULES * SAMPLES
-        values = _sampled(grey, geometry.to_px(self._samples_mm).reshape(4 * side, side, 2))
-        parts = values.reshape(4, MODULES, SAMPLES, MODULES, SAMPLES)
-        return np.asarray(parts.mean(axis=(2, 4), dtype=np.float64))
+        values = _sampled(grey, geometry.to_px(self._samples_mm[there]).reshape(-1, side, 2))
+        parts = values.reshape(-1, MODULES, SAMPLES, MODULES, SAMPLES)
+        modules = np.full((len(there), MODULES, MODULES), np.nan)
+        modules[there] = parts.mean(axis=(2, 4), dtype=np.float64)
+        return modules
+
+
+def _bits(modules: FloatArray) -> NDArray[np.bool_] | None:
+    """Return which modules of a marker are white, (7, 7); None without contrast."""
+    black = modules[_BORDER]
+    white = float(np.sort(modules[~_BORDER])[-3:].mean())
+    if not white - black.mean() > LEAST_CONTRAST_IN_ERRORS * black.std():
+        return None
+    return np.asarray(modules > (white + black.mean()) / 2.0)
+
+
+def _is_border(modules: FloatArray, number: int) -> bool:
+    """Return whether the modules spell the marker along the borders that has this number."""
+    bits = _bits(modules)
+    if bits is None:
+        return False
+    n_wrong = np.count_nonzero(bits != _border_bits()[number - len(CORNERS)])
+    return bool(n_wrong <= MOST_WRONG_BITS)
+
+
+def _dictionary(n_borders: int) -> Any:
+    """Return OpenCV's dictionary of the markers in the corners, followed by those along the borders."""
+    import cv2
+
+    names = (f"DICT_{one.upper()}" for one in (DICTIONARY, BORDER_DICTIONARY))
+    corners, borders = (cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name)) for name in names)
+    together = np.concatenate([corners.bytesList, borders.bytesList[list(BORDER_IDS[:n_borders])]])
+    return cv2.aruco.Dictionary(together, corners.markerSize, corners.maxCorrectionBits)
+
+
+@cache
+def _border_bits() -> NDArray[np.bool_]:
+    return np.array(page_markers(0, 0, n_borders=len(BORDER_IDS))[len(CORNERS) :])
 
 
 @cache
@@ -266,12 +333,12 @@ _BORDER[1:-1, 1:-1] = False
 
 
 class _Edges:
-    """The outer edges of four markers, which homographies are adjusted to.
+    """The outer edges of markers, which homographies are adjusted to.
 
-    Each of the 16 edges has `PIECES` pieces. The profile of a piece, averaged along it, is antisymmetric about the
-    edge for any blur. So the integral of its difference from the middle of black and white, over equal distances
-    on both sides, is zero at the edge. White that spreads (a display that glares, a non-linear camera) moves all
-    edges outwards or inwards by the same amount, which is also fitted.
+    Each of a marker's four edges has `PIECES` pieces. The profile of a piece, averaged along it, is antisymmetric
+    about the edge for any blur. So the integral of its difference from the middle of black and white, over equal
+    distances on both sides, is zero at the edge. White that spreads (a display that glares, a non-linear camera)
+    moves all edges outwards or inwards by the same amount, which is also fitted.
     """
 
     def __init__(self, corners_mm: FloatArray, module_mm: float) -> None:
@@ -282,23 +349,27 @@ class _Edges:
         outwards = -inwards / np.linalg.norm(inwards, axis=-1, keepdims=True)
         distances = np.linspace(-PROFILE_REACH, PROFILE_REACH, 2 * PROFILE_STEPS + 1) * module_mm
         self._module_mm = module_mm
-        self._places_mm = middles.reshape(16 * PIECES * POINTS, 1, 2) + distances[:, None] * np.repeat(
-            outwards.reshape(16, 1, 2), PIECES * POINTS, axis=0
-        )
-        pieces_mm = middles.reshape(16 * PIECES, POINTS, 2).mean(axis=1)
+        # (marker, edge, point along the edge, place across it, x and y)
+        self._places_mm = middles[..., None, :] + distances[:, None] * outwards[:, :, None, None]
+        pieces_mm = middles.reshape(-1, POINTS, 2).mean(axis=1)
         self.pieces = Pieces(
             pieces_mm,
-            np.repeat(outwards.reshape(16, 2), PIECES, axis=0),
+            np.repeat(outwards.reshape(-1, 2), PIECES, axis=0),
             corners_mm.mean(axis=(0, 1)),
             float(corners_mm.std()),
         )
 
-    def adjusted(self, grey: NDArray[np.float32], start: Geometry) -> tuple[Geometry, SeenEdges] | None:
-        """Return the geometry whose edges lie in the middles of the slopes; None if there are no such edges."""
+    def adjusted(
+        self, grey: NDArray[np.float32], start: Geometry, hidden: NDArray[np.bool_]
+    ) -> tuple[Geometry, SeenEdges] | None:
+        """Return the geometry whose edges lie in the middles of the slopes; None if there are no such edges.
+
+        `hidden` marks the markers, (n,), that do not count.
+        """
         geometry, edges, module_px = start, None, 0.0
         for _ in range(MOST_STEPS):
             module_px = geometry.scale_px_per_mm(self.pieces.middle_mm) * self._module_mm
-            shifts = self._shifts_px(grey, geometry)
+            shifts = self._shifts_px(grey, geometry, hidden)
             if shifts is None:
                 return None
             edges = SeenEdges(geometry, shifts.astype(np.float32))
@@ -310,29 +381,44 @@ class _Edges:
         assert edges is not None
         return (geometry, edges) if geometry.residual_px <= LARGEST_RESIDUAL * module_px else None
 
-    def _shifts_px(self, grey: NDArray[np.float32], geometry: Geometry) -> FloatArray | None:
-        """Measure the distance of each piece from its place in the geometry, outwards along the mapped normal."""
+    def _shifts_px(
+        self, grey: NDArray[np.float32], geometry: Geometry, hidden: NDArray[np.bool_]
+    ) -> FloatArray | None:
+        """Measure the distance of each piece from its place in the geometry, outwards along the mapped normal.
+
+        NaN for markers along the borders that are not there; None if one in a corner is not.
+        """
         places = geometry.to_px(self._places_mm)
         height, width = grey.shape
-        lowest, highest = places.min(axis=(0, 1)), places.max(axis=(0, 1))
-        if not (lowest > 0.0).all() or not (highest < (width - 1, height - 1)).all():
+        lowest, highest = places.min(axis=(1, 2, 3)), places.max(axis=(1, 2, 3))
+        there = ~hidden & (lowest > 0.0).all(axis=1) & (highest < (width - 1, height - 1)).all(axis=1)
+        if not there[: len(CORNERS)].all():
             return None
-        profiles = _sampled(grey, places).reshape(16 * PIECES, POINTS, -1).mean(axis=1)
+        places = places[there]
+        profiles = _sampled(grey, places).reshape(len(places), 4, PIECES, POINTS, -1).mean(axis=3)
         # Black and white of an edge, from all of its pieces: a level is as sharp as it is long.
-        levels = profiles[:, [0, -1]].reshape(16, PIECES, 2).mean(axis=1)
-        if not (levels[:, 1] > levels[:, 0]).all():
+        black, white = (profiles[..., [end]].mean(axis=2, keepdims=True) for end in (0, -1))
+        contrast = (white - black).reshape(len(places), 4).min(axis=1)
+        of_corners = contrast[: len(CORNERS)]
+        if not (of_corners > 0.0).all():
             return None
-        black, white = np.repeat(levels, PIECES, axis=0).T
-        above = (profiles - black[:, None]) / (white - black)[:, None] - 0.5
-        integral = above.sum(axis=1) - (above[:, 0] + above[:, -1]) / 2.0
-        length_px = np.linalg.norm(places[:, -1] - places[:, 0], axis=1).reshape(16 * PIECES, POINTS).mean(axis=1)
-        return np.asarray(-integral * length_px / (2 * PROFILE_STEPS))
+        is_edge = contrast > LEAST_SHARE * float(np.median(of_corners))
+        is_edge[: len(CORNERS)] = True
+        with np.errstate(divide="ignore", invalid="ignore"):  # for markers that are not there
+            above = (profiles - black) / (white - black) - 0.5
+        integral = above.sum(axis=-1) - (above[..., 0] + above[..., -1]) / 2.0
+        across = np.linalg.norm(places[..., -1, :] - places[..., 0, :], axis=-1)
+        length_px = across.reshape(len(places), 4, PIECES, POINTS).mean(axis=3)
+        shifts = np.full((len(there), 4, PIECES), np.nan)
+        shifts[there] = np.where(is_edge[:, None, None], -integral * length_px / (2 * PROFILE_STEPS), np.nan)
+        return shifts.ravel()
 
     def _moved(self, geometry: Geometry, shifts_px: FloatArray) -> tuple[Geometry, float]:
         """Move a geometry's edges by the least squares of the shifts; return it and how far they moved at most."""
         normals, outwards = self.pieces.directions(geometry)
-        design = self.pieces.design(geometry, normals)
-        wanted = shifts_px * (normals * outwards).sum(axis=1)
+        there = np.isfinite(shifts_px)
+        design = self.pieces.design(geometry, normals)[there]
+        wanted = (shifts_px * (normals * outwards).sum(axis=1))[there]
         solution, *_ = np.linalg.lstsq(design, wanted, rcond=None)
         left = wanted - design @ solution
         residual = math.sqrt(float(left @ left) / (len(left) - len(solution)))
