@@ -305,3 +305,18 @@ def numbers(text: str, option: str) -> list[float]:
         return [float(part) for part in text.split(",")]
     except ValueError:
         raise SettingsError(f"{option}: found {text!r}, expected numbers with commas between them") from None
+
+
+def box(text: str, option: str) -> tuple[int, int, int, int]:
+    """Return the left column, top row, width and height in a text.
+
+    Raises
+    ------
+    SettingsError
+        If the text is not four whole numbers.
+    """
+    try:
+        left, top, width, height = map(int, text.split(","))
+    except ValueError:
+        raise SettingsError(f"{option}: found {text!r}, expected X,Y,W,H: four whole numbers of pixels") from None
+    return left, top, width, height

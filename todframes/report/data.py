@@ -584,6 +584,7 @@ class ResultData(Struct, frozen=True, kw_only=True, omit_defaults=True):
     pooled: PersonResult | None = None
     equal_noise_p_value: Proportion | None = None
     noise: Record | None = None
+    mtf: Record | None = None
     acquisition: Record | None = field(default=None, name="range")
     data_range_cd_m2: float | None = None
     verdict: tuple[Any, ...] | str = ()
