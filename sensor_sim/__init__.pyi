@@ -8,6 +8,8 @@ from .chain.sensor import Detector as Detector
 from .chain.sensor import Electronics as Electronics
 from .chain.sensor import Noise as Noise
 from .chain.sensor import Optics as Optics
+from .chain.sensor import PhotonNoise as PhotonNoise
+from .chain.sensor import Scene as Scene
 from .chain.sensor import Sensor as Sensor
 from .chain.sensor import SensorDisplay as SensorDisplay
 from .chain.sensor import load_sensor as load_sensor

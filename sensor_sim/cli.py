@@ -59,34 +59,52 @@ def cli() -> None:
 @cli.command()
 @sensor_argument
 @sizes_option
-@click.option("--snr", "snrs", required=True, metavar="R[,R…]", help="Signal of a large triangle over noise SD.")
+@click.option("--snr", "snrs", metavar="R[,R…]", help="Signals of a large triangle over noise SD.")
 @click.option(
-    "--trials", type=click.IntRange(1), default=40, show_default=True, help="Frames of each size and SNR."
+    "--contrast", "contrasts", metavar="C[,C…]", help="Contrasts in their place, for a camera that counts photons."
+)
+@click.option(
+    "--trials", type=click.IntRange(1), default=40, show_default=True, help="Frames of each size and level."
 )
 @seed_option
 @click.option("-o", "--out", required=True, metavar="DATASET", help="Folder to make, new or empty.")
 @click.option("--format", "frame_format", type=click.Choice(["exr", "png"]), default="exr", show_default=True)
 @click.option("--allow-clipping", is_flag=True, help="Let PNG clip more than 1 % of the pixels.")
-@click.option("--stages", is_flag=True, help="Also write the stages of a trial with the highest SNR as pictures.")
+@click.option(
+    "--stages", is_flag=True, help="Also write the stages of a trial with the highest level as pictures."
+)
 @click.option(
     "--workers", type=click.IntRange(1), default=1, show_default=True, help="Processes that draw frames."
 )
 @run_options
 @quiet_option
-def simulate(*, sensor: Path, sizes: str, snrs: str, trials: int, out: str, quiet: bool, **asked: Any) -> None:
+def simulate(
+    *,
+    sensor: Path,
+    sizes: str,
+    snrs: str | None,
+    contrasts: str | None,
+    trials: int,
+    out: str,
+    quiet: bool,
+    **asked: Any,
+) -> None:
     """Make a dataset of display frames that `todframes score` reads."""
     import sensor_sim as ss
 
-    size_detectors, snr = numbers(sizes, "--size-detectors"), numbers(snrs, "--snr")
+    size_detectors = numbers(sizes, "--size-detectors")
+    snr = numbers(snrs, "--snr") if snrs is not None else []
+    contrast = numbers(contrasts, "--contrast") if contrasts is not None else []
     tell = None if quiet else say
     with (
         opened_engine(asked, quiet=quiet),
-        progress("simulating", len(size_detectors) * len(snr) * trials, quiet=quiet) as advance,
+        progress("simulating", len(size_detectors) * len(snr + contrast) * trials, quiet=quiet) as advance,
     ):
         written = ss.simulate(
             sensor,
             size_detectors=size_detectors,
             snr=snr,
+            contrast=contrast,
             trials=trials,
             out=out,
             tell=tell,
@@ -101,16 +119,22 @@ def simulate(*, sensor: Path, sizes: str, snrs: str, trials: int, out: str, quie
 @cli.command()
 @sensor_argument
 @sizes_option
+@click.option(
+    "--luminance",
+    "luminances",
+    metavar="L[,L…]",
+    help="A curve for each of these luminances of the background in cd/m², for a camera that counts photons.",
+)
 @observer_options
 @tolerance_option(2e-3, "Relative error of the thresholds to reach.")
 @plan_option
 @seed_option
 @click.option("-o", "--out", metavar="OUT", help="Folder for result.json, report.html and plots.")
 @result_options
-def curve(*, sensor: Path, sizes: str, out: str | None, quiet: bool, **asked: Any) -> None:
+def curve(*, sensor: Path, sizes: str, luminances: str | None, out: str | None, quiet: bool, **asked: Any) -> None:
     """Compute the TOD curve of a sensor, with no frame drawn.
 
-    Thresholds are SNR, and temperature where NETD is given.
+    Thresholds are SNR, and temperature where NETD is given. Those of a camera that counts photons are contrasts.
     """
     shown = {name: asked.pop(name) for name in ("as_json", "verbose", "explain")}
     observer, fit = make_observer(asked, fitted=False)
@@ -123,6 +147,7 @@ def curve(*, sensor: Path, sizes: str, out: str | None, quiet: bool, **asked: An
             result = ss.curve(
                 settings,
                 size_detectors=wanted,
+                luminance_cd_m2=numbers(luminances, "--luminance") if luminances is not None else (),
                 observer=observer,
                 p_correct=fit.p_correct,
                 examples=out is not None,
@@ -165,12 +190,16 @@ def curve(*, sensor: Path, sizes: str, out: str | None, quiet: bool, **asked: An
 @click.option(
     "--minimise",
     metavar="COLUMN[,…]",
-    help="Columns to be low for the trade-off front: varied keys, delta_t_mk, threshold_snr, acuity_mrad, "
-    "acuity_detectors.  [default: delta_t_mk]",
+    help="Columns to be low for the trade-off front: varied keys, delta_t_mk, threshold_snr, "
+    "threshold_contrast, acuity_mrad, acuity_detectors, range_km.  "
+    "[default: delta_t_mk; with --target, range_km is high]",
 )
 @click.option("--maximise", metavar="COLUMN[,…]", help="Columns to be high for it.")
 @click.option("--acuity-snr", type=float, metavar="R", help="Give the smallest size visible at this SNR.")
 @click.option("--acuity-delta-t-mk", type=float, metavar="T", help="Give the smallest size visible at this ΔT.")
+@click.option("--target", metavar="NAME|FILE", help="Give the range of this target, as for `todframes range`.")
+@click.option("--atmosphere", metavar="NAME|FILE", help="Air to the target.")
+@click.option("--k", type=float, metavar="K", help="The target is seen if a triangle of size / K is.")
 @observer_options
 @tolerance_option(2e-3, "Relative error of the thresholds to reach.")
 @plan_option

@@ -28,7 +28,7 @@ MOST_EXAMPLES = 4
 
 
 def trial_stages(sensor: Sensor, trial: SimulatedTrial, *, seed: int) -> dict[str, FloatArray]:
-    """Return one trial at each stage of Figure 1 of the paper, as signal (a large triangle is 1).
+    """Return one trial at each stage of Figure 1 of the paper, in units of a large triangle's signal.
 
     Returns
     -------
@@ -67,6 +67,8 @@ def trial_stages(sensor: Sensor, trial: SimulatedTrial, *, seed: int) -> dict[st
         return np.asarray(np.fft.irfft2(half, s=image.shape))
 
     contrast = frame.luminance_cd_m2 / sensor.display.background_luminance_cd_m2 - 1.0
+    unit = 1.0 if sensor.photons is None else trial.level
+    samples, noisy = samples / unit, noisy / unit
     return {
         "a_input": scene,
         "b_optics": seen_through(pitch_mrad),
@@ -74,7 +76,7 @@ def trial_stages(sensor: Sensor, trial: SimulatedTrial, *, seed: int) -> dict[st
         "d_samples": samples,
         "e_noise": noisy,
         "f_hold": np.kron(noisy, np.ones((per_detector, per_detector))),
-        "g_display": contrast / sensor.display.gain,
+        "g_display": contrast / sensor.display.gain / unit,
     }
 
 
@@ -129,7 +131,7 @@ def _threshold_example(sensor: Sensor, observer: Observer, fit: Fit, seed: int) 
     return Example(
         group=fit.group,
         level=fit.level,
-        strength=trial.snr,
+        strength=trial.level,
         orientation=trial.orientation.value,
         width_mrad=width_mrad,
         pictures=drawn,
@@ -159,7 +161,8 @@ def write_stages(folder: Path, sensor: Sensor, trial: SimulatedTrial, *, seed: i
     for name, image in found.items():
         grey = np.clip((image - BLACK) / (WHITE - BLACK), 0.0, 1.0)
         write_frame(folder / f"{name}.png", grey, pixel_type="uint8")
-    what = f"size {trial.size_detectors:g} detectors, SNR {trial.snr:g}, apex {trial.orientation}"
+    label = "SNR" if sensor.level == "snr" else "contrast"
+    what = f"size {trial.size_detectors:g} detectors, {label} {trial.level:g}, apex {trial.orientation}"
     (folder / "stages.png").write_bytes(_montage(found, f"{label_text(sensor.name)}: {what}"))
 
 

@@ -14,7 +14,7 @@ import sys
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Protocol
@@ -151,7 +151,30 @@ class DatasetMaker(Protocol):
 
 @pytest.fixture
 def make_dataset(tmp_path: Path) -> DatasetMaker:
-    """Factory of small valid datasets in `tmp_path`, which the arguments can make invalid.
+    """`dataset_in` the folder of a test."""
+    return partial(dataset_in, tmp_path)
+
+
+@pytest.fixture(scope="module")
+def make_shared_dataset(tmp_path_factory: pytest.TempPathFactory) -> DatasetMaker:
+    """`dataset_in` a folder of all tests of a file, which change nothing in it."""
+    return partial(dataset_in, tmp_path_factory.mktemp("shared"))
+
+
+def dataset_in(
+    folder: Path,
+    name: str = "dataset",
+    *,
+    suffix: str = ".exr",
+    sizes_mrad: Sequence[float] = (2.0,),
+    contrasts: Sequence[float] = (0.05, 0.5),
+    repeats: int = 1,
+    side_px: int = 48,
+    display: Mapping[str, Any] | None = None,
+    experiment: Mapping[str, Any] | None = None,
+    row_changes: Mapping[int, Mapping[str, str]] | None = None,
+) -> DatasetFolder:
+    """Write a small valid dataset into a folder; the arguments can make it invalid.
 
     A frame for each size, contrast and orientation, the triangle in the middle of `side_px` × `side_px` pixels of
     0.25 mrad: half EXR in cd/m², or 16-bit PNG with `suffix=".png"`. Rows are in the order of the loops: size,
@@ -160,55 +183,40 @@ def make_dataset(tmp_path: Path) -> DatasetMaker:
     `display` and `experiment` replace keys of these tables of `dataset.toml`, or add some; None takes a key away.
     `row_changes` does the same to fields of the manifest's rows, by row number from 0; text only.
     """
-
-    def make(
-        name: str = "dataset",
-        *,
-        suffix: str = ".exr",
-        sizes_mrad: Sequence[float] = (2.0,),
-        contrasts: Sequence[float] = (0.05, 0.5),
-        repeats: int = 1,
-        side_px: int = 48,
-        display: Mapping[str, Any] | None = None,
-        experiment: Mapping[str, Any] | None = None,
-        row_changes: Mapping[int, Mapping[str, str]] | None = None,
-    ) -> DatasetFolder:
-        path = tmp_path / name
-        (path / "frames").mkdir(parents=True)
-        rows = []
-        for size_mrad in sizes_mrad:
-            for contrast in contrasts:
-                for orientation in ORIENTATIONS:
-                    content = _frame(suffix, size_mrad, contrast, orientation, side_px)
-                    for repeat in range(repeats):
-                        frame = f"frames/s{size_mrad}_c{contrast}_{orientation}_{repeat}{suffix}"
-                        (path / frame).write_bytes(content)
-                        rows.append(
-                            {
-                                "frame": frame,
-                                "orientation": orientation.value,
-                                "size_mrad": str(size_mrad),
-                                "contrast": str(contrast),
-                            }
-                        )
-        for number, changes in (row_changes or {}).items():
-            rows[number] |= changes
-        tables: dict[str, dict[str, Any]] = {
-            "display": {
-                "eotf": "linear",
-                "white_luminance_cd_m2": _full_scale(suffix),
-                "pixel_pitch_mrad": PITCH_MRAD,
-                "background_luminance_cd_m2": BACKGROUND,
-            },
-            "experiment": {"level": "contrast", "group_by": ["size_mrad"]},
-        }
-        for table, changed in (("display", display), ("experiment", experiment)):
-            tables[table] = {k: v for k, v in (tables[table] | dict(changed or {})).items() if v is not None}
-        dataset = DatasetFolder(path, {"schema": 1, **tables}, rows)
-        dataset.save()
-        return dataset
-
-    return make
+    path = folder / name
+    (path / "frames").mkdir(parents=True)
+    rows = []
+    for size_mrad in sizes_mrad:
+        for contrast in contrasts:
+            for orientation in ORIENTATIONS:
+                content = _frame(suffix, size_mrad, contrast, orientation, side_px)
+                for repeat in range(repeats):
+                    frame = f"frames/s{size_mrad}_c{contrast}_{orientation}_{repeat}{suffix}"
+                    (path / frame).write_bytes(content)
+                    rows.append(
+                        {
+                            "frame": frame,
+                            "orientation": orientation.value,
+                            "size_mrad": str(size_mrad),
+                            "contrast": str(contrast),
+                        }
+                    )
+    for number, changes in (row_changes or {}).items():
+        rows[number] |= changes
+    tables: dict[str, dict[str, Any]] = {
+        "display": {
+            "eotf": "linear",
+            "white_luminance_cd_m2": _full_scale(suffix),
+            "pixel_pitch_mrad": PITCH_MRAD,
+            "background_luminance_cd_m2": BACKGROUND,
+        },
+        "experiment": {"level": "contrast", "group_by": ["size_mrad"]},
+    }
+    for table, changed in (("display", display), ("experiment", experiment)):
+        tables[table] = {k: v for k, v in (tables[table] | dict(changed or {})).items() if v is not None}
+    dataset = DatasetFolder(path, {"schema": 1, **tables}, rows)
+    dataset.save()
+    return dataset
 
 
 @cache

@@ -9,7 +9,6 @@ import re
 import subprocess
 import sys
 import time
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,11 +17,8 @@ import pytest
 from todframes import score
 from todframes.cli.console import finish, run
 from todframes.cli.main import cli
-from todframes.frames.dataset import load_dataset
 from todframes.frames.files import write_frame
 from todframes.psychometrics.fit import FitSettings
-
-SAMPLES = Path(__file__).parent.parent / "sample_frames"
 
 
 @pytest.fixture
@@ -149,11 +145,10 @@ def test_verbose_shows_the_curves_and_what_the_numbers_leave_out(todframes, make
         assert text in out
 
 
-def test_a_narrow_terminal_has_fewer_columns_and_whole_numbers(capsys, monkeypatch) -> None:
+def test_a_narrow_terminal_has_fewer_columns_and_whole_numbers(make_dataset, capsys, monkeypatch) -> None:
     """Every line fits, and thresholds have the digits that they have on a wide one."""
-    data = load_dataset(SAMPLES / "naked_eye")
-    data = replace(data, trials=data.trials[: len(data.trials) // 2])  # two of four sizes
-    result = score(data, tolerance=0.02, fit=FitSettings(resamples=200), examples=False)
+    made = make_dataset(sizes_mrad=(1.0, 2.0), contrasts=(0.02, 0.05, 0.1, 0.2), suffix=".png")
+    result = score(made.path, tolerance=0.02, fit=FitSettings(resamples=200), examples=False)
 
     def shown() -> str:
         finish(result, "Thresholds", as_json=False, verbose=False)
@@ -193,9 +188,13 @@ def test_locate_says_what_it_found(todframes, make_dataset) -> None:
     assert todframes("score", path, "--locate", "--json", "--quiet")[2] == ""
 
 
-def test_naked_eye(todframes) -> None:
-    status, out, _ = todframes("naked-eye", "--size-mrad", "1.0,2.0", "--json")
-    assert status == 0
+def test_naked_eye(todframes, tmp_path: Path) -> None:
+    """It writes what it prints."""
+    status, out, err = todframes("naked-eye", "--size-mrad", "1.0,2.0", "-o", tmp_path / "out", "--json")
+    assert (status, err) == (0, "")
+    names = {"report.html", "result.json", "tod_curve.png"}
+    assert {path.name for path in (tmp_path / "out").iterdir()} == names
+    assert (tmp_path / "out" / "result.json").read_text(encoding="utf-8") == out
     one, two = json.loads(out)["fits"]
     assert one["threshold"] == pytest.approx(0.1462, rel=0.005)
     assert two["threshold"] < one["threshold"]
@@ -207,14 +206,6 @@ def test_naked_eye(todframes) -> None:
     assert acuity["threshold"] == pytest.approx(1.0, rel=0.005)
     _, out, _ = todframes("naked-eye", "--size-mrad", "1")
     assert f"{one['threshold']:.4g}" in out
-
-
-def test_naked_eye_writes_what_it_prints(todframes, tmp_path: Path) -> None:
-    status, out, err = todframes("naked-eye", "--size-mrad", "1,2", "-o", tmp_path / "out", "--json")
-    assert (status, err) == (0, "")
-    names = {"report.html", "result.json", "tod_curve.png"}
-    assert {path.name for path in (tmp_path / "out").iterdir()} == names
-    assert (tmp_path / "out" / "result.json").read_text(encoding="utf-8") == out
 
 
 def test_contrasts_above_1_have_a_warning(todframes) -> None:

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import todframes as tod
 from todframes.cli.console import run
 from todframes.cli.main import cli
 from todframes.enhancement.algorithm import enhancement_names
@@ -52,9 +53,9 @@ def todframes(capsys: pytest.CaptureFixture[str]):
     return call
 
 
-@pytest.fixture
-def dataset(make_dataset) -> Path:
-    made = make_dataset(suffix=".png", sizes_mrad=(1.0, 2.0), contrasts=(0.05, 0.1, 0.2, 0.4))
+@pytest.fixture(scope="module")
+def dataset(make_shared_dataset) -> Path:
+    made = make_shared_dataset(suffix=".png", sizes_mrad=(1.0, 2.0), contrasts=(0.05, 0.1, 0.2, 0.4))
     (made.path / "clean").mkdir()
     for number, row in enumerate(made.rows):
         row["reference_frame"] = f"clean/{number}.png"
@@ -76,9 +77,9 @@ def here(working_folder: Path) -> Path:
 SPECS = ("--enhance", "gaussian:sigma=2", "--enhance", "my_algorithms:twice", "--enhance", "my_algorithms:flat")
 
 
-@pytest.mark.usefixtures("here")
-def test_json(todframes, dataset: Path) -> None:
-    status, out, err = todframes("compare", dataset, *SPECS, "--json", "--internal-noise", "0.25")
+def test_json_and_files(todframes, dataset: Path, here: Path) -> None:
+    asked = ("--internal-noise", "0.25", "-o", "result", "--json")
+    status, out, err = todframes("compare", dataset, *SPECS, *asked)
     result = json.loads(out)
     # Not all thresholds lie among the levels; algorithms are named with them.
     assert {warning["code"] for warning in result["warnings"]} == {"levels_to_add"}
@@ -125,32 +126,30 @@ def test_json(todframes, dataset: Path) -> None:
     assert "The usual measures disagree: PSNR changes by +" in result["verdict"][0]
     assert "75 % correct is never reached with it and is reached without" in result["verdict"][2]
     assert result["run_time_s"] > 0.0
-
-
-@pytest.mark.parametrize("workers", ["1", "2"])
-@pytest.mark.slow
-def test_a_function_that_calls_sys_exit(todframes, dataset: Path, here: Path, workers: str) -> None:
-    (here / "my_algorithms.py").write_text("import sys\ndef leave(image):\n    sys.exit(0)\n", encoding="utf-8")
-    status, out, err = todframes("compare", dataset, "--enhance", "my_algorithms:leave", "--workers", workers)
-    assert (status, out) == (1, "")
-    assert len(err.splitlines()) == 1 and "my_algorithms:leave: called sys.exit" in err
-
-
-def test_output_folder(todframes, dataset: Path, here: Path) -> None:
-    status, out, _ = todframes("compare", dataset, *SPECS, "-o", "result", "--json")
-    assert status == 0
     folder = here / "result"
+    assert (folder / "result.json").read_text(encoding="utf-8") == out
+    check_files(folder, result["algorithms"])
+    # What a result of another command left there would be taken for this one's.
+    counts = [0.1, 0.2, 0.4, 0.8], [12, 18, 30, 38], [40] * 4
+    tod.fit_counts(*counts, fit=tod.FitSettings(resamples=0)).save(folder)
+    assert not (folder / "compare.csv").exists()
+
+
+def check_files(folder: Path, algorithms: list[dict]) -> None:
+    """A result folder has all files, and in the tables what the JSON says."""
     names = {"result.json", "report.html", "compare.csv", "scores.csv", "compare.png"}
     assert {file.name for file in folder.iterdir()} - {"scores.parquet"} == names
-    assert (folder / "result.json").read_text(encoding="utf-8") == out
-    algorithms = json.loads(out)["algorithms"]
     rows = list(csv.DictReader(io.StringIO((folder / "compare.csv").read_text(encoding="utf-8"))))
     assert [(row["algorithm"], row["size_mrad"]) for row in rows[:5]] == [
         *(("none", "1.0"), ("none", "2.0"), ("gaussian", "1.0"), ("gaussian", "2.0"), ("gaussian", "all"))
     ]
-    assert (rows[6]["algorithm"], rows[6]["size_mrad"]) == ("my_algorithms:twice", "2.0")
-    assert float(rows[6]["ratio"]) == algorithms[2]["ratios"][1]["ratio"]
-    assert float(rows[6]["threshold_low"]) == algorithms[2]["fits"][1]["threshold_ci95"][0]
+    by_place = {(row["algorithm"], row["size_mrad"]): row for row in rows}
+    for one in algorithms[1:]:
+        for fit, ratio in zip(one["fits"], one["ratios"], strict=True):
+            row = by_place[one["name"], str(fit["group"]["size_mrad"])]
+            numbers = ratio["ratio"], (fit["threshold_ci95"] or [None])[0]
+            shown = ["" if number is None else str(number) for number in numbers]
+            assert [row["ratio"], row["threshold_low"]] == shown
     assert (rows[0]["ratio"], rows[0]["verdict"]) == ("", "")
     scores = list(csv.DictReader(io.StringIO((folder / "scores.csv").read_text(encoding="utf-8"))))
     assert len(scores) == 4 * 32
@@ -161,9 +160,15 @@ def test_output_folder(todframes, dataset: Path, here: Path) -> None:
             r["displacement_x_samples"] for r in scores[:32]
         ]
     assert read_frame(folder / "compare.png").height > 400
-    # What a result of another command left there would be taken for this one's.
-    assert todframes("score", dataset, "-o", "result")[0] == 0
-    assert not (folder / "compare.csv").exists()
+
+
+@pytest.mark.parametrize("workers", ["1", "2"])
+@pytest.mark.slow
+def test_a_function_that_calls_sys_exit(todframes, dataset: Path, here: Path, workers: str) -> None:
+    (here / "my_algorithms.py").write_text("import sys\ndef leave(image):\n    sys.exit(0)\n", encoding="utf-8")
+    status, out, err = todframes("compare", dataset, "--enhance", "my_algorithms:leave", "--workers", workers)
+    assert (status, out) == (1, "")
+    assert len(err.splitlines()) == 1 and "my_algorithms:leave: called sys.exit" in err
 
 
 @pytest.mark.slow

@@ -138,6 +138,7 @@ def test_tutorial(folder: Path, capsys) -> None:
 # Files that a page tells its reader to save, by the number of the block that holds them.
 SAVED = {
     "charts.md": ("patches.csv", "text", 1),
+    "field_range.md": ("mrtd.csv", "text", 0),
     "fit_counts.md": ("counts.csv", "text", 0),
     "own_enhancement.md": ("my_enhancements.py", "python", 0),
 }
@@ -148,6 +149,7 @@ HOW_TO = [
     "compare_algorithms.md",
     "simulate_sensor.md",
     "sweep.md",
+    "field_range.md",
     "fit_counts.md",
     "own_enhancement.md",
 ]
@@ -160,6 +162,17 @@ def test_commands_of_the_page_on_noise(folder: Path, capsys) -> None:
         run_commands(command)
     assert (folder / "noise_of_wall" / "sensor_noise.toml").is_file()
     assert "SNR" in capsys.readouterr().out
+
+
+@pytest.mark.slow
+def test_commands_of_the_page_on_mtf(folder: Path, capsys) -> None:
+    text = page("camera_mtf.md")
+    run_code(*blocks(text, "python"))
+    assert capsys.readouterr().out == blocks(text, "text")[0]
+    for command in blocks(text, "sh"):
+        run_commands(command)
+    assert (folder / "mtf_of_camera" / "edge_sfr_values.txt").is_file()
+    assert "MTF50 0.234" in capsys.readouterr().out
 
 
 @pytest.mark.slow

@@ -37,7 +37,7 @@ SIGNALS = [
 ]
 MOMENTS = [pytest.param(False, id="before"), pytest.param(True, id="after", marks=pytest.mark.slow)]
 """Whether a signal comes after a call or before it."""
-CALLS = ("mkdir", "open", "link", "rename", "replace", "unlink", "rmdir", "chmod")
+CALLS = ("mkdir", "open", "rename", "replace", "unlink", "rmdir", "chmod")
 """Of `os`, each one that changes something on disk."""
 NOT_REACHED, INTERRUPTED = 99, 130
 
@@ -254,12 +254,7 @@ def test_a_file_is_replaced_whole_or_not_at_all(tmp_path: Path, number: int, aft
 # Files that the run did not write -----------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("has_links", [True, False])
-def test_a_file_that_comes_into_an_empty_folder_is_kept(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, has_links: bool
-) -> None:
-    if not has_links:  # a file system without them
-        monkeypatch.setattr(os, "link", not_here)
+def test_a_file_that_comes_into_an_empty_folder_is_kept(tmp_path: Path) -> None:
     path = tmp_path / "out"
     simulate(path, NEW, meanwhile={"notes.txt": "mine"})
     assert contents(path) == NEW | {"notes.txt": "mine"}

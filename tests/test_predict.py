@@ -100,7 +100,7 @@ def seen_frames(sensor: Sensor, observer: Observer, size: float, levels, trials:
     correct = np.array([trial.orientation.quarter_turns for trial in planned])
     deviations = np.array([readout.score_deviations(image) for image in retina])
     answers = answer_probabilities(deviations, readout.noise_covariance)
-    level = np.array([trial.snr for trial in planned])
+    level = np.array([trial.level for trial in planned])
     return Seen(level, correct, retina, answers[np.arange(len(correct)), correct])
 
 

@@ -437,7 +437,7 @@ def test_a_real_thermal_frame_is_measured_in_mk(capsys):
     ("options", "status", "message"),
     [
         (["--region", "1,2,3"], 2, "--region: found '1,2,3', expected X,Y,W,H: four whole numbers of pixels"),
-        (["--mk-per-count", "0"], 2, "--mk-per-count: found 0.0, expected a number > 0"),
+        (["--mk-per-count", "0"], 2, "--mk-per-count: found 0.0, expected a finite number > 0"),
         (["--patch", "1,2,3,4=a"], 2, "--patch: found '1,2,3,4=a', expected X,Y,W,H=LEVEL"),
         (["--patch", "1,2,3=4"], 2, "--patch: found '1,2,3=4', expected X,Y,W,H=LEVEL"),
         (["--sensor"], 1, "found one frame, expected 2 or more"),

@@ -810,7 +810,7 @@ def test_bad_recordings_are_told_in_one_line(tmp_path, case):
 def test_no_paths_and_bad_rates_are_refused(tmp_path):
     with pytest.raises(tod.DataError, match="found no path"):
         open_recordings([])
-    with pytest.raises(tod.SettingsError, match="frames_per_second: found 0, expected a number > 0"):
+    with pytest.raises(tod.SettingsError, match="frames_per_second: found 0, expected a finite number > 0"):
         open_recordings(tmp_path, frames_per_second=0)
 
 

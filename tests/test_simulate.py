@@ -312,7 +312,7 @@ def test_dataset_holds_the_frames_of_the_simulator(dataset_folder):
     planned = plan_trials([2.0, SIZE], [1.0, 4.0], 4)
     frames = [frame for t in planned for frame in Simulator(SENSOR, t.size_detectors, seed=1).frames([t])]
     for trial, plan, frame in zip(dataset.trials, planned, frames, strict=True):
-        assert (trial.level, trial.orientation) == (plan.snr, plan.orientation)
+        assert (trial.level, trial.orientation) == (plan.level, plan.orientation)
         # Six decimals.
         assert (trial.x_px, trial.y_px) == pytest.approx((frame.x_px, frame.y_px), abs=5.1e-7)
         luminance = dataset.display.luminance(read_frame(dataset.frame_path(trial.frames[0])).values)
@@ -442,9 +442,9 @@ def test_plan_has_each_size_and_snr_so_many_times_and_the_orientations_in_turn()
     planned = plan_trials([2.0, 3.0], [1.0, 2.0, 4.0], 8)
     assert len(planned) == 48
     assert len({trial.key for trial in planned}) == 48
-    counted = {(trial.size_detectors, trial.snr, trial.orientation): 0 for trial in planned}
+    counted = {(trial.size_detectors, trial.level, trial.orientation): 0 for trial in planned}
     for trial in planned:
-        counted[trial.size_detectors, trial.snr, trial.orientation] += 1
+        counted[trial.size_detectors, trial.level, trial.orientation] += 1
     assert len(counted) == 24
     assert set(counted.values()) == {2}
 

@@ -28,7 +28,7 @@ from todframes.jobs.work import LocalEngine
 from todframes.observers.pyramid import PyramidObserver, PyramidSettings
 
 CAMERA = Path(__file__).parent.parent / "sample_frames" / "staring_camera.toml"
-KNOWN = numeric_keys(PyramidSettings)
+KNOWN = numeric_keys(ss.load_sensor(CAMERA), PyramidSettings)
 ROUGH = 0.1
 """Tolerance of thresholds that are compared with each other and not with the truth."""
 
@@ -105,7 +105,7 @@ def test_memory_and_order_change_no_number() -> None:
             shared_mb=shared_mb,
         )
         turned = designs._replace(values=designs.values[::order])
-        found.append(run_sweep(base, turned, [4.0], work, LocalEngine()).threshold_snr[::order])
+        found.append(run_sweep(base, turned, [4.0], work, LocalEngine()).threshold[::order])
     assert np.isfinite(found[0]).all()
     for other in found[1:]:
         assert np.array_equal(found[0], other)
@@ -123,7 +123,7 @@ def test_processes_and_a_store_change_no_number(swept, tmp_path: Path) -> None:
     again = ss.sweep(camera, **arguments)
     store.close()
     for result in (one, again):
-        assert np.array_equal(result.swept.threshold_snr, swept.swept.threshold_snr[1::2])
+        assert np.array_equal(result.swept.threshold, swept.swept.threshold[1::2])
         assert np.array_equal(result.swept.numerical_error, swept.swept.numerical_error[1::2])
 
 
@@ -376,7 +376,7 @@ def test_the_netd_follows_aperture_and_detectors_where_it_is_coupled() -> None:
     free = ss.sweep(small_camera(), **asked)
     coupled = ss.sweep(small_camera(), **asked, couple_netd=True, minimise=["delta_t_mk", "optics.aperture_mm"])
     np.testing.assert_allclose(coupled.swept.netd_mk, [256.0, 64.0, 64.0, 16.0], rtol=1e-12)
-    np.testing.assert_array_equal(coupled.swept.threshold_snr, free.swept.threshold_snr)
+    np.testing.assert_array_equal(coupled.swept.threshold, free.swept.threshold)
     factor = coupled.swept.delta_t_mk / free.swept.delta_t_mk
     np.testing.assert_allclose(factor[:, 0], [16.0, 4.0, 4.0, 1.0], rtol=1e-12)
     assert [row["netd_mk"] for row in coupled.records()] == coupled.swept.netd_mk.tolist()

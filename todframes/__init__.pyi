@@ -4,10 +4,13 @@ from .base.errors import OutputError as OutputError
 from .base.errors import RemoteError as RemoteError
 from .base.errors import SettingsError as SettingsError
 from .base.errors import TodframesError as TodframesError
+from .calls.acquisition_range import acquisition_range as acquisition_range
 from .calls.calibrate import calibrate as calibrate
 from .calls.compare import compare as compare
 from .calls.compare import compare_frames as compare_frames
+from .calls.emva import emva_noise as emva_noise
 from .calls.fit import fit_counts as fit_counts
+from .calls.mtf import mtf as mtf
 from .calls.naked_eye import naked_eye as naked_eye
 from .calls.noise import noise as noise
 from .calls.score import score as score
@@ -20,6 +23,8 @@ from .enhancement.algorithm import Enhancement as Enhancement
 from .enhancement.algorithm import algorithm as algorithm
 from .enhancement.algorithm import find_enhancement as find_enhancement
 from .enhancement.algorithm import parameter as parameter
+from .field.atmosphere import Atmosphere as Atmosphere
+from .field.target import Target as Target
 from .frames.dataset import Dataset as Dataset
 from .frames.dataset import load_dataset as load_dataset
 from .frames.files import Frame as Frame
@@ -30,6 +35,7 @@ from .importing.file_names import FramesFound as FramesFound
 from .importing.file_names import new_dataset as new_dataset
 from .importing.importing import Imported as Imported
 from .importing.importing import import_recordings as import_recordings
+from .observers.csf import CsfObserver as CsfObserver
 from .observers.decision import answer_probabilities as answer_probabilities
 from .observers.hotelling import HotellingObserver as HotellingObserver
 from .observers.hotelling import HotellingSettings as HotellingSettings
@@ -44,7 +50,10 @@ from .psychometrics.fit import FitSettings as FitSettings
 from .psychometrics.fit import PsychometricFit as PsychometricFit
 from .report.data import Fit as Fit
 from .report.data import ResultWarning as ResultWarning
+from .report.emva_report import EmvaResult as EmvaResult
+from .report.mtf_report import MtfResult as MtfResult
 from .report.noise_report import NoiseResult as NoiseResult
+from .report.range_report import RangeResult as RangeResult
 from .report.result import Result as Result
 from .report.result import load_result as load_result
 from .report.table import Table as Table

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict
+from dataclasses import replace
 from pathlib import Path
 
-from sensor_sim.chain.sensor import Sensor, sensor_of
+from sensor_sim.chain.sensor import Scene, Sensor, sensor_of, sensor_settings
 from todframes.base.errors import SettingsError
 from todframes.base.seeds import Rng, seed_of
 from todframes.observers.interface import Observer, described
@@ -16,11 +16,15 @@ from todframes.report.data import Fit, FitPoint
 from todframes.report.result import Result
 from todframes.scoring.error_budget import PlanName, Step, plan_object
 
+LEFT_OUT_GROWS = 4.0
+"""Factor by which a plan's bound may grow at other lights; with several lights, a plan leaves out less."""
+
 
 def curve(
     sensor: Sensor | Path | str,
     *,
     size_detectors: Sequence[float],
+    luminance_cd_m2: Sequence[float] = (),
     observer: str | Observer = "pyramid",
     p_correct: float = 0.75,
     tolerance: float = 2e-3,
@@ -37,6 +41,9 @@ def curve(
         Settings of the sensor, or the path of its SENSOR.toml.
     size_detectors : sequence of float
         Sizes √(area) in detector pitches, without repetitions.
+    luminance_cd_m2 : sequence of float
+        For a camera that counts photons: luminances of the background in place of that of its scene, in cd/m²,
+        without repetitions. There is a curve for each.
     observer : str or Observer
         Name of a registered observer, "module:Class", or an observer; it must be linear.
     p_correct : float
@@ -55,7 +62,8 @@ def curve(
     Returns
     -------
     todframes.Result
-        Thresholds in SNR, and in mK where the sensor's NETD is known.
+        Thresholds in SNR, and in mK where the sensor's NETD is known; those of a camera that counts photons are
+        contrasts.
 
     Raises
     ------
@@ -72,50 +80,101 @@ def curve(
     started, seed = time.perf_counter(), seed_of(rng)
     from sensor_sim.chain.detector_noise import delta_t_as_printed_mk, delta_t_mk
     from sensor_sim.thresholds.curve_plan import plan_curve
-    from sensor_sim.thresholds.predict import FoldedChain, predict_threshold
+    from sensor_sim.thresholds.predict import AtLight, FoldedChain, predict_each, predict_threshold
 
     judge, settings = described(observer)
     FitSettings(p_correct=p_correct)  # checks it
     sensor = sensor_of(sensor)
-    sizes = [float(size) for size in size_detectors]
-    if len(set(sizes)) < len(sizes):
-        shown = ",".join(f"{size:g}" for size in sizes)
-        raise SettingsError(f"size_detectors: found a value twice in {shown!r}, expected each once")
-    fits = []
+    sizes = _each_once(size_detectors, "size_detectors")
+    luminances = _each_once(luminance_cd_m2, "luminance_cd_m2")
+    scenes = _scenes(sensor, luminances)
+    of_scenes: list[list[Fit]] = [[] for _ in scenes or (None,)]
     for size in sizes:
         started_size = time.perf_counter()
-        steps = plan_curve(sensor, judge, size, name=plan, tolerance=tolerance, p_correct=p_correct)
-        chain = FoldedChain(sensor, judge, size, steps)
-        found = predict_threshold(chain, p_correct=p_correct, tolerance=tolerance, seed=seed)
-        snr = found.threshold
-        phases = Step("phases", True, f"{found.n_phases} trials, chosen to meet the tolerance")
-        warm = warm_as_printed = None
-        if snr is not None and sensor.noise.netd_mk is not None:
-            warm, warm_as_printed = (
-                float(convert(snr, noise=sensor.noise)) for convert in (delta_t_mk, delta_t_as_printed_mk)
+
+        def chain_at(scene: Scene | None, size: float = size) -> FoldedChain:
+            at_light = replace(sensor, scene=scene)
+            steps = plan_curve(
+                at_light,
+                judge,
+                size,
+                name=plan,
+                tolerance=tolerance / (1.0 if len(scenes) < 2 else LEFT_OUT_GROWS),
+                p_correct=p_correct,
             )
-        fits.append(
-            Fit.of_computed(
-                {"size_detectors": size},
-                "snr",
+            return FoldedChain(at_light, judge, size, steps)
+
+        if scenes:
+            thresholds = predict_each(chain_at, scenes, p_correct=p_correct, tolerance=tolerance, seed=seed)
+        else:
+            chain = chain_at(None)
+            found = predict_threshold(chain, p_correct=p_correct, tolerance=tolerance, seed=seed)
+            thresholds = [AtLight(found, chain, chain.plan.bound)]
+        for (found, at_light, bound), fits_of_scene in zip(thresholds, of_scenes, strict=True):
+            steps = at_light.plan
+            group: dict[str, float | str] = {"size_detectors": size}
+            if luminances and at_light.sensor.scene is not None:
+                group = {"luminance_cd_m2": at_light.sensor.scene.background_cd_m2, **group}
+            phases = Step("phases", True, f"{found.n_phases} trials, chosen to meet the tolerance")
+            warm = warm_as_printed = None
+            if found.threshold is not None and sensor.level == "snr" and sensor.noise.netd_mk is not None:
+                warm, warm_as_printed = (
+                    float(convert(found.threshold, noise=sensor.noise))
+                    for convert in (delta_t_mk, delta_t_as_printed_mk)
+                )
+            fit = Fit.of_computed(
+                group,
+                sensor.level,
                 p_correct,
                 found,
                 points=tuple(FitPoint(level, 0, p) for level, p in found.points),
                 n_phases=found.n_phases,
-                p_correct_error_bound=chain.non_gaussian_bound(),
-                p_correct_left_out_bound=steps.bound,
-                plan=tuple(plan_object((*steps.steps, phases), chain.drawing_s / steps.unit_s)),
+                p_correct_error_bound=at_light.non_gaussian_bound(found.threshold),
+                p_correct_left_out_bound=bound,
+                plan=tuple(plan_object((*steps.steps, phases), at_light.drawing_s / steps.unit_s)),
                 delta_t_mk=warm,
                 delta_t_as_printed_mk=warm_as_printed,
-                run_time_s=round(time.perf_counter() - started_size, 4),
+                run_time_s=round((time.perf_counter() - started_size) / len(thresholds), 4),
             )
-        )
+            fits_of_scene.append(fit)
         if progress is not None:
             progress(1)
+    fits = [fit for fits_of_scene in of_scenes for fit in fits_of_scene]
     more = {}
     if examples:
         from sensor_sim.pictures import threshold_examples
 
         more["examples"] = threshold_examples(sensor, judge, fits, seed=seed)
-    settings |= {"p_correct": p_correct, "sensor": asdict(sensor), "tolerance": tolerance, "plan": plan}
+    settings |= {"p_correct": p_correct, "sensor": sensor_settings(sensor), "tolerance": tolerance, "plan": plan}
     return Result.made("curve", started, settings=settings, seed=seed, fits=tuple(fits), **more)
+
+
+def _each_once(values: Sequence[float], name: str) -> list[float]:
+    """Return values as numbers.
+
+    Raises
+    ------
+    SettingsError
+        If a value is there twice.
+    """
+    numbers = [float(value) for value in values]
+    if len(set(numbers)) < len(numbers):
+        shown = ",".join(f"{value:g}" for value in numbers)
+        raise SettingsError(f"{name}: found a value twice in {shown!r}, expected each once")
+    return numbers
+
+
+def _scenes(sensor: Sensor, luminances_cd_m2: Sequence[float]) -> list[Scene]:
+    """Return the lights of a camera that counts photons: its own, or some luminances; none for other sensors.
+
+    Raises
+    ------
+    SettingsError
+        If there are luminances for a sensor that does not count photons.
+    """
+    if sensor.scene is None:
+        if luminances_cd_m2:
+            needed = 'found for a sensor without [noise] model = "photon", expected none'
+            raise SettingsError(f"luminance_cd_m2: {needed}")
+        return []
+    return [sensor.scene.at(luminance) for luminance in luminances_cd_m2] or [sensor.scene]

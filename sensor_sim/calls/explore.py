@@ -43,8 +43,8 @@ def explore(
 
     sensor = sensor_of(sensor)
     check_installed("explore")
-    from sensor_sim.explorer.routes import Explorer
+    from sensor_sim.explorer.routes import Explorer, shown
     from todframes.web.server import Launch, serve
 
     launch = Launch(host=host, port=port, open_browser=open_browser)
-    serve(Explorer(sensor).app(), launch, tell=tell, warn=warn)
+    serve(Explorer(shown(sensor)).app(), launch, tell=tell, warn=warn)

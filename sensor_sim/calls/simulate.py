@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from sensor_sim.chain.sensor import Sensor, sensor_of
+from todframes.base.errors import SettingsError, argument
 from todframes.base.seeds import Rng, seed_of
 
 if TYPE_CHECKING:
@@ -19,7 +20,8 @@ def simulate(
     sensor: Sensor | Path | str,
     *,
     size_detectors: Sequence[float],
-    snr: Sequence[float],
+    snr: Sequence[float] = (),
+    contrast: Sequence[float] = (),
     out: Path | str,
     trials: int = 40,
     rng: Rng = 1,
@@ -43,10 +45,12 @@ def simulate(
         Sizes √(area) in detector pitches.
     snr : sequence of float
         Signals of a large triangle divided by the standard deviation of the noise of a sample.
+    contrast : sequence of float
+        In place of `snr`, for a sensor with photon noise: contrasts of the triangle against its background.
     out : path
         Folder to make, new or empty.
     trials : int
-        Frames of each size and SNR.
+        Frames of each size and level.
     rng : int, SeedSequence or Generator
         Seed of all random draws.
     frame_format : {"exr", "png"}
@@ -54,7 +58,7 @@ def simulate(
     allow_clipping : bool
         Let PNG clip more than 1 % of the pixels.
     stages : bool
-        Also write the stages of a trial with the highest SNR as pictures.
+        Also write the stages of a trial with the highest level as pictures.
     workers : int
         Processes that draw frames. With more than one, a script calls this below `if __name__ == "__main__":`,
         because they import the script.
@@ -98,7 +102,13 @@ def simulate(
     from todframes.jobs.store import Store
 
     sensor = sensor_of(sensor)
-    planned = plan_trials([float(one) for one in size_detectors], [float(one) for one in snr], trials)
+    levels, others = (snr, contrast) if sensor.level == "snr" else (contrast, snr)
+    if len(others) or not len(levels):
+        why = 'has no [noise] with model = "photon"' if sensor.level == "snr" else "counts photons"
+        expected = getattr(argument, sensor.level)
+        raise SettingsError(f"{sensor.level}: the sensor {why}; expected levels as {expected} and no others")
+    sizes = [float(one) for one in size_detectors]
+    planned = plan_trials(sizes, [float(one) for one in levels], trials, sensor.level)
     going = Going(restart=restart, keep=keep_store)
     with (
         open_engine(cluster, workers) as engine,
@@ -120,6 +130,6 @@ def simulate(
             from sensor_sim.pictures import write_stages
 
             # The picture shows the trial with the most visible triangle.
-            clearest = max(planned, key=lambda trial: (trial.snr, trial.size_detectors))
+            clearest = max(planned, key=lambda trial: (trial.level, trial.size_detectors))
             write_stages(folder / "stages", sensor, clearest, seed=seed)
     return written

@@ -8,14 +8,18 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from sensor_sim.chain.sensor import Sensor, sensor_of
+from sensor_sim.chain.sensor import Sensor, sensor_of, sensor_settings
+from todframes.base.errors import SettingsError, argument
 from todframes.base.seeds import Rng, seed_of
 from todframes.observers.interface import Observer, described
 from todframes.scoring.error_budget import PlanName
 
 if TYPE_CHECKING:
     from sensor_sim.sweeps.designs import Designs
+    from sensor_sim.sweeps.ranges import Aim
     from sensor_sim.sweeps.result import SweepResult
+    from todframes.field.atmosphere import Atmosphere
+    from todframes.field.target import Target
     from todframes.jobs.store import Store
     from todframes.jobs.work import Engine
 
@@ -33,6 +37,9 @@ def sweep(
     maximise: Sequence[str] = (),
     acuity_snr: float | None = None,
     acuity_delta_t_mk: float | None = None,
+    target: Target | Path | str | None = None,
+    atmosphere: Atmosphere | Path | str | None = None,
+    k: float | None = None,
     observer: str | Observer = "pyramid",
     p_correct: float = 0.75,
     tolerance: float = 2e-3,
@@ -68,9 +75,15 @@ def sweep(
         Whether the sensor's NETD follows aperture and detectors: NETD ∝ (f-number)² / (area of a detector).
     minimise, maximise : sequence of str
         Columns that are best when low or high, for the trade-off front: varied keys, "delta_t_mk",
-        "threshold_snr", "acuity_mrad", "acuity_detectors". The first orders the designs.
+        "threshold_snr", "acuity_mrad", "acuity_detectors", "range_km". The first orders the designs.
     acuity_snr, acuity_delta_t_mk : float, optional
         Signal of a large triangle for which the smallest visible size is interpolated, as an SNR or in mK.
+    target : Target or path, optional
+        Target in the field, as for `todframes.acquisition_range`: the range of its first task is given too.
+    atmosphere : Atmosphere or path, optional
+        Air to the target, which a target needs.
+    k : float, optional
+        In place of the target's k: the target is seen if a triangle of size / k is.
     observer, p_correct, tolerance, plan, rng
         As for `curve`; the seed is also that of `sample`.
     workers : int
@@ -119,9 +132,20 @@ def sweep(
     designs = make_designs(base, vary=vary, design=design, sample=sample, seed=seed)
     if couple_netd:
         check_coupling(sensor, designs.keys)
+    if sensor.level != "snr" and (acuity_snr is not None or acuity_delta_t_mk is not None):
+        raise SettingsError("acuity: found an SNR or a ΔT for a camera that counts photons, expected none")
     has_netd = sensor.noise.netd_mk is not None or "noise.netd_mk" in designs.keys
     criterion = Criterion.of(acuity_snr, acuity_delta_t_mk, has_netd=has_netd)
-    goals = objectives(minimise, maximise, designs.keys, has_netd=has_netd, has_acuity=criterion is not None)
+    aim = _aim(target, atmosphere, k, has_netd=has_netd, p_correct=p_correct)
+    goals = objectives(
+        minimise,
+        maximise,
+        designs.keys,
+        has_netd=has_netd,
+        has_acuity=criterion is not None,
+        has_range=aim is not None,
+        level=sensor.level,
+    )
     work = SweepWork(observers=observers, p_correct=p_correct, tolerance=tolerance, seed=seed, plan=plan)
     with open_engine(cluster, workers) as engine:
         swept = run_sweep(base, designs, sizes, work, engine, store=store, progress=progress)
@@ -137,7 +161,9 @@ def sweep(
         "maximise": [one.column for one in goals if one.sign < 0],
         "acuity_snr": acuity_snr,
         "acuity_delta_t_mk": acuity_delta_t_mk,
-        "sensor": asdict(sensor),
+        "target": None if aim is None else asdict(aim.target),
+        "atmosphere": None if aim is None else asdict(aim.atmosphere),
+        "sensor": sensor_settings(sensor),
         "tolerance": tolerance,
         "plan": plan,
     }
@@ -145,9 +171,43 @@ def sweep(
         swept=swept,
         objectives=goals,
         criterion=criterion,
+        aim=aim,
         whole_keys=tuple(key for key in designs.keys if base.keys[key]),
         settings=settings,
         seed=seed,
         from_store=0 if store is None else store.n_used,
         run_time_s=round(time.perf_counter() - started, 4),
     )
+
+
+def _aim(
+    target: Target | Path | str | None,
+    atmosphere: Atmosphere | Path | str | None,
+    k: float | None,
+    *,
+    has_netd: bool,
+    p_correct: float,
+) -> Aim | None:
+    """Return the target and air of the range; None if there is no target.
+
+    Raises
+    ------
+    SettingsError
+        If one of them is missing or invalid, or NETD is not known.
+    """
+    if target is None:
+        for name, value in ((argument.atmosphere, atmosphere), (argument.k, k)):
+            if value is not None:
+                raise SettingsError(f"{name}: is given but not used without {argument.target}")
+        return None
+    if atmosphere is None:
+        raise SettingsError(f"{argument.atmosphere}: is missing, expected it beside {argument.target}")
+    if not has_netd:
+        raise SettingsError(f"{argument.target}: needs noise.netd_mk of the sensor")
+    from sensor_sim.sweeps.ranges import Aim
+    from todframes.field.atmosphere import chosen_atmosphere
+    from todframes.field.target import chosen_target
+
+    aim = Aim(chosen_target(target, k=k), chosen_atmosphere(atmosphere))
+    aim.check(p_correct)
+    return aim

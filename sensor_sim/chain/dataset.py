@@ -13,6 +13,7 @@ import msgspec
 import numpy as np
 
 from sensor_sim.chain.detector_noise import noise_parts
+from sensor_sim.chain.photons import contrast_variance
 from sensor_sim.chain.sensor import Sensor
 from sensor_sim.chain.simulation import SimulatedFrame, SimulatedTrial, Simulator
 from todframes import __version__
@@ -33,8 +34,6 @@ FrameFormat = Literal["exr", "png"]
 
 LARGEST_CLIPPED_SHARE = 0.01
 
-MANIFEST_COLUMNS = ("frame", "orientation", "size_mrad", "size_detectors", "snr", "x_px", "y_px", "sha256")
-
 TRIALS_PER_TASK = 32
 
 
@@ -46,14 +45,19 @@ class Written:
     clipped_share: float
 
 
-def white_luminance_cd_m2(sensor: Sensor, snrs: Sequence[float]) -> float:
+def white_luminance_cd_m2(sensor: Sensor, levels: Sequence[float]) -> float:
     """Return the luminance of PNG code value 1: above that of the brightest triangle in the strongest noise.
 
     Uniform noise reaches to √3 standard deviations of either of its parts and no blur adds to that; Gaussian noise
-    is given four.
+    and that of photons are given four.
     """
-    parts = noise_parts(sensor.noise, total_sd=1.0 / min(snrs))
-    reach = math.sqrt(3.0) * sum(parts) if sensor.noise.distribution == "uniform" else 4.0 / min(snrs)
+    if sensor.photons is not None:
+        contrast, variance = max(levels), contrast_variance(sensor)
+        noise = variance.white + variance.row + variance.column + contrast * variance.per_signal
+        signal = contrast + 4.0 * math.sqrt(noise + contrast**2 * variance.per_squared_signal)
+        return sensor.display.background_luminance_cd_m2 * (1.0 + sensor.display.gain * signal)
+    parts = noise_parts(sensor.noise, total_sd=1.0 / min(levels))
+    reach = math.sqrt(3.0) * sum(parts) if sensor.noise.distribution == "uniform" else 4.0 / min(levels)
     return sensor.display.background_luminance_cd_m2 * (1.0 + sensor.display.gain * (1.0 + reach))
 
 
@@ -110,7 +114,7 @@ class SimulationWork:
         name = "frames/s{}_n{}_{}_{}.{}".format(*trial.key[:2], trial.orientation, trial.key[2], self.frame_format)
         write_frame(folder / name, code, attributes=provenance(self.sensor, self.seed, trial))
         size_mrad = trial.size_detectors * self.sensor.display.detector_pitch_mrad
-        numbers = [repr(size_mrad), repr(trial.size_detectors), repr(trial.snr)]
+        numbers = [repr(size_mrad), repr(trial.size_detectors), repr(trial.level)]
         place = [f"{frame.x_px:.6f}", f"{frame.y_px:.6f}"]
         return [name, trial.orientation.value, *numbers, *place, frame_sha256(folder / name)]
 
@@ -122,7 +126,7 @@ class SimulationWork:
 
     def key(self, item: list[SimulatedTrial], *, is_done: bool) -> bytes:  # noqa: ARG002
         """Return the key of frames: it stands for the sensor, the trials and the format."""
-        trials = [(trial.key, trial.size_detectors, trial.snr, trial.orientation.value) for trial in item]
+        trials = [(trial.key, trial.size_detectors, trial.level, trial.orientation.value) for trial in item]
         return fingerprint(self.sensor, self.seed, self.frame_format, self.white_cd_m2, trials)
 
     def stamp(self, item: list[SimulatedTrial]) -> None:
@@ -179,7 +183,7 @@ def write_dataset(
         If a frame cannot be written.
     """
     (folder / "frames").mkdir(exist_ok=store is not None)
-    white = white_luminance_cd_m2(sensor, [trial.snr for trial in trials]) if frame_format == "png" else 1.0
+    white = white_luminance_cd_m2(sensor, [trial.level for trial in trials]) if frame_format == "png" else 1.0
     tasks: list[list[SimulatedTrial]] = []
     for trial in trials:
         if not tasks or len(tasks[-1]) == TRIALS_PER_TASK or tasks[-1][0].size_detectors != trial.size_detectors:
@@ -206,7 +210,8 @@ def write_dataset(
     rows = [row for one in written for row in one.rows]
     if store is not None:
         remove_others(folder, {row[0] for row in rows})
-    manifest = csv_text([MANIFEST_COLUMNS, *rows], as_it_is=True)
+    columns = ("frame", "orientation", "size_mrad", "size_detectors", sensor.level, "x_px", "y_px", "sha256")
+    manifest = csv_text([columns, *rows], as_it_is=True)
     (folder / "manifest.csv").write_text(manifest, encoding="utf-8")
     (folder / "dataset.toml").write_text(_settings(sensor, white, seed), encoding="utf-8")
     return Written(len(rows), share)
@@ -219,7 +224,7 @@ def provenance(sensor: Sensor, seed: int, trial: SimulatedTrial) -> dict[str, st
         "sensor_sim:version": __version__,
         "sensor_sim:seed": str(seed),
         "sensor_sim:size_detectors": repr(trial.size_detectors),
-        "sensor_sim:snr": repr(trial.snr),
+        f"sensor_sim:{sensor.level}": repr(trial.level),
         "sensor_sim:orientation": trial.orientation.value,
         "sensor_sim:trial": "-".join(map(str, trial.key)),
     }
@@ -238,7 +243,7 @@ def _settings(sensor: Sensor, white: float, seed: int) -> str:
                 "viewing_distance_mm": float(display.viewing_distance_mm),
                 "background_luminance_cd_m2": float(display.background_luminance_cd_m2),
             },
-            "experiment": {"level": "snr", "group_by": ["size_detectors"]},
+            "experiment": {"level": sensor.level, "group_by": ["size_detectors"]},
         },
         comment=f"Simulated by sensor-sim {__version__} with seed {seed}; sensor: {one_line(sensor.name)}",
     )

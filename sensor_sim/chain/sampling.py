@@ -31,6 +31,7 @@ from sensor_sim.chain.sensor import Detector, Optics, Sensor
 from sensor_sim.chain.transfer import band_limit_cyc_per_mrad, pre_sample_mtf, sharpness_bound
 from todframes.base._typing import ComplexArray, FloatArray
 from todframes.base.errors import SettingsError
+from todframes.base.reading import check_positive
 from todframes.stimulus import HEIGHT_PER_SIZE, SIDE_PER_SIZE, Orientation, spectrum
 
 MAX_FREQUENCIES = 2**22
@@ -95,8 +96,7 @@ class TriangleSampler:
         period_detectors: int | None = None,
     ) -> None:
         period = field_detectors if period_detectors is None else period_detectors
-        if not (math.isfinite(size_detectors) and size_detectors > 0.0):
-            raise SettingsError(f"size_detectors: found {size_detectors!r}, expected a finite number > 0")
+        check_positive("size_detectors", size_detectors)
         smallest = smallest_field(size_detectors)
         if field_detectors < smallest:
             needed = f"at least {smallest} for a triangle of size {size_detectors:g} detectors"
@@ -263,8 +263,7 @@ def field_detectors(sensor: Sensor, size_detectors: float) -> int:
     SettingsError
         If the size is not a positive number.
     """
-    if not (math.isfinite(size_detectors) and size_detectors > 0.0):
-        raise SettingsError(f"size_detectors: found {size_detectors!r}, expected a finite number > 0")
+    check_positive("size_detectors", size_detectors)
     blur = 3.0 * sensor.optics.blur_sigma_mrad / sensor.detector.pitch_mrad
     field = FIELD_SIZES * size_detectors + 2.0 * blur + FIELD_MARGIN_DETECTORS
     if field > MAX_FIELD_DETECTORS:
@@ -369,8 +368,7 @@ def sample_image(
         If the pitch is not a positive number, the image is smaller than the field, or the optics pass too
         many frequencies.
     """
-    if not (math.isfinite(pixel_pitch_mrad) and pixel_pitch_mrad > 0.0):
-        raise SettingsError(f"pixel_pitch_mrad: found {pixel_pitch_mrad!r}, expected a finite number > 0")
+    check_positive("pixel_pitch_mrad", pixel_pitch_mrad)
     pixel = pixel_pitch_mrad / detector.pitch_mrad
     sides = [n * pixel for n in image.shape]
     if min(sides) < field_detectors * (1.0 - 1e-12):

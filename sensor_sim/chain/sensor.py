@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -25,6 +25,11 @@ Distribution = Literal["uniform", "gaussian"]
 Positive = Annotated[float, Meta(ge=1.0 / LARGEST, le=LARGEST)]
 NotNegative = Annotated[float, Meta(ge=0.0, le=LARGEST)]
 BlurPixels = Annotated[float, Meta(ge=0.0, le=MAX_PIXELS)]
+Share = Annotated[float, Meta(ge=1e-6, le=1.0)]
+OptionalPositive = Annotated[float | None, Meta(ge=1.0 / LARGEST, le=LARGEST)]
+
+FOLLOWS = float("nan")
+"""Default of a length or an angle that another key may give."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -34,21 +39,35 @@ class Optics:
     Attributes
     ----------
     aperture_mm, wavelength_um : float
-        Both > 0.
+        Both > 0. With `f_number`, the aperture is the focal length divided by it, whatever is given here.
     blur_sigma_mrad : float
         Standard deviation of the Gaussian, never a 1/e width; >= 0.
+    f_number, focal_length_mm : float or None
+        Both > 0. The focal length turns lengths on the chip into angles.
+    transmission : float
+        Share of the light that the lens passes, above 0 and at most 1. It matters to photons only.
 
     Raises
     ------
     SettingsError
-        If a value is out of its range.
+        If a value is out of its range, or there is no aperture.
     """
 
-    aperture_mm: Positive
+    aperture_mm: Positive = FOLLOWS
     wavelength_um: Positive
     blur_sigma_mrad: NotNegative = 0.0
+    f_number: OptionalPositive = None
+    focal_length_mm: OptionalPositive = None
+    transmission: Share = 1.0
 
     def __post_init__(self) -> None:
+        if self.f_number is not None:
+            if self.focal_length_mm is None:
+                raise SettingsError("focal_length_mm is missing: the aperture is focal_length_mm / f_number")
+            check_values(self, ignored=("aperture_mm",))
+            object.__setattr__(self, "aperture_mm", self.focal_length_mm / self.f_number)
+        elif self.aperture_mm is FOLLOWS:
+            raise SettingsError("aperture_mm is missing")
         check_values(self)
 
     @property
@@ -67,22 +86,58 @@ class Detector:
         Distance from one detector to the next, > 0.
     width_mrad : float
         Side of the active area, > 0 and at most the pitch: pitch × √(fill factor).
+    pitch_um, width_um : float or None
+        Pitch and side of the active area on the chip. With them, a `Sensor` sets the two angles from its focal
+        length, whatever is given here; until then they are NaN. By default the width is the pitch.
 
     Raises
     ------
     SettingsError
-        If a value is out of its range.
+        If a value is out of its range, or there is no pitch.
     """
 
-    pitch_mrad: Positive
-    width_mrad: Positive
+    pitch_mrad: Positive = FOLLOWS
+    width_mrad: Positive = FOLLOWS
+    pitch_um: OptionalPositive = None
+    width_um: OptionalPositive = None
 
     def __post_init__(self) -> None:
+        if self.pitch_um is not None:
+            check_values(self, ignored=("pitch_mrad", "width_mrad"))
+            if self.width_um is not None and self.width_um > self.pitch_um:
+                raise SettingsError(
+                    f"width_um: found {self.width_um!r}, expected at most pitch_um ({self.pitch_um!r})"
+                )
+            return
+        if self.width_um is not None:
+            raise SettingsError("pitch_um is missing: width_um is a width on the chip")
+        for name in ("pitch_mrad", "width_mrad"):
+            if getattr(self, name) is FOLLOWS:
+                raise SettingsError(f"{name} is missing")
         check_values(self)
         if self.width_mrad > self.pitch_mrad:
             raise SettingsError(
                 f"width_mrad: found {self.width_mrad!r}, expected at most pitch_mrad ({self.pitch_mrad!r})"
             )
+
+    def behind(self, optics: Optics) -> Detector:
+        """Return the detector with its angles behind these optics; itself if it was given in angles.
+
+        Raises
+        ------
+        SettingsError
+            If it was given in µm and the optics have no focal length.
+        """
+        if self.pitch_um is None:
+            return self
+        if optics.focal_length_mm is None:
+            raise SettingsError("optics.focal_length_mm is missing: detector.pitch_um needs it for its angle")
+        width_um = self.pitch_um if self.width_um is None else self.width_um
+        return replace(
+            self,
+            pitch_mrad=self.pitch_um / optics.focal_length_mm,
+            width_mrad=width_um / optics.focal_length_mm,
+        )
 
     @property
     def nyquist_cyc_per_mrad(self) -> float:
@@ -120,6 +175,123 @@ class Noise:
 
     def __post_init__(self) -> None:
         check_values(self)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PhotonNoise:
+    """Noise of a camera that counts photons, in the words of EMVA 1288; the level is then the contrast.
+
+    Attributes
+    ----------
+    quantum_efficiency : float
+        Electrons for each photon that falls on the area of a pixel, its insensitive part included.
+    system_gain_dn_per_electron : float or None
+        Digital numbers for each electron, > 0. None: nothing is rounded.
+    dark_noise_electrons : float
+        Standard deviation of a frame's noise in the dark, >= 0.
+    dark_current_electrons_per_s : float
+    dsnu_electrons, prnu_percent : float
+        Standard deviations, over the pixels, of the fixed pattern in the dark and of the pixels' responses.
+    full_well_electrons : float or None
+        Electrons at which a pixel saturates. None: never.
+    bits : int or None
+        Bits of the analogue-to-digital converter, whose largest number is 2**bits − 1. None: no largest number.
+    exposure_ms : float
+    row_noise_electrons, column_noise_electrons : float
+        Standard deviations of what all pixels of a row or column have in common, new in each frame.
+    row_pattern_electrons, column_pattern_electrons : float
+        The same, fixed: parts that are not in `dsnu_electrons`.
+    frames_integrated : int
+        Frames that the observer's eye averages, >= 1.
+
+    Raises
+    ------
+    SettingsError
+        If a value is out of its range.
+    """
+
+    quantum_efficiency: Share
+    system_gain_dn_per_electron: OptionalPositive = None
+    dark_noise_electrons: NotNegative
+    dark_current_electrons_per_s: NotNegative = 0.0
+    dsnu_electrons: NotNegative = 0.0
+    prnu_percent: Annotated[float, Meta(ge=0.0, le=100.0)] = 0.0
+    full_well_electrons: OptionalPositive = None
+    bits: Annotated[int | None, Meta(ge=1, le=32)] = None
+    exposure_ms: Positive
+    row_noise_electrons: NotNegative = 0.0
+    column_noise_electrons: NotNegative = 0.0
+    row_pattern_electrons: NotNegative = 0.0
+    column_pattern_electrons: NotNegative = 0.0
+    frames_integrated: Annotated[int, Meta(ge=1)] = 1
+
+    def __post_init__(self) -> None:
+        check_values(self)
+        if self.bits is not None and self.system_gain_dn_per_electron is None:
+            raise SettingsError("system_gain_dn_per_electron is missing: bits need it")
+
+    @property
+    def dark_electrons(self) -> float:
+        """Mean number of electrons of the dark current in an exposure."""
+        return self.dark_current_electrons_per_s * self.exposure_ms / 1000.0
+
+    @property
+    def saturation_electrons(self) -> float:
+        """Electrons at which the pixel or its converter saturates; infinity if neither does."""
+        of_pixel = math.inf if self.full_well_electrons is None else self.full_well_electrons
+        if self.bits is None or self.system_gain_dn_per_electron is None:
+            return of_pixel
+        of_converter: float = (2**self.bits - 1) / self.system_gain_dn_per_electron
+        return min(of_pixel, of_converter)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Scene:
+    """The light of the background that a camera which counts photons looks at.
+
+    Attributes
+    ----------
+    luminance_cd_m2 : float or None
+        Luminance of the background, > 0.
+    illuminance_lx, reflectance : float or None
+        In its place: illuminance of a matt background and the share of light that it reflects. Its luminance is
+        illuminance · reflectance / π.
+    photons_per_lux_s_um2 : float or None
+        Photons that a lux brings to a µm² in a second. None: those of monochromatic light of the optics'
+        wavelength.
+
+    Raises
+    ------
+    SettingsError
+        If a value is out of its range, or the luminance is not given once.
+    """
+
+    luminance_cd_m2: OptionalPositive = None
+    illuminance_lx: OptionalPositive = None
+    reflectance: Annotated[float | None, Meta(ge=1e-6, le=1.0)] = None
+    photons_per_lux_s_um2: OptionalPositive = None
+
+    def __post_init__(self) -> None:
+        check_values(self)
+        by_light = (self.illuminance_lx, self.reflectance)
+        if self.luminance_cd_m2 is not None and by_light != (None, None):
+            raise SettingsError(
+                "found luminance_cd_m2 and also illuminance_lx or reflectance, expected one of the two ways"
+            )
+        if self.luminance_cd_m2 is None and None in by_light:
+            raise SettingsError("luminance_cd_m2 is missing; expected it, or illuminance_lx and reflectance")
+
+    @property
+    def background_cd_m2(self) -> float:
+        """Luminance of the background."""
+        if self.luminance_cd_m2 is not None:
+            return self.luminance_cd_m2
+        assert self.illuminance_lx is not None and self.reflectance is not None  # checked
+        return float(self.illuminance_lx * self.reflectance / math.pi)
+
+    def at(self, luminance_cd_m2: float) -> Scene:
+        """Return the scene at another luminance."""
+        return replace(self, luminance_cd_m2=luminance_cd_m2, illuminance_lx=None, reflectance=None)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -189,7 +361,15 @@ class SensorDisplay:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sensor:
-    """All settings of the chain from the scene to the eye."""
+    """All settings of the chain from the scene to the eye.
+
+    With `photons`, levels are contrasts at the light of the `scene`, and `noise` is not used.
+
+    Raises
+    ------
+    SettingsError
+        If a part lacks what another one needs.
+    """
 
     optics: Optics
     detector: Detector
@@ -197,6 +377,24 @@ class Sensor:
     noise: Noise = field(default_factory=Noise)
     electronics: Electronics = field(default_factory=Electronics)
     name: str = "unnamed"
+    photons: PhotonNoise | None = None
+    scene: Scene | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "detector", self.detector.behind(self.optics))
+        if self.photons is None:
+            if self.scene is not None:
+                raise SettingsError('scene: found a table [scene], expected [noise] with model = "photon" too')
+            return
+        if self.scene is None:
+            raise SettingsError('table [scene] is missing: [noise] with model = "photon" needs its light')
+        if self.optics.focal_length_mm is None:
+            raise SettingsError("optics.focal_length_mm is missing: light falls on a pixel by f-number and area")
+
+    @property
+    def level(self) -> Literal["snr", "contrast"]:
+        """Quantity that is the strength of a triangle: SNR, or the contrast for a camera that counts photons."""
+        return "snr" if self.photons is None else "contrast"
 
     @property
     def magnification(self) -> float:
@@ -207,12 +405,22 @@ class Sensor:
 TABLES = {
     "optics": Optics,
     "detector": Detector,
+    "scene": Scene,
     "noise": Noise,
     "electronics": Electronics,
     "display": SensorDisplay,
 }
 
+NOISE_MODELS: dict[str, type] = {"photon": PhotonNoise}
+"""Settings of the table [noise], by its key `model`; without this key they are those of `Noise`."""
+
 _REQUIRED_TABLES = ("optics", "detector", "display")
+
+_EITHER = {
+    "optics": (("aperture_mm", "f_number"),),
+    "detector": (("pitch_mrad", "pitch_um"), ("pitch_mrad", "width_um"), ("width_mrad", "pitch_um")),
+}
+"""Keys of a table that set the same value."""
 
 
 def load_sensor(path: Path | str) -> Sensor:
@@ -238,7 +446,8 @@ def sensor_from(content: Mapping[str, Any], where: str) -> Sensor:
     Raises
     ------
     SettingsError
-        If a table or key is unknown, missing or out of its range; the message begins with `where`.
+        If a table or key is unknown, missing, contradicts another or is out of its range; the message begins with
+        `where`.
     """
     check_keys(content, ["schema", "name", *TABLES], where)
     schema = content.get("schema")
@@ -253,14 +462,83 @@ def sensor_from(content: Mapping[str, Any], where: str) -> Sensor:
         if table in content:
             if not isinstance(content[table], dict):
                 raise SettingsError(f"{where}: {table}: found {content[table]!r}, expected a table [{table}]")
-            parts[table] = from_table(content[table], kind, f"{where}: [{table}]")
+            place = f"{where}: [{table}]"
+            for one, other in _EITHER.get(table, ()):
+                if one in content[table] and other in content[table]:
+                    raise SettingsError(f"{place}: found {one} and {other}, expected one of them")
+            if table == "noise" and "model" in content[table]:
+                parts["photons"] = _photons(content[table], place)
+            else:
+                parts[table] = from_table(content[table], kind, place)
         elif table in _REQUIRED_TABLES:
             raise SettingsError(f"{where}: table [{table}] is missing")
-    return Sensor(name=name, **parts)
+    try:
+        return Sensor(name=name, **parts)
+    except SettingsError as error:
+        raise SettingsError(f"{where}: {error}") from None
+
+
+def _photons(table: Mapping[str, Any], where: str) -> Any:
+    """Return the settings of a table [noise] with a key `model`."""
+    others = dict(table)
+    model = others.pop("model")
+    if model not in NOISE_MODELS:
+        raise SettingsError(f"{where}: model: found {model!r}, expected one of {', '.join(NOISE_MODELS)}")
+    return from_table(others, NOISE_MODELS[model], where)
+
+
+def part_of(table: str, sensor: Sensor) -> str:
+    """Return the name of the attribute of a sensor that holds the settings of a table."""
+    return "photons" if table == "noise" and sensor.photons is not None else table
+
+
+def used_keys(sensor: Sensor) -> dict[str, list[str]]:
+    """Return the keys of each table that mean something for a sensor, without those that follow from others."""
+    found = {}
+    for table in TABLES:
+        part = getattr(sensor, part_of(table, sensor))
+        if part is not None:
+            follows = _followers(part)
+            found[table] = [one.name for one in fields(part) if one.name not in follows]
+    return found
+
+
+def _followers(part: object) -> tuple[str, ...]:
+    """Return the names of settings that follow from others of the same table, or are of no use with them."""
+    if isinstance(part, Optics):
+        return ("aperture_mm",) if part.f_number is not None else ("f_number",)
+    if isinstance(part, Detector):
+        return ("pitch_mrad", "width_mrad") if part.pitch_um is not None else ("pitch_um", "width_um")
+    if isinstance(part, Scene):
+        return ("illuminance_lx", "reflectance") if part.luminance_cd_m2 is not None else ("luminance_cd_m2",)
+    return ()
+
+
+def sensor_tables(sensor: Sensor) -> dict[str, Any]:
+    """Return the tables of a sensor as plain values, as a `SENSOR.toml` has them; unused keys are left out."""
+    found: dict[str, Any] = {}
+    for table, names in used_keys(sensor).items():
+        part = part_of(table, sensor)
+        values = asdict(getattr(sensor, part))
+        model = {"model": "photon"} if part == "photons" else {}
+        found[table] = model | {name: values[name] for name in names if not _is_left_out(name, values[name])}
+    return found
+
+
+def sensor_settings(sensor: Sensor) -> dict[str, Any]:
+    """Return the tables and the name of a sensor as plain values, in the order of its attributes, for results."""
+    content = {"name": sensor.name} | sensor_tables(sensor)
+    return {one.name: content[one.name] for one in fields(sensor) if one.name in content}
+
+
+def _is_left_out(name: str, value: object) -> bool:
+    """Return whether a key is left out of a sensor's tables: it says nothing.
+
+    `netd_mk` is null in results where it is not known.
+    """
+    return (value is None and name != "netd_mk") or (name == "transmission" and value == 1.0)
 
 
 def sensor_toml(sensor: Sensor) -> str:
     """Return the text of a `SENSOR.toml` with all keys; every number keeps all its digits."""
-    return toml_text(
-        {"schema": SCHEMA, "name": sensor.name} | {one: asdict(getattr(sensor, one)) for one in TABLES}
-    )
+    return toml_text({"schema": SCHEMA, "name": sensor.name} | sensor_tables(sensor))

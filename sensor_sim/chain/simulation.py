@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sensor_sim.chain.detector_noise import displayed_noise, unit_fixed_pattern
+from sensor_sim.chain.photons import PhotonCamera
 from sensor_sim.chain.reconstruction import axis_matrix, display_position_px, display_signal, luminance_cd_m2
 from sensor_sim.chain.sampling import field_detectors, field_sampler
 from sensor_sim.chain.sensor import Sensor
@@ -26,11 +27,14 @@ LARGEST_SIDE_PX = 11_585
 
 
 class SimulatedTrial(NamedTuple):
-    """A presentation: size, noise and orientation of the triangle. `key` seeds its random stream."""
+    """A presentation: size, level and orientation of the triangle. `key` seeds its random stream.
+
+    `level` is a signal-to-noise ratio, or a contrast for a camera that counts photons.
+    """
 
     key: tuple[int, int, int]
     size_detectors: float
-    snr: float
+    level: float
     orientation: Orientation
 
 
@@ -42,15 +46,17 @@ class SimulatedFrame(NamedTuple):
     y_px: float
 
 
-def plan_trials(sizes_detectors: Sequence[float], snrs: Sequence[float], trials: int) -> list[SimulatedTrial]:
-    """Plan `trials` presentations of each size at each signal-to-noise ratio, with the orientations in turn.
+def plan_trials(
+    sizes_detectors: Sequence[float], levels: Sequence[float], trials: int, level_name: str = "snr"
+) -> list[SimulatedTrial]:
+    """Plan `trials` presentations of each size at each level, with the orientations in turn.
 
     Raises
     ------
     SettingsError
         If a list is empty, a value is not a positive number or occurs twice, or there are no trials.
     """
-    for name, values in (("size_detectors", sizes_detectors), ("snr", snrs)):
+    for name, values in (("size_detectors", sizes_detectors), (level_name, levels)):
         if not values:
             raise SettingsError(f"{name}: found no values, expected at least one")
         for value in values:
@@ -61,9 +67,9 @@ def plan_trials(sizes_detectors: Sequence[float], snrs: Sequence[float], trials:
     if trials < 1:
         raise SettingsError(f"trials: found {trials}, expected at least 1")
     return [
-        SimulatedTrial((i, j, n), size, snr, ORIENTATIONS[n % 4])
+        SimulatedTrial((i, j, n), size, level, ORIENTATIONS[n % 4])
         for i, size in enumerate(sizes_detectors)
-        for j, snr in enumerate(snrs)
+        for j, level in enumerate(levels)
         for n in range(trials)
     ]
 
@@ -101,6 +107,7 @@ class Simulator:
         self.sampler = field_sampler(sensor, size_detectors)
         self.matrix = axis_matrix(self.field, display=sensor.display, electronics=sensor.electronics)
         pattern_seed = np.random.SeedSequence(seed, spawn_key=(PATTERN_STREAM,))
+        self.camera = PhotonCamera(sensor, self.field, seed=pattern_seed) if sensor.photons is not None else None
         self.pattern = unit_fixed_pattern((self.field,) * 2, noise=sensor.noise, seed=pattern_seed)
 
     def frames(self, trials: Sequence[SimulatedTrial]) -> Iterator[SimulatedFrame]:
@@ -112,7 +119,10 @@ class Simulator:
             yield SimulatedFrame(luminance, x_px, y_px)
 
     def samples(self, trials: Sequence[SimulatedTrial], *, noise: bool = True) -> tuple[FloatArray, FloatArray]:
-        """Return the triangles' random places on the detectors, (trial, 2), and samples, (trial, field, field)."""
+        """Return the triangles' random places on the detectors, (trial, 2), and samples, (trial, field, field).
+
+        Samples are in units of a large triangle's signal; for a camera that counts photons they are contrasts.
+        """
         rngs = [
             np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(TRIAL_STREAMS, *trial.key)))
             for trial in trials
@@ -123,7 +133,13 @@ class Simulator:
             shown = [n for n, trial in enumerate(trials) if trial.orientation is orientation]
             if shown:
                 samples[shown] = self.sampler.samples(*places[shown].T, orientation=orientation)
-        if noise:
-            for trial, rng, sample in zip(trials, rngs, samples, strict=True):
-                sample += displayed_noise(self.pattern, total_sd=1.0 / trial.snr, noise=self.sensor.noise, rng=rng)
+        for trial, rng, sample in zip(trials, rngs, samples, strict=True):
+            if self.camera is not None:
+                sample *= trial.level
+                if noise:
+                    sample[:] = self.camera.contrast(sample, rng)
+            elif noise:
+                sample += displayed_noise(
+                    self.pattern, total_sd=1.0 / trial.level, noise=self.sensor.noise, rng=rng
+                )
         return places, samples

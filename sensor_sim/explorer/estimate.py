@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Hashable
 from functools import cache, partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +24,15 @@ from sensor_sim.chain.sampling import TriangleSampler, field_detectors, smallest
 from sensor_sim.chain.sensor import Sensor
 from sensor_sim.thresholds.curve_plan import CurvePlan, centre_offset
 from sensor_sim.thresholds.folding import Folding, is_unblurred
-from sensor_sim.thresholds.predict import KRONECKER_STEPS_4D, Lattice, Phases, PooledThreshold, phases_on, pooled
+from sensor_sim.thresholds.predict import (
+    KRONECKER_STEPS_4D,
+    Lattice,
+    Phases,
+    PooledThreshold,
+    Reference,
+    phases_on,
+    pooled,
+)
 from sensor_sim.thresholds.sharing import Shared
 from todframes.base._typing import FloatArray
 from todframes.observers.interface import Observer
@@ -55,29 +63,6 @@ SMALL_JITTER = 0.03
 
 LEFT_OUT = 3e-4
 """Change of P(correct) that `quick_plan` and `SMALL_JITTER` may cause; over sensors at random it is below half."""
-
-
-class Reference(NamedTuple):
-    """A sensor whose threshold is known more exactly than the lattices give it.
-
-    Attributes
-    ----------
-    deviations : ndarray, shape (LATTICES,)
-        As of `PooledThreshold`.
-    correction : float
-        ln of the known threshold over the estimate.
-    error : float
-        Relative error of the known threshold, half-width of a 95 % interval.
-    """
-
-    deviations: FloatArray
-    correction: float
-    error: float
-
-    @classmethod
-    def of(cls, found: PooledThreshold, threshold: float, error: float) -> Reference:
-        """Return a sensor as a reference: its threshold is known more exactly than its estimate `found`."""
-        return cls(found.deviations, math.log(threshold / found.threshold), error / threshold)
 
 
 def corrected(found: PooledThreshold, reference: Reference | None) -> tuple[float, float]:

@@ -20,7 +20,7 @@ from starlette.applications import Starlette
 
 from sensor_sim.chain.detector_noise import delta_t_mk
 from sensor_sim.chain.sampling import field_detectors
-from sensor_sim.chain.sensor import SCHEMA, Sensor, sensor_from, sensor_toml
+from sensor_sim.chain.sensor import SCHEMA, Sensor, sensor_from, sensor_settings, sensor_toml
 from sensor_sim.chain.simulation import SimulatedTrial
 from sensor_sim.explorer.live import LiveCurve, LiveCurves
 from sensor_sim.explorer.parameters import PARAMETERS
@@ -62,6 +62,19 @@ Size = Annotated[float, Meta(gt=0.0)]
 Sizes = Annotated[list[Size], Meta(min_length=1, max_length=12)]
 
 
+def shown(sensor: Sensor) -> Sensor:
+    """Return a sensor that the page can show.
+
+    Raises
+    ------
+    SettingsError
+        If it counts photons: the page has no light.
+    """
+    if sensor.photons is not None:
+        raise SettingsError("noise.model: the page cannot show a camera that counts photons; take curve or sweep")
+    return sensor
+
+
 class SensorAsked(msgspec.Struct):
     """A request about a sensor, given as the tables of SENSOR.toml."""
 
@@ -69,7 +82,7 @@ class SensorAsked(msgspec.Struct):
 
     def made(self) -> Sensor:
         """Return the sensor; see `sensor_from` for the errors."""
-        return sensor_from({"schema": SCHEMA, **self.sensor}, "SENSOR.toml")
+        return shown(sensor_from({"schema": SCHEMA, **self.sensor}, "SENSOR.toml"))
 
 
 class CurveAsked(SensorAsked):
@@ -174,13 +187,13 @@ class Explorer:
         """Return the data with which the page begins."""
         return {
             "version": __version__,
-            "sensor": asdict(self.sensor),
+            "sensor": sensor_settings(self.sensor),
             "observer": {"internal_noise": PyramidSettings().internal_noise},
             "p_correct": FitSettings().p_correct,
             "chip_pitch_um": USUAL_CHIP_PITCH_UM,
             "fields": PARAMETERS,
             "presets": [
-                {"sensor": asdict(one), "chip_pitch_um": CHIP_PITCH_UM.get(file, USUAL_CHIP_PITCH_UM)}
+                {"sensor": sensor_settings(one), "chip_pitch_um": CHIP_PITCH_UM.get(file, USUAL_CHIP_PITCH_UM)}
                 for file, one in presets().items()
             ],
         }
@@ -373,4 +386,4 @@ def written(asked: TomlAsked) -> dict[str, Any]:
 
 def read(asked: TextAsked) -> dict[str, Any]:
     """Return the tables of a SENSOR.toml; see `load_sensor` for the errors."""
-    return {"sensor": asdict(sensor_from(parse_toml(asked.text, asked.name), asked.name))}
+    return {"sensor": sensor_settings(shown(sensor_from(parse_toml(asked.text, asked.name), asked.name)))}

@@ -24,7 +24,6 @@ from sensor_sim.explorer.estimate import (
     LATTICES,
     MORE_PLACES,
     QUICK_ORTHANT_TOLERANCE,
-    Reference,
     corrected,
     lattice_phases,
     quick_plan,
@@ -40,6 +39,7 @@ from sensor_sim.thresholds.predict import (
     Phases,
     PooledThreshold,
     PredictedThreshold,
+    Reference,
     find_threshold,
     predict_threshold,
 )
@@ -114,7 +114,9 @@ class ThresholdEngine:
         self._check = check
         self._kept: dict[str, Kept[Any]] = {name: _Checked(size * 2**20, check) for name, size in KEPT_MB.items()}
         self._shared = Shared(*(self._kept[name] for name in ("samplers", "samples", "weights")))
-        self._refined_shared = Shared(self._kept["samplers"], _Checked(0, check), self._kept["refined weights"])
+        self._refined_shared = Shared(
+            self._kept["samplers"], _Checked(0, check), self._kept["refined weights"], self._kept["trials"]
+        )
         self._known: OrderedDict[Hashable, tuple[PredictedThreshold, Shares]] = OrderedDict()
         self._near: dict[tuple[Level, float], tuple[float, float]] = {}
         self._references: dict[tuple[Level, float], Reference] = {}
@@ -182,8 +184,8 @@ class ThresholdEngine:
         half_width = seen_samples(sensor, judge, size, grid)
         noise = observer.noise(stimulus, half_width)
 
-        def make() -> _Trials:
-            phases = lattice_phases(
+        def make() -> list[Phases]:
+            return lattice_phases(
                 sensor,
                 judge,
                 size,
@@ -194,9 +196,8 @@ class ThresholdEngine:
                 pitch_mrad=grid.pitch_mrad,
                 images=partial(observer.weights, stimulus, half_width),
             )
-            return _Trials(phases)
 
-        phases = self._kept["trials"].get((sensor, observer.name, size, places), make).phases
+        phases = self._kept["trials"].get((sensor, observer.name, size, places), make)
         near, slope = self._near.get((level, size), (None, math.nan))
         found = find_threshold(
             phases,
@@ -232,7 +233,7 @@ class ThresholdEngine:
             shared=self._shared,
         )
         plan = replace(plan, shared=self._refined_shared)
-        chain = _KeptChain(sensor, judge, size, plan, trials=self._kept["trials"], check=self._check)
+        chain = _CheckedChain(sensor, judge, size, plan, check=self._check)
         found = predict_threshold(
             chain,
             p_correct=p_correct,
@@ -287,18 +288,8 @@ class _Checked(Kept[T], Generic[T]):
         return super().get(key, make)
 
 
-class _Trials(NamedTuple):
-    """Trials of each orientation."""
-
-    phases: list[Phases]
-
-    @property
-    def nbytes(self) -> int:
-        return sum(part.signal.nbytes + part.noise.nbytes for part in self.phases)
-
-
-class _KeptChain(FoldedChain):
-    """A folded chain whose trials are kept for sensors of other gain and noise."""
+class _CheckedChain(FoldedChain):
+    """A folded chain whose trials are made only while the computation is wanted."""
 
     def __init__(
         self,
@@ -307,18 +298,10 @@ class _KeptChain(FoldedChain):
         size_detectors: float,
         plan: CurvePlan,
         *,
-        trials: Kept[list[_Trials]],
         check: Callable[[], None],
     ) -> None:
         super().__init__(sensor, observer, size_detectors, plan)
-        self._trials_kept, self._check = trials, check
-
-    def replicates(self, places: int, seed: int) -> list[list[Phases]]:
-        is_noisy = self.plan.external_noise
-        key = (self.plan.sampler.key, self.folding.key, self.orientations, is_noisy, places, seed)
-        make = super().replicates
-        kept = self._trials_kept.get(key, lambda: [_Trials(phases) for phases in make(places, seed)])
-        return [trials.phases for trials in kept]
+        self._check = check
 
     def phases(self, places: int, rng: np.random.Generator) -> list[Phases]:
         self._check()

@@ -12,7 +12,7 @@ from typing import Any, Literal, NamedTuple, get_args, get_origin, get_type_hint
 
 import numpy as np
 
-from sensor_sim.chain.sensor import TABLES, Sensor
+from sensor_sim.chain.sensor import Detector, Sensor, part_of, used_keys
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError, SettingsError, argument
 from todframes.base.reading import MAX_ROWS, check_fields, check_keys, number, read_csv
@@ -20,7 +20,7 @@ from todframes.base.reading import MAX_ROWS, check_fields, check_keys, number, r
 FILL_FACTOR = "detector.fill_factor"
 """Key for the active share of a detector's area; it sets `detector.width_mrad` from the pitch."""
 
-WIDTH, PITCH = "detector.width_mrad", "detector.pitch_mrad"
+WIDTHS, PITCHES = (tuple(f"detector.{name}_{unit}" for unit in ("mrad", "um")) for name in ("width", "pitch"))
 
 NETD = "noise.netd_mk"
 
@@ -61,19 +61,23 @@ class Designs(NamedTuple):
     names: tuple[str, ...] | None = None
 
 
-def numeric_keys(observer_settings: type) -> dict[str, bool]:
+def numeric_keys(sensor: Sensor, observer_settings: type) -> dict[str, bool]:
     """Return the keys that can be varied, and for each whether its values are whole numbers.
 
-    `observer_settings` is the type of the observer's settings; that of None if it has none.
+    They are the keys that mean something for this sensor, and those of the observer's settings, whose type is that
+    of None if it has none.
     """
     found = {FILL_FACTOR: False}
-    kinds_of = {**TABLES, **({} if observer_settings is NoneType else {"observer": observer_settings})}
-    for table, kind in kinds_of.items():
+    used = used_keys(sensor)
+    if observer_settings is not NoneType:
+        used["observer"] = [field.name for field in fields(observer_settings)]
+    for table, names in used.items():
+        kind = observer_settings if table == "observer" else type(getattr(sensor, part_of(table, sensor)))
         hints = get_type_hints(kind)
-        for field in fields(kind):
-            kinds = _kinds(hints[field.name])
+        for name in names:
+            kinds = _kinds(hints[name])
             if int in kinds or float in kinds:
-                found[f"{table}.{field.name}"] = float not in kinds
+                found[f"{table}.{name}"] = float not in kinds
     return found
 
 
@@ -293,7 +297,10 @@ def _check(keys: Iterable[str], known: Mapping[str, bool]) -> None:
     if not keys:
         raise SettingsError("vary: found no key, expected one or more, such as optics.aperture_mm")
     check_keys(keys, known, "vary")
-    for alike in ((FILL_FACTOR, WIDTH), ("observer.internal_noise", "observer.internal_noise_sd")):
+    for alike in (
+        *((FILL_FACTOR, width) for width in WIDTHS),
+        ("observer.internal_noise", "observer.internal_noise_sd"),
+    ):
         if set(alike) <= set(keys):
             found = " and ".join(alike)
             raise SettingsError(f"vary: found {found}, expected one of them: they set the same value")
@@ -357,7 +364,7 @@ class Base:
     @cached_property
     def keys(self) -> dict[str, bool]:
         """Keys that can be varied, and for each whether its values are whole numbers."""
-        return numeric_keys(type(self.observer_settings))
+        return numeric_keys(self.sensor, type(self.observer_settings))
 
     def design(self, values: Mapping[str, float]) -> tuple[Sensor, Changes]:
         """Return the sensor of a design, and the changes of the observer's settings.
@@ -376,13 +383,15 @@ class Base:
             tables["detector"] = self._with_width(tables["detector"])
         parts = {}
         for table, changes in tables.items():
-            before = self.observer_settings if table == "observer" else getattr(self.sensor, table)
+            part = part_of(table, self.sensor)
+            before = self.observer_settings if table == "observer" else getattr(self.sensor, part)
             if "internal_noise" in changes and getattr(before, "internal_noise_sd", None) is not None:
                 changes["internal_noise_sd"] = None  # it would take precedence
             try:
-                parts[table] = replace(before, **changes)
+                parts[part] = replace(before, **changes)
             except SettingsError as error:
-                too_narrow = PITCH in values and WIDTH not in values and "pitch_mrad (" in str(error)
+                has_pitch = any(key in values for key in PITCHES) and not any(key in values for key in WIDTHS)
+                too_narrow = has_pitch and "expected at most pitch_" in str(error)
                 hint = f"; with {argument.keep_fill_factor} the width follows the pitch" if too_narrow else ""
                 raise SettingsError(f"{table}.{error}{hint}") from None
         parts.pop("observer", None)
@@ -395,11 +404,18 @@ class Base:
         """Return the changes of the detector with a width in place of a fill factor."""
         changes = dict(changes)
         detector = self.sensor.detector
-        pitch, share = changes.get("pitch_mrad", detector.pitch_mrad), changes.pop("fill_factor", None)
+        unit = "mrad" if detector.pitch_um is None else "um"
+        before, width = (detector.pitch_um, detector.width_um) if unit == "um" else _angles(detector)
+        pitch, share = changes.get(f"pitch_{unit}", before), changes.pop("fill_factor", None)
+        assert before is not None and pitch is not None
         if share is not None:
             if not 0.0 < share <= 1.0:
                 raise SettingsError(f"{FILL_FACTOR}: found {share:g}, expected a number above 0 and at most 1")
-            changes["width_mrad"] = pitch * math.sqrt(share)
-        elif self.keep_fill_factor and "width_mrad" not in changes:
-            changes["width_mrad"] = pitch * (detector.width_mrad / detector.pitch_mrad)
+            changes[f"width_{unit}"] = pitch * math.sqrt(share)
+        elif self.keep_fill_factor and f"width_{unit}" not in changes and width is not None:
+            changes[f"width_{unit}"] = pitch * (width / before)
         return changes
+
+
+def _angles(detector: Detector) -> tuple[float, float]:
+    return detector.pitch_mrad, detector.width_mrad

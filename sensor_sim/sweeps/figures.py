@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sensor_sim.sweeps.tables import BY_SIZE, CRITERION_UNITS, SweepData
+from sensor_sim.sweeps.tables import BY_SIZE, CRITERION_UNITS, LEVEL_NAMES, SweepData
 from todframes import __version__
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError
@@ -69,7 +69,7 @@ def pictures(result: SweepData) -> list[ReportFigure]:
         found.append(
             ReportFigure("Threshold against the key", note, partial(draw_lines, result=result), "by_key.png")
         )
-    if (np.isfinite(result.swept.threshold_snr).sum(axis=1) > 1).any():
+    if (np.isfinite(result.swept.threshold).sum(axis=1) > 1).any():
         note = f"Threshold against 1 / size of up to {MOST_CURVES} designs, coloured by the first key that varies."
         found.append(ReportFigure("TOD curves", note, partial(draw_curves, result=result), "tod_curves.png"))
     return found
@@ -82,11 +82,11 @@ def varied(result: SweepData) -> list[int]:
 
 
 def thresholds(result: SweepData) -> tuple[FloatArray, str]:
-    """Return thresholds in mK where NETD is known for all designs, else in SNR; and their heading."""
+    """Return thresholds in mK where NETD is known for all designs, else in their level; and their heading."""
     swept = result.swept
     if np.isfinite(swept.mk_per_snr[np.isfinite(swept.pitch_mrad)]).all() and np.isfinite(swept.mk_per_snr).any():
         return swept.delta_t_mk, "threshold ΔT (mK)"
-    return swept.threshold_snr, "threshold SNR"
+    return swept.threshold, f"threshold {LEVEL_NAMES[swept.level]}"
 
 
 def draw_curves(axes: Axes, result: SweepData) -> None:
@@ -204,7 +204,7 @@ def draw_front(axes: Axes, result: SweepData, size: int) -> None:
         raise DataError("plot_front: found one column, expected two or more to be low or high")
     first, second = (one.column for one in result.objectives[:2])
     x, y = result.column(second, size), result.column(first, size)
-    has = np.isfinite(x) & np.isfinite(y) & np.isfinite(result.swept.threshold_snr[:, size])
+    has = np.isfinite(x) & np.isfinite(y) & np.isfinite(result.swept.threshold[:, size])
     is_on = result.on_front[:, size]
     axes.scatter(x[has], y[has], s=9.0, color=INK, alpha=0.25, linewidths=0.0, rasterized=has.sum() > MOST_VECTORS)
     order = np.flatnonzero(is_on)[np.argsort(x[is_on])]

@@ -13,12 +13,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sensor_sim.sweeps.designs import FILL_FACTOR, NAME_COLUMN, NETD, PITCH, WIDTH
+from sensor_sim.sweeps.designs import FILL_FACTOR, NAME_COLUMN, NETD, PITCHES, WIDTHS
+from sensor_sim.sweeps.ranges import Aim, DesignRange
 from sensor_sim.sweeps.work import Swept
 from todframes import __version__
 from todframes.base._typing import FloatArray, Json
 from todframes.base.errors import SettingsError, argument, for_reader
-from todframes.base.reading import check_keys
+from todframes.base.reading import check_keys, check_positive
 from todframes.psychometrics.threshold_search import IMPOSSIBLE
 from todframes.report.data import json_file
 from todframes.report.table import BLOCK, Column, LongRecords, Table
@@ -27,18 +28,30 @@ from todframes.report.wording import count, listed, plain
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-BY_SIZE = ("threshold_snr", "delta_t_mk")
+LEVEL_NAMES = {"snr": "SNR", "contrast": "contrast"}
+"""Words for the quantities of thresholds."""
+
+BY_SIZE = (*(f"threshold_{level}" for level in LEVEL_NAMES), "delta_t_mk")
 """Columns with a separate value for each size."""
 
 OF_ACUITY = ("acuity_detectors", "acuity_mrad")
 
-OF_ETENDUE = ("optics.aperture_mm", WIDTH, FILL_FACTOR)
+OF_RANGE = "range_km"
+
+OF_ETENDUE = ("optics.aperture_mm", "optics.f_number", *WIDTHS, FILL_FACTOR)
 """Keys that change the light on a detector, besides the pitch if the fill factor is kept."""
 
 ROWS_SHOWN = 20
 """Largest number of designs in the table for the terminal and the page."""
 
-CRITERION_UNITS = {"threshold_snr": "", "delta_t_mk": "mK", "acuity_detectors": "detectors", "acuity_mrad": "mrad"}
+CRITERION_UNITS = {
+    "threshold_snr": "",
+    "threshold_contrast": "",
+    "delta_t_mk": "mK",
+    "acuity_detectors": "detectors",
+    "acuity_mrad": "mrad",
+    OF_RANGE: "km",
+}
 
 
 class Criterion(NamedTuple):
@@ -63,8 +76,7 @@ class Criterion(NamedTuple):
         if len(found) > 1:
             raise SettingsError("acuity: found an SNR and a ΔT, expected one of them")
         level, value = found[0]
-        if not (math.isfinite(value) and value > 0.0):
-            raise SettingsError(f"acuity_{level}: found {value!r}, expected a finite number > 0")
+        check_positive(f"acuity_{level}", value)
         if level == "delta_t_mk" and not has_netd:
             raise SettingsError("acuity_delta_t_mk: needs noise.netd_mk of the sensor")
         return found[0]
@@ -169,6 +181,8 @@ class SweepData:
         Columns of the trade-off front; the first one orders the designs.
     criterion : Criterion or None
         Signal for the acuity; None if none is asked for.
+    aim : Aim or None
+        Target and air of the range; None if none is asked for.
     whole_keys : tuple of str
         Varied keys whose values are whole numbers.
     settings : dict
@@ -182,6 +196,7 @@ class SweepData:
     swept: Swept
     objectives: tuple[Objective, ...]
     criterion: Criterion | None
+    aim: Aim | None
     whole_keys: tuple[str, ...]
     settings: Json
     seed: int
@@ -207,17 +222,33 @@ class SweepData:
         return [
             Acuity(IMPOSSIBLE) if math.isnan(pitch) else acuity(sizes, *of_design)
             for pitch, *of_design in zip(
-                swept.pitch_mrad, swept.threshold_snr, swept.numerical_error, swept.status, levels, strict=True
+                swept.pitch_mrad, swept.threshold, swept.numerical_error, swept.status, levels, strict=True
             )
+        ]
+
+    @cached_property
+    def ranges(self) -> list[DesignRange] | None:
+        """Range of each design in the field; None if none is asked for."""
+        if self.aim is None:
+            return None
+        swept, sizes, p_correct = self.swept, np.array(self.swept.size_detectors), self.settings["p_correct"]
+        return [
+            DesignRange(IMPOSSIBLE)
+            if math.isnan(pitch)
+            else self.aim.range_of(sizes * pitch, of_design / 1000.0, status, p_correct)
+            for pitch, of_design, status in zip(swept.pitch_mrad, swept.delta_t_mk, swept.status, strict=True)
         ]
 
     def column(self, name: str, size: int) -> FloatArray:
         """Return the values of a column for each design, at one size by its place."""
         if name in BY_SIZE:
-            return np.asarray(getattr(self.swept, name)[:, size])
+            values = self.swept.delta_t_mk if name == "delta_t_mk" else self.swept.threshold
+            return np.asarray(values[:, size])
         if name in OF_ACUITY:
             detectors = np.array([one.detectors for one in self.acuities or ()])
             return detectors if name == OF_ACUITY[0] else detectors * self.swept.pitch_mrad
+        if name == OF_RANGE:
+            return np.array([one.range_km for one in self.ranges or ()])
         return self.swept.designs.values[:, self.swept.designs.keys.index(name)]
 
     @cached_property
@@ -226,7 +257,7 @@ class SweepData:
         columns = []
         for size in range(len(self.swept.size_detectors)):
             costs = np.stack([one.sign * self.column(one.column, size) for one in self.objectives], axis=1)
-            costs[np.isnan(self.swept.threshold_snr[:, size])] = np.nan
+            costs[np.isnan(self.swept.threshold[:, size])] = np.nan
             columns.append(front(costs))
         return np.stack(columns, axis=1)
 
@@ -242,20 +273,20 @@ class SweepData:
             if self.settings["couple_netd"]:
                 of_design["netd_mk"] = _known(swept.netd_mk[row])
             pitch = _known(swept.pitch_mrad[row])
-            of_acuity = self._acuity_record(row, pitch)
+            of_design_alone = self._acuity_record(row, pitch) | self._range_record(row)
             for place, size in enumerate(swept.size_detectors):
-                snr, error = swept.threshold_snr[row, place], swept.numerical_error[row, place]
+                threshold, error = swept.threshold[row, place], swept.numerical_error[row, place]
                 mk = swept.mk_per_snr[row]
-                in_mk = {"delta_t_mk": _known(snr * mk), "delta_t_mk_error": _known(error * mk)}
+                in_mk = {"delta_t_mk": _known(threshold * mk), "delta_t_mk_error": _known(error * mk)}
                 yield {
                     **of_design,
                     "size_detectors": size,
                     "size_scene_mrad": None if pitch is None else size * pitch,
                     "status": swept.status[row][place],
-                    "threshold_snr": _known(snr),
-                    "threshold_snr_error": _known(error),
+                    f"threshold_{swept.level}": _known(threshold),
+                    f"threshold_{swept.level}_error": _known(error),
                     **(in_mk if has_netd else {}),
-                    **of_acuity,
+                    **of_design_alone,
                     "on_front": bool(self.on_front[row, place]),
                     "n_phases": int(swept.n_phases[row, place]) or None,
                     "reason": swept.reason[row][place] or None,
@@ -278,15 +309,22 @@ class SweepData:
             "acuity_status": found.status,
         }
 
+    def _range_record(self, row: int) -> Json:
+        if self.ranges is None:
+            return {}
+        status, range_km, at_least_km = self.ranges[row]
+        values = {OF_RANGE: _known(range_km), "range_at_least_km": _known(at_least_km)}
+        return values | {"range_status": status}
+
     def table(self) -> Table:
         """Return the table of all designs: a row for each design and size."""
         kinds = self._kinds()
-        records = LongRecords(kinds, self.swept.threshold_snr.size, self._blocks)
+        records = LongRecords(kinds, self.swept.threshold.size, self._blocks)
         return Table.of("All designs and sizes", "sweep.csv", kinds, records)
 
     def _kinds(self) -> dict[str, type]:
         """Return the type of each column."""
-        texts = {NAME_COLUMN, "status", "acuity_status", "reason"}
+        texts = {NAME_COLUMN, "status", "acuity_status", "range_status", "reason"}
         whole = {"design", "n_phases", *self.whole_keys}
         return {
             key: str if key in texts else int if key in whole else bool if key == "on_front" else float
@@ -322,13 +360,13 @@ class SweepData:
             rows = np.flatnonzero(self.on_front[:, 0])
             title = f"Trade-off front at {size}"
         else:
-            rows = np.flatnonzero(np.isfinite(cost) & np.isfinite(swept.threshold_snr[:, 0]))
+            rows = np.flatnonzero(np.isfinite(cost) & np.isfinite(swept.threshold[:, 0]))
             title = f"Best designs at {size}"
         rows = rows[np.argsort(cost[rows], kind="stable")]
         if len(rows) > ROWS_SHOWN:
             title += f": the first {ROWS_SHOWN} of {len(rows)}"
         in_mk = np.isfinite(swept.mk_per_snr).any()
-        shown, unit = (swept.delta_t_mk, "mK") if in_mk else (swept.threshold_snr, "SNR")
+        shown, unit = (swept.delta_t_mk, "mK") if in_mk else (swept.threshold, LEVEL_NAMES[swept.level])
         records = []
         for row in rows[:ROWS_SHOWN]:
             record: Json = {"design": int(row) + 1}
@@ -337,7 +375,7 @@ class SweepData:
             record |= self._values(designs.values[row].tolist())
             record |= {"netd_mk": _known(swept.netd_mk[row])} if self.settings["couple_netd"] else {}
             record |= {f"at_{place}": _known(value) for place, value in enumerate(shown[row])}
-            record |= self._acuity_record(int(row), _known(swept.pitch_mrad[row]))
+            record |= self._acuity_record(int(row), _known(swept.pitch_mrad[row])) | self._range_record(int(row))
             records.append(record)
         columns = [Column(key="design"), *([Column(key=NAME_COLUMN, rank=3)] if designs.names is not None else [])]
         # A narrow terminal first drops the larger sizes; what is varied stays.
@@ -349,6 +387,8 @@ class SweepData:
         ]
         if self.acuities is not None:
             columns += [Column(key=key, header=key.replace("_", " "), rank=1) for key in OF_ACUITY]
+        if self.ranges is not None:
+            columns += [Column(key=OF_RANGE, header="range km"), Column(key="range_status", rank=2)]
         return Table.of(title, "best.csv", columns, records)
 
     def problems(self) -> Table | None:
@@ -378,7 +418,7 @@ class SweepData:
     def sentences(self) -> list[str]:
         """Return the findings in words."""
         swept = self.swept
-        known = np.isfinite(swept.threshold_snr)
+        known = np.isfinite(swept.threshold)
         sizes = count(len(swept.size_detectors), "size")
         found = [
             f"{count(self.n_designs, 'design')} at {sizes}: {int(known.sum())} of {known.size} thresholds found, "
@@ -401,6 +441,12 @@ class SweepData:
             found.append(
                 f"{end} {name} at {swept.size_detectors[0]:g} detectors: {value}, design {row + 1} ({of_design})."
             )
+        beyond = [one.at_least_km for one in self.ranges or () if math.isfinite(one.at_least_km)]
+        if beyond:
+            found.append(
+                f"The range of {count(len(beyond), 'design')} is beyond the smallest size, at "
+                f"{plain(max(beyond))} km or more; add smaller sizes."
+            )
         if len(self.objectives) > 1:
             names = listed(f"{'low' if one.sign > 0 else 'high'} {one.column}" for one in self.objectives)
             number = int(self.on_front[:, 0].sum())
@@ -414,7 +460,7 @@ class SweepData:
     def _misses_coupling(self) -> bool:
         """True if the light on a detector differs between the designs, but not their NETD."""
         keys, width_follows = self.swept.designs.keys, self.settings["keep_fill_factor"]
-        changes_light = {*OF_ETENDUE, PITCH} if width_follows or FILL_FACTOR in keys else {*OF_ETENDUE}
+        changes_light = {*OF_ETENDUE, *PITCHES} if width_follows or FILL_FACTOR in keys else {*OF_ETENDUE}
         has_netd = np.isfinite(self.swept.mk_per_snr).any()
         return bool(has_netd and not self.settings["couple_netd"] and NETD not in keys and changes_light & {*keys})
 
@@ -436,23 +482,34 @@ class SweepData:
 
 
 def objectives(
-    minimise: Sequence[str], maximise: Sequence[str], keys: Sequence[str], *, has_netd: bool, has_acuity: bool
+    minimise: Sequence[str],
+    maximise: Sequence[str],
+    keys: Sequence[str],
+    *,
+    has_netd: bool,
+    has_acuity: bool,
+    has_range: bool,
+    level: str = "snr",
 ) -> tuple[Objective, ...]:
-    """Return the columns of the trade-off front; without any, ΔT or, if NETD is not known, the SNR.
+    """Return the columns of the trade-off front; without any, the range, ΔT, or if NETD is not known, the level.
 
     Raises
     ------
     SettingsError
         If there is no such column, or it would be empty.
     """
+    if not (minimise or maximise) and has_range:
+        return (Objective(OF_RANGE, -1),)
     if not (minimise or maximise):
-        return (Objective("delta_t_mk" if has_netd else "threshold_snr", 1),)
+        return (Objective("delta_t_mk" if has_netd else f"threshold_{level}", 1),)
     for where, names in (("minimise", minimise), ("maximise", maximise)):
-        check_keys(names, [*BY_SIZE, *OF_ACUITY, *keys], where)
+        check_keys(names, [f"threshold_{level}", "delta_t_mk", *OF_ACUITY, OF_RANGE, *keys], where)
         if "delta_t_mk" in names and not has_netd:
             raise SettingsError(f"{where}: found delta_t_mk, which needs noise.netd_mk of the sensor")
         if set(names) & set(OF_ACUITY) and not has_acuity:
             raise SettingsError(f"{where}: found {names[0]}, which needs an SNR or ΔT for the acuity")
+        if OF_RANGE in names and not has_range:
+            raise SettingsError(f"{where}: found {OF_RANGE}, which needs a target and an atmosphere")
     found = (*(Objective(name, 1) for name in minimise), *(Objective(name, -1) for name in maximise))
     if len({one.column for one in found}) < len(found):
         raise SettingsError("minimise, maximise: found a column twice, expected each once")

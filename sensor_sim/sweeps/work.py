@@ -188,11 +188,13 @@ class Swept:
         Pitch of the detectors in the scene, and NETD; NaN where there is no such design, or no NETD.
     mk_per_snr : ndarray, shape (designs,)
         ΔT of a signal-to-noise ratio of 1; NaN where NETD is not known.
-    threshold_snr, numerical_error : ndarray, shape (designs, sizes)
-        NaN where there is no threshold.
+    threshold, numerical_error : ndarray, shape (designs, sizes)
+        In SNR, or in contrast for cameras that count photons; NaN where there is no threshold.
     n_phases : ndarray of int, shape (designs, sizes)
     status, reason : list of list of str
         For each design and size.
+    level : str
+        Quantity of the thresholds, "snr" or "contrast".
     n_computed : int
         Number of thresholds that were computed; designs that differ in noise alone have theirs in common.
     """
@@ -202,17 +204,18 @@ class Swept:
     pitch_mrad: FloatArray
     netd_mk: FloatArray
     mk_per_snr: FloatArray
-    threshold_snr: FloatArray
+    threshold: FloatArray
     numerical_error: FloatArray
     n_phases: FloatArray
     status: list[list[str]]
     reason: list[list[str]]
     n_computed: int
+    level: str = "snr"
 
     @property
     def delta_t_mk(self) -> FloatArray:
         """Thresholds in mK, (designs, sizes)."""
-        return self.threshold_snr * self.mk_per_snr[:, None]
+        return self.threshold * self.mk_per_snr[:, None]
 
 
 class SweepPlan(NamedTuple):
@@ -288,7 +291,10 @@ def plan_sweep(base: Base, designs: Designs, sizes: Sequence[float]) -> SweepPla
 
 
 def as_computed(sensor: Sensor) -> Sensor:
-    """Return a sensor with the same thresholds in SNR, with defaults for all settings that do not change these."""
+    """Return a sensor with the same thresholds, with defaults for all settings that do not change these.
+
+    Thresholds in SNR do not depend on the noise; those of photons do.
+    """
     display = replace(sensor.display, background_luminance_cd_m2=1.0)
     return replace(sensor, noise=Noise(), display=display, name="")
 
@@ -348,11 +354,15 @@ def run_sweep(
         results[number] = result
         if progress is not None:
             progress(uses[number])
-    return _gathered(designs, tuple(sizes), plan, results)
+    return _gathered(designs, tuple(sizes), plan, results, base.sensor.level)
 
 
 def _gathered(
-    designs: Designs, sizes: tuple[float, ...], plan: SweepPlan, results: Sequence[PredictedThreshold]
+    designs: Designs,
+    sizes: tuple[float, ...],
+    plan: SweepPlan,
+    results: Sequence[PredictedThreshold],
+    level: str,
 ) -> Swept:
     nothing = len(results)
     status = np.array([*(one.status for one in results), IMPOSSIBLE], dtype=object)
@@ -370,12 +380,13 @@ def _gathered(
         pitch_mrad=np.array([math.nan if one is None else one.detector.pitch_mrad for one in plan.sensors]),
         netd_mk=np.array([math.nan if one is None else one.noise.netd_mk or math.nan for one in plan.sensors]),
         mk_per_snr=np.array([_mk_per_snr(one) for one in plan.sensors]),
-        threshold_snr=threshold[places],
+        threshold=threshold[places],
         numerical_error=error[places],
         n_phases=phases[places],
         status=status[places].tolist(),
         reason=reasons,
         n_computed=len(results),
+        level=level,
     )
 
 

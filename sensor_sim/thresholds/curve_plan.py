@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
+from sensor_sim.chain.photons import contrast_variance
 from sensor_sim.chain.sampling import TriangleSampler, field_detectors, field_sampler, smallest_field
 from sensor_sim.chain.sensor import Sensor
 from sensor_sim.thresholds.folding import Folding, is_unblurred
@@ -71,8 +72,8 @@ class CurvePlan:
         Parts that are left out, with their bounds, and parts that are kept.
     repetition_bound : float
         Bound on the change of P(correct) because the scene repeats, with the longest period that is considered.
-    near_snr, slope : float
-        Threshold at the places that were tried, and the slope dP / d ln SNR there; None and NaN if there is none.
+    near_level, slope : float
+        Threshold at the places that were tried, and the slope dP / d ln level there; None and NaN without one.
     unit_s : float
         Time that folding and sampling took at each place tried, in seconds.
     shared : Shared
@@ -90,7 +91,7 @@ class CurvePlan:
     fewest_places: int = 1
     steps: tuple[Step, ...] = ()
     repetition_bound: float = 0.0
-    near_snr: float | None = None
+    near_level: float | None = None
     slope: float = math.nan
     unit_s: float = math.inf
     shared: Shared = NOTHING
@@ -264,6 +265,31 @@ def noise_covariance(weights: FloatArray) -> FloatArray:
     return np.asarray(weights @ weights.swapaxes(-1, -2))
 
 
+def line_covariance(weights: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the covariances from noise of deviation 1 that rows, and columns, have in common, as above."""
+    side = math.isqrt(weights.shape[-1])
+    square = weights.reshape(*weights.shape[:-1], side, side)
+    return noise_covariance(square.sum(axis=-1)), noise_covariance(square.sum(axis=-2))
+
+
+def signal_covariance(weights: FloatArray, samples: FloatArray) -> FloatArray:
+    """Return the covariances from noise whose variance is the signal, and its square, in each detector.
+
+    Parameters
+    ----------
+    weights : ndarray, shape (places, 4, n)
+    samples : ndarray, shape (places, displacements, n)
+
+    Returns
+    -------
+    ndarray, shape (places, displacements, 2, 4, 4)
+    """
+    times_signal = weights[:, None] * samples[:, :, None]
+    # A detector far from the triangle may have a signal slightly below zero.
+    by_signal = times_signal @ weights[:, None].swapaxes(-1, -2)
+    return np.stack([by_signal, noise_covariance(times_signal)], axis=2)
+
+
 class _CurvePlanner:
     """Planner that bounds the change from leaving out each part, on the whole chain at a few places."""
 
@@ -272,6 +298,7 @@ class _CurvePlanner:
     ) -> None:
         self.sensor, self.observer, self.size = sensor, full.observer, size_detectors
         self.full = full
+        self.variance = None if sensor.photons is None else contrast_variance(sensor)
         started = time.perf_counter()
         self.readout = linear_readout(sensor, self.observer, size_detectors)
         self.readout_s = time.perf_counter() - started
@@ -312,21 +339,41 @@ class _CurvePlanner:
     def _scores(self, weights: FloatArray, samples: FloatArray) -> FloatArray:
         return np.asarray((weights @ samples[..., None])[..., 0])
 
-    def _find_covariance(self, p_correct: float) -> None:
-        """Find the covariance of the scores near threshold, the SNR there and the slope of P(correct)."""
-        signal, noise = self._scores(self.weights, self.samples), self.full.noise(self.weights)
+    def _noise(self, weights: FloatArray, level: float | None = None) -> FloatArray:
+        """Return the covariance of the detectors' noise over the squared contrast; by default, near threshold.
 
-        def proportion(snr: float) -> float:
-            covariance = self.readout.noise_covariance + noise / snr**2
-            return float(answer_probability(signal, covariance, 0, tolerance=ORTHANT_TOLERANCE).mean())
+        A triangle's own photons are left out.
+        """
+        level = self.level if level is None else level
+        if self.variance is None:
+            return self.full.noise(weights) / level**2
+        rows, columns = line_covariance(weights)
+        variance = self.variance
+        found = variance.white * noise_covariance(weights) + variance.row * rows + variance.column * columns
+        return found / level**2
+
+    def _find_covariance(self, p_correct: float) -> None:
+        """Find the covariance of the scores near threshold, the level there and the slope of P(correct)."""
+        signal, noise = self._scores(self.weights, self.samples), self._noise(self.weights, 1.0)
+        by_signal = signal_covariance(self.weights, self.samples[:, None])[:, 0]
+
+        def covariance(level: float) -> FloatArray:
+            internal = self.readout.noise_covariance
+            if self.variance is None:
+                return internal + noise / level**2
+            of_triangle = self.variance.per_signal / level * by_signal[:, 0]
+            return (internal + noise) / level**2 + of_triangle + self.variance.per_squared_signal * by_signal[:, 1]
+
+        def proportion(level: float) -> float:
+            return float(answer_probability(signal, covariance(level), 0, tolerance=ORTHANT_TOLERANCE).mean())
 
         _, threshold = crossing(proportion, p_correct, near=None, slope=math.nan)
-        self.snr = threshold if threshold is not None and self.full.external_noise else math.inf
-        self.covariance = self.readout.noise_covariance + noise / self.snr**2
+        self.level = threshold if threshold is not None and self.full.external_noise else math.inf
+        self.covariance = covariance(self.level)
         step = 0.05
         rise = 0.0
-        if threshold is not None and math.isfinite(self.snr):
-            rise = proportion(self.snr * math.exp(step)) - proportion(self.snr * math.exp(-step))
+        if threshold is not None and math.isfinite(self.level):
+            rise = proportion(self.level * math.exp(step)) - proportion(self.level * math.exp(-step))
         self.slope = rise / (2.0 * step) if rise > 0.0 else 0.5
 
     def bound(self, scores: FloatArray, noise: FloatArray | None = None) -> float:
@@ -342,8 +389,8 @@ class _CurvePlanner:
         plan, precision = self._precision(plan)
         plan, identities = self._identities(plan)
         steps = (*levels, self._optics(self.full), field_step, *period, precision, *identities)
-        near = (self.snr, self.slope) if math.isfinite(self.snr) else (None, math.nan)
-        return replace(plan, steps=steps, near_snr=near[0], slope=near[1], unit_s=self.unit_s)
+        near = (self.level, self.slope) if math.isfinite(self.level) else (None, math.nan)
+        return replace(plan, steps=steps, near_level=near[0], slope=near[1], unit_s=self.unit_s)
 
     @cached_property
     def levels_bound(self) -> float | None:
@@ -354,7 +401,7 @@ class _CurvePlanner:
             return None
         plan = self.full
         added, _ = self._weights(plan, replace(self.readout, grid=omitted.grid, deviations=omitted.deviations))
-        noise = (plan.noise(self.weights + added) - plan.noise(self.weights)) / self.snr**2
+        noise = (self._noise(self.weights + added, 1.0) - self._noise(self.weights, 1.0)) / self.level**2
         return self.bound(self._scores(added, self.samples), noise + omitted.noise_covariance)
 
     def levels_suffice(self) -> bool:
@@ -391,7 +438,7 @@ class _CurvePlanner:
             margin = (full - side) // 2
             outside[margin:-margin, margin:-margin] = False
             weights = self.weights * outside.ravel()
-            noise = plan.noise(weights) / self.snr**2
+            noise = self._noise(weights)
             # The signal outside may have, at each detector, the sign of the weight that it meets.
             largest = self._scores(np.abs(_less_first(weights)), np.abs(self.samples))
             bound = self.bound(largest, noise)
@@ -449,7 +496,7 @@ class _CurvePlanner:
         stage, single = "double precision", replace(plan, dtype=np.float32)
         weights, single_s = self._weights(single, self.readout, TRIED_AT[:1])
         exact, double_s = self.weights[:1], self.fold_s
-        noise = (plan.noise(weights) - plan.noise(exact)) / self.snr**2
+        noise = (self._noise(weights, 1.0) - self._noise(exact, 1.0)) / self.level**2
         bound = self.bound(self._scores(weights - exact, self.samples[:1]), noise)
         self.unit_s = self.sample_s + min(single_s, double_s)
         if self._affordable(bound):

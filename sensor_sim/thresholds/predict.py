@@ -11,10 +11,11 @@ Hogervorst et al. 2001, sections 3 to 5 and 8.
 
 from __future__ import annotations
 
+import copy
 import math
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import Any, Literal, NamedTuple
 
@@ -22,13 +23,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sensor_sim.chain.detector_noise import excess_kurtosis
-from sensor_sim.chain.sensor import Sensor
+from sensor_sim.chain.photons import ContrastVariance, background_electrons, contrast_variance, largest_contrast
+from sensor_sim.chain.sensor import Scene, Sensor
 from sensor_sim.thresholds.curve_plan import (
     ORTHANT_TOLERANCE,
     CurvePlan,
     centre_offset,
+    line_covariance,
     linear_readout,
+    noise_covariance,
     plan_curve,
+    signal_covariance,
 )
 from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError
@@ -36,6 +41,7 @@ from todframes.observers.decision import answer_probability
 from todframes.observers.interface import Observer, Readout, non_gaussian_bound
 from todframes.psychometrics.replicates import REPLICATES, half_width_95
 from todframes.psychometrics.threshold_search import ComputedThreshold, Status, crossing
+from todframes.scoring.error_budget import decision_change
 from todframes.stimulus import Orientation
 
 PLACES = (5, 7, 11, 17, 25, 37)
@@ -122,11 +128,25 @@ class Phases(NamedTuple):
         Covariance of the scores under detector noise of standard deviation 1.
     correct : int
         The orientation shown, an index into `ORIENTATIONS`.
+    of_light : ndarray, shape (places, displacements, 4, 4, 4), or None
+        For cameras that count photons: covariances from noise of variance 1 that rows, and columns, have in
+        common, and from noise whose variance is the triangle's signal, and its square.
     """
 
     signal: FloatArray
     noise: FloatArray
     correct: int
+    of_light: FloatArray | None = None
+
+    @property
+    def nbytes(self) -> int:
+        """Size in bytes."""
+        return self.signal.nbytes + self.noise.nbytes + (0 if self.of_light is None else self.of_light.nbytes)
+
+    def some(self, places: slice) -> Phases:
+        """Return the trials at some places."""
+        of_light = None if self.of_light is None else self.of_light[places]
+        return Phases(self.signal[places], self.noise[places], self.correct, of_light)
 
 
 def phases_on(
@@ -137,6 +157,7 @@ def phases_on(
     size_detectors: float,
     gain: float,
     weights_by_row: Callable[[FloatArray, FloatArray], NDArray[Any]],
+    counts_photons: bool = False,
 ) -> list[Phases]:
     """Return the trials of each orientation on a lattice.
 
@@ -151,6 +172,8 @@ def phases_on(
         Display contrast per unit of signal.
     weights_by_row : function of (places_x, places_y)
         Returns the folded weights as `Folding.weights_by_row` does.
+    counts_photons : bool
+        Whether the trials need `Phases.of_light`.
     """
     places, n_shown = len(lattice.x), lattice.displacement.shape[1]
     x, y = lattice.triangles
@@ -159,7 +182,7 @@ def phases_on(
         dx, dy = centre_offset(plan.observer, orientation, size_detectors)
         rows = weights_by_row(lattice.x + dx, lattice.y + dy)
         at_once = max(WEIGHTS_AT_ONCE // (places * plan.field**2), 1)
-        signal, noise = [], []
+        signal, noise, of_light = [], [], []
         for start in range(0, places, at_once):
             some = rows[start : start + at_once]
             weights = plan.all_four(np.concatenate(some).astype(np.float64)) * gain
@@ -167,7 +190,12 @@ def phases_on(
             samples = plan.samples(x[part], y[part], orientation).reshape(len(weights), n_shown, -1)
             signal.append(samples @ weights.swapaxes(1, 2))
             noise.append(plan.noise(weights))
-        found.append(Phases(np.concatenate(signal), np.concatenate(noise), orientation.quarter_turns))
+            if counts_photons:
+                lines = np.stack(np.broadcast_arrays(*line_covariance(weights)), axis=1)[:, None]
+                lines = np.broadcast_to(lines, (len(weights), n_shown, *lines.shape[2:]))
+                of_light.append(np.concatenate([lines, signal_covariance(weights, samples)], axis=2))
+        light = np.concatenate(of_light) if counts_photons else None
+        found.append(Phases(np.concatenate(signal), np.concatenate(noise), orientation.quarter_turns, light))
     return found
 
 
@@ -178,24 +206,40 @@ def pooled(replicates: Sequence[Sequence[Phases]]) -> list[Phases]:
             np.concatenate([part.signal for part in parts]),
             np.concatenate([part.noise for part in parts]),
             parts[0].correct,
+            None
+            if parts[0].of_light is None
+            else np.concatenate([part.of_light for part in parts if part.of_light is not None]),
         )
         for parts in zip(*replicates, strict=True)
     ]
 
 
-def covariance_at(level: Level, value: float, internal: FloatArray, detector: FloatArray) -> FloatArray:
+def covariance_at(
+    level: Level, value: float, internal: FloatArray, phases: Phases, variance: ContrastVariance | None = None
+) -> FloatArray:
     """Return the covariance of the scores over the square of the triangle's contrast, at a value of the level.
 
     Parameters
     ----------
     level : {"snr", "contrast"}
     value : float
+        With `variance` a contrast, whatever the level.
     internal : ndarray, shape (4, 4)
         Covariance from the internal noise.
-    detector : ndarray, shape (..., 4, 4)
-        Covariance from detector noise of standard deviation 1.
+    phases : Phases
+    variance : ContrastVariance, optional
+        Variance of a sample of a camera that counts photons.
+
+    Returns
+    -------
+    ndarray, shape (places, 1 or displacements, 4, 4)
     """
-    return internal + detector / value**2 if level == "snr" else internal / value**2
+    if variance is None:
+        return internal + phases.noise[:, None] / value**2 if level == "snr" else internal / value**2
+    assert phases.of_light is not None
+    of_term = [variance.row / value**2, variance.column / value**2, variance.per_signal / value]
+    found = np.einsum("t,...tij->...ij", np.array([*of_term, variance.per_squared_signal]), phases.of_light)
+    return np.asarray(found + (internal + phases.noise[:, None] * variance.white) / value**2)
 
 
 class FoldedChain:
@@ -227,6 +271,7 @@ class FoldedChain:
         self.readout: Readout = linear_readout(sensor, self.observer, size_detectors)
         self.noise_covariance = self.readout.noise_covariance
         self.folding = self.plan.folding(sensor, self.readout, size_detectors)
+        self.variance = None if sensor.photons is None else contrast_variance(sensor)
         self._drawn: dict[tuple[int, int], list[list[Phases]]] = {}
         self.orientations = self.plan.orientations
         self.drawing_s = 0.0
@@ -235,10 +280,24 @@ class FoldedChain:
         """Return `phases` for each replicate, from independent streams, kept for chains of other noise."""
         if (places, seed) not in self._drawn:
             started = time.perf_counter()
-            streams = np.random.SeedSequence(seed, spawn_key=(places,)).spawn(REPLICATES)
-            self._drawn[places, seed] = [self.phases(places, np.random.default_rng(stream)) for stream in streams]
+            key = (self.plan.sampler.key, self.folding.key, self.sensor.display.gain, self.orientations)
+            is_noisy = (self.plan.external_noise, self.variance is not None)
+            self._drawn[places, seed] = self.plan.shared.trials.get(
+                (*key, *is_noisy, places, seed), lambda: self._made_replicates(places, seed)
+            )
             self.drawing_s += time.perf_counter() - started
         return self._drawn[places, seed]
+
+    def at(self, scene: Scene) -> FoldedChain:
+        """Return the chain of a camera that counts photons at another light; both keep their trials in common."""
+        other = copy.copy(self)
+        other.sensor = replace(self.sensor, scene=scene)
+        other.variance = contrast_variance(other.sensor)
+        return other
+
+    def _made_replicates(self, places: int, seed: int) -> list[list[Phases]]:
+        streams = np.random.SeedSequence(seed, spawn_key=(places,)).spawn(REPLICATES)
+        return [self.phases(places, np.random.default_rng(stream)) for stream in streams]
 
     @cached_property
     def jitter_detectors(self) -> float:
@@ -256,14 +315,19 @@ class FoldedChain:
             size_detectors=self.size_detectors,
             gain=self.sensor.display.gain,
             weights_by_row=partial(self.plan.weights_by_row, self.folding),
+            counts_photons=self.variance is not None,
         )
 
-    def non_gaussian_bound(self) -> float:
-        """Return a first-order bound on the error in P(correct) from taking all noise as Gaussian.
+    def non_gaussian_bound(self, level: float | None = None) -> float:
+        """Return a bound on the error in P(correct) from taking all noise as Gaussian.
 
-        The bound follows from that of `Readout.non_gaussian_bound`: the excess kurtosis of the sum of internal and
-        detector noise is at most the larger one of its two parts.
+        It is of first order in the excess kurtosis: that of the sum of internal and detector noise is at most the
+        larger one of its two parts, of which the first is that of `Readout.non_gaussian_bound`. For a camera that
+        counts photons it includes their skewness and the rounding of the converter, at the contrast `level`.
         """
+        if self.variance is not None:
+            of_photons = self._photon_bound(1.0 if level is None else level)
+            return max(self.readout.non_gaussian_bound, of_photons)
         weights = self.plan.all_four(self.folding.weights(np.zeros(1), np.zeros(1)))[0]
         squares = np.square(weights[:, None] - weights)[np.triu_indices(4, 1)]
         sums = squares.sum(axis=1, keepdims=True)  # 0 where the detectors' noise does not reach the difference
@@ -271,6 +335,44 @@ class FoldedChain:
         participation = np.square(shares).sum(axis=1).max()
         of_detectors = non_gaussian_bound(excess_kurtosis(self.sensor.noise) * float(participation))
         return max(self.readout.non_gaussian_bound, of_detectors)
+
+    def _photon_bound(self, contrast: float) -> float:
+        """Bound the error in P(correct) because photons are counted and rounded, for a triangle in the middle.
+
+        The Edgeworth terms of a score difference with the skewness γ are γ/6 · He₂(x) φ(x), at most 0.3990 γ/6,
+        and γ²/72 · He₅(x) φ(x), at most 2.308 γ²/72; three differences decide. Rounding noise that is Gaussian
+        with σ digital numbers shifts its mean by at most ε/π, with ε = exp(−2π²σ²), and changes its variance
+        by at most (4σ² + 1/π²) ε: the first terms of the Fourier series of the rounding.
+        """
+        assert self.sensor.photons is not None and self.variance is not None
+        photons, electrons, variance = self.sensor.photons, background_electrons(self.sensor), self.variance
+        middle = np.zeros(1)
+        gain = self.sensor.display.gain
+        weights = self.plan.all_four(self.folding.weights(middle, middle))[0] * gain
+        signal = contrast * self.plan.samples(middle, middle, Orientation.UP).ravel()
+        differences = weights[1:] - weights[0]
+        to_differences = np.delete(-np.eye(4)[0] + np.eye(4), 0, axis=0)
+        of_samples = variance.white + variance.per_signal * signal + variance.per_squared_signal * signal**2
+        spread = np.square(differences) @ of_samples
+        spread += np.diag(to_differences @ self.noise_covariance @ to_differences.T)
+        counted = np.maximum(electrons * (1.0 + signal), 0.0) + photons.dark_electrons
+        n, gain_dn = photons.frames_integrated, photons.system_gain_dn_per_electron
+        skewness = np.abs(differences**3 @ counted) / n**2 / electrons**3 / spread**1.5
+        fourth = counted + (0.0 if gain_dn is None else 1.0 / 120.0 / gain_dn**4)
+        kurtosis = differences**4 @ fourth / n**3 / electrons**4 / spread**2
+        bound = float(np.sum(0.3990 / 6.0 * skewness + 2.308 / 72.0 * skewness**2))
+        bound += non_gaussian_bound(float(kurtosis.max()))
+        if gain_dn is None:
+            return bound
+        sigma_dn = gain_dn * math.sqrt(photons.dark_noise_electrons**2 + photons.dark_electrons + electrons)
+        epsilon = math.exp(-2.0 * (math.pi * sigma_dn) ** 2)
+        shift = np.abs(differences).sum(axis=1) * epsilon / math.pi / gain_dn / electrons
+        change = (4.0 * sigma_dn**2 + 1.0 / math.pi**2) * epsilon / gain_dn**2 / electrons**2 / n
+        covariance = noise_covariance(weights) * variance.white + self.noise_covariance
+        of_rounding = decision_change(
+            np.concatenate([[0.0], shift]), covariance, noise_covariance(weights) * change
+        )
+        return bound + float(of_rounding[0])
 
     def proportion_correct(self, phases: Sequence[Phases], snr: float, contrast: float = 1.0) -> float:
         """Return the mean P(correct) over trials at a signal-to-noise ratio; infinity means no detector noise.
@@ -282,7 +384,18 @@ class FoldedChain:
     def proportions_correct(
         self, phases: Sequence[Phases], snrs: Sequence[float], contrast: float = 1.0
     ) -> FloatArray:
-        """Return `proportion_correct` at each of several signal-to-noise ratios."""
+        """Return `proportion_correct` at each of several signal-to-noise ratios; for photons, at contrasts."""
+        if self.variance is not None:
+            found = []
+            for part in phases:
+                at_levels = [
+                    covariance_at("contrast", value, self.noise_covariance, part, self.variance) for value in snrs
+                ]
+                p_correct = answer_probability(
+                    part.signal, np.stack(at_levels), part.correct, tolerance=ORTHANT_TOLERANCE
+                )
+                found.append(p_correct.mean(axis=(1, 2)))
+            return np.asarray(np.mean(found, axis=0))
         internal, snr = self.noise_covariance / contrast**2, np.reshape(snrs, (-1, 1, 1, 1, 1))
         of_orientations = []
         for part in phases:
@@ -294,7 +407,7 @@ class FoldedChain:
 
 def _each_proportion(
     phases: Sequence[Phases],
-    covariance: Callable[[FloatArray], FloatArray],
+    covariance: Callable[[Phases], FloatArray],
     n_replicates: int,
     *,
     tolerance: float = ORTHANT_TOLERANCE,
@@ -306,8 +419,8 @@ def _each_proportion(
     ----------
     phases : sequence of Phases
         Trials of each orientation, as of `pooled`.
-    covariance : function of an ndarray, shape (..., 4, 4)
-        Returns the covariance of the scores for that from detector noise of standard deviation 1.
+    covariance : function of Phases
+        Returns the covariance of the scores at some places, as `covariance_at` does.
     n_replicates : int
     tolerance : float
         Error of each P(correct).
@@ -320,7 +433,7 @@ def _each_proportion(
         for start in range(0, len(p_correct), PLACES_AT_ONCE):
             check()
             some = slice(start, start + PLACES_AT_ONCE)
-            noise = covariance(part.noise[some, None])
+            noise = covariance(part.some(some))
             p_correct[some] = answer_probability(part.signal[some], noise, part.correct, tolerance=tolerance)
         of_orientations.append(p_correct.reshape(n_replicates, -1).mean(axis=1))
     return np.asarray(np.mean(of_orientations, axis=0))
@@ -347,6 +460,31 @@ class PooledThreshold(NamedTuple):
     slope: float
 
 
+class Reference(NamedTuple):
+    """A sensor whose threshold is known more exactly than some lattices give it.
+
+    Lattices of a similar sensor with the same places have nearly the same error, so that the ratio corrects it.
+
+    Attributes
+    ----------
+    deviations : ndarray, shape (lattices,)
+        As of `PooledThreshold`.
+    correction : float
+        ln of the known threshold over the estimate.
+    error : float
+        Relative error of the known threshold, half-width of a 95 % interval.
+    """
+
+    deviations: FloatArray
+    correction: float
+    error: float
+
+    @classmethod
+    def of(cls, found: PooledThreshold, threshold: float, error: float) -> Reference:
+        """Return a sensor as a reference: its threshold is known more exactly than its estimate `found`."""
+        return cls(found.deviations, math.log(threshold / found.threshold), error / threshold)
+
+
 def find_threshold(
     phases: Sequence[Phases],
     internal: FloatArray,
@@ -354,6 +492,7 @@ def find_threshold(
     *,
     n_replicates: int,
     level: Level = "snr",
+    variance: ContrastVariance | None = None,
     near: float | None = None,
     slope: float = math.nan,
     tolerance: float = ORTHANT_TOLERANCE,
@@ -371,6 +510,8 @@ def find_threshold(
         Raw proportion correct at threshold.
     n_replicates : int
     level : {"snr", "contrast"}
+    variance : ContrastVariance, optional
+        Variance of a sample of a camera that counts photons; the level is then the contrast.
     near, slope : float
         A threshold that may be near, to begin with, and the slope dP / d ln level there.
     tolerance : float
@@ -380,7 +521,7 @@ def find_threshold(
     """
 
     def of_each(value: float) -> FloatArray:
-        covariance = partial(covariance_at, level, value, internal)
+        covariance = partial(covariance_at, level, value, internal, variance=variance)
         return _each_proportion(phases, covariance, n_replicates, tolerance=tolerance, check=check)
 
     status, threshold = crossing(lambda value: float(of_each(value).mean()), p_correct, near=near, slope=slope)
@@ -448,10 +589,152 @@ def predict_threshold(
     """
     if not tolerance > 0:
         raise SettingsError(f"tolerance: found {tolerance!r}, expected a number > 0")
+    return _predicted(
+        chain,
+        p_correct=p_correct,
+        tolerance=tolerance,
+        seed=seed,
+        n_points=n_points,
+        level=level,
+        near=near,
+        slope=slope,
+        check=check,
+    )[0]
+
+
+class AtLight(NamedTuple):
+    """A threshold of a camera that counts photons, and what it was computed from.
+
+    Attributes
+    ----------
+    found : PredictedThreshold
+    chain : FoldedChain
+        At the light of the threshold.
+    left_out_bound : float
+        Bound on the change of P(correct) from all that the plan leaves out.
+    """
+
+    found: PredictedThreshold
+    chain: FoldedChain
+    left_out_bound: float
+
+
+def predict_each(
+    chain_at: Callable[[Scene], FoldedChain],
+    scenes: Sequence[Scene],
+    *,
+    p_correct: float = 0.75,
+    tolerance: float = 2e-3,
+    seed: int = 1,
+) -> list[AtLight]:
+    """Return the thresholds of a camera that counts photons at several lights.
+
+    The middle one is computed by itself, and the others with its plan. On few places each threshold has nearly the
+    same error, so that their ratio corrects it. The places become more until this ratio, or the threshold itself,
+    is known well enough.
+
+    Parameters
+    ----------
+    chain_at : function of a Scene
+        Returns the chain at a light, with a plan of its own.
+    scenes : sequence of Scene
+    p_correct, tolerance, seed
+        As for `predict_threshold`.
+    """
+    known: _AtKnownLight | None = None
+    computed: dict[int, AtLight] = {}
+    by_light = sorted(range(len(scenes)), key=lambda place: scenes[place].background_cd_m2)
+    middle = len(scenes) // 2
+    for place in [*by_light[middle:], *by_light[:middle]]:
+        chain = chain_at(scenes[place]) if known is None else known.chain.at(scenes[place])
+        wanted = tolerance if known is not None or len(scenes) == 1 else FIRST_SHARE * tolerance
+        found, on_places, bound = _predicted(chain, p_correct=p_correct, tolerance=wanted, seed=seed, known=known)
+        computed[place] = AtLight(found, chain, bound)
+        if known is None and found.threshold is not None:
+            # What both leave out has no part in the ratio.
+            error = half_width_95(on_places[max(on_places)].deviations) * found.threshold
+            references = {
+                places: Reference.of(of_places, found.threshold, error) for places, of_places in on_places.items()
+            }
+            phases = pooled(chain.replicates(min(on_places), seed))
+            known = _AtKnownLight(references, chain, found.threshold, phases)
+    return [computed[place] for place in range(len(scenes))]
+
+
+class _AtKnownLight(NamedTuple):
+    """A threshold at one light, from which that at another light is near and its bounds follow."""
+
+    references: Mapping[int, Reference]
+    chain: FoldedChain
+    threshold: float
+    phases: Sequence[Phases]
+
+    def _covariance(self, chain: FoldedChain, level: float) -> FloatArray:
+        """Return the mean covariance of the score differences that decide, (3, 3), at a contrast."""
+        part = self.phases[0]
+        covariance = covariance_at("contrast", level, chain.noise_covariance, part, chain.variance)
+        others = np.delete(np.eye(4)[part.correct] - np.eye(4), part.correct, axis=0)
+        return np.asarray(others @ covariance.mean(axis=(0, 1)) @ others.T)
+
+    def near(self, chain: FoldedChain) -> float:
+        """Return the contrast at which the noise of a camera at another light is as large against the signal."""
+        at_threshold = float(np.trace(self._covariance(self.chain, self.threshold)))
+
+        def excess(log_level: float) -> float:
+            return math.log(float(np.trace(self._covariance(chain, math.exp(log_level)))) / at_threshold)
+
+        x = math.log(self.threshold)
+        for _ in range(3):  # the logarithm of the noise is nearly straight: its slope lies between -2 and 0
+            slope = (excess(x + STEP) - excess(x)) / STEP
+            if not slope < -LEAST_SLOPE:
+                break
+            x -= min(max(excess(x) / slope, -3.0), 3.0)
+        return math.exp(x)
+
+    def bound(self, chain: FoldedChain, threshold: float) -> float:
+        """Return the bound on the change of P(correct) from the plan's omissions at another light.
+
+        Where `decision_change` divides a change of the scores by their standard deviation, the largest ratio of
+        these at the two lights bounds its growth; where it divides a change of their covariance by the covariance,
+        the largest ratio of covariances, and of the parts of the noise, does.
+        """
+        before, after = self._covariance(self.chain, self.threshold), self._covariance(chain, threshold)
+        ratio = float(np.linalg.eigvals(np.linalg.solve(after, before)).real.max())
+        assert chain.variance is not None and self.chain.variance is not None
+        parts = [(1.0, 1.0), *zip(self.chain.variance[:3], chain.variance[:3], strict=True)]
+        of_parts = max(other / one for one, other in parts if one > 0.0) * (self.threshold / threshold) ** 2
+        return self.chain.plan.bound * max(math.sqrt(ratio), ratio * of_parts)
+
+
+FIRST_SHARE = 0.75
+"""Share of the tolerance for the threshold that corrects others; the rest is for their ratio to it."""
+
+LEAST_SLOPE = 1e-3
+"""Slope of the logarithm of noise against that of contrast at which a search for equal noise ends."""
+
+
+def _predicted(
+    chain: FoldedChain,
+    *,
+    p_correct: float,
+    tolerance: float,
+    seed: int,
+    n_points: int = 7,
+    level: Level = "snr",
+    near: float | None = None,
+    slope: float = math.nan,
+    check: Callable[[], None] = lambda: None,
+    known: _AtKnownLight | None = None,
+) -> tuple[PredictedThreshold, dict[int, PooledThreshold], float]:
+    """Return a threshold, what each number of places gives, and the bound on what the plan leaves out."""
     pixels = chain.sensor.display.pixels_per_detector
     ladder = [n for n in PLACES if math.gcd(n, pixels) == 1 and n >= chain.plan.fewest_places]
-    if near is None and level == "snr":
-        near, slope = chain.plan.near_snr, chain.plan.slope
+    on_places: dict[int, PooledThreshold] = {}
+    if near is None and (level == "snr" or chain.variance is not None):
+        near, slope = chain.plan.near_level, chain.plan.slope
+        if known is not None:
+            near = known.near(chain)
+    bound = chain.plan.bound
     for places in ladder:
         parts = chain.replicates(places, seed)
         phases = pooled(parts)
@@ -462,22 +745,37 @@ def predict_threshold(
             p_correct,
             n_replicates=REPLICATES,
             level=level,
+            variance=chain.variance,
             near=near,
             slope=slope,
             check=check,
         )
-        if found.status != "ok":
-            return PredictedThreshold(found.status, size_detectors=chain.size_detectors, n_phases=n_phases)
+        status = found.status
+        if chain.variance is not None and found.threshold > largest_contrast(chain.sensor):
+            status = "never_reached"  # a triangle of more contrast saturates the pixels, and looks the same
+        if status != "ok":
+            return PredictedThreshold(status, size_detectors=chain.size_detectors, n_phases=n_phases), {}, bound
         near, slope = found.threshold, found.slope
-        error, left_out = half_width_95(found.deviations), chain.plan.bound / found.slope
+        threshold = found.threshold
+        if known is not None:
+            bound = known.bound(chain, threshold)
+        error, left_out = half_width_95(found.deviations), bound / found.slope
+        on_places[places] = found
+        if known is not None and places in known.references:
+            reference = known.references[places]
+            by_ratio = half_width_95(found.deviations - reference.deviations)
+            if by_ratio + reference.error + left_out <= tolerance:
+                threshold *= math.exp(reference.correction)
+                error = by_ratio + reference.error
+                break
         # More trials do not reduce the error of the omissions: on a flat curve, the stated error may stay above
         # the tolerance.
         if error <= max(tolerance - left_out, tolerance / 2.0):
             break
-    threshold = found.threshold
     points: tuple[tuple[float, float], ...] = ()
     if n_points:
         levels = (threshold * 2.0 ** np.linspace(-1.0, 1.0, n_points)).tolist()
         points = tuple(zip(levels, chain.proportions_correct(parts[0], levels).tolist(), strict=True))
     error = (error + left_out) * threshold
-    return PredictedThreshold(found.status, threshold, error, chain.size_detectors, n_phases, points)
+    predicted = PredictedThreshold(found.status, threshold, error, chain.size_detectors, n_phases, points)
+    return predicted, on_places, bound

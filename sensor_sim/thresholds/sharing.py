@@ -1,4 +1,4 @@
-"""Parts of computations that several sensors share: samplers, samples and weights, each computed once.
+"""Parts of computations that several sensors share: samplers, samples, weights and trials, each computed once.
 
 A part is found by a key that holds all that its value depends on. So what is shared changes no number, and neither
 do the order of the sensors and the memory that is allowed.
@@ -65,18 +65,20 @@ class Shared:
 
     Attributes
     ----------
-    samplers, samples, weights : Kept
-        Samplers of triangles, their samples at some places, and the weights of folded readouts at some places.
+    samplers, samples, weights, trials : Kept
+        Samplers of triangles, their samples at some places, the weights of folded readouts at some places, and the
+        trials of replicates: scores of both.
     """
 
     samplers: Kept[Any] = field(default_factory=lambda: Kept(0))
     samples: Kept[FloatArray] = field(default_factory=lambda: Kept(0))
     weights: Kept[Any] = field(default_factory=lambda: Kept(0))
+    trials: Kept[Any] = field(default_factory=lambda: Kept(0))
 
     @classmethod
     def of(cls, most_bytes: int) -> Shared:
-        """Return a `Shared` that keeps up to so many bytes: 45 % each of samples and weights."""
-        return cls(*(Kept(most_bytes * percent // 100) for percent in (10, 45, 45)))
+        """Return a `Shared` that keeps up to so many bytes: 40 % each of samples and weights, 10 % of others."""
+        return cls(*(Kept(most_bytes * percent // 100) for percent in (10, 40, 40, 10)))
 
 
 NOTHING = Shared()

@@ -17,12 +17,15 @@ from todframes.base.safe_text import in_utf8, without_secrets
 _ARGUMENT = re.compile("\x1a([a-z0-9_]+)\x1a")
 """Pattern of an argument in the text of an error."""
 _FLAGS = {
+    "boxes": "--box",
     "integration_time_s": "--integration-time",
+    "luminance_cd_m2": "--luminance",
     "dither": "--no-dither",
     "time_limit_s": "--time-limit",
     "patches": "--patch",
     "pattern": "--from",
     "rng": "--seed",
+    "search_time_s": "--search-time",
     "value_range": "--range",
 }
 """Options of the command line whose names are not those of the arguments."""

@@ -51,11 +51,22 @@ LAST_OF_DATASET, LAST_OF_RESULT = "dataset.toml", "result.json"
 LARGEST_RESULT_MB = 64
 
 FILES_OF_COMMAND = {
-    "score": {"report.html", "scores.csv", "scores.parquet", "psychometric.png", "tod_curve.png"},
+    "score": {
+        *("report.html", "scores.csv", "scores.parquet"),
+        *("psychometric.png", "tod_curve.png", "field_map.png"),
+    },
     "compare": {"report.html", "scores.csv", "scores.parquet", "compare.csv", "compare.png"},
     "calibrate": {
         *("report.html", "internal_noise.csv", "calibration.csv"),
         *("calibration.png", "calibration.svg", "observer.toml"),
+    },
+    "noise": {
+        *("noise.csv", "noise.png", "snr.csv", "patches.csv", "sensor_noise.toml"),
+        *("emva.csv", "emva.png", "emva.xml", "photon_transfer.csv", "variances.csv"),
+    },
+    "range": {
+        *("report.html", "ranges.csv", "probability.csv", "range_against_k.csv"),
+        *("probability.png", "crossing.png", "range_against_k.png"),
     },
 }
 """Files that each command of this package writes beside `result.json`."""
@@ -542,14 +553,13 @@ def _fill(name: str, staged: Path, out: Path, last: str) -> None:
     moved: list[str] = []
     try:
         for part in parts:
-            _move_to_free_name(staged / part, out / part)
+            if os.path.lexists(out / part):
+                raise OutputError(f"{name}: {part} was put there meanwhile; expected a new name")
+            (staged / part).rename(out / part)
             moved.append(part)
-    except OSError as error:
+    except OSError:  # an OutputError is one, too
         for part in reversed(moved):
             (out / part).rename(staged / part)
-        if error.errno in (errno.EEXIST, errno.ENOTEMPTY, errno.ENOTDIR):
-            part = parts[len(moved)]
-            raise OutputError(f"{name}: {part} was put there meanwhile; expected a new name") from None
         raise
 
 
@@ -560,23 +570,4 @@ def _take_back(hidden: Path, out: Path) -> None:
         there = {entry.name for entry in os.scandir(out) if entry.inode() == numbers.get(entry.name)}
         if there != numbers.keys():
             for part in there:
-                staged = hidden / STAGED / part
-                if os.path.lexists(staged):  # killed between the two steps of `_move_to_free_name`
-                    staged.unlink()
-                (out / part).rename(staged)
-
-
-def _move_to_free_name(source: Path, target: Path) -> None:
-    """Rename a file or folder. Raises OSError if there is a file, or a folder that is not empty, of that name."""
-    if not source.is_dir():
-        try:
-            target.hardlink_to(source)
-        except FileExistsError:
-            raise
-        except OSError:  # the file system has no links
-            if os.path.lexists(target):
-                raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST)) from None
-        else:
-            source.unlink()
-            return
-    source.rename(target)
+                (out / part).rename(hidden / STAGED / part)

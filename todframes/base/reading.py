@@ -17,6 +17,7 @@ from contextlib import contextmanager
 from dataclasses import MISSING, fields, is_dataclass
 from functools import cache
 from numbers import Integral, Real
+from pathlib import Path
 from types import NoneType
 from typing import Any, BinaryIO, Literal, TypeVar, get_args, get_origin, get_type_hints
 
@@ -35,6 +36,8 @@ MAX_NESTING, MAX_DOTS = 16, 500
 COLUMNS_SHOWN = 20
 LONGEST_KEY = 100
 """Number of characters of an unknown key that are compared with valid keys; the time grows with its square."""
+SETTINGS_SUFFIX = ".toml"
+"""End of the names of files of settings; any other text is the name of a file of the package."""
 FIELDS_FOUND = "\0fields"
 """Key of the number of fields in a row of `read_csv` that has more or fewer fields than the header."""
 
@@ -307,10 +310,11 @@ def _shortened(text: str) -> str:
     return text if len(text) <= LONGEST_KEY else f"{text[:LONGEST_KEY]}…"
 
 
-def check_values(settings: object) -> None:
+def check_values(settings: object, *, ignored: Sequence[str] = ()) -> None:
     """Raise SettingsError if the annotations of a settings dataclass do not allow one of its values.
 
-    The check covers numbers, with their ranges if these are annotated (`msgspec.Meta`), and choices (`Literal`).
+    The check covers numbers, with their ranges if these are annotated (`msgspec.Meta`), and choices (`Literal`);
+    the fields `ignored` are not checked.
 
     Raises
     ------
@@ -320,8 +324,16 @@ def check_values(settings: object) -> None:
     kind: Any = type(settings)
     for name, hint in _hints(kind).items():
         value = getattr(settings, name)
+        if name in ignored:
+            continue
         if expected := _unmet(value, hint):
             raise SettingsError(f"{name}: found {value!r}, expected {expected}")
+
+
+def check_positive(name: str, value: float) -> None:
+    """Raise SettingsError unless a value is a finite number above 0."""
+    if not (math.isfinite(value) and value > 0.0):
+        raise SettingsError(f"{name}: found {value!r}, expected a finite number > 0")
 
 
 @cache
@@ -431,6 +443,50 @@ def spelling_hint(text: str, choices: Iterable[str]) -> str:
 
     meant = [choice for choice in choices if letters(choice) == letters(text)]
     return f"; write {meant[0]}" if meant else ""
+
+
+def shipped_names(folder: Path) -> tuple[str, ...]:
+    """Return the names of the files of settings in a folder of the package, in alphabetical order."""
+    return tuple(sorted(path.stem for path in folder.glob(f"*{SETTINGS_SUFFIX}")))
+
+
+def shipped_file(name: str, folder: Path, where: str) -> Path:
+    """Return the path of the file of settings in a folder of the package that has a name.
+
+    Raises
+    ------
+    SettingsError
+        If there is no such file; the message begins with `where` and names all files.
+    """
+    names = shipped_names(folder)
+    if name not in names:
+        raise SettingsError(
+            f"{where}: found {name!r}, expected the name of a file that ends with {SETTINGS_SUFFIX}, or one of "
+            f"{', '.join(names)}{spelling_hint(name, names)}"
+        )
+    return folder / f"{name}{SETTINGS_SUFFIX}"
+
+
+def read_described(path: Location, kind: str, schema: int) -> tuple[dict[str, Any], dict[str, str]]:
+    """Return the table `kind` of a file of settings, and the texts that describe it: `title` and `source`.
+
+    Raises
+    ------
+    SettingsError
+        If the file cannot be read, has another schema, an unknown key or no such table.
+    """
+    content = read_toml(path)
+    check_keys(content, ["schema", "title", "source", kind], str(path))
+    if content.get("schema") != schema:
+        raise SettingsError(f"{path}: schema: found {content.get('schema')!r}, expected {schema}")
+    texts = {name: content.get(name, "") for name in ("title", "source")}
+    for name, text in texts.items():
+        if not isinstance(text, str):
+            raise SettingsError(f"{path}: {name}: found {text!r}, expected text")
+    table = content.get(kind)
+    if not isinstance(table, dict):
+        raise SettingsError(f"{path}: table [{kind}] is missing")
+    return table, texts
 
 
 def read_csv(path: Location, *, most_rows: int | None = MAX_ROWS) -> Iterator[tuple[str, dict[str, str]]]:

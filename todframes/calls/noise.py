@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from todframes.base.errors import DataError, SettingsError, argument
+from todframes.base.errors import DataError, argument
+from todframes.base.reading import check_positive
 from todframes.base.safe_text import in_utf8
 from todframes.calls.shared import (
     Progress,
@@ -93,8 +94,8 @@ def noise(
     from todframes.recordings.radiometric import mk_per_count_of
     from todframes.report.noise_report import noise_result
 
-    if mk_per_count is not None and not (np.isfinite(mk_per_count) and mk_per_count > 0):
-        raise SettingsError(f"{argument.mk_per_count}: found {mk_per_count}, expected a number > 0")
+    if mk_per_count is not None:
+        check_positive(argument.mk_per_count, mk_per_count)
     if isinstance(recording, np.ndarray):
         found: Sequence[Recording] = [memory_recording(recording, frames_per_second=frames_per_second)]
     else:

@@ -1,9 +1,10 @@
-"""The command `noise`: three-dimensional noise of a recording."""
+"""The command `noise`: three-dimensional noise of a recording, and noise as EMVA 1288 defines it."""
 
 from __future__ import annotations
 
 import textwrap
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
@@ -18,14 +19,40 @@ from todframes.cli.console import (
     terminal_width,
     warning_lines,
 )
-from todframes.cli.options import json_option, max_frame_option, numbers, quiet_option, strict_option
+from todframes.cli.options import box, json_option, max_frame_option, numbers, quiet_option, strict_option
+
+if TYPE_CHECKING:
+    from todframes.report.emva_report import EmvaResult
+    from todframes.report.noise_report import NoiseResult
 
 
 @click.command()
-@click.argument("recording", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.argument("recording", nargs=-1, type=click.Path(path_type=Path))
 @click.option(
-    "-o", "--out", metavar="OUT", help="Folder for result.json, noise.csv, noise.png and sensor_noise.toml."
+    "-o", "--out", metavar="OUT", help="Folder for result.json, tables, a picture and sensor_noise.toml."
 )
+@click.option(
+    "--dark",
+    multiple=True,
+    type=click.Path(path_type=Path),
+    help="A recording of dark frames: EMVA 1288, each RECORDING being a bright stack; repeatable, one for all or "
+    "one for each in the same order.",
+)
+@click.option(
+    "--emva",
+    type=click.Path(path_type=Path),
+    metavar="DESCRIPTOR",
+    help="Descriptor file of an EMVA 1288 measurement, in place of RECORDING.",
+)
+@click.option(
+    "--exposure-ms", metavar="T[,T…]", help="With --dark: exposure of each bright stack, for the dark current."
+)
+@click.option(
+    "--photons",
+    metavar="P[,P…]",
+    help="With --dark: photons of a pixel in each bright stack, for the quantum efficiency.",
+)
+@click.option("--bits", type=int, help="With --dark: bits of a pixel.  [default: from the files]")
 @click.option("--region", metavar="X,Y,W,H", help="Left column, top row, width and height.  [default: all]")
 @click.option(
     "--patch",
@@ -60,6 +87,11 @@ def noise(
     *,
     recording: tuple[Path, ...],
     out: str | None,
+    dark: tuple[Path, ...],
+    emva: Path | None,
+    exposure_ms: str | None,
+    photons: str | None,
+    bits: int | None,
     region: str | None,
     patches: tuple[str, ...],
     chart: Path | None,
@@ -77,25 +109,57 @@ def noise(
     RECORDING is a video, a sequence of images or a folder of them, camera raw or thermal files, or an array.
     The noise is that of time, rows and columns (D'Agostino & Webb 1991), each part with a 95 % interval.
 
+    With --dark or --emva it is that of EMVA 1288: gain, dark noise, nonuniformities and saturation of a linear
+    camera, from bright and dark frames.
+
     Without -o nothing is written.
     """
     if sensor and as_json:
         raise SettingsError("noise: found --sensor and --json, expected one of them")
     import todframes as tod
 
+    is_emva = emva is not None or bool(dark)
+    _check_used(
+        is_emva=is_emva,
+        of_emva={"--exposure-ms": exposure_ms, "--photons": photons, "--bits": bits},
+        of_others={
+            "--patch": patches or None,
+            "--chart": chart,
+            "--signal": signal,
+            "--mk-per-count": mk_per_count,
+            "--frames-per-second": frames_per_second,
+        },
+    )
+    if not recording and not is_emva:
+        raise SettingsError("noise: found no RECORDING, expected one, or --emva DESCRIPTOR")
+    result: NoiseResult | EmvaResult
+    where = None if region is None else box(region, "--region")
     with staged(out) as place:
         with progress("reading", None, quiet=quiet) as advance:
-            result = tod.noise(
-                recording,
-                region=None if region is None else _region(region),
-                patches=dict(map(_patch, patches)),
-                chart=chart,
-                signal=() if signal is None else numbers(signal, "--signal"),
-                mk_per_count=mk_per_count,
-                frames_per_second=frames_per_second,
-                max_frame_mb=max_frame_mb,
-                progress=advance,
-            )
+            if is_emva:
+                result = tod.emva_noise(
+                    emva,
+                    bright=recording,
+                    dark=dark,
+                    exposure_ms=() if exposure_ms is None else numbers(exposure_ms, "--exposure-ms"),
+                    photons=() if photons is None else numbers(photons, "--photons"),
+                    bits=bits,
+                    region=where,
+                    max_frame_mb=max_frame_mb,
+                    progress=advance,
+                )
+            else:
+                result = tod.noise(
+                    recording,
+                    region=where,
+                    patches=dict(map(_patch, patches)),
+                    chart=chart,
+                    signal=() if signal is None else numbers(signal, "--signal"),
+                    mk_per_count=mk_per_count,
+                    frames_per_second=frames_per_second,
+                    max_frame_mb=max_frame_mb,
+                    progress=advance,
+                )
         table = result.sensor_toml() if sensor else None
         place.write(result.files)
     warnings = result.warnings
@@ -106,9 +170,8 @@ def noise(
         check_strict(warnings, strict)
         return
     print_table(result.table())
-    for table_of in (result.snr_table(), result.patch_table()):
-        if table_of is not None:
-            print_table(table_of)
+    for table_of in result.more_tables():
+        print_table(table_of)
     for sentence in [*result.sentences(), *warning_lines(warnings)]:
         echo(*textwrap.wrap(sentence, terminal_width()))
     if out is not None:
@@ -116,23 +179,19 @@ def noise(
     check_strict(warnings, strict)
 
 
+def _check_used(*, is_emva: bool, of_emva: dict[str, object], of_others: dict[str, object]) -> None:
+    """Raise SettingsError if an option of one kind of measurement is given with the other."""
+    for option, value in (of_others if is_emva else of_emva).items():
+        if value is not None:
+            other = "is not used with EMVA 1288" if is_emva else "needs --dark, the dark frames"
+            raise SettingsError(f"{option}: {other}")
+
+
 def _patch(text: str) -> tuple[tuple[int, int, int, int], float]:
     place, _, level = text.partition("=")
     try:
-        return _four(place), float(level)
-    except ValueError:
+        return box(place, "--patch"), float(level)
+    except (ValueError, SettingsError):
         raise SettingsError(
             f"--patch: found {text!r}, expected X,Y,W,H=LEVEL: four whole numbers and one"
         ) from None
-
-
-def _region(text: str) -> tuple[int, int, int, int]:
-    try:
-        return _four(text)
-    except ValueError:
-        raise SettingsError(f"--region: found {text!r}, expected X,Y,W,H: four whole numbers of pixels") from None
-
-
-def _four(text: str) -> tuple[int, int, int, int]:
-    left, top, width, height = map(int, text.split(","))
-    return left, top, width, height

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError, SettingsError
-from todframes.base.reading import spelling_hint
+from todframes.base.reading import check_positive, spelling_hint
 
 Eotf = Literal["linear", "srgb", "bt1886", "gamma", "lut"]
 
@@ -117,9 +117,8 @@ class Display:
             "viewing_distance_mm",
             "gamma",
         ):
-            value = getattr(self, name)
-            if value is not None and not (math.isfinite(value) and value > 0):
-                raise SettingsError(f"{name}: found {value!r}, expected a finite number > 0")
+            if (value := getattr(self, name)) is not None:
+                check_positive(name, value)
         if self.white_luminance_cd_m2 > LARGEST_LUMINANCE_CD_M2:
             most = f"at most {LARGEST_LUMINANCE_CD_M2:g}"
             raise SettingsError(f"white_luminance_cd_m2: found {self.white_luminance_cd_m2!r}, expected {most}")
@@ -135,8 +134,8 @@ class Display:
                     f"background_luminance_cd_m2: found {background!r}, expected a number or one of "
                     f"{', '.join(get_args(BackgroundRule))}"
                 )
-        elif not (math.isfinite(background) and background > 0):
-            raise SettingsError(f"background_luminance_cd_m2: found {background!r}, expected a finite number > 0")
+        else:
+            check_positive("background_luminance_cd_m2", background)
         for name in ("gamma", "lut"):
             if (self.eotf == name) != (getattr(self, name) is not None):
                 wanted = "is missing" if self.eotf == name else "is given but not used"

@@ -24,22 +24,21 @@ import numpy as np
 from todframes.base.errors import DataError, SettingsError
 from todframes.base.locations import Location
 from todframes.base.reading import (
+    SETTINGS_SUFFIX,
     check_keys,
     from_table,
     path_inside,
+    read_described,
     read_numbers,
-    read_toml,
     resolved,
-    spelling_hint,
+    shipped_file,
+    shipped_names,
 )
 from todframes.base.safe_text import csv_text
 from todframes.display.display import Display, LuminanceTable
 
 SCHEMA = 1
 """Version of the format of display files that this package reads."""
-
-SUFFIX = ".toml"
-"""End of the names of display files; any other text is the name of a display of this package."""
 
 LUT_FILE = "lut.csv"
 """Name that a display's table of luminances gets in a dataset."""
@@ -58,7 +57,7 @@ class DisplayDescription:
 
 def display_names() -> tuple[str, ...]:
     """Return the names of the displays that this package provides, in alphabetical order."""
-    return tuple(sorted(path.stem for path in FOLDER.glob(f"*{SUFFIX}")))
+    return shipped_names(FOLDER)
 
 
 def find_display(name: str, *, where: str = "display", folder: Location | None = None) -> DisplayDescription:
@@ -79,7 +78,7 @@ def find_display(name: str, *, where: str = "display", folder: Location | None =
     SettingsError
         If there is no such display, or its file cannot be read or has a wrong value.
     """
-    if name.endswith(SUFFIX):
+    if name.endswith(SETTINGS_SUFFIX):
         if folder is None:
             return read_display(Path(name))
         try:
@@ -87,14 +86,7 @@ def find_display(name: str, *, where: str = "display", folder: Location | None =
         except DataError as error:
             raise SettingsError(error.marked) from None
         return read_display(folder / name)
-    names = display_names()
-    if name not in names:
-        hint = spelling_hint(name, names)
-        raise SettingsError(
-            f"{where}: found {name!r}, expected the name of a file that ends with {SUFFIX}, or one of "
-            f"{', '.join(names)}{hint}"
-        )
-    return read_display(FOLDER / f"{name}{SUFFIX}")
+    return read_display(shipped_file(name, FOLDER, where))
 
 
 def read_display(path: Location) -> DisplayDescription:
@@ -105,17 +97,7 @@ def read_display(path: Location) -> DisplayDescription:
     SettingsError
         If the file cannot be read or has a wrong value.
     """
-    content = read_toml(path)
-    check_keys(content, ["schema", "title", "source", "display"], str(path))
-    if content.get("schema") != SCHEMA:
-        raise SettingsError(f"{path}: schema: found {content.get('schema')!r}, expected {SCHEMA}")
-    texts = {name: content.get(name, "") for name in ("title", "source")}
-    for name, text in texts.items():
-        if not isinstance(text, str):
-            raise SettingsError(f"{path}: {name}: found {text!r}, expected text")
-    table = content.get("display")
-    if not isinstance(table, dict):
-        raise SettingsError(f"{path}: table [display] is missing")
+    table, texts = read_described(path, "display", SCHEMA)
     table = {"background_luminance_cd_m2": "surround"} | table
     display = display_of_table(table, f"{path}: [display]", path.parent)
     return DisplayDescription(display=display, **texts)

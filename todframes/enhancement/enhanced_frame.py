@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError, FrameError, SettingsError, argument
+from todframes.base.reading import check_positive
 from todframes.display.display import Display
 from todframes.enhancement.algorithm import ROUNDING, Enhancement, Image
 from todframes.enhancement.image_quality import squared_error_and_ssim
@@ -59,8 +60,7 @@ class AlgorithmDisplay:
     allow_clipping: bool = False
 
     def __post_init__(self) -> None:
-        if not (math.isfinite(self.white) and self.white > 0):
-            raise SettingsError(f"white: found {self.white!r}, expected a finite number > 0")
+        check_positive("white", self.white)
         if self.display.eotf != "linear" and self.white != 1.0:
             raise SettingsError(f'white: found {self.white:g}, expected 1 with eotf = "{self.display.eotf}"')
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError
+from todframes.base.reading import check_positive
 
 N_CODES = 256
 """Number of code values of a monitor: 8 bits a channel."""
@@ -139,9 +140,7 @@ class Monitor:
 
     def __post_init__(self) -> None:
         for name in ("pixel_pitch_mm", "viewing_distance_mm", "pixel_pitch_mrad"):
-            value = getattr(self, name)
-            if not (math.isfinite(value) and value > 0):
-                raise SettingsError(f"{name}: found {value!r}, expected a finite number > 0")
+            check_positive(name, getattr(self, name))
         if self.bits != 8:
             raise SettingsError(f"bits: found {self.bits!r}, expected 8")
         if not 0 < self.background_code < N_CODES:

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError
+from todframes.base.reading import check_positive
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -33,8 +34,7 @@ class RetinaGrid:
     def __post_init__(self) -> None:
         if self.side < 1 or self.side % 2 == 0:
             raise SettingsError(f"side: found {self.side}, expected an odd number >= 1")
-        if not (np.isfinite(self.pitch_mrad) and self.pitch_mrad > 0):
-            raise SettingsError(f"pitch_mrad: found {self.pitch_mrad!r}, expected a finite number > 0")
+        check_positive("pitch_mrad", self.pitch_mrad)
 
     @property
     def width_mrad(self) -> float:
@@ -270,3 +270,8 @@ def gaussian_blur(image: FloatArray, sigma: float) -> FloatArray:
     # Two reaches of zeros about what is filled: the mirror image of the box's own border is zero there.
     blurred[box] = cv2.sepFilter2D(image[box], cv2.CV_64F, kernel, kernel, borderType=cv2.BORDER_REFLECT_101)
     return blurred
+
+
+def mean_of_turns(image: FloatArray) -> FloatArray:
+    """Compute the mean of a square image and its three quarter turns."""
+    return np.asarray(sum(np.rot90(image, -k) for k in range(4)) / 4.0)

@@ -255,7 +255,7 @@ def measure_noise(
     levels = {one.level for one in patches}
     if patches and (len(levels) < 2 or not all(map(math.isfinite, levels))):
         raise SettingsError(f"patches: found levels {sorted(levels)}, expected at least two different numbers")
-    places = [_checked(recording, one) for one in (region, *(patch.region for patch in patches))]
+    places = [checked_region(recording, one) for one in (region, *(patch.region for patch in patches))]
     gathered = [_Gathered(place) for place in places]
     times: list[float | None] = []
     for frame in recording.frames():
@@ -281,7 +281,7 @@ class _Gathered:
 
     def __init__(self, region: Region) -> None:
         self.region = region
-        self.sums: _Sums | None = None
+        self.sums: FrameSums | None = None
         self.n_saturated = self.n_doubled = 0
         self.last: NDArray[Any] | None = None
 
@@ -289,7 +289,7 @@ class _Gathered:
         left, top, width, height = self.region
         values = frame[top : top + height, left : left + width]
         grey = values.astype(np.float64) if values.ndim == 2 else values @ REC_709_LUMINANCE_WEIGHTS
-        self.sums = self.sums or _Sums(grey)
+        self.sums = self.sums or FrameSums(grey)
         self.sums.add(grey)
         if recording.full_scale is not None:
             at_end = (values <= recording.zero) | (values >= recording.full_scale)
@@ -305,8 +305,7 @@ class _Gathered:
         dynamic = fixed = None
         if sums.n > 1:
             dynamic, fixed = (
-                estimate(_added([weights[name] for name in names]), squares, degrees)
-                for names in (DYNAMIC, STATIC)
+                estimate(added([weights[name] for name in names]), squares, degrees) for names in (DYNAMIC, STATIC)
             )
         means = np.array(sums.frame_means) + float(sums.reference.mean())
         return Noise3D(
@@ -351,7 +350,8 @@ def _scaled(weights: Combination, divisor: int) -> Combination:
     return {name: weight / divisor for name, weight in weights.items()}
 
 
-def _added(weights: list[Combination]) -> Combination:
+def added(weights: list[Combination]) -> Combination:
+    """Return the sum of combinations."""
     names = dict.fromkeys(name for one in weights for name in one)
     return {name: sum(one.get(name, 0.0) for one in weights) for name in names}
 
@@ -407,7 +407,7 @@ def fit_transfer(levels: Sequence[float], means: Sequence[float]) -> Transfer:
     return Transfer(gain, error, float(y.mean() - gain * x.mean()), nonlinearity)
 
 
-class _Sums:
+class FrameSums:
     """Sums over frames that the mean squares need.
 
     Differences from the first frame are summed: the parts with t are the same in them, and their squares do not
@@ -423,6 +423,7 @@ class _Sums:
         self._of_rows = self._of_columns = 0.0
 
     def add(self, frame: FloatArray) -> None:
+        """Add a frame."""
         difference = frame - self.reference
         rows, columns = difference.mean(1), difference.mean(0)
         self.frame_means.append(float(rows.mean()))
@@ -434,9 +435,11 @@ class _Sums:
         self.n += 1
 
     def mean_image(self) -> FloatArray:
+        """Return the mean of each pixel."""
         return self.reference + self._sum / self.n
 
     def temporal_sd(self) -> FloatArray:
+        """Return the standard deviation of each pixel over time."""
         return np.sqrt(np.maximum(self._squares - self._sum**2 / self.n, 0.0) / (self.n - 1))
 
     def mean_squares(self) -> tuple[dict[str, float], dict[str, int]]:
@@ -470,7 +473,8 @@ class _Sums:
         return {name: max(one, 0.0) / degrees[name] for name, one in sums.items()}, degrees
 
 
-def _checked(recording: Recording, region: Region | None) -> Region:
+def checked_region(recording: Recording, region: Region | None) -> Region:
+    """Return the region, or the whole frame; SettingsError if it is too small, or not within the frame."""
     rows, columns = recording.shape
     left, top, width, height = region or (0, 0, columns, rows)
     if left < 0 or top < 0 or width < 2 or height < 2 or left + width > columns or top + height > rows:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -13,7 +12,8 @@ from typing import Any, Literal, NamedTuple, Protocol
 
 from numpy.typing import NDArray
 
-from todframes.base.errors import DataError, FrameError, SettingsError, argument
+from todframes.base.errors import DataError, FrameError, argument
+from todframes.base.reading import check_positive
 
 INTEGRATION_TIME_S = 0.1
 """Time in which the eye integrates. Hogervorst et al. 2001, section 4."""
@@ -127,8 +127,8 @@ class StillReader(Protocol):
 
 def check_rate(frames_per_second: float | None) -> float | None:
     """Return a frame rate. Raises SettingsError if it is not a positive number."""
-    if frames_per_second is not None and not (math.isfinite(frames_per_second) and frames_per_second > 0):
-        raise SettingsError(f"{argument.frames_per_second}: found {frames_per_second}, expected a number > 0")
+    if frames_per_second is not None:
+        check_positive(argument.frames_per_second, frames_per_second)
     return frames_per_second
 
 

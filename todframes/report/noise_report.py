@@ -106,6 +106,10 @@ class NoiseResult(Saving):
         columns.append(Column(key="snr", header="SNR against the first"))
         return Table.of("Patches", "patches.csv", columns, records)
 
+    def more_tables(self) -> list[Table]:
+        """Return the tables of what was asked for besides the parts."""
+        return [one for one in (self.snr_table(), self.patch_table()) if one is not None]
+
     def sentences(self) -> list[str]:
         """Return the findings in words."""
         noise = self.measured
@@ -214,11 +218,11 @@ class NoiseResult(Saving):
         figure = self.figure()
         with style():
             picture = save_png(figure)
-        dynamic, more = self.measured.dynamic, (self.snr_table(), self.patch_table())
+        dynamic = self.measured.dynamic
         known = dynamic is not None and dynamic.variance > 0
         return {
             "noise.csv": self.table().csv().encode(),
-            **{one.file: one.csv().encode() for one in more if one is not None},
+            **{one.file: one.csv().encode() for one in self.more_tables()},
             "noise.png": picture,
             **({"sensor_noise.toml": self.sensor_toml().encode()} if known else {}),
             "result.json": self.to_json(),

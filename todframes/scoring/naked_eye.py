@@ -13,6 +13,7 @@ import numpy as np
 
 from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError
+from todframes.base.reading import check_positive
 from todframes.observers.interface import Observer, Readout
 from todframes.psychometrics.threshold_search import ComputedThreshold, find_crossing
 from todframes.stimulus import HEIGHT_PER_SIZE, ORIENTATIONS, Stimulus, coverage
@@ -184,8 +185,7 @@ def _responses(observer: Observer, size_mrad: float, nodes: int) -> tuple[Readou
 
 def _size_samples(observer: Observer, size_mrad: float) -> float:
     """Convert a size to retina samples; SettingsError if it is not > 0, or so large that it takes minutes."""
-    if not (math.isfinite(size_mrad) and size_mrad > 0):
-        raise SettingsError(f"size_mrad: found {size_mrad!r}, expected a finite number > 0")
+    check_positive("size_mrad", size_mrad)
     pitch = observer.grid(Stimulus(1.0)).pitch_mrad
     most = SIZE_RANGE_SAMPLES[1]
     if size_mrad / pitch > most * (1.0 + 1e-9):

@@ -1,0 +1,224 @@
+"""Photons and electrons of a pixel, their noise as contrast, and frames drawn from photons up.
+
+A triangle of the contrast C on a background that gives μ electrons adds C·μ·s electrons to a pixel that it covers
+by the share s. All noise is divided by μ, so that a sample is a contrast. Its variance is then
+
+    [σ_d² + D + 1/(12 K²) + μ (1 + C s)] / (n μ²)  +  DSNU² / μ²  +  PRNU² (1 + C s)²
+
+with the dark noise σ_d and the electrons D of the dark current, the gain K, and n frames integrated. Rounding is
+noise of 1/12 of a square digital number. Rows and columns add what their pixels have in common.
+
+EMVA Standard 1288, release 4.0 linear, sections 2 and 4.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from sensor_sim.chain.sensor import PhotonNoise, Sensor
+from todframes.base._typing import FloatArray
+from todframes.base.errors import SettingsError
+
+LUMENS_PER_WATT = 683.002
+"""Lumens of a watt of light of 540 THz, by the definition of the candela (SI brochure, 9th edition)."""
+
+PHOTON_ENERGY_J_UM = 1.98644586e-19
+"""Energy of a photon times its wavelength, h·c, in J·µm."""
+
+PHOTOPIC_FIRST_UM, PHOTOPIC_STEP_UM = 0.38, 0.01
+PHOTOPIC = (
+    0.000039, 0.00012, 0.000396, 0.00121, 0.004, 0.0116, 0.023, 0.038, 0.06, 0.09098, 0.13902, 0.20802, 0.323,
+    0.503, 0.71, 0.862, 0.954, 0.99495, 0.995, 0.952, 0.87, 0.757, 0.631, 0.503, 0.381, 0.265, 0.175, 0.107, 0.061,
+    0.032, 0.017, 0.00821, 0.004102, 0.002091, 0.001047, 0.00052, 0.000249, 0.00012, 0.00006, 0.00003, 0.000015,
+)  # fmt: skip
+"""Luminous efficiency V(λ) every 10 nm from 380 to 780 nm: CIE 1924, as in ISO/CIE 23539:2023, table 1."""
+
+LARGEST_CONTRAST = 1e9
+
+
+class ContrastVariance(NamedTuple):
+    """Variance of a displayed sample in units of squared contrast.
+
+    Attributes
+    ----------
+    white : float
+        Of a pixel by itself, where there is no triangle.
+    row, column : float
+        Of what the pixels of a row, or of a column, have in common.
+    per_signal, per_squared_signal : float
+        Added to `white` for each unit of signal (the contrast times the covered share), and of its square.
+    """
+
+    white: float
+    row: float
+    column: float
+    per_signal: float
+    per_squared_signal: float
+
+
+def photopic_efficiency(wavelength_um: float) -> float:
+    """Return the luminous efficiency V(λ) of the eye in daylight, interpolated in its logarithm.
+
+    Raises
+    ------
+    SettingsError
+        If the eye does not see the wavelength, from 0.38 to 0.78 µm.
+    """
+    last_um = PHOTOPIC_FIRST_UM + PHOTOPIC_STEP_UM * (len(PHOTOPIC) - 1)
+    if not PHOTOPIC_FIRST_UM <= wavelength_um <= last_um + 1e-9:
+        raise SettingsError(
+            f"optics.wavelength_um: found {wavelength_um:g}, which has no luminance; expected 0.38 to 0.78, or "
+            "scene.photons_per_lux_s_um2"
+        )
+    place = (wavelength_um - PHOTOPIC_FIRST_UM) / PHOTOPIC_STEP_UM
+    return float(np.exp(np.interp(place, np.arange(len(PHOTOPIC)), np.log(PHOTOPIC))))
+
+
+def photons_per_lux_s_um2(sensor: Sensor) -> float:
+    """Return the photons that a lux brings to a µm² in a second: of the scene, or of monochromatic light."""
+    assert sensor.scene is not None  # every sensor with photons has one
+    if sensor.scene.photons_per_lux_s_um2 is not None:
+        return sensor.scene.photons_per_lux_s_um2
+    wavelength_um = sensor.optics.wavelength_um
+    watt_per_um2 = 1e-12 / (LUMENS_PER_WATT * photopic_efficiency(wavelength_um))
+    return watt_per_um2 * wavelength_um / PHOTON_ENERGY_J_UM
+
+
+def image_illuminance_lx(sensor: Sensor) -> float:
+    """Return the illuminance of the background's image: π·τ·L / (4 N²), for a distant scene behind a good lens."""
+    optics = sensor.optics
+    assert sensor.scene is not None and optics.focal_length_mm is not None  # checked by `Sensor`
+    f_number = optics.focal_length_mm / optics.aperture_mm
+    return math.pi * optics.transmission * sensor.scene.background_cd_m2 / (4.0 * f_number**2)
+
+
+def background_electrons(sensor: Sensor) -> float:
+    """Return the mean electrons that the background's light frees in a pixel in one exposure.
+
+    Raises
+    ------
+    SettingsError
+        If the light has no luminance at the wavelength, or the full well lies below the scene.
+    """
+    photons, optics = _photons_of(sensor), sensor.optics
+    assert optics.focal_length_mm is not None  # checked by `Sensor`
+    pitch_um = sensor.detector.pitch_mrad * optics.focal_length_mm
+    of_light = photons_per_lux_s_um2(sensor) * image_illuminance_lx(sensor) * pitch_um**2
+    electrons = photons.quantum_efficiency * of_light * photons.exposure_ms / 1000.0
+    if electrons + photons.dark_electrons >= photons.saturation_electrons:
+        assert sensor.scene is not None
+        raise SettingsError(
+            f"noise.full_well_electrons: a pixel saturates at {photons.saturation_electrons:.4g} electrons, and "
+            f"the background of {sensor.scene.background_cd_m2:.4g} cd/m² gives {electrons:.4g} with "
+            f"{photons.dark_electrons:.4g} of the dark current; expected fewer: a shorter exposure, a larger "
+            "f-number or less light"
+        )
+    return electrons
+
+
+def largest_contrast(sensor: Sensor) -> float:
+    """Return the contrast at which a large triangle saturates the pixels; beyond it, it looks the same."""
+    photons, electrons = _photons_of(sensor), background_electrons(sensor)
+    room = photons.saturation_electrons - photons.dark_electrons
+    return min(room / electrons - 1.0, LARGEST_CONTRAST)
+
+
+def rounding_variance_electrons(photons: PhotonNoise) -> float:
+    """Return the variance of the converter's rounding in squared electrons; 0 if nothing is rounded."""
+    gain = photons.system_gain_dn_per_electron
+    return 0.0 if gain is None else 1.0 / 12.0 / gain**2
+
+
+def contrast_variance(sensor: Sensor) -> ContrastVariance:
+    """Return the variance of a displayed sample; see the text of this module.
+
+    Raises
+    ------
+    SettingsError
+        As `background_electrons` does.
+    """
+    photons, electrons = _photons_of(sensor), background_electrons(sensor)
+    n, prnu = photons.frames_integrated, photons.prnu_percent / 100.0
+    in_dark = photons.dark_noise_electrons**2 + photons.dark_electrons + rounding_variance_electrons(photons)
+
+    def lines(noise: float, pattern: float) -> float:
+        return (noise**2 / n + pattern**2) / electrons**2
+
+    return ContrastVariance(
+        white=((in_dark + electrons) / n + photons.dsnu_electrons**2) / electrons**2 + prnu**2,
+        row=lines(photons.row_noise_electrons, photons.row_pattern_electrons),
+        column=lines(photons.column_noise_electrons, photons.column_pattern_electrons),
+        per_signal=1.0 / (n * electrons) + 2.0 * prnu**2,
+        per_squared_signal=prnu**2,
+    )
+
+
+class PhotonCamera:
+    """A camera whose fixed patterns are drawn once: the seed is the camera.
+
+    Parameters
+    ----------
+    sensor : Sensor
+        With `photons`.
+    field : int
+        Detectors along each side of the square field.
+    seed : int or SeedSequence
+
+    Raises
+    ------
+    SettingsError
+        As `background_electrons` does.
+    """
+
+    def __init__(self, sensor: Sensor, field: int, *, seed: int | np.random.SeedSequence) -> None:
+        self.photons, self.electrons = _photons_of(sensor), background_electrons(sensor)
+        photons, rng = self.photons, np.random.default_rng(seed)
+        self.response = 1.0 + photons.prnu_percent / 100.0 * rng.standard_normal((field, field))
+        self.offset = photons.dsnu_electrons * rng.standard_normal((field, field))
+        self.offset += photons.row_pattern_electrons * rng.standard_normal((field, 1))
+        self.offset += photons.column_pattern_electrons * rng.standard_normal((1, field))
+
+    def contrast(self, signal: FloatArray, rng: np.random.Generator) -> FloatArray:
+        """Return the contrast that the camera reports for a signal: the mean of its frames.
+
+        Parameters
+        ----------
+        signal : ndarray, shape (field, field)
+            Contrast times the covered share, without noise.
+        rng : numpy.random.Generator
+            Random generator of the trial.
+        """
+        photons = self.photons
+        frames = list(self._frames(signal, rng))
+        return np.asarray((np.mean(frames, axis=0) - photons.dark_electrons) / self.electrons - 1.0)
+
+    def _frames(self, signal: FloatArray, rng: np.random.Generator) -> Iterator[FloatArray]:
+        """Yield frames in electrons, as they follow from the converter's numbers.
+
+        The offset of the converter lies so high that noise never falls below 0.
+        """
+        photons = self.photons
+        light = np.maximum(self.electrons * (1.0 + signal) * self.response, 0.0)
+        gain = photons.system_gain_dn_per_electron
+        for _ in range(photons.frames_integrated):
+            electrons = rng.poisson(light + photons.dark_electrons).astype(np.float64)
+            if photons.full_well_electrons is not None:
+                electrons = np.minimum(electrons, photons.full_well_electrons)
+            electrons += self.offset + photons.dark_noise_electrons * rng.standard_normal(signal.shape)
+            electrons += photons.row_noise_electrons * rng.standard_normal((signal.shape[0], 1))
+            electrons += photons.column_noise_electrons * rng.standard_normal((1, signal.shape[1]))
+            if gain is not None:
+                number = np.rint(gain * electrons)
+                if photons.bits is not None:
+                    number = np.minimum(number, 2**photons.bits - 1)
+                electrons = number / gain
+            yield electrons
+
+
+def _photons_of(sensor: Sensor) -> PhotonNoise:
+    assert sensor.photons is not None
+    return sensor.photons

@@ -1,0 +1,71 @@
+"""Range in the field of each design of a sweep, from its thresholds over sizes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from todframes.base._typing import FloatArray
+from todframes.base.errors import DataError
+from todframes.field.acquisition import first_range
+from todframes.field.atmosphere import Atmosphere
+from todframes.field.target import Target
+from todframes.field.threshold_curve import ThresholdCurve
+
+NAME = "the sweep"
+"""Name of the curves in messages."""
+
+
+class DesignRange(NamedTuple):
+    """Range of a design; NaN unless `status` is "ok". `at_least_km` is a bound where the curve ends before it.
+
+    `status` is that of `todframes.field.acquisition.TaskRange`, or "too_few_sizes" for less than two thresholds.
+    """
+
+    status: str
+    range_km: float = math.nan
+    at_least_km: float = math.nan
+
+
+class Aim(NamedTuple):
+    """The target and the air for which designs are compared."""
+
+    target: Target
+    atmosphere: Atmosphere
+
+    def check(self, p_correct: float) -> None:
+        """Raise SettingsError if target or air cannot be used with a TOD in K."""
+        first_range(_curve(np.array([2.0, 1.0]), np.array([1.0, 2.0]), None, p_correct), *self)
+
+    def range_of(
+        self, size_mrad: FloatArray, delta_t_k: FloatArray, status: Sequence[str], p_correct: float
+    ) -> DesignRange:
+        """Return the range of a design from its thresholds, NaN where there is none, in any order of sizes."""
+        known = np.flatnonzero(np.isfinite(delta_t_k))
+        known = known[np.argsort(-size_mrad[known])]
+        unreached = [1.0 / size_mrad[place] for place, one in enumerate(status) if one == "never_reached"]
+        try:
+            curve = _curve(size_mrad[known], delta_t_k[known], unreached, p_correct)
+            found = first_range(curve, *self)
+        except DataError:
+            return DesignRange("too_few_sizes")
+        values = (math.nan if one is None else one for one in (found.range_km, found.at_least_km))
+        return DesignRange(found.status, *values)
+
+
+def _curve(
+    size_mrad: FloatArray, delta_t_k: FloatArray, unreached: Sequence[float] | None, p_correct: float
+) -> ThresholdCurve:
+    finer = [one for one in unreached or () if size_mrad.size and one > 1.0 / size_mrad[-1]]
+    return ThresholdCurve(
+        pattern="triangle",
+        quantity="delta_t_k",
+        per_mrad=1.0 / size_mrad,
+        threshold=delta_t_k,
+        p_correct=p_correct,
+        unreached_per_mrad=min(finer, default=None),
+        name=NAME,
+    )

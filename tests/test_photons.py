@@ -1,0 +1,335 @@
+"""Cameras that count photons: light, electrons, noise against drawn frames, thresholds against brute force."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from overlaps import shares_of_samples
+
+import sensor_sim as ss
+import todframes as tod
+from sensor_sim import cli
+from sensor_sim.chain.photons import PhotonCamera, background_electrons, contrast_variance, photopic_efficiency
+from sensor_sim.chain.reconstruction import display_position_px
+from sensor_sim.chain.sensor import sensor_settings, sensor_toml
+from sensor_sim.chain.simulation import Simulator, plan_trials
+from sensor_sim.thresholds.curve_plan import full_plan
+from sensor_sim.thresholds.predict import FoldedChain
+from todframes.base.errors import SettingsError
+from todframes.cli.console import run
+from todframes.observers.decision import answer_probabilities
+from todframes.observers.interface import Readout
+from todframes.observers.pyramid import PyramidObserver, PyramidSettings
+from todframes.observers.retina import resample
+from todframes.psychometrics.fit import FitSettings, fit_trials
+from todframes.stimulus import ORIENTATIONS, Stimulus
+
+CAMERA = """
+schema = 1
+name = "machine vision"
+[optics]
+f_number = 2.8
+focal_length_mm = 25.0
+wavelength_um = 0.555
+[detector]
+pitch_um = 3.45
+[scene]
+luminance_cd_m2 = 1.0
+[noise]
+model = "photon"
+quantum_efficiency = 0.6
+system_gain_dn_per_electron = 0.4
+dark_noise_electrons = 2.5
+dark_current_electrons_per_s = 100.0
+dsnu_electrons = 1.0
+prnu_percent = 2.0
+full_well_electrons = 10000.0
+bits = 12
+exposure_ms = 10.0
+[display]
+pixels_per_detector = 2
+pixel_pitch_mm = 0.25
+viewing_distance_mm = 600.0
+background_luminance_cd_m2 = 50.0
+"""
+
+
+def camera(tmp_path: Path, *changes: tuple[str, str]) -> ss.Sensor:
+    text = CAMERA
+    for before, after in changes:
+        assert before in text
+        text = text.replace(before, after)
+    path = tmp_path / "camera.toml"
+    path.write_text(text, encoding="utf-8")
+    return ss.load_sensor(path)
+
+
+def test_focal_length_turns_lengths_into_angles(tmp_path):
+    sensor = camera(tmp_path)
+    assert sensor.optics.aperture_mm == pytest.approx(25.0 / 2.8, rel=1e-15)
+    assert sensor.detector.pitch_mrad == sensor.detector.width_mrad == pytest.approx(0.138, rel=1e-15)
+    longer = replace(sensor, optics=replace(sensor.optics, focal_length_mm=50.0))
+    assert longer.detector.pitch_mrad == pytest.approx(0.069, rel=1e-15)
+    assert longer.optics.aperture_mm == pytest.approx(50.0 / 2.8, rel=1e-15)
+
+
+def test_a_file_and_its_sensor_are_the_same(tmp_path):
+    sensor = camera(tmp_path)
+    path = tmp_path / "again.toml"
+    path.write_text(sensor_toml(sensor), encoding="utf-8")
+    assert ss.load_sensor(path) == sensor
+    assert "aperture_mm" not in sensor_settings(sensor)["optics"]
+
+
+def test_electrons_of_a_luminance_by_hand(tmp_path):
+    # 1 cd/m² at f/2.8 is π/(4·2.8²) = 0.100177 lx on the chip. A watt of 555 nm is 683.0 lm (V is 1 there, and
+    # 0.99497 in this table of 10 nm) and 555/1.98645e-16 = 2.79393e18 photons per second. A pixel of 3.45 µm gets
+    # 0.100177 · 11.9025e-12 m² · 0.01 s / 683 · 2.79393e18 = 48.78 photons, and 29.27 electrons.
+    assert background_electrons(camera(tmp_path)) == pytest.approx(29.27 / 0.99497, rel=2e-3)
+    in_light = camera(tmp_path, ("luminance_cd_m2 = 1.0", "illuminance_lx = 20.0\nreflectance = 0.5"))
+    assert background_electrons(in_light) / background_electrons(camera(tmp_path)) == pytest.approx(10.0 / math.pi)
+
+
+def test_photopic_efficiency_is_tabulated_and_smooth():
+    # CIE 1924 at 507.5 nm by a table of 1 nm: V(507) = 0.4450, V(508) = 0.4642 (CIE 018:2019); the logarithm is
+    # nearly straight between 500 and 510 nm.
+    assert photopic_efficiency(0.5075) == pytest.approx(0.4546, rel=0.02)
+    with pytest.raises(SettingsError, match=r"wavelength_um: found 0\.9, which has no luminance; expected 0\.38"):
+        photopic_efficiency(0.9)
+
+
+def test_variance_of_drawn_frames_is_the_computed_one(tmp_path):
+    """Many cameras, each with a fixed pattern, and a triangle's signal in all pixels."""
+    sensor = camera(
+        tmp_path,
+        (
+            "exposure_ms = 10.0",
+            "exposure_ms = 10.0\nrow_noise_electrons = 2.0\ncolumn_pattern_electrons = 3.0\nframes_integrated = 3",
+        ),
+    )
+    variance, signal = contrast_variance(sensor), 0.7
+    rng = np.random.default_rng(1)
+    drawn = np.array(
+        [PhotonCamera(sensor, 24, seed=n).contrast(np.full((24, 24), signal), rng) for n in range(600)]
+    )
+    assert drawn.mean() == pytest.approx(signal, abs=4.0 * math.sqrt(variance.column / 24 / 600))
+    of_column, of_row = drawn.mean(axis=1).var(ddof=0), drawn.mean(axis=2).var(ddof=0)
+    white = variance.white + variance.per_signal * signal + variance.per_squared_signal * signal**2
+    # A variance from n values is known to √(2/n): rows and columns give 14,400, their parts 1.2 %; pixels 0.25 %.
+    assert of_column == pytest.approx(variance.column + white / 24 + variance.row / 24, rel=4 * 0.012)
+    assert of_row == pytest.approx(variance.row + white / 24 + variance.column / 24, rel=4 * 0.012)
+    assert drawn.var() == pytest.approx(white + variance.row + variance.column, rel=4 * 0.012)
+
+
+def test_saturation_and_rounding(tmp_path):
+    sensor = camera(tmp_path, ("full_well_electrons = 10000.0", "full_well_electrons = 60.0"))
+    seen = PhotonCamera(sensor, 64, seed=1).contrast(np.full((64, 64), 50.0), np.random.default_rng(1))
+    # Far beyond saturation only the noise behind the well remains: dark noise, DSNU and rounding.
+    behind = math.sqrt(2.5**2 + 1.0 + 1.0 / 12.0 / 0.4**2) / background_electrons(sensor)
+    assert seen.std() == pytest.approx(behind, rel=4 / math.sqrt(2 * 4096))
+    number = (1.0 + seen) * background_electrons(sensor) + sensor.photons.dark_electrons
+    assert np.abs(number * 0.4 - np.rint(number * 0.4)).max() < 1e-9
+
+
+def weights_at(sensor: ss.Sensor, readout: Readout, field: int, x: float, y: float) -> np.ndarray:
+    """Weights of the scores on the detectors, (4, field²), with the retina's middle at a place; nothing blurs."""
+    shown, grid = sensor.display, readout.grid
+    pixel = shown.pixel_pitch_mrad
+    rows, columns = (
+        shares_of_samples(
+            grid.side,
+            grid.pitch_mrad,
+            middle_mrad=display_position_px(at, n_detectors=field, display=shown) * pixel,
+            pitch_mrad=pixel,
+            n_pixels=field * shown.pixels_per_detector,
+        )
+        for at in (y, x)
+    )
+    on_display = rows.T @ readout.deviations @ columns
+    pixels = shown.pixels_per_detector
+    return on_display.reshape(4, field, pixels, field, pixels).sum(axis=(2, 4)).reshape(4, -1)
+
+
+def drawn_scores(sensor: ss.Sensor, signal: np.ndarray, weights: np.ndarray, n: int, rng) -> np.ndarray:
+    """Scores of n exposures of cameras of their own, by NumPy's Poisson and normal numbers alone."""
+    photons, electrons = sensor.photons, background_electrons(sensor)
+    shape = (n, len(signal))
+    response = 1.0 + 0.01 * photons.prnu_percent * rng.standard_normal(shape)
+    seen = rng.poisson(np.maximum(electrons * (1.0 + signal) * response, 0.0) + photons.dark_electrons).astype(
+        float
+    )
+    seen += math.hypot(photons.dark_noise_electrons, photons.dsnu_electrons) * rng.standard_normal(shape)
+    seen = np.rint(seen * photons.system_gain_dn_per_electron) / photons.system_gain_dn_per_electron
+    return ((seen - photons.dark_electrons) / electrons - 1.0) @ weights.T
+
+
+PLACES = 12
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("draws", "error"), [(800, 0.05), pytest.param(20_000, 0.01, marks=pytest.mark.weekly)])
+def test_thresholds_of_photons_are_those_of_brute_force(tmp_path, draws, error):
+    """12 places with exposures each: electrons are drawn and rounded, weights are dense overlaps, no covariance.
+
+    The same places computed with the covariance at the threshold are the control: what differs is the noise alone.
+    """
+    sensor, size, observer, rng = camera(tmp_path), 3.0, PyramidObserver(), np.random.default_rng(1)
+    (fit,) = ss.curve(sensor, size_detectors=[size], examples=False).fits
+    chain = FoldedChain(sensor, observer, size, full_plan(sensor, observer, size))
+    readout, contrast, differences = chain.readout, fit.threshold, []
+    of_levels = np.array([(math.log(point.level), point.p_correct) for point in fit.points])
+    slope = np.interp(math.log(contrast), of_levels[:, 0], np.gradient(of_levels[:, 1], of_levels[:, 0]))
+    white, _, _, per_signal, per_square = contrast_variance(sensor)
+    for n in range(PLACES):
+        orientation = ORIENTATIONS[n % 4]
+        x, y = rng.uniform(-0.5, 0.5, 2)
+        weights = weights_at(sensor, readout, chain.field, x, y)
+        signal = contrast * chain.sampler.samples(x, y, orientation=orientation)[0].ravel()
+        answers = answer_probabilities(drawn_scores(sensor, signal, weights, draws, rng), readout.noise_covariance)
+        in_pixels = white + per_signal * signal + per_square * signal**2
+        covariance = readout.noise_covariance + (weights * in_pixels) @ weights.T
+        k = orientation.quarter_turns
+        computed = answer_probabilities((weights @ signal)[None], covariance)[0, k]
+        differences.append(answers[:, k].mean() - computed)
+    # P of an exposure has a standard deviation of at most 0.3. In 9,600 its mean has 0.0031, 1.2 % of the level at
+    # a slope of 0.25; in 240,000 it has 0.25 %: four of these, in both.
+    assert slope > 0.25
+    assert abs(np.mean(differences)) / slope < error
+    assert fit.threshold_numerical_error < 2e-3 * contrast
+
+
+@pytest.mark.slow
+def test_frames_of_photons_have_the_computed_threshold(tmp_path):
+    """2,000 frames, simulated and read out one by one, displaced on the retina as `score` does."""
+    sensor, size, observer = camera(tmp_path), 3.0, PyramidObserver()
+    sensor = replace(sensor, photons=replace(sensor.photons, dsnu_electrons=0.0, prnu_percent=0.0))
+    (fit,) = ss.curve(sensor, size_detectors=[size], examples=False).fits
+    readout = observer.readout(Stimulus(size * sensor.display.detector_pitch_mrad))
+    pixel, rng = sensor.display.pixel_pitch_mrad, np.random.default_rng(2)
+    planned = plan_trials(
+        [size], [fit.threshold * 2.0**n for n in (-0.75, -0.25, 0.0, 0.25, 0.75)], 400, "contrast"
+    )
+    scores = []
+    for frame in Simulator(sensor, size, seed=1).frames(planned):
+        jitter = rng.uniform(-0.5, 0.5, 2) * readout.grid.pitch_mrad / pixel
+        contrast = frame.luminance_cd_m2 / sensor.display.background_luminance_cd_m2 - 1.0
+        place = {"x_px": frame.x_px + jitter[0], "y_px": frame.y_px + jitter[1], "pixel_pitch_mrad": pixel}
+        scores.append(readout.score_deviations(resample(contrast, readout.grid, **place)))
+    answers = answer_probabilities(np.array(scores), readout.noise_covariance)
+    correct = np.array([trial.orientation.quarter_turns for trial in planned])
+    levels = np.array([trial.level for trial in planned])
+    drawn = fit_trials(
+        levels, answers[np.arange(2000), correct], settings=FitSettings(), rng=np.random.default_rng(1)
+    )
+    end = drawn.threshold_ci95[int(fit.threshold > drawn.threshold)]
+    interval = abs(math.log(end / drawn.threshold))
+    assert abs(math.log(fit.threshold / drawn.threshold)) < interval < 0.15
+
+
+def test_curves_at_several_lights_are_those_of_each_light(tmp_path):
+    sensor, observer = camera(tmp_path), PyramidObserver(PyramidSettings())
+    lights = [0.1, 1.0, 30.0]
+    together = ss.curve(
+        sensor, size_detectors=[4], luminance_cd_m2=lights, observer=observer, tolerance=0.01, examples=False
+    )
+    assert [fit.group for fit in together.fits] == [
+        {"luminance_cd_m2": light, "size_detectors": 4.0} for light in lights
+    ]
+    for light, fit in zip(lights, together.fits, strict=True):
+        of_light = replace(sensor, scene=ss.Scene(luminance_cd_m2=light))
+        (alone,) = ss.curve(of_light, size_detectors=[4], observer=observer, tolerance=1e-3, examples=False).fits
+        error = alone.threshold_numerical_error + fit.threshold_numerical_error
+        assert abs(fit.threshold - alone.threshold) < error < 0.012 * fit.threshold
+    # With hardly any light the noise in the dark decides: the contrast at threshold falls as 1 / luminance.
+    dim = ss.curve(
+        sensor,
+        size_detectors=[6],
+        luminance_cd_m2=[0.001, 0.002],
+        observer=observer,
+        tolerance=0.01,
+        examples=False,
+    )
+    assert dim.fits[0].threshold / dim.fits[1].threshold == pytest.approx(2.0, rel=0.05)
+
+
+def test_pixels_that_saturate_show_no_more_contrast(tmp_path):
+    sensor = camera(tmp_path, ("full_well_electrons = 10000.0", "full_well_electrons = 45.0"))
+    (fit,) = ss.curve(sensor, size_detectors=[3], tolerance=0.02, examples=False).fits
+    assert (fit.status, fit.threshold) == ("never_reached", None)
+
+
+WRONG = {
+    "full well": (
+        "bits = 12",
+        "bits = 3",
+        "noise.full_well_electrons: a pixel saturates at 17.5 electrons, and the",
+    ),
+    "both apertures": ("f_number = 2.8", "f_number = 2.8\naperture_mm = 9.0", "found aperture_mm and f_number"),
+    "both pitches": ("pitch_um = 3.45", "pitch_um = 3.45\npitch_mrad = 1.0", "found pitch_mrad and pitch_um"),
+    "no focal length": ("focal_length_mm = 25.0", "", r"\[optics\]: focal_length_mm is missing: the aperture is"),
+    "no scene": ("[scene]\nluminance_cd_m2 = 1.0", "", r"table \[scene\] is missing: \[noise\] with model"),
+    "two lights": (
+        "luminance_cd_m2 = 1.0",
+        "luminance_cd_m2 = 1.0\nreflectance = 0.5",
+        "found luminance_cd_m2 and",
+    ),
+    "half a light": (
+        "luminance_cd_m2 = 1.0",
+        "reflectance = 0.5",
+        "luminance_cd_m2 is missing; expected it, or ill",
+    ),
+    "another model": ('"photon"', '"emva"', "model: found 'emva', expected one of photon"),
+    "a key of the other model": ("bits = 12", "netd_mk = 12.0", "unknown key 'netd_mk'; the nearest valid one is"),
+    "bits without gain": ("system_gain_dn_per_electron = 0.4", "", "system_gain_dn_per_electron is missing: bits"),
+    "a scene without photons": ('model = "photon"', "#", "unknown key"),
+    "too efficient": ("efficiency = 0.6", "efficiency = 60.0", "quantum_efficiency: found 60.0"),
+    "wide": (
+        "pitch_um = 3.45",
+        "pitch_um = 3.45\nwidth_um = 5.0",
+        r"width_um: found 5.0, expected at most pitch_um",
+    ),
+}
+
+
+@pytest.mark.parametrize(("before", "after", "message"), WRONG.values(), ids=WRONG.keys())
+def test_a_wrong_setting_is_one_clear_line(tmp_path, capsys, before, after, message):
+    assert before in CAMERA
+    path = tmp_path / "camera.toml"
+    path.write_text(CAMERA.replace(before, after), encoding="utf-8")
+    assert run(cli.cli, ["curve", str(path), "--size-detectors", "3"]) == 2
+    out, error = capsys.readouterr()
+    assert re.fullmatch(rf"error: .*{message}.*\n", error) and not out
+
+
+def test_levels_of_another_kind_are_refused(tmp_path):
+    sensor, out = camera(tmp_path), tmp_path / "out"
+    with pytest.raises(SettingsError, match="contrast: the sensor counts photons; expected levels as contrast"):
+        ss.simulate(sensor, size_detectors=[3], snr=[1.0], out=out)
+    snr = Path(__file__).parent.parent / "sample_frames" / "star_like.toml"
+    with pytest.raises(SettingsError, match=r"snr: the sensor has no \[noise\] with model"):
+        ss.simulate(snr, size_detectors=[3], contrast=[1.0], out=out)
+    with pytest.raises(SettingsError, match=r"luminance_cd_m2: found for a sensor without \[noise\] model"):
+        ss.curve(snr, size_detectors=[3], luminance_cd_m2=[1.0])
+
+
+def test_a_sweep_over_light_has_the_thresholds_of_each_light(tmp_path):
+    sensor = camera(tmp_path)
+    swept = ss.sweep(sensor, size_detectors=[4], vary={"noise.exposure_ms": [5.0, 20.0]}, tolerance=0.01)
+    for row, exposure_ms in zip(swept.records(), (5.0, 20.0), strict=True):
+        longer = replace(sensor, photons=replace(sensor.photons, exposure_ms=exposure_ms))
+        (fit,) = ss.curve(longer, size_detectors=[4], tolerance=0.01, examples=False).fits
+        assert row["threshold_contrast"] == fit.threshold
+    with pytest.raises(SettingsError, match=r"unknown key 'optics\.aperture_mm'"):
+        ss.sweep(sensor, size_detectors=[4], vary={"optics.aperture_mm": [5.0, 20.0]})
+
+
+def test_frames_of_photons_are_a_dataset_of_contrasts(tmp_path):
+    sensor, out = camera(tmp_path), tmp_path / "out"
+    assert ss.simulate(sensor, size_detectors=[3], contrast=[0.5, 2.0], trials=4, out=out).n_frames == 8
+    assert (out / "manifest.csv").read_text().splitlines()[0].split(",")[4] == "contrast"
+    assert {fit.level for fit in tod.score(out).fits} == {"contrast"}

@@ -1,0 +1,527 @@
+"""How far a person with a sensor sees: closed forms, published values, air, targets, and lines for bad input."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import sensor_sim as ss
+import todframes as tod
+from sensor_sim.sweeps.ranges import Aim
+from todframes.base.output import FILES_OF_COMMAND
+from todframes.cli.console import run
+from todframes.cli.main import cli
+from todframes.field.acquisition import acquire, cycles_ratio, r46_distance_m, transfer_probability, with_search
+from todframes.field.atmosphere import atmosphere_names, find_atmosphere
+from todframes.field.target import find_target, target_names
+from todframes.field.threshold_curve import Psychometric, ThresholdCurve
+
+A_K, B_MRAD, SIGMA_PER_KM = 0.02, 1.0, 0.2
+NATO = tod.Target(size_m=2.3, delta_t_k=2.0)
+BEER = tod.Atmosphere(extinction_per_km=SIGMA_PER_KM)
+FREQUENCIES = np.array([0.2, 1.0, 2.0, 4.0, 8.0, 12.0])
+
+
+def exponential(frequency=FREQUENCIES, **changes) -> ThresholdCurve:
+    """MRTD = a exp(b f), whose logarithm is linear in frequency, as between the points of every curve."""
+    fields = {"pattern": "bars", "quantity": "delta_t_k", "name": "mrtd", "per_mrad": np.asarray(frequency)}
+    fields |= {"threshold": A_K * np.exp(B_MRAD * np.asarray(frequency))}
+    return ThresholdCurve(**fields | changes)
+
+
+def acquired(curve=None, target=NATO, air=BEER, seed=1):
+    return acquire(curve or exponential(), target, air, rng=np.random.default_rng(seed))
+
+
+def at(found, probability=0.5) -> dict[str, float | None]:
+    return {one.task: one.range_km for one in found.ranges if one.probability == probability}
+
+
+# Closed forms and published values
+
+
+def test_range_of_an_exponential_mrtd_in_beer_s_air() -> None:
+    """R = ln(ΔT/a) / (σ + b n / size): 7.2547, 3.0612 and 1.6396 km for 1, 3 and 6 line pairs."""
+    found = at(acquired())
+    assert list(found) == ["detection", "recognition", "identification"]
+    for value, n, printed in zip(found.values(), (1, 3, 6), (7.2547, 3.0612, 1.6396), strict=True):
+        # Both sides are linear in range between the points: only rounding is left.
+        assert value == pytest.approx(math.log(2.0 / A_K) / (SIGMA_PER_KM + B_MRAD * n / 2.3), rel=1e-12)
+        assert value == pytest.approx(printed, abs=1e-4)
+
+
+def test_line_pairs_for_a_probability() -> None:
+    """N / N50 of the target transfer probability function, as published."""
+    for probability, printed in ((0.5, 1.0), (0.75, 1.352), (0.8, 1.452), (0.9, 1.750), (0.95, 2.041)):
+        assert cycles_ratio(probability) == pytest.approx(printed, abs=5e-4)
+        # Bisection to the last digit; d ln P / d ln a is below 4.
+        assert transfer_probability(cycles_ratio(probability)) == pytest.approx(probability, rel=1e-14)
+    np.testing.assert_allclose(transfer_probability([0.0, 1e9]), [0.0, 1.0], atol=1e-300)
+
+
+def test_probability_curve_passes_through_the_ranges() -> None:
+    found = acquired()
+    for curve in found.curves:
+        for one in (one for one in found.ranges if one.task == curve.task):
+            # 121 places: between two of them P is off by (span / 120)² / 8 · max |P''|, below 2e-3.
+            value = np.interp(one.range_km, curve.range_km, curve.probability)
+            assert value == pytest.approx(one.probability, abs=2e-3)
+        assert (np.diff(curve.probability) <= 0.0).all()
+
+
+def test_search_takes_time() -> None:
+    """P(t) = P (1 − exp(−P t / 3.4)); at 3.4 s a sure detection is found with 1 − 1/e."""
+    assert float(with_search(1.0, 3.4)) == pytest.approx(1.0 - math.exp(-1.0), rel=1e-15)
+    assert at(acquired(target=replace(NATO, search_time_s=1e5))) == pytest.approx(at(acquired()), rel=1e-9)
+    hasty = acquired(target=replace(NATO, search_time_s=1.0))  # at most 1 − exp(−1/3.4) = 0.25
+    assert {one.status for one in hasty.ranges} == {"never_reached"}
+    half = acquired(target=replace(NATO, search_time_s=5.0)).ranges[0]
+    line_pairs = (math.log(2.0 / A_K) / half.range_km - SIGMA_PER_KM) * 2.3  # the closed form, backwards
+    assert with_search(transfer_probability(line_pairs), 5.0) == pytest.approx(0.5, rel=1e-9)
+
+
+def test_r46_worked_example() -> None:
+    """60° and 480 lines: 3.75 arcmin, 0.8 m / tan(0.5°) = 91.7 m."""
+    assert r46_distance_m(view_deg=60.0, lines=480.0) == pytest.approx(91.7, abs=0.05)
+
+
+def test_tod_needs_a_triangle_of_size_over_k() -> None:
+    """TOD = a exp(b / S): R = ln(ΔT/a) / (σ + b k / size), at the curve's own criterion."""
+    curve = exponential(pattern="triangle", p_correct=0.75)
+    found = acquired(curve, replace(NATO, k={"seen": 3.0}))
+    assert at(found, 0.75) == {"seen": pytest.approx(3.0612, abs=1e-4)}
+    k, value, _ = found.against_k()[0]
+    assert value == pytest.approx(math.log(100.0) / (SIGMA_PER_KM + B_MRAD * k / 2.3), rel=1e-9)
+    bars = acquired(curve, replace(NATO, cycles_per_size=1.0))  # f = 1/S: the same equation with line pairs
+    assert at(bars) == pytest.approx(at(acquired()), rel=1e-12)
+
+
+def test_proportion_correct_of_a_tod() -> None:
+    """ΔT at 50 % and 90 % correct is that of eq. 3, with one β for all sizes; ranges are closed forms."""
+    beta = 2.0
+    shape = Psychometric(np.full(6, beta), np.zeros(6), 0.25, 0.75)
+    curve = exponential(pattern="triangle", p_correct=0.75, psychometric=shape)
+    found = acquired(curve, replace(NATO, k={"seen": 3.0}))
+    for p in (0.5, 0.75, 0.9):
+        ratio = (math.log2(0.75 / (1.0 - p)) / math.log2(0.75 / 0.25)) ** (1.0 / beta)
+        expected = math.log(2.0 / (A_K * ratio)) / (SIGMA_PER_KM + B_MRAD * 3.0 / 2.3)
+        assert at(found, p)["seen"] == pytest.approx(expected, rel=1e-9)
+        (curve_of,) = found.curves
+        assert np.interp(expected, curve_of.range_km, curve_of.probability) == pytest.approx(p, abs=2e-3)
+
+
+def test_what_limits_is_the_change_of_range() -> None:
+    """Gains against ranges that are computed again with one hundredth more of each."""
+    found = acquired()
+    step = 0.01
+    for one in (one for one in found.ranges if one.probability == 0.5):
+        changed = (
+            acquired(target=replace(NATO, delta_t_k=2.0 * (1.0 + step))),
+            acquired(target=replace(NATO, size_m=2.3 * (1.0 + step))),
+            acquired(air=tod.Atmosphere(extinction_per_km=SIGMA_PER_KM * (1.0 - step))),
+        )
+        for gain, other in zip(one.gains, changed, strict=True):
+            # Second order in the step: 1 % of the gain, times at most 2.
+            assert at(other)[one.task] / one.range_km - 1.0 == pytest.approx(step * gain / 0.1, rel=0.02)
+        assert one.gains.limit == "resolution"
+    assert acquired(air=tod.Atmosphere(extinction_per_km=5.0)).ranges[0].gains.limit == "air"
+    faint = exponential(threshold=A_K * np.linspace(1.0, 1.5, 6))
+    assert (
+        acquired(faint, replace(NATO, delta_t_k=0.025), tod.Atmosphere(extinction_per_km=1e-3))
+        .ranges[0]
+        .gains.limit
+        == "contrast"
+    )
+
+
+def test_band_is_that_of_the_curve_s_errors() -> None:
+    """One common error of ln MRTD would move R by SD / slope; independent errors of two points less.
+
+    The crossing of 1 line pair lies at f = 3.154, a share t = 0.577 between 2 and 4 cycles/mrad: its error has the
+    SD √((1−t)² + t²) · 0.1 in ln, divided by σ + b/2.3 per km.
+    """
+    found = acquired(exponential(ln_sd=np.full((2, 6), 0.1))).ranges[0]
+    frequency = found.range_km / 2.3
+    share = (frequency - 2.0) / 2.0
+    sd_km = 0.1 * math.hypot(1.0 - share, share) / (SIGMA_PER_KM + B_MRAD / 2.3)
+    low, high = found.range_ci95_km
+    # An end of 1,000 draws errs by 0.085 SD: four of them; curvature is 0.1 of 1.96 SD at most.
+    assert (found.range_km - low) / sd_km == pytest.approx(1.96, abs=0.4)
+    assert (high - found.range_km) / sd_km == pytest.approx(1.96, abs=0.4)
+    assert acquired().ranges[0].range_ci95_km is None
+
+
+# Off the curve
+
+
+def test_no_range_is_extrapolated() -> None:
+    short = acquired(exponential(FREQUENCIES[:2]))  # up to 1 cycle/mrad, where the MRTD is 0.054 K
+    one = short.ranges[0]
+    assert (one.status, one.range_km) == ("beyond_curve", None)
+    assert one.at_least_km == pytest.approx(2.3, rel=1e-12)  # 1 cycle/mrad · 2.3 m / 1 line pair
+    ended = acquired(exponential(FREQUENCIES[:2], unreached_per_mrad=1.5)).ranges[0]
+    assert ended.at_most_km == pytest.approx(3.45, rel=1e-12)
+    coarse = acquired(exponential([5.0, 6.0])).ranges[0]  # at least 2.97 K
+    assert (coarse.status, coarse.range_km) == ("never_reached", None)
+    near = acquired(exponential([4.0, 12.0]), air=tod.Atmosphere(extinction_per_km=1.0)).ranges[0]
+    assert (near.status, near.at_most_km) == ("nearer_than_curve", pytest.approx(9.2, rel=1e-12))
+    air = tod.Atmosphere(range_km=(1.0, 2.0), transmission=(0.8, 0.64))
+    assert acquired(air=air).ranges[0][6:8] == ("beyond_air_table", pytest.approx(2.0, rel=1e-12))
+    assert set(short.curves[0].bound) == {1.0}
+
+
+def test_a_curve_that_falls_counts_as_level() -> None:
+    dip = exponential(threshold=A_K * np.exp([0.2, 1.0, 2.0, 1.5, 8.0, 12.0]))
+    level = exponential(threshold=A_K * np.exp([0.2, 1.0, 2.0, 2.0, 8.0, 12.0]))
+    assert not dip.is_rising
+    assert at(acquired(dip)) == at(acquired(level))
+
+
+# Air
+
+
+def test_air_by_its_descriptions() -> None:
+    ranges = np.array([0.0, 0.5, 3.0])
+    day = tod.Atmosphere(visibility_km=23.0)
+    np.testing.assert_allclose(day.optical_depth(ranges), 3.912 / 23.0 * ranges, rtol=1e-15)
+    # dstl's RET at 23 km, 21 °C and 76 % is 0.44 per km.
+    humid = tod.Atmosphere(visibility_km=23.0, relative_humidity=0.76, air_temperature_c=21.0)
+    assert float(humid.optical_depth(1.0)) == pytest.approx(0.44, abs=0.005)
+    # A table of Beer's law is Beer's law between and below its rows: ln depth is linear in ln range, of slope 1.
+    table = tod.Atmosphere(range_km=(1.0, 2.0, 8.0), transmission=tuple(np.exp(-0.2 * np.array([1.0, 2.0, 8.0]))))
+    np.testing.assert_allclose(table.optical_depth(ranges), 0.2 * ranges, rtol=1e-14)
+
+
+@pytest.mark.parametrize("ratio", [0.2, 1.0, 4.0])
+def test_path_radiance_of_daylight(ratio: float) -> None:
+    """Target and background as two lights through the same air and the same path radiance."""
+    air = tod.Atmosphere(visibility_km=10.0, sky_to_ground_ratio=ratio)
+    ranges = np.array([0.1, 2.0, 20.0])
+    tau = np.exp(-0.3912 * ranges)
+    background, target, sky = 1.0, 1.4, ratio
+    path = sky * (1.0 - tau)
+    seen = (target * tau - background * tau) / (background * tau + path)
+    # Cancellation in 1 − τ at 0.1 km loses two digits.
+    np.testing.assert_allclose(0.4 * np.exp(air.ln_contrast_left(ranges)), seen, rtol=1e-13)
+    assert np.isfinite(air.ln_contrast_left(1e5))
+
+
+# Effective extinction per km at 1, 5, 10 and 20 km: MODTRAN tables of pyBSM 0.16.1, sensor at 75 m.
+MODTRAN = {
+    "visible_23km": (0.176, 0.172, 0.166, 0.150),
+    "visible_5km": (0.790, 0.750, 0.708, 0.623),
+    "swir_23km": (0.372, 0.150, 0.108, 0.078),
+    "swir_5km": (0.566, 0.334, 0.280, 0.227),
+    "mwir_23km": (0.635, 0.271, 0.187, 0.126),
+    "mwir_5km": (0.698, 0.334, 0.250, 0.185),
+    "lwir_23km": (0.306, 0.245, 0.221, 0.187),
+    "lwir_5km": (0.362, 0.302, 0.279, 0.242),
+}
+
+
+def test_airs_of_the_package_are_their_tables() -> None:
+    assert set(atmosphere_names()) == set(MODTRAN)
+    ranges = np.array([1.0, 5.0, 10.0, 20.0])
+    for name, extinction in MODTRAN.items():
+        air = find_atmosphere(name)
+        np.testing.assert_allclose(air.optical_depth(ranges), extinction * ranges, rtol=1e-12)
+        assert (np.diff(air.optical_depth(np.linspace(0.0, 20.0, 300))) > 0.0).all()
+        assert "not your weather" in air.source
+
+
+def test_targets_of_the_package() -> None:
+    assert target_names() == ("nato", "nato_daylight", "person", "r46")
+    for name in target_names():
+        assert find_target(name).source
+    assert dict(find_target("nato").n50_cycles) == {"detection": 1.0, "recognition": 3.0, "identification": 6.0}
+    assert dict(replace(NATO, cycles="johnson").n50_cycles)["identification"] == 6.4
+    assert tod.Target(size_m=1.0, reflectance=0.1, background_reflectance=0.4).signal == pytest.approx(0.75)
+    assert tod.Target(size_m=1.0, delta_t_k=-3.0, delta_t_sd_k=4.0).signal == 5.0
+
+
+# Designs
+
+
+def test_range_of_a_design() -> None:
+    """TOD = a exp(b / S) at sizes in any order: the closed form with k, and a bound where the sizes end."""
+    aim = Aim(replace(NATO, k={"seen": 3.0, "read": 8.0}), BEER)
+    sizes = 1.0 / FREQUENCIES[[3, 0, 5, 1, 4, 2]]
+    found = aim.range_of(sizes, A_K * np.exp(B_MRAD / sizes), ["ok"] * 6, 0.75)
+    assert found[:2] == ("ok", pytest.approx(3.0612, abs=1e-4))
+    threshold = np.where(sizes > 0.9, A_K * np.exp(B_MRAD / sizes), np.nan)  # 1/S = 0.2 and 1 alone
+    short = aim.range_of(
+        sizes, threshold, ["never_reached" if math.isnan(one) else "ok" for one in threshold], 0.75
+    )
+    assert short.status == "beyond_curve" and math.isnan(short.range_km)
+    assert short.at_least_km == pytest.approx(2.3 / 3.0, rel=1e-12)
+    assert aim.range_of(sizes, np.full(6, np.nan), ["never_reached"] * 6, 0.75).status == "too_few_sizes"
+    with pytest.raises(tod.SettingsError, match="k: is missing, and the sweep is a TOD"):
+        Aim(NATO, BEER).check(0.75)
+    with pytest.raises(tod.SettingsError, match="target: found a contrast, expected a temperature difference"):
+        Aim(DAYLIGHT, BEER).check(0.75)
+
+
+@pytest.mark.slow
+def test_a_sweep_has_the_ranges_of_its_curves() -> None:
+    camera = Path(__file__).parent.parent / "sample_frames" / "staring_camera.toml"
+    target, sizes = tod.Target(size_m=2.3, delta_t_k=0.02, k={"seen": 8.0}), [4.0, 6.0, 9.0]
+    kinds = {"size_detectors": sizes, "tolerance": 0.1}
+    swept = ss.sweep(camera, vary={"noise.netd_mk": [16.0, 32.0]}, target=target, atmosphere=BEER, **kinds)
+    assert [one.column for one in swept.objectives] == ["range_km"]
+    alone = tod.acquisition_range(ss.curve(camera, **kinds), target=target, atmosphere=BEER)
+    (expected,) = [one.range_km for one in alone.acquired.ranges if one.probability == 0.75]
+    first, *_ = swept.records()
+    # The same thresholds, to the last bit; the crossing is found from other draws.
+    assert (first["range_status"], first["range_km"]) == ("ok", pytest.approx(expected, rel=1e-9))
+    with pytest.raises(tod.SettingsError, match="atmosphere: is missing, expected it beside target"):
+        ss.sweep(camera, vary={"noise.netd_mk": [16.0]}, target=target, **kinds)
+    with pytest.raises(tod.SettingsError, match="k: is given but not used without target"):
+        ss.sweep(camera, vary={"noise.netd_mk": [16.0]}, k=3.0, **kinds)
+
+
+# Files and commands
+
+
+@pytest.fixture
+def table(tmp_path: Path) -> Path:
+    rows = [
+        ",".join(repr(float(one)) for one in (f, *(A_K * math.exp(f + step) for step in (0.0, -0.2, 0.2))))
+        for f in FREQUENCIES
+    ]
+    path = tmp_path / "mrtd.csv"
+    path.write_text("\n".join(["frequency_cyc_per_mrad,mrtd_k,ci95_low,ci95_high", *rows]))
+    return path
+
+
+@pytest.fixture
+def air(tmp_path: Path) -> Path:
+    path = tmp_path / "air.toml"
+    path.write_text("schema = 1\n[atmosphere]\nextinction_per_km = 0.2\n")
+    return path
+
+
+def test_command_is_the_call(table, air, capsys) -> None:
+    arguments = ["range", str(table), "--target", "nato", "--atmosphere", str(air)]
+    assert run(cli, [*arguments, "--json"]) == 0
+    made = json.loads(capsys.readouterr().out)
+    called = json.loads(tod.acquisition_range(table, target="nato", atmosphere=air).to_json())
+    assert made["range"] == called["range"]
+    first = made["range"]["ranges"][0]
+    assert (first["range_km"], first["status"]) == (pytest.approx(7.2547, abs=1e-4), "ok")
+
+
+@pytest.mark.slow
+def test_files_of_the_command(table, air, tmp_path) -> None:
+    out = tmp_path / "out"
+    arguments = ["range", str(table), "--target", "nato", "--atmosphere", str(air), "-o", str(out)]
+    assert run(cli, arguments) == 0
+    common = {"result.json", "report.html", "ranges.csv", "probability.csv", "probability.png", "crossing.png"}
+    assert {one.name for one in out.iterdir()} == common
+    assert (out / "report.html").read_text().count("<svg") == 2
+    tod_out = tmp_path / "tod"
+    tod.acquisition_range(of_fits(), target=DAYLIGHT, atmosphere=BEER).save(tod_out)
+    assert {one.name for one in tod_out.iterdir()} == common | {"range_against_k.csv", "range_against_k.png"}
+    assert common | {"range_against_k.csv", "range_against_k.png"} == FILES_OF_COMMAND["range"] | {"result.json"}
+
+
+def test_units_of_a_table_are_those_of_its_header(table, tmp_path) -> None:
+    """The same curve in mK over cycles/deg, and as a TOD of sizes, which needs k."""
+    rows = [[float(one) for one in line.split(",")] for line in table.read_text().splitlines()[1:]]
+    per_deg = tmp_path / "deg.csv"
+    lines = [f"{f * math.pi / 0.18!r},{1e3 * value!r}" for f, value, *_ in rows]
+    per_deg.write_text("\n".join(["frequency_cyc_per_deg,mrtd_mk", *lines]))
+    sizes = tmp_path / "sizes.csv"
+    sizes.write_text("\n".join(["size_mrad,delta_t_k", *(f"{1 / f!r},{value!r}" for f, value, *_ in rows)]))
+    expected = math.log(100.0) / (SIGMA_PER_KM + 3.0 / 2.3)
+    for path, more in ((per_deg, {"cycles": 3.0}), (sizes, {"k": 3.0})):
+        found = tod.acquisition_range(path, target=NATO, atmosphere=BEER, **more).acquired.ranges[0]
+        assert found.range_km == pytest.approx(expected, rel=1e-9)
+
+
+def of_fits(level="contrast", column="object_size_mrad", **changes) -> tod.Result:
+    fits = [
+        {"group": {column: 1.0 / x, **changes.get("group", {})}, "level": level, "status": "ok", "p_correct": 0.75}
+        | {"threshold": 0.02 * math.exp(x), "threshold_ci95": [0.018 * math.exp(x), 0.0222 * math.exp(x)]}
+        | {"beta": 2.0, "gamma": 0.25, "delta": 0.0, "delta_t_mk": changes.get("delta_t_mk")}
+        for x in FREQUENCIES
+    ]
+    content = {"schema": 1, "command": "score", "fits": fits, "dataset": "somewhere"} | changes.get("result", {})
+    from todframes.report.result import read_result
+
+    return read_result(json.dumps(content).encode(), "result")
+
+
+DAYLIGHT = tod.Target(size_m=2.3, contrast=2.0, k={"seen": 3.0})
+
+
+def test_a_result_is_a_curve_in_the_field() -> None:
+    found = tod.acquisition_range(of_fits(), target=DAYLIGHT, atmosphere=BEER)
+    (value,) = [one.range_km for one in found.acquired.ranges if one.probability == 0.75]
+    assert value == pytest.approx(3.0612, abs=1e-4)
+    # ln intervals of ±ln(0.9): a standard deviation of 0.1054 / 1.96 below, ln 1.11 / 1.96 above.
+    sd = found.acquired.curve.ln_sd
+    np.testing.assert_allclose(sd[:, 0], [-math.log(0.9) / 1.959964, math.log(1.11) / 1.959964], rtol=1e-9)
+    displayed = of_fits(column="size_mrad")
+    alone = tod.acquisition_range(displayed, target=DAYLIGHT, atmosphere=BEER)
+    assert [one.code for one in alone.warnings] == ["size_at_the_eye"]
+    magnified = tod.acquisition_range(displayed, target=DAYLIGHT, atmosphere=BEER, magnification=2.0)
+    assert not magnified.warnings
+    np.testing.assert_allclose(magnified.acquired.curve.per_mrad, 2.0 * FREQUENCIES, rtol=1e-12)
+
+
+def test_a_sensor_s_curve_has_its_pitch_and_delta_t() -> None:
+    settings = {"settings": {"sensor": {"detector": {"pitch_mrad": 0.5}}}, "command": "curve"}
+    result = of_fits("snr", "size_detectors", delta_t_mk=100.0, result=settings)
+    curve = tod.acquisition_range(result, target=replace(NATO, k={"seen": 2.0}), atmosphere=BEER).acquired.curve
+    np.testing.assert_allclose(curve.per_mrad, FREQUENCIES / 0.5, rtol=1e-12)
+    np.testing.assert_allclose(curve.threshold, 0.1, rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"delta_t_k": 2000.0}, r"delta_t_k: found 2000\.0, expected a number from -1000 to 1000"),
+        ({"size_m": 2300.0}, r"size_m: found 2300\.0, expected a number from 0\.01 to 1000"),
+        ({"contrast": 0.3}, "delta_t_k and contrast: found 2 contrasts, expected one of"),
+        ({"cycles": "Stanag"}, "cycles: found 'Stanag', expected one of stanag, johnson.*; write stanag"),
+        ({"cycles": {"seen": 0.0}}, r"cycles\.seen: found 0\.0, expected a number from 0\.1 to 100"),
+        ({"k": {"seen": 1.0}, "cycles_per_size": 1.0}, "k: found it and cycles_per_size, expected one"),
+        ({"delta_t_k": 0.0}, "which shows no target"),
+    ],
+)
+def test_targets_that_are_none(changes, message) -> None:
+    with pytest.raises(tod.SettingsError, match=message):
+        replace(NATO, **changes)
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"extinction_per_km": 200.0}, r"extinction_per_km: found 200\.0, expected a number from 0\.001 to 100"),
+        ({"visibility_km": 23000.0}, r"visibility_km: found 23000\.0, expected a number from 0\.01 to 1000"),
+        (
+            {"range_km": (1.0, 5.0), "transmission": (0.5, 0.7)},
+            "grows from 0.5 at 1 km to 0.7 at 5 km, expected it",
+        ),
+        ({"range_km": (1000.0, 5000.0), "transmission": (0.5, 0.3)}, "rising ranges above 0 and up to 1000 km"),
+        ({"transmission": (0.5,)}, "range_km: is missing"),
+        ({"visibility_km": 5.0, "relative_humidity": 0.5}, "air_temperature_c: is missing"),
+        ({"visibility_km": 5.0, "extinction_per_km": 0.5}, "found 2 descriptions of the air, expected one"),
+        ({}, "found 0 descriptions of the air"),
+    ],
+)
+def test_airs_that_are_none(settings, message) -> None:
+    with pytest.raises(tod.SettingsError, match=message):
+        tod.Atmosphere(**settings)
+
+
+def test_target_and_air_must_be_of_the_curve_s_kind() -> None:
+    visible = exponential(quantity="contrast")
+    with pytest.raises(tod.SettingsError, match="target: found a temperature difference, expected a contrast, as"):
+        acquired(visible)
+    with pytest.raises(tod.SettingsError, match="found visibility_km of daylight, expected air of the thermal"):
+        acquired(air=tod.Atmosphere(visibility_km=10.0))
+    humid = tod.Atmosphere(visibility_km=10.0, relative_humidity=0.5, air_temperature_c=15.0)
+    with pytest.raises(
+        tod.SettingsError, match="found relative_humidity of thermal bands, expected air of daylight"
+    ):
+        acquired(visible, tod.Target(size_m=2.3, contrast=0.3), humid)
+    with pytest.raises(tod.SettingsError, match=r"found a band of 0\.4 to 0\.7 µm, expected a thermal band"):
+        acquired(air=find_atmosphere("visible_23km"))
+    with pytest.raises(tod.SettingsError, match="found a band of 8 to 12 µm, expected reflected light"):
+        acquired(visible, tod.Target(size_m=2.3, contrast=0.3), find_atmosphere("lwir_5km"))
+    with pytest.raises(tod.SettingsError, match="k: is missing, and mrtd is a TOD; no public factor exists"):
+        acquired(exponential(pattern="triangle"))
+    with pytest.raises(tod.SettingsError, match="search_time_s: is given but not used with a TOD"):
+        acquired(exponential(pattern="triangle"), replace(NATO, k={"seen": 3.0}, search_time_s=2.0))
+
+
+BAD_TABLES = [
+    ("frequency_cyc_per_mrad,mrtd_k\n1,54\n3,400\n", 1, "found 54 K as the lowest threshold.*are they in mK"),
+    ("frequency_cyc_per_mrad,mrtd_k\n1000,0.05\n3000,0.4\n", 1, "found a frequency of 3000 per mrad.*in rad"),
+    ("frequency_cyc_per_mrad,mrtd_k\n1,0.05\n", 1, "found thresholds at 1 sizes or frequencies, expected two"),
+    ("frequency,mrtd_k\n1,0.05\n2,0.1\n", 1, "found 0 of the columns frequency_cyc_per_mrad, .*columns are freq"),
+    ("frequency_cyc_per_mrad,mrtd_k\n1,0.05\n2,-0.1\n", 1, r"line 3: mrtd_k: found '-0\.1', expected .* > 0"),
+    ("frequency_cyc_per_mrad,mrtd_k\n1,0.05\n1,0.1\n", 1, "found a size or frequency twice"),
+    (
+        "frequency_cyc_per_mrad,mrtd_k,ci95_low,ci95_high\n1,0.05,0.06,0.07\n2,1,1,1\n",
+        *(1, r"found the interval 0\.06 to 0\.07, expected it to hold 0\.05"),
+    ),
+    ("frequency_cyc_per_mrad,mrtd_k\n0.0001,0.05\n0.0004,0.1\n", 1, "target of 2.3 m is smaller than the curve's"),
+    ("frequency_cyc_per_mrad,mrc\n1,0.05\n4,0.1\n", 2, "target: found a temperature difference"),
+]
+
+
+@pytest.mark.parametrize(("text", "status", "message"), BAD_TABLES)
+def test_a_bad_table_is_one_line(text, status, message, tmp_path, air, capsys) -> None:
+    import re
+
+    path = tmp_path / "bad.csv"
+    path.write_text(text)
+    assert run(cli, ["range", str(path), "--target", "nato", "--atmosphere", str(air)]) == status
+    shown = capsys.readouterr()
+    assert shown.out == "" and shown.err.count("\n") == 1
+    assert re.search(message, shown.err), shown.err
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (
+            "schema = 1\n[atmosphere]\nextinction = 0.2\n",
+            "unknown key 'extinction'; the nearest valid one is 'ext",
+        ),
+        ("schema = 1\n[atmosphere]\ntable = 'a.csv'\n", r"transmission: grows from 0\.5 at 1 km to 0\.7 at 5 km"),
+        ("schema = 1\n[atmosphere]\ntable = '../a.csv'\n", "lies outside of"),
+        ("schema = 1\n[target]\nsize_m = 1.0\n", "unknown key 'target'"),
+        ("[atmosphere]\nextinction_per_km = 0.2\n", "schema: found None, expected 1"),
+    ],
+)
+def test_bad_files_of_air(text, message, tmp_path) -> None:
+    (tmp_path / "a.csv").write_text("range_km,transmission\n0,1\n1,0.5\n5,0.7\n")
+    (tmp_path / "air.toml").write_text(text)
+    with pytest.raises(tod.SettingsError, match=message):
+        find_atmosphere(tmp_path / "air.toml")
+
+
+def test_results_that_are_no_curve() -> None:
+    thermal = replace(NATO, k={"seen": 3.0})
+    with pytest.raises(tod.DataError, match=r"found thresholds in snr, expected one of .*netd_mk in the table"):
+        tod.acquisition_range(of_fits("snr"), target=thermal, atmosphere=BEER)
+    with pytest.raises(tod.DataError, match="found no column of sizes, expected one of object_size_mrad"):
+        tod.acquisition_range(
+            of_fits(column="distance_m"), target=thermal, atmosphere=BEER, group={"distance_m": "1"}
+        )
+    with pytest.raises(tod.DataError, match="found sizes in detectors but no detector pitch"):
+        tod.acquisition_range(of_fits(column="size_detectors"), target=DAYLIGHT, atmosphere=BEER)
+    of_camera = of_fits(group={"camera": "left"})
+    assert tod.acquisition_range(of_camera, target=DAYLIGHT, atmosphere=BEER, group={"camera": "left"})
+    with pytest.raises(
+        tod.SettingsError, match=r"group: found 0 curves in .*, expected a choice of one: camera left"
+    ):
+        tod.acquisition_range(of_camera, target=DAYLIGHT, atmosphere=BEER, group={"camera": "right"})
+    with pytest.raises(tod.SettingsError, match="magnification: is given but not used"):
+        tod.acquisition_range(of_fits(), target=DAYLIGHT, atmosphere=BEER, magnification=2.0)
+
+
+def test_a_criterion_that_is_not_used_is_refused(table) -> None:
+    for name, value in (("k", 3.0), ("cycles_per_size", 1.0)):
+        with pytest.raises(tod.SettingsError, match=rf"{name}: is given but not used: .* is a curve of bars"):
+            tod.acquisition_range(table, target=NATO, atmosphere=BEER, **{name: value})
+    with pytest.raises(tod.SettingsError, match=r"cycles: is given but not used: .* curve of triangles, without"):
+        tod.acquisition_range(of_fits(), target=DAYLIGHT, atmosphere=BEER, cycles="johnson")
+    with pytest.raises(tod.SettingsError, match=r"magnification: found -1\.0, expected a number > 0"):
+        tod.acquisition_range(of_fits(), target=DAYLIGHT, atmosphere=BEER, magnification=-1.0)
+
+
+def test_one_extinction_in_a_band_of_lines_is_warned_about(table) -> None:
+    band = tod.Atmosphere(extinction_per_km=0.3, band_um=(3.0, 5.0))
+    found = tod.acquisition_range(table, target=NATO, atmosphere=band)
+    assert [one.code for one in found.warnings] == ["one_extinction"]
+    quiet = tod.Atmosphere(extinction_per_km=0.3, band_um=(8.0, 12.0))
+    assert not tod.acquisition_range(table, target=NATO, atmosphere=quiet).warnings

@@ -1,0 +1,174 @@
+"""The call `emva_noise`: noise of a camera as EMVA 1288 defines it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from todframes.base.errors import DataError, SettingsError, argument
+from todframes.calls.shared import Progress
+
+if TYPE_CHECKING:
+    from todframes.frames.files import PathLike
+    from todframes.recordings.recording import Recording
+    from todframes.report.emva_report import EmvaResult
+
+Stacks = Sequence["PathLike | NDArray[Any]"]
+
+
+def emva_noise(
+    descriptor: PathLike | None = None,
+    *,
+    bright: Stacks = (),
+    dark: Stacks = (),
+    exposure_ms: Sequence[float] = (),
+    photons: Sequence[float] = (),
+    bits: int | None = None,
+    region: tuple[int, int, int, int] | None = None,
+    max_frame_mb: int = 256,
+    progress: Progress | None = None,
+) -> EmvaResult:
+    """Measure the noise of a camera as EMVA 1288 defines it, as `todframes noise --emva` and `--dark` do.
+
+    The camera must be linear and give raw values. Each stack has frames of one exposure of a uniform scene, bright
+    or dark.
+
+    Parameters
+    ----------
+    descriptor : path, optional
+        Descriptor file of EMVA 1288, which names images, exposures and photons; or the next ones.
+    bright, dark : sequence of path or ndarray
+        Recordings, or arrays (frames, rows, columns), of two frames or more each.
+    exposure_ms : sequence of float, optional
+        Exposure of each bright stack, in the order of `bright`; `dark` has as many stacks in the same order, or
+        one for all. Three or more give the dark current.
+    photons : sequence of float, optional
+        Mean number of photons of a pixel for each bright stack. They give the quantum efficiency.
+    bits : int, optional
+        Bits of a pixel. Default: from the descriptor, or the type of the values.
+    region : (int, int, int, int), optional
+        Left column, top row, width and height in pixels. Default: the whole frame.
+    max_frame_mb : int
+        Largest size of a frame in 2**20 bytes, as in `noise`.
+    progress : function of an int, optional
+        Called with 1 for each frame.
+
+    Returns
+    -------
+    EmvaResult
+        `measured` has the figures, most with a 95 % interval; `xml()` is a result file of EMVA 1288, and
+        `sensor_toml()` is for sensor_sim.
+
+    Raises
+    ------
+    DataError, FrameError
+        If a stack cannot be read or has one frame, two exposures or colours; if all bright stacks are saturated.
+    SettingsError
+        If a setting is invalid, or the numbers of stacks, exposures and photons differ.
+
+    Examples
+    --------
+    A camera of 0.5 DN per electron, a dark noise of 4 electrons and a bright stack of 1,000 electrons.
+
+    >>> import numpy as np
+    >>> import todframes as tod
+    >>> rng = np.random.default_rng(1)
+    >>> dark, bright = (
+    ...     np.round(10 + 0.5 * (rng.poisson(mean, (4, 96, 96)) + rng.normal(0, 4, (4, 96, 96)))).astype(np.uint16)
+    ...     for mean in (0, 1000)
+    ... )
+    >>> measured = tod.emva_noise(bright=[bright], dark=[dark], bits=12).measured
+    >>> f"{measured.system_gain.value:.2f} DN per electron, {measured.dark_noise.value:.1f} electrons"
+    '0.50 DN per electron, 4.0 electrons'
+    """
+    started = time.perf_counter()
+    from todframes.recordings.emva import Stack, measure_emva
+    from todframes.report.emva_report import EmvaResult
+
+    if (descriptor is None) == (not len(bright) and not len(dark)):
+        found = "neither" if descriptor is None else "both"
+        raise SettingsError(f"noise: found {found} of a descriptor and bright and dark stacks, expected one")
+    if bits is not None and not 1 <= bits <= 32:
+        raise SettingsError(f"{argument.bits}: found {bits}, expected 1 to 32")
+    if descriptor is not None:
+        of_bright, of_dark, bits = _described(Path(descriptor), bits, max_frame_mb)
+        name = str(descriptor)
+    else:
+        opened = [
+            [_opened(one, f"{what}[{number}]", max_frame_mb) for number, one in enumerate(stacks)]
+            for what, stacks in (("bright", bright), ("dark", dark))
+        ]
+        if not all(opened):
+            missing = "dark" if opened[0] else "bright"
+            raise SettingsError(f"noise: found no {missing} stack, expected one or more")
+        exposures = _of_each(exposure_ms, len(bright), argument.exposure_ms)
+        lights = _of_each(photons, len(bright), argument.photons)
+        if len(dark) not in (1, len(bright)):
+            raise SettingsError(
+                f"noise: found {len(dark)} dark stacks for {len(bright)} bright ones, expected one for all or one "
+                "for each"
+            )
+        of_bright = [
+            Stack(recording=one, exposure_ms=exposure, photons=light)
+            for one, exposure, light in zip(opened[0], exposures, lights, strict=True)
+        ]
+        of_dark = [
+            Stack(recording=one, exposure_ms=exposure) for one, exposure in zip(opened[1], exposures, strict=False)
+        ]
+        name = str(opened[0][0].path)
+    measured = measure_emva(of_bright, of_dark, bits=bits, region=region, progress=progress)
+    return EmvaResult(measured=measured, source=name, started=started)
+
+
+def _opened(stack: PathLike | NDArray[Any], name: str, max_frame_mb: int) -> Recording:
+    from todframes.recordings.arrays import memory_recording
+    from todframes.recordings.opening import open_recordings
+
+    if isinstance(stack, np.ndarray):
+        return replace(memory_recording(stack, frames_per_second=None), path=Path(name))
+    found = open_recordings(stack, max_frame_mb=max_frame_mb)
+    if len(found) != 1:
+        raise DataError(f"{stack}: found {len(found)} recordings, expected one for a stack")
+    return found[0]
+
+
+def _described(path: Path, bits: int | None, max_frame_mb: int) -> tuple[list[Any], list[Any], int]:
+    """Return the bright and dark stacks of a descriptor, and the bits of a pixel."""
+    from todframes.recordings.emva import Stack
+    from todframes.recordings.emva_descriptor import read_descriptor
+    from todframes.recordings.opening import open_recordings
+
+    described = read_descriptor(path)
+    stacks: tuple[list[Any], list[Any]] = ([], [])
+    for one in described.stacks:
+        if not one.images:
+            raise DataError(
+                f"{path}: found no images for an exposure of {one.exposure_ms:g} ms, expected 2 or more"
+            )
+        (recording,) = open_recordings(one.images, max_frame_mb=max_frame_mb)
+        if recording.shape != described.shape:
+            rows, columns = recording.shape
+            raise DataError(
+                f"{recording.path}: has {columns} x {rows} pixels, expected {described.shape[1]} x "
+                f"{described.shape[0]} by {path}"
+            )
+        stack = Stack(recording=recording, exposure_ms=one.exposure_ms, photons=one.photons)
+        stacks[one.photons is None].append(stack)
+    return *stacks, described.bits if bits is None else bits
+
+
+def _of_each(values: Sequence[float], n: int, name: str) -> list[float | None]:
+    """Return a value for each of n stacks, or None for each if there are none."""
+    if not len(values):
+        return [None] * n
+    if len(values) != n:
+        raise SettingsError(f"{name}: found {len(values)} numbers for {n} bright stacks, expected one for each")
+    if not all(np.isfinite(one) and one > 0.0 for one in values):
+        raise SettingsError(f"{name}: found {', '.join(f'{one:g}' for one in values)}, expected numbers > 0")
+    return [float(one) for one in values]

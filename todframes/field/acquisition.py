@@ -1,0 +1,521 @@
+"""Range at which a person with a sensor can do a task, where thresholds meet the contrast that arrives.
+
+Both roads are one equation, threshold(κ R / size) = contrast(R), with R in km, size in m and frequency in mrad⁻¹:
+
+- TOD: κ = k of the task. A triangle of √area size / k can be judged as often as asked for.
+- Cycles: κ = N, the line pairs across the target. Of observers with N = a · N50, a^γ / (1 + a^γ) do the task,
+  γ = 2.7 + 0.7 a (target transfer probability function, as in ACQUIRE).
+
+Contrast falls and thresholds rise with range, so there is one such range at most.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from todframes.base._typing import FloatArray
+from todframes.base.errors import DataError, SettingsError
+from todframes.field.atmosphere import Atmosphere
+from todframes.field.target import Target
+from todframes.field.threshold_curve import ThresholdCurve, rising
+
+Road = Literal["tod", "cycles"]
+
+Limit = Literal["contrast", "resolution", "air"]
+
+Status = Literal["ok", "beyond_curve", "nearer_than_curve", "beyond_air_table", "never_reached"]
+
+PROBABILITIES = (0.5, 0.75, 0.9)
+"""Probabilities at which ranges are reported."""
+
+DRAWS = 1000
+"""Number of curves drawn from the errors. An end of a 95 % interval errs by 4 % of its distance to the middle:
+√(0.025 · 0.975 / 1000) / φ(1.96) = 0.085 standard deviations of 1.96."""
+
+PLACES = 121
+"""Number of ranges of the probability curve."""
+
+MARGIN = 1.15
+"""End of the probability curve, divided by the longest range or end of an interval that is reported."""
+
+CELLS = 16
+"""Number of cells between two points of the curve in which a crossing is searched."""
+
+REFINEMENTS = 3
+"""Number of times that the neighbourhood of a crossing is divided again, each time into 32 cells."""
+
+NEAREST_KM = 1e-3
+"""Nearest range that is a range in the field."""
+
+SEARCH_TIME_CONSTANT_S = 3.4
+"""Time constant of search, divided by the probability without time limit (ACQUIRE, as in dstl's RET)."""
+
+LEAST_THERMAL_UM = 3.0
+"""Wavelength up to which contrasts are those of reflected light, and from which on those of temperature."""
+
+K_SHOWN = np.geomspace(1.0, 16.0, 17)
+"""Divisors k against which the range of a TOD is shown."""
+
+LIMITS: tuple[Limit, ...] = ("contrast", "resolution", "air")
+
+STEP, LEAST_SLOPE = 1e-3, 1e-9
+"""Relative step of a difference quotient over range; least slope of a margin, where gains have no end."""
+
+GAIN = 0.1
+"""Improvement of contrast, resolution or air, as a share, whose gain in range says what limits."""
+
+
+def transfer_probability(ratio: ArrayLike) -> FloatArray:
+    """Compute the probability to do a task at N / N50 >= 0, of any shape: a^γ / (1 + a^γ), γ = 2.7 + 0.7 a."""
+    a = np.asarray(ratio, dtype=np.float64)
+    with np.errstate(divide="ignore"):
+        exponent = (2.7 + 0.7 * a) * np.log(a)
+    return np.asarray(1.0 / (1.0 + np.exp(-np.clip(exponent, -700.0, 700.0))))
+
+
+def cycles_ratio(probability: float) -> float:
+    """Return N / N50 at a probability in (0, 1), the inverse of `transfer_probability`."""
+    return _root(lambda a: float(transfer_probability(a)) - probability, 0.0, 100.0)
+
+
+def with_search(probability: ArrayLike, time_s: float) -> FloatArray:
+    """Compute the probability to find the target in a time: P∞ (1 − exp(−P∞ t / 3.4 s)), from P∞ of any shape."""
+    unlimited = np.asarray(probability, dtype=np.float64)
+    return unlimited * -np.expm1(-unlimited * time_s / SEARCH_TIME_CONSTANT_S)
+
+
+def _root(rises: Callable[[float], float], low: float, high: float) -> float:
+    """Return the root of a rising function by bisection, to the last digit."""
+    for _ in range(200):
+        middle = 0.5 * (low + high)
+        if middle in (low, high):
+            break
+        low, high = (middle, high) if rises(middle) < 0.0 else (low, middle)
+    return 0.5 * (low + high)
+
+
+class Gains(NamedTuple):
+    """Gain in range, as a share, by a tenth more contrast, resolution, or transparency of the air."""
+
+    contrast: float
+    resolution: float
+    air: float
+
+    @property
+    def limit(self) -> Limit:
+        """The factor whose improvement gains most."""
+        return LIMITS[int(np.argmax(self))]
+
+
+class TaskRange(NamedTuple):
+    """The range at which a task is done with a probability.
+
+    `range_km` is None if it is not on the curve: it then is at least `at_least_km` or at most `at_most_km`, as far
+    as these are known, and `status` says why. An end of `range_ci95_km` is None if the curve leaves it open; the
+    whole is None if the curve has no errors, or both ends are open. `kappa` is k, or N in line pairs.
+    """
+
+    task: str
+    criterion: float
+    probability: float
+    kappa: float | None
+    range_km: float | None
+    range_ci95_km: tuple[float | None, float | None] | None
+    status: Status
+    at_least_km: float | None
+    at_most_km: float | None
+    gains: Gains | None
+
+
+class TaskCurve(NamedTuple):
+    """Probability of a task against range: `range_km`, `probability`, `low` and `high` have shape (m,).
+
+    `bound` has 1 where the probability is at least that, because the curve ends at a smaller detail; -1 where it
+    is at most that; 0 elsewhere. `limit` names what limits the range there.
+    """
+
+    task: str
+    criterion: float
+    range_km: FloatArray
+    probability: FloatArray
+    low: FloatArray | None
+    high: FloatArray | None
+    bound: FloatArray
+    limit: tuple[Limit, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Acquisition:
+    """Ranges and probabilities of a target, seen through air with a sensor whose curve is known.
+
+    Attributes
+    ----------
+    target : Target
+    atmosphere : Atmosphere
+    curve : ThresholdCurve
+        Curve of triangles, or of bars, also if it was converted.
+    road : {"tod", "cycles"}
+    ranges : tuple of TaskRange
+        Range for each task and probability.
+    curves : tuple of TaskCurve
+        Probability against range for each task; empty for a TOD whose psychometric functions are not known.
+    """
+
+    target: Target
+    atmosphere: Atmosphere
+    curve: ThresholdCurve
+    road: Road
+    draws: FloatArray
+    ranges: tuple[TaskRange, ...] = ()
+    curves: tuple[TaskCurve, ...] = ()
+
+    def ln_contrast(self, range_km: ArrayLike) -> FloatArray:
+        """Compute ln of the contrast that arrives, over ranges in km."""
+        return math.log(self.target.signal) + self.atmosphere.ln_contrast_left(range_km)
+
+    @property
+    def criteria(self) -> dict[str, float]:
+        """Criterion of each task: k, or N50."""
+        return dict((self.target.k or {}) if self.road == "tod" else self.target.n50_cycles)
+
+    @property
+    def own_probability(self) -> float:
+        """Probability of the criterion itself: 50 %, or the proportion correct of a TOD's thresholds."""
+        return 0.5 if self.road == "cycles" else self.curve.p_correct or math.nan
+
+    @property
+    def probabilities(self) -> tuple[float, ...]:
+        """Probabilities at which ranges are known; for a TOD they are proportions correct."""
+        if self.road == "cycles" or self.curve.psychometric is not None:
+            return PROBABILITIES
+        return (self.own_probability,)
+
+    def threshold_curves(self, probability: float | None = None) -> FloatArray:
+        """Return ln(threshold) of the curve and of all drawn ones, none falling; shape (1 + n, points).
+
+        For a TOD, at a proportion correct; by default at that of the curve.
+        """
+        known = np.vstack([np.log(self.curve.threshold)[None, :], self.draws])
+        psychometric = self.curve.psychometric
+        if self.road == "tod" and psychometric is not None and probability is not None:
+            known = known + psychometric.ln_ratio(probability)
+        return rising(known)
+
+    def crossing(self, kappa: float, ln_threshold: FloatArray) -> tuple[FloatArray, float, float]:
+        """Find the ranges at which curves meet the contrast.
+
+        Parameters
+        ----------
+        kappa : float
+            k, or line pairs across the target.
+        ln_threshold : ndarray, shape (n, points)
+            From `threshold_curves`.
+
+        Returns
+        -------
+        (ndarray of shape (n,), float, float)
+            Ranges in km: 0 nearer than the curve's first point, infinity beyond its last or beyond the table of
+            the air; and the ranges of these two ends.
+        """
+        knots = self.curve.per_mrad * self.target.size_m / kappa
+        end = min(float(knots[-1]), self.atmosphere.longest_km)
+        if end <= knots[0]:
+            return np.full(len(ln_threshold), np.inf), float(knots[0]), end
+        first = self._first_crossing(knots, ln_threshold, _divided(knots[knots < end], end))
+        if np.isfinite(first[0]) and first[0] > 0.0:
+            first[0] = self._refined(knots, ln_threshold[:1], float(first[0]), end)
+        return first, float(knots[0]), end
+
+    def _first_crossing(self, knots: FloatArray, ln_threshold: FloatArray, grid: FloatArray) -> FloatArray:
+        margin = self.ln_contrast(grid) - ln_threshold @ _weights(knots, grid)
+        place = (margin >= 0.0).sum(axis=1)  # margins fall with range
+        cell = np.clip(place, 1, grid.size - 1)
+        rows = np.arange(len(margin))
+        above, below = margin[rows, cell - 1], margin[rows, cell]
+        share = above / np.maximum(above - below, 1e-300)
+        found = grid[cell - 1] + share * (grid[cell] - grid[cell - 1])
+        return np.where(place == 0, 0.0, np.where(place == grid.size, np.inf, found))
+
+    def _refined(self, knots: FloatArray, ln_threshold: FloatArray, near: float, end: float) -> float:
+        width = float(np.diff(knots).max()) / CELLS
+        for _ in range(REFINEMENTS):
+            low, high = max(near - width, float(knots[0])), min(near + width, end)
+            found = self._first_crossing(knots, ln_threshold, np.linspace(low, high, 2 * CELLS + 1))
+            near, width = float(np.clip(found[0], low, high)), (high - low) / (2 * CELLS)
+        return near
+
+    def task_range(self, task: str, probability: float) -> TaskRange:
+        """Return the range of a task at a probability, with its interval and what limits it."""
+        criterion = self.criteria[task]
+        kappa = self._kappa(criterion, probability)
+        if kappa is None:
+            return TaskRange(task, criterion, probability, None, None, None, "never_reached", None, None, None)
+        found, first, end = self.crossing(kappa, self.threshold_curves(probability))
+        interval = self._interval(found[1:])
+        range_km = float(found[0])
+        if 0.0 < range_km < np.inf:
+            gains = self._gains(range_km, kappa, self.threshold_curves(probability)[0])
+            return TaskRange(task, criterion, probability, kappa, range_km, interval, "ok", None, None, gains)
+        least = most = None
+        if range_km == 0.0:
+            never = math.log(self.target.signal) < self.threshold_curves(probability)[0, 0]
+            status: Status = "never_reached" if never else "nearer_than_curve"
+            most = None if never else first
+        else:
+            last = float(self.curve.per_mrad[-1]) * self.target.size_m / kappa
+            status = "beyond_curve" if last <= self.atmosphere.longest_km else "beyond_air_table"
+            least = end if end >= first else None
+            if self.curve.unreached_per_mrad is not None:
+                most = self.curve.unreached_per_mrad * self.target.size_m / kappa
+        return TaskRange(task, criterion, probability, kappa, None, interval, status, least, most, None)
+
+    def _kappa(self, criterion: float, probability: float) -> float | None:
+        """Return k, or the line pairs that a probability needs; None if no number is enough in the time."""
+        if self.road == "tod":
+            return criterion
+        time_s = self.target.search_time_s
+        if time_s is None:
+            return criterion * cycles_ratio(probability)
+        if float(with_search(1.0, time_s)) <= probability:
+            return None
+        unlimited = _root(lambda p: float(with_search(p, time_s)) - probability, 0.0, 1.0)
+        return criterion * cycles_ratio(unlimited) if unlimited < 1.0 else None
+
+    def _interval(self, drawn_km: FloatArray) -> tuple[float | None, float | None] | None:
+        """Return the middle 95 % of drawn ranges; an end off the curve is None."""
+        if self.curve.ln_sd is None:
+            return None
+        ends = np.quantile(drawn_km, (0.025, 0.975), method="inverted_cdf").tolist()
+        low, high = map(_on_curve, ends)
+        return None if low is None and high is None else (low, high)
+
+    def _gains(self, range_km: float, kappa: float, ln_threshold: FloatArray) -> Gains:
+        """Return what a tenth more of each factor gains, from the slopes of both sides of the equation.
+
+        With s = d ln(threshold) / d ln(frequency) and a = −d ln(contrast) / d ln(range), a tenth more contrast
+        gains 0.1 / (s + a), resolution s times that, and air a times that.
+        """
+        frequency = np.array([range_km * kappa / self.target.size_m])
+        slope, air = self._slopes(np.array([range_km]), frequency, ln_threshold)
+        both = max(float(slope[0] + air[0]), LEAST_SLOPE)
+        return Gains(GAIN / both, GAIN * float(slope[0]) / both, GAIN * float(air[0]) / both)
+
+    def _slopes(
+        self, range_km: FloatArray, frequency: FloatArray, ln_threshold: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return d ln(threshold) / d ln(frequency) and −d ln(contrast) / d ln(range), one a range."""
+        places = self.curve.per_mrad
+        cell = np.clip(np.searchsorted(places, frequency), 1, places.size - 1)
+        slope = np.diff(ln_threshold)[cell - 1] / np.diff(places)[cell - 1] * frequency
+        near, far = (self.ln_contrast(range_km * (1.0 + step)) for step in (-STEP, STEP))
+        return slope, (near - far) / math.log((1.0 + STEP) / (1.0 - STEP))
+
+    def task_curves(self, ends_km: tuple[float, float]) -> tuple[TaskCurve, ...]:
+        """Return the probability of each task against range between two ranges."""
+        ranges = np.linspace(*ends_km, PLACES)
+        if self.road == "tod":
+            return tuple(self._of_triangles(*one, ranges) for one in self.criteria.items())
+        return self._of_bars(ranges)
+
+    def _of_triangles(self, task: str, k: float, ranges: FloatArray) -> TaskCurve:
+        psychometric = self.curve.psychometric
+        assert psychometric is not None
+        places = self.curve.per_mrad
+        frequency = ranges * k / self.target.size_m
+        weights = _weights(places, np.clip(frequency, places[0], places[-1]))
+        ln_threshold = self.threshold_curves()
+        margin = self.ln_contrast(ranges) - ln_threshold @ weights
+        low, high = (
+            None if one is None else psychometric.probability(one, weights) for one in self._ends(margin[1:])
+        )
+        return TaskCurve(
+            task=task,
+            criterion=k,
+            range_km=ranges,
+            probability=psychometric.probability(margin[0], weights),
+            low=low,
+            high=high,
+            bound=np.where(frequency < places[0], 1.0, np.where(frequency > places[-1], -1.0, 0.0)),
+            limit=self._limits(ranges, frequency, ln_threshold[0]),
+        )
+
+    def _of_bars(self, ranges: FloatArray) -> tuple[TaskCurve, ...]:
+        """Return the probabilities from the highest frequency that is resolved, N = f(contrast) · size / R.
+
+        A contrast above the curve's last threshold resolves its last frequency at least; one below the first
+        resolves the first at most.
+        """
+        contrast, ln_threshold = self.ln_contrast(ranges), self.threshold_curves()
+        places, size_m, time_s = self.curve.per_mrad, self.target.size_m, self.target.search_time_s
+        # np.interp needs rising abscissae; the steps are far below the errors of measured thresholds.
+        steps = 1e-12 * np.arange(places.size)
+        resolved = np.stack([np.interp(contrast, one + steps, places) for one in ln_threshold])
+        above, below = contrast > ln_threshold[0, -1], contrast < ln_threshold[0, 0]
+        bound = np.where(above, 1.0, np.where(below, -1.0, 0.0))
+        limit = self._limits(ranges, resolved[0], ln_threshold[0])
+        ends = self._ends(resolved[1:])
+
+        def probability(frequency: FloatArray, n50: float) -> FloatArray:
+            unlimited = transfer_probability(frequency * size_m / (ranges * n50))
+            return unlimited if time_s is None else with_search(unlimited, time_s)
+
+        found = []
+        for task, n50 in self.criteria.items():
+            low, high = (None if one is None else probability(one, n50) for one in ends)
+            found.append(TaskCurve(task, n50, ranges, probability(resolved[0], n50), low, high, bound, limit))
+        return tuple(found)
+
+    def _ends(self, drawn: FloatArray) -> tuple[FloatArray | None, FloatArray | None]:
+        if self.curve.ln_sd is None:
+            return None, None
+        low, high = np.quantile(drawn, (0.025, 0.975), axis=0)
+        return low, high
+
+    def _limits(self, ranges: FloatArray, frequency: FloatArray, ln_threshold: FloatArray) -> tuple[Limit, ...]:
+        """Return what limits at each range: the largest of the gains, 1 for contrast, and the two slopes."""
+        slope, air = self._slopes(ranges, frequency, ln_threshold)
+        slope[frequency >= self.curve.per_mrad[-1]] = np.inf
+        largest = np.argmax(np.stack([np.ones(ranges.size), slope, air]), axis=0)
+        return tuple(LIMITS[place] for place in largest.tolist())
+
+    def against_k(self) -> list[tuple[float, float | None, tuple[float | None, float | None] | None]]:
+        """Return k, range and 95 % interval for divisors k of a TOD at its own criterion; None off the curve."""
+        found = []
+        for k in K_SHOWN.tolist():
+            ranges, _, _ = self.crossing(k, self.threshold_curves())
+            found.append((k, _on_curve(float(ranges[0])), self._interval(ranges[1:])))
+        return found
+
+
+def _on_curve(range_km: float) -> float | None:
+    return range_km if 0.0 < range_km < np.inf else None
+
+
+def _weights(knots: FloatArray, places: FloatArray) -> FloatArray:
+    """Return the weights of knots, shape (knots, places), that interpolate linearly between them."""
+    cell = np.clip(np.searchsorted(knots, places, side="right"), 1, knots.size - 1)
+    share = (places - knots[cell - 1]) / (knots[cell] - knots[cell - 1])
+    weights = np.zeros((knots.size, places.size))
+    columns = np.arange(places.size)
+    weights[cell - 1, columns] = 1.0 - share
+    weights[cell, columns] = share
+    return weights
+
+
+def _divided(knots: FloatArray, end: float) -> FloatArray:
+    """Return ranges from the first knot to the end, with `CELLS` cells between two of them."""
+    edges = np.append(knots, end)
+    cells = np.linspace(edges[:-1], edges[1:], CELLS, endpoint=False, axis=1)
+    return np.append(cells.ravel(), end)
+
+
+def acquire(
+    curve: ThresholdCurve, target: Target, atmosphere: Atmosphere, *, rng: np.random.Generator
+) -> Acquisition:
+    """Compute ranges and probabilities for all tasks of a target.
+
+    Raises
+    ------
+    SettingsError
+        If the target's contrast or the air are not those of the curve, or a TOD has no k.
+    DataError
+        If the target is smaller than the curve's smallest detail at all ranges.
+    """
+    made = _prepared(curve, target, atmosphere, rng)
+    ranges = tuple(made.task_range(task, p) for task in made.criteria for p in made.probabilities)
+    curves: tuple[TaskCurve, ...] = ()
+    if made.road == "cycles" or made.curve.psychometric is not None:
+        known = [one.range_km or one.at_least_km or one.at_most_km or 0.0 for one in ranges]
+        known += [end for one in ranges for end in one.range_ci95_km or () if end is not None]
+        most = MARGIN * max(known) or _farthest_km(made)
+        curves = made.task_curves((most / PLACES, min(most, atmosphere.longest_km)))
+    return replace(made, ranges=ranges, curves=curves)
+
+
+def first_range(curve: ThresholdCurve, target: Target, atmosphere: Atmosphere) -> TaskRange:
+    """Compute the range of the target's first task alone, at 50 % or, for a TOD with k, at the curve's criterion.
+
+    It has no interval. The errors are those of `acquire`.
+    """
+    made = _prepared(replace(curve, ln_sd=None), target, atmosphere, None)
+    return made.task_range(next(iter(made.criteria)), made.own_probability)
+
+
+def _prepared(
+    curve: ThresholdCurve, target: Target, atmosphere: Atmosphere, rng: np.random.Generator | None
+) -> Acquisition:
+    """Choose the road and draw curves; the errors are those of `acquire`."""
+    _check_kind(curve, target, atmosphere)
+    road: Road = "cycles"
+    if curve.pattern == "triangle":
+        if target.cycles_per_size is not None:
+            curve = curve.as_bars(target.cycles_per_size)
+        elif target.k is None:
+            raise SettingsError(
+                f"k: is missing, and {curve.name} is a TOD; no public factor exists, so it is yours: the target "
+                "is seen if a triangle of size / k is"
+            )
+        else:
+            road = "tod"
+    if road == "tod" and target.search_time_s is not None:
+        raise SettingsError("search_time_s: is given but not used with a TOD and k, whose answers are never free")
+    draws = np.empty((0, curve.threshold.size))
+    if curve.ln_sd is not None and rng is not None:
+        draws = curve.ln_thresholds(curve.ln_sd, DRAWS, rng)
+    made = Acquisition(target=target, atmosphere=atmosphere, curve=curve, road=road, draws=draws)
+    if (farthest := _farthest_km(made)) < NEAREST_KM:
+        raise DataError(
+            f"{curve.name}: the target of {target.size_m:g} m is smaller than the curve's smallest detail beyond "
+            f"{1e3 * farthest:.2g} m, expected a larger target or a curve of finer detail"
+        )
+    return made
+
+
+def _farthest_km(made: Acquisition) -> float:
+    """Return the range at which the easiest task needs the curve's smallest detail."""
+    return float(made.curve.per_mrad[-1]) * made.target.size_m / min(made.criteria.values())
+
+
+def _check_kind(curve: ThresholdCurve, target: Target, atmosphere: Atmosphere) -> None:
+    words = {"delta_t_k": "a temperature difference", "contrast": "a contrast"}
+    if curve.quantity != target.quantity:
+        raise SettingsError(
+            f"target: found {words[target.quantity]}, expected {words[curve.quantity]}, as the thresholds of "
+            f"{curve.name} are"
+        )
+    if atmosphere.band_um is not None:
+        low, high = atmosphere.band_um
+        if (high < LEAST_THERMAL_UM) if curve.quantity == "delta_t_k" else (low >= LEAST_THERMAL_UM):
+            plural = {"delta_t_k": "temperature differences", "contrast": "contrasts"}
+            kind = "a thermal band" if curve.quantity == "delta_t_k" else "reflected light"
+            raise SettingsError(
+                f"atmosphere: found a band of {low:g} to {high:g} µm, expected {kind}, as the thresholds of "
+                f"{curve.name} are {plural[curve.quantity]}"
+            )
+    if curve.quantity == "delta_t_k" and atmosphere.is_daylight:
+        key = "sky_to_ground_ratio" if atmosphere.sky_to_ground_ratio is not None else "visibility_km"
+        hint = "" if key.startswith("sky") else "; give relative_humidity and air_temperature_c too, or a table"
+        raise SettingsError(
+            f"atmosphere: found {key} of daylight, expected air of the thermal band of {curve.name}{hint}"
+        )
+    if curve.quantity == "contrast" and atmosphere.is_humidity_form:
+        raise SettingsError(
+            f"atmosphere: found relative_humidity of thermal bands, expected air of daylight for {curve.name}"
+        )
+
+
+def r46_distance_m(
+    *, view_deg: float, lines: float, object_m: float = 0.8, threshold_arcmin: float = 8.0
+) -> float:
+    """Return the distance at which a camera-monitor system shows the critical object, from its pixels alone.
+
+    r = D₀ / tan(f ω / 60), ω = 60 β / (2 N) arcmin for N lines over β degrees (UN R46; 2003/97/EC, Annex I).
+    """
+    resolution_arcmin = 60.0 * view_deg / (2.0 * lines)
+    return object_m / math.tan(math.radians(threshold_arcmin * resolution_arcmin / 60.0))

@@ -1,0 +1,286 @@
+"""Air between target and sensor: its transmission, and the contrast that is left; read from TOML files.
+
+schema = 1
+title = "Harbour in May"
+source = "transmissometer"
+[atmosphere]
+extinction_per_km = 0.2
+# or table = "air.csv"                              columns range_km, and transmission or extinction_per_km
+# or visibility_km = 23.0                           daylight; sky_to_ground_ratio = 3.0
+# or visibility_km, relative_humidity and air_temperature_c, for thermal bands
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+from msgspec import Meta
+from numpy.typing import ArrayLike
+
+from todframes.base._typing import FloatArray
+from todframes.base.errors import DataError, SettingsError
+from todframes.base.reading import (
+    SETTINGS_SUFFIX,
+    check_columns,
+    check_values,
+    convert,
+    from_table,
+    path_inside,
+    read_csv,
+    read_described,
+    read_numbers,
+    resolved,
+    shipped_file,
+    shipped_names,
+)
+
+SCHEMA = 1
+"""Version of the format of atmosphere files that this package reads."""
+
+FOLDER = Path(__file__).with_name("atmospheres")
+
+KOSCHMIEDER = 3.912
+"""−ln 0.02: visibility · extinction of daylight, at a threshold contrast of 2 % (Koschmieder 1924)."""
+
+LARGEST_RANGE_KM = 1000.0
+"""Largest range accepted in a table; larger ones are a mistake in the input, such as ranges in m."""
+
+LEAST_DEPTH, LARGEST_DEPTH = 1e-9, 700.0
+"""Least optical depth of a row of a table, whose logarithm is interpolated; largest with a finite exponential."""
+
+VARYING_BANDS_UM = (0.9, 6.0)
+"""Bands between these wavelengths have absorption lines that one extinction cannot describe: from 1 to 20 km the
+effective extinction falls to a fifth in 1–1.7 µm and 3–5 µm, but to 0.61 in 8–12 µm and to 0.85 in 0.4–0.7 µm
+(MODTRAN tables of pyBSM 0.16.1)."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Atmosphere:
+    """Air between target and sensor. Give one description of its extinction: a number, a table, or a visibility.
+
+    Attributes
+    ----------
+    extinction_per_km : float or None
+        Extinction per km at all ranges (Beer), 0.001 to 100.
+    range_km, transmission : tuple of float, or None
+        Table: rising ranges in km, and the transmission over each, in (0, 1], which does not rise.
+    visibility_km : float or None
+        Meteorological visibility: extinction 3.912 / visibility for daylight.
+    relative_humidity, air_temperature_c : float or None
+        With `visibility_km`: extinction in thermal bands by the form of dstl's RET. Humidity from 0 to 1.
+    sky_to_ground_ratio : float
+        Radiance of the horizon's sky divided by that of the background, for daylight: contrast is left by
+        1 / (1 + ratio · (1/τ − 1)). 1: the background is as bright as the sky; the contrast falls as τ.
+    band_um : (float, float) or None
+        Wavelengths of the numbers, in µm.
+    title, source : str
+        Name of the air, and the origin of its numbers.
+
+    Raises
+    ------
+    SettingsError
+        If a value is out of range, missing, or contradicts another.
+    """
+
+    extinction_per_km: Annotated[float | None, Meta(ge=1e-3, le=100.0)] = None
+    range_km: tuple[float, ...] | None = None
+    transmission: tuple[float, ...] | None = None
+    visibility_km: Annotated[float | None, Meta(ge=0.01, le=1e3)] = None
+    relative_humidity: Annotated[float | None, Meta(ge=0.0, le=1.0)] = None
+    air_temperature_c: Annotated[float | None, Meta(ge=-90.0, le=60.0)] = None
+    sky_to_ground_ratio: Annotated[float | None, Meta(ge=0.01, le=1e3)] = None
+    band_um: tuple[float, float] | None = None
+    title: str = ""
+    source: str = ""
+
+    def __post_init__(self) -> None:
+        check_values(self)
+        given = [n for n in ("extinction_per_km", "transmission", "visibility_km") if getattr(self, n) is not None]
+        if len(given) != 1:
+            raise SettingsError(
+                f"{' and '.join(given) or 'extinction'}: found {len(given)} descriptions of the air, expected one "
+                "of extinction_per_km, a table, and visibility_km"
+            )
+        humid = (self.relative_humidity is None, self.air_temperature_c is None)
+        if humid[0] != humid[1]:
+            missing = "relative_humidity" if humid[0] else "air_temperature_c"
+            raise SettingsError(f"{missing}: is missing, expected both relative_humidity and air_temperature_c")
+        if self.is_humidity_form and self.visibility_km is None:
+            raise SettingsError("visibility_km: is missing, expected it beside relative_humidity")
+        if self.band_um is not None and not 0.1 <= self.band_um[0] < self.band_um[1] <= 100.0:
+            raise SettingsError(
+                f"band_um: found {list(self.band_um)}, expected two rising wavelengths from 0.1 to 100 µm"
+            )
+        if (self.range_km is None) != (self.transmission is None):
+            missing = "range_km" if self.range_km is None else "transmission"
+            raise SettingsError(f"{missing}: is missing, expected range_km and transmission of a table")
+        if self.range_km is not None and self.transmission is not None:
+            _check_table(self.range_km, self.transmission)
+
+    @property
+    def is_table(self) -> bool:
+        """Whether the extinction is a table over range."""
+        return self.range_km is not None
+
+    @property
+    def is_humidity_form(self) -> bool:
+        """Whether the extinction is that of RET's form for thermal bands."""
+        return self.relative_humidity is not None
+
+    @property
+    def is_daylight(self) -> bool:
+        """Whether the numbers are for daylight only: a visibility without humidity, or a sky-to-ground ratio."""
+        return self.sky_to_ground_ratio is not None or (
+            self.visibility_km is not None and not self.is_humidity_form
+        )
+
+    @property
+    def varies_unseen(self) -> bool:
+        """Whether one extinction stands for a band in which the effective extinction falls much with range."""
+        low, high = VARYING_BANDS_UM
+        return not self.is_table and self.band_um is not None and low <= self.band_um[0] < self.band_um[1] <= high
+
+    @property
+    def longest_km(self) -> float:
+        """Longest range of the table; infinity if there is none."""
+        return math.inf if self.range_km is None else self.range_km[-1]
+
+    @property
+    def constant_per_km(self) -> float:
+        """Extinction per km of air that is not a table."""
+        if self.extinction_per_km is not None:
+            return self.extinction_per_km
+        assert self.visibility_km is not None
+        if self.relative_humidity is not None and self.air_temperature_c is not None:
+            return thermal_extinction_per_km(
+                visibility_km=self.visibility_km,
+                relative_humidity=self.relative_humidity,
+                air_temperature_c=self.air_temperature_c,
+            )
+        return KOSCHMIEDER / self.visibility_km
+
+    def optical_depth(self, range_km: ArrayLike) -> FloatArray:
+        """Compute −ln τ at ranges >= 0 of any shape, in km.
+
+        Between the rows of a table ln(optical depth) is linear in ln(range), as for a band of many lines whose
+        depth grows with a power of range. Up to the first row the extinction is that of the first row; beyond the
+        last row it is that of the last, but no range is reported there.
+        """
+        ranges = np.asarray(range_km, dtype=np.float64)
+        if self.range_km is None or self.transmission is None:
+            return self.constant_per_km * ranges
+        known, depths = np.array(self.range_km), np.maximum(-np.log(self.transmission), LEAST_DEPTH)
+        inside = np.clip(ranges, known[0], known[-1])
+        return np.exp(np.interp(np.log(inside), np.log(known), np.log(depths))) * (ranges / inside)
+
+    def ln_contrast_left(self, range_km: ArrayLike) -> FloatArray:
+        """Compute ln of the share of the contrast that arrives over ranges >= 0 of any shape, in km.
+
+        It is ln τ, or −ln(1 + ratio · (1/τ − 1)) with path radiance of the sky-to-ground ratio (Duntley 1948).
+        """
+        depth = self.optical_depth(range_km)
+        if self.sky_to_ground_ratio is None:
+            return -depth
+        return -np.log1p(self.sky_to_ground_ratio * np.expm1(np.minimum(depth, LARGEST_DEPTH)))
+
+
+def _check_table(ranges: tuple[float, ...], transmission: tuple[float, ...]) -> None:
+    if len(transmission) != len(ranges) or not ranges:
+        raise SettingsError(f"transmission: found {len(transmission)} values, expected {len(ranges)}, one a range")
+    if not all(0.0 < one <= LARGEST_RANGE_KM for one in ranges) or not (np.diff(ranges) > 0.0).all():
+        raise SettingsError(
+            f"range_km: found {_few(ranges)}, expected rising ranges above 0 and up to {LARGEST_RANGE_KM:g} km"
+        )
+    if not all(0.0 < one <= 1.0 for one in transmission):
+        raise SettingsError(f"transmission: found {_few(transmission)}, expected values above 0 and up to 1")
+    for place in np.flatnonzero(np.diff(transmission) > 0.0)[:1].tolist():
+        raise SettingsError(
+            f"transmission: grows from {transmission[place]:.3g} at {ranges[place]:g} km to "
+            f"{transmission[place + 1]:.3g} at {ranges[place + 1]:g} km, expected it to fall with range"
+        )
+
+
+def _few(values: tuple[float, ...]) -> str:
+    return ", ".join(f"{one:g}" for one in values[:4]) + " …" * (len(values) > 4)
+
+
+def thermal_extinction_per_km(
+    *, visibility_km: float, relative_humidity: float, air_temperature_c: float
+) -> float:
+    """Compute the extinction per km in thermal bands, by the form of dstl's RET (`ret/sensing/sensor.py`).
+
+    In 8–12 µm it is 1.4 to 2 times that of MODTRAN in mid-latitude summer, so ranges are underestimated.
+    """
+    v = visibility_km
+    if v < 2.5:
+        haze = 0.8667 - 0.1667 * v
+    elif v < 6.0:
+        haze = 0.45 - 0.0628 * (v - 2.5)
+    elif v < 10.0:
+        haze = 0.23 - 0.02 * (v - 6.0)
+    else:
+        haze = 0.15
+    vapour: float = 0.083 * relative_humidity**1.19 * math.exp(0.075 * air_temperature_c)
+    return haze + vapour
+
+
+def chosen_atmosphere(atmosphere: Atmosphere | Path | str) -> Atmosphere:
+    """Return an air, or that of a name or file; see `find_atmosphere`."""
+    return atmosphere if isinstance(atmosphere, Atmosphere) else find_atmosphere(atmosphere)
+
+
+def atmosphere_names() -> tuple[str, ...]:
+    """Return the names of the airs that this package provides, in alphabetical order."""
+    return shipped_names(FOLDER)
+
+
+def find_atmosphere(name: str | Path, *, where: str = "atmosphere") -> Atmosphere:
+    """Return the air of this package with a name of `atmosphere_names`, or that of a TOML file.
+
+    The table of a file is relative to its folder, and lies in it.
+
+    Raises
+    ------
+    SettingsError
+        If there is no such air, or its file cannot be read or has a wrong value.
+    """
+    path = Path(name) if str(name).endswith(SETTINGS_SUFFIX) else shipped_file(str(name), FOLDER, where)
+    table, texts = read_described(path, "atmosphere", SCHEMA)
+    place = f"{path}: [atmosphere]"
+    if "table" in table:
+        rows = _read_table(path, table["table"], f"{place}: table")
+        table = {key: value for key, value in table.items() if key != "table"} | rows
+    if isinstance(table.get("extinction_per_km"), list):
+        table = _as_transmission(table, place)
+    return from_table(texts | table, Atmosphere, place)
+
+
+def _as_transmission(table: dict[str, Any], where: str) -> dict[str, Any]:
+    """Return a table whose effective extinctions over each range are turned into transmissions."""
+    column = tuple[Annotated[float, Meta(ge=0.0, le=100.0)], ...]
+    names = ("extinction_per_km", "range_km")
+    depths, ranges = (convert(table.get(one, []), column, f"{where}: {one}") for one in names)
+    table = {key: value for key, value in table.items() if key != "extinction_per_km"}
+    pairs = zip(depths, ranges, strict=False)  # type: ignore[call-overload]
+    return table | {"transmission": [math.exp(-extinction * range_km) for extinction, range_km in pairs]}
+
+
+def _read_table(path: Path, name: object, where: str) -> dict[str, Any]:
+    """Return `range_km` and the other column of the CSV file that a TOML file names."""
+    if not isinstance(name, str):
+        raise SettingsError(f"{where}: found {name!r}, expected the name of a CSV file")
+    file = path.parent / name
+    try:
+        path_inside(resolved(path.parent), name, where)
+        _, header = next(read_csv(file))
+        column = "transmission" if "transmission" in header else "extinction_per_km"
+        check_columns(header, ["range_km", column], file)
+        rows = read_numbers(file, ["range_km", column])
+    except DataError as error:
+        raise SettingsError(error.marked) from None
+    rows = [row for row in rows if row[0] != 0.0]  # no air, no loss
+    return {"range_km": [row[0] for row in rows], column: [row[1] for row in rows]}

@@ -1,0 +1,201 @@
+"""Targets of the field: their size, their contrast, and the criteria of the tasks; read from TOML files.
+
+schema = 1
+title = "Car of the patrol"
+source = "measured on 4 May"
+[target]
+size_m = 1.8
+delta_t_k = 1.5              # or contrast, or reflectance and background_reflectance
+cycles = "stanag"            # or "johnson", or { recognition = 3.5 }
+k = { recognition = 4.0 }    # for a TOD
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated, Any, Literal, get_args
+
+from msgspec import Meta
+
+from todframes.base.errors import SettingsError
+from todframes.base.reading import (
+    SETTINGS_SUFFIX,
+    check_values,
+    from_table,
+    read_described,
+    shipped_file,
+    shipped_names,
+    spelling_hint,
+)
+
+SCHEMA = 1
+"""Version of the format of target files that this package reads."""
+
+FOLDER = Path(__file__).with_name("targets")
+
+CriterionName = Literal["stanag", "johnson"]
+
+N50_CYCLES: dict[CriterionName, dict[str, float]] = {
+    "stanag": {"detection": 1.0, "recognition": 3.0, "identification": 6.0},
+    "johnson": {"detection": 1.0, "recognition": 4.0, "identification": 6.4},
+}
+"""Line pairs across the target with which half of the observers do each task.
+
+"stanag": nippon.zaidan.info/seikabutsu/1998/00222, page 096. "johnson": Johnson 1958 as later sources print it.
+"""
+
+N50_RANGE_CYCLES = (0.1, 100.0)
+"""Smallest and largest number of line pairs that a criterion may have; others are a mistake in the input."""
+
+K_RANGE = (0.1, 100.0)
+"""Smallest and largest divisor k of the target's size; others are a mistake in the input."""
+
+Quantity = Literal["delta_t_k", "contrast"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Target:
+    """A thing to be seen in the field, and the criteria of the tasks.
+
+    Attributes
+    ----------
+    size_m : float
+        Characteristic size in m, 0.01 to 1000: for line pairs the critical dimension.
+    delta_t_k : float or None
+        Mean temperature difference to the background at the target, in K; its sign does not matter.
+    delta_t_sd_k : float
+        Standard deviation of the temperature on the target, added in squares.
+    contrast : float or None
+        Weber contrast at the target; its sign does not matter.
+    reflectance, background_reflectance : float or None
+        In place of `contrast`, which is then their difference divided by that of the background.
+    cycles : {"stanag", "johnson"} or mapping of str to float
+        N50 of each task in line pairs across `size_m`, for MRTD and MRC. Default: "stanag".
+    k : mapping of str to float, or None
+        For a TOD: a task can be done if a triangle of size_m / k can be judged. No public factor exists.
+    cycles_per_size : float or None
+        Converts a TOD to line pairs: the bar pattern that is as hard as a triangle has this number of cycles in
+        the triangle's √area. None: no conversion, and a TOD needs `k`.
+    search_time_s : float or None
+        Time that the observer may search. None: without limit.
+    title, source : str
+        Name of the target, and the origin of its numbers.
+
+    Raises
+    ------
+    SettingsError
+        If a value is out of range, missing, or contradicts another.
+    """
+
+    size_m: Annotated[float, Meta(ge=0.01, le=1e3)]
+    delta_t_k: Annotated[float | None, Meta(ge=-1e3, le=1e3)] = None
+    delta_t_sd_k: Annotated[float, Meta(ge=0.0, le=1e3)] = 0.0
+    contrast: Annotated[float | None, Meta(ge=-1.0, le=100.0)] = None
+    reflectance: Annotated[float | None, Meta(ge=0.0, le=1.0)] = None
+    background_reflectance: Annotated[float | None, Meta(ge=0.0, le=1.0)] = None
+    cycles: str | dict[str, float] = "stanag"
+    k: dict[str, float] | None = None
+    cycles_per_size: Annotated[float | None, Meta(ge=0.1, le=10.0)] = None
+    search_time_s: Annotated[float | None, Meta(ge=0.01, le=1e5)] = None
+    title: str = ""
+    source: str = ""
+
+    def __post_init__(self) -> None:
+        check_values(self)
+        if isinstance(self.cycles, str) and self.cycles not in N50_CYCLES:
+            names = get_args(CriterionName)
+            raise SettingsError(
+                f"cycles: found {self.cycles!r}, expected one of {', '.join(names)}, or a table of tasks and line "
+                f"pairs{spelling_hint(self.cycles, names)}"
+            )
+        _check_tasks("cycles", self.n50_cycles, N50_RANGE_CYCLES)
+        if self.k is not None:
+            _check_tasks("k", self.k, K_RANGE)
+        if self.k is not None and self.cycles_per_size is not None:
+            raise SettingsError("k: found it and cycles_per_size, expected one of them: they are two roads")
+        self._check_contrast()
+
+    def _check_contrast(self) -> None:
+        if (self.reflectance is None) != (self.background_reflectance is None):
+            missing = "reflectance" if self.reflectance is None else "background_reflectance"
+            raise SettingsError(f"{missing}: is missing, expected both reflectances or none")
+        if self.background_reflectance == 0.0:
+            raise SettingsError("background_reflectance: found 0, expected a number > 0")
+        named = ("delta_t_k", "contrast", "reflectance")
+        given = [name for name in named if getattr(self, name) is not None]
+        if len(given) != 1:
+            raise SettingsError(
+                f"{' and '.join(given) or 'contrast'}: found {len(given)} contrasts, expected one of delta_t_k, "
+                "contrast, and reflectance with background_reflectance"
+            )
+        if self.delta_t_sd_k and self.delta_t_k is None:
+            raise SettingsError("delta_t_sd_k: is given but not used without delta_t_k")
+        if not self.signal > 0.0:
+            raise SettingsError(f"{given[0]}: found {getattr(self, given[0])!r}, which shows no target")
+
+    @property
+    def quantity(self) -> str:
+        """Quantity of `signal`: "delta_t_k" or "contrast"."""
+        return "contrast" if self.delta_t_k is None else "delta_t_k"
+
+    @property
+    def signal(self) -> float:
+        """Contrast at the target without sign: ΔT in K, or Weber contrast."""
+        if self.delta_t_k is not None:
+            return math.hypot(self.delta_t_k, self.delta_t_sd_k)
+        if self.reflectance is not None and self.background_reflectance is not None:
+            return abs(self.reflectance - self.background_reflectance) / self.background_reflectance
+        return abs(self.contrast or 0.0)
+
+    @property
+    def n50_cycles(self) -> dict[str, float]:
+        """N50 of each task, in line pairs across the target."""
+        return N50_CYCLES[self.cycles] if isinstance(self.cycles, str) else self.cycles  # type: ignore[index]
+
+
+def _check_tasks(name: str, tasks: Mapping[str, float], limits: tuple[float, float]) -> None:
+    low, high = limits
+    if not tasks:
+        raise SettingsError(f"{name}: found no task, expected a table such as {{ recognition = 3.0 }}")
+    for task, value in tasks.items():
+        if not low <= value <= high:
+            raise SettingsError(f"{name}.{task}: found {value!r}, expected a number from {low:g} to {high:g}")
+
+
+def chosen_target(target: Target | Path | str, **changes: Any) -> Target:
+    """Return a target, or that of a name or file, with those of the changes that are not None.
+
+    `k` and `cycles` may be numbers: the criterion of one task, which has the number as its name.
+
+    Raises
+    ------
+    SettingsError
+        If there is no such target, or a value is refused.
+    """
+    for name, unit in (("k", "k {}"), ("cycles", "{} line pairs")):
+        if isinstance(value := changes.get(name), int | float):
+            changes[name] = {unit.format(f"{value:g}"): float(value)}
+    changes = {name: value for name, value in changes.items() if value is not None}
+    found = target if isinstance(target, Target) else find_target(target)
+    return replace(found, **changes) if changes else found
+
+
+def target_names() -> tuple[str, ...]:
+    """Return the names of the targets that this package provides, in alphabetical order."""
+    return shipped_names(FOLDER)
+
+
+def find_target(name: str | Path, *, where: str = "target") -> Target:
+    """Return the target of this package with a name of `target_names`, or that of a TOML file.
+
+    Raises
+    ------
+    SettingsError
+        If there is no such target, or its file cannot be read or has a wrong value.
+    """
+    path = Path(name) if str(name).endswith(SETTINGS_SUFFIX) else shipped_file(str(name), FOLDER, where)
+    table, texts = read_described(path, "target", SCHEMA)
+    return from_table(texts | table, Target, f"{path}: [target]")

@@ -1,0 +1,256 @@
+"""Threshold curves of a sensor over spatial frequency: TOD, MRTD or MRC, with their errors; and tables of them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from todframes.base._typing import FloatArray
+from todframes.base.errors import DataError
+from todframes.base.reading import check_columns, check_fields, number, read_csv
+from todframes.field.target import Quantity
+
+Pattern = Literal["triangle", "bars"]
+
+NORMAL_95 = 1.959964
+"""Half-width of the central 95 % of a normal distribution, in standard deviations."""
+
+CYC_PER_MRAD_IN_CYC_PER_DEG = 0.18 / np.pi
+"""Cycles/mrad in one cycle/deg: a degree is π / 0.18 mrad."""
+
+LARGEST_PER_MRAD = 1000.0
+"""Largest frequency or inverse size accepted, in mrad⁻¹; larger ones are a mistake in the input, such as rad⁻¹."""
+
+UNREACHED = 500.0
+"""ln(contrast / threshold) of what no contrast reaches: its exponential is finite, and its square too."""
+
+LARGEST_LEAST: dict[Quantity, float] = {"delta_t_k": 10.0, "contrast": 10.0}
+"""Largest value of the lowest threshold of a curve; a larger one is a mistake in the input, such as mK for K."""
+
+FREQUENCIES: dict[str, tuple[Pattern, float]] = {
+    "frequency_cyc_per_mrad": ("bars", 1.0),
+    "frequency_cyc_per_deg": ("bars", CYC_PER_MRAD_IN_CYC_PER_DEG),
+    "size_mrad": ("triangle", 1.0),
+}
+"""Columns of a table that say where a threshold is: the pattern, and the factor to mrad."""
+
+THRESHOLDS: dict[str, tuple[Quantity, float]] = {
+    "mrtd_k": ("delta_t_k", 1.0),
+    "mrtd_mk": ("delta_t_k", 1e-3),
+    "delta_t_k": ("delta_t_k", 1.0),
+    "delta_t_mk": ("delta_t_k", 1e-3),
+    "mrc": ("contrast", 1.0),
+    "contrast": ("contrast", 1.0),
+}
+"""Columns of a table that hold thresholds: the quantity, and the factor to K or Weber contrast."""
+
+RangeWarningCode = Literal[
+    "size_at_the_eye", "level_without_unit", "extrapolated_thresholds", "curve_not_rising", "one_extinction"
+]
+
+
+class RangeWarning(NamedTuple):
+    """A fact about curve or air that makes a range less certain."""
+
+    code: RangeWarningCode
+    message: str
+
+
+class Psychometric(NamedTuple):
+    """Weibull functions of contrast / threshold at the points of a TOD (Hogervorst et al. 2001, eq. 3).
+
+    `beta` and `lapse_rate` have a value a point, shape (n,).
+    """
+
+    beta: FloatArray
+    lapse_rate: FloatArray
+    guess_rate: float
+    p_correct: float
+
+    def ln_ratio(self, p_correct: float) -> FloatArray:
+        """Return ln(contrast / threshold) at a proportion correct, shape (n,); `UNREACHED` from the ceiling on."""
+        levels = [_halves(p, self.guess_rate, self.lapse_rate) for p in (p_correct, self.p_correct)]
+        with np.errstate(divide="ignore"):
+            found = np.log(levels[0] / levels[1]) / self.beta
+        return np.minimum(found, UNREACHED)
+
+    def probability(self, ln_ratio: FloatArray, weights: FloatArray) -> FloatArray:
+        """Compute the proportion correct at ln(contrast / threshold).
+
+        Parameters
+        ----------
+        ln_ratio : ndarray, shape (..., m)
+        weights : ndarray, shape (n, m)
+            Weights of the n points at each of the m places between them.
+        """
+        beta, lapse = np.exp(np.log(self.beta) @ weights), self.lapse_rate @ weights
+        halves = _halves(self.p_correct, self.guess_rate, lapse)
+        with np.errstate(over="ignore"):
+            exponent = halves * np.exp(np.minimum(beta * ln_ratio, UNREACHED))
+        return np.asarray((1.0 - lapse) - (1.0 - lapse - self.guess_rate) * np.exp2(-exponent))
+
+
+def _halves(p_correct: float, guess_rate: float, lapse_rate: FloatArray) -> FloatArray:
+    """Return (x/α)^β at a proportion correct: 0 at the guess rate, infinity from the ceiling on."""
+    span = 1.0 - lapse_rate - guess_rate
+    with np.errstate(divide="ignore"):
+        return np.asarray(np.log2(span / np.clip(1.0 - lapse_rate - p_correct, 0.0, span)))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ThresholdCurve:
+    """Thresholds over spatial frequency; between points ln(threshold) is linear in frequency.
+
+    Attributes
+    ----------
+    pattern : {"triangle", "bars"}
+        A TOD, whose frequency is 1 / √area; or MRTD and MRC, of four bars.
+    quantity : {"delta_t_k", "contrast"}
+        Quantity of the thresholds: ΔT in K, or Weber contrast (MRC: modulation as the table has it).
+    per_mrad : ndarray, shape (n,)
+        Frequencies in cycles/mrad, or 1 / √area in mrad⁻¹; rising, n >= 2.
+    threshold : ndarray, shape (n,)
+        Thresholds, > 0.
+    ln_sd : ndarray, shape (2, n), or None
+        Standard deviations of ln(threshold) below and above it. None: the errors are not known.
+    psychometric : Psychometric or None
+        Proportion correct against contrast / threshold at each point; None if it is not known.
+    p_correct : float or None
+        Proportion correct of a TOD's thresholds, if it is known.
+    unreached_per_mrad : float or None
+        First frequency above those of the curve at which no contrast suffices, if one was found.
+    name : str
+        Name of the file or sensor.
+
+    Raises
+    ------
+    DataError
+        If there are fewer than two points, or a value is out of its range.
+    """
+
+    pattern: Pattern
+    quantity: Quantity
+    per_mrad: FloatArray
+    threshold: FloatArray
+    ln_sd: FloatArray | None = None
+    psychometric: Psychometric | None = None
+    p_correct: float | None = None
+    unreached_per_mrad: float | None = None
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        n = self.per_mrad.size
+        if n < 2:
+            raise DataError(f"{self.name}: found thresholds at {n} sizes or frequencies, expected two or more")
+        if not (np.diff(self.per_mrad) > 0.0).all() or not self.per_mrad[0] > 0.0:
+            raise DataError(f"{self.name}: found a size or frequency twice, expected each once and above 0")
+        if self.per_mrad[-1] > LARGEST_PER_MRAD:
+            what = "a frequency" if self.pattern == "bars" else "an inverse size"
+            raise DataError(
+                f"{self.name}: found {what} of {self.per_mrad[-1]:g} per mrad, expected at most "
+                f"{LARGEST_PER_MRAD:g}; are the angles in rad?"
+            )
+        least, most = float(self.threshold.min()), LARGEST_LEAST[self.quantity]
+        if least > most:
+            unit, hint = (" K", "are they in mK?") if self.quantity == "delta_t_k" else ("", "are they in %?")
+            raise DataError(
+                f"{self.name}: found {least:g}{unit} as the lowest threshold, expected at most {most:g}{unit}; "
+                f"{hint}"
+            )
+
+    @property
+    def is_rising(self) -> bool:
+        """Whether no threshold is below that at a lower frequency."""
+        return bool((np.diff(self.threshold) >= 0.0).all())
+
+    def as_bars(self, cycles_per_size: float) -> ThresholdCurve:
+        """Return a TOD as the curve of bars that are as hard: f = cycles_per_size / √area, the same thresholds."""
+        return ThresholdCurve(
+            pattern="bars",
+            quantity=self.quantity,
+            per_mrad=self.per_mrad * cycles_per_size,
+            threshold=self.threshold,
+            ln_sd=self.ln_sd,
+            unreached_per_mrad=None
+            if self.unreached_per_mrad is None
+            else self.unreached_per_mrad * cycles_per_size,
+            name=self.name,
+        )
+
+    def ln_thresholds(self, ln_sd: FloatArray, n: int, rng: np.random.Generator) -> FloatArray:
+        """Draw n curves of ln(threshold) from the errors, shape (n, points); normal on each side of the value."""
+        drawn = rng.standard_normal((n, self.threshold.size))
+        return np.asarray(np.log(self.threshold) + drawn * np.where(drawn < 0.0, ln_sd[0], ln_sd[1]))
+
+
+def rising(ln_threshold: FloatArray) -> FloatArray:
+    """Return curves, the last axis, in which no threshold is below that at a lower frequency: a running maximum.
+
+    A target is then seen only as far as all coarser detail is, which is the safe reading of a curve that errs.
+    """
+    return np.maximum.accumulate(ln_threshold, axis=-1)
+
+
+def ln_sd_of_interval(threshold: ArrayLike, low: ArrayLike, high: ArrayLike) -> FloatArray:
+    """Return the standard deviations of ln(threshold) below and above, shape (2, n), from 95 % intervals.
+
+    An end that is NaN is open: its side has the error of the other side.
+    """
+    value = np.log(np.asarray(threshold, dtype=np.float64))
+    ends = np.stack([value - np.log(low), np.log(high) - value]) / NORMAL_95
+    return np.maximum(np.where(np.isnan(ends), ends[::-1], ends), 0.0)
+
+
+def read_curve(path: Path) -> ThresholdCurve:
+    """Return the curve in a CSV table with units in its header.
+
+    The columns are one of `FREQUENCIES` and one of `THRESHOLDS`; `ci95_low` and `ci95_high`, in the unit of the
+    thresholds, are their 95 % intervals.
+
+    Raises
+    ------
+    DataError
+        If the file cannot be read, a column is missing, or a value is not a number > 0.
+    """
+    rows = read_csv(path)
+    _, header = next(rows)
+    place, level = (_one_column(header, known, path) for known in (FREQUENCIES, THRESHOLDS))
+    pattern, to_per_mrad = FREQUENCIES[place]
+    quantity, factor = THRESHOLDS[level]
+    ends = ["ci95_low", "ci95_high"] if {"ci95_low", "ci95_high"} & set(header) else []
+    check_columns(header, ends, path)
+    found = []
+    for where, row in rows:
+        check_fields(row, len(header), where)
+        found.append([number(row[name], f"{where}: {name}", positive=True) for name in (place, level, *ends)])
+    values = np.array(found, dtype=np.float64).reshape(-1, 2 + len(ends))
+    per_mrad = to_per_mrad / values[:, 0] if pattern == "triangle" else to_per_mrad * values[:, 0]
+    order = np.argsort(per_mrad, kind="stable")
+    values, per_mrad = values[order], per_mrad[order]
+    for threshold, low, high in values[:, 1:] if ends else ():
+        if not low <= threshold <= high:
+            raise DataError(f"{path}: found the interval {low:g} to {high:g}, expected it to hold {threshold:g}")
+    return ThresholdCurve(
+        pattern=pattern,
+        quantity=quantity,
+        per_mrad=per_mrad,
+        threshold=factor * values[:, 1],
+        ln_sd=ln_sd_of_interval(*values[:, 1:].T) if ends else None,
+        name=str(path),
+    )
+
+
+def _one_column(header: Iterable[str], known: Iterable[str], path: Path) -> str:
+    header, known = list(header), list(known)
+    found = [name for name in header if name in known]
+    if len(found) != 1:
+        listed = ", ".join(header) or "none"
+        raise DataError(
+            f"{path}: found {len(found)} of the columns {', '.join(known)}, expected one; the columns are {listed}"
+        )
+    return found[0]

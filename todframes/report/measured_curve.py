@@ -1,0 +1,204 @@
+"""Conversion of a result's thresholds to a curve over spatial frequency, in angles of the field."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from todframes.base.errors import DataError, SettingsError, argument
+from todframes.field.target import Quantity
+from todframes.field.threshold_curve import Psychometric, RangeWarning, ThresholdCurve, ln_sd_of_interval
+from todframes.report.data import Fit, ResultData
+from todframes.report.wording import group_phrase, unit_of, value_text
+
+SIZES = ("object_size_mrad", "size_mrad", "size_detectors")
+"""Columns of sizes, the best first. `size_mrad` is as displayed: it is in the field only for the eye itself."""
+
+LEVELS: dict[str, tuple[Quantity, float]] = {
+    "contrast": ("contrast", 1.0),
+    "weber_contrast": ("contrast", 1.0),
+    "delta_t_k": ("delta_t_k", 1.0),
+    "delta_t_mk": ("delta_t_k", 1e-3),
+}
+"""Levels that are contrasts of the field: the quantity, and the factor to it."""
+
+NAMELESS = "level"
+"""Level of counts, whose quantity nobody has named."""
+
+SHOWN_P = (0.3, 0.97)
+"""Proportions correct between which points give the slope of a psychometric function that was not fitted."""
+
+USUAL_GUESS_RATE = 0.25
+"""Guess rate of four orientations."""
+
+
+def measured_curve(
+    result: ResultData,
+    where: str,
+    *,
+    quantity: Quantity,
+    group: Mapping[str, str] | None = None,
+    magnification: float | None = None,
+) -> tuple[ThresholdCurve, tuple[RangeWarning, ...]]:
+    """Return the curve of a result's thresholds, and the warnings about it.
+
+    Parameters
+    ----------
+    result : ResultData
+    where : str
+        Name of the result; messages begin with it.
+    quantity : {"delta_t_k", "contrast"}
+        Quantity of the target's contrast, in which a level without a name of its own is read.
+    group : mapping, optional
+        Values of the columns that tell one curve from the others.
+    magnification : float, optional
+        Angle on the display divided by the angle in the field, for sizes as displayed.
+
+    Raises
+    ------
+    DataError
+        If there are no thresholds over sizes, or their level is no contrast of the field.
+    SettingsError
+        If the result has several curves and `group` does not name one.
+    """
+    fits = _of_group(result.thresholds, where, dict(group or {}))
+    size = next((name for name in SIZES if fits and name in fits[0].group), None)
+    if size is None:
+        raise DataError(f"{where}: found no column of sizes, expected one of {', '.join(SIZES)}")
+    factor, warnings = _to_field_mrad(result, size, where, magnification)
+    if fits[0].level == NAMELESS:
+        unit = "K" if quantity == "delta_t_k" else "Weber contrast"
+        message = f"the level has no unit; it is taken for that of the target's contrast, {unit}"
+        warnings = (*warnings, RangeWarning(code="level_without_unit", message=message))
+    quantity, level_factor = (quantity, 1.0) if fits[0].level == NAMELESS else _level(fits, where)
+    known = sorted((one for one in fits if one.threshold is not None), key=lambda one: -float(one.group[size]))
+    sizes = factor * np.array([float(one.group[size]) for one in known])
+    thresholds = np.array([_threshold(one) for one in known])
+    per_mrad = 1.0 / sizes
+    unreached = [1.0 / (factor * float(one.group[size])) for one in fits if one.status == "never_reached"]
+    finer = [one for one in unreached if not known or one > per_mrad[-1]]
+    extrapolated = [value_text(one.group[size]) for one in known if one.status == "extrapolated"]
+    if extrapolated:
+        message = (
+            f"the thresholds at {', '.join(extrapolated)} {unit_of(size)} are extrapolated from the levels shown"
+        )
+        warnings = (*warnings, RangeWarning(code="extrapolated_thresholds", message=message))
+    curve = ThresholdCurve(
+        pattern="triangle",
+        quantity=quantity,
+        per_mrad=per_mrad,
+        threshold=level_factor * thresholds,
+        ln_sd=_ln_sd(known),
+        psychometric=_psychometric(known),
+        p_correct=known[0].p_correct if known else None,
+        unreached_per_mrad=min(finer, default=None),
+        name=where,
+    )
+    return curve, warnings
+
+
+def _of_group(fits: Sequence[Fit], where: str, group: dict[str, str]) -> list[Fit]:
+    """Return the fits whose other columns have the values of `group`: those of one curve."""
+    others = [name for name in (fits[0].group if fits else ()) if not unit_of(name) and name != "size_px"]
+    for name in group:
+        if name not in others:
+            known = ", ".join(others) or "none"
+            raise SettingsError(
+                f"{argument.group}: found {name!r}, expected one of the columns {known} of {where}"
+            )
+    chosen = [
+        one for one in fits if all(value_text(one.group[name]) == str(value) for name, value in group.items())
+    ]
+    curves = {tuple(one.group[name] for name in others): {n: one.group[n] for n in others} for one in chosen}
+    if len(curves) > 1 or not chosen:
+        all_curves = [{n: one.group[n] for n in others} for one in fits]
+        named = "; ".join(dict.fromkeys(group_phrase(one) for one in all_curves))
+        raise SettingsError(
+            f"{argument.group}: found {len(curves)} curves in {where}, expected a choice of one: {named}"
+        )
+    return chosen
+
+
+def _to_field_mrad(
+    result: ResultData, size: str, where: str, magnification: float | None
+) -> tuple[float, tuple[RangeWarning, ...]]:
+    """Return the factor from a column of sizes to mrad in the field, and the warnings about it."""
+    if magnification is not None and size != "size_mrad":
+        raise SettingsError(
+            f"{argument.magnification}: is given but not used, because the sizes of {where} are in the field "
+            f"already ({size})"
+        )
+    if size == "size_detectors":
+        sensor = result.settings.get("sensor")
+        try:
+            return float(sensor["detector"]["pitch_mrad"]), ()  # type: ignore[index]
+        except (TypeError, KeyError, ValueError):
+            raise DataError(
+                f"{where}: found sizes in detectors but no detector pitch, expected the result of a sensor's curve"
+            ) from None
+    if size == "size_mrad" and magnification is None and result.dataset is not None:
+        message = (
+            "the sizes are those on the display; they are taken for angles in the field, as for a display that "
+            f"magnifies once ({argument.magnification} gives another)"
+        )
+        return 1.0, (RangeWarning(code="size_at_the_eye", message=message),)
+    return 1.0 / (magnification or 1.0), ()
+
+
+def _level(fits: Sequence[Fit], where: str) -> tuple[Quantity, float]:
+    """Return the quantity of the thresholds and the factor to it; that of an SNR is its ΔT."""
+    level = fits[0].level
+    if level in LEVELS:
+        return LEVELS[level]
+    if level == "snr" and all(one.delta_t_mk is not None for one in fits if one.threshold is not None):
+        return "delta_t_k", 1e-3
+    hint = "; netd_mk in the table [noise] of SENSOR.toml gives ΔT" if level == "snr" else ""
+    raise DataError(
+        f"{where}: found thresholds in {level}, expected one of {', '.join(LEVELS)}, or SNR with a NETD{hint}"
+    )
+
+
+def _threshold(fit: Fit) -> float:
+    return float(fit.delta_t_mk if fit.level == "snr" and fit.delta_t_mk is not None else fit.threshold or 0.0)
+
+
+def _ln_sd(fits: Sequence[Fit]) -> np.ndarray | None:
+    """Return the errors of ln(threshold) below and above, from intervals or numerical errors; None if unknown."""
+    if not fits or all(one.threshold_ci95 is None and one.threshold_numerical_error is None for one in fits):
+        return None
+    ends = []
+    for one in fits:
+        threshold = float(one.threshold or 0.0)
+        low, high = one.threshold_ci95 or (None, None)
+        if one.threshold_ci95 is None and one.threshold_numerical_error is not None:
+            high = threshold + one.threshold_numerical_error
+        ends.append((threshold, np.nan if low is None else low, np.nan if high is None else high))
+    found = ln_sd_of_interval(*np.array(ends).T)
+    # A point without both ends has the largest error of the others, and none if there are no others.
+    return np.where(np.isnan(found), np.nanmax(found, initial=0.0), found)
+
+
+def _psychometric(fits: Sequence[Fit]) -> Psychometric | None:
+    """Return the psychometric functions, fitted or through computed points; None if one has none."""
+    slopes = [one.beta if one.beta is not None else _slope_of_points(one) for one in fits]
+    if not fits or any(one is None for one in slopes):
+        return None
+    return Psychometric(
+        beta=np.array(slopes, dtype=np.float64),
+        lapse_rate=np.array([one.lapse_rate or 0.0 for one in fits]),
+        guess_rate=USUAL_GUESS_RATE if fits[0].guess_rate is None else fits[0].guess_rate,
+        p_correct=fits[0].p_correct,
+    )
+
+
+def _slope_of_points(fit: Fit) -> float | None:
+    """Return β of a Weibull function through computed points, by least squares in ln level."""
+    low, high = SHOWN_P
+    seen = [(one.level, one.p_correct) for one in fit.points if low < one.p_correct < high]
+    if len({level for level, _ in seen}) < 2:
+        return None
+    level, p = np.log([one for one, _ in seen]), np.array([one for _, one in seen])
+    height = np.log(np.log2((1.0 - USUAL_GUESS_RATE) / (1.0 - p)))
+    slope = float(np.polyfit(level, height, 1)[0])
+    return slope if slope > 0.0 else None
