@@ -17,7 +17,7 @@ from sensor_sim.sweeps.ranges import Aim
 from todframes.base.output import FILES_OF_COMMAND
 from todframes.cli.console import run
 from todframes.cli.main import cli
-from todframes.field.acquisition import acquire, cycles_ratio, r46_distance_m, transfer_probability, with_search
+from todframes.field.acquisition import acquire, cycles_ratio, transfer_probability, with_search
 from todframes.field.atmosphere import atmosphere_names, find_atmosphere
 from todframes.field.target import find_target, target_names
 from todframes.field.threshold_curve import Psychometric, ThresholdCurve
@@ -90,7 +90,10 @@ def test_search_takes_time() -> None:
 
 def test_r46_worked_example() -> None:
     """60° and 480 lines: 3.75 arcmin, 0.8 m / tan(0.5°) = 91.7 m."""
-    assert r46_distance_m(view_deg=60.0, lines=480.0) == pytest.approx(91.7, abs=0.05)
+    system = replace(find_target("r46"), view_deg=60.0, lines=480.0)
+    assert system.r46_distance_m == pytest.approx(91.7, abs=0.05)
+    found = tod.acquisition_range(of_fits(), target=system, atmosphere=BEER)
+    assert "By its pixels alone (UN R46), the system shows the target up to 91.7 m." in found.sentences()
 
 
 def test_tod_needs_a_triangle_of_size_over_k() -> None:
@@ -119,7 +122,7 @@ def test_proportion_correct_of_a_tod() -> None:
 
 
 def test_error_of_a_slope_is_that_of_the_likelihood() -> None:
-    """Covariance of ln threshold and ln β, from second differences of the log-likelihood of the expected counts."""
+    """Covariance of ln threshold and ln β, from second differences of the likelihood of the expected counts."""
     levels, n, beta, lapse = np.geomspace(0.5, 2.0, 6), 40, 2.2, 0.01
 
     def halves(p: float) -> float:
@@ -160,9 +163,8 @@ def test_error_of_a_slope_is_that_of_the_likelihood() -> None:
     slope_sd, correlation = _slope_error(fit)
     assert slope_sd == pytest.approx(sd[1], rel=1e-4)
     assert correlation == pytest.approx(covariance[0, 1] / sd.prod(), abs=1e-4)
-    twice = msgspec.structs.replace(
-        fit, threshold_ci95=tuple(np.exp([-2 * 1.959964 * sd[0], 2 * 1.959964 * sd[0]]))
-    )
+    ends = np.exp(2.0 * 1.959964 * sd[0] * np.array([-1.0, 1.0]))
+    twice = msgspec.structs.replace(fit, threshold_ci95=tuple(ends))
     assert _slope_error(twice)[0] == pytest.approx(2.0 * sd[1], rel=1e-4)
 
 

@@ -512,14 +512,3 @@ def _check_kind(curve: ThresholdCurve, target: Target, atmosphere: Atmosphere) -
         raise SettingsError(
             f"atmosphere: found relative_humidity of thermal bands, expected air of daylight for {curve.name}"
         )
-
-
-def r46_distance_m(
-    *, view_deg: float, lines: float, object_m: float = 0.8, threshold_arcmin: float = 8.0
-) -> float:
-    """Return the distance at which a camera-monitor system shows the critical object, from its pixels alone.
-
-    r = D₀ / tan(f ω / 60), ω = 60 β / (2 N) arcmin for N lines over β degrees (UN R46; 2003/97/EC, Annex I).
-    """
-    resolution_arcmin = 60.0 * view_deg / (2.0 * lines)
-    return object_m / math.tan(math.radians(threshold_arcmin * resolution_arcmin / 60.0))
