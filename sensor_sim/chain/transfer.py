@@ -255,7 +255,7 @@ def pre_sample_mtf(
         others.append(box_mtf(frequency_x_cyc_per_mrad, width=detector.width_mrad))
         others.append(box_mtf(frequency_y_cyc_per_mrad, width=detector.width_mrad))
     for stage in others:
-        found = found * stage  # type: ignore[assignment]
+        found = found * stage
     return found
 
 
