@@ -13,6 +13,7 @@ from todframes import __version__
 from todframes.report.data import json_file
 from todframes.report.figure_style import COLOURS, INK
 from todframes.report.figures import ReportFigure, drawn
+from todframes.report.mtf_figure import MtfLine, draw_mtf
 from todframes.report.result import Saving
 from todframes.report.table import Column, Table
 
@@ -108,41 +109,27 @@ class SensorMtf(msgspec.Struct, Saving, frozen=True, kw_only=True):
 
     def draw(self, axes: Axes) -> None:
         """Draw into axes in the style that is set; `plot` sets that of all figures."""
-        nyquist, frequency = self.nyquist_cyc_per_mrad, np.array(self.frequency_cyc_per_mrad)
-        end = SHOWN_NYQUISTS * nyquist
-        shown = frequency <= end
+        nyquist = self.nyquist_cyc_per_mrad
         alike: dict[object, list[str]] = {}
         for name, values in self.mtf.items():
             # A product of stages has its own line, also where it is that of a single stage.
             key = name if name.endswith("_sample") else tuple(np.round(values, 6))
             alike.setdefault(key, []).append(name)
+        lines = []
         for names in alike.values():
-            name, values = names[0], self.mtf[names[0]]
-            colour, line = LINES[name]
-            width = 2.4 if name.endswith("_sample") else 1.3
-            axes.plot(
-                frequency[shown],
-                np.array(values)[shown],
-                color=colour,
-                ls=line,
-                lw=width,
-                label=" and ".join(names).replace("_", " "),
-            )
-        axes.axhline(0.0, color=INK, lw=0.6)
-        axes.set(xlabel="frequency in the scene (cycles/mrad)", ylabel="MTF along x", xlim=(0.0, end))
-        for place, name in ((nyquist, "Nyquist"), (self.cut_off_cyc_per_mrad, "optics' cut-off")):
-            if place < end:
-                axes.axvline(place, color=INK, ls=":", lw=1.0)
-                axes.annotate(
-                    f"{name} {place:.3g}",
-                    (place, 1.0),
-                    (3, -2),
-                    xycoords=("data", "axes fraction"),
-                    textcoords="offset points",
-                    va="top",
-                    fontsize="small",
-                )
-        axes.legend(frameon=True, framealpha=1.0, edgecolor="none").set_in_layout(False)
+            colour, line = LINES[names[0]]
+            style = {"color": colour, "ls": line, "lw": 2.4 if names[0].endswith("_sample") else 1.3}
+            label = " and ".join(names).replace("_", " ")
+            lines.append(MtfLine(label=label, mtf=self.mtf[names[0]], style=style))
+        draw_mtf(
+            axes,
+            self.frequency_cyc_per_mrad,
+            lines,
+            end=SHOWN_NYQUISTS * nyquist,
+            marks={"Nyquist": nyquist, "optics' cut-off": self.cut_off_cyc_per_mrad},
+            xlabel="frequency in the scene (cycles/mrad)",
+            ylabel="MTF along x",
+        )
 
     def files(self) -> dict[str, bytes]:
         """Return the content of `mtf.csv` and `mtf.png`, by name."""

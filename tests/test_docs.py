@@ -165,6 +165,17 @@ def test_commands_of_the_page_on_noise(folder: Path, capsys) -> None:
 
 
 @pytest.mark.slow
+def test_commands_of_the_page_on_mtf(folder: Path, capsys) -> None:
+    text = page("camera_mtf.md")
+    run_code(*blocks(text, "python"))
+    assert capsys.readouterr().out == blocks(text, "text")[0]
+    for command in blocks(text, "sh"):
+        run_commands(command)
+    assert (folder / "mtf_of_camera" / "edge_sfr_values.txt").is_file()
+    assert "MTF50 0.234" in capsys.readouterr().out
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("name", HOW_TO)
 def test_commands_of_a_how_to_page(name: str, folder: Path) -> None:
     text = page(name)

@@ -214,6 +214,9 @@ def test_basler_crops_hold_what_the_other_program_found() -> None:
     low, high = measured.dark_noise_dn.ci95
     assert low <= (10.926**2 * 0.28006**2 + 1 / 12) ** 0.5 <= high
     assert {one.code for one in found.warnings} == {"one_exposure", "saturation_not_reached"}
+    assert "give bits" not in found.warnings[-1].message
+    without_bits = tod.emva_noise(bright=[stack["bright"]], dark=[stack["dark"]])
+    assert without_bits.warnings[-1].message.endswith("or give bits if the camera has fewer bits than its files")
 
 
 def descriptor(folder: Path, made: dict[str, Any], version: str = "3.0") -> Path:

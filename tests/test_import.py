@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import re
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -25,7 +26,7 @@ from todframes.importing.chart_source import page_duration_s
 from todframes.importing.clips import Clip, ClipFrame, FramePart, Placed, clean_clips, share_of_other
 from todframes.importing.filmed_trials import TrialDivision, TriangleDescription, merged_sizes
 from todframes.importing.geometry import Geometry, place_triangle
-from todframes.importing.windows import CodeRange
+from todframes.importing.windows import CodeRange, RecordedWindow, WrittenWindow
 from todframes.stimulus import Orientation
 
 CHART = film.make_chart()
@@ -498,10 +499,15 @@ def test_frames_with_a_share_of_a_neighbour_are_left_out(n_clean: int) -> None:
     ]
 
 
+def write(division: TrialDivision, windows: Iterator[RecordedWindow]) -> None:
+    for window in windows:
+        division.written[window.name] = WrittenWindow("", window.values.size, 0)
+
+
 def divided(frames: list[ClipFrame], time_s: float | None, frame_s: float | None) -> tuple[TrialDivision, Clip]:
     division = TrialDivision(lambda page, index: TriangleDescription(0.1, 1, {}), time_s, steady=False)  # noqa: ARG005
     clip = Clip(1, 1)
-    list(division.windows(((clip, frame) for frame in frames), CodeRange(0, 255), frame_s))
+    write(division, division.windows(((clip, frame) for frame in frames), CodeRange(0, 255), frame_s))
     return division, clip
 
 
@@ -564,7 +570,7 @@ def test_the_time_between_two_clips_is_no_frame_rate() -> None:
     division = TrialDivision(lambda page, index: TriangleDescription(0.1, 1, {}), 0.1, steady=False)  # noqa: ARG005
     clips = [Clip(1, 1), Clip(2, 2), Clip(3, 3)]
     frames = [(clip, clip_frame(1, 30 * clip.number + k)) for clip in clips for k in (0, 1, 2, 5, 6, 7)]
-    list(division.windows(frames, CodeRange(0, 255), 1 / RATE))
+    write(division, division.windows(frames, CodeRange(0, 255), 1 / RATE))
     assert [clip.n_gaps for clip in clips] == [1, 1, 1]
     assert [len(trial.frames) for trial in division.trials] == [3] * 6
 

@@ -422,7 +422,7 @@ def test_airs_that_are_none(settings, message) -> None:
 
 def test_target_and_air_must_be_of_the_curve_s_kind() -> None:
     visible = exponential(quantity="contrast")
-    with pytest.raises(tod.SettingsError, match=r"target: found a temperature difference .*, expected a contrast"):
+    with pytest.raises(tod.SettingsError, match="target: found a temperature difference, expected a contrast, as"):
         acquired(visible)
     with pytest.raises(tod.SettingsError, match="found visibility_km of daylight, expected air of the thermal"):
         acquired(air=tod.Atmosphere(visibility_km=10.0))
@@ -431,6 +431,10 @@ def test_target_and_air_must_be_of_the_curve_s_kind() -> None:
         tod.SettingsError, match="found relative_humidity of thermal bands, expected air of daylight"
     ):
         acquired(visible, tod.Target(size_m=2.3, contrast=0.3), humid)
+    with pytest.raises(tod.SettingsError, match=r"found a band of 0\.4 to 0\.7 µm, expected a thermal band"):
+        acquired(air=find_atmosphere("visible_23km"))
+    with pytest.raises(tod.SettingsError, match="found a band of 8 to 12 µm, expected reflected light"):
+        acquired(visible, tod.Target(size_m=2.3, contrast=0.3), find_atmosphere("lwir_5km"))
     with pytest.raises(tod.SettingsError, match="k: is missing, and mrtd is a TOD; no public factor exists"):
         acquired(exponential(pattern="triangle"))
     with pytest.raises(tod.SettingsError, match="search_time_s: is given but not used with a TOD"):
@@ -503,6 +507,16 @@ def test_results_that_are_no_curve() -> None:
         tod.acquisition_range(of_camera, target=DAYLIGHT, atmosphere=BEER, group={"camera": "right"})
     with pytest.raises(tod.SettingsError, match="magnification: is given but not used"):
         tod.acquisition_range(of_fits(), target=DAYLIGHT, atmosphere=BEER, magnification=2.0)
+
+
+def test_a_criterion_that_is_not_used_is_refused(table) -> None:
+    for name, value in (("k", 3.0), ("cycles_per_size", 1.0)):
+        with pytest.raises(tod.SettingsError, match=rf"{name}: is given but not used: .* is a curve of bars"):
+            tod.acquisition_range(table, target=NATO, atmosphere=BEER, **{name: value})
+    with pytest.raises(tod.SettingsError, match=r"cycles: is given but not used: .* curve of triangles, without"):
+        tod.acquisition_range(of_fits(), target=DAYLIGHT, atmosphere=BEER, cycles="johnson")
+    with pytest.raises(tod.SettingsError, match=r"magnification: found -1\.0, expected a number > 0"):
+        tod.acquisition_range(of_fits(), target=DAYLIGHT, atmosphere=BEER, magnification=-1.0)
 
 
 def test_one_extinction_in_a_band_of_lines_is_warned_about(table) -> None:

@@ -10,6 +10,7 @@ from .calls.compare import compare as compare
 from .calls.compare import compare_frames as compare_frames
 from .calls.emva import emva_noise as emva_noise
 from .calls.fit import fit_counts as fit_counts
+from .calls.mtf import mtf as mtf
 from .calls.naked_eye import naked_eye as naked_eye
 from .calls.noise import noise as noise
 from .calls.score import score as score
@@ -34,6 +35,7 @@ from .importing.file_names import FramesFound as FramesFound
 from .importing.file_names import new_dataset as new_dataset
 from .importing.importing import Imported as Imported
 from .importing.importing import import_recordings as import_recordings
+from .observers.csf import CsfObserver as CsfObserver
 from .observers.decision import answer_probabilities as answer_probabilities
 from .observers.hotelling import HotellingObserver as HotellingObserver
 from .observers.hotelling import HotellingSettings as HotellingSettings
@@ -49,6 +51,7 @@ from .psychometrics.fit import PsychometricFit as PsychometricFit
 from .report.data import Fit as Fit
 from .report.data import ResultWarning as ResultWarning
 from .report.emva_report import EmvaResult as EmvaResult
+from .report.mtf_report import MtfResult as MtfResult
 from .report.noise_report import NoiseResult as NoiseResult
 from .report.range_report import RangeResult as RangeResult
 from .report.result import Result as Result

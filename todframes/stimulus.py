@@ -11,7 +11,7 @@ from itertools import pairwise
 from typing import Literal, get_args
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from todframes.base._typing import ComplexArray, FloatArray
 from todframes.base.errors import SettingsError
@@ -176,10 +176,8 @@ def moving_coverage(corners: FloatArray, shape: tuple[int, int]) -> FloatArray:
     ndarray, shape (7, rows, columns)
         The coverage, and its changes by x and y, and by the entries xx, xy, yx and yy of a map about (0, 0).
     """
-    n_rows, n_columns = shape
     found = np.zeros((7, *shape))
-    first = np.maximum(np.floor(corners.min(axis=0) + 0.5), 0.0).astype(int)
-    stop = np.minimum(np.floor(corners.max(axis=0) + 1.5), (n_columns, n_rows)).astype(int)
+    first, stop = _touched_box(corners, shape)
     if (stop <= first).any():
         return found
     box = found[:, first[1] : stop[1], first[0] : stop[0]]
@@ -207,6 +205,23 @@ def moving_coverage(corners: FloatArray, shape: tuple[int, int]) -> FloatArray:
     for image, moment in zip(box[1:], moments, strict=True):
         image[:] = np.bincount(place, moment, columns * rows).reshape(rows, columns)
     return found
+
+
+def triangle_coverage(corners: FloatArray, shape: tuple[int, int]) -> FloatArray:
+    """Compute the exact fraction of each pixel's area that any triangle covers: the first of `moving_coverage`."""
+    found = np.zeros(shape)
+    first, stop = _touched_box(corners, shape)
+    if (stop > first).all():
+        columns, rows = stop - first
+        found[first[1] : stop[1], first[0] : stop[0]] = _polygon_coverage(corners - first + 0.5, (rows, columns))
+    return found
+
+
+def _touched_box(corners: FloatArray, shape: tuple[int, int]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return the first column and row of the pixels that a polygon may touch, and those after the last."""
+    first = np.maximum(np.floor(corners.min(axis=0) + 0.5), 0.0)
+    stop = np.minimum(np.floor(corners.max(axis=0) + 1.5), shape[::-1])
+    return first.astype(np.intp), stop.astype(np.intp)
 
 
 def _polygon_coverage(corners: FloatArray, box: tuple[int, int]) -> FloatArray:

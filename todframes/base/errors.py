@@ -17,6 +17,7 @@ from todframes.base.safe_text import in_utf8, without_secrets
 _ARGUMENT = re.compile("\x1a([a-z0-9_]+)\x1a")
 """Pattern of an argument in the text of an error."""
 _FLAGS = {
+    "boxes": "--box",
     "integration_time_s": "--integration-time",
     "luminance_cd_m2": "--luminance",
     "dither": "--no-dither",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Mapping
 from pathlib import Path
@@ -9,16 +10,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from todframes.base.errors import DataError
+from todframes.base.errors import DataError, SettingsError, argument
 from todframes.base.safe_text import in_utf8
 from todframes.base.seeds import Rng, seed_of
 from todframes.field.atmosphere import Atmosphere, chosen_atmosphere
 from todframes.field.target import Target, chosen_target
-from todframes.report.data import ResultWarning
 from todframes.report.result import Result
 
 if TYPE_CHECKING:
-    from todframes.field.threshold_curve import ThresholdCurve
+    from todframes.field.threshold_curve import RangeWarning, ThresholdCurve
     from todframes.report.range_report import RangeResult
 
 TABLE_SUFFIX = ".csv"
@@ -90,19 +90,23 @@ def acquisition_range(
     [('detection', 7.3), ('recognition', 3.1), ('identification', 1.6)]
     """
     started, seed = time.perf_counter(), seed_of(rng)
+    if magnification is not None and not (math.isfinite(magnification) and magnification > 0.0):
+        raise SettingsError(f"{argument.magnification}: found {magnification!r}, expected a number > 0")
     from todframes.field.acquisition import acquire
     from todframes.report.range_report import RangeResult
 
     aim = chosen_target(target, k=k, cycles=cycles, cycles_per_size=cycles_per_size, search_time_s=search_time_s)
     air = chosen_atmosphere(atmosphere)
     curve, warnings = _curve(result, aim, group, magnification)
+    _check_used(curve, k=k, cycles=cycles, cycles_per_size=cycles_per_size)
     acquired = acquire(curve, aim, air, rng=np.random.default_rng(seed))
-    return RangeResult(acquired=acquired, warnings=(*warnings, *_warnings(curve, air)), seed=seed, started=started)
+    facts = (*warnings, *_warnings(curve, air))
+    return RangeResult(acquired=acquired, facts=facts, seed=seed, started=started)
 
 
 def _curve(
     result: Result | Path | str, aim: Target, group: Mapping[str, str] | None, magnification: float | None
-) -> tuple[ThresholdCurve, tuple[ResultWarning, ...]]:
+) -> tuple[ThresholdCurve, tuple[RangeWarning, ...]]:
     from todframes.field.threshold_curve import read_curve
     from todframes.report.measured_curve import measured_curve
     from todframes.report.result import load_result
@@ -120,19 +124,35 @@ def _curve(
     return measured_curve(load_result(result), where, **of_result)
 
 
-def _warnings(curve: ThresholdCurve, air: Atmosphere) -> tuple[ResultWarning, ...]:
+def _check_used(curve: ThresholdCurve, **criteria: object) -> None:
+    """Raise SettingsError if a criterion is given that the road does not use."""
+    is_triangle, converts = curve.pattern == "triangle", criteria["cycles_per_size"] is not None
+    unused = {
+        "k": (not is_triangle, "of bars"),
+        "cycles_per_size": (not is_triangle, "of bars"),
+        "cycles": (is_triangle and not converts, f"of triangles, without {argument.cycles_per_size}"),
+    }
+    for name, (is_unused, pattern) in unused.items():
+        if is_unused and criteria[name] is not None:
+            where = getattr(argument, name)
+            raise SettingsError(f"{where}: is given but not used: {curve.name} is a curve {pattern}")
+
+
+def _warnings(curve: ThresholdCurve, air: Atmosphere) -> tuple[RangeWarning, ...]:
+    from todframes.field.threshold_curve import RangeWarning
+
     found = []
     if not curve.is_rising:
         message = (
             "the curve falls somewhere towards finer detail; each threshold counts as at least that of all "
             "coarser detail"
         )
-        found.append(ResultWarning(code="curve_not_rising", message=message))
+        found.append(RangeWarning(code="curve_not_rising", message=message))
     if air.varies_unseen and air.band_um is not None:
         low, high = air.band_um
         message = (
             f"one extinction for all ranges in {low:g} to {high:g} µm is wrong by up to a factor of 5 between 1 "
             "and 20 km; give a table of transmission over range"
         )
-        found.append(ResultWarning(code="one_extinction", message=message))
+        found.append(RangeWarning(code="one_extinction", message=message))
     return tuple(found)

@@ -40,6 +40,7 @@ from todframes.scoring.seen_trials import Decisions
 if TYPE_CHECKING:
     from todframes.diagnosis.locate import Locate
     from todframes.jobs.store import Store
+    from todframes.report.table import Table
 
 
 def score(
@@ -122,7 +123,6 @@ def score(
     ({'size_mrad': 0.6}, 'extrapolated')
     """
     started, seed = time.perf_counter(), seed_of(rng)
-    from todframes.report import tables
     from todframes.scoring.score import score_dataset
 
     judge, settings = described(observer)
@@ -160,6 +160,12 @@ def score(
     hinted = [hint.group for hint in hints]  # with a mistake mended, other levels may be near the threshold
     levels = levels_to_add([one for one in fits if one.group not in hinted])
     record, shown_wrong = inspected(data, scored.trials, judge.centre)
+
+    def trials() -> Table:
+        from todframes.report import tables
+
+        return tables.trials(data, scored)
+
     return Result.made(
         "score",
         started,
@@ -173,7 +179,7 @@ def score(
         negative_luminance_pixels=scored.n_negative,
         from_store=run.n_from_store,
         **more,
-    ).with_trials(lambda: tables.trials(data, scored))
+    ).with_trials(trials)
 
 
 def score_frames(

@@ -24,6 +24,7 @@ MODULES = {
         "experiment": "experiment:experiment",
         "fit": "score:fit",
         "import": "recordings:import_command",
+        "mtf": "mtf:mtf",
         "naked-eye": "score:naked_eye",
         "new": "new:new",
         "noise": "noise:noise",

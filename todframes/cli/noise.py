@@ -19,7 +19,7 @@ from todframes.cli.console import (
     terminal_width,
     warning_lines,
 )
-from todframes.cli.options import json_option, max_frame_option, numbers, quiet_option, strict_option
+from todframes.cli.options import box, json_option, max_frame_option, numbers, quiet_option, strict_option
 
 if TYPE_CHECKING:
     from todframes.report.emva_report import EmvaResult
@@ -133,7 +133,7 @@ def noise(
     if not recording and not is_emva:
         raise SettingsError("noise: found no RECORDING, expected one, or --emva DESCRIPTOR")
     result: NoiseResult | EmvaResult
-    where = None if region is None else _region(region)
+    where = None if region is None else box(region, "--region")
     with staged(out) as place:
         with progress("reading", None, quiet=quiet) as advance:
             if is_emva:
@@ -190,20 +190,8 @@ def _check_used(*, is_emva: bool, of_emva: dict[str, object], of_others: dict[st
 def _patch(text: str) -> tuple[tuple[int, int, int, int], float]:
     place, _, level = text.partition("=")
     try:
-        return _four(place), float(level)
-    except ValueError:
+        return box(place, "--patch"), float(level)
+    except (ValueError, SettingsError):
         raise SettingsError(
             f"--patch: found {text!r}, expected X,Y,W,H=LEVEL: four whole numbers and one"
         ) from None
-
-
-def _region(text: str) -> tuple[int, int, int, int]:
-    try:
-        return _four(text)
-    except ValueError:
-        raise SettingsError(f"--region: found {text!r}, expected X,Y,W,H: four whole numbers of pixels") from None
-
-
-def _four(text: str) -> tuple[int, int, int, int]:
-    left, top, width, height = map(int, text.split(","))
-    return left, top, width, height

@@ -33,7 +33,14 @@ from todframes.diagnosis.limits import (
     SIZES_TRIED,
     UNSTEADY,
 )
-from todframes.stimulus import ORIENTATIONS, coverage, moving_coverage, vertices
+from todframes.stimulus import (
+    ORIENTATIONS,
+    Orientation,
+    coverage,
+    moving_coverage,
+    triangle_coverage,
+    vertices,
+)
 
 N_PARAMETERS = 8
 AMPLITUDE, X, Y, XX, XY, YX, YY, BLUR = range(N_PARAMETERS)
@@ -142,7 +149,7 @@ def picture(shape: Shape, square: Square, n: int) -> RenderedTriangle:
     """Compute the picture of a triangle on a square of a window of n × n blocks, in each orientation."""
     side = square.side
     x, y = _place(shape, square, n)
-    parts = np.array([_covered(shape, square, n, turn) for turn in range(4)])
+    parts = np.array([moving_coverage(_corners(shape, square, n, turn), (side, side)) for turn in range(4)])
     of_x, of_y = parts[:, 1], parts[:, 2]
     for k, (moved, at) in enumerate(((of_x, x), (of_x, y), (of_y, x), (of_y, y))):
         parts[:, 3 + k] -= at * moved  # the map is about the centroid
@@ -164,10 +171,9 @@ def _place(shape: Shape, square: Square, n: int) -> FloatArray:
     return np.array([shape.x - square.column, shape.y - square.row]) + (n - 1) / 2.0
 
 
-def _covered(shape: Shape, square: Square, n: int, turn: int) -> FloatArray:
-    """Compute the coverage by a triangle in an orientation, and its changes: see `moving_coverage`."""
-    corners = vertices(size=1.0, orientation=ORIENTATIONS[turn]) @ shape.map.T + _place(shape, square, n)
-    return moving_coverage(corners, (square.side, square.side))
+def _corners(shape: Shape, square: Square, n: int, turn: int) -> FloatArray:
+    """Return the corners (x, y) of a triangle in an orientation on a square of a window: (3, 2)."""
+    return vertices(size=1.0, orientation=ORIENTATIONS[turn]) @ shape.map.T + _place(shape, square, n)
 
 
 def blur_matrices(variance: float, side: int) -> tuple[FloatArray, FloatArray]:
@@ -333,10 +339,13 @@ def fit(
     is_found = False
     for number in range(MOST_ROUNDS + 1):
         square = Square.about(shape, n)
-        weight = square.of(images.weight)
         model = picture(shape, square, n)
+        is_last = is_found or number == MOST_ROUNDS
+        if is_last and not with_errors:
+            return TriangleFit(shape, np.zeros((N_PARAMETERS, N_PARAMETERS)), shown, model, square, 1.0)
+        weight = square.of(images.weight)
         design = _design(model.slopes[order], factors, weight)
-        if is_found or number == MOST_ROUNDS:
+        if is_last:
             break
         left = square.of(images.triangles) - model.images[order]
         away = _without_background(np.tensordot(factors, left, 1), weight).ravel()
@@ -345,8 +354,6 @@ def fit(
         is_found = bool(
             np.abs(step[[X, Y]]).max() < FOUND * shape.size and np.abs(step[[XX, XY, YX, YY]]).max() < FOUND
         )
-    if not with_errors:
-        return TriangleFit(shape, np.zeros((N_PARAMETERS, N_PARAMETERS)), shown, model, square, 1.0)
     left = images.triangles.copy()
     subtract(left, model.images[order], square)
     white = np.tensordot(factors, left, 1)
@@ -431,12 +438,22 @@ def multiplicity(length: int) -> FloatArray:
 
 
 def filter_covariance(filters: NDArray[np.floating], spectrum: FloatArray) -> FloatArray:
-    """Return the covariance of the outputs of filters, (…, p, side, side), for noise with this spectrum: (p,
-    p)."""
+    """Return the covariance of the outputs of filters, (k, p, side, side), for noise with this spectrum: (p, p).
+
+    Each of the p outputs is a sum over k images with independent noise.
+    """
     length = spectrum.shape[0]
-    seen = np.fft.rfft2(filters, (length, length)).reshape(-1, filters.shape[-3], spectrum.size)
+    seen = np.fft.rfft2(filters, (length, length)).reshape(*filters.shape[:2], spectrum.size)
     weighted = seen * (spectrum * multiplicity(length)).ravel()
     return np.asarray(np.einsum("kaf,kbf->ab", weighted, seen.conj(), optimize=True).real, np.float64)
+
+
+def filter_variances(filters: NDArray[np.floating], spectrum: FloatArray) -> FloatArray:
+    """Return the variance of the output of each filter, (…, side, side), for noise with this spectrum: (…)."""
+    length = spectrum.shape[0]
+    seen = np.fft.rfft2(filters, (length, length))
+    power = np.square(seen.real) + np.square(seen.imag)
+    return np.asarray(power.reshape(*power.shape[:-2], -1) @ (spectrum * multiplicity(length)).ravel())
 
 
 def _covariance(design: FloatArray, square: Square, weight: FloatArray, spectrum: FloatArray) -> FloatArray:
@@ -496,8 +513,8 @@ def of_trials(
     freedom = max(1.0 - 5.0 / len(frames), 0.2)
     spectrum = noise_spectrum(per_level, images.weight, found.square.side) / freedom
     shaped = steps.reshape(4, 4, found.square.side, -1)
-    errors = np.sqrt([np.diag(filter_covariance(one[None], spectrum)) for one in shaped])
-    likeness_error = math.sqrt(float(np.trace(filter_covariance(differ[None], spectrum))) / 4.0)
+    errors = np.sqrt(filter_variances(shaped, spectrum))
+    likeness_error = math.sqrt(float(filter_variances(differ, spectrum).mean()))
     return TrialEstimates(
         np.einsum("kpi,ki->kp", steps[shown], left),
         errors[shown] * relative[:, None],
@@ -539,7 +556,8 @@ def aligned(
 def _blurred(shape: Shape, square: Square, n: int, turn: int) -> FloatArray:
     """Compute the picture of a triangle in one orientation."""
     kernel, _ = blur_matrices(shape.variance, square.side)
-    return np.asarray(shape.amplitude * (kernel @ _covered(shape, square, n, turn)[0] @ kernel.T))
+    covered = triangle_coverage(_corners(shape, square, n, turn), (square.side, square.side))
+    return np.asarray(shape.amplitude * (kernel @ covered @ kernel.T))
 
 
 def first_guess(images: Images, size: float) -> Shape:
@@ -556,8 +574,8 @@ def first_guess(images: Images, size: float) -> Shape:
         tried = factor * size
         if tried > n / 1.6 or tried < 1.0:
             continue
-        at = {"size_px": tried, "x_px": n // 2, "y_px": n // 2}
-        template = np.mean([coverage((n, n), **at, orientation=one) for one in ORIENTATIONS], axis=0)
+        upright = coverage((n, n), size_px=tried, x_px=n // 2, y_px=n // 2, orientation=Orientation.UP)
+        template = np.mean([np.rot90(upright, -turns) for turns in range(4)], axis=0)
         likeness = np.fft.fftshift(np.fft.irfft2(spectrum * np.conj(np.fft.rfft2(template)), (n, n)))
         edge = int(0.5 * tried)
         likeness = likeness[edge : n - edge, edge : n - edge] / math.sqrt(float(np.square(template).sum()))
@@ -606,6 +624,6 @@ def fitted(images: Images, start: Shape, certain: float, *, with_errors: bool = 
     whitened = np.tensordot(_whitened(images.information), left, 1)
     # The advantage is a sum over the orientations of the products of noise with differences of pictures.
     moved = np.sqrt(counts)[:, None, None] * (differ[list(best)] - differ)
-    variance = filter_covariance(moved[:, None], noise_spectrum(whitened, images.weight, square.side))
-    is_certain = gain[best] > certain * math.sqrt(float(variance[0, 0]))
+    variances = filter_variances(moved, noise_spectrum(whitened, images.weight, square.side))
+    is_certain = gain[best] > certain * math.sqrt(float(variances.sum()))
     return other if is_certain and abs(other.shape.turn_rad) < MOST_BESIDE_TURN_RAD else found

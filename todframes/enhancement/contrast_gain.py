@@ -7,12 +7,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from functools import lru_cache
+
+import numpy as np
 
 from todframes.base._typing import FloatArray
 from todframes.frames.trials import Trial
 from todframes.observers.retina import RetinaGrid
 from todframes.scoring.retina_view import Shown, retina_image
-from todframes.stimulus import Centre, coverage
+from todframes.stimulus import Centre, Orientation, Stimulus, coverage
 
 RING_SIZES = (1.3, 2.0)
 """Inner and outer end of the ring that the triangle's contrast is measured against, in sizes of the triangle."""
@@ -45,20 +48,26 @@ def triangle_contrasts(shown: Sequence[Shown], trial: Trial, *, grid: RetinaGrid
     centre : {"centroid", "bounding_box"}
         Point of the triangle that lies in the middle of the grid.
     """
+    weights = _weights(trial.stimulus, trial.orientation, grid, centre)
+    return [float((weights * retina_image(one, grid)).sum()) for one in shown]
+
+
+@lru_cache(maxsize=4)
+def _weights(stimulus: Stimulus, orientation: Orientation, grid: RetinaGrid, centre: Centre) -> FloatArray:
+    """Return the weights of a triangle's mean minus that of the ring around it: (side, side)."""
     inside, hole, whole = (
         coverage(
             (grid.side, grid.side),
-            size_px=factor * trial.stimulus.size_mrad / grid.pitch_mrad,
+            size_px=factor * stimulus.size_mrad / grid.pitch_mrad,
             x_px=grid.side // 2,
             y_px=grid.side // 2,
-            orientation=trial.orientation,
+            orientation=orientation,
             centre=centre,
         )
         for factor in (1.0, *RING_SIZES)
     )
     ring = whole - hole
-    weights = trial.stimulus.polarity * (inside / inside.sum() - ring / ring.sum())
-    return [float((weights * retina_image(one, grid)).sum()) for one in shown]
+    return np.asarray(stimulus.polarity * (inside / inside.sum() - ring / ring.sum()))
 
 
 def contrast_gains(

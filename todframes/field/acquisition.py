@@ -56,6 +56,9 @@ NEAREST_KM = 1e-3
 SEARCH_TIME_CONSTANT_S = 3.4
 """Time constant of search, divided by the probability without time limit (ACQUIRE, as in dstl's RET)."""
 
+LEAST_THERMAL_UM = 3.0
+"""Wavelength up to which contrasts are those of reflected light, and from which on those of temperature."""
+
 K_SHOWN = np.geomspace(1.0, 16.0, 17)
 """Divisors k against which the range of a TOD is shown."""
 
@@ -480,12 +483,21 @@ def _farthest_km(made: Acquisition) -> float:
 
 
 def _check_kind(curve: ThresholdCurve, target: Target, atmosphere: Atmosphere) -> None:
+    words = {"delta_t_k": "a temperature difference", "contrast": "a contrast"}
     if curve.quantity != target.quantity:
-        words = {"delta_t_k": "a temperature difference (delta_t_k)", "contrast": "a contrast"}
         raise SettingsError(
             f"target: found {words[target.quantity]}, expected {words[curve.quantity]}, as the thresholds of "
             f"{curve.name} are"
         )
+    if atmosphere.band_um is not None:
+        low, high = atmosphere.band_um
+        if (high < LEAST_THERMAL_UM) if curve.quantity == "delta_t_k" else (low >= LEAST_THERMAL_UM):
+            plural = {"delta_t_k": "temperature differences", "contrast": "contrasts"}
+            kind = "a thermal band" if curve.quantity == "delta_t_k" else "reflected light"
+            raise SettingsError(
+                f"atmosphere: found a band of {low:g} to {high:g} µm, expected {kind}, as the thresholds of "
+                f"{curve.name} are {plural[curve.quantity]}"
+            )
     if curve.quantity == "delta_t_k" and atmosphere.is_daylight:
         key = "sky_to_ground_ratio" if atmosphere.sky_to_ground_ratio is not None else "visibility_km"
         hint = "" if key.startswith("sky") else "; give relative_humidity and air_temperature_c too, or a table"

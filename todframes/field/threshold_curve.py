@@ -49,6 +49,17 @@ THRESHOLDS: dict[str, tuple[Quantity, float]] = {
 }
 """Columns of a table that hold thresholds: the quantity, and the factor to K or Weber contrast."""
 
+RangeWarningCode = Literal[
+    "size_at_the_eye", "level_without_unit", "extrapolated_thresholds", "curve_not_rising", "one_extinction"
+]
+
+
+class RangeWarning(NamedTuple):
+    """A fact about curve or air that makes a range less certain."""
+
+    code: RangeWarningCode
+    message: str
+
 
 class Psychometric(NamedTuple):
     """Weibull functions of contrast / threshold at the points of a TOD (Hogervorst et al. 2001, eq. 3).

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
+from array import array
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import partial
-from itertools import pairwise
+from itertools import chain, islice, pairwise
 from pathlib import Path
 from statistics import fmean, median
 from typing import NamedTuple
@@ -21,10 +22,17 @@ from todframes.charts.layout import Chart, read_chart
 from todframes.charts.markers import CORNERS, page_of
 from todframes.diagnosis.limits import MOST_TURN_RAD
 from todframes.importing.clips import Clip, ClipFrame, Placed, clean_clips
-from todframes.importing.filmed_trials import FIELD_PLACE, OBJECT_SIZE, Correction, TriangleDescription
+from todframes.importing.filmed_trials import (
+    FIELD_PLACE,
+    OBJECT_SIZE,
+    Correction,
+    Corrections,
+    TriangleDescription,
+)
 from todframes.importing.geometry import Geometry, PlacedTriangle, place_triangle
 from todframes.importing.lens_fit import Pieces, choose_lens, solve
 from todframes.importing.marker_finder import MarkerFinder, SeenEdges, Sighting
+from todframes.importing.spool import Spool
 from todframes.importing.windows import clipped, field_reach_px, part_of, window_about
 from todframes.recordings.recording import GAP, Recording, RecordingWarning
 
@@ -151,7 +159,7 @@ class ChartSource:
         self._markers = self.chart.markers
         self._pitch_mrad = pitch_mrad
         self._progress = progress
-        self.corrections: dict[int, Correction] = {}
+        self.corrections = Corrections()
         self._n_runs = 0
         self._n_placed = 0
         self._reaches: dict[float, _Reach] = {}
@@ -174,15 +182,16 @@ class ChartSource:
         self.reports.append(report)
         clips: list[Clip] = []
         measured: list[_Measured] = []
+        seen: Spool[_SeenChart] = Spool()
         finder = MarkerFinder(self._markers.all_centres_mm, self._markers.side_mm)
-        looked = self._looked(recording, finder, report, measured)
+        looked = self._looked(recording, finder, report, measured, seen)
         for clip, frame in clean_clips(looked, key=self.chart.key, first_number=self._n_runs + 1):
             if not clips or clip is not clips[-1]:
                 clips.append(clip)
             yield clip, frame
         report.n_transition += sum(clip.n_transition for clip in clips)
-        self._settle(finder.pieces, recording.shape, measured, report)
-        report.clips = [asdict(clip) | measured[clip.number - self._n_runs - 1].medians() for clip in clips]
+        self._settle(finder.pieces, recording.shape, measured, seen, report)
+        report.clips = [asdict(clip) | measured[clip.number - self._n_runs - 1].medians for clip in clips]
         if recording.frames_per_second is not None:
             starts = [(one.page, one.start_s) for one in measured if one.start_s is not None]
             report.page_duration_s = page_duration_s(starts, 1.0 / recording.frames_per_second)
@@ -190,7 +199,12 @@ class ChartSource:
         self._n_runs += len(measured)
 
     def _looked(
-        self, recording: Recording, finder: MarkerFinder, report: RecordingReport, measured: list[_Measured]
+        self,
+        recording: Recording,
+        finder: MarkerFinder,
+        report: RecordingReport,
+        measured: list[_Measured],
+        charts: Spool[_SeenChart],
     ) -> Iterator[ClipFrame]:
         before: NDArray[np.generic] | None = None
         seen: Sighting | None = None
@@ -213,7 +227,8 @@ class ChartSource:
                     continue
                 if not measured or measured[-1].page != page:
                     measured.append(_Measured(page, frame.time_s))
-                measured[-1].seen.append(_SeenChart(seen.geometry, seen.edges, self._n_placed, frame.source))
+                run = len(measured) - 1
+                charts.append(_SeenChart(run, seen.geometry, seen.edges, self._n_placed, frame.source))
                 sizes_mm = [one.size_mm for one in self.chart.pages[page].triangles]
                 parts = tuple(
                     self._part(frame.values, one, self._reach_px(size_mm, one.size_px), report, number)
@@ -251,32 +266,42 @@ class ChartSource:
         ]
 
     def _settle(
-        self, pieces: Pieces, shape: tuple[int, int], measured: list[_Measured], report: RecordingReport
+        self,
+        pieces: Pieces,
+        shape: tuple[int, int],
+        measured: list[_Measured],
+        seen: Spool[_SeenChart],
+        report: RecordingReport,
     ) -> None:
         """Solve the lens of a recording from frames of all of it, and place the triangles through it.
 
         From where the lens zooms on it is another lens.
         """
-        seen = [(one, frame) for one in measured for frame in one.seen]
-        begin = zoom_begin(self._markers.centres_mm, [frame.geometry for _, frame in seen], shape)
+        begin = zoom_begin(self._markers.centres_mm, (one.geometry for one in seen), len(seen), shape)
         if begin is not None:
-            report.zoom_from = seen[begin][1].source
-        for part in (seen[:begin], [] if begin is None else seen[begin:]):
+            report.zoom_from = seen[begin].source
+        end = len(seen) if begin is None else begin
+        for part in (range(end), range(end, len(seen))):
             if part:
-                self._settle_part(pieces, shape, part, report)
+                self._settle_part(pieces, shape, measured, seen, part, report)
+        for one in measured:
+            one.settle()
 
     def _settle_part(
         self,
         pieces: Pieces,
         shape: tuple[int, int],
-        seen: list[tuple[_Measured, _SeenChart]],
+        measured: list[_Measured],
+        seen: Spool[_SeenChart],
+        part: range,
         report: RecordingReport,
     ) -> None:
-        some = [seen[k] for k in np.unique(np.linspace(0, len(seen) - 1, MOST_SOLVED).round().astype(int))]
+        places = np.unique(np.linspace(0, len(part) - 1, MOST_SOLVED).round().astype(int)).tolist()
+        some = [seen[part[place]] for place in places]
         choice = choose_lens(
             pieces,
-            [frame.edges.measured(pieces) for _, frame in some],
-            [partial(self._places, one.page) for one, _ in some],
+            [frame.edges.measured(pieces) for frame in some],
+            [partial(self._places, measured[frame.run].page) for frame in some],
             shape,
         )
         lens = None
@@ -286,15 +311,19 @@ class ChartSource:
             report.size_error = max(round(choice.size_error, 8), report.size_error or 0.0)
             if lens is not None:
                 report.lens = lens.described(choice.fit.free)
-        for one, frame in seen:
-            geometry = frame.geometry
+        for place in part:
+            frame = seen[place]
+            one, geometry = measured[frame.run], frame.geometry
+            if frame.run:
+                measured[frame.run - 1].settle()
             if geometry.lens != lens:
                 start = geometry.with_lens(lens, pieces.places_mm)
                 solved = solve(pieces, [frame.edges.measured(pieces)._replace(start=start)], lens, 0)
                 geometry = start if solved is None else solved.geometries[0]
                 pairs = zip(self._placed(one.page, frame.geometry), self._placed(one.page, geometry), strict=True)
                 for number, (was, now) in enumerate(pairs, frame.number):
-                    self.corrections[number] = Correction(now.x_px - was.x_px, now.y_px - was.y_px, now.size_px)
+                    moved = Correction(now.x_px - was.x_px, now.y_px - was.y_px, now.size_px)
+                    self.corrections.add(number, moved)
             self._measure(one, geometry, shape)
 
     def _places(self, page: int, geometry: Geometry) -> FloatArray:
@@ -457,14 +486,22 @@ class ChartSource:
             return max((float(clip[name]) for clip in clips), key=abs)  # type: ignore[arg-type]
 
         residual, error_px = worst("residual_px"), report.place_error_px or 0.0
-        if residual > MOST_RESIDUAL_PX or error_px > MOST_ERROR_PX:
+        lens = "an ideal lens" if report.lens is None else f"a lens of the {report.lens['model']} model"
+        if residual > MOST_RESIDUAL_PX:
             yield RecordingWarning(
                 "residual",
                 f"{where}triangles may be placed wrong by {max(error_px, residual):.2g} px (rms); the markers' "
-                f"edges lie {residual:.2g} px off a flat chart behind "
-                + ("an ideal lens" if report.lens is None else f"a lens of the {report.lens['model']} model")
-                + ": the chart is bent, the frames are noisy or blurred, or the markers are too few for this "
-                "lens; film the chart larger, or nearer to the middle of the frame",
+                f"edges lie {residual:.2g} px off a flat chart behind {lens}: the chart is bent, or the frames "
+                "are noisy or blurred; film the chart larger, or nearer to the middle of the frame",
+            )
+        elif error_px > MOST_ERROR_PX:
+            n_markers = len(self._markers.all_centres_mm)
+            yield RecordingWarning(
+                "few_points",
+                f"{where}the {n_markers} markers have too few points to determine the distortion: they fit "
+                f"{lens}, but also others that place triangles {error_px:.2g} px (rms) elsewhere; film "
+                + ("a chart with markers along its borders, " if n_markers == len(CORNERS) else "the chart ")
+                + "larger, or nearer to the middle of the frame",
             )
         if report.zoom_from is not None:
             yield RecordingWarning(
@@ -563,9 +600,10 @@ class _Reach(NamedTuple):
 
 
 class _SeenChart(NamedTuple):
-    """The chart in one frame: its geometry as far as known then, its edges, the number of its first triangle, and
-    the frame's name."""
+    """The chart in one frame: the number of its run of frames of one page, its geometry as far as known then, its
+    edges, the number of its first triangle, and the frame's name."""
 
+    run: int
     geometry: Geometry
     edges: SeenEdges
     number: int
@@ -573,24 +611,27 @@ class _SeenChart(NamedTuple):
 
 
 class _Measured:
-    """Measurements in the frames of one clip, by name."""
+    """Measurements in the frames of one clip, by name; `medians` has their medians once it is settled."""
 
     def __init__(self, page: int, start_s: float | None) -> None:
         self.page = page
         self.start_s = start_s
-        self.seen: list[_SeenChart] = []
-        self._values: dict[str, list[float]] = {}
+        self.medians: dict[str, float] = {}
+        self._values: dict[str, array[float]] = {}
 
     def add(self, **values: float) -> None:
         for name, value in values.items():
-            self._values.setdefault(name, []).append(value)
+            self._values.setdefault(name, array("d")).append(value)
 
-    def medians(self) -> dict[str, float]:
-        """Return the medians, and the root mean square motion of the first triangle."""
-        values = self._values | {"turn_degrees": np.unwrap(self._values["turn_degrees"], period=360.0).tolist()}
-        medians = {name: round(median(of_frames), 6) for name, of_frames in values.items()}
+    def settle(self) -> None:
+        """Keep the medians alone, and the root mean square motion of the first triangle."""
+        if not self._values:
+            return
+        values = self._values | {"turn_degrees": np.unwrap(self._values["turn_degrees"], period=360.0)}
+        self.medians = {name: round(float(np.median(of_frames)), 6) for name, of_frames in values.items()}
         motion = math.hypot(*(float(np.std(self._values[name])) for name in ("x_px", "y_px")))
-        return medians | {"motion_px": round(motion, 6)}
+        self.medians["motion_px"] = round(motion, 6)
+        self._values = {}
 
 
 def _lens_words(lens: dict[str, object] | None) -> str:
@@ -601,15 +642,18 @@ def _lens_words(lens: dict[str, object] | None) -> str:
     return f", the lens distorts ({lens['model']} model: {named})"
 
 
-def zoom_begin(centres_mm: FloatArray, geometries: Sequence[Geometry], shape: tuple[int, int]) -> int | None:
+def zoom_begin(
+    centres_mm: FloatArray, geometries: Iterable[Geometry], n: int, shape: tuple[int, int]
+) -> int | None:
     """Return the number of the first frame in which a lens zooms; None if it does not.
 
     Parameters
     ----------
     centres_mm : ndarray, shape (4, 2)
         Corners of an area on the chart, one after the other.
-    geometries : sequence of Geometry
-        The chart in the frames, in the order of time.
+    geometries : iterable of Geometry
+        The chart in the n frames, in the order of time.
+    n : int
     shape : (int, int)
         Rows and columns of a frame.
 
@@ -618,23 +662,31 @@ def zoom_begin(centres_mm: FloatArray, geometries: Sequence[Geometry], shape: tu
     int or None
         None also if the chart has been moved in the frame: its size in the picture then says nothing of the zoom.
     """
-    corners = np.array([one.to_px(centres_mm) for one in geometries])
-    if len(corners) < 2:
+    if n < 2:
         return None
     middle = (np.array(shape[::-1]) - 1.0) / 2.0
-    places = corners.mean(axis=1) - middle
-    after = np.roll(corners, -1, axis=1)
-    areas = (corners[..., 0] * after[..., 1] - corners[..., 1] * after[..., 0]).sum(axis=1) / 2.0
-    scales = np.sqrt(np.abs(areas))
-    first = slice(0, min(FIRST_FRAMES, max(len(scales) // 2, 1)))
-    start, noise = np.median(scales[first]), float(np.std(scales[first]) / np.median(scales[first]))
-    change = scales / start
-    moved = np.linalg.norm(places - np.median(places[first], axis=0) * change[:, None], axis=1)
-    zoomed = np.flatnonzero((np.abs(change - 1.0) > LEAST_ZOOM) & (moved < MOST_MOVED * math.hypot(*shape)))
-    if not zoomed.size:
-        return None
-    still = np.flatnonzero(np.abs(change[: zoomed[0]] - 1.0) <= max(NOTICED_ZOOM, 5.0 * noise))
-    return int(still[-1]) + 1 if still.size else 0
+    views = (_scale_and_place(one.to_px(centres_mm), middle) for one in geometries)
+    first = list(islice(views, min(FIRST_FRAMES, max(n // 2, 1))))
+    scales, places = np.array([scale for scale, _ in first]), np.array([place for _, place in first])
+    start, noise = float(np.median(scales)), float(np.std(scales) / np.median(scales))
+    start_place = np.median(places, axis=0)
+    noticed = max(NOTICED_ZOOM, 5.0 * noise)
+    still = -1
+    for number, (scale, place) in enumerate(chain(first, views)):
+        change = scale / start
+        moved = float(np.linalg.norm(place - start_place * change))
+        if abs(change - 1.0) > LEAST_ZOOM and moved < MOST_MOVED * math.hypot(*shape):
+            return still + 1
+        if abs(change - 1.0) <= noticed:
+            still = number
+    return None
+
+
+def _scale_and_place(corners: FloatArray, middle: FloatArray) -> tuple[float, FloatArray]:
+    """Return the root of the area between four corners, (4, 2), and their mean from the middle of the frame."""
+    after = np.roll(corners, -1, axis=0)
+    area = float((corners[:, 0] * after[:, 1] - corners[:, 1] * after[:, 0]).sum()) / 2.0
+    return math.sqrt(abs(area)), corners.mean(axis=0) - middle
 
 
 def page_duration_s(starts: Sequence[tuple[int, float]], frame_s: float) -> float | None:

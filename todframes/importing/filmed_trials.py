@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from array import array
+from bisect import bisect_left
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -9,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from todframes.importing.clips import Clip, ClipFrame, Integration, Placed, Rectangle
+from todframes.importing.spool import Spool
 from todframes.importing.windows import CodeRange, RecordedWindow, WrittenWindow, narrowed, suffix
 from todframes.stimulus import Orientation
 
@@ -45,11 +48,32 @@ class Correction(NamedTuple):
     size_px: float
 
 
+class Corrections:
+    """Corrections by the numbers of triangles, which come in increasing order; each takes 32 bytes."""
+
+    def __init__(self) -> None:
+        self._numbers = array("q")
+        self._values = array("d")
+
+    def add(self, number: int, correction: Correction) -> None:
+        """Add the correction of a triangle, whose number is larger than those before."""
+        self._numbers.append(number)
+        self._values.extend(correction)
+
+    def get(self, number: int) -> Correction | None:
+        """Return the correction of a triangle; None if it is where it was thought to be."""
+        place = bisect_left(self._numbers, number)
+        if place == len(self._numbers) or self._numbers[place] != number:
+            return None
+        return Correction(*self._values[3 * place : 3 * place + 3])
+
+
 @dataclass(slots=True, kw_only=True)
 class ImportedTrial:
     """Frames of one triangle that the observer integrates, with its places in the windows.
 
-    `window` and `start_px` are the window and the triangle's place in the first frame.
+    `window` and `start_px` are the window and the triangle's place in the first frame. `written` are the windows
+    of its frames as written, once the trial is over.
     """
 
     name: str
@@ -64,6 +88,7 @@ class ImportedTrial:
     places_px: list[tuple[float, float]] = field(default_factory=list)
     sizes_px: list[float] = field(default_factory=list)
     numbers: list[int | None] = field(default_factory=list)
+    written: list[WrittenWindow] = field(default_factory=list)
 
     @property
     def motion_px(self) -> float:
@@ -73,7 +98,7 @@ class ImportedTrial:
         places = np.array(self.places_px)
         return float(np.sqrt(((places - places.mean(axis=0)) ** 2).sum(axis=1).mean()))
 
-    def correct(self, corrections: Mapping[int, Correction]) -> None:
+    def correct(self, corrections: Corrections) -> None:
         """Move the places, and replace the sizes, for which the source knows better ones."""
         for k, number in enumerate(self.numbers):
             if number is not None and (found := corrections.get(number)) is not None:
@@ -123,8 +148,10 @@ class TrialDivision:
 
     Attributes
     ----------
-    trials : list of ImportedTrial
-        All trials that have the whole integration time.
+    trials : Spool of ImportedTrial
+        All trials that have the whole integration time, on disk.
+    written : dict of WrittenWindow
+        Windows of trials that are not over, by name: the caller enters each one that it has written.
     left_out : list of str
         Names of frames that were written for a trial that turned out not to be whole.
     n_moved : int
@@ -132,7 +159,8 @@ class TrialDivision:
     """
 
     def __init__(self, described: Described, integration_time_s: float | None, *, steady: bool) -> None:
-        self.trials: list[ImportedTrial] = []
+        self.trials: Spool[ImportedTrial] = Spool()
+        self.written: dict[str, WrittenWindow] = {}
         self.left_out: list[str] = []
         self.n_moved = 0
         self._described = described
@@ -209,6 +237,7 @@ class TrialDivision:
         """End the present trials; keep them if they are whole."""
         for index, trial in self._open.items():
             if trial is not None and clip is not None and is_whole:
+                trial.written = [self.written.pop(name) for name in trial.frames]
                 self.trials.append(trial)
                 clip.n_trials += 1
             else:
@@ -217,22 +246,31 @@ class TrialDivision:
 
     def _discard(self, index: int) -> None:
         trial, self._open[index] = self._open[index], None
-        self.left_out += [] if trial is None else trial.frames
+        for name in [] if trial is None else trial.frames:
+            self.written.pop(name, None)
+            self.left_out.append(name)
+
+    def corrected(self, corrections: Corrections) -> Iterator[ImportedTrial]:
+        """Yield all trials with the places and sizes that are known at the end."""
+        for trial in self.trials:
+            trial.correct(corrections)
+            yield trial
 
     def rows(
         self,
-        written: Mapping[str, WrittenWindow],
+        corrections: Corrections,
         *,
         level: str,
         pitch_mrad: float,
         field_places: Mapping[int, Mapping[str, str]],
     ) -> Iterator[dict[str, object]]:
-        """Yield the rows of the manifest, given the windows as written, and columns of each clip."""
-        sizes_px = merged_sizes([float(np.mean(trial.sizes_px)) for trial in self.trials])
-        for trial, size_px in zip(self.trials, sizes_px, strict=True):
+        """Yield the rows of the manifest, given corrections and columns of each clip."""
+        sizes_px = merged_sizes([float(np.mean(trial.sizes_px)) for trial in self.corrected(corrections)])
+        for trial, size_px in zip(self.corrected(corrections), sizes_px, strict=True):
             size_mrad = size_px * pitch_mrad
             x, y = (f"{at:.4f}" for at in np.mean(trial.places_px, axis=0)) if trial.places_px else ("", "")
-            for name, source, time_s in zip(trial.frames, trial.sources, trial.times_s, strict=True):
+            of_frames = zip(trial.frames, trial.sources, trial.times_s, trial.written, strict=True)
+            for name, source, time_s, written in of_frames:
                 row: dict[str, object] = {
                     "frame": name,
                     "orientation": trial.orientation.value,
@@ -242,7 +280,7 @@ class TrialDivision:
                     "x_px": x,
                     "y_px": y,
                     "trial": trial.name,
-                    "sha256": written[name].sha256,
+                    "sha256": written.sha256,
                     "time_s": "" if time_s is None else f"{time_s:.6f}",
                     "source": source,
                 }

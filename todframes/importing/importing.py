@@ -31,14 +31,13 @@ from todframes.importing.clips import TIME_TOLERANCE, Clip, ClipFrame
 from todframes.importing.filmed_trials import (
     FIELD_PLACE,
     SHAKE_PX,
-    Correction,
-    ImportedTrial,
+    Corrections,
     TrialDivision,
     TriangleDescription,
 )
 from todframes.importing.schedule import read_schedule
 from todframes.importing.schedule_source import ScheduleSource
-from todframes.importing.windows import WindowWriter, WrittenWindow, code_range
+from todframes.importing.windows import WindowWriter, code_range
 from todframes.jobs.store import Store
 from todframes.recordings.opening import open_recordings
 from todframes.recordings.recording import GAP, INTEGRATION_TIME_S, Recording, RecordingWarning, natural_order
@@ -69,7 +68,7 @@ class Source(Protocol):
     level: str
     group_by: str
     clips: list[Clip]
-    corrections: dict[int, Correction]
+    corrections: Corrections
 
     def described(self, page: int, index: int) -> TriangleDescription:
         """Return the description of a triangle of a page."""
@@ -226,22 +225,20 @@ def import_recordings(
         if store.is_begun:
             store.tell(f"{len(store)} windows are there from an earlier run; going on with the others")
         writer = WindowWriter(folder, clip=is_clipped, store=store)
-        written: dict[str, WrittenWindow] = {}
         for number, (recording, scale) in enumerate(zip(opened, scales, strict=True)):
             for window in division.windows(source.frames(recording, number), scale, _interval_s(recording)):
-                written[window.name] = writer.write(window)
+                division.written[window.name] = writer.write(window)
         if not division.trials:
             raise DataError(source.why_nothing() or _why_no_trial(division, source, time_s))
-        for trial in division.trials:
-            trial.correct(source.corrections)
         for name in division.left_out:
-            del written[name]
             (folder / name).unlink()
         field_places = source.field_places()
-        rows = list(division.rows(written, level=source.level, pitch_mrad=pitch_mrad, field_places=field_places))
         group_by = [source.group_by, *(FIELD_PLACE if field_places else ())]
-        remove_others(folder, written)
-        _write(folder / "manifest.csv", csv_text([rows[0], *(row.values() for row in rows)], as_it_is=True))
+        remove_others(folder, {name for trial in division.trials for name in trial.frames})
+        rows = division.rows(
+            source.corrections, level=source.level, pitch_mrad=pitch_mrad, field_places=field_places
+        )
+        n_frames = _write_manifest(folder / "manifest.csv", rows)
         _write(
             folder / "dataset.toml",
             toml_text(
@@ -258,8 +255,8 @@ def import_recordings(
             *_of_recordings(opened),
             *source.warnings(),
             *_of_trials(division, source, opened, time_s, steady=steady),
-            *_of_design(division.trials, written, source),
-            *_of_windows(written, is_clipped=is_clipped),
+            *_of_design(division, source),
+            *_of_windows(division, is_clipped=is_clipped),
         )
         dataset = load_dataset(folder, max_frame_mb=max_frame_mb)
         to_report += tuple(_of_frames(dataset, {code for code, _ in to_report}))
@@ -268,7 +265,7 @@ def import_recordings(
         n_clips = sum(clip.n_trials > 0 for clip in source.clips)
         report = {
             "version": __version__,
-            "n_frames": len(rows),
+            "n_frames": n_frames,
             "n_trials": len(division.trials),
             "n_clips": n_clips,
             "from_store": store.n_used,
@@ -278,7 +275,7 @@ def import_recordings(
         _write(folder / REPORT_FILE, json.dumps(report, indent=1, ensure_ascii=False) + "\n")
     return Imported(
         path=Path(out),
-        n_frames=len(rows),
+        n_frames=n_frames,
         n_trials=len(division.trials),
         n_clips=n_clips,
         notes=notes,
@@ -401,48 +398,49 @@ def _of_trials(
                     f"{recording.path}: frames are {interval_s:.3g} s apart, more than the integration time of "
                     f"{time_s:g} s, so each is a trial of its own",
                 )
-    motions = [trial.motion_px for trial in division.trials]
+    motions = (trial.motion_px for trial in division.corrected(source.corrections))
     moving = [motion for motion in motions if motion > SHAKE_PX]
+    n_trials = len(division.trials)
     if moving and steady:
         yield RecordingWarning(
             "shake",
-            f"in {len(moving)} of {len(motions)} trials the triangle moves within the windows, by up to "
+            f"in {len(moving)} of {n_trials} trials the triangle moves within the windows, by up to "
             f"{max(moving):.2g} px (rms), although they follow it by whole pixels; it is blurred by that",
         )
     elif moving:
         yield RecordingWarning(
             "shake",
-            f"in {len(moving)} of {len(motions)} trials the triangle moves on the display within the integration "
+            f"in {len(moving)} of {n_trials} trials the triangle moves on the display within the integration "
             f"time, by up to {max(moving):.2g} px (rms); the eye sees it blurred, and so does the observer; if "
             f"the camera in use does not shake, take a tripod, or {argument.steady}",
         )
 
 
-def _of_design(
-    trials: Sequence[ImportedTrial], written: Mapping[str, WrittenWindow], source: Source
-) -> Iterator[RecordingWarning]:
+def _of_design(division: TrialDivision, source: Source) -> Iterator[RecordingWarning]:
     """Yield warnings about trials that do not suit one curve: repeats, two magnifications, more of one
     orientation."""
-    n_repeats = len(trials) - len({tuple(written[name].sha256 for name in trial.frames) for trial in trials})
-    if n_repeats:
-        yield RecordingWarning(
-            "repeated_trials",
-            f"{n_repeats} of {len(trials)} trials repeat another one bit by bit: they add nothing, and intervals "
-            "come out too narrow; give each recording once",
-        )
     field_places = source.field_places()
-    sizes_px: dict[tuple[object, tuple[str, ...]], list[float]] = defaultdict(list)
+    different: set[int] = set()
+    sizes_px: dict[tuple[object, tuple[str, ...]], tuple[float, float]] = {}
     numbers: dict[tuple[object, float], Counter[str]] = defaultdict(Counter)
-    for trial in trials:
+    for trial in division.corrected(source.corrections):
+        different.add(hash(tuple(one.sha256 for one in trial.written)))
         size = trial.stimulus.columns.get(source.group_by)
         place = tuple(field_places.get(trial.clip, {}).values())
-        sizes_px[size, place] += trial.sizes_px
+        least, most = sizes_px.get((size, place), (math.inf, 0.0))
+        sizes_px[size, place] = min(least, *trial.sizes_px), max(most, *trial.sizes_px)
         numbers[size, trial.stimulus.level][trial.orientation.value] += 1
-    (size, _), of_size = max(sizes_px.items(), key=lambda one: max(one[1]) / min(one[1]))
-    if size is not None and max(of_size) > SIZES_ALIKE * min(of_size):
+    if n_repeats := len(division.trials) - len(different):
+        yield RecordingWarning(
+            "repeated_trials",
+            f"{n_repeats} of {len(division.trials)} trials repeat another one bit by bit: they add nothing, and "
+            "intervals come out too narrow; give each recording once",
+        )
+    (size, _), (least, most) = max(sizes_px.items(), key=lambda one: one[1][1] / one[1][0])
+    if size is not None and most > SIZES_ALIKE * least:
         yield RecordingWarning(
             "sizes_differ",
-            f"triangles of {size} mrad are displayed with {min(of_size):.3g} to {max(of_size):.3g} px, so their "
+            f"triangles of {size} mrad are displayed with {least:.3g} to {most:.3g} px, so their "
             "curve mixes cameras, distances or zooms; import these one by one",
         )
     for (size, level), of_orientation in numbers.items():
@@ -492,8 +490,9 @@ def _of_time(opened: Sequence[Recording], time_s: float | None) -> Iterator[str]
             )
 
 
-def _of_windows(written: dict[str, WrittenWindow], *, is_clipped: bool) -> Iterator[RecordingWarning]:
-    n_beyond, n_values = (sum(getattr(one, name) for one in written.values()) for name in ("n_beyond", "n_values"))
+def _of_windows(division: TrialDivision, *, is_clipped: bool) -> Iterator[RecordingWarning]:
+    counts = ((one.n_beyond, one.n_values) for trial in division.trials for one in trial.written)
+    n_beyond, n_values = map(sum, zip(*counts, strict=True))
     if n_beyond:
         done = "and were clipped, as the display does" if is_clipped else "and were kept"
         yield RecordingWarning(
@@ -501,6 +500,17 @@ def _of_windows(written: dict[str, WrittenWindow], *, is_clipped: bool) -> Itera
             f"{100 * n_beyond / n_values:.2g} % of the values lie beyond black and white {done}; a wider "
             f"{argument.value_range} keeps them",
         )
+
+
+def _write_manifest(path: Path, rows: Iterator[dict[str, object]]) -> int:
+    """Write the rows of the manifest one by one; return their number."""
+    n_rows = 0
+    with path.open("w", encoding="utf-8", errors="backslashreplace", newline="") as file:
+        for row in rows:
+            lines = [row.values()] if n_rows else [row, row.values()]
+            file.write(csv_text(lines, as_it_is=True))
+            n_rows += 1
+    return n_rows
 
 
 def _write(path: Path, text: str) -> None:

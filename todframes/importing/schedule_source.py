@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from todframes.base.errors import DataError, argument
 from todframes.importing.clips import Clip, ClipFrame, FramePart, Placed
-from todframes.importing.filmed_trials import OBJECT_SIZE, Correction, TriangleDescription
+from todframes.importing.filmed_trials import OBJECT_SIZE, Corrections, TriangleDescription
 from todframes.importing.schedule import ScheduledTrial, assign_recordings, read_schedule
 from todframes.importing.windows import clipped, field_reach_px, part_of, window_about
 from todframes.recordings.recording import Recording, RecordingWarning
@@ -56,7 +56,7 @@ class ScheduleSource:
         self.path = path
         self.level = level
         self.clips: list[Clip] = []
-        self.corrections: dict[int, Correction] = {}
+        self.corrections = Corrections()
         self._rows = read_schedule(path, level=level)
         self._recording_of = assign_recordings(self._rows, [one.path for one in recordings], schedule=path)
         self._pitch_mrad = pitch_mrad

@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from todframes.base._typing import FloatArray
-from todframes.base.errors import DataError
+from todframes.base.errors import DataError, argument, for_reader
 from todframes.recordings.emva_xml import EmvaCamera
 from todframes.recordings.noise3d import (
     MOST_SATURATED,
@@ -463,12 +463,18 @@ def _dark_of(bright: StackNoise, dark: Sequence[StackNoise]) -> StackNoise:
 
 
 def _series(points: Sequence[TransferPoint]) -> list[TransferPoint]:
-    """Return the points of photon transfer: those with the most common number of frames, if there are three.
+    """Return the points of photon transfer, those whose bright stacks are a series."""
+    bright = _with_common_frames([one.bright for one in points])
+    return [one for one in points if one.bright in bright]
+
+
+def _with_common_frames(stacks: Sequence[StackNoise]) -> list[StackNoise]:
+    """Return the stacks with the most common number of frames, if there are three; otherwise all.
 
     The others are stacks of many frames for the spatial measurement, which the standard takes on its own.
     """
-    ((n_frames, count),) = Counter(one.bright.n_frames for one in points).most_common(1)
-    return [one for one in points if one.bright.n_frames == n_frames or count < FEWEST_OF_SERIES]
+    ((n_frames, count),) = Counter(one.n_frames for one in stacks).most_common(1)
+    return [one for one in stacks if one.n_frames == n_frames or count < FEWEST_OF_SERIES]
 
 
 def _saturation(points: Sequence[TransferPoint]) -> int | None:
@@ -579,12 +585,13 @@ def _evaluated(
 
     electrons, capacity = _capacity(series, saturated, most, gain, gains, efficiency, efficiencies)
     if saturated is None:
+        where = "not known" if electrons is None else f"that of the end of the scale ({most:.5g} DN above dark)"
+        hint = "" if bits is not None else f", or give {argument.bits} if the camera has fewer bits than its files"
         warnings.append(
             RecordingWarning(
                 "saturation_not_reached",
-                "the variance still rises at the brightest stack: saturation is "
-                + ("not known" if electrons is None else "that of the end of the scale")
-                + "; add brighter stacks",
+                f"the variance still rises at the brightest stack: saturation is {where}; add brighter stacks"
+                f"{hint}",
             )
         )
     threshold = None
@@ -616,7 +623,7 @@ def _evaluated(
         dark=spatial.dark,
         bits=bits,
         exposure_ms=spatial.bright.exposure_ms,
-        warnings=(*of_recordings, *warnings),
+        warnings=(*of_recordings, *(RecordingWarning(code, for_reader(text)) for code, text in warnings)),
     )
 
 
@@ -695,7 +702,7 @@ def _dark_current(
     power: int,
 ) -> Estimate | None:
     """Return electrons per second from the slope of a quantity of dark stacks over time; K's power converts it."""
-    known = [one for one in of_dark if one.exposure_ms is not None]
+    known = [one for one in _with_common_frames(of_dark) if one.exposure_ms is not None]
     seconds = np.array([one.exposure_ms for one in known], np.float64) / 1e3
     if len(np.unique(seconds)) < 3:
         return None

@@ -35,7 +35,7 @@ READING_ERROR = 0.01
 LARGEST_END = 0.05
 """MTF at the last frequency above which a table stops early: what follows may be a visible part of an edge."""
 
-MAPPER_PER_CYC_PER_PIXEL = 64.0
+MAPPER_PER_CYC_PER_PIXEL = 64
 """Frequencies in 1 cycle/pixel of files of MTF Mapper, from 0. Manual page of mtf_mapper, options -f and -q."""
 
 MAPPER_LENGTHS = (64, 128)
@@ -73,6 +73,16 @@ class MtfTable:
     def stops_early(self) -> bool:
         """Whether the MTF at the last frequency is above `LARGEST_END`: what follows is not known."""
         return self.end_mtf > LARGEST_END
+
+
+def mtf50_of(frequency: FloatArray, mtf: FloatArray) -> float | None:
+    """Return the first frequency at which an MTF falls to 0.5, between its values; None if it stays above."""
+    below = np.flatnonzero(mtf < 0.5)
+    if not len(below) or below[0] == 0:
+        return None
+    k = int(below[0])
+    share = (mtf[k - 1] - 0.5) / (mtf[k - 1] - mtf[k])
+    return float(frequency[k - 1] + share * (frequency[k] - frequency[k - 1]))
 
 
 class MapperEdge(NamedTuple):
@@ -211,3 +221,8 @@ def read_mtf_mapper(path: Path) -> list[MapperEdge]:
     if not edges:
         raise DataError(f"{path}: found no edge, expected a line for each")
     return edges
+
+
+def is_table(path: Path) -> bool:
+    """Return whether a file is read here, by the end of its name: CSV, or a text file of MTF Mapper."""
+    return path.suffix.lower() in (".csv", ".txt")

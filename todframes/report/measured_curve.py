@@ -8,8 +8,8 @@ import numpy as np
 
 from todframes.base.errors import DataError, SettingsError, argument
 from todframes.field.target import Quantity
-from todframes.field.threshold_curve import Psychometric, ThresholdCurve, ln_sd_of_interval
-from todframes.report.data import Fit, ResultData, ResultWarning
+from todframes.field.threshold_curve import Psychometric, RangeWarning, ThresholdCurve, ln_sd_of_interval
+from todframes.report.data import Fit, ResultData
 from todframes.report.wording import group_phrase, unit_of, value_text
 
 SIZES = ("object_size_mrad", "size_mrad", "size_detectors")
@@ -40,7 +40,7 @@ def measured_curve(
     quantity: Quantity,
     group: Mapping[str, str] | None = None,
     magnification: float | None = None,
-) -> tuple[ThresholdCurve, tuple[ResultWarning, ...]]:
+) -> tuple[ThresholdCurve, tuple[RangeWarning, ...]]:
     """Return the curve of a result's thresholds, and the warnings about it.
 
     Parameters
@@ -70,7 +70,7 @@ def measured_curve(
     if fits[0].level == NAMELESS:
         unit = "K" if quantity == "delta_t_k" else "Weber contrast"
         message = f"the level has no unit; it is taken for that of the target's contrast, {unit}"
-        warnings = (*warnings, ResultWarning(code="level_without_unit", message=message))
+        warnings = (*warnings, RangeWarning(code="level_without_unit", message=message))
     quantity, level_factor = (quantity, 1.0) if fits[0].level == NAMELESS else _level(fits, where)
     known = sorted((one for one in fits if one.threshold is not None), key=lambda one: -float(one.group[size]))
     sizes = factor * np.array([float(one.group[size]) for one in known])
@@ -83,7 +83,7 @@ def measured_curve(
         message = (
             f"the thresholds at {', '.join(extrapolated)} {unit_of(size)} are extrapolated from the levels shown"
         )
-        warnings = (*warnings, ResultWarning(code="extrapolated_thresholds", message=message))
+        warnings = (*warnings, RangeWarning(code="extrapolated_thresholds", message=message))
     curve = ThresholdCurve(
         pattern="triangle",
         quantity=quantity,
@@ -122,7 +122,7 @@ def _of_group(fits: Sequence[Fit], where: str, group: dict[str, str]) -> list[Fi
 
 def _to_field_mrad(
     result: ResultData, size: str, where: str, magnification: float | None
-) -> tuple[float, tuple[ResultWarning, ...]]:
+) -> tuple[float, tuple[RangeWarning, ...]]:
     """Return the factor from a column of sizes to mrad in the field, and the warnings about it."""
     if magnification is not None and size != "size_mrad":
         raise SettingsError(
@@ -142,7 +142,7 @@ def _to_field_mrad(
             "the sizes are those on the display; they are taken for angles in the field, as for a display that "
             f"magnifies once ({argument.magnification} gives another)"
         )
-        return 1.0, (ResultWarning(code="size_at_the_eye", message=message, found=1.0),)
+        return 1.0, (RangeWarning(code="size_at_the_eye", message=message),)
     return 1.0 / (magnification or 1.0), ()
 
 

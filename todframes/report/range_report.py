@@ -13,6 +13,7 @@ import numpy as np
 from todframes import __version__
 from todframes.base._typing import Json
 from todframes.field.acquisition import GAIN, Acquisition, TaskCurve, TaskRange
+from todframes.field.threshold_curve import RangeWarning
 from todframes.report.data import ResultWarning
 from todframes.report.figure_style import INK, add_legend, curve_style, label_text, plain_ticks
 from todframes.report.figures import ReportFigure, drawn
@@ -60,19 +61,24 @@ class RangeResult(Saving):
     ----------
     acquired : Acquisition
         `ranges` has a record for each task and probability; `curves` the probability against range.
-    warnings : tuple of ResultWarning
-        Facts that make the range less certain, each with a code.
+    facts : tuple of RangeWarning
+        Facts about curve and air that make the range less certain.
     seed : int
         Seed of the curves that were drawn from the errors.
     """
 
     acquired: Acquisition
-    warnings: tuple[ResultWarning, ...]
+    facts: tuple[RangeWarning, ...]
     seed: int
     started: float = field(repr=False)
 
     def __repr__(self) -> str:
         return f"<Range: {' '.join(self.sentences())}>"
+
+    @property
+    def warnings(self) -> tuple[ResultWarning, ...]:
+        """Facts that make the range less certain, each with a code."""
+        return tuple(ResultWarning(code=one.code, message=one.message) for one in self.facts)
 
     @property
     def is_tod(self) -> bool:
@@ -90,12 +96,12 @@ class RangeResult(Saving):
             Column(key="range_ci95_km", header="95 % interval", interval="range_ci95_km", digits=3),
             Column(key="at_least_km", header="at least (km)", digits=3),
             Column(key="at_most_km", header="at most (km)", digits=3),
-            Column(key="limited_by", header="limited by", rank=1),
+            Column(key="limited_by", header="limited by", rank=2),
             *(
                 Column(key=f"gain_{name}_percent", header=f"10 % {_more(name)}", digits=2, is_detail=True)
                 for name in LIMIT_COLUMNS
             ),
-            Column(key="status", rank=2),
+            Column(key="status", rank=1),
         ]
         table = Table.of(f"Range: {self._about()}", "ranges.csv", columns, records)
         return table.without_empty_columns("range_km", "range_ci95_km")
@@ -182,8 +188,11 @@ class RangeResult(Saving):
         return f"{target.title or 'target'}, {target.size_m:g} m, {signal}; {air.title or 'air'}"
 
     def _criteria(self) -> str:
-        named = ", ".join(f"{task} {value:g}" for task, value in self.acquired.criteria.items())
         cycles = self.acquired.target.cycles
+        tasks = self.acquired.criteria.items()
+        named = ", ".join(
+            f"{task} {value:g}" if isinstance(cycles, str) else f"{value:g}" for task, value in tasks
+        )
         return f"{named} line pairs on the target ({cycles if isinstance(cycles, str) else 'your own'})"
 
     def _criterion(self) -> str:

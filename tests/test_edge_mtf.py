@@ -1,0 +1,243 @@
+"""MTF of slanted edges: against closed forms, another program's figures, and what is refused."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from edges import diffraction, edge_image, gaussian, true_mtf
+from scipy.special import ndtr
+
+import todframes as tod
+from todframes.cli.console import run
+from todframes.cli.main import cli
+from todframes.recordings.edge_mtf import FREQUENCY_CYC_PER_PIXEL, NYQUIST, measure_edge
+from todframes.recordings.mtf_table import read_mtf_mapper, read_mtf_table
+from todframes.recordings.slanted_edges import find_edges
+
+REAL = Path(__file__).parent / "recordings" / "slanted_edges"
+TO_NYQUIST = FREQUENCY_CYC_PER_PIXEL[: NYQUIST + 1]
+LARGEST_BIAS = 0.005
+"""The bias that issue 22 allows, relative to the MTF at frequency 0."""
+
+
+def whole(image):
+    return (0, 0, image.shape[1], image.shape[0])
+
+
+@pytest.mark.parametrize(
+    ("optics", "angle_deg", "largest"),
+    [
+        # A Gaussian is a spline to 1e-6. A diffraction profile's rings beyond the knots are lost: 1e-3 of it.
+        (gaussian(0.5), 5.0, 1e-4),
+        (gaussian(1.0), -95.0, 1e-4),
+        (diffraction(1.0), 175.0, 1e-3),
+        (diffraction(0.6), 25.0, 1e-3),
+        # At 45° pixels sample the profile at 1.41 cycles/pixel only: what is above 0.91 comes back below 0.5.
+        (diffraction(1.0), 45.0, LARGEST_BIAS),
+    ],
+)
+def test_closed_forms(optics, angle_deg, largest):
+    image = edge_image((72, 76), angle_deg, optics)
+    found = measure_edge(image, whole(image))
+    assert np.abs(found.mtf[: NYQUIST + 1] - true_mtf(TO_NYQUIST, optics, angle_deg)).max() < largest
+    # The direction is that from dark to bright; a turn of 0.01° moves the ends by 0.006 pixels.
+    assert abs((found.normal_deg - angle_deg + 180) % 360 - 180) < 0.01
+    assert found.overshoot.value < 0.004  # at 45° the gaps of 0.7 pixels leave some ripple
+    assert (found.dark, found.bright) == (pytest.approx(0.2, abs=1e-3), pytest.approx(0.8, abs=1e-3))
+
+
+def test_a_bent_edge_has_the_mtf_of_a_straight_one():
+    optics = gaussian(0.6)
+    image = edge_image((72, 72), 8.0, optics, radius_px=400.0)
+    found = measure_edge(image, whole(image))
+    # The arc's sagitta: 72² / (8 · 400) / cos³ 8° = 1.66 pixels.
+    assert found.bend_px == pytest.approx(1.66, rel=0.05)
+    # Its normal turns by up to 5° from that in the middle: the pixel's MTF at Nyquist changes by less than 1e-3.
+    assert np.abs(found.mtf[: NYQUIST + 1] - true_mtf(TO_NYQUIST, optics, 8.0)).max() < 2e-3
+
+
+def test_overshoot_of_a_sharpened_edge():
+    """The profile with a difference of Gaussians added, whose largest value is known."""
+    y, x = np.indices((72, 72)) - 35.5
+    d = x * np.cos(0.1) + y * np.sin(0.1)
+
+    def sharpened(at):
+        return ndtr(at / 0.8) + 0.5 * (ndtr(at / 0.8) - ndtr(at / 2.5))
+
+    grid = np.linspace(-8, 8, 1601)
+    means = np.convolve(sharpened(grid), np.full(100, 0.01), "valid")
+    found = measure_edge(0.3 + 0.4 * sharpened(d), whole(d))
+    assert found.overshoot.value == pytest.approx(means.max() - 1.0, abs=1e-3)  # places are 0.05 pixels apart
+    assert found.undershoot.value == pytest.approx(-means.min(), abs=1e-3)
+    assert found.mtf.max() > 1.1
+
+
+def test_the_band_is_as_wide_as_its_noise_and_light_may_change_along_the_edge():
+    optics, rng = gaussian(0.6), np.random.default_rng(3)
+    y, x = np.indices((100, 72)) - 40.0
+    along = y * np.cos(np.radians(4.0)) - x * np.sin(np.radians(4.0))
+    image = edge_image((100, 72), 4.0, optics) * (1.0 + 1e-3 * along)
+    noise = rng.normal(0.0, 0.012, (12, *image.shape))
+    each = [measure_edge(image + one, whole(image)) for one in noise[:3]]
+    of_mean = measure_edge(image + noise.mean(0), whole(image))
+    truth = true_mtf(TO_NYQUIST, optics, 4.0)
+    widths = [float((one.upper - one.lower)[8 : NYQUIST + 1].mean()) for one in (*each, of_mean)]
+    # Twelve frames have √12 less noise; each width is known to about 10 %.
+    assert np.mean(widths[:3]) / widths[3] == pytest.approx(np.sqrt(12), rel=0.25)
+    # 2.5 half-widths, 4.9 standard errors.
+    middle, half = (of_mean.upper + of_mean.lower) / 2, (of_mean.upper - of_mean.lower) / 2
+    assert (np.abs(middle[1 : NYQUIST + 1] - truth[1:]) < 2.5 * half[1 : NYQUIST + 1] + 2e-4).all()
+
+
+def torn(image):
+    """Every other twelve rows are moved by a pixel."""
+    shift = np.arange(72)[:, None] // 12 % 2
+    return np.take_along_axis(image, np.clip(np.arange(72) + shift, 0, 71), 1)
+
+
+AN_EDGE = edge_image((72, 72), 5.0, gaussian(0.6))
+NOISE = np.random.default_rng(1).normal(0.0, 0.1, (72, 72))
+
+
+@pytest.mark.parametrize(
+    ("image", "message"),
+    [
+        (0.0 * AN_EDGE + 0.5, "box 0,0,72,72: found no edge: all values are the same"),
+        (0.5 + NOISE, "found no edge: the steepest step is .* against noise of .*, expected at least 5 times"),
+        (edge_image((72, 72), 0.2, gaussian(0.5)), "0.20° from rows or columns, whose pixels leave a gap of 0.7"),
+        (torn(AN_EDGE), "departs from a smooth curve by 0.[345]. pixels, expected at most 0.15; is it torn"),
+        (AN_EDGE + NOISE, "noise of 1.*% of the contrast leaves MTF50 at .*average frames"),
+        (AN_EDGE[:, 26:46], "found an edge with 9 pixels beside it, expected at least 10 on both sides"),
+    ],
+)
+def test_what_is_no_edge_is_one_line(image, message):
+    with pytest.raises(tod.DataError, match=message):
+        measure_edge(image, whole(image))
+
+
+def test_a_saturated_edge_and_a_box_outside_are_one_line(tmp_path, capsys):
+    image = edge_image((72, 72), 5.0, gaussian(0.6), low=40.0, high=300.0)
+    np.save(tmp_path / "a.npy", np.clip(image, 0, 255).astype(np.uint8))
+    assert run(cli, ["mtf", str(tmp_path / "a.npy"), "--box", "0,0,72,72"]) == 1
+    assert "of the pixels are at an end of the scale: the edge is saturated" in capsys.readouterr().err
+    for given, message in (
+        ("10,0,72,72", "error: box 10,0,72,72: expected x, y, width, height of at least 20 x 20 pixels within"),
+        ("1,2,3", "error: --box: found '1,2,3', expected X,Y,W,H: four whole numbers of pixels"),
+    ):
+        assert run(cli, ["mtf", str(tmp_path / "a.npy"), "--box", given]) == 2
+        assert capsys.readouterr().err.startswith(message)
+    np.save(tmp_path / "b.npy", np.zeros((72, 72), np.float32) + np.arange(72))
+    assert run(cli, ["mtf", str(tmp_path / "b.npy")]) == 1
+    assert capsys.readouterr().err.startswith(
+        "error: found no straight edge of at least 40 pixels that stands alone"
+    )
+
+
+def square(angle_deg, sigma_px, rng):
+    """A dark square with Gaussian edges; corners are products of two edges."""
+    angle = np.radians(angle_deg)
+    y, x = np.indices((200, 240)) - np.array([95.0, 121.0])[:, None, None]
+    u, v = x * np.cos(angle) + y * np.sin(angle), y * np.cos(angle) - x * np.sin(angle)
+    inside = [ndtr((one + 50.0) / sigma_px) * ndtr((50.0 - one) / sigma_px) for one in (u, v)]
+    return 200.0 - 120.0 * inside[0] * inside[1] + rng.normal(0.0, 1.0, x.shape)
+
+
+def test_the_four_edges_of_a_square_are_found_and_are_in_their_boxes():
+    boxes = find_edges(square(10.0, 0.8, np.random.default_rng(1)))
+    assert len(boxes) == 4
+    angle = np.radians(10.0)
+    middles = [(121 + s * 50 * c, 95 + s * 50 * d) for s in (1, -1) for c, d in ((np.cos(angle), np.sin(angle)),)]
+    middles += [(121 - s * 50 * np.sin(angle), 95 + s * 50 * np.cos(angle)) for s in (1, -1)]
+    for x, y in middles:
+        assert sum(a + w / 3 < x < a + 2 * w / 3 and b + h / 3 < y < b + 2 * h / 3 for a, b, w, h in boxes) == 1
+
+
+@pytest.mark.slow
+def test_command_and_call(tmp_path, capsys):
+    """A colour picture with a blur for each colour: JSON, CSV and MTF Mapper's form have the same numbers."""
+    colours = [edge_image((72, 72), 6.0, gaussian(one), low=40, high=200) for one in (0.9, 0.7, 0.5)]
+    frames = np.stack([np.stack(colours, -1)] * 2) + np.random.default_rng(2).normal(0, 0.5, (2, 72, 72, 3))
+    np.save(tmp_path / "a.npy", frames.astype(np.float32))
+    called = tod.mtf(tmp_path / "a.npy", boxes=[(0, 0, 72, 72)])
+    for name, sigma_px in zip(("red", "green", "blue"), (0.9, 0.7, 0.5), strict=True):
+        expected = true_mtf(TO_NYQUIST, gaussian(sigma_px), 6.0)
+        # The standard error at Nyquist is 0.25 % · π · √(32 pixels / 72 rows) = 0.5 %: four of them.
+        assert np.abs(called.others[name][: NYQUIST + 1] - expected).max() < 0.02
+    out = tmp_path / "out"
+    assert run(cli, ["mtf", str(tmp_path / "a.npy"), "--box", "0,0,72,72", "--json", "-o", str(out)]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert printed["mtf"] == json.loads(called.to_json())["mtf"]
+    assert printed["mtf"]["n_frames"] == 2
+    assert [one["colour"] for one in printed["mtf"]["edges"]] == ["luma", "red", "green", "blue"]
+    files = {one.name for one in out.iterdir()}
+    assert files == {"mtf.csv", "edges.csv", "mtf.png", "edge_sfr_values.txt", "result.json"}
+    table = read_mtf_table(out / "mtf.csv", may_exceed_1=True)
+    np.testing.assert_array_equal(table.curves["mtf"], called.mtf)
+    np.testing.assert_array_equal([table.lower, table.upper], [called.lower, called.upper])
+    (edge,) = read_mtf_mapper(out / "edge_sfr_values.txt")
+    np.testing.assert_allclose(edge.table.curves["mtf"], called.mtf[:64], rtol=1e-5)  # six digits
+    assert edge.angle_deg == pytest.approx(6.0, abs=0.02)
+    # Both are read again, printed and drawn.
+    for name in ("mtf.csv", "edge_sfr_values.txt"):
+        again = tod.mtf(out / name)
+        assert again.mtf50 == pytest.approx(called.mtf50, rel=1e-4)
+        assert run(cli, ["mtf", str(out / name)]) == 0
+        assert f"MTF50 {called.mtf50:.3g}" in capsys.readouterr().out
+    assert again.plot() is not None and "<svg" in called._repr_html_()
+    with pytest.raises(tod.SettingsError, match=r"boxes: .*mtf.csv is a table of an MTF, expected a recording"):
+        tod.mtf(out / "mtf.csv", boxes=[(0, 0, 72, 72)])
+
+
+def test_a_display_undoes_the_encoding():
+    """Code values of a gamma of 2.2 give back the MTF of light; taken as they are, they do not."""
+    light = edge_image((72, 72), 6.0, gaussian(0.7), low=0.05, high=0.9)
+    code = (255 * 257 * light ** (1 / 2.2)).astype(np.uint16)
+    display = tod.Display(
+        eotf="gamma",
+        gamma=2.2,
+        white_luminance_cd_m2=100.0,
+        pixel_pitch_mrad=0.5,
+        background_luminance_cd_m2="surround",
+    )
+    expected = true_mtf(TO_NYQUIST, gaussian(0.7), 6.0)
+    as_light = tod.mtf(code, boxes=[(0, 0, 72, 72)], display=display)
+    assert np.abs(as_light.mtf[: NYQUIST + 1] - expected).max() < 1e-3  # 16 bits
+    as_code = tod.mtf(code, boxes=[(0, 0, 72, 72)])
+    assert np.abs(as_code.mtf[: NYQUIST + 1] - expected).max() > 0.02
+    assert "proportional to light" in " ".join(as_code.sentences())
+
+
+OTHER_PROGRAM = {
+    "f2": (0.854, 0.604, 0.353, 0.350),
+    "f2.8": (0.960, 0.798, 0.473, 0.479),
+    "f16": (0.767, 0.299, 0.002, 0.180),
+}
+"""MTF at 0.1, 0.25 and 0.5 cycles/pixel, and MTF50, by SFR_calculation_code, from which the pictures are."""
+
+
+@pytest.mark.parametrize("name", OTHER_PROGRAM)
+def test_real_edges_with_the_window_of_another_program(name):
+    """It multiplies the line spread by a Hann window, which cuts the lens's halo; that is the difference.
+
+    Half the window is 1.5 widths of the line spread, seen in means over 9 quarters of a pixel, at a tenth of its
+    height, and 5 pixels at the least.
+    """
+    image = tod.read_frame(REAL / f"{name}.png").stored[..., 0].astype(float)
+    found = measure_edge(image, whole(image))
+    x, step = found.distance_px, found.distance_px[1] - found.distance_px[0]
+    spread = np.gradient(found.profile, x)
+    smooth = np.convolve(spread, np.ones(round(2.25 / step)), "same")
+    centre = x[np.argmax(smooth)]
+    half = max(1.5 * np.ptp(x[smooth > 0.1 * smooth.max()]), 5.0)
+    windowed = spread * np.where(np.abs(x - centre) < half, 0.5 + 0.5 * np.cos(np.pi * (x - centre) / half), 0.0)
+    f = np.arange(0.0, 0.6, 0.001)
+    mtf = np.abs(np.exp(-2j * np.pi * np.outer(f, x)) @ windowed) / abs(windowed.sum())
+    *at, mtf50 = OTHER_PROGRAM[name]
+    # 2 % of the value, and of a hundredth where it is 0.002.
+    np.testing.assert_allclose(mtf[[100, 250, 500]], at, rtol=0.02, atol=0.006)
+    assert f[np.argmax(mtf < 0.5)] == pytest.approx(mtf50, rel=0.02)
+    # Without the window the halo counts: the MTF is lower at low frequencies.
+    assert found.at(0.1) < at[0]

@@ -1,0 +1,102 @@
+"""The call `mtf`: the MTF of a camera from slanted edges in a recording, or a table of an MTF."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from todframes.base.errors import DataError, SettingsError, argument
+from todframes.base.safe_text import in_utf8
+from todframes.calls.shared import Progress
+
+if TYPE_CHECKING:
+    from todframes.display.display import Display
+    from todframes.frames.files import PathLike
+    from todframes.recordings.recording import Recording
+    from todframes.report.mtf_report import MtfResult
+
+
+def mtf(
+    recording: PathLike | Sequence[PathLike] | NDArray[Any],
+    *,
+    boxes: Sequence[tuple[int, int, int, int]] = (),
+    display: str | Display | None = None,
+    max_frame_mb: int = 256,
+    progress: Progress | None = None,
+) -> MtfResult:
+    """Measure the MTF across slanted edges (e-SFR, ISO 12233), or read it from a table, as `todframes mtf` does.
+
+    Parameters
+    ----------
+    recording : path, sequence of path, or ndarray
+        A video, image files or a folder of them, camera raw or radiometric files, or a file of a NumPy array; or
+        the array itself, of shape (frames, rows, columns), (rows, columns), or with 3 colours last. Its frames are
+        averaged. Or a table: a CSV file with an MTF, or a text file of MTF Mapper.
+    boxes : sequence of (int, int, int, int)
+        Left column, top row, width and height in pixels of the parts of the frame that have an edge each. Default:
+        edges are found.
+    display : str or Display, optional
+        Display whose transfer function the values have been encoded for, such as "reference_sdr": its luminance is
+        measured. Default: values are taken as proportional to light.
+    max_frame_mb : int
+        Largest size of a frame in 2**20 bytes: all channels in their own pixel types, at least 8 bytes a pixel.
+    progress : function of an int, optional
+        Called with 1 for each frame.
+
+    Returns
+    -------
+    MtfResult
+        `frequency`, and `mtf` with its 95 % band `lower` and `upper`; `edges` has each edge.
+
+    Raises
+    ------
+    DataError, FrameError
+        If the files cannot be read, or no edge can be measured.
+    SettingsError
+        If a setting is invalid.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import todframes as tod
+    >>> from scipy.special import ndtr
+    >>> y, x = np.mgrid[:80, :80] - 40.0
+    >>> edge = 0.2 + 0.6 * ndtr((x * np.cos(0.1) + y * np.sin(0.1)) / 0.7)  # a Gaussian blur of 0.7 pixels
+    >>> found = tod.mtf(edge, boxes=[(0, 0, 80, 80)])
+    >>> f"MTF50 {found.mtf50:.3f}, expected {np.sqrt(np.log(2) / 2) / np.pi / 0.7:.3f} cycles/pixel"
+    'MTF50 0.268, expected 0.268 cycles/pixel'
+    """
+    started = time.perf_counter()
+    from todframes.display.display_files import find_display
+    from todframes.recordings.arrays import memory_recording
+    from todframes.recordings.mtf_table import is_table, read_mtf_mapper, read_mtf_table
+    from todframes.recordings.opening import open_recordings
+    from todframes.recordings.slanted_edges import measure_mtf
+    from todframes.report.mtf_report import mapper_result, measured_result, table_result
+
+    found: Sequence[Recording]
+    if isinstance(recording, np.ndarray):
+        found = [memory_recording(recording, frames_per_second=None)]
+    else:
+        is_one = isinstance(recording, str | Path) or not isinstance(recording, Sequence)
+        paths = [Path(recording)] if is_one else [Path(one) for one in recording]  # type: ignore[arg-type, union-attr]
+        if len(paths) == 1 and is_table(paths[0]):
+            if boxes or display is not None:
+                given = argument.boxes if boxes else argument.display
+                raise SettingsError(f"{given}: {paths[0]} is a table of an MTF, expected a recording")
+            name = in_utf8(str(paths[0]))
+            if paths[0].suffix.lower() == ".csv":
+                return table_result(read_mtf_table(paths[0], may_exceed_1=True), name, started=started)
+            return mapper_result(read_mtf_mapper(paths[0]), name, started=started)
+        found = open_recordings(paths, max_frame_mb=max_frame_mb)
+    if len(found) != 1:
+        names = ", ".join(str(one.path) for one in found[:3])
+        raise DataError(f"mtf: found {len(found)} recordings ({names} …), expected one")
+    shown = find_display(display).display if isinstance(display, str) else display
+    measured = measure_mtf(found[0], boxes=boxes, display=shown, progress=progress)
+    return measured_result(measured, in_utf8(str(found[0].path)), is_light=shown is not None, started=started)

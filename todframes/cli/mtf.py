@@ -1,0 +1,90 @@
+"""The command `mtf`: the MTF of a camera from slanted edges."""
+
+from __future__ import annotations
+
+import textwrap
+from pathlib import Path
+
+import click
+
+from todframes.cli.console import (
+    check_strict,
+    echo,
+    print_table,
+    progress,
+    say,
+    staged,
+    terminal_width,
+    warning_lines,
+)
+from todframes.cli.options import box, json_option, max_frame_option, quiet_option, strict_option
+
+
+@click.command()
+@click.argument("recording", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.option(
+    "-o",
+    "--out",
+    metavar="OUT",
+    help="Folder for result.json, mtf.csv, edges.csv, mtf.png and a text file as MTF Mapper writes it.",
+)
+@click.option(
+    "--box",
+    "boxes",
+    multiple=True,
+    metavar="X,Y,W,H",
+    help="Left column, top row, width and height of a part of the frame with one edge; repeatable.  [default: "
+    "edges are found]",
+)
+@click.option(
+    "--display",
+    metavar="NAME|FILE",
+    help="Display whose transfer function RECORDING was encoded for: its luminance is measured.  [default: values "
+    "are proportional to light]",
+)
+@max_frame_option
+@strict_option
+@json_option
+@quiet_option
+def mtf(
+    *,
+    recording: tuple[Path, ...],
+    out: str | None,
+    boxes: tuple[str, ...],
+    display: str | None,
+    max_frame_mb: int,
+    strict: bool,
+    as_json: bool,
+    quiet: bool,
+) -> None:
+    """Measure the MTF across the slanted edges that RECORDING shows (e-SFR, ISO 12233), with a 95 % band.
+
+    RECORDING is a video, a sequence of images or a folder of them, camera raw or thermal files, or an array; its
+    frames are averaged. It may also be a table of an MTF to print, draw or convert: a CSV file, or a text file of
+    MTF Mapper.
+
+    Without -o nothing is written.
+    """
+    import todframes as tod
+
+    asked = [box(one, "--box") for one in boxes]
+    with staged(out) as place:
+        with progress("reading", None, quiet=quiet) as advance:
+            result = tod.mtf(recording, boxes=asked, display=display, max_frame_mb=max_frame_mb, progress=advance)
+        place.write(result.files)
+    warnings = result.warnings
+    if as_json:
+        for line in warning_lines(warnings):
+            say(line)
+        click.echo(result.to_json(), nl=False)
+        check_strict(warnings, strict)
+        return
+    print_table(result.short_table())
+    edges = result.edge_table()
+    if edges is not None:
+        print_table(edges)
+    for sentence in [*result.sentences(), *warning_lines(warnings)]:
+        echo(*textwrap.wrap(sentence, terminal_width()))
+    if out is not None:
+        echo(f"written: {out}")
+    check_strict(warnings, strict)

@@ -1,0 +1,686 @@
+"""MTF of one slanted edge in an array (e-SFR), with its 95 % band.
+
+The edge-based spatial frequency response of ISO 12233:2023, at any angle: the distance of each pixel from the edge
+makes a finely sampled edge profile, whose derivative has the MTF as its Fourier transform. The standard sorts the
+distances into bins. Here a cubic spline is fitted to them by least squares, together with the curve of the edge:
+the MTF is then a linear function of the pixels, and its covariance follows from their residuals.
+
+- The spline has knots every quarter of a pixel at the edge. Farther out its intervals grow with the distance, as a
+  real profile gets smoother there; what is farther still is a level that is approached as 1 / distance. Every
+  aperture with a rim has such a tail, because the OTF has a kink at frequency 0 (for a circle: 1 - 4 f / (π f_c)).
+  The levels are those that the tail approaches, so a tail beyond the box does not raise the MTF.
+- The transforms of splines and tail are closed forms or exact to rounding. What the fit itself passes, the
+  counterpart of the correction for bins and differences in the standard, is found at the very same pixels from an
+  edge whose transform is a closed form: a Gaussian one with the same MTF50.
+- The modulus of a noisy transform is too large. It is replaced by the value whose mean it would be: Koay & Basser
+  2006, "Analytically exact correction scheme for signal extraction from noisy magnitude MR signals", J. Magn.
+  Reson. 179. The band is the exact interval of a modulus under Gaussian noise (noncentral χ²).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.polynomial.polynomial import polyder, polyval
+from numpy.typing import NDArray
+
+from todframes.base._typing import ComplexArray, FloatArray
+from todframes.base.errors import DataError, SettingsError
+from todframes.recordings.mtf_table import mtf50_of
+
+Box = tuple[int, int, int, int]
+
+FREQUENCY_CYC_PER_PIXEL: FloatArray = np.arange(65) / 64.0
+"""Frequencies of an MTF: up to twice the Nyquist frequency, with the steps that files of MTF Mapper have."""
+
+NYQUIST = 32
+"""Index of half a cycle/pixel, the Nyquist frequency of the pixels."""
+
+LEAST_SIDE_PX = 20
+"""Least width and height of a box: the tail begins 6 pixels from the edge or farther, and needs pixels behind."""
+
+KNOTS_PX = 0.25
+"""Interval of the knots at the edge. A spline with such knots passes 1 cycle/pixel but for 1 part in 2,000."""
+
+UNIFORM_PX, UNIFORM_RISES = 3.0, 1.2
+"""Distance up to which knots are uniform: at least, and in units of the profile's rise from 10 to 90 %."""
+
+GROWTH = 1.0 / 6.0
+"""Interval of the knots farther out, relative to the distance."""
+
+TAIL_PX, TAIL_RISES = 6.0, 2.5
+"""Distance at which the tail begins: at least, and in units of the rise. A Gaussian's is 0 from there on,
+and that of a diffraction-limited lens 1 / distance to 3 parts in 10,000 of the contrast."""
+
+FARTHEST_TAIL = 0.6
+"""Largest distance at which the tail begins, relative to the distance of the farthest pixels."""
+
+WIDEST_PX = 48.0
+"""Largest distance of pixels that are used: what is farther adds shading, and no precision."""
+
+WIDEST_GAP_PX = 0.75
+"""Largest distance between neighbouring pixels of the profile: 0.71 at 45° exactly, and 1 for an upright edge;
+frequencies up to 0.5 cycles/pixel are then still sampled twice."""
+
+DEGREE = 3
+"""Degree of the polynomial that the edge may follow: lenses bend it by a parabola, and more at one end."""
+
+LEAST_STEP = 5.0
+"""Least contrast of an edge in units of the noise of a pixel."""
+
+ROUGHEST_PX = 0.15
+"""Largest standard deviation of the edge from its curve. It lowers the MTF at the Nyquist frequency by 10 %."""
+
+MOST_SATURATED_EDGE = 0.01
+"""Largest share of the pixels of a box at an end of the scale."""
+
+LEAST_SHADING, SHADING_ERRORS = 0.01, 4.0
+"""Least change of light across one side of the edge that is fitted, relative to the contrast and to its error."""
+
+LARGEST_ERROR = 0.25
+"""Largest half-width of the interval of MTF50, relative to it."""
+
+Z95 = 1.959963984540054
+
+
+class EdgeValue(NamedTuple):
+    """A value with its 95 % interval; an end is None where the data do not give one."""
+
+    value: float
+    ci95: tuple[float | None, float | None]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class MtfBand:
+    """An MTF at `FREQUENCY_CYC_PER_PIXEL` with its 95 % band, point by point.
+
+    Attributes
+    ----------
+    mtf, lower, upper : ndarray (65,)
+    """
+
+    mtf: FloatArray
+    lower: FloatArray
+    upper: FloatArray
+
+    @property
+    def mtf50_cyc_per_pixel(self) -> EdgeValue | None:
+        """Frequency at which the MTF falls to 0.5, and those at which its band does; None if it stays above."""
+        value, *ends = (mtf50_of(FREQUENCY_CYC_PER_PIXEL, one) for one in (self.mtf, self.lower, self.upper))
+        return None if value is None else EdgeValue(value, (ends[0], ends[1]))
+
+    @property
+    def mtf_at_nyquist(self) -> EdgeValue:
+        """MTF at 0.5 cycles/pixel."""
+        return EdgeValue(float(self.mtf[NYQUIST]), (float(self.lower[NYQUIST]), float(self.upper[NYQUIST])))
+
+    def at(self, frequency_cyc_per_pixel: float) -> float:
+        """Return the MTF at a frequency of 0 to 1 cycles/pixel."""
+        return float(np.interp(frequency_cyc_per_pixel, FREQUENCY_CYC_PER_PIXEL, self.mtf))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class EdgeMtf(MtfBand):
+    """The MTF across one edge, and the edge.
+
+    Attributes
+    ----------
+    box : (int, int, int, int)
+        Left column, top row, width and height of the pixels that were used.
+    centre_px : (float, float)
+        A point of the edge, x and y; (0, 0) is the centre of the frame's first pixel.
+    normal_deg : float
+        Direction in which the MTF is measured, from dark to bright: 0 is right, 90 is down.
+    bend_px : float
+        Largest distance of the edge from a straight line.
+    dark, bright : float
+        Levels beside the edge, in units of the values.
+    noise_sd : float
+        Standard deviation of a pixel from the fitted edge, in units of the values.
+    overshoot, undershoot : EdgeValue
+        How far the profile, averaged over one pixel, goes beyond the bright and the dark level, relative to the
+        contrast; 0 where it stays between them.
+    distance_px, profile : ndarray (n,)
+        The fitted edge profile: 0 is the dark level, 1 the bright one.
+    """
+
+    box: Box
+    centre_px: tuple[float, float]
+    normal_deg: float
+    bend_px: float
+    dark: float
+    bright: float
+    noise_sd: float
+    overshoot: EdgeValue
+    undershoot: EdgeValue
+    distance_px: FloatArray
+    profile: FloatArray
+
+    @property
+    def angle_deg(self) -> float:
+        """Angle of the edge against rows or columns of pixels, whichever is nearer: 0 to 45."""
+        return abs((self.normal_deg + 45.0) % 90.0 - 45.0)
+
+
+def mean_band(bands: Sequence[MtfBand]) -> MtfBand:
+    """Return the mean of MTFs, with the band that follows from theirs if their noise is independent."""
+    mean = np.mean([one.mtf for one in bands], 0)
+    down, up = (
+        np.sqrt(np.sum([(getattr(one, end) - one.mtf) ** 2 for one in bands], 0)) / len(bands)
+        for end in ("lower", "upper")
+    )
+    return MtfBand(mtf=mean, lower=np.maximum(mean - down, 0.0), upper=mean + up)
+
+
+def measure_edge(
+    image: FloatArray, box: Box, *, saturated: NDArray[np.bool_] | None = None, where: str = ""
+) -> EdgeMtf:
+    """Measure the MTF across the one edge in a box.
+
+    Parameters
+    ----------
+    image : ndarray (rows, columns)
+        Values proportional to light.
+    box : (int, int, int, int)
+        Left column, top row, width and height.
+    saturated : ndarray of bool (rows, columns), optional
+        Whether a pixel was at an end of its scale.
+    where : str
+        Start of messages.
+
+    Raises
+    ------
+    SettingsError
+        If the box is not in the image, or smaller than `LEAST_SIDE_PX`.
+    DataError
+        If there is no edge, it is saturated, too upright for a finely sampled profile or not smooth, or noise
+        leaves MTF50 uncertain by more than a quarter.
+    """
+    left, top, width, height = box
+    rows, columns = image.shape
+    where = f"{where}box {left},{top},{width},{height}: "
+    if min(width, height) < LEAST_SIDE_PX or min(left, top) < 0 or left + width > columns or top + height > rows:
+        raise SettingsError(
+            f"{where}expected x, y, width, height of at least {LEAST_SIDE_PX} x {LEAST_SIDE_PX} pixels within the "
+            f"frame of {columns} x {rows}"
+        )
+    values = image[top : top + height, left : left + width].astype(np.float64)
+    if saturated is not None:
+        share = float(saturated[top : top + height, left : left + width].mean())
+        if share > MOST_SATURATED_EDGE:
+            raise DataError(
+                f"{where}{100 * share:.0f} % of the pixels are at an end of the scale: the edge is saturated and "
+                "its MTF is lost; change exposure or gain"
+            )
+    curve = _fitted_curve(values, where)
+    fit = _fitted(values, curve, where)
+    found = _edge_mtf(fit, box)
+    mtf50 = found.mtf50_cyc_per_pixel
+    if mtf50 is not None:
+        low, high = mtf50.ci95
+        if low is None or high is None or high - low > 2 * LARGEST_ERROR * mtf50.value:
+            ends = f"{low or 0:.2g} to {'above 1' if high is None else f'{high:.2g}'}"
+            raise DataError(
+                f"{where}noise of {found.noise_sd / (found.bright - found.dark):.1%} of the contrast leaves MTF50 "
+                f"at {ends} cycles/pixel, expected an interval within a quarter of it; average frames, or use a "
+                "longer edge"
+            )
+    return found
+
+
+class _Curve(NamedTuple):
+    """A smooth line in an image: a point, the unit normal from dark to bright, and a polynomial.
+
+    In coordinates t along the normal and s across it, from the point, the edge is t = polynomial(s); its first two
+    coefficients are 0.
+    """
+
+    x: float
+    y: float
+    normal: tuple[float, float]
+    polynomial: FloatArray
+
+    def distance(self, x: NDArray[Any], y: NDArray[Any]) -> tuple[FloatArray, FloatArray]:
+        """Return the distance of points from the edge along its normal, and s.
+
+        The distance is right to first order in the slope of the polynomial squared, which is below 0.01.
+        """
+        (nx, ny), dx, dy = self.normal, x - self.x, y - self.y
+        t, s = dx * nx + dy * ny, dy * nx - dx * ny
+        slope = polyval(s, polyder(self.polynomial))
+        return (t - polyval(s, self.polynomial)) / np.sqrt(1.0 + slope**2), s
+
+    def moved(self, change: FloatArray) -> _Curve:
+        """Return the curve with a polynomial added, in a frame that is turned and moved with it."""
+        total = self.polynomial + change
+        (nx, ny), turn = self.normal, math.atan(total[1])
+        normal = (nx * math.cos(turn) + ny * math.sin(turn), ny * math.cos(turn) - nx * math.sin(turn))
+        total[:2], shift = 0.0, float(total[0])
+        return _Curve(self.x + nx * shift, self.y + ny * shift, normal, total)
+
+
+def _fitted_curve(values: FloatArray, where: str) -> _Curve:
+    """Return a first curve: an orthogonal fit to the pixels, weighted with the slope of the smoothed image."""
+    from scipy.ndimage import gaussian_filter
+
+    smooth_px = 1.5  # a gradient's noise is then 3 % of that of pixels
+    slopes = [gaussian_filter(values, smooth_px, order=one, mode="nearest") for one in ((0, 1), (1, 0))]
+    squares = slopes[0] ** 2 + slopes[1] ** 2
+    if not squares.max() > 0.0:
+        raise DataError(f"{where}found no edge: all values are the same")
+    places = np.indices(values.shape).astype(np.float64)
+    y, x = places[0], places[1]
+    # The direction of the steepest slopes: the principal axis of the structure tensor.
+    gx, gy = slopes
+    jxx, jyy, jxy = (float((squares * one * other).sum()) for one, other in ((gx, gx), (gy, gy), (gx, gy)))
+    angle = 0.5 * math.atan2(2 * jxy, jxx - jyy)
+    normal = (math.cos(angle), math.sin(angle))
+    if float((squares * (slopes[0] * normal[0] + slopes[1] * normal[1])).sum()) < 0.0:
+        normal = (-normal[0], -normal[1])
+    weight = squares**2
+    start = (float((weight * x).sum() / weight.sum()), float((weight * y).sum() / weight.sum()))
+    curve = _Curve(*start, normal, np.zeros(DEGREE + 1))
+    reach_px = max(values.shape) / 3.0
+    for n_done in range(12):
+        distance, s = curve.distance(x, y)
+        rising = np.maximum(slopes[0] * curve.normal[0] + slopes[1] * curve.normal[1], 0.0)
+        weight = rising**2 * np.exp(-0.5 * (distance / reach_px) ** 2)
+        spread_px = math.sqrt(float((weight * distance**2).sum() / weight.sum()))
+        reach_px = max(min(0.7 * reach_px, 3.0 * spread_px), 2.0)
+        used = weight > 1e-4 * weight.max()
+        degree = 1 if n_done < 3 else DEGREE
+        length = float(np.abs(s).max())
+        powers = (s[used, np.newaxis] / length) ** np.arange(degree + 1)
+        root = np.sqrt(weight[used])
+        change = np.zeros(DEGREE + 1)
+        solved = np.linalg.lstsq(powers * root[:, np.newaxis], distance[used] * root, rcond=None)[0]
+        change[: degree + 1] = solved / length ** np.arange(degree + 1)
+        curve = curve.moved(change)
+    return curve
+
+
+class _Profile:
+    """Functions of the distance from an edge whose sum is its profile, and their Fourier transforms.
+
+    A constant; a step from 0 to 1 that is a spline; cubic B-splines between the two points at which the tails
+    begin; and, if it has one, the tail: -1 / distance, continued between those points by a quintic with the same
+    value and first two derivatives.
+    """
+
+    DARK, STEP = 0, 1
+    """Columns of the constant and of the step, whose weights are the dark level and the contrast."""
+
+    def __init__(self, tail_px: float, uniform_px: float, knots_px: float, *, has_tail: bool) -> None:
+        self.has_tail = has_tail
+        places = [0.0]
+        while places[-1] < tail_px:
+            places.append(
+                places[-1] + (knots_px if places[-1] < uniform_px else max(knots_px, GROWTH * places[-1]))
+            )
+        half = np.array(places[1:])
+        inner = np.concatenate([-half[::-1], [0.0], half])
+        self.end_px = float(half[-1])
+        last = half[-1] - half[-2]
+        outer = last * np.arange(1, 4)
+        self.knots = np.concatenate([inner[0] - outer[::-1], inner, inner[-1] + outer])
+        self.inner = inner
+        d = self.end_px
+        rows = [[d, d**3, d**5], [1.0, 3 * d**2, 5 * d**4], [0.0, 6 * d, 20 * d**3]]
+        odd = np.linalg.solve(rows, [-1 / d, 1 / d**2, -2 / d**3])
+        self.bridge = np.array([0.0, odd[0], 0.0, odd[1], 0.0, odd[2]])
+
+    def columns(self, distance_px: FloatArray) -> FloatArray:
+        """Return the functions at distances, (n, n_functions)."""
+        from scipy.interpolate import BSpline
+
+        inside = np.abs(distance_px) < self.end_px
+        splines = BSpline.design_matrix(distance_px[inside], self.knots, 3).toarray()
+        # Without those that reach beyond the ends.
+        found = np.zeros((len(distance_px), 3 + splines.shape[1] - 6))
+        found[:, self.DARK] = 1.0
+        found[:, self.STEP] = distance_px > 0.0
+        found[inside, self.STEP] = splines @ self._in_step()
+        found[inside, 2:-1] = splines[:, 3:-3]
+        found[~inside, -1] = -1.0 / distance_px[~inside]
+        found[inside, -1] = polyval(distance_px[inside], self.bridge)
+        return found if self.has_tail else found[:, :-1]
+
+    def _in_step(self) -> FloatArray:
+        """Return the weights of the splines in the step: half of that in the middle, and all to the right."""
+        n = len(self.knots) - 4
+        return np.where(np.arange(n) == n // 2, 0.5, np.arange(n) > n // 2)
+
+    def slopes(self, distance_px: FloatArray) -> FloatArray:
+        """Return the derivatives of the functions between the ends, (n, n_functions)."""
+        from scipy.interpolate import BSpline
+
+        of_splines = BSpline(self.knots, np.eye(len(self.knots) - 4), 3).derivative()(distance_px)
+        others = (0.0 * distance_px, of_splines @ self._in_step(), of_splines[:, 3:-3])
+        of_tail = [polyval(distance_px, polyder(self.bridge))] if self.has_tail else []
+        return np.column_stack([*others, *of_tail])
+
+    def transforms(self, frequency: FloatArray) -> ComplexArray:
+        """Return the Fourier transforms of the derivatives of the functions, (n_frequencies, n_functions).
+
+        Between the knots by Gauss-Legendre quadrature: with 16 points it is exact to 1e-9 for intervals of up to 3
+        pixels and frequencies of up to 1 cycle/pixel. The tail's, 1 / distance², by the sine integral.
+        """
+        from scipy.special import sici
+
+        points, weights = np.polynomial.legendre.leggauss(16)
+        middle, half = (self.inner[1:] + self.inner[:-1]) / 2, np.diff(self.inner) / 2
+        places = (middle[:, np.newaxis] + half[:, np.newaxis] * points).ravel()
+        each = (half[:, np.newaxis] * weights).ravel()
+        waves = np.exp(-2j * np.pi * np.outer(frequency, places)) * each
+        found: ComplexArray = np.asarray(waves @ self.slopes(places), np.complex128)
+        if not self.has_tail:
+            return found
+        omega = 2 * np.pi * frequency
+        far = np.cos(omega * self.end_px) / self.end_px - omega * (np.pi / 2 - sici(omega * self.end_px)[0])
+        found[:, -1] += 2 * far
+        return found
+
+
+class _Fit(NamedTuple):
+    """A fitted edge: weights of the functions of its profile, and their covariance from the residuals."""
+
+    curve: _Curve
+    profile: _Profile
+    weights: FloatArray
+    covariance: FloatArray
+    pass_through: FloatArray
+    residual_sd: float
+    bend_px: float
+
+    @property
+    def contrast(self) -> float:
+        """Difference of the levels far from the edge."""
+        return float(self.weights[_Profile.STEP])
+
+
+def _fitted(values: FloatArray, curve: _Curve, where: str) -> _Fit:
+    """Fit curve and profile in turn, then find their covariance."""
+    from scipy.linalg import cho_factor, cho_solve
+
+    y, x = (one.ravel() for one in np.indices(values.shape, np.float64))
+    flat = values.ravel()
+    distance, s = curve.distance(x, y)
+    # The farthest pixels, as many as the edge has along it, lie in corners of the box.
+    n_left_out = min(int(np.ptp(s)), len(s) // 4)
+    ordered = np.sort(distance)
+    widest_px = min(WIDEST_PX, float(ordered[-1 - n_left_out]), float(-ordered[n_left_out]))
+    if widest_px * FARTHEST_TAIL < TAIL_PX:
+        raise DataError(
+            f"{where}found an edge with {widest_px:.0f} pixels beside it, expected at least "
+            f"{TAIL_PX / FARTHEST_TAIL:.0f} on both sides"
+        )
+    tail_px = FARTHEST_TAIL * min(widest_px, 2.5 * TAIL_PX)
+    uniform_px, shape, is_shaded, n_left = tail_px, None, False, 5
+    while True:
+        distance, s = curve.distance(x, y)
+        used = np.abs(distance) <= widest_px
+        at, along, found = distance[used], s[used], flat[used]
+        knots_px = _knots_px(at, uniform_px, curve, where)
+        profile = _Profile(tail_px, uniform_px, knots_px, has_tail=not is_shaded)
+        columns = profile.columns(at)
+        # Shading along the edge, on the bright side and on the dark one, is no part of the profile.
+        of_step = columns[:, _Profile.STEP] if shape is None else np.interp(at, *shape)
+        length = float(np.abs(along).max())
+        # On either side light may change along the edge and, in place of the tail, across it.
+        sides, slopes = (of_step, 1.0 - of_step), (along / length, at / widest_px)
+        shading = [side * slope for slope in slopes[: 2 if is_shaded else 1] for side in sides]
+        columns = np.column_stack([columns, *shading])
+        factor = cho_factor(columns.T @ columns)
+        solved = cho_solve(factor, columns.T @ found)
+        residual = found - columns @ solved
+        weights = solved[: -len(shading)]
+        contrast = float(weights[_Profile.STEP])
+        if not contrast > LEAST_STEP * residual.std():
+            raise DataError(
+                f"{where}found no edge: the steepest step is {max(contrast, 0.0):.3g} against noise of "
+                f"{residual.std():.3g}, expected at least {LEAST_STEP:g} times the noise"
+            )
+        grid = np.linspace(-0.999 * profile.end_px, 0.999 * profile.end_px, 401)
+        rising = (profile.columns(grid) @ weights - weights[_Profile.DARK]) / contrast
+        shape = grid, np.clip(rising, 0.0, 1.0)
+        rise_px = _rise_px(grid, rising)
+        n_left -= 1
+        if n_left == 0:
+            break
+        if n_left == 2 and not is_shaded:
+            is_shaded = _is_shaded(columns, factor, residual, [side * slopes[1] for side in sides], contrast)
+        slope = np.zeros(len(at))
+        inside = np.abs(at) < profile.end_px
+        slope[inside] = profile.slopes(at[inside]) @ weights
+        powers = -slope[:, np.newaxis] * (along[:, np.newaxis] / length) ** np.arange(1, DEGREE + 1)
+        free = powers - columns @ cho_solve(factor, columns.T @ powers)
+        change = np.linalg.lstsq(free, residual, rcond=None)[0] / length ** np.arange(1, DEGREE + 1)
+        curve = curve.moved(np.concatenate([[0.0], change]))
+        farthest_px = FARTHEST_TAIL * widest_px
+        if n_left == 3:
+            tail_px = min(max(TAIL_PX, TAIL_RISES * rise_px), farthest_px)
+        uniform_px = min(max(UNIFORM_PX, UNIFORM_RISES * rise_px), tail_px)
+        if n_left == 1 and tail_px < farthest_px and _has_structure(at, residual, profile.end_px):
+            tail_px, n_left = min(1.4 * tail_px, farthest_px), 2
+    _check_smooth(along, at, residual, profile, weights, where)
+    inverse = cho_solve(factor, np.eye(columns.shape[1]))
+    leverage = np.minimum(np.einsum("ij,ij->i", columns @ inverse, columns), 0.9)
+    meat = _meat(columns, residual / np.sqrt(1.0 - leverage), used.reshape(values.shape))
+    covariance = (inverse @ meat @ inverse)[: len(weights), : len(weights)]
+    visible = along[np.abs(at) < 1.0]
+    ends = np.linspace(visible.min(), visible.max(), 101)
+    line = polyval(ends, curve.polynomial)
+    chord = line - np.polyval(np.polyfit(ends, line, 1), ends)
+    fit = _Fit(curve, profile, weights, covariance, np.ones(0), float(residual.std()), float(np.ptp(chord)))
+    return fit._replace(pass_through=_pass_through(fit, columns, factor, at))
+
+
+def _knots_px(distance: FloatArray, uniform_px: float, curve: _Curve, where: str) -> float:
+    """Return the interval of the knots at the edge: no smaller than the widest gap between pixels."""
+    near = np.sort(distance[np.abs(distance) <= uniform_px])
+    gap_px = float(np.diff(near).max()) if len(near) > 1 else math.inf
+    if gap_px > WIDEST_GAP_PX:
+        angle = abs((math.degrees(math.atan2(curve.normal[1], curve.normal[0])) + 45.0) % 90.0 - 45.0)
+        raise DataError(
+            f"{where}found an edge {angle:.2f}° from rows or columns, whose pixels leave a gap of {gap_px:.2g} "
+            f"pixels in its profile, expected at most {WIDEST_GAP_PX}; turn target or camera by 2° to 10°, or use "
+            "a longer edge"
+        )
+    return max(KNOTS_PX, 1.02 * gap_px)
+
+
+def _rise_px(distance: FloatArray, profile: FloatArray) -> float:
+    """Return the distance from the last 10 % to the first 90 % of a profile from 0 to 1."""
+    high = distance[int(np.argmax(profile > 0.9))]
+    low = distance[len(profile) - 1 - int(np.argmax(profile[::-1] < 0.1))]
+    return max(float(high - low), KNOTS_PX)
+
+
+def _has_structure(distance: FloatArray, residual: FloatArray, from_px: float) -> bool:
+    """Return whether the residuals beyond a distance have means, pixel by pixel, that noise would rarely have."""
+    from scipy.special import gammaincc
+
+    far = np.abs(distance) >= from_px
+    bins = np.floor(distance[far]).astype(np.intp)
+    bins -= bins.min()
+    counts = np.bincount(bins)
+    sums = np.bincount(bins, residual[far])
+    filled = counts > 1
+    chi2 = float((sums[filled] ** 2 / counts[filled]).sum() / residual[far].var())
+    return bool(gammaincc(filled.sum() / 2, chi2 / 2) < 1e-3)
+
+
+def _is_shaded(
+    columns: FloatArray,
+    factor: tuple[FloatArray, bool],
+    residual: FloatArray,
+    changes: Sequence[FloatArray],
+    contrast: float,
+) -> bool:
+    """Return whether light changes across one side of the edge, beyond what the tail explains.
+
+    One edge cannot hold a tail and a change of light apart, so that a fit of both loses the levels.
+    """
+    from scipy.linalg import cho_solve
+
+    for change in changes:
+        free = change - columns @ cho_solve(factor, columns.T @ change)
+        power = float(free @ free)
+        size, error = abs(float(free @ residual)) / power, math.sqrt(float(residual.var()) / power)
+        if size > LEAST_SHADING * contrast and size > SHADING_ERRORS * error:
+            return True
+    return False
+
+
+def _check_smooth(
+    along: FloatArray,
+    distance: FloatArray,
+    residual: FloatArray,
+    profile: _Profile,
+    weights: FloatArray,
+    where: str,
+) -> None:
+    """Raise DataError if parts of the edge are displaced from the curve by more than noise would displace them."""
+    inside = np.abs(distance) < profile.end_px
+    slope = -(profile.slopes(distance[inside]) @ weights)
+    part = np.floor((along[inside] - along.min()) / 4.0).astype(np.intp)
+    power = np.bincount(part, slope**2)
+    seen = power > 0.3 * np.median(power)
+    shift = np.bincount(part, slope * residual[inside])[seen] / power[seen]
+    by_noise = residual.var() / power[seen]
+    rough_px = math.sqrt(max(float(np.mean(shift**2 - by_noise)), 0.0))
+    if rough_px > ROUGHEST_PX:
+        raise DataError(
+            f"{where}found an edge that departs from a smooth curve by {rough_px:.2f} pixels, expected at most "
+            f"{ROUGHEST_PX}; is it torn, or is there more than one edge in the box?"
+        )
+
+
+def _meat(columns: FloatArray, residual: FloatArray, used: NDArray[np.bool_]) -> FloatArray:
+    """Return the sum of products of residuals with the columns, also of pixels up to two apart, whose noise an
+    interpolated or compressed picture correlates.
+
+    The weights are Bartlett's: Conley 1999, "GMM estimation with cross sectional dependence", J. Econometrics 92.
+    """
+    from scipy.sparse import csr_matrix
+
+    rows, width = used.shape
+    reach = 2
+    padded = np.zeros((rows + reach, width + 2 * reach, columns.shape[1]))
+    padded[:rows, reach:-reach][used] = columns * residual[:, np.newaxis]
+    whole = csr_matrix(padded.reshape(-1, columns.shape[1]))
+    n_places = whole.shape[0]
+    total = np.zeros((columns.shape[1], columns.shape[1]))
+    for down in range(reach + 1):
+        for right in range(-reach if down else 0, reach + 1):
+            lag = down * (width + 2 * reach) + right
+            product = (whole[: n_places - lag].T @ whole[lag:]).toarray()
+            weight = (1.0 - down / (reach + 1)) * (1.0 - abs(right) / (reach + 1))
+            total += weight * (product if lag == 0 else product + product.T)
+    return total
+
+
+def _pass_through(
+    fit: _Fit, columns: FloatArray, factor: tuple[FloatArray, bool], distance: FloatArray
+) -> FloatArray:
+    """Return the share that the fit passes of each frequency of a Gaussian edge with the same MTF50."""
+    from scipy.linalg import cho_solve
+    from scipy.special import ndtr
+
+    frequency = FREQUENCY_CYC_PER_PIXEL
+    transforms = fit.profile.transforms(frequency)
+    mtf50 = mtf50_of(frequency, np.abs(transforms @ fit.weights) / fit.contrast) or 1.0
+    sigma_px = math.sqrt(math.log(2.0) / 2.0) / (math.pi * mtf50)
+    solved = cho_solve(factor, columns.T @ ndtr(distance / sigma_px))[: len(fit.weights)]
+    expected = np.exp(-2.0 * (np.pi * sigma_px * frequency) ** 2)
+    found = np.abs(transforms @ solved) / solved[_Profile.STEP]
+    # Beyond, the Gaussian has too little to compare with.
+    known = int(np.flatnonzero(expected > 0.02)[-1])
+    share = found[: known + 1] / expected[: known + 1]
+    return np.concatenate([share, np.full(len(frequency) - known - 1, share[-1])])
+
+
+def _edge_mtf(fit: _Fit, box: Box) -> EdgeMtf:
+    """Return MTF, band and overshoot of a fitted edge."""
+    transforms = fit.profile.transforms(FREQUENCY_CYC_PER_PIXEL)
+    ratio = transforms @ fit.weights / fit.contrast
+    # Derivatives of the ratio, turned so that the real part is along it.
+    derivative = transforms / fit.contrast
+    derivative[:, _Profile.STEP] -= ratio / fit.contrast
+    derivative *= np.exp(-1j * np.angle(ratio))[:, np.newaxis]
+    along, across = (
+        np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", one, fit.covariance, one), 0.0))
+        for one in (derivative.real, derivative.imag)
+    )
+    mtf, lower, upper = _without_noise(np.abs(ratio), along, across)
+    mtf, lower, upper = (one / fit.pass_through for one in (mtf, lower, upper))
+    left, top, _, _ = box
+    curve, dark = fit.curve, float(fit.weights[_Profile.DARK])
+    grid, profile, overshoot, undershoot = _overshoots(fit)
+    return EdgeMtf(
+        mtf=mtf,
+        lower=lower,
+        upper=upper,
+        box=box,
+        centre_px=(curve.x + left, curve.y + top),
+        normal_deg=math.degrees(math.atan2(curve.normal[1], curve.normal[0])),
+        bend_px=fit.bend_px,
+        dark=dark,
+        bright=dark + fit.contrast,
+        noise_sd=fit.residual_sd,
+        overshoot=overshoot,
+        undershoot=undershoot,
+        distance_px=grid,
+        profile=profile,
+    )
+
+
+def _without_noise(
+    modulus: FloatArray, along: FloatArray, across: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the modulus without the share of noise in it, and the ends of its 95 % interval.
+
+    `along` and `across` are the standard errors in the direction of the complex value and at right angles to it.
+    """
+    from scipy.special import chndtrinc, i0e, i1e
+
+    known = along > 0.0
+    sd = np.where(known, along, 1.0)
+    # With the same error in both directions the modulus has Rice's distribution.
+    seen = np.sqrt(np.maximum(modulus**2 - across**2 + along**2, 0.0)) / sd
+    true = np.linspace(0.0, 30.0, 3001)
+    half = true**2 / 4.0
+    mean = math.sqrt(math.pi / 2.0) * ((1 + 2 * half) * i0e(half) + 2 * half * i1e(half))
+    few = seen < 29.0
+    value = np.where(few, np.interp(seen, mean, true), seen - 0.5 / np.maximum(seen, 1.0))
+    lower, upper = value - Z95, value + Z95
+    squares = seen[few] ** 2
+    lower[few], upper[few] = (np.sqrt(np.nan_to_num(chndtrinc(squares, 2.0, p))) for p in (0.975, 0.025))
+    value, lower, upper = (np.where(known, one * sd, modulus) for one in (value, lower, upper))
+    return value, np.minimum(lower, value), np.maximum(upper, value)
+
+
+def _overshoots(fit: _Fit) -> tuple[FloatArray, FloatArray, EdgeValue, EdgeValue]:
+    """Return the profile from 0 to 1, and how far its means over a pixel go beyond both levels."""
+    end = 0.999 * fit.profile.end_px
+    n_in_pixel = 20
+    grid = np.arange(-math.floor(end * n_in_pixel), math.floor(end * n_in_pixel) + 1) / n_in_pixel
+    columns = fit.profile.columns(grid)
+    sums = np.cumsum(columns, 0)
+    means = (sums[n_in_pixel:] - sums[:-n_in_pixel]) / n_in_pixel
+    level = (means @ fit.weights - fit.weights[_Profile.DARK]) / fit.contrast
+
+    def beyond(k: int, height: float, sign: float) -> EdgeValue:
+        derivative = means[k] / fit.contrast
+        derivative[_Profile.DARK] -= 1.0 / fit.contrast
+        derivative[_Profile.STEP] -= level[k] / fit.contrast
+        error = Z95 * math.sqrt(max(float(derivative @ fit.covariance @ derivative), 0.0))
+        value = max(sign * (float(level[k]) - height), 0.0)
+        return EdgeValue(value, (max(value - error, 0.0), value + error))
+
+    over, under = beyond(int(np.argmax(level)), 1.0, 1.0), beyond(int(np.argmin(level)), 0.0, -1.0)
+    return grid, (columns @ fit.weights - fit.weights[_Profile.DARK]) / fit.contrast, over, under
